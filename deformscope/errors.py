@@ -1,0 +1,18 @@
+"""The one error that reaches a user."""
+
+from __future__ import annotations
+
+
+class InputError(Exception):
+    """Something a user gave cannot be used.
+
+    The message says, in one line, what was expected, what came, and what to try; a path comes last.
+    """
+
+    def __init__(self, expected: str, came: str, try_this: str = "", where: object = "") -> None:
+        parts = [f"expected {expected}; got {came}"]
+        if try_this:
+            parts.append(f"try: {try_this}")
+        if str(where):
+            parts.append(str(where))
+        super().__init__(" | ".join(parts))

@@ -1,0 +1,1 @@
+"""A twin for every stage: the only place with rerun archetypes. Nothing here computes."""
