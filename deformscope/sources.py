@@ -1,0 +1,324 @@
+"""Where frames come from: a video, a folder, images in order, a recording, or a sample, as one lazy stream."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import math
+import os
+import re
+import struct
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from importlib import resources
+from pathlib import Path
+from types import TracebackType
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from deformscope.arrays import ImageArray
+from deformscope.errors import InputError
+from deformscope.frames import ColorFrame
+from deformscope_drivers.clock import Stamp
+
+DEFAULT_FPS = 30.0
+IMAGE_SUFFIXES = frozenset(
+    {".avif", ".bmp", ".dib", ".gif", ".jp2", ".jpe", ".jpeg", ".jpg", ".pbm"}
+    | {".pgm", ".png", ".pnm", ".ppm", ".ras", ".sr", ".tif", ".tiff", ".webp"}
+)
+SAMPLE_SCHEME = "sample:"
+RECORDING_SUFFIX = ".rrd"
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+
+# One clear line reaches the user; the decoders would print theirs first.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+
+
+class Source:
+    """A stream of frames, read once and lazily: `with open_source(...) as source: for frame in source: ...`.
+
+    name: what it is, for a progress line; count: how many frames it will give, None where only reading tells (the
+    count of a video is what its container claims)
+    """
+
+    def __init__(self, name: str, frames: Callable[[], Iterator[ColorFrame]], count: int | None) -> None:
+        self.name = name
+        self.count = count
+        self._open = frames
+        self._frames: Iterator[ColorFrame] | None = None
+        self._ahead: list[ColorFrame] = []
+
+    def __enter__(self) -> Source:
+        """Open it and look at the first two frames, so that what cannot be used is refused before any work."""
+        self._frames = self._open()
+        try:
+            self._ahead = list(itertools.islice(self._frames, 2))
+            if len(self._ahead) < 2:
+                came = "one frame" if self._ahead else "no frame"
+                raise InputError("at least two frames", came, "a longer source or a smaller --stride", self.name)
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def first(self) -> ColorFrame:
+        """The first frame, without taking it out of the stream; only before the iteration starts."""
+        return self._ahead[0]
+
+    def __iter__(self) -> Iterator[ColorFrame]:
+        while self._ahead:
+            yield self._ahead.pop(0)
+        if self._frames is not None:
+            yield from self._frames
+
+    def __len__(self) -> int:
+        if self.count is None:
+            raise TypeError(f"the frames of {self.name} are not counted before they are read")
+        return self.count
+
+    def __bool__(self) -> bool:
+        return True
+
+    def close(self) -> None:
+        frames, self._frames = self._frames, None
+        if frames is not None:
+            getattr(frames, "close", lambda: None)()
+
+
+def open_source(
+    paths: Sequence[str | Path], *, stride: int = 1, fps: float | None = None, mask: Path | None = None
+) -> Source:
+    """A source of frames from what the user named.
+
+    paths: one video, folder, recording or `sample:NAME`, or two or more image files in their order
+    stride: keep every n-th frame; a frame's index counts the kept ones
+    fps: frames a second of the source before `stride`; default: the video's own, else 30; a recording has its stamps
+    mask: an image that is no frame, should it lie among them
+    """
+    if stride < 1:
+        raise InputError("a stride of 1 or more", str(stride))
+    if fps is not None and not (math.isfinite(fps) and fps > 0):
+        raise InputError("a positive frame rate", str(fps))
+    if not paths:
+        raise InputError("a source of frames", "none", "a video, a folder of frames, or image files")
+    if len(paths) > 1:
+        return _images([_image_path(path) for path in paths], f"{len(paths)} images", stride, fps, mask)
+
+    path = resolve(paths[0])
+    if not path.exists():
+        raise InputError("a video, a folder of frames, or image files", "nothing there", where=path)
+    if path.is_dir():
+        return _images(images_in(path), str(path), stride, fps, mask)
+    if path.suffix.lower() == RECORDING_SUFFIX:
+        return _recording(path, stride)
+    if path.suffix.lower() in IMAGE_SUFFIXES:
+        raise InputError("at least two frames", "one image", "name all images in order, or their folder", path)
+    return _video(path, stride, fps)
+
+
+def resolve(path: str | Path) -> Path:
+    """`sample:NAME` becomes the sample's folder; anything else stays what it is."""
+    text = str(path)
+    if text.startswith(SAMPLE_SCHEME):
+        return sample_path(text.removeprefix(SAMPLE_SCHEME))
+    return Path(path).expanduser()
+
+
+def sample_names() -> list[str]:
+    """The samples that came with the installation."""
+    root = resources.files("deformscope") / "samples"
+    return sorted(entry.name for entry in root.iterdir() if entry.is_dir() and not entry.name.startswith("_"))
+
+
+def sample_path(name: str) -> Path:
+    """The folder of the sample `name`."""
+    names = sample_names()
+    if name not in names:
+        raise InputError("a sample's name", f"{name!r}", "one of " + ", ".join(names))
+    return Path(str(resources.files("deformscope") / "samples" / name))
+
+
+def images_in(folder: Path) -> list[Path]:
+    """The image files of a folder in natural order (img2 before img10); hidden and other files are left out."""
+    found = [
+        path
+        for path in folder.iterdir()
+        if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".") and path.is_file()
+    ]
+    return sorted(found, key=natural_key)
+
+
+def natural_key(path: Path) -> tuple[list[tuple[int, int, str]], str]:
+    """Sorts numbers in names by their value; names that differ only in case or leading zeros keep a fixed order."""
+    parts = re.split(r"(\d+)", path.name.casefold())
+    return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts if part], path.name
+
+
+def read_image(path: str | Path) -> ImageArray:
+    """One image file: (H, W) grey or (H, W, 3) RGB, uint8 or uint16; transparency is left out."""
+    path = Path(path)
+    try:
+        encoded = path.read_bytes()
+    except OSError as error:
+        raise InputError("an image", _reason(error), where=path) from error
+    return decode_image(encoded, path)
+
+
+def decode_image(encoded: bytes, where: object) -> ImageArray:
+    """The image in `encoded`, as `read_image` gives it; `where` names it in a refusal."""
+    if not encoded:
+        raise InputError("an image", "an empty file", where=where)
+    if encoded.startswith(PNG_SIGNATURE):
+        encoded = _bare_png(encoded, where)
+    try:
+        image = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+    except cv2.error as error:
+        raise InputError("an image", "one that cannot be decoded", "write the file again", where) from error
+    if image is None:
+        raise InputError("an image", "a damaged, cut or unknown file", "write the file again", where)
+    if image.dtype not in (np.uint8, np.uint16):
+        raise InputError("8 or 16 bits a channel", f"{image.dtype}", "convert it to 8 or 16 bits", where)
+    pixels: ImageArray = image if image.dtype == np.uint8 else image.view(np.uint16)  # type: ignore[assignment]
+    return pixels if pixels.ndim == 2 else _rgb(pixels)
+
+
+def encode_png(image: ImageArray) -> bytes:
+    """(H, W) grey or (H, W, 3) RGB, uint8 or uint16, as PNG without loss; fast rather than small."""
+    swapped = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    done, encoded = cv2.imencode(".png", np.ascontiguousarray(swapped), [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    if not done:
+        raise ValueError(f"no PNG can be made of an image of shape {image.shape} and type {image.dtype}")
+    return encoded.tobytes()
+
+
+def _rgb(bgr: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> ImageArray:
+    swapped: ImageArray = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)  # type: ignore[assignment]
+    return swapped
+
+
+def _bare_png(encoded: bytes, where: object) -> bytes:
+    """The PNG with its critical chunks alone, each checked.
+
+    The decoder prints to the standard error on damage, and on a camera's odd colour profile: neither gets there.
+    """
+    kept = [PNG_SIGNATURE]
+    place = len(PNG_SIGNATURE)
+    kind = b""
+    while kind != b"IEND":
+        head = encoded[place : place + 8]
+        length, kind = struct.unpack(">I4s", head) if len(head) == 8 else (0, b"")
+        chunk = encoded[place : place + 12 + length]
+        if len(head) < 8 or len(chunk) < 12 + length:
+            raise InputError("a whole PNG image", "one that is cut off", "write the file again", where)
+        if zlib.crc32(chunk[4:-4]) != int.from_bytes(chunk[-4:], "big"):
+            raise InputError("a whole PNG image", "one with damaged bytes", "write the file again", where)
+        if kind[:1].isupper():
+            kept.append(chunk)
+        place += len(chunk)
+    return b"".join(kept)
+
+
+def _image_path(path: str | Path) -> Path:
+    resolved = resolve(path)
+    if resolved.is_dir() or (resolved.exists() and resolved.suffix.lower() not in IMAGE_SUFFIXES):
+        what = "a folder" if resolved.is_dir() else f"a {resolved.suffix or 'nameless'} file"
+        raise InputError("image files where several sources are named", what, "one video or folder alone", resolved)
+    if not resolved.exists():
+        raise InputError("an image file", "nothing there", where=resolved)
+    return resolved
+
+
+def _images(paths: list[Path], name: str, stride: int, fps: float | None, mask: Path | None) -> Source:
+    masked = None if mask is None else Path(mask).expanduser().resolve()
+    frames = [path for path in paths if path.resolve() != masked]
+    if not frames:
+        came = "the mask alone" if paths else "none"
+        raise InputError("a folder with images, one a frame", came, "a folder that holds PNG, TIFF or JPEG files", name)
+    kept = frames[::stride]
+    if len(kept) < 2:
+        came = f"{len(frames)} image{'s' * (len(frames) > 1)}" + (f" and a stride of {stride}" if stride > 1 else "")
+        raise InputError("at least two frames", came, "more images, or a smaller --stride", name)
+    period_ns = 1e9 / (fps or DEFAULT_FPS)
+
+    def read() -> Iterator[ColorFrame]:
+        images = ((read_image(path), path) for path in kept)
+        for index, image in enumerate(_alike(images)):
+            yield ColorFrame(Stamp(round(index * stride * period_ns)), index, image)
+
+    return Source(name, read, len(kept))
+
+
+def _alike(images: Iterable[tuple[ImageArray, Path]]) -> Iterator[ImageArray]:
+    """Passes on images of one size, depth and channel count; refuses the first that differs."""
+    first: tuple[ImageArray, Path] | None = None
+    for image, path in images:
+        first = first or (image, path)
+        if (image.shape, image.dtype) != (first[0].shape, first[0].dtype):
+            came = f"{_shape(image)} after {_shape(first[0])} in {first[1].name}"
+            raise InputError("frames of one size, depth and channel count", came, "leave the odd image out", path)
+        yield image
+
+
+def _shape(image: ImageArray) -> str:
+    height, width = image.shape[:2]
+    return f"{width}x{height} {'grey' if image.ndim == 2 else 'RGB'} of {8 * image.dtype.itemsize} bits"
+
+
+def _video(path: Path, stride: int, fps: float | None) -> Source:
+    with _capture(path) as probe:
+        own_fps = probe.get(cv2.CAP_PROP_FPS)
+        claimed = probe.get(cv2.CAP_PROP_FRAME_COUNT)
+    rate = fps or (own_fps if math.isfinite(own_fps) and 0 < own_fps < 1e6 else DEFAULT_FPS)
+    count = math.ceil(claimed / stride) if math.isfinite(claimed) and 0 < claimed < 1e9 else None
+
+    def read() -> Iterator[ColorFrame]:
+        with _capture(path) as capture:
+            for taken in itertools.count():
+                if taken % stride:
+                    if not capture.grab():
+                        return
+                    continue
+                done, image = capture.read()
+                if not done:
+                    return
+                rgb = _rgb(image)  # type: ignore[arg-type]
+                yield ColorFrame(Stamp(round(taken * 1e9 / rate)), taken // stride, rgb)
+
+    return Source(str(path), read, count)
+
+
+@contextlib.contextmanager
+def _capture(path: Path) -> Iterator[cv2.VideoCapture]:
+    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    try:
+        if not capture.isOpened():
+            came = "an empty file" if path.stat().st_size == 0 else "a file that is none"
+            raise InputError("a video that FFmpeg can read", came, "convert it to MP4, or to a folder of PNG", path)
+        yield capture
+    finally:
+        capture.release()
+
+
+def _recording(path: Path, stride: int) -> Source:
+    from deformscope.replay import Replay
+
+    replay = Replay(path)
+
+    def read() -> Iterator[ColorFrame]:
+        for index, frame in enumerate(itertools.islice(replay.frames(), 0, None, stride)):
+            yield ColorFrame(frame.stamp, index, frame.image)
+
+    return Source(str(path), read, math.ceil(replay.frame_count / stride))
+
+
+def _reason(error: OSError) -> str:
+    return (error.strerror or str(error)).lower()
