@@ -1,0 +1,189 @@
+"""Which particles form a cluster (Thesis 4.1.3): lattice windows, nearest neighbours, or lists of indices."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.errors import InputError
+
+FLAT_MOMENT_RATIO = 1e-4
+"""A rest cluster is flat in a direction whose second moment is below this share of its largest (extent below 1 %).
+There its fit is not determined, so it is left out (pseudo-inverse) instead of being amplified."""
+
+
+@dataclass(frozen=True, slots=True)
+class Clusters:
+    """Overlapping clusters in compressed rows: cluster c holds `members[offsets[c]:offsets[c + 1]]`.
+
+    members: (M,) int32 particle indices; offsets: (C + 1,) int32; particle_count: K
+    Every particle belongs to at least one cluster.
+    """
+
+    members: IntArray
+    offsets: IntArray
+    particle_count: int
+
+    @property
+    def count(self) -> int:
+        return len(self.offsets) - 1
+
+    def __iter__(self) -> Iterator[IntArray]:
+        return (self.members[a:b] for a, b in zip(self.offsets[:-1], self.offsets[1:], strict=True))
+
+    def cluster_counts(self) -> IntArray:
+        """N_i of Thesis eq. 3.15: how many clusters each particle belongs to, (K,)."""
+        return np.bincount(self.members, minlength=self.particle_count)
+
+
+def from_lists(lists: Sequence[Sequence[int] | IntArray], particle_count: int) -> Clusters:
+    """Free-form clusters, each given by the indices of its particles.
+
+    Raises InputError for an empty cluster, an index out of range or twice in one cluster, or a particle in none.
+    """
+    rows = [np.asarray(row, dtype=np.int64) for row in lists]
+    if not rows:
+        raise InputError("at least one cluster", "none")
+    for number, row in enumerate(rows):
+        if row.ndim != 1 or row.size == 0:
+            raise InputError("clusters of at least one particle", f"cluster {number} with {row.size}")
+        if row.min() < 0 or row.max() >= particle_count:
+            raise InputError(
+                f"particle indices 0 to {particle_count - 1}", f"{row.min()} to {row.max()} in cluster {number}"
+            )
+        if np.unique(row).size != row.size:
+            raise InputError("each particle once in a cluster", f"a repeated index in cluster {number}")
+    clusters = _pack(rows, particle_count)
+    alone = np.flatnonzero(clusters.cluster_counts() == 0)
+    if alone.size:
+        raise InputError(
+            "every particle in a cluster",
+            f"{alone.size} in none (first: {alone[0]})",
+            "add a cluster that holds them, or leave them out",
+        )
+    return clusters
+
+
+def single(particle_count: int) -> Clusters:
+    """One cluster of all particles (Thesis 5.1)."""
+    return _pack([np.arange(particle_count)], particle_count)
+
+
+def lattice(rest: FloatArray, shape: Sequence[int], cell: IntArray, size: int) -> Clusters:
+    """All windows of `size` particles per side, stride 1, over a lattice that may have holes (Thesis fig. 3.6).
+
+    rest: (K, d) rest positions; shape: lattice, last axis fastest; cell: (K,) flat index of each particle.
+    `size` is clipped to the lattice. A window stays if its present particles span as many directions as a full one.
+    A particle left in no window (thin walls beside holes) is given the smallest cluster of nearest neighbours that
+    spans them too.
+    """
+    dims = tuple(int(n) for n in shape)
+    if size < 2:
+        raise InputError("a cluster size of at least 2 particles a side", str(size))
+    window = tuple(min(size, n) for n in dims)
+    particle_at = np.full(dims, -1, dtype=np.int64)
+    particle_at.reshape(-1)[cell] = np.arange(len(cell))
+    view = np.lib.stride_tricks.sliding_window_view(particle_at, window).reshape(-1, int(np.prod(window)))
+    directions = min(sum(n > 1 for n in dims), rest.shape[1])
+    rows: list[IntArray] = []
+    for candidate in view:
+        present = candidate[candidate >= 0]
+        if present.size == candidate.size or (present.size > directions and rank(rest[present]) >= directions):
+            rows.append(present)
+    rows += _adopt(rest, rows, directions)
+    return _pack(rows, len(rest))
+
+
+def nearest(rest: FloatArray, member_count: int) -> Clusters:
+    """One cluster around each particle: itself and its nearest neighbours, `member_count` in all (points without a
+    lattice). Equal clusters are kept once."""
+    count = min(member_count, len(rest))
+    _, index = cKDTree(rest).query(rest, k=count)
+    rows = np.unique(np.sort(np.asarray(index).reshape(len(rest), count), axis=1), axis=0)
+    return _pack(list(rows), len(rest))
+
+
+def rank(points: FloatArray) -> int:
+    """How many directions a set of points (n, d) spans, by `FLAT_MOMENT_RATIO`."""
+    q = points - points.mean(axis=0)
+    moments = np.linalg.eigvalsh(q.T @ q)
+    if moments[-1] <= 0.0:
+        return 0
+    return int(np.count_nonzero(moments > FLAT_MOMENT_RATIO * moments[-1]))
+
+
+def find_lattice(rest: FloatArray, tolerance: float = 0.01) -> tuple[tuple[int, ...], IntArray] | None:
+    """The full regular lattice that `rest` (K, d) stands on, within `tolerance` of a cell; None if it stands on none.
+
+    Returns its shape (one entry an axis of space, last fastest) and the flat cell of each particle. An axis along
+    which all particles agree has one cell: a flat sheet in space is a lattice too.
+    """
+    k, d = rest.shape
+    extent = float(np.ptp(rest, axis=0).max())
+    if k < 4 or extent <= 0.0:
+        return None
+    neighbour = spacing(rest)
+    shape: list[int] = []
+    index = np.zeros((k, d), dtype=np.int64)
+    for axis in range(d):
+        values = np.sort(rest[:, axis])
+        jumps = np.diff(values)
+        if values[-1] - values[0] <= 2 * tolerance * neighbour:
+            shape.append(1)
+            continue
+        # planes of the lattice stand apart; within a plane the coordinates differ by at most the tolerance
+        plane_gap = 0.5 * jumps.max()
+        number = 1 + int(np.count_nonzero(jumps > plane_gap))
+        step = (values[-1] - values[0]) / max(number - 1, 1)
+        place = (rest[:, axis] - values[0]) / step
+        index[:, axis] = np.rint(place)
+        if np.abs(place - index[:, axis]).max() > 2 * tolerance:
+            return None
+        shape.append(number)
+    if int(np.prod(shape)) != k or sum(n > 1 for n in shape) < 2:
+        return None
+    cell = np.ravel_multi_index(tuple(index.T), tuple(shape))
+    if np.unique(cell).size != k:
+        return None
+    return tuple(shape), cell
+
+
+def held_mask(particle_count: int, held: IntArray) -> BoolArray:
+    """(K,) True where the position is prescribed."""
+    mask = np.zeros(particle_count, dtype=bool)
+    mask[held] = True
+    return mask
+
+
+def spacing(rest: FloatArray) -> float:
+    """Median distance to the nearest neighbour: the length that makes everything dimensionless."""
+    distance, _ = cKDTree(rest).query(rest, k=2)
+    return float(np.median(distance[:, 1]))
+
+
+def _adopt(rest: FloatArray, rows: list[IntArray], directions: int) -> list[IntArray]:
+    covered = np.zeros(len(rest), dtype=bool)
+    for row in rows:
+        covered[row] = True
+    alone = np.flatnonzero(~covered)
+    if alone.size == 0:
+        return []
+    tree = cKDTree(rest)
+    adopted = []
+    for particle in alone:
+        row = np.array([particle])
+        for count in range(directions + 1, len(rest) + 1):
+            row = np.atleast_1d(tree.query(rest[particle], k=count)[1])
+            if rank(rest[row]) >= directions:
+                break
+        adopted.append(np.sort(row))
+    return adopted
+
+
+def _pack(rows: Sequence[IntArray], particle_count: int) -> Clusters:
+    offsets = np.concatenate([[0], np.cumsum([len(row) for row in rows])])
+    return Clusters(np.concatenate(rows).astype(np.int32), offsets.astype(np.int32), particle_count)

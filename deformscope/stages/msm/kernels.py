@@ -1,0 +1,592 @@
+"""Warp kernels of the MSM engine, one set for each space dimension, basis and precision.
+
+State is the displacement u from rest in units of the particle spacing, so that float32 keeps its digits and SI units
+do not matter. Candidates (beta, theta, poses) are the slow axis of every array. All sums gather in a fixed order:
+runs repeat bit for bit. A candidate whose `running` flag is 0 is left as it is.
+
+Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
+"""
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+from deformscope.stages.msm.reference import MIN_DENOMINATOR, NO_ROTATION
+
+MEMORY = 8
+"""Earlier iterates that Anderson's acceleration combines."""
+
+CHUNK = 128
+"""Particles that one thread sums in an inner product; the partial sums are then added in order."""
+
+RUNNING, CONVERGED, DIVERGED = 1, 0, -1
+
+
+@dataclass(frozen=True, slots=True)
+class Kernels:
+    """The compiled set, and its vector and matrix types."""
+
+    scalar: Any
+    vec: Any
+    basis_vec: Any
+    transform: Any
+    moment: Any
+    gram: Any
+    predict: Any
+    fit_clusters: Any
+    goals: Any
+    integrate: Any
+    remember: Any
+    products: Any
+    accelerate: Any
+    advance: Any
+    history: Any
+    history_vec: Any
+
+
+@functools.cache
+def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
+    """The kernels for `dim` = 2 or 3, `terms` = 2, 3 (linear) or 5, 9 (quadratic), scalar = wp.float32 or wp.float64.
+
+    Compiled at first use, cached on disk by warp.
+    """
+    module = f"deformscope_msm_{dim}d_{terms}_{scalar.__name__}"
+    wp.get_module(module).options.update({"enable_backward": False, "max_unroll": 3})
+    kernel = functools.partial(wp.kernel, module=module, enable_backward=False)
+    vec = wp.types.vector(length=dim, dtype=scalar)
+    basis_vec = wp.types.vector(length=terms, dtype=scalar)
+    square = wp.types.matrix(shape=(dim, dim), dtype=scalar)
+    transform = wp.types.matrix(shape=(dim, terms), dtype=scalar)
+    gram_matrix = wp.types.matrix(shape=(terms, dim), dtype=scalar)
+    mat44 = wp.types.matrix(shape=(4, 4), dtype=scalar)
+    vec4 = wp.types.vector(length=4, dtype=scalar)
+    history = wp.types.matrix(shape=(MEMORY, MEMORY), dtype=wp.float64)
+    history_vec = wp.types.vector(length=MEMORY, dtype=wp.float64)
+
+    zero, one, two = scalar(0.0), scalar(1.0), scalar(2.0)
+    no_rotation = scalar(NO_ROTATION)
+    min_denominator = scalar(MIN_DENOMINATOR)
+    # the rotation is accepted when its gradient is this small against the moments; else the eigenvector decides
+    accept = scalar(1e-12 if scalar is wp.float64 else 3e-6)
+    far = wp.float64(1e4)
+    growth = wp.float64(1e2)
+    floor = wp.float64(1e-14 if scalar is wp.float64 else 1e-8)
+    ridge = wp.float64(1e-14 if scalar is wp.float64 else 1e-8)
+
+    @wp.func
+    def turn_2d(a_qq: square, change: square):
+        """R - I of eq. 3.9 in the plane, for A_pq = a_qq + change: the closed form, without cancellation."""
+        s = change[1, 0] - change[0, 1]
+        c = a_qq[0, 0] + a_qq[1, 1] + change[0, 0] + change[1, 1]
+        size = wp.sqrt(s * s + c * c)
+        out = square()
+        if size > no_rotation * (a_qq[0, 0] + a_qq[1, 1]):
+            cosine_less_one = (c - size) / size
+            if c > zero:
+                cosine_less_one = -s * s / (size * (c + size))
+            out[0, 0] = cosine_less_one
+            out[1, 1] = cosine_less_one
+            out[1, 0] = s / size
+            out[0, 1] = -s / size
+        return out
+
+    @wp.func
+    def quaternion_turn(q: vec4):
+        """R - I of a unit quaternion (w, x, y, z), exact to the last digit for small turns."""
+        out = square()
+        w, x, y, z = q[0], q[1], q[2], q[3]
+        if wp.static(dim == 3):
+            out[0, 0] = -two * (y * y + z * z)
+            out[1, 1] = -two * (x * x + z * z)
+            out[2, 2] = -two * (x * x + y * y)
+            out[0, 1] = two * (x * y - w * z)
+            out[1, 0] = two * (x * y + w * z)
+            out[0, 2] = two * (x * z + w * y)
+            out[2, 0] = two * (x * z - w * y)
+            out[1, 2] = two * (y * z - w * x)
+            out[2, 1] = two * (y * z + w * x)
+        return out
+
+    @wp.func
+    def largest_quaternion(f: square):
+        """The quaternion that maximises tr(R^T F): leading eigenvector of Horn's matrix (Horn 1987), by Jacobi sweeps.
+
+        It is never a reflection, and it is global: used where Newton's steps from rest do not settle.
+        """
+        n = mat44()
+        v = wp.identity(n=4, dtype=scalar)
+        n[0, 0] = f[0, 0] + f[1, 1] + f[2, 2]
+        n[1, 1] = f[0, 0] - f[1, 1] - f[2, 2]
+        n[2, 2] = f[1, 1] - f[0, 0] - f[2, 2]
+        n[3, 3] = f[2, 2] - f[0, 0] - f[1, 1]
+        n[0, 1] = f[2, 1] - f[1, 2]
+        n[0, 2] = f[0, 2] - f[2, 0]
+        n[0, 3] = f[1, 0] - f[0, 1]
+        n[1, 2] = f[0, 1] + f[1, 0]
+        n[1, 3] = f[0, 2] + f[2, 0]
+        n[2, 3] = f[1, 2] + f[2, 1]
+        for i in range(4):
+            for j in range(i):
+                n[i, j] = n[j, i]
+        for _sweep in range(10):
+            for p in range(3):
+                for q in range(p + 1, 4):
+                    if n[p, q] != zero:
+                        angle = (n[q, q] - n[p, p]) / (two * n[p, q])
+                        t = one / (wp.abs(angle) + wp.sqrt(angle * angle + one))
+                        if angle < zero:
+                            t = -t
+                        c = one / wp.sqrt(t * t + one)
+                        s = t * c
+                        for k in range(4):
+                            a = n[k, p]
+                            b = n[k, q]
+                            n[k, p] = c * a - s * b
+                            n[k, q] = s * a + c * b
+                        for k in range(4):
+                            a = n[p, k]
+                            b = n[q, k]
+                            n[p, k] = c * a - s * b
+                            n[q, k] = s * a + c * b
+                        for k in range(4):
+                            a = v[k, p]
+                            b = v[k, q]
+                            v[k, p] = c * a - s * b
+                            v[k, q] = s * a + c * b
+        best = int(0)
+        for k in range(1, 4):
+            if n[k, k] > n[best, best]:
+                best = k
+        return wp.normalize(vec4(v[0, best], v[1, best], v[2, best], v[3, best]))
+
+    @wp.func
+    def turn_3d(a_qq: square, change: square):
+        """R - I of eq. 3.9 in space, for A_pq = a_qq + change.
+
+        Newton's steps on the rotation from rest (Kugelstadt 2018, 3.2). They end at the wanted maximum exactly when
+        the gradient vanishes and tr(S) I - S is positive definite; if not, the leading eigenvector takes over.
+        """
+        q = vec4(one, zero, zero, zero)
+        size = a_qq[0, 0] + a_qq[1, 1] + a_qq[2, 2] + wp.sqrt(wp.ddot(change, change))
+        good = bool(False)
+        f = a_qq + change
+        for attempt in range(2):
+            if attempt == 1 and not good:
+                q = largest_quaternion(f)
+            if attempt == 0 or not good:
+                for _step in range(wp.static(8)):
+                    d = quaternion_turn(q)
+                    b = f + wp.transpose(d) * f
+                    # axial(R^T F); the rest part of F is symmetric and drops out
+                    extra = change + wp.transpose(d) * f
+                    g0 = extra[2, 1] - extra[1, 2]
+                    g1 = extra[0, 2] - extra[2, 0]
+                    g2 = extra[1, 0] - extra[0, 1]
+                    h00 = b[1, 1] + b[2, 2]
+                    h11 = b[0, 0] + b[2, 2]
+                    h22 = b[0, 0] + b[1, 1]
+                    h01 = -(b[0, 1] + b[1, 0]) / two
+                    h02 = -(b[0, 2] + b[2, 0]) / two
+                    h12 = -(b[1, 2] + b[2, 1]) / two
+                    m00 = h11 * h22 - h12 * h12
+                    m01 = h02 * h12 - h01 * h22
+                    m02 = h01 * h12 - h02 * h11
+                    det = h00 * m00 + h01 * m01 + h02 * m02
+                    gradient = wp.sqrt(g0 * g0 + g1 * g1 + g2 * g2)
+                    if h00 <= zero or h00 * h11 - h01 * h01 <= zero or det <= no_rotation * h00 * h11 * h22:
+                        good = bool(False)
+                        break
+                    if gradient <= accept * size:
+                        good = bool(True)
+                        break
+                    m11 = h00 * h22 - h02 * h02
+                    m12 = h01 * h02 - h00 * h12
+                    m22 = h00 * h11 - h01 * h01
+                    w0 = (m00 * g0 + m01 * g1 + m02 * g2) / (two * det)
+                    w1 = (m01 * g0 + m11 * g1 + m12 * g2) / (two * det)
+                    w2 = (m02 * g0 + m12 * g1 + m22 * g2) / (two * det)
+                    turned = vec4(
+                        q[0] - q[1] * w0 - q[2] * w1 - q[3] * w2,
+                        q[1] + q[0] * w0 + q[2] * w2 - q[3] * w1,
+                        q[2] + q[0] * w1 + q[3] * w0 - q[1] * w2,
+                        q[3] + q[0] * w2 + q[1] * w1 - q[2] * w0,
+                    )
+                    q = wp.normalize(turned)
+                    good = gradient <= scalar(100.0) * accept * size
+        return quaternion_turn(q)
+
+    @wp.func
+    def turn(a_qq: square, change: square):
+        if wp.static(dim == 2):
+            return turn_2d(a_qq, change)
+        return turn_3d(a_qq, change)
+
+    @wp.func
+    def volume_denominator(a: square, theta: scalar, span_axes: square, span_count: int):
+        """Denominator of eq. 3.17 for what the cluster spans: volume, area or length; kept away from 0."""
+        measure = wp.determinant(a)
+        if span_count < wp.static(dim):
+            inside = a * span_axes  # columns beyond span_count are 0
+            metric = wp.transpose(inside) * inside
+            for k in range(wp.static(dim)):
+                if k >= span_count:
+                    metric[k, k] = one
+            measure = wp.sqrt(wp.max(wp.determinant(metric), zero))
+        root = wp.pow(wp.abs(measure), one / scalar(wp.max(span_count, 1)))
+        if measure < zero:
+            root = -root
+        return wp.max(theta * root + (one - theta), min_denominator)
+
+    @kernel
+    def predict(
+        # In:
+        u_in: wp.array2d(dtype=vec),
+        v_in: wp.array2d(dtype=vec),
+        held_row: wp.array(dtype=int),
+        held_u: wp.array2d(dtype=vec),
+        acceleration: vec,
+        dt: scalar,
+        # Out:
+        u_out: wp.array2d(dtype=vec),
+    ):
+        """x* of eq. 3.1, 3.2; held particles stand where they are put."""
+        candidate, particle = wp.tid()
+        row = held_row[particle]
+        if row >= 0:
+            u_out[candidate, particle] = held_u[candidate, row]
+        else:
+            v_star = v_in[candidate, particle] + acceleration * dt
+            u_out[candidate, particle] = u_in[candidate, particle] + v_star * dt
+
+    @kernel
+    def fit_clusters(
+        # Rest:
+        offsets: wp.array(dtype=int),
+        members: wp.array(dtype=int),
+        share: wp.array(dtype=scalar),
+        weight: wp.array(dtype=basis_vec),
+        a_qq: wp.array(dtype=square),
+        gram: wp.array(dtype=gram_matrix),
+        span_axes: wp.array(dtype=square),
+        span_count: wp.array(dtype=int),
+        # In:
+        u_in: wp.array2d(dtype=vec),
+        beta: wp.array(dtype=scalar),
+        theta: wp.array(dtype=scalar),
+        running: wp.array(dtype=int),
+        # Out:
+        transform_out: wp.array2d(dtype=transform),
+        centre_out: wp.array2d(dtype=vec),
+    ):
+        """Each cluster's blend (1 - beta) [R - I, 0] + beta (A~_theta - [I, 0]) and mean displacement (eq. 3.7-3.17)."""
+        candidate, cluster = wp.tid()
+        if running[candidate] != wp.static(RUNNING):
+            return
+        first = offsets[cluster]
+        last = offsets[cluster + 1]
+        centre = vec()
+        for slot in range(first, last):
+            centre += share[slot] * u_in[candidate, members[slot]]
+        g = transform()
+        for slot in range(first, last):
+            g += wp.outer(u_in[candidate, members[slot]] - centre, weight[slot])
+        r = turn(a_qq[cluster], g * gram[cluster])
+        b = beta[candidate]
+        th = theta[candidate]
+        excess = zero
+        denominator = one
+        if th != zero:
+            a = square()
+            for i in range(wp.static(dim)):
+                for j in range(wp.static(dim)):
+                    a[i, j] = g[i, j]
+                a[i, i] += one
+            denominator = volume_denominator(a, th, span_axes[cluster], span_count[cluster])
+            excess = one - denominator
+        blend = b * g
+        for i in range(wp.static(dim)):
+            for j in range(wp.static(dim)):
+                stretched = g[i, j]
+                if i == j:
+                    stretched += excess
+                blend[i, j] = b * stretched / denominator + (one - b) * r[i, j]
+        transform_out[candidate, cluster] = blend
+        centre_out[candidate, cluster] = centre
+
+    @kernel
+    def goals(
+        # Rest:
+        row_offsets: wp.array(dtype=int),
+        row_clusters: wp.array(dtype=int),
+        row_basis: wp.array(dtype=basis_vec),
+        held_row: wp.array(dtype=int),
+        # In:
+        u_in: wp.array2d(dtype=vec),
+        transform_in: wp.array2d(dtype=transform),
+        centre_in: wp.array2d(dtype=vec),
+        running: wp.array(dtype=int),
+        # Out:
+        residual_out: wp.array2d(dtype=vec),
+    ):
+        """Mean goal of a particle over its clusters (eq. 3.15), less where it is: g - x*; 0 if held."""
+        candidate, particle = wp.tid()
+        if running[candidate] != wp.static(RUNNING):
+            return
+        residual = vec()
+        if held_row[particle] < 0:
+            first = row_offsets[particle]
+            last = row_offsets[particle + 1]
+            u = u_in[candidate, particle]
+            for slot in range(first, last):
+                cluster = row_clusters[slot]
+                residual += (centre_in[candidate, cluster] - u) + transform_in[candidate, cluster] * row_basis[slot]
+            residual = residual / scalar(last - first)
+        residual_out[candidate, particle] = residual
+
+    @kernel
+    def integrate(
+        # In:
+        u_old: wp.array2d(dtype=vec),
+        u_star: wp.array2d(dtype=vec),
+        residual_in: wp.array2d(dtype=vec),
+        alpha: scalar,
+        dt: scalar,
+        # Out:
+        u_out: wp.array2d(dtype=vec),
+        v_out: wp.array2d(dtype=vec),
+    ):
+        """Eq. 3.11 and 3.12. `u_out` may be `u_old`."""
+        candidate, particle = wp.tid()
+        before = u_old[candidate, particle]
+        after = u_star[candidate, particle] + alpha * residual_in[candidate, particle]
+        u_out[candidate, particle] = after
+        v_out[candidate, particle] = (after - before) / dt
+
+    @kernel
+    def remember(
+        # In:
+        u_in: wp.array2d(dtype=vec),
+        residual_in: wp.array2d(dtype=vec),
+        iteration: wp.array(dtype=int),
+        running: wp.array(dtype=int),
+        # Out:
+        u_last_out: wp.array2d(dtype=vec),
+        residual_last_out: wp.array2d(dtype=vec),
+        du_out: wp.array3d(dtype=vec),
+        dr_out: wp.array3d(dtype=vec),
+    ):
+        """Keep the change of iterate and of residual since the last iteration in this iteration's slot."""
+        candidate, particle = wp.tid()
+        if running[candidate] != wp.static(RUNNING):
+            return
+        u = u_in[candidate, particle]
+        r = residual_in[candidate, particle]
+        k = iteration[candidate]
+        if k > 0:
+            slot = (k - 1) % wp.static(MEMORY)
+            du_out[candidate, slot, particle] = u - u_last_out[candidate, particle]
+            dr_out[candidate, slot, particle] = r - residual_last_out[candidate, particle]
+        u_last_out[candidate, particle] = u
+        residual_last_out[candidate, particle] = r
+
+    @kernel
+    def products(
+        # Rest:
+        count: wp.array(dtype=scalar),
+        # In:
+        residual_in: wp.array2d(dtype=vec),
+        du_in: wp.array3d(dtype=vec),
+        dr_in: wp.array3d(dtype=vec),
+        iteration: wp.array(dtype=int),
+        running: wp.array(dtype=int),
+        particle_count: int,
+        # Out: (candidate, what, chunk); what = slots then the residual itself
+        gram_out: wp.array3d(dtype=wp.float64),
+        rhs_out: wp.array3d(dtype=wp.float64),
+        step_out: wp.array2d(dtype=wp.float64),
+    ):
+        """Partial inner products in the metric that makes the goal map symmetric (weights N_i).
+
+        gram: newest residual change with each one; rhs: each with the residual; step: squared length of the last step.
+        """
+        candidate, what, chunk = wp.tid()
+        if running[candidate] != wp.static(RUNNING):
+            return
+        k = iteration[candidate]
+        first = chunk * wp.static(CHUNK)
+        last = wp.min(first + wp.static(CHUNK), particle_count)
+        newest = wp.max(k - 1, 0) % wp.static(MEMORY)
+        with_newest = wp.float64(0.0)
+        with_residual = wp.float64(0.0)
+        if what == wp.static(MEMORY):
+            step = wp.float64(0.0)
+            for i in range(first, last):
+                r = residual_in[candidate, i]
+                d = du_in[candidate, newest, i]
+                with_residual += wp.float64(count[i] * wp.dot(r, r))
+                step += wp.float64(count[i] * wp.dot(d, d))
+            step_out[candidate, chunk] = step
+        elif what < k:
+            for i in range(first, last):
+                d = dr_in[candidate, what, i]
+                with_newest += wp.float64(count[i] * wp.dot(d, dr_in[candidate, newest, i]))
+                with_residual += wp.float64(count[i] * wp.dot(d, residual_in[candidate, i]))
+        gram_out[candidate, what, chunk] = with_newest
+        rhs_out[candidate, what, chunk] = with_residual
+
+    @kernel
+    def accelerate(
+        # In:
+        gram_part: wp.array3d(dtype=wp.float64),
+        rhs_part: wp.array3d(dtype=wp.float64),
+        step_part: wp.array2d(dtype=wp.float64),
+        chunk_count: int,
+        count_total: wp.float64,
+        tolerance: wp.float64,
+        # In and out:
+        gram_state: wp.array(dtype=history),
+        steps_state: wp.array(dtype=history_vec),
+        iteration: wp.array(dtype=int),
+        best: wp.array(dtype=wp.float64),
+        running: wp.array(dtype=int),
+        # Out:
+        gamma_out: wp.array(dtype=history_vec),
+        residual_out: wp.array(dtype=wp.float64),
+        error_out: wp.array(dtype=wp.float64),
+        total_out: wp.array(dtype=int),
+    ):
+        """Anderson's weights of the remembered changes: least squares of the residual over them, slightly damped.
+
+        The distance still to go is judged by the lengths of the last `MEMORY` steps together, not by the residual: a
+        mode that decays by 0.9998 a step has a residual 5000 times smaller than its error, but accelerated steps
+        are as long as the error that they remove. When the residual has grown far above its best, the memory is
+        dropped and a plain step follows.
+        """
+        candidate = wp.tid()
+        if running[candidate] != wp.static(RUNNING):
+            return
+        k = iteration[candidate]
+        square_norm = wp.float64(0.0)
+        for chunk in range(chunk_count):
+            square_norm += rhs_part[candidate, wp.static(MEMORY), chunk]
+        norm = wp.sqrt(square_norm / count_total)
+        residual_out[candidate] = norm
+        total_out[candidate] = total_out[candidate] + 1
+        if not wp.isfinite(norm) or norm > far:
+            running[candidate] = wp.static(DIVERGED)
+            return
+        steps = steps_state[candidate]
+        if k > 0:
+            square_step = wp.float64(0.0)
+            for chunk in range(chunk_count):
+                square_step += step_part[candidate, chunk]
+            steps[(k - 1) % wp.static(MEMORY)] = wp.sqrt(square_step / count_total)
+            steps_state[candidate] = steps
+        error = wp.float64(0.0)
+        for i in range(wp.static(MEMORY)):
+            error += steps[i]
+        error_out[candidate] = error
+        if norm <= floor or (k >= wp.static(MEMORY) and error <= tolerance):
+            running[candidate] = wp.static(CONVERGED)
+            return
+        gamma = history_vec()
+        if norm > growth * best[candidate]:
+            iteration[candidate] = 0
+            gamma_out[candidate] = gamma
+            best[candidate] = norm
+            return
+        best[candidate] = wp.min(best[candidate], norm)
+        g = gram_state[candidate]
+        size = wp.min(k, wp.static(MEMORY))
+        rhs = history_vec()
+        if k > 0:
+            newest = (k - 1) % wp.static(MEMORY)
+            for i in range(size):
+                both = wp.float64(0.0)
+                with_residual = wp.float64(0.0)
+                for chunk in range(chunk_count):
+                    both += gram_part[candidate, i, chunk]
+                    with_residual += rhs_part[candidate, i, chunk]
+                g[i, newest] = both
+                g[newest, i] = both
+                rhs[i] = with_residual
+        gram_state[candidate] = g
+        # scaled to a unit diagonal (the changes shrink by orders as it converges), then Cholesky with a small ridge
+        scale = history_vec()
+        for i in range(size):
+            scale[i] = wp.float64(0.0)
+            if g[i, i] > wp.float64(0.0):
+                scale[i] = wp.float64(1.0) / wp.sqrt(g[i, i])
+        low = history()
+        for i in range(size):
+            for j in range(i + 1):
+                total = g[i, j] * scale[i] * scale[j]
+                if i == j:
+                    total = wp.float64(1.0) + ridge
+                for m in range(j):
+                    total -= low[i, m] * low[j, m]
+                if i == j:
+                    low[i, i] = wp.sqrt(wp.max(total, ridge))
+                else:
+                    low[i, j] = total / low[j, j]
+        y = history_vec()
+        for i in range(size):
+            total = rhs[i] * scale[i]
+            for m in range(i):
+                total -= low[i, m] * y[m]
+            y[i] = total / low[i, i]
+        for back in range(size):
+            i = size - 1 - back
+            total = y[i]
+            for m in range(i + 1, size):
+                total -= low[m, i] * gamma[m]
+            gamma[i] = total / low[i, i]
+        for i in range(size):
+            gamma[i] = gamma[i] * scale[i]
+        gamma_out[candidate] = gamma
+        iteration[candidate] = k + 1
+
+    @kernel
+    def advance(
+        # In:
+        residual_in: wp.array2d(dtype=vec),
+        du_in: wp.array3d(dtype=vec),
+        dr_in: wp.array3d(dtype=vec),
+        gamma: wp.array(dtype=history_vec),
+        iteration: wp.array(dtype=int),
+        held_row: wp.array(dtype=int),
+        running: wp.array(dtype=int),
+        # Out:
+        u_out: wp.array2d(dtype=vec),
+    ):
+        """The accelerated step."""
+        candidate, particle = wp.tid()
+        if running[candidate] != wp.static(RUNNING) or held_row[particle] >= 0:
+            return
+        move = residual_in[candidate, particle]
+        size = wp.min(iteration[candidate] - 1, wp.static(MEMORY))
+        for i in range(size):
+            w = scalar(gamma[candidate][i])
+            move -= w * (du_in[candidate, i, particle] + dr_in[candidate, i, particle])
+        u_out[candidate, particle] = u_out[candidate, particle] + move
+
+    return Kernels(
+        scalar=scalar,
+        vec=vec,
+        basis_vec=basis_vec,
+        transform=transform,
+        moment=square,
+        gram=gram_matrix,
+        predict=predict,
+        fit_clusters=fit_clusters,
+        goals=goals,
+        integrate=integrate,
+        remember=remember,
+        products=products,
+        accelerate=accelerate,
+        advance=advance,
+        history=history,
+        history_vec=history_vec,
+    )

@@ -1,0 +1,385 @@
+"""The MSM engine: rest data on a device, and the two ways to run it, over many candidates at once."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import warp as wp
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.stages.msm import kernels as k
+from deformscope.stages.msm import reference
+from deformscope.stages.msm.clusters import Clusters, held_mask, spacing
+from deformscope.stages.msm.reference import Basis
+
+Precision = Literal["float32", "float64"]
+
+TOLERANCE = {"float64": 1e-9, "float32": 1e-5}
+"""Default tolerance of `relax`, as a share of the body's extent."""
+
+CHECK_EVERY = 16
+"""Iterations between looks at which candidates still run (a look waits for the device)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Relaxed:
+    """Static states of B candidates.
+
+    position: (B, K, d) [m, or the unit of the rest shape]; residual: (B,) root mean square of goal - position;
+    error: (B,) estimated distance from the static state, root mean square over particles (same unit)
+    iterations: (B,); converged: (B,) `error` came below the tolerance; diverged: (B,) the state ran away (eq. 3.17
+    with overlapping clusters can): its position is what was reached, and is to be thrown away
+    """
+
+    position: FloatArray
+    residual: FloatArray
+    error: FloatArray
+    iterations: IntArray
+    converged: BoolArray
+    diverged: BoolArray
+
+
+@dataclass(frozen=True, slots=True)
+class Moving:
+    """The state of time stepping, on the device, in units of the particle spacing.
+
+    u: (B, K) displacements from rest; v: (B, K) velocities [spacing / s]
+    """
+
+    u: Any
+    v: Any
+
+
+class Msm:
+    """A body of particles in overlapping clusters, ready to be simulated for many candidates in one launch.
+
+    rest: (K, d) positions at rest, d = 2 or 3; clusters: which particles belong together; held: (n,) indices of the
+    particles whose position is prescribed; mass: (K,), default 1 each; basis: "linear" (also rigid, with beta = 0) or
+    "quadratic"; precision: of the state; device: "cpu", "cuda:0"...
+
+    One candidate is one beta, one theta and one set of held positions. Whatever has a leading axis of B runs as B
+    candidates; the rest is shared.
+    """
+
+    def __init__(
+        self,
+        rest: FloatArray,
+        clusters: Clusters,
+        held: IntArray | Sequence[int],
+        *,
+        mass: FloatArray | None = None,
+        basis: Basis = "linear",
+        precision: Precision = "float64",
+        device: str = "cpu",
+    ) -> None:
+        self.rest = np.ascontiguousarray(rest, dtype=np.float64)
+        self.held = np.asarray(held, dtype=np.int64).reshape(-1)
+        self.dim = self.rest.shape[1]
+        self.precision = precision
+        self.device = device
+        self.scale = spacing(self.rest)
+        self.extent = float(np.ptp(self.rest, axis=0).max())
+        terms = weight_terms(self.dim, basis)
+        scalar = wp.float64 if precision == "float64" else wp.float32
+        self._k = k.kernels_for(self.dim, terms, scalar)
+        self._upload(clusters, np.ones(len(self.rest)) if mass is None else np.asarray(mass, np.float64), basis)
+
+    def _upload(self, clusters: Clusters, mass: FloatArray, basis: Basis) -> None:
+        """Rest data of every cluster, dimensionless, and the transposed lists that particles gather through."""
+        d, kk = self.dim, self._k
+        rest = reference.build_rest(self.rest / self.scale, clusters, self.held, mass, basis)
+        share, weight, row_basis = [], [], []
+        a_qq = np.zeros((clusters.count, d, d))
+        gram = np.zeros((clusters.count, weight_terms(d, basis), d))
+        span = np.zeros((clusters.count, d, d))
+        span_count = np.zeros(clusters.count, dtype=np.int32)
+        for c, cluster in enumerate(rest.clusters):
+            m, r = cluster.mass[:, None], cluster.radius
+            share.append(cluster.mass / cluster.mass.sum())
+            # (u - centre) outer weight = A~ - [I, 0] for displacements in spacings; basis in cluster radii
+            weight.append(m * cluster.q_basis @ cluster.inverse / r)
+            row_basis.append(cluster.q_basis * r)
+            norm = float(np.einsum("n,ni,ni->", cluster.mass, cluster.q, cluster.q)) or 1.0
+            a_qq[c] = np.einsum("n,ni,nj->ij", cluster.mass, cluster.q, cluster.q) / norm
+            gram[c] = np.einsum("n,ni,nj->ij", cluster.mass, cluster.q_basis, cluster.q) / norm
+            span[c, :, : cluster.span.shape[1]] = cluster.span
+            span_count[c] = cluster.span.shape[1]
+        order = np.argsort(clusters.members, kind="stable")
+        cluster_of = np.repeat(np.arange(clusters.count), np.diff(clusters.offsets))
+        count = clusters.cluster_counts()
+        held_row = np.full(len(self.rest), -1, dtype=np.int32)
+        held_row[self.held] = np.arange(len(self.held))
+        self.free = ~held_mask(len(self.rest), self.held)
+
+        dev = functools.partial(wp.array, device=self.device)
+        self._offsets = dev(clusters.offsets, dtype=int)
+        self._members = dev(clusters.members, dtype=int)
+        self._share = dev(np.concatenate(share), dtype=kk.scalar)
+        self._weight = dev(np.concatenate(weight), dtype=kk.basis_vec)
+        self._a_qq = dev(a_qq, dtype=kk.moment)
+        self._gram = dev(gram, dtype=kk.gram)
+        self._span = dev(span, dtype=kk.moment)
+        self._span_count = dev(span_count, dtype=int)
+        self._row_offsets = dev(np.concatenate([[0], np.cumsum(count)]).astype(np.int32), dtype=int)
+        self._row_clusters = dev(cluster_of[order].astype(np.int32), dtype=int)
+        self._row_basis = dev(np.concatenate(row_basis)[order], dtype=kk.basis_vec)
+        self._count = dev(count.astype(np.float64), dtype=kk.scalar)
+        self._held_row = dev(held_row, dtype=int)
+        self._count_total = float(count[self.free].sum()) or 1.0
+        self.cluster_count = clusters.count
+
+    # -- candidates ------------------------------------------------------------------------------------------------
+
+    def _candidates(self, held_position: FloatArray, *parameters: FloatArray | float) -> tuple[Any, list[FloatArray]]:
+        """Held displacements (B, n) on the device, and every parameter as (B,)."""
+        held_position = np.asarray(held_position, dtype=np.float64).reshape(-1, len(self.held), self.dim)
+        arrays = [np.atleast_1d(np.asarray(p, dtype=np.float64)) for p in parameters]
+        (size,) = np.broadcast_shapes(*[a.shape for a in arrays], held_position.shape[:1])
+        held_u = (held_position - self.rest[self.held]) / self.scale
+        held_u = np.broadcast_to(held_u, (size, *held_u.shape[1:]))
+        if not len(self.held):
+            held_u = np.zeros((size, 1, self.dim))  # warp takes no empty arrays; no particle reads it
+        return (
+            wp.array(np.ascontiguousarray(held_u), dtype=self._k.vec, device=self.device),
+            [np.broadcast_to(a, (size,)) for a in arrays],
+        )
+
+    def _positions(self, u: Any) -> FloatArray:
+        return self.rest + np.asarray(u.numpy(), dtype=np.float64) * self.scale
+
+    def _displacements(self, position: FloatArray, size: int) -> Any:
+        u = np.broadcast_to((np.asarray(position) - self.rest) / self.scale, (size, *self.rest.shape))
+        return wp.array(np.ascontiguousarray(u), dtype=self._k.vec, device=self.device)
+
+    def _scalars(self, values: FloatArray) -> Any:
+        return wp.array(np.ascontiguousarray(values), dtype=self._k.scalar, device=self.device)
+
+    def _launch_goals(self, u: Any, beta: Any, theta: Any, running: Any, work: _Work) -> None:
+        size = u.shape[0]
+        wp.launch(
+            self._k.fit_clusters,
+            dim=(size, self.cluster_count),
+            inputs=[
+                *(self._offsets, self._members, self._share, self._weight, self._a_qq, self._gram),
+                *(self._span, self._span_count, u, beta, theta, running),
+            ],
+            outputs=[work.transform, work.centre],
+            device=self.device,
+        )
+        wp.launch(
+            self._k.goals,
+            dim=u.shape,
+            inputs=[
+                *(self._row_offsets, self._row_clusters, self._row_basis, self._held_row),
+                *(u, work.transform, work.centre, running),
+            ],
+            outputs=[work.residual],
+            device=self.device,
+        )
+
+    # -- relax -----------------------------------------------------------------------------------------------------
+
+    def relax(
+        self,
+        held_position: FloatArray,
+        beta: FloatArray | float,
+        theta: FloatArray | float = 0.0,
+        *,
+        start: FloatArray | None = None,
+        tolerance: float | None = None,
+        max_iterations: int = 4000,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> Relaxed:
+        """The static states, by Anderson's acceleration of the goal map; no dt, alpha or mass of motion enters.
+
+        held_position: (n, d) or (B, n, d); beta, theta: a number or (B,); start: (K, d) or (B, K, d), default rest
+        tolerance: on the estimated distance from the static state, as a share of the body's extent
+        progress: called with (candidates done, candidates) now and then
+        """
+        held_u, (beta_b, theta_b) = self._candidates(held_position, beta, theta)
+        size = len(beta_b)
+        u = self._displacements(self.rest if start is None else start, size)
+        if not self.free.any():
+            return self._all_held(held_position, size)
+        share = TOLERANCE[self.precision] if tolerance is None else tolerance
+        work = _Work(self, size)
+        beta_d, theta_d = self._scalars(beta_b), self._scalars(theta_b)
+        wp.launch(
+            self._k.predict,
+            dim=u.shape,
+            inputs=[u, work.u_last, self._held_row, held_u, self._k.vec(), self._k.scalar(0.0)],
+            outputs=[u],
+            device=self.device,
+        )
+        running = work.running
+        chunks = work.gram_part.shape[2]
+
+        def iterate() -> None:
+            self._launch_goals(u, beta_d, theta_d, running, work)
+            wp.launch(
+                self._k.remember,
+                dim=u.shape,
+                inputs=[u, work.residual, work.iteration, running],
+                outputs=[work.u_last, work.residual_last, work.du, work.dr],
+                device=self.device,
+            )
+            wp.launch(
+                self._k.products,
+                dim=(size, k.MEMORY + 1, chunks),
+                inputs=[self._count, work.residual, work.du, work.dr, work.iteration, running, u.shape[1]],
+                outputs=[work.gram_part, work.rhs_part, work.step_part],
+                device=self.device,
+            )
+            wp.launch(
+                self._k.accelerate,
+                dim=size,
+                inputs=[
+                    *(work.gram_part, work.rhs_part, work.step_part, chunks),
+                    *(wp.float64(self._count_total), wp.float64(share * self.extent / self.scale)),
+                    *(work.gram, work.steps, work.iteration, work.best, running),
+                ],
+                outputs=[work.gamma, work.norm, work.error, work.total],
+                device=self.device,
+            )
+            wp.launch(
+                self._k.advance,
+                dim=u.shape,
+                inputs=[work.residual, work.du, work.dr, work.gamma, work.iteration, self._held_row, running],
+                outputs=[u],
+                device=self.device,
+            )
+
+        iterate()  # loads the kernels, so that the capture below records launches only
+        with wp.ScopedCapture(device=self.device) as capture:
+            iterate()
+        done = 1
+        while done < max_iterations and (still := int(np.count_nonzero(running.numpy() == k.RUNNING))):
+            if progress is not None:
+                progress(size - still, size)
+            for _ in range(min(CHECK_EVERY, max_iterations - done)):
+                wp.capture_launch(capture.graph)
+                done += 1
+        state = running.numpy()
+        return Relaxed(
+            position=self._positions(u),
+            residual=work.norm.numpy() * self.scale,
+            error=work.error.numpy() * self.scale,
+            iterations=work.total.numpy(),
+            converged=state == k.CONVERGED,
+            diverged=state == k.DIVERGED,
+        )
+
+    def _all_held(self, held_position: FloatArray, size: int) -> Relaxed:
+        position = np.broadcast_to(self.rest, (size, *self.rest.shape)).copy()
+        position[:, self.held] = held_position
+        none = np.zeros(size)
+        yes = np.ones(size, dtype=bool)
+        return Relaxed(position, none, none.copy(), np.zeros(size, dtype=int), yes, ~yes)
+
+    # -- time stepping ---------------------------------------------------------------------------------------------
+
+    def start(self, size: int = 1, position: FloatArray | None = None) -> Moving:
+        """B bodies at rest without velocity, or at `position` (K, d) or (B, K, d)."""
+        u = self._displacements(self.rest if position is None else position, size)
+        return Moving(u, wp.zeros_like(u))
+
+    def step(
+        self,
+        state: Moving,
+        held_position: FloatArray,
+        beta: FloatArray | float,
+        theta: FloatArray | float = 0.0,
+        *,
+        alpha: float = 1.0,
+        dt: float = 2e-3,
+        acceleration: Sequence[float] | None = None,
+        steps: int = 1,
+    ) -> FloatArray:
+        """Time stepping as in the thesis (Algorithm 1 with eq. 3.11): moves `state` on and returns (B, K, d).
+
+        dt [s]; acceleration: f_ext / m, (d,) [m/s^2]. Without it, dt does not change the motion (alpha = 1).
+        """
+        held_u, (beta_b, theta_b) = self._candidates(held_position, beta, theta)
+        size = state.u.shape[0]
+        beta_d = self._scalars(np.broadcast_to(beta_b, size))
+        theta_d = self._scalars(np.broadcast_to(theta_b, size))
+        if held_u.shape[0] != size:
+            held_u = wp.array(np.repeat(held_u.numpy(), size, axis=0), dtype=self._k.vec, device=self.device)
+        push = np.zeros(self.dim) if acceleration is None else np.asarray(acceleration) / self.scale
+        work = _Work(self, size, stepping=True)
+
+        def advance() -> None:
+            wp.launch(
+                self._k.predict,
+                dim=state.u.shape,
+                inputs=[state.u, state.v, self._held_row, held_u, self._k.vec(*push), self._k.scalar(dt)],
+                outputs=[work.u_last],
+                device=self.device,
+            )
+            self._launch_goals(work.u_last, beta_d, theta_d, work.running, work)
+            wp.launch(
+                self._k.integrate,
+                dim=state.u.shape,
+                inputs=[state.u, work.u_last, work.residual, self._k.scalar(alpha), self._k.scalar(dt)],
+                outputs=[state.u, state.v],
+                device=self.device,
+            )
+
+        if steps > 0:
+            advance()
+        if steps > 1:
+            with wp.ScopedCapture(device=self.device) as capture:
+                advance()
+            for _ in range(steps - 1):
+                wp.capture_launch(capture.graph)
+        return self._positions(state.u)
+
+    def residual(
+        self, position: FloatArray, beta: FloatArray | float, theta: FloatArray | float = 0.0
+    ) -> FloatArray:
+        """goals(x) - x at the given positions (K, d) or (B, K, d), 0 at held particles: (B, K, d)."""
+        position = np.asarray(position, dtype=np.float64).reshape(-1, *self.rest.shape)
+        _, (beta_b, theta_b) = self._candidates(position[:, self.held], beta, theta)
+        u = self._displacements(position, len(beta_b))
+        work = _Work(self, len(beta_b), stepping=True)
+        self._launch_goals(u, self._scalars(beta_b), self._scalars(theta_b), work.running, work)
+        return np.asarray(work.residual.numpy(), dtype=np.float64) * self.scale
+
+
+def weight_terms(dim: int, basis: Basis) -> int:
+    """Terms of the basis: d, or 5 in the plane and 9 in space (eq. 3.14)."""
+    return dim if basis == "linear" else {2: 5, 3: 9}[dim]
+
+
+class _Work:
+    """Scratch arrays of one run. Filled with NaN where a kernel must write before anything reads."""
+
+    def __init__(self, body: Msm, size: int, *, stepping: bool = False) -> None:
+        count, kk = len(body.rest), body._k
+        zeros = functools.partial(wp.zeros, device=body.device)
+        self.transform = zeros((size, body.cluster_count), dtype=kk.transform)
+        self.centre = zeros((size, body.cluster_count), dtype=kk.vec)
+        self.residual = zeros((size, count), dtype=kk.vec)
+        self.u_last = zeros((size, count), dtype=kk.vec)
+        self.running = wp.full(size, k.RUNNING, dtype=int, device=body.device)
+        if stepping:
+            return
+        chunks = -(-count // k.CHUNK)
+        self.residual_last = zeros((size, count), dtype=kk.vec)
+        self.du = zeros((size, k.MEMORY, count), dtype=kk.vec)
+        self.dr = zeros((size, k.MEMORY, count), dtype=kk.vec)
+        self.gram_part = zeros((size, k.MEMORY + 1, chunks), dtype=wp.float64)
+        self.rhs_part = zeros((size, k.MEMORY + 1, chunks), dtype=wp.float64)
+        self.step_part = zeros((size, chunks), dtype=wp.float64)
+        self.gram = zeros(size, dtype=kk.history)
+        self.steps = zeros(size, dtype=kk.history_vec)
+        self.iteration = zeros(size, dtype=int)
+        self.best = wp.full(size, np.inf, dtype=wp.float64, device=body.device)
+        self.gamma = zeros(size, dtype=kk.history_vec)
+        self.norm = zeros(size, dtype=wp.float64)
+        self.error = zeros(size, dtype=wp.float64)
+        self.total = zeros(size, dtype=int)
