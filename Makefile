@@ -1,0 +1,74 @@
+# Everything from a machine with git, make and Python 3.11 to 3.13: `make demo`, `make test`.
+# Set-up runs once by itself, and again when pyproject.toml changes.
+
+VENV  := .venv
+PY    := $(VENV)/bin/python
+READY := $(VENV)/.ready
+STEPS := not slow and not hardware
+
+# The first interpreter that fits; PYTHON=... names another.
+PYTHONS := $(PYTHON) python3 python3.13 python3.12 python3.11
+FITS    := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
+
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+export PYTHONUNBUFFERED := 1
+
+.DEFAULT_GOAL := help
+.PHONY: help setup system-libraries demo test test-slow lint format clean
+
+help:
+	@echo 'make demo       measure what is built in, and leave the recording in runs/'
+	@echo 'make test       lints, types and tests (minutes)'
+	@echo 'make test-slow  the tests that take many minutes as well'
+	@echo 'make lint       lints and types alone'
+	@echo 'make format     write the house format'
+	@echo 'make setup      the virtual environment alone (the others do this by themselves)'
+	@echo 'make clean      remove what was built; recordings in runs/ stay'
+
+setup: $(READY)
+
+$(READY): pyproject.toml
+	@if [ ! -x $(PY) ] || ! $(PY) -c '$(FITS)' 2>/dev/null || ! $(PY) -m pip --version >/dev/null 2>&1; then \
+		found=; \
+		for python in $(PYTHONS); do \
+			if command -v $$python >/dev/null 2>&1 && $$python -c '$(FITS)' 2>/dev/null; then found=$$python; break; fi; \
+		done; \
+		if [ -z "$$found" ]; then \
+			echo 'setup: no Python 3.11, 3.12 or 3.13 here; install one, or name it: make PYTHON=/path/to/python3.11' >&2; exit 1; \
+		fi; \
+		if ! $$found -c 'import venv, ensurepip' 2>/dev/null; then \
+			echo "setup: $$found has no venv; install it, for example: sudo apt-get install -y python3-venv" >&2; exit 1; \
+		fi; \
+		echo "setup: making $(VENV) with $$($$found --version)"; \
+		$$found -m venv --clear $(VENV) || exit 1; \
+	fi
+	@if [ -f .ci/system-libraries ]; then sh .ci/system-libraries; fi
+	@echo 'setup: installing the packages (the first time takes some minutes)'
+	@$(PY) -m pip install --quiet --editable '.[dev]'
+	@touch $@
+	@echo 'setup: ready'
+
+system-libraries:
+	@sh .ci/system-libraries
+
+demo: setup
+	@$(PY) -m deformscope demo
+
+test: lint
+	$(PY) -m pytest -q -m '$(STEPS)'
+
+test-slow: setup
+	$(PY) -m pytest -q -m 'not hardware'
+
+lint: setup
+	$(PY) -m ruff check .
+	$(PY) -m ruff format --check .
+	$(PY) -m mypy
+
+format: setup
+	$(PY) -m ruff check --fix .
+	$(PY) -m ruff format .
+
+clean:
+	rm -rf $(VENV) dist build .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	find deformscope drivers tests -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,10 @@
+"""`python -m deformscope`: the same as the `deformscope` command."""
+
+from __future__ import annotations
+
+import sys
+
+from deformscope.cli import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,305 @@
+"""The `deformscope` command: finds the command asked for, reads its flags, runs it, and tells errors in one line.
+
+    deformscope --help
+    deformscope flow before.png after.png --out flow.npz
+
+To add a command: a frozen dataclass of its flags in `deformscope/config.py`, a file here with `run(config)` that
+imports what is heavy inside, and a line in `COMMANDS`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import importlib
+import io
+import os
+import re
+import select
+import sys
+import traceback
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deformscope import __version__
+from deformscope.errors import InputError
+
+if TYPE_CHECKING:
+    from deformscope.config import CommandOptions
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """One command.
+
+    summary: its line in `deformscope --help`; config: its class in `deformscope.config`;
+    module: where it lives; function: what runs it, called with the config
+    """
+
+    summary: str
+    config: str
+    module: str
+    function: str = "run"
+
+
+COMMANDS: dict[str, Command] = {
+    "flow": Command("dense optical flow of two images", "FlowConfig", "deformscope.cli.flow"),
+}
+"""By name; a name of two words (`calibrate beta`) makes a group."""
+
+TRACEBACK = "DEFORMSCOPE_TRACEBACK"
+EXIT_INPUT, EXIT_UNEXPECTED, EXIT_INTERRUPTED, EXIT_PIPE = 2, 1, 130, 141
+
+PACKAGES = {
+    "libusb-1.0": "libusb-1.0-0",
+    "libGL": "libgl1",
+    "libEGL": "libegl1",
+    "libX11": "libx11-6",
+    "libudev": "libudev1",
+    "libidn2": "libidn2-0",
+    "libgomp": "libgomp1",
+    "libvulkan": "libvulkan1",
+}
+"""Debian's package of each library that a dependency loads and that a plain system may lack."""
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run one command line and return its exit status; nothing is raised, and no traceback shown unless asked for."""
+    # Libraries that complain on stderr by themselves would bury the one line that says what to do.
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    try:
+        status = _dispatch(list(sys.argv[1:] if args is None else args))
+        sys.stdout.flush()
+        return status
+    except KeyboardInterrupt:
+        print("deformscope: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    except BrokenPipeError as error:
+        return _pipe_closed(error)
+    except SystemExit as stop:
+        return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
+    except InputError as error:
+        return _fail(str(error), EXIT_INPUT)
+    except Exception as error:
+        return _fail(_explain(error), EXIT_UNEXPECTED)
+
+
+# Finding the command -------------------------------------------------------------------------------------------------
+
+
+def _dispatch(args: list[str]) -> int:
+    if not args or args[0] in ("-h", "--help"):
+        print(_help())
+        return 0
+    if args[0] == "--version":
+        print(f"deformscope {__version__}")
+        return 0
+    name, rest = _find(args)
+    if name not in COMMANDS:
+        print(_help(name))
+        return 0
+    command = COMMANDS[name]
+    from deformscope import config
+
+    options: CommandOptions = parse(getattr(config, command.config), rest, f"deformscope {name}")
+    _check_files(options)
+    from deformscope.cli.common import json_alone
+
+    with json_alone(options.json_target()):
+        getattr(importlib.import_module(command.module), command.function)(options)
+    return 0
+
+
+def _find(args: list[str]) -> tuple[str, list[str]]:
+    """The command's full name, or a group's where its help is asked for, and the arguments left."""
+    first = args[0]
+    if first in COMMANDS:
+        return first, args[1:]
+    groups = {name.split()[0] for name in COMMANDS if " " in name}
+    if first not in groups:
+        known = sorted({name.split()[0] for name in COMMANDS})
+        kind = "a flag before any command" if first.startswith("-") else f"{first!r}"
+        raise InputError(f"a command out of {', '.join(known)}", kind, f"deformscope {_nearest(first, known)}")
+    members = [name.split()[1] for name in COMMANDS if name.startswith(f"{first} ")]
+    if len(args) > 1 and args[1] in ("-h", "--help"):
+        return first, []
+    if len(args) > 1 and args[1] in members:
+        return f"{first} {args[1]}", args[2:]
+    came = repr(args[1]) if len(args) > 1 else "nothing"
+    nearest = _nearest(args[1], members) if len(args) > 1 else "--help"
+    raise InputError(f"{' or '.join(members)} after {first}", came, f"deformscope {first} {nearest}")
+
+
+def _nearest(word: str, known: Sequence[str]) -> str:
+    return next(iter(difflib.get_close_matches(word, known, n=1)), "--help")
+
+
+def _help(group: str = "") -> str:
+    shown = {name: command for name, command in COMMANDS.items() if not group or name.startswith(f"{group} ")}
+    width = max(map(len, shown))
+    lines = [f"  {name:<{width}}  {command.summary}" for name, command in shown.items()]
+    return "\n".join(
+        [
+            f"usage: deformscope {group + ' ' if group else ''}COMMAND ...",
+            "",
+            "How soft a thing is, and where: watch it deform, fit a shape-matching model, see every stage.",
+            "",
+            *lines,
+            "",
+            "deformscope COMMAND --help   its flags",
+            "deformscope --version",
+        ]
+    )
+
+
+# Reading the flags ---------------------------------------------------------------------------------------------------
+
+
+class _UsageError(InputError):
+    """A flag that cannot be read, in the words of whoever refused it."""
+
+    def __init__(self, words: str, try_this: str) -> None:
+        Exception.__init__(self, f"{words} | try: {try_this}")
+
+
+def parse(config: Any, args: Sequence[str], prog: str = "deformscope") -> Any:
+    """Read a command's flags. Help goes to stdout and ends in SystemExit(0); whatever is wrong becomes an InputError."""
+    import tyro
+
+    said = io.StringIO()
+    helping = "-h" in args or "--help" in args
+    try:
+        # tyro frames its errors in boxes of many lines and has no public way to get at their parts.
+        with contextlib.redirect_stderr(said), contextlib.nullcontext() if helping else _wide_terminal():
+            return tyro.cli(config, args=list(args), prog=prog, config=(tyro.conf.FlagCreatePairsOff,))
+    except SystemExit as stop:
+        if stop.code in (0, None):
+            raise
+    raise _usage_error(said.getvalue(), prog)
+
+
+@contextlib.contextmanager
+def _wide_terminal() -> Iterator[None]:
+    """Keeps tyro from breaking a line within what the user typed."""
+    before = os.environ.get("COLUMNS")
+    os.environ["COLUMNS"] = "4000"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["COLUMNS"]
+        else:
+            os.environ["COLUMNS"] = before
+
+
+_COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+_FRAME = re.compile(r"^[│|╭╰+] ?|\s*[│|╮╯+]$")
+
+
+def _usage_error(boxed: str, prog: str) -> InputError:
+    """One line out of tyro's box, whose sections are parted by rules: title, what is wrong, hints."""
+    lines = [_FRAME.sub("", _COLOUR.sub("", line)) for line in boxed.splitlines()]
+    body = [line for line in lines[1:-1] if line.strip()]
+    rules = [index for index, line in enumerate(body) if set(line.strip()) <= set("─-")]
+    wrong = body[: rules[0]] if rules else body
+    text = " ".join(" ".join(wrong).split())
+    help_hint = f"{prog} --help"
+
+    if text.startswith("Missing from"):
+        # An argument stands four columns in, its help eight.
+        missing = [line.strip() for line in wrong[1:] if line.startswith("    ") and not line.startswith("     ")]
+        return InputError(" and ".join(missing) or "more arguments", "none", help_hint)
+    if found := re.match(r"Error parsing (\S+): (.*)", text):
+        problem = re.sub(
+            r"invalid literal for int\(\) with base 10: (.*)", r"expected a whole number; got \1", found[2]
+        )
+        problem = re.sub(r"could not convert string to float: (.*)", r"expected a number; got \1", problem)
+        return _UsageError(f"{found[1]}: {problem}", help_hint)
+    if found := re.match(r"invalid choice (.*) for argument '(.*)'\. Expected one of \((.*)\)\.", text):
+        return _UsageError(f"{found[2]}: expected one of {found[3].rstrip(',')}; got {found[1]}", help_hint)
+    if found := re.match(r"Missing value for argument '(.*)'", text):
+        return InputError(f"a value after {found[1]}", "none", help_hint)
+    if found := re.match(r"Unrecognized options: (.*)", text):
+        meant = re.search(r"Perhaps you meant:\s+(--[\w-]+)", " ".join(body))
+        unknown = found[1].replace(", ", " ")
+        return InputError(f"only known flags for {prog}", unknown, meant[1] if meant else help_hint)
+    return _UsageError(text or "the command line was not understood", help_hint)
+
+
+def _check_files(options: CommandOptions) -> None:
+    """No output may be out of reach, be another's output too, or stand where an input is."""
+    written = options.writes()
+    if not written:
+        return
+    from deformscope.cli.common import check_writable
+
+    inputs = {Path(source).resolve() for source in options.reads()}
+    flags: dict[Path, str] = {}
+    for file in written:
+        path = file.path.resolve()
+        if path in inputs:
+            raise InputError(f"a file after {file.flag} that is no input", "an input", "another name", file.path)
+        if path in flags and not file.path.is_char_device():
+            raise InputError(f"different files after {flags[path]} and {file.flag}", "the same twice", where=file.path)
+        flags[path] = file.flag
+        check_writable(file.path, file.flag, replace=file.replace)
+
+
+# Telling errors ------------------------------------------------------------------------------------------------------
+
+
+def _fail(message: str, status: int) -> int:
+    if os.environ.get(TRACEBACK):
+        traceback.print_exc()
+    print(f"deformscope: error: {' '.join(message.split())[:2000]}", file=sys.stderr)
+    return status
+
+
+def _explain(error: Exception) -> str:
+    """One line on an error that no command foresaw."""
+    if library := _missing_library(error):
+        package = next((PACKAGES[name] for name in PACKAGES if library.startswith(f"{name}.")), "")
+        hint = f"sudo apt-get install -y {package}" if package else "install it with the system's package manager"
+        return f"expected the system library {library}; got none on this machine | try: {hint}"
+    if isinstance(error, ModuleNotFoundError) and not str(error.name).startswith("deformscope"):
+        return (
+            f"expected the Python package {error.name}; got none here | try: pip install --force-reinstall deformscope"
+        )
+    if isinstance(error, OSError) and error.strerror:
+        where = "" if error.filename is None else f" | {error.filename}"
+        return f"the system refused: {error.strerror}{where}"
+    if isinstance(error, MemoryError):
+        return "expected enough memory; got too little | try: fewer particles, candidates or smaller images"
+    words = " ".join(str(error).split())[:500]
+    return f"unexpected {type(error).__name__}: {words} | set {TRACEBACK}=1 to see where"
+
+
+def _missing_library(error: BaseException) -> str:
+    """The shared object that the loader did not find, from the error or what caused it."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, ImportError | OSError):
+            found = re.search(r"(lib[\w.+-]*?\.so[\w.]*): cannot open shared object", str(cause))
+            if found:
+                return found[1]
+        cause = cause.__cause__ or cause.__context__
+    return ""
+
+
+def _pipe_closed(error: BrokenPipeError) -> int:
+    """Quiet where whoever read stdout has gone (`| head`); a device's pipe that broke is an error like any other."""
+    try:
+        descriptor = sys.stdout.fileno()
+        poll = select.poll()
+        poll.register(descriptor, select.POLLOUT)
+        gone = any(event & (select.POLLERR | select.POLLHUP) for _, event in poll.poll(0))
+    except (OSError, AttributeError):
+        return _fail(_explain(error), EXIT_UNEXPECTED)
+    if not gone:
+        return _fail(_explain(error), EXIT_UNEXPECTED)
+    # Python flushes stdout once more as it ends, and would complain there.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), descriptor)
+    return EXIT_PIPE

@@ -1,0 +1,190 @@
+"""What the commands share: where their words, tables, JSON and files go."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO, Literal, TextIO, cast
+
+from deformscope.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+Viewer = Literal["native", "page", "none"]
+
+_json_stream: ContextVar[TextIO | None] = ContextVar("json_stream", default=None)
+
+
+# Words and tables ----------------------------------------------------------------------------------------------------
+
+
+def console() -> Console:
+    """Where progress and remarks go: stderr."""
+    from rich.console import Console
+
+    return Console(stderr=True, highlight=False)
+
+
+def report_console() -> Console:
+    """Where the result is told to a person: stdout, or stderr where `--json -` has taken stdout."""
+    from rich.console import Console
+
+    return Console(file=sys.stdout, highlight=False)
+
+
+def show_table(title: str, rows: Sequence[tuple[str, str]]) -> None:
+    """Tell a result as a short table of names and values."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(title=escape(title), title_justify="left", show_header=False, box=None, padding=(0, 2, 0, 0))
+    for name, value in rows:
+        table.add_row(escape(name), escape(value))
+    report_console().print(table)
+
+
+@contextmanager
+def progress(description: str, total: float | None = None) -> Iterator[Callable[[float], None]]:
+    """A bar on stderr, gone at the end; nothing where stderr is no terminal. Yields what is called with steps done."""
+    from rich.progress import Progress
+
+    where = console()
+    with Progress(console=where, transient=True, disable=not where.is_terminal) as bar:
+        task = bar.add_task(description, total=total)
+        yield lambda steps: bar.advance(task, steps)
+
+
+def resolve_viewer(choice: Literal["auto", "native", "page", "none"]) -> Viewer:
+    """`auto` is rerun's own window where there is a display, else none."""
+    if choice != "auto":
+        return choice
+    return "native" if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") else "none"
+
+
+# JSON ----------------------------------------------------------------------------------------------------------------
+
+
+def write_json(value: object, target: str | None) -> None:
+    """Write `value` to a file, or to stdout where `target` is `-`; None writes nothing.
+
+    Frozen dataclasses, arrays, paths, tuples and mappings may stand anywhere inside; what is not finite becomes null.
+    """
+    if target is None:
+        return
+    text = json.dumps(plain(value), indent=2, allow_nan=False) + "\n"
+    if target == "-":
+        stream = _json_stream.get() or sys.stdout
+        stream.write(text)
+        stream.flush()
+        return
+    with replacing(Path(target)) as file:
+        file.write(text.encode())
+
+
+def plain(value: object) -> object:
+    """`value` made of what JSON has: dict, list, str, int, float, bool and None."""
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        return float(value) if value - value == 0.0 else None
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "tolist"):  # arrays and their scalars, without importing numpy here
+        return plain(cast(Any, value).tolist())
+    raise TypeError(f"no JSON for {type(value).__name__}")
+
+
+@contextmanager
+def json_alone(target: str | None) -> Iterator[None]:
+    """With `--json -`, stdout carries the JSON and nothing else: all else that is printed goes to stderr, also what
+    libraries print below Python."""
+    if target != "-":
+        yield
+        return
+    python_stdout = sys.stdout
+    try:
+        descriptor = python_stdout.fileno()
+    except (OSError, AttributeError):  # stdout is no file, as under a test or in a notebook
+        with _redirected(python_stdout):
+            yield
+        return
+    python_stdout.flush()
+    kept = os.dup(descriptor)
+    with open(kept, "w", encoding="utf-8") as stream:
+        os.dup2(sys.__stderr__.fileno() if sys.__stderr__ is not None else 2, descriptor)
+        try:
+            with _redirected(stream):
+                yield
+        finally:
+            python_stdout.flush()
+            os.dup2(kept, descriptor)
+
+
+@contextmanager
+def _redirected(stream: TextIO) -> Iterator[None]:
+    python_stdout, token = sys.stdout, _json_stream.set(stream)
+    sys.stdout = sys.stderr
+    try:
+        yield
+    finally:
+        sys.stdout = python_stdout
+        _json_stream.reset(token)
+
+
+# Files ---------------------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[BinaryIO]:
+    """A file that takes the place of `path` when it is complete; on an error `path` stays as it was."""
+    if path.exists() and not path.is_file():  # a device or a pipe cannot be replaced, only written to
+        with path.open("wb") as stream:
+            yield stream
+        return
+    path = path.resolve()  # a link stays a link, to the new file
+    draft = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with draft.open("xb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        draft.replace(path)
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def check_writable(path: Path, flag: str, *, replace: bool = True) -> None:
+    """Find out before the work whether its result can be written, without touching what is there."""
+    if path.is_dir():
+        raise InputError(f"a file after {flag}", "a folder", where=path)
+    if path.exists() and not path.is_file():  # a device or a pipe: opening it could wait for a reader
+        if not os.access(path, os.W_OK):
+            raise InputError(f"a file after {flag} that can be written", "one that cannot", where=path)
+        return
+    if path.exists() and not replace:
+        raise InputError(f"a new file after {flag}", "one that exists", "another name, or --overwrite", path)
+    path = path.resolve()
+    if not path.parent.is_dir():
+        came = "something else" if path.parent.exists() else "none"
+        raise InputError(f"a folder to hold the file of {flag}", came, f"mkdir -p {path.parent}", path)
+    probe = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        if path.exists():
+            path.open("r+b").close()
+        probe.open("xb").close()
+        probe.unlink()
+    except OSError as error:
+        raise InputError(f"a file after {flag} that can be written", str(error.strerror), where=path) from error

@@ -1,0 +1,406 @@
+"""What each command can be told: one frozen dataclass a command, whose fields are its flags.
+
+A field's docstring is the flag's help. What one value must look like is checked where it is parsed (`ValueError`, which
+the command line reports with the flag's name), what values must satisfy together where the dataclass is made
+(`InputError`). Nothing heavy is imported here: `--help` shows these classes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+from tyro.conf import OmitArgPrefixes, Positional, arg
+from tyro.constructors import PrimitiveConstructorSpec
+
+from deformscope.errors import InputError
+
+T = TypeVar("T")
+
+Rectangle = tuple[float, float, float, float]
+"""x, y of the upper left corner, width, height [px]."""
+GridShape = tuple[int, int]
+"""Rows, columns."""
+Span = tuple[float, float]
+"""Lowest, highest."""
+HeldPart = Literal["top", "bottom", "left", "right", "border", "contact"]
+
+HELD_PARTS: tuple[HeldPart, ...] = ("top", "bottom", "left", "right", "border", "contact")
+
+
+# What one value looks like -------------------------------------------------------------------------------------------
+
+
+def parse_rectangle(text: str) -> Rectangle:
+    """`x,y,width,height` [px] with a width and a height above 0."""
+    try:
+        x, y, width, height = (_finite(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(f"expected x,y,width,height in pixels, such as 400,200,750,350; got {text!r}") from None
+    if not (width > 0 and height > 0):
+        raise ValueError(f"expected a width and a height above 0 in x,y,width,height; got {text!r}")
+    return x, y, width, height
+
+
+def parse_grid(text: str) -> GridShape:
+    """`ROWSxCOLS`, at least 2 each."""
+    try:
+        rows, columns = (int(part) for part in text.lower().split("x"))
+    except ValueError:
+        raise ValueError(f"expected ROWSxCOLS, such as 7x15; got {text!r}") from None
+    if min(rows, columns) < 2:
+        raise ValueError(f"expected at least 2 rows and 2 columns in ROWSxCOLS; got {text!r}")
+    return rows, columns
+
+
+def parse_held(text: str) -> tuple[HeldPart, ...]:
+    """A comma list of parts of the lattice, each named once in the result."""
+    named = [part.strip() for part in text.split(",")]
+    unknown = [part for part in named if part not in HELD_PARTS]
+    if unknown:
+        raise ValueError(f"expected a comma list of {', '.join(HELD_PARTS)}; got {', '.join(map(repr, unknown))}")
+    return tuple(part for part in HELD_PARTS if part in named)
+
+
+def parse_span(text: str) -> Span:
+    """`LOWEST,HIGHEST`, rising."""
+    try:
+        lowest, highest = (_finite(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(f"expected LOWEST,HIGHEST, such as 0,0.99; got {text!r}") from None
+    return lowest, highest
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if value - value != 0.0:  # inf and nan
+        raise ValueError(f"expected a finite number; got {text!r}")
+    return value
+
+
+def _positive(text: str) -> float:
+    try:
+        value = _finite(text)
+    except ValueError:
+        value = 0.0
+    if not value > 0:
+        raise ValueError(f"expected a number above 0; got {text!r}")
+    return value
+
+
+def _value(metavar: str, parse: Callable[[str], T], show: Callable[[Any], str] = str) -> PrimitiveConstructorSpec[T]:
+    """One word on the command line; None, which cannot be typed there, stands for a flag that was left out."""
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar=metavar,
+        instance_from_str=lambda words: parse(words[0]),
+        is_instance=lambda value: True,
+        str_from_instance=lambda value: ["none" if value is None else show(value)],
+    )
+
+
+def _joined(separator: str) -> Callable[[Any], str]:
+    return lambda parts: separator.join(str(part) for part in parts)
+
+
+_unset = arg(help_behavior_hint="")
+"""No "(default: none)" in the help of a flag that may be left out."""
+
+RectangleFlag = Annotated[Rectangle | None, _value("X,Y,WIDTH,HEIGHT", parse_rectangle, _joined(",")), _unset]
+GridFlag = Annotated[GridShape | None, _value("ROWSxCOLS", parse_grid, _joined("x")), _unset]
+HeldFlag = Annotated[tuple[HeldPart, ...] | None, _value("PART,PART...", parse_held, _joined(",")), _unset]
+SpanFlag = Annotated[Span, _value("LOWEST,HIGHEST", parse_span, _joined(","))]
+PositiveFlag = Annotated[float | None, _value("NUMBER", _positive), _unset]
+CountFlag = Annotated[int | None, _value("INT", int), _unset]
+FileFlag = Annotated[Path | None, _value("FILE", Path), _unset]
+PictureFlag = Annotated[Path | None, _value("FILE.png", Path), _unset]
+JsonFlag = Annotated[str | None, _value("FILE|-", str), _unset]
+Sources = Annotated[tuple[str, ...], Positional, arg(metavar="SOURCE...", help_behavior_hint="")]
+
+
+# What every command's options can be asked ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """A file that a command will write.
+
+    flag: the flag that names it; replace: whether a file that is there already may go
+    """
+
+    flag: str
+    path: Path
+    replace: bool = True
+
+
+class CommandOptions:
+    """What the command line asks of any command's options before it runs the command."""
+
+    __slots__ = ()
+
+    def reads(self) -> tuple[str, ...]:
+        """The sources, none of which may be written over."""
+        return ()
+
+    def writes(self) -> tuple[Written, ...]:
+        """The files to come; all are checked before any heavy work."""
+        return ()
+
+    def json_target(self) -> str | None:
+        """Where the JSON goes: a path, `-` for stdout, None for nowhere."""
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class OutputOptions:
+    """What is left behind and what is shown."""
+
+    json: JsonFlag = None
+    """Write the result as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+    record: FileFlag = None
+    """Write a rerun recording (.rrd). Without it nothing is recorded."""
+    viewer: Literal["auto", "native", "page", "none"] = "auto"
+    """Show every stage live: in rerun's window, on a web page, or not at all; auto: the window where there is a
+    display."""
+    overwrite: bool = False
+    """Replace a recording that exists; without it an existing one is refused."""
+    seed: int = 0
+    """Seed of every random number."""
+
+    def __post_init__(self) -> None:
+        if self.record is not None and self.record.suffix != ".rrd":
+            raise InputError("a file that ends in .rrd after --record", repr(str(self.record)))
+        if self.seed < 0:
+            raise InputError("a --seed of 0 or more", str(self.seed))
+
+    def writes(self) -> tuple[Written, ...]:
+        record = () if self.record is None else (Written("--record", self.record, replace=self.overwrite),)
+        return (*record, *_written_json(self.json))
+
+
+def _written_json(target: str | None) -> tuple[Written, ...]:
+    return () if target is None or target == "-" else (Written("--json", Path(target)),)
+
+
+# Images --------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class ImageOptions:
+    """How images become particles. Pair files need none of these."""
+
+    roi: RectangleFlag = None
+    """Region of the image that holds the thing [px]; default: all of it."""
+    grid: GridFlag = None
+    """Rows and columns of particles over the region, such as 7x15."""
+    spacing_px: PositiveFlag = None
+    """Distance of neighbouring particles [px], instead of --grid."""
+    mask: FileFlag = None
+    """Image that is not black where the thing is; particles stand there alone. It is left out of a sequence that holds
+    it."""
+    px_per_cm: PositiveFlag = None
+    """Scale of the image [px/cm]; with it lengths are told in metres too."""
+    stride: int = 1
+    """Take every n-th frame."""
+    fps: PositiveFlag = None
+    """Frames a second of images that do not say; default: what the video says."""
+    flow: Literal["dis", "farneback"] = "dis"
+    """Method of the dense optical flow."""
+    held: HeldFlag = None
+    """Particles whose motion is taken from the images and prescribed, out of top, bottom, left, right, border and
+    contact. Default: bottom,contact where --contact is given, else top,bottom."""
+    contact: RectangleFlag = None
+    """Footprint of the tool in the first image [px]; the particles inside are `contact`."""
+
+    def __post_init__(self) -> None:
+        if self.grid is not None and self.spacing_px is not None:
+            raise InputError("--grid or --spacing-px", "both", "leave one out")
+        if self.stride < 1:
+            raise InputError("a --stride of 1 or more", str(self.stride))
+        if self.held is not None and "contact" in self.held and self.contact is None:
+            raise InputError("--contact X,Y,WIDTH,HEIGHT with --held contact", "no --contact")
+        if self.held is not None and "contact" not in self.held and self.contact is not None:
+            held = ",".join((*self.held, "contact"))
+            raise InputError("contact among --held with --contact", f"--held {','.join(self.held)}", f"--held {held}")
+
+    def held_parts(self) -> tuple[HeldPart, ...]:
+        """The parts to hold: those asked for, else what stands still and what pushes."""
+        if self.held is not None:
+            return self.held
+        return ("bottom", "contact") if self.contact is not None else ("top", "bottom")
+
+
+# deformscope flow ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class FlowConfig(CommandOptions):
+    """Dense optical flow of two images: where each pixel of BEFORE has gone in AFTER."""
+
+    before: Annotated[Path, Positional, arg(metavar="BEFORE")]
+    """The first image."""
+    after: Annotated[Path, Positional, arg(metavar="AFTER")]
+    """The second image, of the same size."""
+    out: Annotated[Path, arg(metavar="FILE.npz")]
+    """Where `flow_px (height, width, 2)` in (x, y) [px] goes. An existing file is replaced."""
+    method: Literal["dis", "farneback"] = "dis"
+    """Dense inverse search, or Farneback's polynomials."""
+    backward: bool = False
+    """Write `backward_px`, the flow from AFTER to BEFORE, as well."""
+    picture: PictureFlag = None
+    """Draw the flow as arrows and colour. An existing file is replaced."""
+    json: JsonFlag = None
+    """Write the numbers of the table as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+
+    def __post_init__(self) -> None:
+        if self.out.suffix != ".npz":
+            raise InputError("a file that ends in .npz after --out", repr(str(self.out)))
+        if self.picture is not None and self.picture.suffix != ".png":
+            raise InputError("a file that ends in .png after --picture", repr(str(self.picture)))
+
+    def reads(self) -> tuple[str, ...]:
+        return str(self.before), str(self.after)
+
+    def writes(self) -> tuple[Written, ...]:
+        picture = () if self.picture is None else (Written("--picture", self.picture),)
+        return (Written("--out", self.out), *picture, *_written_json(self.json))
+
+    def json_target(self) -> str | None:
+        return self.json
+
+
+# deformscope calibrate -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class SearchOptions:
+    """How the parameter is searched, and how sure of it to be."""
+
+    method: Literal["sweep", "gradient"] = "sweep"
+    """Try --candidates values over the range (Thesis Algorithm 3), or follow the error downhill (Algorithm 2)."""
+    candidates: int = 100
+    """Values that the sweep tries."""
+    level: float = 0.9
+    """Confidence level of the interval."""
+    noise_px: PositiveFlag = None
+    """Standard deviation of a measured position [px]; default: measured in the images."""
+    noise_m: PositiveFlag = None
+    """Standard deviation of a measured position [m]; default: what the pair file says."""
+    joint: bool = False
+    """Fit one value to all pairs together."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where the simulation runs; auto: on the GPU where there is one."""
+
+    def __post_init__(self) -> None:
+        if self.candidates < 3:
+            raise InputError("at least 3 --candidates", str(self.candidates))
+        if not 0 < self.level < 1:
+            raise InputError("a --level between 0 and 1", str(self.level), "--level 0.9")
+        if self.noise_px is not None and self.noise_m is not None:
+            raise InputError("--noise-px or --noise-m", "both", "leave one out")
+
+
+def _check_sources(sources: tuple[str, ...]) -> None:
+    if not sources:
+        raise InputError("at least one SOURCE", "none", "a video, a folder of frames, images, or pair files (.npz)")
+
+
+def _check_unit(flag: str, value: float) -> None:
+    if not 0 <= value <= 1:
+        raise InputError(f"a {flag} between 0 and 1", str(value))
+
+
+def _check_span(flag: str, span: Span) -> None:
+    lowest, highest = span
+    if not lowest < highest:
+        raise InputError(f"a {flag} that rises", f"{lowest:g},{highest:g}", f"{flag} {highest:g},{lowest:g}")
+    if not (0 <= lowest and highest <= 1):
+        raise InputError(f"a {flag} within 0,1", f"{lowest:g},{highest:g}")
+
+
+def _check_alpha(alpha: float) -> None:
+    if not 0 < alpha <= 1:
+        raise InputError("an --alpha above 0 and at most 1", str(alpha))
+
+
+@dataclass(frozen=True, slots=True)
+class BetaConfig(CommandOptions):
+    """Find beta, the share of linear deformation, from images or from pairs of rest and deformed positions."""
+
+    sources: Sources
+    """A video, a folder of frames, images in the order given, pair files (.npz), or a recording (.rrd)."""
+    cluster_size: int = 3
+    """Particles along each side of a cluster."""
+    mode: Literal["linear", "quadratic"] = "linear"
+    """How a cluster may deform."""
+    alpha: float = 1.0
+    """Stiffness of the pull to the goal positions."""
+    theta: float = 0.0
+    """Volume conservation, which stays as it is."""
+    beta_range: SpanFlag = (0.0, 0.99)
+    """Range in which beta is searched."""
+    search: OmitArgPrefixes[SearchOptions] = field(default_factory=SearchOptions)
+    images: OmitArgPrefixes[ImageOptions] = field(default_factory=ImageOptions)
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def __post_init__(self) -> None:
+        _check_sources(self.sources)
+        if self.cluster_size < 2:
+            raise InputError("a --cluster-size of 2 or more", str(self.cluster_size))
+        _check_alpha(self.alpha)
+        _check_unit("--theta", self.theta)
+        _check_span("--beta-range", self.beta_range)
+
+    def reads(self) -> tuple[str, ...]:
+        return self.sources if self.images.mask is None else (*self.sources, str(self.images.mask))
+
+    def writes(self) -> tuple[Written, ...]:
+        return self.output.writes()
+
+    def json_target(self) -> str | None:
+        return self.output.json
+
+
+@dataclass(frozen=True, slots=True)
+class ThetaConfig(CommandOptions):
+    """Find theta, how strongly volume is conserved, from images or from pairs of rest and deformed positions."""
+
+    sources: Sources
+    """A video, a folder of frames, images in the order given, pair files (.npz), or a recording (.rrd)."""
+    cluster_size: CountFlag = None
+    """Particles along each side of a cluster; default: one cluster holds all particles (Thesis 5.1)."""
+    mode: Literal["linear", "quadratic"] = "quadratic"
+    """How a cluster may deform."""
+    alpha: float = 1.0
+    """Stiffness of the pull to the goal positions."""
+    beta: float = 0.99
+    """Share of deformation, which stays as it is."""
+    theta_range: SpanFlag = (0.0, 1.0)
+    """Range in which theta is searched."""
+    search: OmitArgPrefixes[SearchOptions] = field(default_factory=SearchOptions)
+    images: OmitArgPrefixes[ImageOptions] = field(default_factory=ImageOptions)
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def __post_init__(self) -> None:
+        _check_sources(self.sources)
+        if self.cluster_size is not None and self.cluster_size < 2:
+            raise InputError("a --cluster-size of 2 or more", str(self.cluster_size))
+        _check_alpha(self.alpha)
+        _check_unit("--beta", self.beta)
+        _check_span("--theta-range", self.theta_range)
+
+    @property
+    def single_cluster(self) -> bool:
+        """Whether one cluster holds all particles."""
+        return self.cluster_size is None
+
+    def reads(self) -> tuple[str, ...]:
+        return self.sources if self.images.mask is None else (*self.sources, str(self.images.mask))
+
+    def writes(self) -> tuple[Written, ...]:
+        return self.output.writes()
+
+    def json_target(self) -> str | None:
+        return self.output.json
