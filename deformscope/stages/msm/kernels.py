@@ -42,6 +42,13 @@ class Kernels:
     products: Any
     accelerate: Any
     advance: Any
+    fit_changes: Any
+    residual_products: Any
+    conjugate: Any
+    direct: Any
+    curvature_products: Any
+    choose_step: Any
+    take_step: Any
     history: Any
     history_vec: Any
 
@@ -72,17 +79,23 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
     accept = scalar(1e-12 if scalar is wp.float64 else 3e-6)
     far = wp.float64(1e4)
     growth = wp.float64(1e2)
+    flat = wp.float64(1e-12 if scalar is wp.float64 else 1e-7)
     floor = wp.float64(1e-14 if scalar is wp.float64 else 1e-8)
     ridge = wp.float64(1e-14 if scalar is wp.float64 else 1e-8)
 
     @wp.func
     def turn_2d(a_qq: square, change: square):
-        """R - I of eq. 3.9 in the plane, for A_pq = a_qq + change: the closed form, without cancellation."""
+        """R - I of eq. 3.9 in the plane, for A_pq = a_qq + change: the closed form, without cancellation.
+
+        Second: the compliance of the rotation, d angle = compliance[0, 0] * axial(R^T dA_pq).
+        """
         s = change[1, 0] - change[0, 1]
         c = a_qq[0, 0] + a_qq[1, 1] + change[0, 0] + change[1, 1]
         size = wp.sqrt(s * s + c * c)
         out = square()
+        compliance = square()
         if size > no_rotation * (a_qq[0, 0] + a_qq[1, 1]):
+            compliance[0, 0] = one / size
             cosine_less_one = (c - size) / size
             if c > zero:
                 cosine_less_one = -s * s / (size * (c + size))
@@ -90,7 +103,7 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
             out[1, 1] = cosine_less_one
             out[1, 0] = s / size
             out[0, 1] = -s / size
-        return out
+        return out, compliance
 
     @wp.func
     def quaternion_turn(q: vec4):
@@ -167,8 +180,10 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
 
         Newton's steps on the rotation from rest (Kugelstadt 2018, 3.2). They end at the wanted maximum exactly when
         the gradient vanishes and tr(S) I - S is positive definite; if not, the leading eigenvector takes over.
+        Second: the compliance (tr(S) I - S)^-1 of the rotation, 0 where none is preferred.
         """
         q = vec4(one, zero, zero, zero)
+        compliance = square()
         size = a_qq[0, 0] + a_qq[1, 1] + a_qq[2, 2] + wp.sqrt(wp.ddot(change, change))
         good = bool(False)
         f = a_qq + change
@@ -197,16 +212,17 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
                     gradient = wp.sqrt(g0 * g0 + g1 * g1 + g2 * g2)
                     if h00 <= zero or h00 * h11 - h01 * h01 <= zero or det <= no_rotation * h00 * h11 * h22:
                         good = bool(False)
-                        break
-                    if gradient <= accept * size:
-                        good = bool(True)
+                        compliance = square()
                         break
                     m11 = h00 * h22 - h02 * h02
                     m12 = h01 * h02 - h00 * h12
                     m22 = h00 * h11 - h01 * h01
-                    w0 = (m00 * g0 + m01 * g1 + m02 * g2) / (two * det)
-                    w1 = (m01 * g0 + m11 * g1 + m12 * g2) / (two * det)
-                    w2 = (m02 * g0 + m12 * g1 + m22 * g2) / (two * det)
+                    compliance = square(m00, m01, m02, m01, m11, m12, m02, m12, m22) / det
+                    if gradient <= accept * size:
+                        good = bool(True)
+                        break
+                    half = compliance * vec(g0, g1, g2) / two
+                    w0, w1, w2 = half[0], half[1], half[2]
                     turned = vec4(
                         q[0] - q[1] * w0 - q[2] * w1 - q[3] * w2,
                         q[1] + q[0] * w0 + q[2] * w2 - q[3] * w1,
@@ -215,13 +231,27 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
                     )
                     q = wp.normalize(turned)
                     good = gradient <= scalar(100.0) * accept * size
-        return quaternion_turn(q)
+        return quaternion_turn(q), compliance
+
+    turn = turn_2d if dim == 2 else turn_3d
 
     @wp.func
-    def turn(a_qq: square, change: square):
-        if wp.static(dim == 2):
-            return turn_2d(a_qq, change)
-        return turn_3d(a_qq, change)
+    def turn_change_2d(turned: square, compliance: square, change: square):
+        """dR for dA_pq = change, where R - I = turned."""
+        b = change + wp.transpose(turned) * change
+        angle = compliance[0, 0] * (b[1, 0] - b[0, 1])
+        spin = square(zero, -angle, angle, zero)
+        return spin + turned * spin
+
+    @wp.func
+    def turn_change_3d(turned: square, compliance: square, change: square):
+        """dR for dA_pq = change, where R - I = turned."""
+        b = change + wp.transpose(turned) * change
+        w = compliance * vec(b[2, 1] - b[1, 2], b[0, 2] - b[2, 0], b[1, 0] - b[0, 1])
+        spin = wp.skew(w)
+        return spin + turned * spin
+
+    turn_change = turn_change_2d if dim == 2 else turn_change_3d
 
     @wp.func
     def volume_denominator(a: square, theta: scalar, span_axes: square, span_count: int):
@@ -279,6 +309,8 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
         # Out:
         transform_out: wp.array2d(dtype=transform),
         centre_out: wp.array2d(dtype=vec),
+        turned_out: wp.array2d(dtype=square),
+        compliance_out: wp.array2d(dtype=square),
     ):
         """Each cluster's blend (1 - beta) [R - I, 0] + beta (A~_theta - [I, 0]) and mean displacement (eq. 3.7-3.17)."""
         candidate, cluster = wp.tid()
@@ -292,7 +324,7 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
         g = transform()
         for slot in range(first, last):
             g += wp.outer(u_in[candidate, members[slot]] - centre, weight[slot])
-        r = turn(a_qq[cluster], g * gram[cluster])
+        r, compliance = turn(a_qq[cluster], g * gram[cluster])
         b = beta[candidate]
         th = theta[candidate]
         excess = zero
@@ -312,6 +344,47 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
                 if i == j:
                     stretched += excess
                 blend[i, j] = b * stretched / denominator + (one - b) * r[i, j]
+        transform_out[candidate, cluster] = blend
+        centre_out[candidate, cluster] = centre
+        turned_out[candidate, cluster] = r
+        compliance_out[candidate, cluster] = compliance
+
+    @kernel
+    def fit_changes(
+        # Rest:
+        offsets: wp.array(dtype=int),
+        members: wp.array(dtype=int),
+        share: wp.array(dtype=scalar),
+        weight: wp.array(dtype=basis_vec),
+        gram: wp.array(dtype=gram_matrix),
+        # In:
+        direction_in: wp.array2d(dtype=vec),
+        turned_in: wp.array2d(dtype=square),
+        compliance_in: wp.array2d(dtype=square),
+        beta: wp.array(dtype=scalar),
+        running: wp.array(dtype=int),
+        # Out:
+        transform_out: wp.array2d(dtype=transform),
+        centre_out: wp.array2d(dtype=vec),
+    ):
+        """Derivative of `fit_clusters` along a direction, for theta = 0."""
+        candidate, cluster = wp.tid()
+        if running[candidate] != wp.static(RUNNING):
+            return
+        first = offsets[cluster]
+        last = offsets[cluster + 1]
+        centre = vec()
+        for slot in range(first, last):
+            centre += share[slot] * direction_in[candidate, members[slot]]
+        g = transform()
+        for slot in range(first, last):
+            g += wp.outer(direction_in[candidate, members[slot]] - centre, weight[slot])
+        r = turn_change(turned_in[candidate, cluster], compliance_in[candidate, cluster], g * gram[cluster])
+        b = beta[candidate]
+        blend = b * g
+        for i in range(wp.static(dim)):
+            for j in range(wp.static(dim)):
+                blend[i, j] = blend[i, j] + (one - b) * r[i, j]
         transform_out[candidate, cluster] = blend
         centre_out[candidate, cluster] = centre
 
@@ -394,7 +467,7 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
     @kernel
     def products(
         # Rest:
-        count: wp.array(dtype=scalar),
+        metric: wp.array(dtype=scalar),
         # In:
         residual_in: wp.array2d(dtype=vec),
         du_in: wp.array3d(dtype=vec),
@@ -425,14 +498,14 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
             for i in range(first, last):
                 r = residual_in[candidate, i]
                 d = du_in[candidate, newest, i]
-                with_residual += wp.float64(count[i] * wp.dot(r, r))
-                step += wp.float64(count[i] * wp.dot(d, d))
+                with_residual += wp.float64(metric[i] * wp.dot(r, r))
+                step += wp.float64(metric[i] * wp.dot(d, d))
             step_out[candidate, chunk] = step
         elif what < k:
             for i in range(first, last):
                 d = dr_in[candidate, what, i]
-                with_newest += wp.float64(count[i] * wp.dot(d, dr_in[candidate, newest, i]))
-                with_residual += wp.float64(count[i] * wp.dot(d, residual_in[candidate, i]))
+                with_newest += wp.float64(metric[i] * wp.dot(d, dr_in[candidate, newest, i]))
+                with_residual += wp.float64(metric[i] * wp.dot(d, residual_in[candidate, i]))
         gram_out[candidate, what, chunk] = with_newest
         rhs_out[candidate, what, chunk] = with_residual
 
@@ -443,11 +516,12 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
         rhs_part: wp.array3d(dtype=wp.float64),
         step_part: wp.array2d(dtype=wp.float64),
         chunk_count: int,
-        count_total: wp.float64,
+        metric_total: wp.float64,
         tolerance: wp.float64,
         # In and out:
         gram_state: wp.array(dtype=history),
-        steps_state: wp.array(dtype=history_vec),
+        path: wp.array(dtype=wp.float64),
+        mark: wp.array(dtype=int),
         iteration: wp.array(dtype=int),
         best: wp.array(dtype=wp.float64),
         running: wp.array(dtype=int),
@@ -459,7 +533,7 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
     ):
         """Anderson's weights of the remembered changes: least squares of the residual over them, slightly damped.
 
-        The distance still to go is judged by the lengths of the last `MEMORY` steps together, not by the residual: a
+        The distance still to go is judged by the path over the last quarter of all iterations, not by the residual: a
         mode that decays by 0.9998 a step has a residual 5000 times smaller than its error, but accelerated steps
         are as long as the error that they remove. When the residual has grown far above its best, the memory is
         dropped and a plain step follows.
@@ -471,26 +545,28 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
         square_norm = wp.float64(0.0)
         for chunk in range(chunk_count):
             square_norm += rhs_part[candidate, wp.static(MEMORY), chunk]
-        norm = wp.sqrt(square_norm / count_total)
+        norm = wp.sqrt(square_norm / metric_total)
         residual_out[candidate] = norm
         total_out[candidate] = total_out[candidate] + 1
         if not wp.isfinite(norm) or norm > far:
             running[candidate] = wp.static(DIVERGED)
             return
-        steps = steps_state[candidate]
+        if norm <= floor:
+            running[candidate] = wp.static(CONVERGED)
+            return
         if k > 0:
             square_step = wp.float64(0.0)
             for chunk in range(chunk_count):
                 square_step += step_part[candidate, chunk]
-            steps[(k - 1) % wp.static(MEMORY)] = wp.sqrt(square_step / count_total)
-            steps_state[candidate] = steps
-        error = wp.float64(0.0)
-        for i in range(wp.static(MEMORY)):
-            error += steps[i]
-        error_out[candidate] = error
-        if norm <= floor or (k >= wp.static(MEMORY) and error <= tolerance):
-            running[candidate] = wp.static(CONVERGED)
-            return
+            path[candidate] = path[candidate] + wp.sqrt(square_step / metric_total)
+        done = total_out[candidate]
+        if done >= mark[candidate]:
+            error_out[candidate] = path[candidate]
+            mark[candidate] = done + wp.max(done / 3, 8)
+            path[candidate] = wp.float64(0.0)
+            if error_out[candidate] <= tolerance:
+                running[candidate] = wp.static(CONVERGED)
+                return
         gamma = history_vec()
         if norm > growth * best[candidate]:
             iteration[candidate] = 0
@@ -572,7 +648,215 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
             move -= w * (du_in[candidate, i, particle] + dr_in[candidate, i, particle])
         u_out[candidate, particle] = u_out[candidate, particle] + move
 
+    @kernel
+    def residual_products(
+        # Rest:
+        metric: wp.array(dtype=scalar),
+        # In:
+        residual_in: wp.array2d(dtype=vec),
+        residual_last: wp.array2d(dtype=vec),
+        running: wp.array(dtype=int),
+        particle_count: int,
+        # Out:
+        own_out: wp.array2d(dtype=wp.float64),
+        cross_out: wp.array2d(dtype=wp.float64),
+    ):
+        """Partial sums of |r|^2 and of r with the residual before it."""
+        candidate, chunk = wp.tid()
+        if running[candidate] != wp.static(RUNNING):
+            return
+        first = chunk * wp.static(CHUNK)
+        own = wp.float64(0.0)
+        cross = wp.float64(0.0)
+        for i in range(first, wp.min(first + wp.static(CHUNK), particle_count)):
+            r = residual_in[candidate, i]
+            own += wp.float64(metric[i] * wp.dot(r, r))
+            cross += wp.float64(metric[i] * wp.dot(r, residual_last[candidate, i]))
+        own_out[candidate, chunk] = own
+        cross_out[candidate, chunk] = cross
+
+    @kernel
+    def conjugate(
+        # In:
+        own_part: wp.array2d(dtype=wp.float64),
+        cross_part: wp.array2d(dtype=wp.float64),
+        chunk_count: int,
+        metric_total: wp.float64,
+        # In and out:
+        own_last: wp.array(dtype=wp.float64),
+        fresh: wp.array(dtype=int),
+        running: wp.array(dtype=int),
+        # Out:
+        mix_out: wp.array(dtype=scalar),
+        residual_out: wp.array(dtype=wp.float64),
+        total_out: wp.array(dtype=int),
+    ):
+        """How much of the last direction to keep (Polak-Ribiere, never negative); 0 after a restart."""
+        candidate = wp.tid()
+        if running[candidate] != wp.static(RUNNING):
+            return
+        own = wp.float64(0.0)
+        cross = wp.float64(0.0)
+        for chunk in range(chunk_count):
+            own += own_part[candidate, chunk]
+            cross += cross_part[candidate, chunk]
+        norm = wp.sqrt(own / metric_total)
+        residual_out[candidate] = norm
+        total_out[candidate] = total_out[candidate] + 1
+        if not wp.isfinite(norm) or norm > far:
+            running[candidate] = wp.static(DIVERGED)
+            return
+        if norm <= floor:
+            running[candidate] = wp.static(CONVERGED)
+            return
+        mix = wp.float64(0.0)
+        if fresh[candidate] == 0:
+            mix = wp.max((own - cross) / own_last[candidate], wp.float64(0.0))
+        own_last[candidate] = own
+        fresh[candidate] = 0
+        mix_out[candidate] = scalar(mix)
+
+    @kernel
+    def direct(
+        # In:
+        residual_in: wp.array2d(dtype=vec),
+        mix: wp.array(dtype=scalar),
+        running: wp.array(dtype=int),
+        # Out:
+        direction_out: wp.array2d(dtype=vec),
+        residual_last_out: wp.array2d(dtype=vec),
+    ):
+        candidate, particle = wp.tid()
+        if running[candidate] != wp.static(RUNNING):
+            return
+        r = residual_in[candidate, particle]
+        m = mix[candidate]
+        p = r
+        if m != zero:
+            p = r + m * direction_out[candidate, particle]
+        direction_out[candidate, particle] = p
+        residual_last_out[candidate, particle] = r
+
+    @kernel
+    def curvature_products(
+        # Rest:
+        metric: wp.array(dtype=scalar),
+        # In:
+        residual_in: wp.array2d(dtype=vec),
+        direction_in: wp.array2d(dtype=vec),
+        stiff_in: wp.array2d(dtype=vec),
+        running: wp.array(dtype=int),
+        particle_count: int,
+        # Out:
+        slope_out: wp.array2d(dtype=wp.float64),
+        curvature_out: wp.array2d(dtype=wp.float64),
+        length_out: wp.array2d(dtype=wp.float64),
+        longest_out: wp.array2d(dtype=wp.float64),
+    ):
+        """Partial sums along a direction p: slope <r, p>, curvature <p, (I - J) p>, length |p|^2 and longest |p_i|^2.
+
+        `stiff_in` holds J p - p, as `goals` leaves it.
+        """
+        candidate, chunk = wp.tid()
+        if running[candidate] != wp.static(RUNNING):
+            return
+        first = chunk * wp.static(CHUNK)
+        slope = wp.float64(0.0)
+        curvature = wp.float64(0.0)
+        length = wp.float64(0.0)
+        longest = wp.float64(0.0)
+        for i in range(first, wp.min(first + wp.static(CHUNK), particle_count)):
+            p = direction_in[candidate, i]
+            own = wp.float64(wp.dot(p, p))
+            slope += wp.float64(metric[i] * wp.dot(p, residual_in[candidate, i]))
+            curvature -= wp.float64(metric[i] * wp.dot(p, stiff_in[candidate, i]))
+            length += wp.float64(metric[i]) * own
+            longest = wp.max(longest, own)
+        slope_out[candidate, chunk] = slope
+        curvature_out[candidate, chunk] = curvature
+        length_out[candidate, chunk] = length
+        longest_out[candidate, chunk] = longest
+
+    @kernel
+    def choose_step(
+        # In:
+        slope_part: wp.array2d(dtype=wp.float64),
+        curvature_part: wp.array2d(dtype=wp.float64),
+        length_part: wp.array2d(dtype=wp.float64),
+        longest_part: wp.array2d(dtype=wp.float64),
+        chunk_count: int,
+        metric_total: wp.float64,
+        tolerance: wp.float64,
+        # In and out:
+        path: wp.array(dtype=wp.float64),
+        mark: wp.array(dtype=int),
+        total: wp.array(dtype=int),
+        fresh: wp.array(dtype=int),
+        running: wp.array(dtype=int),
+        # Out:
+        step_out: wp.array(dtype=scalar),
+        error_out: wp.array(dtype=wp.float64),
+    ):
+        """Step length to the minimum of the energy along the direction, by its curvature there.
+
+        Where the energy curves down (a crushed cluster about to turn), the step is that of the plain goal map, which
+        never raises the energy, and the direction starts anew. No particle moves more than half a spacing at once.
+        The distance still to go is judged by the path over the last quarter of all iterations.
+        """
+        candidate = wp.tid()
+        if running[candidate] != wp.static(RUNNING):
+            return
+        slope = wp.float64(0.0)
+        curvature = wp.float64(0.0)
+        length = wp.float64(0.0)
+        longest = wp.float64(0.0)
+        for chunk in range(chunk_count):
+            slope += slope_part[candidate, chunk]
+            curvature += curvature_part[candidate, chunk]
+            length += length_part[candidate, chunk]
+            longest = wp.max(longest, longest_part[candidate, chunk])
+        longest = wp.sqrt(longest)
+        step = wp.float64(1.0)
+        if curvature > flat * length and slope > wp.float64(0.0):
+            step = slope / curvature
+        else:
+            fresh[candidate] = 1
+            if slope <= wp.float64(0.0):
+                step = wp.float64(0.0)
+        if step * longest > wp.float64(0.5):
+            step = wp.float64(0.5) / longest
+        path[candidate] = path[candidate] + step * wp.sqrt(length / metric_total)
+        k = total[candidate]
+        if k >= mark[candidate]:
+            error_out[candidate] = path[candidate]
+            mark[candidate] = k + wp.max(k / 3, 8)
+            path[candidate] = wp.float64(0.0)
+            if error_out[candidate] <= tolerance:
+                running[candidate] = wp.static(CONVERGED)
+        step_out[candidate] = scalar(step)
+
+    @kernel
+    def take_step(
+        # In:
+        direction_in: wp.array2d(dtype=vec),
+        step: wp.array(dtype=scalar),
+        running: wp.array(dtype=int),
+        # Out:
+        u_out: wp.array2d(dtype=vec),
+    ):
+        candidate, particle = wp.tid()
+        if running[candidate] != wp.static(RUNNING):
+            return
+        u_out[candidate, particle] = u_out[candidate, particle] + step[candidate] * direction_in[candidate, particle]
+
     return Kernels(
+        fit_changes=fit_changes,
+        residual_products=residual_products,
+        conjugate=conjugate,
+        direct=direct,
+        curvature_products=curvature_products,
+        choose_step=choose_step,
+        take_step=take_step,
         scalar=scalar,
         vec=vec,
         basis_vec=basis_vec,

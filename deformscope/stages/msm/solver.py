@@ -127,9 +127,10 @@ class Msm:
         self._row_offsets = dev(np.concatenate([[0], np.cumsum(count)]).astype(np.int32), dtype=int)
         self._row_clusters = dev(cluster_of[order].astype(np.int32), dtype=int)
         self._row_basis = dev(np.concatenate(row_basis)[order], dtype=kk.basis_vec)
-        self._count = dev(count.astype(np.float64), dtype=kk.scalar)
+        metric = count * mass / mass.mean()  # in which the goal map is symmetric: N_i m_i
+        self._metric = dev(metric, dtype=kk.scalar)
         self._held_row = dev(held_row, dtype=int)
-        self._count_total = float(count[self.free].sum()) or 1.0
+        self._metric_total = float(metric[self.free].sum()) or 1.0
         self.cluster_count = clusters.count
 
     # -- candidates ------------------------------------------------------------------------------------------------
@@ -167,9 +168,12 @@ class Msm:
                 *(self._offsets, self._members, self._share, self._weight, self._a_qq, self._gram),
                 *(self._span, self._span_count, u, beta, theta, running),
             ],
-            outputs=[work.transform, work.centre],
+            outputs=[work.transform, work.centre, work.turned, work.compliance],
             device=self.device,
         )
+        self._launch_means(u, running, work, work.residual)
+
+    def _launch_means(self, u: Any, running: Any, work: _Work, out: Any) -> None:
         wp.launch(
             self._k.goals,
             dim=u.shape,
@@ -177,7 +181,7 @@ class Msm:
                 *(self._row_offsets, self._row_clusters, self._row_basis, self._held_row),
                 *(u, work.transform, work.centre, running),
             ],
-            outputs=[work.residual],
+            outputs=[out],
             device=self.device,
         )
 
@@ -194,7 +198,10 @@ class Msm:
         max_iterations: int = 4000,
         progress: Callable[[int, int], None] | None = None,
     ) -> Relaxed:
-        """The static states, by Anderson's acceleration of the goal map; no dt, alpha or mass of motion enters.
+        """The static states; no dt, alpha or velocity enters.
+
+        With theta = 0 they are minima of an energy, found by conjugate gradients with exact curvature; eq. 3.17 has no
+        energy, so with theta the goal map is accelerated (Anderson). Both stop on an estimate of the distance to go.
 
         held_position: (n, d) or (B, n, d); beta, theta: a number or (B,); start: (K, d) or (B, K, d), default rest
         tolerance: on the estimated distance from the static state, as a share of the body's extent
@@ -216,42 +223,11 @@ class Msm:
             device=self.device,
         )
         running = work.running
-        chunks = work.gram_part.shape[2]
 
-        def iterate() -> None:
-            self._launch_goals(u, beta_d, theta_d, running, work)
-            wp.launch(
-                self._k.remember,
-                dim=u.shape,
-                inputs=[u, work.residual, work.iteration, running],
-                outputs=[work.u_last, work.residual_last, work.du, work.dr],
-                device=self.device,
-            )
-            wp.launch(
-                self._k.products,
-                dim=(size, k.MEMORY + 1, chunks),
-                inputs=[self._count, work.residual, work.du, work.dr, work.iteration, running, u.shape[1]],
-                outputs=[work.gram_part, work.rhs_part, work.step_part],
-                device=self.device,
-            )
-            wp.launch(
-                self._k.accelerate,
-                dim=size,
-                inputs=[
-                    *(work.gram_part, work.rhs_part, work.step_part, chunks),
-                    *(wp.float64(self._count_total), wp.float64(share * self.extent / self.scale)),
-                    *(work.gram, work.steps, work.iteration, work.best, running),
-                ],
-                outputs=[work.gamma, work.norm, work.error, work.total],
-                device=self.device,
-            )
-            wp.launch(
-                self._k.advance,
-                dim=u.shape,
-                inputs=[work.residual, work.du, work.dr, work.gamma, work.iteration, self._held_row, running],
-                outputs=[u],
-                device=self.device,
-            )
+        minimise = not theta_b.any()
+        iterate = functools.partial(
+            self._minimise if minimise else self._accelerate, u, beta_d, theta_d, work, share * self.extent / self.scale
+        )
 
         iterate()  # loads the kernels, so that the capture below records launches only
         with wp.ScopedCapture(device=self.device) as capture:
@@ -271,6 +247,95 @@ class Msm:
             iterations=work.total.numpy(),
             converged=state == k.CONVERGED,
             diverged=state == k.DIVERGED,
+        )
+
+    def _minimise(self, u: Any, beta: Any, theta: Any, work: _Work, tolerance: float) -> None:
+        """One iteration of nonlinear conjugate gradients on the energy (theta = 0): launches only."""
+        running, size, chunks = work.running, u.shape[0], work.rhs_part.shape[2]
+        own, cross = work.own_part, work.cross_part
+        launch = functools.partial(wp.launch, device=self.device)
+        self._launch_goals(u, beta, theta, running, work)
+        launch(
+            self._k.residual_products,
+            dim=(size, chunks),
+            inputs=[self._metric, work.residual, work.residual_last, running, u.shape[1]],
+            outputs=[own, cross],
+        )
+        launch(
+            self._k.conjugate,
+            dim=size,
+            inputs=[own, cross, chunks, wp.float64(self._metric_total), work.own_last, work.fresh, running],
+            outputs=[work.mix, work.norm, work.total],
+        )
+        launch(
+            self._k.direct,
+            dim=u.shape,
+            inputs=[work.residual, work.mix, running],
+            outputs=[work.direction, work.residual_last],
+        )
+        launch(
+            self._k.fit_changes,
+            dim=(size, self.cluster_count),
+            inputs=[
+                *(self._offsets, self._members, self._share, self._weight, self._gram),
+                *(work.direction, work.turned, work.compliance, beta, running),
+            ],
+            outputs=[work.transform, work.centre],
+        )
+        self._launch_means(work.direction, running, work, work.stiff)
+        launch(
+            self._k.curvature_products,
+            dim=(size, chunks),
+            inputs=[self._metric, work.residual, work.direction, work.stiff, running, u.shape[1]],
+            outputs=[own, cross, work.step_part, work.longest_part],
+        )
+        launch(
+            self._k.choose_step,
+            dim=size,
+            inputs=[
+                *(own, cross, work.step_part, work.longest_part, chunks),
+                *(wp.float64(self._metric_total), wp.float64(tolerance)),
+                *(work.path, work.mark, work.total, work.fresh, running),
+            ],
+            outputs=[work.step, work.error],
+        )
+        launch(self._k.take_step, dim=u.shape, inputs=[work.direction, work.step, running], outputs=[u])
+
+    def _accelerate(self, u: Any, beta: Any, theta: Any, work: _Work, tolerance: float) -> None:
+        """One iteration of Anderson's acceleration: launches only, so that it can be captured."""
+        running, size, chunks = work.running, u.shape[0], work.rhs_part.shape[2]
+        self._launch_goals(u, beta, theta, running, work)
+        wp.launch(
+            self._k.remember,
+            dim=u.shape,
+            inputs=[u, work.residual, work.iteration, running],
+            outputs=[work.u_last, work.residual_last, work.du, work.dr],
+            device=self.device,
+        )
+        wp.launch(
+            self._k.products,
+            dim=(size, k.MEMORY + 1, chunks),
+            inputs=[self._metric, work.residual, work.du, work.dr, work.iteration, running, u.shape[1]],
+            outputs=[work.gram_part, work.rhs_part, work.step_part],
+            device=self.device,
+        )
+        wp.launch(
+            self._k.accelerate,
+            dim=size,
+            inputs=[
+                *(work.gram_part, work.rhs_part, work.step_part, chunks),
+                *(wp.float64(self._metric_total), wp.float64(tolerance)),
+                *(work.gram, work.path, work.mark, work.iteration, work.best, running),
+            ],
+            outputs=[work.gamma, work.norm, work.error, work.total],
+            device=self.device,
+        )
+        wp.launch(
+            self._k.advance,
+            dim=u.shape,
+            inputs=[work.residual, work.du, work.dr, work.gamma, work.iteration, self._held_row, running],
+            outputs=[u],
+            device=self.device,
         )
 
     def _all_held(self, held_position: FloatArray, size: int) -> Relaxed:
@@ -338,9 +403,7 @@ class Msm:
                 wp.capture_launch(capture.graph)
         return self._positions(state.u)
 
-    def residual(
-        self, position: FloatArray, beta: FloatArray | float, theta: FloatArray | float = 0.0
-    ) -> FloatArray:
+    def residual(self, position: FloatArray, beta: FloatArray | float, theta: FloatArray | float = 0.0) -> FloatArray:
         """goals(x) - x at the given positions (K, d) or (B, K, d), 0 at held particles: (B, K, d)."""
         position = np.asarray(position, dtype=np.float64).reshape(-1, *self.rest.shape)
         _, (beta_b, theta_b) = self._candidates(position[:, self.held], beta, theta)
@@ -365,6 +428,8 @@ class _Work:
         self.centre = zeros((size, body.cluster_count), dtype=kk.vec)
         self.residual = zeros((size, count), dtype=kk.vec)
         self.u_last = zeros((size, count), dtype=kk.vec)
+        self.turned = zeros((size, body.cluster_count), dtype=kk.moment)
+        self.compliance = zeros((size, body.cluster_count), dtype=kk.moment)
         self.running = wp.full(size, k.RUNNING, dtype=int, device=body.device)
         if stepping:
             return
@@ -376,7 +441,17 @@ class _Work:
         self.rhs_part = zeros((size, k.MEMORY + 1, chunks), dtype=wp.float64)
         self.step_part = zeros((size, chunks), dtype=wp.float64)
         self.gram = zeros(size, dtype=kk.history)
-        self.steps = zeros(size, dtype=kk.history_vec)
+        self.path = zeros(size, dtype=wp.float64)
+        self.mark = wp.full(size, 8, dtype=int, device=body.device)
+        self.own_part = zeros((size, chunks), dtype=wp.float64)
+        self.cross_part = zeros((size, chunks), dtype=wp.float64)
+        self.longest_part = zeros((size, chunks), dtype=wp.float64)
+        self.own_last = zeros(size, dtype=wp.float64)
+        self.fresh = wp.full(size, 1, dtype=int, device=body.device)
+        self.mix = zeros(size, dtype=kk.scalar)
+        self.step = zeros(size, dtype=kk.scalar)
+        self.direction = zeros((size, count), dtype=kk.vec)
+        self.stiff = zeros((size, count), dtype=kk.vec)
         self.iteration = zeros(size, dtype=int)
         self.best = wp.full(size, np.inf, dtype=wp.float64, device=body.device)
         self.gamma = zeros(size, dtype=kk.history_vec)
