@@ -19,8 +19,8 @@ from typing import Literal
 
 import numpy as np
 
-from deformscope.arrays import BoolArray, FloatArray, IntArray
-from deformscope.stages.msm.clusters import FLAT_MOMENT_RATIO, Clusters
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.stages.msm.clusters import FLAT_MOMENT_RATIO, Clusters, held_mask
 
 Basis = Literal["linear", "quadratic"]
 
@@ -51,10 +51,10 @@ class RestCluster:
 
 @dataclass(frozen=True, slots=True)
 class Rest:
-    """A body at rest: positions (K, d), held mask (K,), and its clusters."""
+    """A body at rest: positions (K, d), indices of the held particles (n,), and its clusters."""
 
     position: FloatArray
-    held: BoolArray
+    held: IntArray
     clusters: tuple[RestCluster, ...]
 
 
@@ -64,9 +64,7 @@ def build_rest(
     """Everything about the rest shape that the equations need. position (K, d) [m], mass (K,) [kg], default 1."""
     position = np.asarray(position, dtype=np.float64)
     mass = np.ones(len(position)) if mass is None else np.asarray(mass, dtype=np.float64)
-    mask = np.zeros(len(position), dtype=bool)
-    mask[held] = True
-    return Rest(position, mask, tuple(_rest_cluster(position, mass, index, basis) for index in clusters))
+    return Rest(position, np.asarray(held), tuple(_rest_cluster(position, mass, index, basis) for index in clusters))
 
 
 def _rest_cluster(position: FloatArray, mass: FloatArray, index: IntArray, basis: Basis) -> RestCluster:
@@ -186,7 +184,7 @@ def relax(
     """
     x = (rest.position if start is None else start).astype(np.float64).copy()
     x[rest.held] = held_position
-    free = ~rest.held
+    free = ~held_mask(len(x), rest.held)
     extent = float(np.ptp(rest.position, axis=0).max()) or 1.0
     states: list[FloatArray] = []
     residuals: list[FloatArray] = []

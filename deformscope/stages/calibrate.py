@@ -1,0 +1,438 @@
+"""Calibration of beta and theta: sweep all candidates at once, refine the minimum, say how sure it is.
+
+The sweep is the thesis's Algorithm 3; `method="gradient"` serves Algorithm 2's purpose. The error is eq. 3.18, 3.19.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.stages import interval
+from deformscope.stages.distance import distances, nearest_error
+from deformscope.stages.estimate import Comparison, Curve, Estimate, LengthUnit, Parameter, Verdict
+from deformscope.stages.msm import clusters
+from deformscope.stages.msm.reference import Basis
+from deformscope.stages.msm.solver import Msm, Precision, Relaxed
+
+Method = Literal["sweep", "gradient"]
+Progress = Callable[[str, int, int], None]
+
+IDENTIFIED_WIDTH, WEAK_WIDTH = 0.2, 0.7
+"""An interval narrower than the first is identified, narrower than the second weak."""
+
+REPEATS = 400
+MOST_HELD_DIRECTIONS = 200
+"""Held coordinates whose effect is computed one by one; beyond, as many random combinations stand for them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """One manipulation: a rest shape, what it became, and what was held.
+
+    rest, deformed: (K, d), d = 2 or 3 [unit]; held: (n,) indices whose deformed position is prescribed
+    observed: (K,) particles that were seen in `deformed`; noise: (K,) standard deviation per coordinate, None if unknown
+    shape, cell: the lattice that the particles stand on (last axis fastest, may have holes), None if they stand on none
+    """
+
+    rest: FloatArray
+    deformed: FloatArray
+    held: IntArray
+    observed: BoolArray
+    noise: FloatArray | None = None
+    shape: tuple[int, ...] | None = None
+    cell: IntArray | None = None
+    unit: LengthUnit = "m"
+
+    def __post_init__(self) -> None:
+        count, d = self.rest.shape
+        if not (np.isfinite(self.rest).all() and np.isfinite(self.deformed[self.observed]).all()):
+            raise InputError("finite positions", "NaN or infinity in rest or deformed", "drop those particles")
+        if not np.isfinite(self.deformed[self.held]).all():
+            raise InputError("finite positions of the held particles", "NaN or infinity", "hold fewer particles")
+        if np.unique(self.rest, axis=0).shape[0] != count:
+            raise InputError("distinct rest positions", "duplicate points in rest", "keep each particle once")
+        if self.held.size == 0:
+            raise InputError("at least one held particle", "none", "name what was held and what was pushed")
+        if np.unique(self.held).size == count:
+            raise InputError("some free particles", "every particle held", "hold only what was fixed or pushed")
+        if not self.free_observed.any():
+            raise InputError("free particles that were observed", "none", "check `observed` and what is held")
+        if clusters.rank(self.rest) < min(d, 2):
+            raise InputError("rest points that span a plane", "points on a line", "observe an area, not a line")
+
+    @property
+    def free_observed(self) -> BoolArray:
+        """(K,) particles that the fit is judged by: seen and not prescribed."""
+        return np.asarray(self.observed & ~clusters.held_mask(len(self.rest), self.held))
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """What is fitted: which parameter, and everything about the simulation that stays fixed.
+
+    cluster_size: particles a side of the overlapping clusters; None = one cluster of all particles
+    beta, theta: the value of the one that is not fitted; alpha does not change a static state and is recorded only
+    """
+
+    parameter: Parameter = "beta"
+    basis: Basis = "linear"
+    cluster_size: int | None = 3
+    alpha: float = 1.0
+    beta: float = 0.99
+    theta: float = 0.0
+    precision: Precision = "float64"
+    device: str = "cpu"
+
+    def body(self, seen: Observation) -> Msm:
+        """The particles of an observation in this model's clusters, on its device."""
+        if self.cluster_size is None:
+            grouped = clusters.single(len(seen.rest))
+        elif seen.shape is not None and seen.cell is not None:
+            grouped = clusters.lattice(seen.rest, seen.shape, seen.cell, self.cluster_size)
+        else:
+            grouped = clusters.nearest(seen.rest, self.cluster_size ** seen.rest.shape[1])
+        return Msm(seen.rest, grouped, seen.held, basis=self.basis, precision=self.precision, device=self.device)
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """An estimate, and the simulation at it of every observation that it rests on."""
+
+    estimate: Estimate
+    comparisons: tuple[Comparison, ...]
+
+
+@dataclass
+class _Tried:
+    """Every candidate simulated so far: parameter (g,), for each observation positions (g, K, d), and `settled` (g,)."""
+
+    parameter: FloatArray = field(default_factory=lambda: np.empty(0))
+    positions: list[FloatArray] = field(default_factory=list)
+    converged: BoolArray = field(default_factory=lambda: np.empty(0, dtype=bool))
+    usable: BoolArray = field(default_factory=lambda: np.empty(0, dtype=bool))
+
+
+class _Fit:
+    """One parameter against one or more observations that share it."""
+
+    def __init__(self, seen: Sequence[Observation], model: Model, bounds: tuple[float, float]) -> None:
+        self.seen = list(seen)
+        self.model = model
+        self.bounds = bounds
+        self.bodies = [model.body(s) for s in self.seen]
+        self.tried = _Tried(positions=[np.empty((0, *s.rest.shape)) for s in self.seen])
+
+    def simulate(self, parameter: FloatArray, progress: Progress | None = None, what: str = "simulating") -> FloatArray:
+        """Relax every candidate for every observation, starting from the nearest one known; returns their AEE."""
+        parameter = np.atleast_1d(np.asarray(parameter, dtype=np.float64))
+        converged = np.ones(len(parameter), dtype=bool)
+        usable = np.ones(len(parameter), dtype=bool)
+        for row, (seen, body) in enumerate(zip(self.seen, self.bodies, strict=True)):
+            start = None
+            known = np.flatnonzero(self.tried.usable)
+            if known.size:
+                nearest = known[np.abs(self.tried.parameter[known, None] - parameter).argmin(axis=0)]
+                start = self.tried.positions[row][nearest]
+            note = None if progress is None else lambda done, all_: progress(what, done, all_)
+            state = self._relax(body, seen.deformed[seen.held], parameter, start, note)
+            self.tried.positions[row] = np.concatenate([self.tried.positions[row], state.position])
+            converged &= state.converged
+            usable &= ~state.diverged
+        self.tried.parameter = np.concatenate([self.tried.parameter, parameter])
+        self.tried.converged = np.concatenate([self.tried.converged, converged])
+        self.tried.usable = np.concatenate([self.tried.usable, usable])
+        order = np.argsort(self.tried.parameter, kind="stable")
+        self.tried = _Tried(
+            self.tried.parameter[order],
+            [p[order] for p in self.tried.positions],
+            self.tried.converged[order],
+            self.tried.usable[order],
+        )
+        return self.error()
+
+    def _relax(
+        self,
+        body: Msm,
+        held_position: FloatArray,
+        parameter: FloatArray | float,
+        start: FloatArray | None,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> Relaxed:
+        beta, theta = (parameter, self.model.theta) if self.model.parameter == "beta" else (self.model.beta, parameter)
+        return body.relax(held_position, beta, theta, start=start, progress=progress)
+
+    def error(self) -> FloatArray:
+        """AEE of every candidate tried over all observed particles of all observations; NaN where not usable."""
+        total = np.zeros(len(self.tried.parameter))
+        count = 0
+        for seen, position in zip(self.seen, self.tried.positions, strict=True):
+            total += distances(position[:, seen.observed], seen.deformed[seen.observed]).sum(axis=1)
+            count += int(seen.observed.sum())
+        return np.where(self.tried.usable, total / count, np.nan)
+
+    # -- the best value --------------------------------------------------------------------------------------------
+
+    def best(self) -> int:
+        error = self.error()
+        if np.isnan(error).all():
+            raise InputError(
+                "a simulation that stays finite",
+                "every candidate diverged (eq. 3.17 with overlapping clusters does at high theta)",
+                "a lower --theta, or one cluster",
+            )
+        return int(np.nanargmin(error))
+
+    def sweep(self, count: int, progress: Progress | None) -> None:
+        """Algorithm 3: all candidates of the range in one run."""
+        self.simulate(np.linspace(*self.bounds, count), progress, "sweeping")
+
+    def refine(self, tolerance: float = 1e-4, rounds: int = 6) -> None:
+        """Narrow the bracket around the lowest error, eight candidates at a time, spaced evenly in `_stretch`."""
+        for _ in range(rounds):
+            i = self.best()
+            low = self.tried.parameter[max(i - 1, 0)]
+            high = self.tried.parameter[min(i + 1, len(self.tried.parameter) - 1)]
+            if high - low <= tolerance:
+                return
+            inner = self._shrink(np.linspace(self._stretch(low), self._stretch(high), 10)[1:-1])
+            new = inner[np.abs(inner[:, None] - self.tried.parameter).min(axis=1) > 0.02 * tolerance]
+            if new.size == 0:
+                return
+            self.simulate(new)
+
+    def descend(self, progress: Progress | None, tolerance: float = 1e-4) -> str:
+        """Algorithm 2's purpose: follow the slope of the error to its minimum. Returns why it stopped.
+
+        The thesis takes fixed steps of 0.01 times the slope and stops when the error changes little, often before the
+        minimum. Here the slope comes from two neighbours simulated beside each point, the step from the slope's own
+        change (secant), kept inside the bracket in which the slope changes sign; it stops when that bracket is
+        narrower than `tolerance`, or at a bound that the slope pushes against.
+        """
+        low, high = (self._stretch(b) for b in self.bounds)
+        h = 1e-3 * (high - low)
+        point = 0.5 * (low + high)
+        ends = {low: self._slope(low, h), high: self._slope(high, h)}
+        if ends[low] >= 0.0:
+            return "at the lower bound: the error rises from there"
+        if ends[high] <= 0.0:
+            return "at the upper bound: the error still falls there"
+        a, b = low, high
+        for step in range(60):
+            if progress is not None:
+                progress("descending", step, 60)
+            slope = self._slope(point, h)
+            if slope == 0.0:
+                return "the slope is zero"
+            if slope < 0.0:
+                a = point
+            else:
+                b = point
+            ends[point] = slope
+            if abs(float(self._shrink(b)) - float(self._shrink(a))) <= tolerance:
+                return f"the slope changes sign within {tolerance:g}"
+            secant = a - ends[a] * (b - a) / (ends[b] - ends[a])
+            # a secant that creeps along one side of the bracket is replaced by its middle
+            inside = a + 0.1 * (b - a) < secant < b - 0.1 * (b - a)
+            point = secant if inside and step % 3 != 2 else 0.5 * (a + b)
+            h = min(h, 0.05 * (b - a))
+        return "60 steps were taken"
+
+    def _slope(self, point: float, h: float) -> float:
+        low, high = (self._stretch(b) for b in self.bounds)
+        ends = self._shrink(np.array([max(point - h, low), min(point + h, high)]))
+        self.simulate(ends)
+        error, at = self.error(), self.tried.parameter
+        pair = [float(error[np.abs(at - e).argmin()]) for e in ends]
+        return (pair[1] - pair[0]) / (self._stretch(ends[1]) - self._stretch(ends[0]))
+
+    def _stretch(self, parameter: float) -> float:
+        """-log(1 - beta) resolves beta near 1, where the shape still changes; theta stays as it is."""
+        return float(-np.log1p(-parameter)) if self.model.parameter == "beta" else float(parameter)
+
+    def _shrink(self, stretched: FloatArray | float) -> FloatArray:
+        value = np.asarray(stretched, dtype=np.float64)
+        value = -np.expm1(-value) if self.model.parameter == "beta" else value
+        return np.clip(value, *self.bounds)
+
+    # -- the interval ----------------------------------------------------------------------------------------------
+
+    def interval(self, level: float, seed: int, progress: Progress | None) -> tuple[tuple[float, float], float | None]:
+        """The interval of `deformscope.stages.interval`, and the white noise that the residuals tell of [unit]."""
+        best = self.best()
+        value = float(self.tried.parameter[best])
+        rng = np.random.default_rng(seed)
+        left = [self._residuals(row, best, rng, progress) for row in range(len(self.seen))]
+        models = [interval.explain(r, seed) for r in left]
+        found = None
+        if left[0].noise is None:
+            found = float(np.sqrt(np.mean([float(m.weight @ m.scale**2) for m in models])))
+        size = sum(r.value.size for r in left)
+        count = int(np.clip(4e5 / size, 150, REPEATS))
+        draws = np.concatenate([interval.draw(r, m, count, rng) for r, m in zip(left, models, strict=True)], axis=1)
+        half = self._guess_half_width(draws)
+        at, low, high = self._stretch(value), self._stretch(self.bounds[0]), self._stretch(self.bounds[1])
+        observed = np.concatenate([s.deformed[s.free_observed] for s in self.seen])
+        for widen in range(6):
+            reach = half * 2.5**widen
+            grid = self._shrink(
+                np.unique(np.concatenate([np.linspace(max(at - reach, low), min(at + reach, high), 41), [at]]))
+            )
+            simulated = self._at(grid, progress)
+            ends = interval.accepted(grid, simulated, observed, draws, level)
+            open_low = ends[0] <= grid[0] and grid[0] > self.bounds[0]
+            open_high = ends[1] >= grid[-1] and grid[-1] < self.bounds[1]
+            if not (open_low or open_high):
+                break
+        return (min(ends[0], value), max(ends[1], value)), found
+
+    def _at(self, grid: FloatArray, progress: Progress | None) -> FloatArray:
+        """Free observed particles of all observations at these parameters, (g, n, d)."""
+        known = np.abs(grid[:, None] - self.tried.parameter).min(axis=1) <= 1e-12
+        if not known.all():
+            self.simulate(grid[~known], progress, "interval")
+        rows = np.abs(grid[:, None] - self.tried.parameter).argmin(axis=1)
+        return np.concatenate(
+            [p[rows][:, s.free_observed] for s, p in zip(self.seen, self.tried.positions, strict=True)], axis=1
+        )
+
+    def _guess_half_width(self, draws: FloatArray) -> float:
+        """About four standard deviations of the estimate, in stretched units, from its sensitivity."""
+        i = self.best()
+        a, b = max(i - 1, 0), min(i + 1, len(self.tried.parameter) - 1)
+        move = np.concatenate(
+            [(p[b] - p[a])[s.free_observed] for s, p in zip(self.seen, self.tried.positions, strict=True)]
+        ) / max(self._stretch(self.tried.parameter[b]) - self._stretch(self.tried.parameter[a]), 1e-12)
+        size = float(np.sum(move**2))
+        whole = self._stretch(self.bounds[1]) - self._stretch(self.bounds[0])
+        if size <= 0.0:
+            return whole
+        deviation = float(np.std(np.einsum("rnd,nd->r", draws, move) / size))
+        return float(np.clip(5.0 * deviation, 1e-4 * whole, whole))
+
+    def _residuals(
+        self, row: int, best: int, rng: np.random.Generator, progress: Progress | None
+    ) -> interval.Residuals:
+        seen, position = self.seen[row], self.tried.positions[row][best]
+        judged = seen.free_observed
+        return interval.Residuals(
+            rest=seen.rest[judged],
+            value=(seen.deformed - position)[judged],
+            noise=None if seen.noise is None else seen.noise[judged],
+            held_effect=self._held_effect(row, best, rng, progress)[judged],
+            spacing=self.bodies[row].scale,
+        )
+
+    def _held_effect(self, row: int, best: int, rng: np.random.Generator, progress: Progress | None) -> FloatArray:
+        """How noise of the prescribed positions moves the particles, (K, d, m), for m standard draws."""
+        seen, body = self.seen[row], self.bodies[row]
+        base = self.tried.positions[row][best]
+        count, d = len(seen.held), seen.rest.shape[1]
+        deviation = np.ones(count) if seen.noise is None else seen.noise[seen.held]
+        directions = np.eye(count * d)
+        if count * d > MOST_HELD_DIRECTIONS:
+            directions = rng.standard_normal((MOST_HELD_DIRECTIONS, count * d)) / np.sqrt(MOST_HELD_DIRECTIONS)
+        directions = directions.reshape(-1, count, d)
+        small = 1e-3 * body.scale / np.abs(directions).max()
+        effect = np.empty((len(directions), *base.shape))
+        for first in range(0, len(directions), 64):
+            batch = directions[first : first + 64]
+            if progress is not None:
+                progress("held noise", first, len(directions))
+            moved = self._relax(body, base[seen.held] + small * batch, float(self.tried.parameter[best]), base)
+            effect[first : first + 64] = (moved.position - base) / small
+        deviations = (
+            np.ones(len(directions)) * float(np.mean(deviation))
+            if count * d > MOST_HELD_DIRECTIONS
+            else np.repeat(deviation, d)
+        )
+        return np.moveaxis(effect * deviations[:, None, None], 0, -1)
+
+
+def calibrate(
+    seen: Sequence[Observation],
+    model: Model,
+    bounds: tuple[float, float],
+    *,
+    method: Method = "sweep",
+    candidates: int = 100,
+    level: float = 0.9,
+    seed: int = 0,
+    settings: dict[str, object] | None = None,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Fit `model.parameter` to observations that share it, with its interval and verdicts.
+
+    method: "sweep" tries `candidates` values over `bounds` and refines around the lowest error (Algorithm 3);
+    "gradient" follows the slope (Algorithm 2's purpose) and draws the curve only where it went
+    settings: recorded with the estimate; progress: called with (what, done, all)
+    """
+    if len({s.unit for s in seen}) != 1:
+        raise InputError("observations in one unit", "pixels and metres mixed", "fit them apart")
+    fit = _Fit(seen, model, bounds)
+    used: dict[str, object] = {
+        "cluster_size": model.cluster_size,
+        "mode": model.basis,
+        "alpha": model.alpha,
+        "beta": None if model.parameter == "beta" else model.beta,
+        "theta": None if model.parameter == "theta" else model.theta,
+        "method": method,
+        "bounds": list(bounds),
+        "seed": seed,
+        "precision": model.precision,
+        "device": model.device,
+    }
+    if method == "sweep":
+        fit.sweep(candidates, progress)
+        curve = Curve(fit.tried.parameter.copy(), fit.error())
+        fit.refine()
+        used["candidates"] = candidates
+    else:
+        used["stopped"] = fit.descend(progress)
+        curve = Curve(fit.tried.parameter.copy(), fit.error())
+    ends, found_noise = fit.interval(level, seed, progress)
+    best = fit.best()
+    given = [float(np.sqrt(np.mean(s.noise[s.free_observed] ** 2))) for s in seen if s.noise is not None]
+    used["noise"] = float(np.mean(given)) if given else found_noise
+    used["noise_source"] = "given" if given else "residuals"
+    comparisons = tuple(
+        Comparison(s.rest, s.deformed, p[best], s.observed, s.held, s.unit)
+        for s, p in zip(seen, fit.tried.positions, strict=True)
+    )
+    free = np.concatenate(
+        [distances(c.simulated, c.observed)[s.free_observed] for c, s in zip(comparisons, seen, strict=True)]
+    )
+    near = [nearest_error(c.simulated, c.observed[c.seen]) for c in comparisons]
+    supported = (fit.tried.parameter >= ends[0]) & (fit.tried.parameter <= ends[1])
+    estimate = Estimate(
+        parameter=model.parameter,
+        value=float(fit.tried.parameter[best]),
+        interval=ends,
+        level=level,
+        bounds=bounds,
+        verdict=verdict(ends, bounds),
+        stiffness_verdict="unidentified",
+        aee=float(fit.error()[best]),
+        aee_free=float(free.mean()),
+        nearest=float(np.mean(near)),
+        unit=seen[0].unit,
+        curve=curve,
+        converged=bool(fit.tried.converged[supported].all()),
+        settings={**used, **(settings or {})},
+    )
+    return Calibration(estimate, comparisons)
+
+
+def verdict(ends: tuple[float, float], bounds: tuple[float, float]) -> Verdict:
+    """What an interval within its bounds allows to say."""
+    width = ends[1] - ends[0]
+    if width >= WEAK_WIDTH:
+        return "unidentified"
+    if ends[0] <= bounds[0] or ends[1] >= bounds[1]:
+        return "at-bound"
+    return "identified" if width < IDENTIFIED_WIDTH else "weak"

@@ -1,0 +1,27 @@
+"""How far simulated particles are from observed ones."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from deformscope.arrays import FloatArray
+
+
+def distances(simulated: FloatArray, observed: FloatArray) -> FloatArray:
+    """Euclidean distance of each particle from where it was observed: (..., K, d) and (K, d) give (..., K)."""
+    return np.asarray(np.sqrt(np.sum((simulated - observed) ** 2, axis=-1)))
+
+
+def average_error(simulated: FloatArray, observed: FloatArray) -> FloatArray:
+    """Average Euclidean error (AEE) over particles (Thesis eq. 3.18, 3.19): (..., K, d) and (K, d) give (...)."""
+    return np.asarray(distances(simulated, observed).mean(axis=-1))
+
+
+def nearest_error(simulated: FloatArray, observed: FloatArray) -> float:
+    """Mean distance from each simulated point (n, d) to the nearest observed one (m, d) (Thesis eq. 4.6).
+
+    One-sided: observed points that no simulated point comes near do not count.
+    """
+    distance, _ = cKDTree(observed).query(simulated)
+    return float(np.mean(distance))

@@ -1,0 +1,170 @@
+"""An interval for one parameter, from its error curve and from what noise and misfit do to that curve.
+
+The interval holds every value whose error exceeds the lowest one by no more than it would in `level` of all repeats,
+were that value true (Feldman and Cousins 1998, with the average Euclidean error as the statistic). So it always holds
+the estimate, needs no flat-top or Gaussian shape, and stays right where the parameter reaches a bound.
+
+Repeats differ by three things, weighed by how well they explain the residuals that were seen:
+
+- white noise of each observed particle, of known or unknown size;
+- the same noise in the prescribed positions, which moves every simulated particle (taken as exact, 90 % intervals
+  cover about half the time); data whose prescribed positions are exact say so by their residuals;
+- misfit of the model: a smooth random field (Matern 3/2) as large as the residuals ask for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import eigh, solve_triangular
+from scipy.spatial.distance import cdist
+
+from deformscope.arrays import FloatArray
+
+MISFIT_LENGTHS = (1.0, 2.5, 6.0)
+"""Correlation lengths tried for the misfit, in particle spacings."""
+
+MISFIT_SHARES = (0.1, 0.3, 1.0, 3.0)
+"""Misfit variances tried, in units of the residuals' mean square (known noise)."""
+
+MISFIT_RATIOS = (0.3, 1.0, 3.0, 10.0, 100.0)
+"""Misfit variances tried, in units of the white noise (unknown noise)."""
+
+PRIOR_NO_MISFIT = 0.5
+MOST_FOR_EVIDENCE = 200
+"""Particles that the evidence for noise and misfit is taken from; more add cost, not insight."""
+
+
+@dataclass(frozen=True, slots=True)
+class Residuals:
+    """What is left unexplained at the estimate, for the free observed particles of one observation.
+
+    rest: (n, d) their rest positions; value: (n, d) observed - simulated; noise: (n,) one standard deviation per
+    coordinate, or None if unknown; held_effect: (n, d, m) displacement of each for m independent standard draws of
+    the prescribed positions' noise (times the noise if that is known); spacing: of the particles
+    """
+
+    rest: FloatArray
+    value: FloatArray
+    noise: FloatArray | None
+    held_effect: FloatArray
+    spacing: float
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseModel:
+    """Weighed explanations of the residuals: each a white-noise scale, a share of held noise, a misfit and its length.
+
+    weight: (h,) summing to 1; scale, held_share, misfit, length: (h,); scale multiplies `noise` (1 if that was known)
+    """
+
+    weight: FloatArray
+    scale: FloatArray
+    held_share: FloatArray
+    misfit: FloatArray
+    length: FloatArray
+
+
+def explain(residuals: Residuals, seed: int = 0) -> NoiseModel:
+    """Weigh the explanations by how likely they make the residuals (Gaussian evidence, flat over the grid)."""
+    rng = np.random.default_rng(seed)
+    n, d = residuals.value.shape
+    pick = np.sort(rng.permutation(n)[:MOST_FOR_EVIDENCE])
+    value = residuals.value[pick].ravel()
+    size = value.size
+    known = residuals.noise is not None
+    mean_square = float(np.mean(value**2)) or np.finfo(float).tiny
+    white = np.repeat(np.ones(len(pick)) if residuals.noise is None else residuals.noise[pick] ** 2, d)
+    white = np.maximum(white, 1e-12 * mean_square)
+    effect = residuals.held_effect[pick].reshape(size, -1)
+    distance = cdist(residuals.rest[pick], residuals.rest[pick]) / residuals.spacing
+    rows: list[tuple[float, float, float, float, float]] = []
+    for held_share in (0.0, 1.0):
+        base = np.diag(white) + held_share * effect @ effect.T
+        lower = np.linalg.cholesky(base)
+        log_det_base = 2.0 * float(np.log(np.diag(lower)).sum())
+        for length in MISFIT_LENGTHS:
+            field = np.kron(_matern(distance / length), np.eye(d))
+            half = solve_triangular(lower, field, lower=True)
+            moments, axes = eigh(solve_triangular(lower, half.T, lower=True))
+            z2 = (axes.T @ solve_triangular(lower, value, lower=True)) ** 2
+            moments = np.maximum(moments, 0.0)
+            misfits = [m * mean_square for m in MISFIT_SHARES] if known else list(MISFIT_RATIOS)
+            for misfit in [0.0, *misfits]:
+                spread = 1.0 + misfit * moments
+                chi2 = float(np.sum(z2 / spread))
+                log_det = log_det_base + float(np.log(spread).sum())
+                if known:
+                    scale2, log_like = 1.0, -0.5 * (chi2 + log_det)
+                else:
+                    scale2 = chi2 / size
+                    log_like = -0.5 * (size * np.log(max(scale2, np.finfo(float).tiny)) + log_det)
+                prior = PRIOR_NO_MISFIT if misfit == 0.0 else (1.0 - PRIOR_NO_MISFIT) / len(misfits)
+                rows.append((log_like + float(np.log(prior)), np.sqrt(scale2), held_share, misfit * scale2, length))
+    table = np.array(rows)
+    weight = np.exp(table[:, 0] - table[:, 0].max())
+    keep = weight > 1e-3 * weight.max()
+    weight, table = weight[keep] / weight[keep].sum(), table[keep]
+    return NoiseModel(weight, table[:, 1], table[:, 2], table[:, 3], table[:, 4])
+
+
+def draw(residuals: Residuals, model: NoiseModel, count: int, rng: np.random.Generator) -> FloatArray:
+    """Repeats of noise, held noise and misfit: (count, n, d)."""
+    n, d = residuals.value.shape
+    sigma = np.ones(n) if residuals.noise is None else residuals.noise
+    which = rng.choice(len(model.weight), size=count, p=model.weight)
+    out = rng.standard_normal((count, n, d)) * sigma[:, None] * model.scale[which][:, None, None]
+    effect = residuals.held_effect.reshape(n * d, -1)
+    held = rng.standard_normal((count, effect.shape[1])) @ effect.T
+    out += held.reshape(count, n, d) * (model.scale[which] * np.sqrt(model.held_share[which]))[:, None, None]
+    for length in np.unique(model.length):
+        rows = np.flatnonzero((model.length[which] == length) & (model.misfit[which] > 0.0))
+        if rows.size:
+            field = _matern(cdist(residuals.rest, residuals.rest) / (residuals.spacing * length))
+            factor = np.linalg.cholesky(field + 1e-9 * np.eye(n))
+            smooth = np.einsum("ij,kjd->kid", factor, rng.standard_normal((rows.size, n, d)), optimize=True)
+            out[rows] += smooth * np.sqrt(model.misfit[which[rows]])[:, None, None]
+    return out
+
+
+def accepted(
+    parameter: FloatArray,
+    simulated: FloatArray,
+    observed: FloatArray,
+    repeats: FloatArray,
+    level: float,
+) -> tuple[float, float]:
+    """The set of values that the error curve does not rule out, as the ends of its hull.
+
+    parameter: (g,) rising; simulated: (g, n, d) free observed particles at each; observed: (n, d);
+    repeats: (r, n, d) draws of what may happen to the observation
+    """
+    error = np.sqrt(np.sum((simulated - observed) ** 2, axis=-1)).mean(axis=-1)
+    excess = error - error.min()
+    tested = np.unique(np.linspace(0, len(parameter) - 1, 13).round().astype(int))
+    limit = np.empty(len(tested))
+    for row, truth in enumerate(tested):
+        offset = simulated[truth] - simulated  # (g, n, d)
+        curves = np.empty((len(repeats), len(parameter)))
+        for g in range(len(parameter)):
+            curves[:, g] = np.sqrt(np.einsum("rnd,rnd->rn", repeats + offset[g], repeats + offset[g])).mean(axis=1)
+        limit[row] = np.quantile(curves[:, truth] - curves.min(axis=1), level)
+    margin = np.interp(parameter, parameter[tested], limit) - excess
+    inside = np.flatnonzero(margin >= 0.0)
+    low, high = int(inside[0]), int(inside[-1])
+    return _cross(parameter, margin, low, low - 1), _cross(parameter, margin, high, high + 1)
+
+
+def _cross(parameter: FloatArray, margin: FloatArray, inside: int, outside: int) -> float:
+    """Where the margin crosses 0 between two neighbouring values; the value itself at the end of the range."""
+    if not 0 <= outside < len(parameter):
+        return float(parameter[inside])
+    share = margin[inside] / (margin[inside] - margin[outside])
+    return float(parameter[inside] + share * (parameter[outside] - parameter[inside]))
+
+
+def _matern(scaled_distance: FloatArray) -> FloatArray:
+    """Matern 3/2 correlation at distances in units of its length."""
+    s = np.sqrt(3.0) * scaled_distance
+    return np.asarray((1.0 + s) * np.exp(-s))
