@@ -1,1 +1,77 @@
-"""A twin for every stage: the only place with rerun archetypes. Nothing here computes."""
+"""A twin for every stage: how its results are shown. The only place, with the recorder, that knows rerun."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import rerun as rr
+
+from deformscope.log.canvas import Canvas, spacing_of
+from deformscope.log.estimate import log_comparison, log_estimate
+from deformscope.log.flow import log_flow
+from deformscope.log.particles import log_grid, log_tracked
+from deformscope.stages.estimate import Comparison, Estimate
+from deformscope.stages.flow import FlowField
+from deformscope.stages.particles import ParticleGrid, Tracked
+
+
+def log_result(rec: rr.RecordingStream, result: object, canvas: Canvas) -> None:
+    """Log one stage's result at the stream's present time, drawn for this canvas."""
+    _log(result, rec, canvas)
+
+
+@functools.singledispatch
+def _log(result: object, rec: rr.RecordingStream, canvas: Canvas) -> None:
+    raise TypeError(f"no twin in deformscope.log shows a {type(result).__name__}")
+
+
+@functools.singledispatch
+def canvas_with(result: object, canvas: Canvas) -> Canvas:
+    """The canvas after this result: some tell where the particles are, and how far apart."""
+    return canvas
+
+
+@_log.register
+def _(result: FlowField, rec: rr.RecordingStream, canvas: Canvas) -> None:
+    log_flow(rec, result, canvas)
+
+
+@_log.register
+def _(result: ParticleGrid, rec: rr.RecordingStream, canvas: Canvas) -> None:
+    log_grid(rec, result, canvas)
+
+
+@_log.register
+def _(result: Tracked, rec: rr.RecordingStream, canvas: Canvas) -> None:
+    log_tracked(rec, result, canvas)
+
+
+@_log.register
+def _(result: Comparison, rec: rr.RecordingStream, canvas: Canvas) -> None:
+    log_comparison(rec, result, canvas)
+
+
+@_log.register
+def _(result: Estimate, rec: rr.RecordingStream, canvas: Canvas) -> None:
+    log_estimate(rec, result, canvas)
+
+
+@canvas_with.register
+def _(result: ParticleGrid, canvas: Canvas) -> Canvas:
+    return dataclasses.replace(canvas.around(result.rest_px), spacing=spacing_of(result.rest_px))
+
+
+@canvas_with.register
+def _(result: Tracked, canvas: Canvas) -> Canvas:
+    return canvas.around(result.position_px)
+
+
+@canvas_with.register
+def _(result: Comparison, canvas: Canvas) -> Canvas:
+    import numpy as np
+
+    if canvas.image:
+        return canvas if canvas.spacing else dataclasses.replace(canvas, spacing=spacing_of(result.rest))
+    every = np.concatenate([result.rest, result.observed[result.seen], result.simulated])
+    return dataclasses.replace(canvas.around(every), spacing=spacing_of(result.rest))

@@ -1,0 +1,219 @@
+"""What a calibration found: simulated against observed particles, their residuals, the error curve, the verdict."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+import rerun as rr
+
+from deformscope.arrays import FloatArray
+from deformscope.log.canvas import (
+    HELD,
+    OBSERVED,
+    REST,
+    SIMULATED,
+    Canvas,
+    colors,
+    log_color_bar,
+    log_legend,
+    round_up,
+)
+from deformscope.log.particles import OBSERVED_RADIUS, REST_RADIUS, SIMULATED_RADIUS, log_observed, log_rest
+from deformscope.stages.estimate import Comparison, Estimate
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+ERROR, INTERVAL, MINIMUM = "#1f5fd0", "#9db8e8", "#d92b2b"
+"""Of the chart: the curve, the shaded interval, the marked minimum."""
+
+
+def log_comparison(rec: rr.RecordingStream, comparison: Comparison, canvas: Canvas) -> None:
+    """Simulated particles in red beside the observed ones, and what separates them."""
+    residual = comparison.observed - comparison.simulated
+    length = np.where(comparison.seen, np.linalg.norm(residual, axis=1), np.nan)
+    free = np.ones(len(length), dtype=np.bool_)
+    free[comparison.held] = False
+    _log_error(rec, length, free, comparison.unit)
+    if canvas.flat:
+        _log_flat(rec, comparison, length, canvas)
+    else:
+        _log_deep(rec, comparison, length, canvas)
+
+
+def _log_error(rec: rr.RecordingStream, length: FloatArray, free: np.typing.NDArray[np.bool_], unit: str) -> None:
+    """The average Euclidean error of this moment, over all seen particles (Thesis eq. 3.18) and over the free ones."""
+    known = np.isfinite(length)
+    for name, label, color, chosen in (
+        ("aee", f"all particles [{unit}]", OBSERVED, known),
+        ("aee_free", f"free particles [{unit}]", SIMULATED, known & free),
+    ):
+        if chosen.any():
+            rec.log(f"error/{name}", rr.SeriesLines(colors=color, names=label, widths=2.0), static=True)
+            rec.log(f"error/{name}", rr.Scalars(float(length[chosen].mean())))
+
+
+def _log_flat(rec: rr.RecordingStream, comparison: Comparison, length: FloatArray, canvas: Canvas) -> None:
+    radius = canvas.spacing
+    finite = np.isfinite(comparison.simulated).all(axis=1)
+    if not canvas.image:  # a sequence has logged both already, frame by frame
+        log_rest(rec, comparison.rest, canvas)
+        log_observed(rec, comparison.observed, comparison.seen, canvas, "particles")
+    rec.log(
+        "particles/simulated",
+        rr.Points2D(comparison.simulated[finite], radii=radius * SIMULATED_RADIUS, colors=SIMULATED, draw_order=50.0),
+    )
+    log_legend(rec, "particles/legend/simulated", canvas, [(2.0, "simulated", SIMULATED)])
+
+    known = np.isfinite(length) & finite
+    end = round_up(float(np.max(length[known], initial=0.0)))
+    tints = colors(length[known] / end)
+    lines = np.stack([comparison.simulated[known], comparison.observed[known]], axis=1)
+    rec.log("residual/lines", rr.LineStrips2D(lines, radii=radius * 0.05, colors=tints, draw_order=40.0))
+    rec.log(
+        "residual/points",
+        rr.Points2D(comparison.observed[known], radii=radius * OBSERVED_RADIUS, colors=tints, draw_order=41.0),
+    )
+    rec.log("residual/points", rr.AnyValues(residual=length))
+    held = comparison.observed[comparison.held]
+    held = held[np.isfinite(held).all(axis=1)]
+    rec.log("residual/held", rr.Points2D(held, radii=radius * 0.08, colors=HELD, draw_order=42.0))
+    log_color_bar(rec, "residual/legend", canvas, end, comparison.unit)
+    log_legend(rec, "residual/legend/held", canvas, [(5.5 if canvas.upright else 5.0, "held", HELD)])
+
+
+def _log_deep(rec: rr.RecordingStream, comparison: Comparison, length: FloatArray, canvas: Canvas) -> None:
+    radius = canvas.spacing
+    known = np.isfinite(length) & np.isfinite(comparison.simulated).all(axis=1)
+    for name, position, share, color in (
+        ("rest", comparison.rest, REST_RADIUS, REST),
+        ("observed", comparison.observed[comparison.seen], OBSERVED_RADIUS, OBSERVED),
+        ("simulated", comparison.simulated, OBSERVED_RADIUS, SIMULATED),
+    ):
+        finite = position[np.isfinite(position).all(axis=1)]
+        rec.log(f"particles/{name}", rr.Points3D(finite, radii=radius * share, colors=color))
+    end = round_up(float(np.max(length[known], initial=0.0)))
+    tints = colors(length[known] / end)
+    lines = np.stack([comparison.simulated[known], comparison.observed[known]], axis=1)
+    rec.log("residual/lines", rr.LineStrips3D(lines, radii=radius * 0.05, colors=tints))
+    rec.log("residual/points", rr.Points3D(comparison.observed[known], radii=radius * OBSERVED_RADIUS, colors=tints))
+    rec.log("residual/points", rr.AnyValues(residual=length))
+    rec.log(
+        "residual/legend",
+        rr.TextDocument(
+            "Particles: **green** rest, **blue** observed, **red** simulated.\n\n"
+            f"Residuals: from dark violet (0 {comparison.unit}) over red to yellow ({end:g} {comparison.unit}).",
+            media_type=rr.MediaType.MARKDOWN,
+        ),
+    )
+
+
+def log_estimate(rec: rr.RecordingStream, estimate: Estimate, canvas: Canvas) -> None:
+    """The error curve as a chart and as numbers, the verdict as text, and all of it as JSON.
+
+    An estimate over a sequence belongs to the whole of it, hence to no moment; a pair's stands at the pair's frame.
+    """
+    whole = canvas.image
+    curve = estimate.curve
+    chart = rr.EncodedImage(contents=chart_png(estimate), media_type="image/png")
+    rec.log("calibration/chart", chart, static=whole)
+    rec.log("calibration/curve", rr.BarChart(values=curve.aee, abscissa=curve.parameter), static=whole)
+    rec.log(
+        "calibration/curve", rr.AnyValues(True, **{estimate.parameter: curve.parameter, "aee": curve.aee}), static=whole
+    )
+    rec.log("calibration/summary", rr.TextDocument(summary(estimate), media_type=rr.MediaType.MARKDOWN), static=whole)
+    rec.log("calibration/estimate", rr.AnyValues(json=json.dumps(as_json(estimate))), static=whole)
+
+
+def as_json(estimate: Estimate) -> dict[str, object]:
+    """Every field of the estimate as JSON knows it: what is not finite becomes null."""
+    return {name: _plain(value) for name, value in dataclasses.asdict(estimate).items()}
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, dict):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, str | int) else str(value)
+
+
+def summary(estimate: Estimate) -> str:
+    """The estimate in a page of Markdown."""
+    low, high = estimate.interval
+    unit = estimate.unit
+    lines = [
+        f"# {estimate.parameter} = {estimate.value:.3g}: {estimate.verdict}",
+        "",
+        f"{estimate.level:.0%} interval **{low:.3g} to {high:.3g}** (searched {estimate.bounds[0]:g} to "
+        f"{estimate.bounds[1]:g})",
+        "",
+        f"Stiffness: **{estimate.stiffness_verdict}**"
+        + (" (positions alone cannot tell it)" if estimate.stiffness_verdict == "unidentified" else ""),
+        "",
+        "| error at the best value | |",
+        "| --- | --- |",
+        f"| all particles (eq. 3.18) | {estimate.aee:.4g} {unit} |",
+        f"| free particles | {estimate.aee_free:.4g} {unit} |",
+        f"| to the nearest particle (eq. 4.6) | {estimate.nearest:.4g} {unit} |",
+        f"| converged | {'yes' if estimate.converged else '**NO**: do not rely on the value'} |",
+        "",
+        "| setting | |",
+        "| --- | --- |",
+    ]
+    lines += [f"| {name} | {value} |" for name, value in estimate.settings.items()]
+    return "\n".join(lines)
+
+
+def chart_png(estimate: Estimate) -> bytes:
+    """The error over the parameter, drawn to be read at a glance, as PNG."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 5), dpi=130, layout="constrained")
+    FigureCanvasAgg(figure)
+    _draw(figure.add_subplot(), estimate)
+    encoded = io.BytesIO()
+    figure.savefig(encoded, format="png", metadata={"Software": None})
+    return encoded.getvalue()
+
+
+def _draw(axes: Axes, estimate: Estimate) -> None:
+    curve, (low, high) = estimate.curve, estimate.interval
+    best = _error_at(estimate)
+    axes.axvspan(low, high, color=INTERVAL, alpha=0.45, lw=0, label=f"{estimate.level:.0%} interval")
+    axes.plot(curve.parameter, curve.aee, "o-", color=ERROR, lw=2, ms=4, label="error, all particles")
+    axes.axvline(estimate.value, color=MINIMUM, lw=1.2, ls="--")
+    if math.isfinite(best):
+        axes.plot([estimate.value], [best], "D", color=MINIMUM, ms=9, label=f"lowest at {estimate.value:.3g}")
+    axes.set_xlim(*estimate.bounds)
+    axes.set_xlabel(f"{estimate.parameter} [-]", fontsize=14)
+    axes.set_ylabel(f"average Euclidean error [{estimate.unit}]", fontsize=14)
+    color = {"identified": "#177a2b", "weak": "#a86400"}.get(estimate.verdict, "#b01818")
+    axes.set_title(
+        f"{estimate.parameter} = {estimate.value:.3g}  [{low:.3g}, {high:.3g}]: {estimate.verdict}"
+        + ("" if estimate.converged else ", NOT CONVERGED"),
+        fontsize=16,
+        color=color,
+        fontweight="bold",
+    )
+    axes.tick_params(labelsize=12)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=12)
+
+
+def _error_at(estimate: Estimate) -> float:
+    """The curve's height at the best value, so that the mark lies on the curve."""
+    known = np.isfinite(estimate.curve.aee)
+    if not known.any():
+        return estimate.aee
+    return float(np.interp(estimate.value, estimate.curve.parameter[known], estimate.curve.aee[known]))

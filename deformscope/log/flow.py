@@ -1,0 +1,61 @@
+"""Optical flow as arrows over the image."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+
+from deformscope.arrays import FloatArray
+from deformscope.log.canvas import Canvas, colors, log_color_bar, round_up
+from deformscope.stages.flow import FlowField
+
+ARROWS_ALONG = 26
+"""Arrows along the longer side of what is shown: more would hide the image."""
+STILL_PX = 0.25
+"""Below this an arrow would show the flow's noise."""
+
+
+def log_flow(rec: rr.RecordingStream, flow: FlowField, canvas: Canvas, path: str = "flow") -> None:
+    """The motion since the frame before, on a sparse grid inside the particles' region, coloured by its length."""
+    origin, vector, step_px = _sparse(flow.flow_px, canvas)
+    length_px = np.hypot(vector[:, 0], vector[:, 1])
+    end_px = round_up(float(np.max(length_px, initial=0.0)))
+    times = _stretch(length_px, step_px)
+    moving = length_px >= STILL_PX
+    rec.log(
+        f"{path}/arrows",
+        rr.Arrows2D(
+            origins=origin[moving],
+            vectors=vector[moving] * times,
+            radii=step_px * 0.06,
+            colors=colors(length_px[moving] / end_px),
+            draw_order=40.0,
+        ),
+    )
+    log_color_bar(rec, f"{path}/legend", canvas, end_px, "px", f"drawn {times:g}x" if times != 1 else "true length")
+
+
+def _sparse(flow_px: FloatArray, canvas: Canvas) -> tuple[FloatArray, FloatArray, float]:
+    """(n, 2) origins [px] and (n, 2) vectors [px] on a sparse grid, and its step [px]."""
+    height, width = flow_px.shape[:2]
+    (x0, y0), (x1, y1) = canvas.region or ((0.0, 0.0), (width - 1.0, height - 1.0))
+    margin = canvas.spacing / 2 if canvas.region else 0.0
+    x0, y0 = max(x0 - margin, 0.0), max(y0 - margin, 0.0)
+    x1, y1 = min(x1 + margin, width - 1.0), min(y1 + margin, height - 1.0)
+    step_px = max(max(x1 - x0, y1 - y0) / ARROWS_ALONG, 4.0)
+    x = np.arange(x0 + step_px / 2, x1, step_px)
+    y = np.arange(y0 + step_px / 2, y1, step_px)
+    grid = np.meshgrid(np.rint(x), np.rint(y))
+    origin = np.column_stack([grid[0].ravel(), grid[1].ravel()])
+    columns, rows = origin.astype(np.intp).T
+    vector = flow_px[rows, columns]
+    known = np.isfinite(vector).all(axis=1)
+    return origin[known], vector[known], step_px
+
+
+def _stretch(length_px: FloatArray, step_px: float) -> float:
+    """How many times arrows are drawn longer: a power of two, so that it stays put from frame to frame."""
+    typical = float(np.quantile(length_px, 0.95)) if length_px.size else 0.0
+    if typical < STILL_PX:
+        return 1.0
+    return float(2.0 ** max(0, np.floor(np.log2(1.6 * step_px / typical))))

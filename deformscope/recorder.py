@@ -1,0 +1,501 @@
+"""Everything that is recorded or shown goes through here: the file, the live view, timelines, provenance.
+
+A recording in progress is `NAME.part.rrd`, a file like any other recording; it becomes `NAME.rrd` when all went
+well. A run that crashes, or that ends in an error, leaves it there with all it had (a crash: but for the last
+moments), and whatever `NAME.rrd` was before is untouched. An unfinished recording is never written over.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.metadata
+import json
+import logging
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import threading
+import time
+import uuid
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from deformscope.arrays import ImageArray
+from deformscope.errors import InputError
+from deformscope.frames import Frame
+from deformscope.ledger import ledger_path, write_ledger
+from deformscope.live import LiveFeed, Viewer, ViewerKind, start_viewer, wait_for_viewer
+from deformscope.session import Step
+from deformscope.sources import encode_png
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+    from deformscope.log.blueprint import Layout
+    from deformscope.log.canvas import Canvas
+
+APPLICATION_ID = "deformscope"
+SUFFIX = ".rrd"
+FREE_BYTES = 64 << 20
+BEAT_S = 1.0
+BEAT_FRAMES = 32
+FLUSH_TIMEOUT_S = 20.0
+CLOSE_TIMEOUT_S = 60.0
+LIVE_TIMEOUT_S = 5.0
+VERSIONED = ("deformscope", "rerun-sdk", "numpy", "opencv-python-headless", "warp-lang")
+
+_logger = logging.getLogger(__name__)
+
+
+class RecordingError(InputError):
+    """The recording cannot go on: the disk is full, or gone."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingSummary:
+    """What was recorded.
+
+    path: the finished file, or the unfinished one after an error; None where nothing was written
+    dropped: frames, steps and inputs that the live view did not get; bytes: size of the file
+    """
+
+    path: Path | None
+    frames: int
+    steps: int
+    dropped: int
+    bytes: int
+
+
+class Recorder:
+    """`with Recorder(file, "none", settings) as recorder: run(source, experiment, recorder)`.
+
+    file: an `.rrd` to make; None = none. viewer: a window, a page for a browser, or none. Without file and viewer
+    it does nothing, and rerun is not even imported.
+    settings: everything that decides the results, JSON-able; layout: which views a viewer opens with
+    deterministic: two runs of one input give recordings that `rerun rrd compare --unordered` finds equal; leaves
+    out what differs between runs (start time, command line, versions, git state) and writes in larger portions
+    """
+
+    def __init__(
+        self,
+        file: Path | None,
+        viewer: ViewerKind = "none",
+        settings: Mapping[str, object] | None = None,
+        *,
+        layout: Layout = "images",
+        overwrite: bool = False,
+        deterministic: bool = False,
+    ) -> None:
+        self._target = None if file is None else Path(file)
+        self._viewer_kind = viewer
+        self._settings = dict(settings or {})
+        self._layout: Layout = layout
+        self._overwrite = overwrite
+        self._deterministic = deterministic
+        self._part: Path | None = None
+        self._file: rr.RecordingStream | None = None
+        self._feed: LiveFeed[rr.RecordingStream] | None = None
+        self._viewer: Viewer | None = None
+        self._canvas: Canvas | None = None
+        self._session_ns: dict[int, int] = {}
+        self._first_ns = 0
+        self._last_frame = 0
+        self._arranged = False
+        self._frames = self._steps = self._inputs = 0
+        self._beat_at = self._beats = 0.0
+        self._broken = False
+        self._finished: RecordingSummary | None = None
+
+    @property
+    def active(self) -> bool:
+        """Whether anything is recorded or shown."""
+        return self._target is not None or self._viewer_kind != "none"
+
+    @property
+    def viewer(self) -> Viewer | None:
+        """The viewer that was started, to tell the user where it is."""
+        return self._viewer
+
+    def __enter__(self) -> Recorder:
+        if not self.active:
+            return self
+        if self._target is not None:
+            self._part = _reserve(self._target, self._overwrite)
+        try:
+            self._open()
+        except BaseException:
+            if self._part is not None:
+                self._part.unlink(missing_ok=True)
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self.active and self._finished is None:
+            self._close(complete=kind is None)
+
+    def write_frame(self, frame: Frame) -> None:
+        """Record one input frame without loss; what follows belongs to it."""
+        if not self._frames:
+            self._first_ns = frame.stamp.host_ns
+        self._session_ns[frame.index] = frame.stamp.host_ns - self._first_ns
+        self._last_frame = frame.index
+        self._frames += 1
+        if not self.active:
+            return
+        if self._canvas is None:
+            self._canvas = _canvas_of(frame.image)
+            if self._layout != "pair":
+                self._arrange()
+        png = encode_png(frame.image)
+        times = self._times(frame.index)
+        stamp = frame.stamp.host_ns, -1 if frame.stamp.device_ticks is None else frame.stamp.device_ticks
+        self._emit(lambda rec: _log_frame(rec, times, png, stamp), len(png))
+
+    def write(self, step: Step) -> None:
+        """Record the results of one step, at the frame that they belong to."""
+        self._steps += 1
+        if not self.active or not step.results:
+            return
+        from deformscope.log import canvas_with, log_result
+        from deformscope.log.canvas import Canvas
+
+        times = self._times(self._last_frame if step.frame is None else step.frame)
+        canvas = self._canvas or Canvas()
+        shown = []
+        for result in step.results:
+            canvas = canvas_with(result, canvas)
+            shown.append((result, canvas))
+        self._canvas = canvas
+        if self._layout == "pair" and canvas != Canvas():
+            self._arrange()
+
+        def log(rec: rr.RecordingStream) -> None:
+            _set_times(rec, times)
+            for result, drawn_on in shown:
+                log_result(rec, result, drawn_on)
+
+        self._emit(log, sum(_size(result) for result in step.results))
+
+    def write_input(self, name: str, content: bytes | ImageArray) -> None:
+        """Record an input that is no frame, without loss, at `input/NAME`.
+
+        content: the bytes of a file as they are, or an image (a mask), which holds for the whole recording
+        """
+        self._inputs += 1
+        if not self.active:
+            return
+        times = self._times(self._last_frame)
+        path = f"input/{name}"
+        if isinstance(content, bytes):
+            raw = np.frombuffer(content, np.uint8)
+            self._emit(lambda rec: _log_blob(rec, times, path, raw), len(content))
+        else:
+            png = encode_png(content)
+            self._emit(lambda rec: _log_image(rec, path, png), len(png))
+
+    def summary(self) -> RecordingSummary:
+        """What was recorded so far, or in the end."""
+        if self._finished is not None:
+            return self._finished
+        size = self._part.stat().st_size if self._part is not None and self._part.exists() else 0
+        dropped = self._feed.dropped if self._feed is not None else 0
+        return RecordingSummary(self._part, self._frames, self._steps, dropped, size)
+
+    def _open(self) -> None:
+        recording_id = "deterministic" if self._deterministic else uuid.uuid4().hex
+        provenance = _provenance(self._settings, brief=self._deterministic)
+        if self._viewer_kind != "none":
+            viewer = start_viewer(self._viewer_kind)
+            self._viewer = viewer
+            self._feed = LiveFeed(lambda closing: _live_stream(recording_id, viewer, provenance, closing))
+            self._feed.start()
+        if self._part is not None:
+            self._file = _file_stream(recording_id, self._part, self._deterministic)
+            self._file.send_property("session", _any_values(provenance))
+            if not self._deterministic and self._target is not None:
+                self._file.send_recording_name(self._target.stem)
+            self._flush()
+
+    def _emit(self, job: Callable[[rr.RecordingStream], None], size: int) -> None:
+        """To the file first and at once; to the live view when it comes to it."""
+        if self._file is not None:
+            self._beat()
+            job(self._file)
+        if self._feed is not None:
+            self._feed.put(job, size)
+
+    def _arrange(self) -> None:
+        """Send the views, once, as soon as it is known what they show."""
+        if self._arranged or self._canvas is None:
+            return
+        self._arranged = True
+        from deformscope.log.blueprint import blueprint
+
+        views = blueprint(self._layout, self._canvas)
+        self._emit(lambda rec: rec.send_blueprint(views), 0)
+
+    def _times(self, frame: int) -> tuple[int, int]:
+        """(frame, session [ns]) of a frame that was written; pairs have frames without images, at time 0."""
+        if self._session_ns and frame not in self._session_ns:
+            raise ValueError(f"a step belongs to frame {frame}, which was never written")
+        return frame, self._session_ns.get(frame, 0)
+
+    def _beat(self) -> None:
+        """Notice now and then that the disk is full or gone: rerun would go on without a word."""
+        if self._broken:
+            raise RecordingError("a recording that goes on", "one that has failed", where=self._part)
+        if self._deterministic:  # by count, since every flush ends a portion of the file
+            self._beats += 1
+            due = self._beats % BEAT_FRAMES == 0
+        else:
+            due = time.monotonic() - self._beat_at > BEAT_S
+        if due:
+            self._flush()
+
+    def _flush(self) -> None:
+        assert self._file is not None
+        assert self._part is not None
+        free = shutil.disk_usage(self._part.parent).free
+        if free < FREE_BYTES:
+            self._broken = True
+            came, need = f"{free >> 20} MiB free", f"{FREE_BYTES >> 20} MiB free on the disk"
+            raise RecordingError(need, came, "another disk; what was recorded is kept", self._part)
+        try:
+            self._file.flush(timeout_sec=FLUSH_TIMEOUT_S)
+        except Exception as error:
+            self._broken = True
+            came = "a disk that is full, gone or too slow"
+            raise RecordingError(
+                "a disk that takes the recording", came, "another disk; what was recorded is kept", self._part
+            ) from error
+        self._beat_at = time.monotonic()
+
+    def _close(self, *, complete: bool) -> None:
+        """End both streams, each within its time; give the file its name where all went well."""
+        failure: RecordingError | None = None
+        try:
+            if self._file is not None and not self._broken:
+                self._flush()  # safe on the disk before anything waits for a viewer
+        except RecordingError as error:
+            failure = error
+        dropped = self._close_live()
+        if self._file is not None and not self._broken:
+            outcome = {"frames": self._frames, "steps": self._steps, "live_dropped": dropped, "complete": complete}
+            self._file.send_property("outcome", _any_values(outcome))
+            try:
+                self._flush()
+            except RecordingError as error:
+                failure = error
+        file, self._file = self._file, None
+        if file is not None and not _within(file.disconnect, CLOSE_TIMEOUT_S if not self._broken else 2.0):
+            self._broken = True
+            _leave_streams_alone()
+        path = self._part
+        if complete and not self._broken and self._part is not None:
+            path = self._publish(self._part)
+        elif self._part is not None:
+            path = self._keep_unfinished(self._part)
+        size = path.stat().st_size if path is not None else 0
+        self._finished = RecordingSummary(path, self._frames, self._steps, dropped, size)
+        if complete and failure is not None:
+            raise failure
+
+    def _close_live(self) -> int:
+        if self._feed is None:
+            return 0
+        if not self._feed.close(LIVE_TIMEOUT_S):
+            _logger.warning("the viewer did not answer; it was left behind, and the recording is not affected")
+            _leave_streams_alone()
+        return self._feed.dropped
+
+    def _publish(self, part: Path) -> Path:
+        assert self._target is not None
+        if self._target.exists() and not self._overwrite:
+            raise RecordingError(
+                "no file of that name", "one made during the run", f"the new one: {part}", self._target
+            )
+        _sync(part)
+        # An older recording's ledger goes first: a ledger that fits no recording must never stand beside one.
+        ledger_path(self._target).unlink(missing_ok=True)
+        part.replace(self._target)
+        write_ledger(self._target, {"frames": self._frames, "steps": self._steps, "inputs": self._inputs})
+        _sync(self._target.parent)
+        return self._target
+
+    def _keep_unfinished(self, part: Path) -> Path | None:
+        if not (self._frames or self._steps or self._inputs):
+            part.unlink(missing_ok=True)
+            return None
+        _logger.warning("what was recorded before the error is kept: %s", part)
+        return part
+
+
+def _reserve(target: Path, overwrite: bool) -> Path:
+    """An empty file to record into, beside the target; refuses what cannot work before any work is done."""
+    if target.suffix.lower() != SUFFIX:
+        raise InputError(f"a recording's name that ends in {SUFFIX}", f"{target.suffix or 'no ending'}", where=target)
+    if target.is_dir():
+        raise InputError("a file to record into", "a folder", where=target)
+    if target.exists() and not overwrite:
+        raise InputError("a new file to record into", "one that exists", "another name, or --overwrite", target)
+    if not target.parent.is_dir():
+        raise InputError("a folder to record into", "none", f"mkdir -p {target.parent}", target)
+    for number in range(1, 1000):
+        part = target.with_name(f"{target.stem}.part{'' if number == 1 else f'-{number}'}{SUFFIX}")
+        try:
+            part.open("xb").close()
+        except FileExistsError:
+            continue  # of a run that failed, or of one that is running
+        except OSError as error:
+            came = (error.strerror or str(error)).lower()
+            raise InputError("a folder that can be written to", came, "another folder", target.parent) from error
+        return part
+    raise InputError("fewer unfinished recordings", "1000", "rename or delete some", target.parent)
+
+
+def _file_stream(recording_id: str, path: Path, deterministic: bool) -> rr.RecordingStream:
+    import rerun as rr
+
+    never = 10**9
+    batching = rr.ChunkBatcherConfig(never, never, never, never) if deterministic else None
+    rec = rr.RecordingStream(
+        APPLICATION_ID, recording_id=recording_id, send_properties=not deterministic, batcher_config=batching
+    )
+    rec.set_log_time_enabled(not deterministic)
+    rec.set_sinks(rr.FileSink(path))
+    return rec
+
+
+def _live_stream(
+    recording_id: str, viewer: Viewer, provenance: Mapping[str, object], closing: threading.Event
+) -> rr.RecordingStream:
+    """Connected to the viewer; blocks until it is there."""
+    import rerun as rr
+
+    wait_for_viewer(viewer, closing)
+    rec = rr.RecordingStream(APPLICATION_ID, recording_id=recording_id)
+    rec.set_sinks(rr.GrpcSink(viewer.url))
+    rec.send_property("session", _any_values(provenance))
+    return rec
+
+
+def _canvas_of(image: ImageArray) -> Canvas:
+    from deformscope.log.canvas import Canvas
+
+    height, width = image.shape[:2]
+    return Canvas(low=(0.0, 0.0), high=(float(width), float(height)), image=True)
+
+
+def _set_times(rec: rr.RecordingStream, times: tuple[int, int]) -> None:
+    frame, session_ns = times
+    rec.set_time("frame", sequence=frame)
+    rec.set_time("session", duration=np.timedelta64(session_ns, "ns"))
+
+
+def _log_frame(rec: rr.RecordingStream, times: tuple[int, int], png: bytes, stamp: tuple[int, int]) -> None:
+    """stamp: host clock [ns]; device ticks, -1 where there are none."""
+    import rerun as rr
+
+    _set_times(rec, times)
+    image = rr.EncodedImage(contents=png, media_type="image/png", draw_order=-10.0)
+    rec.log("input/image", image, rr.AnyValues(host_ns=stamp[0], device_ticks=stamp[1]))
+
+
+def _log_image(rec: rr.RecordingStream, path: str, png: bytes) -> None:
+    import rerun as rr
+
+    rec.log(path, rr.EncodedImage(contents=png, media_type="image/png"), static=True)
+
+
+def _log_blob(rec: rr.RecordingStream, times: tuple[int, int], path: str, raw: np.typing.NDArray[np.uint8]) -> None:
+    import rerun as rr
+
+    _set_times(rec, times)
+    rec.log(path, rr.AnyValues(blob=raw))
+
+
+def _any_values(values: Mapping[str, object]) -> rr.AnyValues:
+    import rerun as rr
+
+    return rr.AnyValues(True, **values)
+
+
+def _size(result: object) -> int:
+    """Bytes of the arrays in a result."""
+    if not dataclasses.is_dataclass(result):
+        return 0
+    values = (getattr(result, field.name) for field in dataclasses.fields(result))
+    return sum(value.nbytes for value in values if isinstance(value, np.ndarray))
+
+
+def _provenance(settings: Mapping[str, object], *, brief: bool) -> dict[str, object]:
+    """What made this recording, as text that any tool can read."""
+    found: dict[str, object] = {"settings": json.dumps(settings, sort_keys=True, default=str)}
+    seed = settings.get("seed")
+    if isinstance(seed, int):
+        found["seed"] = seed
+    if not brief:
+        found["versions"] = json.dumps({"python": platform.python_version(), **_versions()})
+        found["git"] = json.dumps(_git_state())
+        found["command"] = json.dumps(sys.argv)
+        found["platform"] = platform.platform()
+    return found
+
+
+def _versions() -> dict[str, str]:
+    versions = {}
+    for name in VERSIONED:
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            versions[name] = "not installed"
+    return versions
+
+
+def _git_state() -> dict[str, object]:
+    """Commit and cleanliness of the checkout that the package runs from; empty when installed elsewhere."""
+    root = Path(__file__).resolve().parent.parent
+    if not (root / ".git").exists():
+        return {}
+
+    def git(*arguments: str) -> str:
+        command = ["git", "-C", str(root), *arguments]
+        return subprocess.run(command, capture_output=True, text=True, timeout=5, check=True).stdout.strip()
+
+    try:
+        return {"commit": git("rev-parse", "HEAD"), "dirty": bool(git("status", "--porcelain", "-uno"))}
+    except (OSError, subprocess.SubprocessError):
+        return {}
+
+
+def _within(action: Callable[[], object], timeout_s: float) -> bool:
+    """Run an action that may hang; whether it ended in time."""
+    thread = threading.Thread(target=action, name="deformscope-close", daemon=True)
+    thread.start()
+    thread.join(timeout_s)
+    return not thread.is_alive()
+
+
+def _leave_streams_alone() -> None:
+    """Keep the end of the process from waiting for a stream that hangs."""
+    import rerun as rr
+
+    rr.unregister_shutdown()
+
+
+def _sync(path: Path) -> None:
+    """Have the operating system put a file or a folder on the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

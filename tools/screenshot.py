@@ -1,0 +1,121 @@
+"""Pictures of a recording, made without a display: python tools/screenshot.py RUN.rrd --out shots
+
+Opens the recording in a headless viewer, sets the `frame` timeline, saves the whole window and every view as PNG,
+and prints what the viewer complained about. Needs Vulkan; without a GPU: apt-get install mesa-vulkan-drivers
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rerun.experimental import ViewerClient
+
+LAVAPIPE = Path("/usr/share/vulkan/icd.d/lvp_icd.x86_64.json")
+START_TIMEOUT_S = 30.0
+LOAD_TIMEOUT_S = 30.0
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("recording", type=Path)
+    parser.add_argument("--out", type=Path, default=Path("shots"))
+    parser.add_argument("--frame", type=int, help="default: the last one")
+    parser.add_argument("--prefix", default="")
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    with headless_viewer() as viewer:
+        complaints = shoot(viewer, arguments.recording, arguments.out, arguments.frame, arguments.prefix)
+    for line in complaints:
+        print(line)
+    print(f"{len(complaints)} complaints of the viewer")
+    return 1 if complaints else 0
+
+
+@contextlib.contextmanager
+def headless_viewer(size: str = "1920x1080") -> Iterator[ViewerClient]:
+    """A viewer without a window, on loopback alone; ended at exit. Raises RuntimeError where it cannot start."""
+    from rerun.experimental import ViewerClient
+
+    package = find_spec("rerun_cli")
+    if package is None or package.origin is None:
+        raise RuntimeError("rerun-sdk has no viewer")
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    command = [str(Path(package.origin).parent / "rerun"), "--headless", "--bind", "127.0.0.1", "--port", str(port)]
+    command += ["--window-size", size, "--memory-limit", "2GB", "--hide-welcome-screen"]
+    environment = {**os.environ, "RERUN_APP_ONLY": "true", "RUST_LOG": "warn"}
+    if "VK_ICD_FILENAMES" not in environment and LAVAPIPE.exists():
+        environment["VK_ICD_FILENAMES"] = str(LAVAPIPE)
+    process = subprocess.Popen(
+        command, env=environment, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    try:
+        _wait_for_port(process, port)
+        yield ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait(10)
+
+
+def shoot(viewer: ViewerClient, recording: Path, out: Path, frame: int | None = None, prefix: str = "") -> list[str]:
+    """Save PNGs of the window and of every view; what the views and the viewer's log complain about."""
+    opened = viewer.open(str(recording.resolve()))
+    if not opened.store_ids:
+        return [f"nothing opened: {recording}"]
+    deadline = time.monotonic() + LOAD_TIMEOUT_S
+    while viewer.get_state().loading and time.monotonic() < deadline:
+        time.sleep(0.1)
+    viewer.set_time("frame", sequence=last_frame(recording) if frame is None else frame, play_state="paused")
+    time.sleep(1.0)  # the first picture of a view may still lack its images
+    complaints = []
+    for view in viewer.get_state().views:
+        name = "".join(letter if letter.isalnum() else "_" for letter in view.name)[:40]
+        viewer.save_screenshot(str(out / f"{prefix}{name}.png"), view_id=view.view_id)
+    time.sleep(5.0)  # until the notices over the window are gone
+    viewer.save_screenshot(str(out / f"{prefix}window.png"))
+    for view in viewer.get_state().views:
+        complaints += [f"{view.name}: {report.severity}: {report.summary}" for report in view.reports]
+    for entry in viewer.get_logs():
+        text = str(entry)
+        if ("WARN" in text.upper() or "ERROR" in text.upper()) and "rasterizer" not in text:
+            complaints.append(text)
+    return complaints
+
+
+def last_frame(recording: Path) -> int:
+    from rerun.chunk import RrdReader
+
+    last = 0
+    for chunk in RrdReader(recording).stream():
+        if "frame" in chunk.timeline_names and not chunk.is_static:
+            last = max([last, *chunk.to_record_batch().column("frame").to_pylist()])
+    return last
+
+
+def _wait_for_port(process: subprocess.Popen[bytes], port: int) -> None:
+    deadline = time.monotonic() + START_TIMEOUT_S
+    while time.monotonic() < deadline:
+        if process.poll() is not None:
+            raise RuntimeError(f"the headless viewer ended with status {process.returncode}: is there Vulkan?")
+        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=0.5):
+            return
+        time.sleep(0.1)
+    raise RuntimeError("the headless viewer did not start")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
