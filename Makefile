@@ -5,6 +5,8 @@ VENV  := .venv
 PY    := $(VENV)/bin/python
 READY := $(VENV)/.ready
 STEPS := not slow and not hardware
+# open3d brings dash, whose pytest plugin is older than this pytest and stops it before the first test.
+PYTEST := $(PY) -m pytest -q -p no:dash
 
 # The first interpreter that fits; PYTHON=... names another.
 PYTHONS := $(PYTHON) python3 python3.13 python3.12 python3.11
@@ -44,7 +46,8 @@ $(READY): pyproject.toml
 	fi
 	@if [ -f .ci/system-libraries ]; then sh .ci/system-libraries; fi
 	@echo 'setup: installing the packages (the first time takes some minutes)'
-	@$(PY) -m pip install --quiet --editable '.[dev]'
+	@$(PY) -m pip install -qq --editable '.[dev]' || \
+		{ echo 'setup: pip could not install the packages; its reason stands above (no network?)' >&2; exit 1; }
 	@touch $@
 	@echo 'setup: ready'
 
@@ -55,10 +58,10 @@ demo: setup
 	@$(PY) -m deformscope demo
 
 test: lint
-	$(PY) -m pytest -q -m '$(STEPS)'
+	$(PYTEST) -m '$(STEPS)'
 
 test-slow: setup
-	$(PY) -m pytest -q -m 'not hardware'
+	$(PYTEST) -m 'not hardware'
 
 lint: setup
 	$(PY) -m ruff check .

@@ -316,7 +316,7 @@ def _check_span(flag: str, span: Span) -> None:
     lowest, highest = span
     if not lowest < highest:
         raise InputError(f"a {flag} that rises", f"{lowest:g},{highest:g}", f"{flag} {highest:g},{lowest:g}")
-    if not (0 <= lowest and highest <= 1):
+    if lowest < 0 or highest > 1:  # neither is NaN: `_finite` has seen to that
         raise InputError(f"a {flag} within 0,1", f"{lowest:g},{highest:g}")
 
 

@@ -166,44 +166,50 @@ class _UsageError(InputError):
 
 
 def parse(config: Any, args: Sequence[str], prog: str = "deformscope") -> Any:
-    """Read a command's flags. Help goes to stdout and ends in SystemExit(0); whatever is wrong becomes an InputError."""
+    """Read a command's flags; whatever is wrong is an InputError. Help goes to stdout and ends in SystemExit(0)."""
     import tyro
 
-    said = io.StringIO()
-    helping = "-h" in args or "--help" in args
-    try:
-        # tyro frames its errors in boxes of many lines and has no public way to get at their parts.
-        with contextlib.redirect_stderr(said), contextlib.nullcontext() if helping else _wide_terminal():
+    with contextlib.ExitStack() as stack:
+        said = stack.enter_context(contextlib.redirect_stderr(io.StringIO()))
+        if "-h" not in args and "--help" not in args:
+            stack.enter_context(_plain_terminal())
+        try:
             return tyro.cli(config, args=list(args), prog=prog, config=(tyro.conf.FlagCreatePairsOff,))
-    except SystemExit as stop:
-        if stop.code in (0, None):
-            raise
+        except SystemExit as stop:
+            if stop.code in (0, None):
+                raise
     raise _usage_error(said.getvalue(), prog)
 
 
 @contextlib.contextmanager
-def _wide_terminal() -> Iterator[None]:
-    """Keeps tyro from breaking a line within what the user typed."""
-    before = os.environ.get("COLUMNS")
+def _plain_terminal() -> Iterator[None]:
+    """Make tyro draw its errors in one way whatever the terminal: it has no public way to get at their parts, puts them
+    into boxes of many lines, and would break a line within what the user typed."""
+    columns = os.environ.get("COLUMNS")
     os.environ["COLUMNS"] = "4000"
     try:
-        yield
+        with contextlib.redirect_stdout(io.TextIOWrapper(io.BytesIO(), encoding="utf-8")):
+            yield
     finally:
-        if before is None:
+        if columns is None:
             del os.environ["COLUMNS"]
         else:
-            os.environ["COLUMNS"] = before
+            os.environ["COLUMNS"] = columns
 
 
-_COLOUR = re.compile(r"\x1b\[[0-9;]*m")
-_FRAME = re.compile(r"^[│|╭╰+] ?|\s*[│|╮╯+]$")
+_FRAME = re.compile(r"^[│╭╰] ?|\s*[│╮╯]$")
+
+_CONVERSIONS = (
+    (re.compile(r"invalid literal for int\(\) with base 10: (.*)"), r"expected a whole number; got \1"),
+    (re.compile(r"could not convert string to float: (.*)"), r"expected a number; got \1"),
+)
 
 
 def _usage_error(boxed: str, prog: str) -> InputError:
     """One line out of tyro's box, whose sections are parted by rules: title, what is wrong, hints."""
-    lines = [_FRAME.sub("", _COLOUR.sub("", line)) for line in boxed.splitlines()]
+    lines = [_FRAME.sub("", line) for line in boxed.splitlines()]
     body = [line for line in lines[1:-1] if line.strip()]
-    rules = [index for index, line in enumerate(body) if set(line.strip()) <= set("─-")]
+    rules = [index for index, line in enumerate(body) if set(line.strip()) == {"─"}]
     wrong = body[: rules[0]] if rules else body
     text = " ".join(" ".join(wrong).split())
     help_hint = f"{prog} --help"
@@ -213,10 +219,9 @@ def _usage_error(boxed: str, prog: str) -> InputError:
         missing = [line.strip() for line in wrong[1:] if line.startswith("    ") and not line.startswith("     ")]
         return InputError(" and ".join(missing) or "more arguments", "none", help_hint)
     if found := re.match(r"Error parsing (\S+): (.*)", text):
-        problem = re.sub(
-            r"invalid literal for int\(\) with base 10: (.*)", r"expected a whole number; got \1", found[2]
-        )
-        problem = re.sub(r"could not convert string to float: (.*)", r"expected a number; got \1", problem)
+        problem = found[2]
+        for theirs, ours in _CONVERSIONS:
+            problem = theirs.sub(ours, problem)
         return _UsageError(f"{found[1]}: {problem}", help_hint)
     if found := re.match(r"invalid choice (.*) for argument '(.*)'\. Expected one of \((.*)\)\.", text):
         return _UsageError(f"{found[2]}: expected one of {found[3].rstrip(',')}; got {found[1]}", help_hint)
@@ -285,7 +290,7 @@ def _missing_library(error: BaseException) -> str:
             found = re.search(r"(lib[\w.+-]*?\.so[\w.]*): cannot open shared object", str(cause))
             if found:
                 return found[1]
-        cause = cause.__cause__ or cause.__context__
+        cause = cause.__cause__ or (None if cause.__suppress_context__ else cause.__context__)
     return ""
 
 

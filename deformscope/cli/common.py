@@ -123,7 +123,7 @@ def json_alone(target: str | None) -> Iterator[None]:
         return
     python_stdout.flush()
     kept = os.dup(descriptor)
-    with open(kept, "w", encoding="utf-8") as stream:
+    with os.fdopen(kept, "w", encoding="utf-8") as stream:
         os.dup2(sys.__stderr__.fileno() if sys.__stderr__ is not None else 2, descriptor)
         try:
             with _redirected(stream):

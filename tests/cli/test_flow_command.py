@@ -1,0 +1,125 @@
+"""`deformscope flow` from the command line to its files."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("tyro")
+
+from deformscope.cli import main
+
+MOTION_PX = (2.5, -1.0)
+WITHIN_PX = 0.1
+"""The texture is smooth and the motion one shift: the flow is far better than this."""
+
+
+def texture(height: int, width: int, shift: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+    """Smooth noise, moved by `shift` (x, y) [px]."""
+    noise = np.random.default_rng(3).normal(size=(height + 40, width + 40)).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), 2.0)
+    move = np.array([[1, 0, shift[0] - 20], [0, 1, shift[1] - 20]], dtype=np.float32)
+    moved = cv2.warpAffine(smooth, move, (width, height), flags=cv2.INTER_CUBIC)
+    return np.clip(127 + 400 * moved, 0, 255).astype(np.uint8)
+
+
+@pytest.fixture(autouse=True)
+def pair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two images in a folder of their own."""
+    monkeypatch.chdir(tmp_path)
+    cv2.imwrite("before.png", texture(96, 128))
+    cv2.imwrite("after.png", texture(96, 128, MOTION_PX))
+
+
+def inner(flow_px: np.ndarray) -> np.ndarray:
+    """The flow away from the edges, where the motion carries pixels out of the image."""
+    return flow_px[16:-16, 16:-16]
+
+
+@pytest.mark.parametrize("method", ["dis", "farneback"])
+def test_the_flow_is_written_in_x_y(method: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["flow", "before.png", "after.png", "--out", "f.npz", "--method", method]) == 0
+    with np.load("f.npz") as written:
+        assert written.files == ["flow_px"]
+        flow_px = written["flow_px"]
+
+    assert (flow_px.shape, flow_px.dtype) == ((96, 128, 2), np.float32)
+    np.testing.assert_allclose(np.median(inner(flow_px), axis=(0, 1)), MOTION_PX, atol=WITHIN_PX)
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert "largest motion" in out
+    assert "f.npz" in out
+
+
+def test_the_way_back_the_picture_and_the_json(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("f.npz").write_text("replaced")
+    flags = ["--out", "f.npz", "--backward", "--picture", "f.png", "--json", "-"]
+    assert main(["flow", "before.png", "after.png", *flags]) == 0
+    with np.load("f.npz") as written:
+        assert written.files == ["flow_px", "backward_px"]
+        there, back = np.median(inner(written["flow_px"]), (0, 1)), np.median(inner(written["backward_px"]), (0, 1))
+    picture = cv2.imread("f.png")
+    told = json.loads(capsys.readouterr().out)
+
+    np.testing.assert_allclose(there, -back, atol=WITHIN_PX)
+    assert picture is not None
+    assert np.ptp(picture) > 200
+    assert (told["method"], told["width"], told["height"], told["out"]) == ("dis", 128, 96, "f.npz")
+    assert told["median_px"] == pytest.approx(np.hypot(*MOTION_PX), abs=WITHIN_PX)
+    assert 0 <= told["forward_backward_median_px"] < WITHIN_PX
+    assert told["mean_px"] <= told["max_px"]
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_images_that_do_not_move_are_drawn_too(dtype: type[np.generic]) -> None:
+    still = texture(40, 64).astype(dtype)
+    cv2.imwrite("still.png", np.dstack([still] * 3))
+    assert main(["flow", "still.png", "still.png", "--out", "f.npz", "--picture", "f.png", "--json", "f.json"]) == 0
+    assert json.loads(Path("f.json").read_text())["max_px"] == pytest.approx(0, abs=0.01)
+    assert Path("f.png").is_file()
+
+
+@pytest.mark.parametrize(
+    ("after", "says"),
+    [
+        ("missing.png", "missing.png"),
+        ("broken.png", "broken.png"),
+        (
+            "small.png",
+            "expected two images of one size; got 128 x 96 and 64 x 64 px | try: crop both alike | small.png",
+        ),
+        (".", "expected an image"),
+    ],
+)
+def test_images_that_do_not_go_together_are_refused(after: str, says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("broken.png").write_bytes(b"\x89PNG\r\n\x1a\n but then nothing")
+    cv2.imwrite("small.png", texture(64, 64))
+    assert main(["flow", "before.png", after, "--out", "f.npz"]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert says in err
+    assert not Path("f.npz").exists()
+
+
+def test_an_error_below_python_stays_one_line() -> None:
+    """OpenCV complains on stderr by itself."""
+    Path("broken.png").write_bytes(b"\x89PNG\r\n\x1a\n but then nothing")
+    told = subprocess.run(
+        [sys.executable, "-m", "deformscope", "flow", "before.png", "broken.png", "--out", "f.npz"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+    )
+
+    assert (told.returncode, told.stdout) == (2, "")
+    assert told.stderr.count("\n") == 1

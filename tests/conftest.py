@@ -1,0 +1,36 @@
+"""What all tests share. A GPU machine may lack rerun, open3d, pyserial and tyro: nothing here imports them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+os.environ["MPLBACKEND"] = "Agg"
+os.environ["RUST_LOG"] = "error"  # rerun's own chatter
+
+SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+"""Real recordings that are too large to be kept in the repository; they lie beside a checkout where there are any."""
+
+
+@pytest.fixture(params=["cpu", pytest.param("cuda:0", marks=pytest.mark.cuda)])
+def device(request: pytest.FixtureRequest) -> str:
+    """Each of warp's devices in turn; one that this machine lacks is skipped."""
+    wp = pytest.importorskip("warp")
+    wp.config.quiet = True
+    wp.init()
+    name: str = request.param
+    if name == "cpu" and not wp.is_cpu_available():
+        pytest.skip("this warp has no CPU device")
+    if name.startswith("cuda") and wp.get_cuda_device_count() == 0:
+        pytest.skip("warp finds no CUDA device")
+    return name
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of real recordings beside the checkout; skips where there is none."""
+    if not SHARED_DATA.is_dir():
+        pytest.skip(f"no folder of real recordings beside the checkout ({SHARED_DATA.parent.name}/{SHARED_DATA.name})")
+    return SHARED_DATA

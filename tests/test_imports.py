@@ -1,0 +1,107 @@
+"""Imports point one way, and what every command loads stays light."""
+
+from __future__ import annotations
+
+import ast
+import os
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import deformscope
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = {"deformscope": ROOT / "deformscope", "deformscope_drivers": ROOT / "drivers" / "deformscope_drivers"}
+
+ABOVE_FRAMES = tuple(
+    f"deformscope.{name}"
+    for name in ("sources", "replay", "log", "recorder", "session", "experiments", "cli", "config", "lab")
+)
+FORBIDDEN = {
+    # Drivers can be split out one day by moving a folder.
+    "deformscope_drivers": ("deformscope", "rerun", "warp", "open3d", "tyro", "rich"),
+    # Stages are pure: arrays in, frozen results out.
+    "deformscope.stages": ("deformscope.frames", *ABOVE_FRAMES, "rerun", "tyro", "rich"),
+    "deformscope.frames": ("deformscope.stages", *ABOVE_FRAMES, "rerun", "tyro", "rich"),
+    "deformscope.sources": ("deformscope.lab", "deformscope.stages", "deformscope.log", "deformscope.experiments"),
+    "deformscope.log": ("deformscope.session", "deformscope.experiments", "deformscope.cli", "deformscope.lab"),
+    "deformscope.recorder": ("deformscope.experiments", "deformscope.cli", "deformscope.lab"),
+    "deformscope.session": ("deformscope.experiments", "deformscope.cli", "deformscope.lab", "rerun"),
+    "deformscope.experiments": ("deformscope.cli", "rerun", "tyro"),
+    # The simulated world must not share the model that is fitted to it.
+    "deformscope.lab": ("deformscope.stages.msm", "deformscope.experiments", "deformscope.cli"),
+    "deformscope.config": ("numpy", "rich", "rerun", "warp"),
+}
+
+
+def modules() -> dict[str, Path]:
+    """Every module of both packages."""
+    found = {}
+    for package, folder in PACKAGES.items():
+        for path in sorted(folder.rglob("*.py")):
+            parts = path.relative_to(folder).with_suffix("").parts
+            name = ".".join((package, *parts)).removesuffix(".__init__")
+            found[name] = path
+    return found
+
+
+def imported(path: Path) -> set[str]:
+    """The modules that a file imports anywhere, inside functions and for type checking too."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module is not None:
+            names.add(node.module)
+            names.update(f"{node.module}.{alias.name}" for alias in node.names)
+    return names
+
+
+def within(name: str, package: str) -> bool:
+    return name == package or name.startswith(f"{package}.")
+
+
+@pytest.mark.parametrize("layer", FORBIDDEN)
+def test_imports_point_one_way(layer: str) -> None:
+    wrong = [
+        f"{name} imports {target}"
+        for name, path in modules().items()
+        if within(name, layer)
+        for target in sorted(imported(path))
+        for forbidden in FORBIDDEN[layer]
+        if within(target, forbidden)
+    ]
+
+    assert wrong == []
+
+
+def test_help_loads_nothing_heavy() -> None:
+    pytest.importorskip("tyro")
+    script = """
+import contextlib, io, sys
+from deformscope.cli import COMMANDS, main
+assert "tyro" not in sys.modules, "tyro is for a command's own flags"
+with contextlib.redirect_stdout(io.StringIO()):
+    for name in ["", *{name.split()[0] for name in COMMANDS}, *COMMANDS]:
+        assert main([*name.split(), "--help"]) == 0, name
+    assert main(["--version"]) == 0
+heavy = "rerun warp open3d sklearn scipy cv2 matplotlib skfem numpy serial can pyarrow rich".split()
+print(sorted(set(heavy) & set(sys.modules)))
+"""
+    # Not installed, the packages are found where pytest found them.
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    shown = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False, env=environment
+    )
+
+    assert shown.stderr == ""
+    assert shown.stdout == "[]\n"
+
+
+def test_version_is_told_once() -> None:
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+
+    assert deformscope.__version__ == declared
