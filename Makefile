@@ -28,6 +28,7 @@ help:
 	@echo 'make clean      remove what was built; recordings in runs/ stay'
 
 setup: $(READY)
+	@:
 
 $(READY): pyproject.toml
 	@if [ ! -x $(PY) ] || ! $(PY) -c '$(FITS)' 2>/dev/null || ! $(PY) -m pip --version >/dev/null 2>&1; then \

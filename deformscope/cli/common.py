@@ -41,13 +41,12 @@ def report_console() -> Console:
 
 def show_table(title: str, rows: Sequence[tuple[str, str]]) -> None:
     """Tell a result as a short table of names and values."""
-    from rich.markup import escape
-    from rich.table import Table
-
-    table = Table(title=escape(title), title_justify="left", show_header=False, box=None, padding=(0, 2, 0, 0))
+    where = report_console()
+    width = max((len(name) for name, _ in rows), default=0)
+    # Never folded: a path or a number cut in two is of no use to whoever reads the output through a pipe.
+    where.print(title, style="bold", markup=False, soft_wrap=True)
     for name, value in rows:
-        table.add_row(escape(name), escape(value))
-    report_console().print(table)
+        where.print(f"  {name:<{width}}  {value}", markup=False, soft_wrap=True)
 
 
 @contextmanager

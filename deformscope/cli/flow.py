@@ -96,7 +96,8 @@ def _draw(image: ImageArray, flow_px: FloatArray, path: Path) -> None:
     typical_px = float(np.percentile(length_px, 95))
     factor = step / typical_px if typical_px > 0 else 1.0
 
-    figure = Figure(figsize=(9, max(2.5, min(12.0, 8 * height / width))), layout="constrained")
+    inches = 9 / max(height, width)
+    figure = Figure(figsize=(width * inches + 2, max(2.5, height * inches)), layout="constrained")
     axes = figure.subplots()
     shown = image if image.ndim == 2 else image.mean(axis=2)
     axes.imshow(shown, cmap="gray", alpha=0.6)
