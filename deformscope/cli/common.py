@@ -32,21 +32,13 @@ def console() -> Console:
     return Console(stderr=True, highlight=False)
 
 
-def report_console() -> Console:
-    """Where the result is told to a person: stdout, or stderr where `--json -` has taken stdout."""
-    from rich.console import Console
-
-    return Console(file=sys.stdout, highlight=False)
-
-
 def show_table(title: str, rows: Sequence[tuple[str, str]]) -> None:
-    """Tell a result as a short table of names and values."""
-    where = report_console()
+    """Tell a result as a short table of names and values, on stdout; on stderr where `--json -` has taken stdout.
+
+    Plain lines, never folded: a path or a number cut in two is of no use to whoever reads them through a pipe.
+    """
     width = max((len(name) for name, _ in rows), default=0)
-    # Never folded: a path or a number cut in two is of no use to whoever reads the output through a pipe.
-    where.print(title, style="bold", markup=False, soft_wrap=True)
-    for name, value in rows:
-        where.print(f"  {name:<{width}}  {value}", markup=False, soft_wrap=True)
+    print("\n".join([title, *(f"  {name:<{width}}  {value}" for name, value in rows)]), flush=True)
 
 
 @contextmanager

@@ -325,17 +325,30 @@ def test_an_interrupt_is_quiet(command: Callable[..., list[str]], capsys: pytest
     assert one_line(capsys) == "deformscope: interrupted"
 
 
+TALK = """
+import sys, types
+from deformscope import cli
+from deformscope.cli.common import show_table
+module = sys.modules["talk"] = types.ModuleType("talk")
+module.run = lambda config: show_table("Result", [("beta", "0.5")])
+cli.COMMANDS["talk"] = cli.Command("talk", "FlowConfig", "talk")
+sys.exit(cli.main(["talk", "a.png", "b.png", "--out", "f.npz"]))
+"""
+
+
 def test_a_reader_that_goes_away_is_quiet() -> None:
     reader, writer = os.pipe()
     os.close(reader)
     try:
         told = run_python("-m", "deformscope", "--help", stdout=writer)
         flags = run_python("-m", "deformscope", "flow", "--help", stdout=writer)
+        result = run_python("-c", TALK, stdout=writer)
     finally:
         os.close(writer)
 
     assert (told.returncode, told.stderr) == (141, "")
     assert (flags.returncode, flags.stderr) == (141, "")
+    assert (result.returncode, result.stderr) == (141, "")
 
 
 def test_another_pipe_that_breaks_is_no_silence(
