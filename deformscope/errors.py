@@ -16,3 +16,10 @@ class InputError(Exception):
         if str(where):
             parts.append(str(where))
         super().__init__(" | ".join(parts))
+
+    @classmethod
+    def about(cls, error: InputError, where: object) -> InputError:
+        """The same error, with the file that it is about."""
+        told = cls.__new__(cls)
+        Exception.__init__(told, f"{error} | {where}" if str(where) else str(error))
+        return told

@@ -16,7 +16,7 @@ from deformscope.errors import InputError
 from deformscope.stages import interval
 from deformscope.stages.distance import distances, nearest_error
 from deformscope.stages.estimate import Comparison, Curve, Estimate, LengthUnit, Parameter, Verdict
-from deformscope.stages.msm import clusters
+from deformscope.stages.msm import clusters, reference
 from deformscope.stages.msm.reference import Basis
 from deformscope.stages.msm.solver import Msm, Precision, Relaxed
 
@@ -36,8 +36,11 @@ class Observation:
     """One manipulation: a rest shape, what it became, and what was held.
 
     rest, deformed: (K, d), d = 2 or 3 [unit]; held: (n,) indices whose deformed position is prescribed
-    observed: (K,) particles that were seen in `deformed`; noise: (K,) standard deviation per coordinate, None if unknown
+    observed: (K,) particles that were seen in `deformed`
+    noise: (K,) standard deviation per coordinate, None if unknown
     shape, cell: the lattice that the particles stand on (last axis fastest, may have holes), None if they stand on none
+    metres_per_unit: size of the unit, None for pixels of unknown size
+    force_n: net force [N] on the held particles `contact`; None if it was not measured
     """
 
     rest: FloatArray
@@ -48,6 +51,9 @@ class Observation:
     shape: tuple[int, ...] | None = None
     cell: IntArray | None = None
     unit: LengthUnit = "m"
+    metres_per_unit: float | None = 1.0
+    force_n: float | None = None
+    contact: IntArray | None = None
 
     def __post_init__(self) -> None:
         count, d = self.rest.shape
@@ -89,14 +95,17 @@ class Model:
     precision: Precision = "float64"
     device: str = "cpu"
 
+    def grouping(self, seen: Observation) -> clusters.Clusters:
+        """How the particles of an observation are grouped."""
+        if self.cluster_size is None:
+            return clusters.single(len(seen.rest))
+        if seen.shape is not None and seen.cell is not None:
+            return clusters.lattice(seen.rest, seen.shape, seen.cell, self.cluster_size)
+        return clusters.nearest(seen.rest, self.cluster_size ** seen.rest.shape[1])
+
     def body(self, seen: Observation) -> Msm:
         """The particles of an observation in this model's clusters, on its device."""
-        if self.cluster_size is None:
-            grouped = clusters.single(len(seen.rest))
-        elif seen.shape is not None and seen.cell is not None:
-            grouped = clusters.lattice(seen.rest, seen.shape, seen.cell, self.cluster_size)
-        else:
-            grouped = clusters.nearest(seen.rest, self.cluster_size ** seen.rest.shape[1])
+        grouped = self.grouping(seen)
         return Msm(seen.rest, grouped, seen.held, basis=self.basis, precision=self.precision, device=self.device)
 
 
@@ -110,7 +119,10 @@ class Calibration:
 
 @dataclass
 class _Tried:
-    """Every candidate simulated so far: parameter (g,), for each observation positions (g, K, d), and `settled` (g,)."""
+    """Every candidate simulated so far, in rising order.
+
+    parameter: (g,); positions: for each observation (g, K, d); converged, usable (not diverged): (g,)
+    """
 
     parameter: FloatArray = field(default_factory=lambda: np.empty(0))
     positions: list[FloatArray] = field(default_factory=list)
@@ -262,7 +274,7 @@ class _Fit:
 
     # -- the interval ----------------------------------------------------------------------------------------------
 
-    def interval(self, level: float, seed: int, progress: Progress | None) -> tuple[tuple[float, float], float | None]:
+    def support(self, level: float, seed: int, progress: Progress | None) -> tuple[tuple[float, float], float | None]:
         """The interval of `deformscope.stages.interval`, and the white noise that the residuals tell of [unit]."""
         best = self.best()
         value = float(self.tried.parameter[best])
@@ -278,6 +290,7 @@ class _Fit:
         half = self._guess_half_width(draws)
         at, low, high = self._stretch(value), self._stretch(self.bounds[0]), self._stretch(self.bounds[1])
         observed = np.concatenate([s.deformed[s.free_observed] for s in self.seen])
+        ends = (value, value)
         for widen in range(6):
             reach = half * 2.5**widen
             grid = self._shrink(
@@ -334,10 +347,11 @@ class _Fit:
         base = self.tried.positions[row][best]
         count, d = len(seen.held), seen.rest.shape[1]
         deviation = np.ones(count) if seen.noise is None else seen.noise[seen.held]
-        directions = np.eye(count * d)
-        if count * d > MOST_HELD_DIRECTIONS:
-            directions = rng.standard_normal((MOST_HELD_DIRECTIONS, count * d)) / np.sqrt(MOST_HELD_DIRECTIONS)
-        directions = directions.reshape(-1, count, d)
+        sketched = count * d > MOST_HELD_DIRECTIONS
+        flat = np.eye(count * d)
+        if sketched:
+            flat = rng.standard_normal((MOST_HELD_DIRECTIONS, count * d)) / np.sqrt(MOST_HELD_DIRECTIONS)
+        directions = flat.reshape(-1, count, d)
         small = 1e-3 * body.scale / np.abs(directions).max()
         effect = np.empty((len(directions), *base.shape))
         for first in range(0, len(directions), 64):
@@ -346,11 +360,7 @@ class _Fit:
                 progress("held noise", first, len(directions))
             moved = self._relax(body, base[seen.held] + small * batch, float(self.tried.parameter[best]), base)
             effect[first : first + 64] = (moved.position - base) / small
-        deviations = (
-            np.ones(len(directions)) * float(np.mean(deviation))
-            if count * d > MOST_HELD_DIRECTIONS
-            else np.repeat(deviation, d)
-        )
+        deviations = np.full(len(directions), float(np.mean(deviation))) if sketched else np.repeat(deviation, d)
         return np.moveaxis(effect * deviations[:, None, None], 0, -1)
 
 
@@ -395,7 +405,7 @@ def calibrate(
     else:
         used["stopped"] = fit.descend(progress)
         curve = Curve(fit.tried.parameter.copy(), fit.error())
-    ends, found_noise = fit.interval(level, seed, progress)
+    ends, found_noise = fit.support(level, seed, progress)
     best = fit.best()
     given = [float(np.sqrt(np.mean(s.noise[s.free_observed] ** 2))) for s in seen if s.noise is not None]
     used["noise"] = float(np.mean(given)) if given else found_noise
@@ -409,6 +419,12 @@ def calibrate(
     )
     near = [nearest_error(c.simulated, c.observed[c.seen]) for c in comparisons]
     supported = (fit.tried.parameter >= ends[0]) & (fit.tried.parameter <= ends[1])
+    inside = np.flatnonzero(supported)
+    inside = np.unique(np.append(inside[:: max(1, inside.size // 12)], best))
+    k = stiffness(seen, model, [p[inside] for p in fit.tried.positions], fit.tried.parameter[inside])
+    told: tuple[float, tuple[float, float]] | None = None
+    if k is not None and np.isfinite(k).all():
+        told = float(k[inside == best][0]), (float(k.min()), float(k.max()))
     estimate = Estimate(
         parameter=model.parameter,
         value=float(fit.tried.parameter[best]),
@@ -416,7 +432,7 @@ def calibrate(
         level=level,
         bounds=bounds,
         verdict=verdict(ends, bounds),
-        stiffness_verdict="unidentified",
+        stiffness_verdict="unidentified" if told is None else _relative_verdict(*told),
         aee=float(fit.error()[best]),
         aee_free=float(free.mean()),
         nearest=float(np.mean(near)),
@@ -424,8 +440,34 @@ def calibrate(
         curve=curve,
         converged=bool(fit.tried.converged[supported].all()),
         settings={**used, **(settings or {})},
+        stiffness=told,
+        metres_per_unit=seen[0].metres_per_unit,
     )
     return Calibration(estimate, comparisons)
+
+
+def stiffness(
+    seen: Sequence[Observation], model: Model, positions: Sequence[FloatArray], parameter: FloatArray
+) -> FloatArray | None:
+    """The energy's stiffness k [N/m] at each parameter (g,), from the measured forces; None where there is none.
+
+    positions: for each observation (g, K, d). k minimises the squared difference of measured and simulated net force
+    over the observations. Without an energy (theta > 0) there is no force to compare.
+    """
+    told = [row for row, s in enumerate(seen) if s.force_n is not None and s.metres_per_unit is not None]
+    if not told or model.parameter != "beta" or model.theta != 0.0:
+        return None
+    simulated = np.zeros((len(parameter), len(told)))
+    measured = np.array([float(seen[row].force_n or 0.0) for row in told])
+    for column, row in enumerate(told):
+        s = seen[row]
+        rest = reference.build_rest(s.rest, model.grouping(s), s.held, basis=model.basis)
+        contact = s.held if s.contact is None else s.contact
+        for g, beta in enumerate(parameter):
+            net = reference.reaction(positions[row][g], rest, float(beta))[contact].sum(axis=0)
+            simulated[g, column] = float(np.linalg.norm(net)) * float(s.metres_per_unit or 1.0)
+    size = np.sum(simulated**2, axis=1)
+    return np.asarray(np.where(size > 0.0, simulated @ measured / np.where(size > 0.0, size, 1.0), np.nan))
 
 
 def verdict(ends: tuple[float, float], bounds: tuple[float, float]) -> Verdict:
@@ -436,3 +478,9 @@ def verdict(ends: tuple[float, float], bounds: tuple[float, float]) -> Verdict:
     if ends[0] <= bounds[0] or ends[1] >= bounds[1]:
         return "at-bound"
     return "identified" if width < IDENTIFIED_WIDTH else "weak"
+
+
+def _relative_verdict(value: float, ends: tuple[float, float]) -> Verdict:
+    """The verdict on a positive quantity without bounds: its interval's width against its value."""
+    width = (ends[1] - ends[0]) / value
+    return "identified" if width < IDENTIFIED_WIDTH else "weak" if width < WEAK_WIDTH else "unidentified"

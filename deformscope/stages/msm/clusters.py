@@ -146,7 +146,7 @@ def find_lattice(rest: FloatArray, tolerance: float = 0.01) -> tuple[tuple[int, 
         shape.append(number)
     if int(np.prod(shape)) != k or sum(n > 1 for n in shape) < 2:
         return None
-    cell = np.ravel_multi_index(tuple(index.T), tuple(shape))
+    cell = np.asarray(np.ravel_multi_index(tuple(index.T), tuple(shape)))
     if np.unique(cell).size != k:
         return None
     return tuple(shape), cell

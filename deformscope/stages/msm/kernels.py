@@ -312,7 +312,10 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
         turned_out: wp.array2d(dtype=square),
         compliance_out: wp.array2d(dtype=square),
     ):
-        """Each cluster's blend (1 - beta) [R - I, 0] + beta (A~_theta - [I, 0]) and mean displacement (eq. 3.7-3.17)."""
+        """Each cluster's blend (1 - beta) [R - I, 0] + beta (A~_theta - [I, 0]) and its mean displacement.
+
+        Thesis eq. 3.7 to 3.14 and 3.17.
+        """
         candidate, cluster = wp.tid()
         if running[candidate] != wp.static(RUNNING):
             return

@@ -114,7 +114,7 @@ def conserve_volume(a: FloatArray, theta: float, span: FloatArray) -> FloatArray
         inside = a @ span
         measure = float(np.sqrt(max(np.linalg.det(inside.T @ inside), 0.0)))
     root = np.sign(measure) * abs(measure) ** (1.0 / k)
-    return a / max(theta * root + (1.0 - theta), MIN_DENOMINATOR)
+    return np.asarray(a / max(theta * root + (1.0 - theta), MIN_DENOMINATOR))
 
 
 def cluster_goals(x: FloatArray, cluster: RestCluster, beta: float, theta: float) -> FloatArray:
@@ -143,6 +143,19 @@ def goals(x: FloatArray, rest: Rest, beta: float, theta: float = 0.0) -> FloatAr
     goal = total / count[:, None]
     goal[rest.held] = x[rest.held]
     return goal
+
+
+def reaction(x: FloatArray, rest: Rest, beta: float) -> FloatArray:
+    """Force on each particle by the body's energy, per unit of its stiffness k, (K, d) (theta = 0).
+
+    F_i = k sum over its clusters of m_i (x_i - goal_i): the gradient of k/2 sum_c (1 - beta) min_R |p - R q|^2 +
+    beta min_A |p - A q|^2. At a static state it is 0 at free particles, and what holds the held ones.
+    """
+    force = np.zeros_like(x)
+    for cluster in rest.clusters:
+        pull = x[cluster.index] - cluster_goals(x, cluster, beta, 0.0)
+        force[cluster.index] += cluster.mass[:, None] * pull
+    return force
 
 
 def step(

@@ -115,7 +115,9 @@ class Msm:
         held_row[self.held] = np.arange(len(self.held))
         self.free = ~held_mask(len(self.rest), self.held)
 
-        dev = functools.partial(wp.array, device=self.device)
+        def dev(values: FloatArray | IntArray, dtype: Any) -> Any:
+            return wp.array(values, dtype=dtype, device=self.device)
+
         self._offsets = dev(clusters.offsets, dtype=int)
         self._members = dev(clusters.members, dtype=int)
         self._share = dev(np.concatenate(share), dtype=kk.scalar)

@@ -1,0 +1,132 @@
+"""A deforming thing in a sequence of images: flow, particles, and the fit of the last pose (Thesis 3, experiment 5.2).
+
+The sweep fits the last frame, as in the thesis; the best value is then simulated at every frame, so that simulated
+particles follow the observed ones on the `frame` timeline.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.session import Experiment, Step
+from deformscope.stages.calibrate import Calibration, Method, Model, Observation, Progress, calibrate
+from deformscope.stages.estimate import Comparison
+from deformscope.stages.flow import FlowMethod, dense_flow
+from deformscope.stages.particles import ParticleGrid, Rect, Tracked, advance, seed_grid, select_held, start
+
+
+@dataclass(frozen=True, slots=True)
+class ParticleOptions:
+    """How an image becomes particles. roi, contact: x, y, width, height [px]; grid: rows, columns."""
+
+    roi: tuple[float, float, float, float] | None = None
+    grid: tuple[int, int] | None = None
+    spacing_px: float | None = None
+    held: tuple[str, ...] = ("top", "bottom")
+    contact: tuple[float, float, float, float] | None = None
+    flow: FlowMethod = "dis"
+    px_per_cm: float | None = None
+    noise_px: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FitOptions:
+    """How the parameter is found: see `deformscope.stages.calibrate.calibrate`."""
+
+    model: Model
+    bounds: tuple[float, float]
+    method: Method = "sweep"
+    candidates: int = 100
+    level: float = 0.9
+    seed: int = 0
+
+
+def foam_video(
+    particles: ParticleOptions, fit: FitOptions, mask: BoolArray | None = None, progress: Progress | None = None
+) -> Experiment[Calibration]:
+    """Follow particles through the frames that are sent, then fit the last pose and simulate every frame.
+
+    mask: (H, W) True where the thing is in the first frame
+    """
+    frame = yield Step()
+    if frame is None:
+        raise InputError("at least two frames", "none")
+    roi, contact = (None if box is None else Rect(*box) for box in (particles.roi, particles.contact))
+    grid = seed_grid(frame.image.shape[:2], roi, particles.grid, particles.spacing_px, mask)
+    held = select_held(grid, particles.held, contact)
+    history = [start(grid)]
+    step = Step((grid, history[0]))
+    while True:
+        following = yield step
+        if following is None:
+            break
+        forward = dense_flow(frame.image, following.image, particles.flow)
+        backward = dense_flow(following.image, frame.image, particles.flow)
+        history.append(advance(history[-1], forward, backward))
+        step = Step((forward, history[-1]))
+        frame = following
+    if len(history) < 2:
+        raise InputError("at least two frames", "one", "a longer sequence, or a smaller --stride")
+
+    seen = observe(grid, history[-1], held, particles)
+    used = {
+        "frames": len(history),
+        "particles": len(grid.rest_px),
+        "lost": int(np.count_nonzero(~history[-1].seen)),
+        "held": int(len(seen.held)),
+        "flow": particles.flow,
+    }
+    found = calibrate(
+        [seen],
+        fit.model,
+        fit.bounds,
+        method=fit.method,
+        candidates=fit.candidates,
+        level=fit.level,
+        seed=fit.seed,
+        settings=used,
+        progress=progress,
+    )
+    for index, comparison in enumerate(follow(seen, history, fit.model, found)):
+        yield Step((comparison,), frame=index)
+    yield Step((found.estimate,))
+    return found
+
+
+def observe(grid: ParticleGrid, last: Tracked, held: IntArray, particles: ParticleOptions) -> Observation:
+    """The last pose as an observation [px]. A held particle that was lost is prescribed nowhere, hence free."""
+    held = held[last.seen[held]]
+    if held.size == 0:
+        raise InputError(
+            "held particles that can be followed", "all of them lost", "other --held parts, a --roi with more texture"
+        )
+    noise = last.noise_px if particles.noise_px is None else np.full(len(grid.rest_px), particles.noise_px)
+    return Observation(
+        rest=np.asarray(grid.rest_px, dtype=np.float64),
+        deformed=np.asarray(last.position_px, dtype=np.float64),
+        held=held,
+        observed=last.seen,
+        noise=noise,
+        shape=grid.shape,
+        cell=grid.cell,
+        unit="px",
+        metres_per_unit=None if particles.px_per_cm is None else 0.01 / particles.px_per_cm,
+    )
+
+
+def follow(seen: Observation, history: list[Tracked], model: Model, found: Calibration) -> list[Comparison]:
+    """The best value simulated at every frame, all frames in one launch, each with that frame's held positions."""
+    positions: FloatArray = np.stack([np.asarray(moment.position_px, dtype=np.float64) for moment in history])
+    value = found.estimate.value
+    beta, theta = (value, model.theta) if model.parameter == "beta" else (model.beta, value)
+    state = model.body(seen).relax(positions[:, seen.held], beta, theta)
+    still = found.comparisons[0]
+    return [
+        dataclasses.replace(still, observed=positions[index], simulated=state.position[index], seen=moment.seen)
+        for index, moment in enumerate(history)
+    ]

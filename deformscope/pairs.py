@@ -1,0 +1,138 @@
+"""Pair files: a rest shape, the deformed shape, and what was held, in one `.npz`."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from deformscope.errors import InputError
+from deformscope.stages.calibrate import Observation
+from deformscope.stages.msm.clusters import find_lattice
+
+KEYS = ("rest", "deformed", "held", "shape", "cell", "observed", "noise_m", "force_n", "contact")
+CONTACT_SHARE = 0.5
+"""Without `contact`, the force acts on the held particles that moved more than this share of the largest motion."""
+
+
+def read_pair(path: Path, *, noise_m: float | None = None) -> tuple[Observation, bytes]:
+    """A pair file as an observation [m], and its bytes as they are, for a recording. See `parse_pair`."""
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise InputError("a pair file (.npz)", (error.strerror or str(error)).lower(), where=path) from error
+    return parse_pair(raw, path, noise_m=noise_m), raw
+
+
+def parse_pair(raw: bytes, where: object = "", *, noise_m: float | None = None) -> Observation:
+    """The observation in a pair file's bytes.
+
+    Needed: `rest (K, d)`, `deformed (K, d)` in metres, d = 2 or 3, `held (n,)` indices whose deformed position is
+    prescribed. Optional: `shape` (lattice, last axis fastest), `cell (K,)` flat lattice index where it has holes,
+    `observed (K,)` bool, `noise_m` (a number, or (K,)), `force_n` with `contact (m,)`, a subset of `held`.
+    Without `shape`, a rest shape that is regular within 1 % is taken as a lattice. noise_m: instead of the file's.
+    Raises InputError for what is missing, does not fit together, or is not finite.
+    """
+    try:
+        with np.load(io.BytesIO(raw), allow_pickle=False) as file:
+            found = {name: np.asarray(file[name]) for name in file.files}
+    except (ValueError, OSError, zipfile.BadZipFile, EOFError, KeyError) as error:
+        raise InputError("a pair file (.npz of arrays)", "a file that is none, or damaged", where=where) from error
+    try:
+        return _observation(found, noise_m)
+    except InputError as error:
+        raise type(error).about(error, where) from error
+
+
+def _observation(found: Mapping[str, npt.NDArray[Any]], noise_m: float | None) -> Observation:
+    missing = [name for name in ("rest", "deformed", "held") if name not in found]
+    if missing:
+        keys = ", ".join(sorted(found)) or "nothing"
+        raise InputError(f"{' and '.join(missing)} in the pair file", keys, "see `Pair files` in the README")
+    rest, deformed = _numbers(found, "rest"), _numbers(found, "deformed")
+    if rest.ndim != 2 or rest.shape[1] not in (2, 3):
+        raise InputError("rest of shape (K, 2) or (K, 3)", str(rest.shape))
+    if deformed.shape != rest.shape:
+        raise InputError(f"deformed of rest's shape {rest.shape}", str(deformed.shape))
+    count = len(rest)
+    observed = np.ones(count, dtype=bool)
+    if "observed" in found:
+        observed = _sized(found, "observed", count).astype(bool)
+    held = _indices(found, "held", count)
+    shape, cell = _lattice(found, rest)
+    noise = None
+    if noise_m is not None:
+        noise = np.full(count, noise_m)
+    elif "noise_m" in found:
+        noise = np.broadcast_to(_numbers(found, "noise_m"), (count,)).copy()
+        if not (np.isfinite(noise).all() and (noise > 0.0).all()):
+            raise InputError("noise_m above 0", "0, a negative or no number", "leave it out if it is not known")
+    force, contact = _force(found, rest, deformed, held)
+    return Observation(
+        rest, deformed, held, observed, noise=noise, shape=shape, cell=cell, force_n=force, contact=contact
+    )
+
+
+def _lattice(
+    found: Mapping[str, npt.NDArray[Any]], rest: npt.NDArray[Any]
+) -> tuple[tuple[int, ...] | None, npt.NDArray[Any] | None]:
+    if "shape" not in found:
+        return find_lattice(rest) or (None, None)
+    shape = tuple(int(n) for n in np.atleast_1d(found["shape"]))
+    size = int(np.prod(shape))
+    if min(shape) < 1 or (size != len(rest) and "cell" not in found) or size < len(rest):
+        raise InputError(
+            f"a lattice shape for {len(rest)} particles", "x".join(map(str, shape)), "give `cell` where it has holes"
+        )
+    cell = _indices(found, "cell", size) if "cell" in found else np.arange(len(rest))
+    if len(cell) != len(rest):
+        raise InputError(f"cell of shape ({len(rest)},)", str(cell.shape))
+    return shape, cell
+
+
+def _force(
+    found: Mapping[str, npt.NDArray[Any]], rest: npt.NDArray[Any], deformed: npt.NDArray[Any], held: npt.NDArray[Any]
+) -> tuple[float | None, npt.NDArray[Any] | None]:
+    if "force_n" not in found:
+        return None, None
+    force = abs(float(_numbers(found, "force_n").reshape(-1)[0])) if found["force_n"].size else float("nan")
+    if not np.isfinite(force):
+        raise InputError("a finite force_n", "no number")
+    if "contact" in found:
+        contact = _indices(found, "contact", len(rest))
+        if not np.isin(contact, held).all():
+            raise InputError("contact among the held particles", "others too", "add them to `held`")
+        return force, contact
+    moved = np.linalg.norm((deformed - rest)[held], axis=1)
+    return force, held[moved > CONTACT_SHARE * moved.max(initial=0.0)]
+
+
+def _numbers(found: Mapping[str, npt.NDArray[Any]], name: str) -> npt.NDArray[np.float64]:
+    if found[name].dtype.kind not in "fiu":
+        raise InputError(f"numbers in {name}", str(found[name].dtype))
+    return found[name].astype(np.float64)
+
+
+def _sized(found: Mapping[str, npt.NDArray[Any]], name: str, count: int) -> npt.NDArray[Any]:
+    if found[name].shape != (count,):
+        raise InputError(f"{name} of shape ({count},)", str(found[name].shape))
+    return found[name]
+
+
+def _indices(found: Mapping[str, npt.NDArray[Any]], name: str, count: int) -> npt.NDArray[np.int64]:
+    """Distinct indices below `count`; a boolean array of that length will do as well."""
+    value = found[name]
+    if value.dtype == np.bool_ and value.shape == (count,):
+        return np.flatnonzero(value)
+    if value.ndim != 1 or value.dtype.kind not in "iu":
+        raise InputError(f"whole-number indices in {name}", f"{value.dtype} of shape {value.shape}")
+    if value.size and (value.min() < 0 or value.max() >= count):
+        raise InputError(f"indices 0 to {count - 1} in {name}", f"{value.min()} to {value.max()}")
+    if np.unique(value).size != value.size:
+        raise InputError(f"each index once in {name}", "repeated ones")
+    return value.astype(np.int64)
