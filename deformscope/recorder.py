@@ -108,6 +108,7 @@ class Recorder:
         self._first_ns = 0
         self._last_frame = 0
         self._arranged = False
+        self._range: tuple[float, float] | None = None
         self._frames = self._steps = self._inputs = 0
         self._beat_at = self._beats = 0.0
         self._broken = False
@@ -159,6 +160,9 @@ class Recorder:
         times = self._times(frame.index)
         stamp = frame.stamp.host_ns, -1 if frame.stamp.device_ticks is None else frame.stamp.device_ticks
         self._emit(lambda rec: _log_frame(rec, times, png, stamp), len(png))
+        if frame.image.dtype == np.uint16:
+            shown = self._shown(frame.image)
+            self._emit(lambda rec: _log_shown(rec, times, shown), len(shown))
 
     def write(self, step: Step) -> None:
         """Record the results of one step, at the frame that they belong to."""
@@ -242,6 +246,17 @@ class Recorder:
 
         views = blueprint(self._layout, self._canvas)
         self._emit(lambda rec: rec.send_blueprint(views), 0)
+
+    def _shown(self, image: ImageArray) -> bytes:
+        """A 16 bit image as a viewer can show it: its range, as of the first frame, spread over 8 bits."""
+        import cv2
+
+        if self._range is None:
+            self._range = float(image.min()), max(float(image.max()), float(image.min()) + 1.0)
+        low, high = self._range
+        spread = ((image.astype(np.float32) - low) * (255.0 / (high - low))).clip(0, 255).astype(np.uint8)
+        ordered = spread if spread.ndim == 2 else spread[..., ::-1]
+        return cv2.imencode(".jpg", ordered, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes()
 
     def _times(self, frame: int) -> tuple[int, int]:
         """(frame, session [ns]) of a frame that was written; pairs have frames without images, at time 0."""
@@ -392,7 +407,8 @@ def _canvas_of(image: ImageArray) -> Canvas:
     from deformscope.log.canvas import Canvas
 
     height, width = image.shape[:2]
-    return Canvas(low=(0.0, 0.0), high=(float(width), float(height)), image=True)
+    path = "input/image" if image.dtype == np.uint8 else "display/image"
+    return Canvas(low=(0.0, 0.0), high=(float(width), float(height)), image=path)
 
 
 def _set_times(rec: rr.RecordingStream, times: tuple[int, int]) -> None:
@@ -408,6 +424,13 @@ def _log_frame(rec: rr.RecordingStream, times: tuple[int, int], png: bytes, stam
     _set_times(rec, times)
     image = rr.EncodedImage(contents=png, media_type="image/png", draw_order=-10.0)
     rec.log("input/image", image, rr.AnyValues(host_ns=stamp[0], device_ticks=stamp[1]))
+
+
+def _log_shown(rec: rr.RecordingStream, times: tuple[int, int], jpeg: bytes) -> None:
+    import rerun as rr
+
+    _set_times(rec, times)
+    rec.log("display/image", rr.EncodedImage(contents=jpeg, media_type="image/jpeg", draw_order=-10.0))
 
 
 def _log_image(rec: rr.RecordingStream, path: str, png: bytes) -> None:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from typing import Literal
 
-import rerun as rr
 import rerun.blueprint as rrb
 
-from deformscope.log.canvas import LEGEND_SHARE, Canvas
+from deformscope.log.canvas import COLUMN_SHARE, ROW_SHARE, Canvas
 
 Layout = Literal["images", "flow", "pair"]
 """A calibrated sequence of images; optical flow alone; pairs of particle sets."""
 
-IMAGE = "+ /input/image"
+PAPER = [232, 235, 240]
+"""Behind particles without an image: every colour of theirs is seen on it."""
+WIDE_FROM = 3.0
+"""Width over height from which pictures are stacked rather than put side by side."""
 
 
 def blueprint(layout: Layout, canvas: Canvas) -> rrb.Blueprint:
@@ -23,16 +25,20 @@ def blueprint(layout: Layout, canvas: Canvas) -> rrb.Blueprint:
         root = _images(canvas)
     else:
         root = _pair(canvas)
-    time = rrb.TimePanel(timeline="frame", state="collapsed", play_state="paused")
+    time = rrb.TimePanel(timeline="frame", state="collapsed", play_state="following", fps=8.0)
     return rrb.Blueprint(root, rrb.BlueprintPanel(state="hidden"), rrb.SelectionPanel(state="hidden"), time)
 
 
 def _images(canvas: Canvas) -> rrb.Container:
     pictures = [_particles_view(canvas), _flow_view(canvas), _residual_view(canvas)]
     numbers = [_chart_view(), _error_view(), _summary_view()]
-    if canvas.upright:
-        return rrb.Horizontal(*pictures, rrb.Vertical(*numbers, row_shares=[5, 3, 4]), column_shares=[3, 3, 3, 4])
-    return rrb.Vertical(rrb.Horizontal(*pictures), rrb.Horizontal(*numbers, column_shares=[4, 4, 3]), row_shares=[1, 1])
+    if canvas.height > canvas.width:
+        return rrb.Horizontal(*pictures, rrb.Vertical(*numbers, row_shares=[5, 3, 5]), column_shares=[3, 3, 3, 4])
+    if canvas.width > WIDE_FROM * canvas.height:
+        return rrb.Horizontal(
+            rrb.Vertical(*pictures), rrb.Vertical(*numbers, row_shares=[5, 3, 5]), column_shares=[3, 2]
+        )
+    return rrb.Vertical(rrb.Horizontal(*pictures), rrb.Horizontal(*numbers, column_shares=[4, 4, 3]))
 
 
 def _pair(canvas: Canvas) -> rrb.Container:
@@ -42,7 +48,9 @@ def _pair(canvas: Canvas) -> rrb.Container:
             rrb.Horizontal(*pictures), rrb.Horizontal(_chart_view(), _summary_view(), column_shares=[4, 3])
         )
     pictures = [
-        _deep_view("Particles: rest green, observed blue, simulated red", ["+ /particles/**"], canvas),
+        _deep_view(
+            "Particles: rest green, observed blue, simulated red", ["+ /particles/**", "+ /residual/lines"], canvas
+        ),
         _deep_view("Residuals: observed minus simulated", ["+ /residual/lines", "+ /residual/points"], canvas),
     ]
     legend = rrb.TextDocumentView(origin="/residual/legend", name="Colours")
@@ -54,19 +62,21 @@ def _pair(canvas: Canvas) -> rrb.Container:
 
 
 def _particles_view(canvas: Canvas) -> rrb.View:
-    contents = [IMAGE, "+ /particles/**"] if canvas.image else ["+ /particles/**"]
-    return rrb.Spatial2DView(name="Particles", contents=contents, visual_bounds=_bounds(canvas))
+    return _flat_view("Particles", "+ /particles/**", canvas)
 
 
 def _flow_view(canvas: Canvas) -> rrb.View:
-    return rrb.Spatial2DView(
-        name="Optical flow since the frame before", contents=[IMAGE, "+ /flow/**"], visual_bounds=_bounds(canvas)
-    )
+    return _flat_view("Optical flow since the frame before", "+ /flow/**", canvas)
 
 
 def _residual_view(canvas: Canvas) -> rrb.View:
-    contents = [IMAGE, "+ /residual/**"] if canvas.image else ["+ /residual/**"]
-    return rrb.Spatial2DView(name="Residuals: observed - simulated", contents=contents, visual_bounds=_bounds(canvas))
+    return _flat_view("Residuals: from simulated to observed", "+ /residual/**", canvas)
+
+
+def _flat_view(name: str, results: str, canvas: Canvas) -> rrb.View:
+    contents = [f"+ /{canvas.image}", results] if canvas.image else [results]
+    background = None if canvas.image else PAPER
+    return rrb.Spatial2DView(name=name, contents=contents, visual_bounds=_bounds(canvas), background=background)
 
 
 def _chart_view() -> rrb.View:
@@ -75,7 +85,7 @@ def _chart_view() -> rrb.View:
 
 def _error_view() -> rrb.View:
     return rrb.TimeSeriesView(
-        origin="/error", name="Average error in each frame", axis_y=rrb.ScalarAxis(zoom_lock=True)
+        origin="/error", name="Average error in each frame", plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop)
     )
 
 
@@ -86,11 +96,11 @@ def _summary_view() -> rrb.View:
 def _bounds(canvas: Canvas) -> rrb.VisualBounds2D:
     """The picture and its legend."""
     (x0, y0), (x1, y1) = canvas.low[:2], canvas.high[:2]
-    margin = 0.03 * max(x1 - x0, y1 - y0)
-    if canvas.upright:
-        x1 += LEGEND_SHARE * (x1 - x0)
+    margin = 0.02 * max(x1 - x0, y1 - y0) + canvas.rim
+    if canvas.legend_beside:
+        x1 += COLUMN_SHARE * (x1 - x0)
     else:
-        y1 += 0.3 * LEGEND_SHARE * (y1 - y0)
+        y1 += ROW_SHARE * max(x1 - x0, y1 - y0)
     return rrb.VisualBounds2D(x_range=[x0 - margin, x1 + margin], y_range=[y0 - margin, y1 + margin])
 
 
@@ -98,7 +108,7 @@ def _deep_view(name: str, contents: list[str], canvas: Canvas) -> rrb.View:
     """A view whose eye stands far enough away to have the whole in sight, above and to the side."""
     middle = [(low + high) / 2 for low, high in zip(canvas.low, canvas.high, strict=True)]
     size = sum((high - low) ** 2 for low, high in zip(canvas.low, canvas.high, strict=True)) ** 0.5 or 1.0
-    away = [middle[0] + 0.75 * size, middle[1] - 0.95 * size, middle[2] + 0.6 * size]
+    away = [middle[0] + 0.5 * size, middle[1] - 0.75 * size, middle[2] + 0.5 * size]
     return rrb.Spatial3DView(
         name=name,
         contents=contents,
@@ -106,9 +116,5 @@ def _deep_view(name: str, contents: list[str], canvas: Canvas) -> rrb.View:
             kind=rrb.Eye3DKind.Orbital, position=away, look_target=middle, eye_up=[0.0, 0.0, 1.0]
         ),
         line_grid=rrb.LineGrid3D(visible=False),
+        background=PAPER,
     )
-
-
-def log_view_coordinates(rec: rr.RecordingStream) -> None:
-    """Pairs in space are right-handed with z up."""
-    rec.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)

@@ -20,11 +20,15 @@ ColorArray = npt.NDArray[np.uint8]
 OBSERVED: Rgb = (40, 110, 255)
 SIMULATED: Rgb = (235, 45, 45)
 REST: Rgb = (30, 190, 80)
-LOST: Rgb = (150, 150, 150)
+LOST: Rgb = (245, 245, 245)
 HELD: Rgb = (255, 200, 0)
 
-LEGEND_SHARE = 0.5
-"""The legend's part of the picture's short side, added beside or below it."""
+TEXT: Rgb = (225, 225, 225)
+
+BESIDE_FROM = 3.5
+"""Height over width from which the legend stands beside the picture rather than below it."""
+COLUMN_SHARE, ROW_SHARE = 0.8, 0.14
+"""What the legend takes beside the picture, of its width, or below it, of its longer side."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,23 +38,31 @@ class Canvas:
     low, high: (d,) its corners, d = 2 or 3: pixels of the image, or the pair's own unit
     spacing: between neighbouring particles, in the same unit; 0 = not known yet
     region: (2, 2) lowest and highest corner of where the particles are now [px]; None = everywhere
-    image: whether there is an image under the results
+    image: the path of the image under the results; empty = none
     """
 
     low: tuple[float, ...] = (0.0, 0.0)
     high: tuple[float, ...] = (1.0, 1.0)
     spacing: float = 0.0
     region: tuple[tuple[float, float], tuple[float, float]] | None = None
-    image: bool = False
+    image: str = ""
 
     @property
     def flat(self) -> bool:
         return len(self.low) == 2
 
     @property
-    def upright(self) -> bool:
-        """Whether the picture is taller than wide: the legend then stands beside it, else below it."""
-        return self.high[1] - self.low[1] > self.high[0] - self.low[0]
+    def width(self) -> float:
+        return self.high[0] - self.low[0]
+
+    @property
+    def height(self) -> float:
+        return self.high[1] - self.low[1]
+
+    @property
+    def legend_beside(self) -> bool:
+        """Whether the legend stands beside the picture: only where that is tall and narrow."""
+        return self.height > BESIDE_FROM * self.width
 
     def around(self, position: FloatArray) -> Canvas:
         """This canvas, knowing where the particles are. position: (K, d), NaN where unknown."""
@@ -62,16 +74,22 @@ class Canvas:
             return replace(self, region=((float(low[0]), float(low[1])), (float(high[0]), float(high[1]))))
         return replace(self, low=tuple(map(float, low)), high=tuple(map(float, high)))
 
-    def slot(self, place: float) -> tuple[float, float]:
-        """Where the legend's entry number `place` stands, outside the picture [unit of the picture]."""
-        (x, y), (width, height) = self.low[:2], (self.high[0] - self.low[0], self.high[1] - self.low[1])
-        if self.upright:
-            return x + width * (1 + LEGEND_SHARE * 0.45), y + height * (0.04 + 0.075 * place)
-        return x + width * (0.1 + 0.2 * place), y + height * (1 + LEGEND_SHARE * 0.2)
+    def slot(self, place: float, row: int = 0) -> tuple[float, float]:
+        """Where the legend's entry number `place`, 0 to 4, stands, outside the picture [unit of the picture]."""
+        if self.legend_beside:
+            return self.low[0] + self.width * (1.25 + 0.45 * row), self.low[1] + self.height * (0.06 + 0.06 * place)
+        below = (0.25 + 0.5 * row) * ROW_SHARE * max(self.width, self.height) + self.rim
+        return self.low[0] + self.width * (0.1 + 0.2 * place), self.high[1] + below
 
+    @property
+    def rim(self) -> float:
+        """Room for the marks of particles on the edge; an image has its own."""
+        return 0.0 if self.image else 0.4 * self.spacing
+
+    @property
     def mark(self) -> float:
         """The radius of a mark in the legend [unit of the picture]."""
-        return 0.014 * max(self.high[0] - self.low[0], self.high[1] - self.low[1])
+        return 0.011 * max(self.width, self.height)
 
 
 def spacing_of(position: FloatArray) -> float:
@@ -100,45 +118,47 @@ def round_up(value: float) -> float:
     return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if value <= step * power * (1 + 1e-9))
 
 
-def log_legend(rec: rr.RecordingStream, path: str, canvas: Canvas, entries: Sequence[tuple[float, str, Rgb]]) -> None:
-    """Name the colours beside the picture. entries: (place, label, colour)."""
-    if not canvas.flat:
-        return
+def readable(unit: str, largest: float) -> tuple[float, str]:
+    """The factor and the unit that show lengths up to `largest` [unit] without a row of zeros."""
+    if unit == "m" and largest < 0.1:
+        return 1e3, "mm"
+    return 1.0, unit
+
+
+def log_legend(
+    rec: rr.RecordingStream, path: str, canvas: Canvas, entries: Sequence[tuple[float, str, Rgb]], row: int = 0
+) -> None:
+    """Name the colours at the picture's edge. entries: (place, label, colour)."""
+    points = [canvas.slot(place, row) for place, _, _ in entries]
+    rec.log(path, rr.Points2D(points, radii=canvas.mark, colors=[tint for _, _, tint in entries], draw_order=58.0))
+    log_labels(
+        rec, f"{path}/label", canvas, [(*point, label) for point, (_, label, _) in zip(points, entries, strict=True)]
+    )
+
+
+def log_labels(rec: rr.RecordingStream, path: str, canvas: Canvas, labels: Sequence[tuple[float, float, str]]) -> None:
+    """Text under (x, y). A label takes its mark's colour, and not every colour can be read: its mark is tiny."""
     rec.log(
         path,
         rr.Points2D(
-            [canvas.slot(place) for place, _, _ in entries],
-            radii=canvas.mark(),
-            colors=[color for _, _, color in entries],
-            labels=[label for _, label, _ in entries],
+            [(x, y) for x, y, _ in labels],
+            radii=canvas.mark * 0.2,
+            colors=TEXT,
+            labels=[label for _, _, label in labels],
             show_labels=True,
             draw_order=60.0,
         ),
     )
 
 
-def log_color_bar(rec: rr.RecordingStream, path: str, canvas: Canvas, end: float, unit: str, note: str = "") -> None:
-    """A row of coloured marks from 0 to `end` [unit], with its numbers; `note` stands at its end."""
-    if not canvas.flat:
-        return
-    share = np.linspace(0, 1, 13)
-    places = 0.5 + 4 * share if not canvas.upright else 4.5 - 4 * share
-    labels = [f"{end * at:g} {unit}" if index % 6 == 0 else "" for index, at in enumerate(share)]
-    points = [canvas.slot(float(place)) for place in places]
-    tints = colors(share)
-    numbered = [index for index, label in enumerate(labels) if label]
-    plain = [index for index, label in enumerate(labels) if not label]
-    rec.log(path, rr.Points2D([points[i] for i in plain], radii=canvas.mark(), colors=tints[plain], draw_order=59.0))
-    rec.log(
-        f"{path}/number",
-        rr.Points2D(
-            [points[i] for i in numbered],
-            radii=canvas.mark() * 1.2,
-            colors=tints[numbered],
-            labels=[labels[i] for i in numbered],
-            show_labels=True,
-            draw_order=60.0,
-        ),
-    )
-    if note:
-        log_legend(rec, f"{path}/note", canvas, [(6.0 if canvas.upright else 5.0, note, LOST)])
+def log_color_bar(rec: rr.RecordingStream, path: str, canvas: Canvas, end: float, unit: str) -> None:
+    """A row of coloured marks from 0 to `end` [unit], with its numbers."""
+    share = np.linspace(0, 1, 21)
+    points = [canvas.slot(4 * float(1 - at if canvas.legend_beside else at)) for at in share]
+    rec.log(path, rr.Points2D(points, radii=canvas.mark, colors=colors(share), draw_order=58.0))
+    factor, shown = readable(unit, end)
+    numbers = []
+    for at in (0.0, 0.5, 1.0):
+        x, y = canvas.slot(4 * (1 - at if canvas.legend_beside else at))
+        numbers.append((x, y, f"{end * at * factor:g} {shown}"))
+    log_labels(rec, f"{path}/number", canvas, numbers)

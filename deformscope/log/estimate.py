@@ -21,14 +21,17 @@ from deformscope.log.canvas import (
     colors,
     log_color_bar,
     log_legend,
+    readable,
     round_up,
 )
-from deformscope.log.particles import OBSERVED_RADIUS, REST_RADIUS, SIMULATED_RADIUS, log_observed, log_rest
+from deformscope.log.particles import REST_RADIUS, SIMULATED_RADIUS, log_observed, log_rest
 from deformscope.stages.estimate import Comparison, Estimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+RESIDUAL_RADIUS, DEEP_RADIUS, DEEP_OBSERVED_RADIUS = 0.15, 0.13, 0.16
+"""Shares of the spacing. In space observed spheres are larger, so that red is what departs from them."""
 ERROR, INTERVAL, MINIMUM = "#1f5fd0", "#9db8e8", "#d92b2b"
 """Of the chart: the curve, the shaded interval, the marked minimum."""
 
@@ -74,17 +77,17 @@ def _log_flat(rec: rr.RecordingStream, comparison: Comparison, length: FloatArra
     end = round_up(float(np.max(length[known], initial=0.0)))
     tints = colors(length[known] / end)
     lines = np.stack([comparison.simulated[known], comparison.observed[known]], axis=1)
-    rec.log("residual/lines", rr.LineStrips2D(lines, radii=radius * 0.05, colors=tints, draw_order=40.0))
+    rec.log("residual/lines", rr.LineStrips2D(lines, radii=radius * 0.06, colors=tints, draw_order=40.0))
     rec.log(
         "residual/points",
-        rr.Points2D(comparison.observed[known], radii=radius * OBSERVED_RADIUS, colors=tints, draw_order=41.0),
+        rr.Points2D(comparison.observed[known], radii=radius * RESIDUAL_RADIUS, colors=tints, draw_order=41.0),
     )
     rec.log("residual/points", rr.AnyValues(residual=length))
     held = comparison.observed[comparison.held]
     held = held[np.isfinite(held).all(axis=1)]
-    rec.log("residual/held", rr.Points2D(held, radii=radius * 0.08, colors=HELD, draw_order=42.0))
+    rec.log("residual/held", rr.Points2D(held, radii=radius * 0.07, colors=HELD, draw_order=42.0))
     log_color_bar(rec, "residual/legend", canvas, end, comparison.unit)
-    log_legend(rec, "residual/legend/held", canvas, [(5.5 if canvas.upright else 5.0, "held", HELD)])
+    log_legend(rec, "residual/legend/held", canvas, [(2.0, "held", HELD)], row=1)
 
 
 def _log_deep(rec: rr.RecordingStream, comparison: Comparison, length: FloatArray, canvas: Canvas) -> None:
@@ -92,8 +95,8 @@ def _log_deep(rec: rr.RecordingStream, comparison: Comparison, length: FloatArra
     known = np.isfinite(length) & np.isfinite(comparison.simulated).all(axis=1)
     for name, position, share, color in (
         ("rest", comparison.rest, REST_RADIUS, REST),
-        ("observed", comparison.observed[comparison.seen], OBSERVED_RADIUS, OBSERVED),
-        ("simulated", comparison.simulated, OBSERVED_RADIUS, SIMULATED),
+        ("observed", comparison.observed[comparison.seen], DEEP_OBSERVED_RADIUS, OBSERVED),
+        ("simulated", comparison.simulated, DEEP_RADIUS, SIMULATED),
     ):
         finite = position[np.isfinite(position).all(axis=1)]
         rec.log(f"particles/{name}", rr.Points3D(finite, radii=radius * share, colors=color))
@@ -101,16 +104,16 @@ def _log_deep(rec: rr.RecordingStream, comparison: Comparison, length: FloatArra
     tints = colors(length[known] / end)
     lines = np.stack([comparison.simulated[known], comparison.observed[known]], axis=1)
     rec.log("residual/lines", rr.LineStrips3D(lines, radii=radius * 0.05, colors=tints))
-    rec.log("residual/points", rr.Points3D(comparison.observed[known], radii=radius * OBSERVED_RADIUS, colors=tints))
-    rec.log("residual/points", rr.AnyValues(residual=length))
     rec.log(
-        "residual/legend",
-        rr.TextDocument(
-            "Particles: **green** rest, **blue** observed, **red** simulated.\n\n"
-            f"Residuals: from dark violet (0 {comparison.unit}) over red to yellow ({end:g} {comparison.unit}).",
-            media_type=rr.MediaType.MARKDOWN,
-        ),
+        "residual/points", rr.Points3D(comparison.observed[known], radii=radius * DEEP_OBSERVED_RADIUS, colors=tints)
     )
+    rec.log("residual/points", rr.AnyValues(residual=length))
+    factor, unit = readable(comparison.unit, end)
+    legend = (
+        "**green** rest, **blue** observed, **red** simulated (seen where it departs from blue)\n\n"
+        f"residuals: dark blue 0 {unit}, red {end * factor / 2:g} {unit}, yellow {end * factor:g} {unit}"
+    )
+    rec.log("residual/legend", rr.TextDocument(legend, media_type=rr.MediaType.MARKDOWN))
 
 
 def log_estimate(rec: rr.RecordingStream, estimate: Estimate, canvas: Canvas) -> None:
@@ -118,7 +121,7 @@ def log_estimate(rec: rr.RecordingStream, estimate: Estimate, canvas: Canvas) ->
 
     An estimate over a sequence belongs to the whole of it, hence to no moment; a pair's stands at the pair's frame.
     """
-    whole = canvas.image
+    whole = bool(canvas.image)
     curve = estimate.curve
     chart = rr.EncodedImage(contents=chart_png(estimate), media_type="image/png")
     rec.log("calibration/chart", chart, static=whole)
@@ -150,7 +153,7 @@ def _plain(value: object) -> object:
 def summary(estimate: Estimate) -> str:
     """The estimate in a page of Markdown."""
     low, high = estimate.interval
-    unit = estimate.unit
+    factor, unit = readable(estimate.unit, estimate.aee)
     lines = [
         f"# {estimate.parameter} = {estimate.value:.3g}: {estimate.verdict}",
         "",
@@ -162,9 +165,9 @@ def summary(estimate: Estimate) -> str:
         "",
         "| error at the best value | |",
         "| --- | --- |",
-        f"| all particles (eq. 3.18) | {estimate.aee:.4g} {unit} |",
-        f"| free particles | {estimate.aee_free:.4g} {unit} |",
-        f"| to the nearest particle (eq. 4.6) | {estimate.nearest:.4g} {unit} |",
+        f"| all particles (eq. 3.18) | {estimate.aee * factor:.4g} {unit} |",
+        f"| free particles | {estimate.aee_free * factor:.4g} {unit} |",
+        f"| to the nearest particle (eq. 4.6) | {estimate.nearest * factor:.4g} {unit} |",
         f"| converged | {'yes' if estimate.converged else '**NO**: do not rely on the value'} |",
         "",
         "| setting | |",
@@ -189,15 +192,16 @@ def chart_png(estimate: Estimate) -> bytes:
 
 def _draw(axes: Axes, estimate: Estimate) -> None:
     curve, (low, high) = estimate.curve, estimate.interval
-    best = _error_at(estimate)
+    factor, unit = readable(estimate.unit, float(np.nanmax(curve.aee, initial=0.0)))
+    best = _error_at(estimate) * factor
     axes.axvspan(low, high, color=INTERVAL, alpha=0.45, lw=0, label=f"{estimate.level:.0%} interval")
-    axes.plot(curve.parameter, curve.aee, "o-", color=ERROR, lw=2, ms=4, label="error, all particles")
+    axes.plot(curve.parameter, curve.aee * factor, "o-", color=ERROR, lw=2, ms=4, label="error, all particles")
     axes.axvline(estimate.value, color=MINIMUM, lw=1.2, ls="--")
     if math.isfinite(best):
         axes.plot([estimate.value], [best], "D", color=MINIMUM, ms=9, label=f"lowest at {estimate.value:.3g}")
     axes.set_xlim(*estimate.bounds)
     axes.set_xlabel(f"{estimate.parameter} [-]", fontsize=14)
-    axes.set_ylabel(f"average Euclidean error [{estimate.unit}]", fontsize=14)
+    axes.set_ylabel(f"average Euclidean error [{unit}]", fontsize=14)
     color = {"identified": "#177a2b", "weak": "#a86400"}.get(estimate.verdict, "#b01818")
     axes.set_title(
         f"{estimate.parameter} = {estimate.value:.3g}  [{low:.3g}, {high:.3g}]: {estimate.verdict}"

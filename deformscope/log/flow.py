@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 
 from deformscope.arrays import FloatArray
-from deformscope.log.canvas import Canvas, colors, log_color_bar, round_up
+from deformscope.log.canvas import TEXT, Canvas, colors, log_color_bar, log_legend, round_up
 from deformscope.stages.flow import FlowField
 
 ARROWS_ALONG = 26
@@ -27,12 +27,14 @@ def log_flow(rec: rr.RecordingStream, flow: FlowField, canvas: Canvas, path: str
         rr.Arrows2D(
             origins=origin[moving],
             vectors=vector[moving] * times,
-            radii=step_px * 0.06,
+            radii=step_px * 0.08,
             colors=colors(length_px[moving] / end_px),
             draw_order=40.0,
         ),
     )
-    log_color_bar(rec, f"{path}/legend", canvas, end_px, "px", f"drawn {times:g}x" if times != 1 else "true length")
+    log_color_bar(rec, f"{path}/legend", canvas, end_px, "px")
+    note = "arrows at true length" if times == 1 else f"arrows drawn {times:g} times their length"
+    log_legend(rec, f"{path}/legend/note", canvas, [(2.0, note, TEXT)], row=1)
 
 
 def _sparse(flow_px: FloatArray, canvas: Canvas) -> tuple[FloatArray, FloatArray, float]:
@@ -54,8 +56,11 @@ def _sparse(flow_px: FloatArray, canvas: Canvas) -> tuple[FloatArray, FloatArray
 
 
 def _stretch(length_px: FloatArray, step_px: float) -> float:
-    """How many times arrows are drawn longer: a power of two, so that it stays put from frame to frame."""
+    """How many times longer arrows are drawn, to fill the grid without touching.
+
+    A power of two, so that it stays put from frame to frame and a reader can divide by it.
+    """
     typical = float(np.quantile(length_px, 0.95)) if length_px.size else 0.0
     if typical < STILL_PX:
         return 1.0
-    return float(2.0 ** max(0, np.floor(np.log2(1.6 * step_px / typical))))
+    return float(2.0 ** np.floor(np.log2(step_px / typical)))

@@ -6,10 +6,11 @@ import numpy as np
 import rerun as rr
 
 from deformscope.arrays import FloatArray
-from deformscope.log.canvas import LOST, OBSERVED, REST, Canvas, log_legend
+from deformscope.log.canvas import LOST, OBSERVED, REST, Canvas, log_labels, log_legend
 from deformscope.stages.particles import ParticleGrid, Tracked
 
-REST_RADIUS, OBSERVED_RADIUS, SIMULATED_RADIUS, CROSS = 0.10, 0.22, 0.12, 0.16
+EDGE = (30, 30, 30)
+REST_RADIUS, OBSERVED_RADIUS, SIMULATED_RADIUS, CROSS = 0.10, 0.22, 0.12, 0.2
 """Shares of the particles' spacing: a simulated particle on its observed one leaves a blue ring around red."""
 
 
@@ -26,7 +27,7 @@ def log_rest(rec: rr.RecordingStream, rest: FloatArray, canvas: Canvas, path: st
 
 
 def log_tracked(rec: rr.RecordingStream, tracked: Tracked, canvas: Canvas, path: str = "particles") -> None:
-    """Seen particles as blue discs; lost ones as grey crosses where they were last known."""
+    """Seen particles as blue discs; lost ones as pale crosses where they were last known."""
     seen = tracked.seen & np.isfinite(tracked.position_px).all(axis=1)
     log_observed(rec, tracked.position_px, seen, canvas, path)
     rec.log(f"{path}/observed", rr.AnyValues(noise_px=tracked.noise_px, seen=tracked.seen))
@@ -35,19 +36,23 @@ def log_tracked(rec: rr.RecordingStream, tracked: Tracked, canvas: Canvas, path:
 def log_observed(
     rec: rr.RecordingStream, position: FloatArray, seen: np.typing.NDArray[np.bool_], canvas: Canvas, path: str
 ) -> None:
-    """(K, 2) positions: blue discs where seen, grey crosses elsewhere."""
+    """(K, 2) positions: blue discs where seen, pale crosses elsewhere."""
     lost = ~seen & np.isfinite(position).all(axis=1)
     radius = canvas.spacing * OBSERVED_RADIUS
     rec.log(f"{path}/observed", rr.Points2D(position[seen], radii=radius, colors=OBSERVED, draw_order=40.0))
     rec.log(f"{path}/lost", crosses(position[lost], canvas.spacing * CROSS))
-    entries = [(1.0, "observed", OBSERVED)]
-    if (~seen).any():
-        entries.append((3.0, f"lost ({int((~seen).sum())})", LOST))
-    log_legend(rec, f"{path}/legend/observed", canvas, entries)
+    log_legend(rec, f"{path}/legend/observed", canvas, [(1.0, "observed", OBSERVED)])
+    slot = np.array([canvas.slot(3.0)])
+    lost_count = int((~seen).sum())
+    if lost_count:
+        rec.log(f"{path}/legend/lost", crosses(slot, canvas.mark))
+        log_labels(rec, f"{path}/legend/lost/label", canvas, [(*canvas.slot(3.0), f"lost: {lost_count}")])
 
 
 def crosses(center: FloatArray, arm: float) -> rr.LineStrips2D:
-    """A grey cross at each of (n, 2) places, with arms of length `arm`."""
+    """A pale cross with a dark edge, to be seen on any image, at each of (n, 2) places, with arms of length `arm`."""
     diagonal = np.array([[[-1.0, -1.0], [1.0, 1.0]], [[-1.0, 1.0], [1.0, -1.0]]]) * arm
-    strips = (center[:, None, None, :] + diagonal).reshape(-1, 2, 2)
-    return rr.LineStrips2D(list(strips), radii=arm * 0.22, colors=LOST, draw_order=42.0)
+    strips = list((center[:, None, None, :] + diagonal).reshape(-1, 2, 2))
+    radii = [arm * 0.42] * len(strips) + [arm * 0.2] * len(strips)
+    tints = [EDGE] * len(strips) + [LOST] * len(strips)
+    return rr.LineStrips2D(strips + strips, radii=radii, colors=tints, draw_order=55.0)

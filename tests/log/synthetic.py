@@ -20,7 +20,9 @@ SHAPE = (22, 7)
 
 def lattice(roi: tuple[float, float, float, float] = ROI, shape: tuple[int, int] = SHAPE) -> ParticleGrid:
     x, y, width, height = roi
-    rows, columns = np.meshgrid(np.linspace(y, y + height, shape[0]), np.linspace(x, x + width, shape[1]), indexing="ij")
+    rows, columns = np.meshgrid(
+        np.linspace(y, y + height, shape[0]), np.linspace(x, x + width, shape[1]), indexing="ij"
+    )
     rest = np.column_stack([columns.ravel(), rows.ravel()])
     spacing = np.array([width / (shape[1] - 1), height / (shape[0] - 1)])
     return ParticleGrid(rest_px=rest, shape=shape, cell=np.arange(len(rest)), spacing_px=spacing)
