@@ -5,8 +5,7 @@ VENV  := .venv
 PY    := $(VENV)/bin/python
 READY := $(VENV)/.ready
 STEPS := not slow and not hardware
-# open3d brings dash, whose pytest plugin is older than this pytest and stops it before the first test.
-PYTEST := $(PY) -m pytest -q -p no:dash
+PYTEST := $(PY) -m pytest -q
 
 # The first interpreter that fits; PYTHON=... names another.
 PYTHONS := $(PYTHON) python3 python3.13 python3.12 python3.11

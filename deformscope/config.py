@@ -404,3 +404,39 @@ class ThetaConfig(CommandOptions):
 
     def json_target(self) -> str | None:
         return self.output.json
+
+
+# deformscope demo and replay -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class DemoConfig(CommandOptions):
+    """Measure the sample that ships: real images of a specimen under tension. Leaves runs/demo-<stamp>.rrd."""
+
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def writes(self) -> tuple[Written, ...]:
+        return self.output.writes()
+
+    def json_target(self) -> str | None:
+        return self.output.json
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayConfig(CommandOptions):
+    """Run the same stages on a recording's inputs, and compare with the numbers that it holds."""
+
+    recording: Annotated[Path, Positional, arg(metavar="FILE.rrd")]
+    """The recording."""
+    pace: Literal["fast", "real", "step"] = "fast"
+    """As fast as possible, as it was recorded, or frame by frame at each Enter."""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def reads(self) -> tuple[str, ...]:
+        return (str(self.recording),)
+
+    def writes(self) -> tuple[Written, ...]:
+        return self.output.writes()
+
+    def json_target(self) -> str | None:
+        return self.output.json

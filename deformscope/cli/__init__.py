@@ -45,6 +45,12 @@ class Command:
 
 
 COMMANDS: dict[str, Command] = {
+    "demo": Command("the main job on what is built in", "DemoConfig", "deformscope.cli.demo"),
+    "calibrate beta": Command("find beta from images or pair files", "BetaConfig", "deformscope.cli.calibrate", "beta"),
+    "calibrate theta": Command(
+        "find theta from images or pair files", "ThetaConfig", "deformscope.cli.calibrate", "theta"
+    ),
+    "replay": Command("the same stages on recorded inputs, compared", "ReplayConfig", "deformscope.cli.replay"),
     "flow": Command("dense optical flow of two images", "FlowConfig", "deformscope.cli.flow"),
 }
 """By name; a name of two words (`calibrate beta`) makes a group."""

@@ -14,7 +14,7 @@ import numpy as np
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.session import Experiment, Step
-from deformscope.stages.calibrate import Calibration, Method, Model, Observation, Progress, calibrate
+from deformscope.stages.calibrate import Calibration, FitOptions, Model, Observation, Progress, calibrate
 from deformscope.stages.estimate import Comparison
 from deformscope.stages.flow import FlowMethod, dense_flow
 from deformscope.stages.particles import ParticleGrid, Rect, Tracked, advance, seed_grid, select_held, start
@@ -32,18 +32,6 @@ class ParticleOptions:
     flow: FlowMethod = "dis"
     px_per_cm: float | None = None
     noise_px: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class FitOptions:
-    """How the parameter is found: see `deformscope.stages.calibrate.calibrate`."""
-
-    model: Model
-    bounds: tuple[float, float]
-    method: Method = "sweep"
-    candidates: int = 100
-    level: float = 0.9
-    seed: int = 0
 
 
 def foam_video(
@@ -78,20 +66,10 @@ def foam_video(
         "frames": len(history),
         "particles": len(grid.rest_px),
         "lost": int(np.count_nonzero(~history[-1].seen)),
-        "held": int(len(seen.held)),
+        "held": len(seen.held),
         "flow": particles.flow,
     }
-    found = calibrate(
-        [seen],
-        fit.model,
-        fit.bounds,
-        method=fit.method,
-        candidates=fit.candidates,
-        level=fit.level,
-        seed=fit.seed,
-        settings=used,
-        progress=progress,
-    )
+    found = calibrate([seen], fit, settings=used, progress=progress)
     for index, comparison in enumerate(follow(seen, history, fit.model, found)):
         yield Step((comparison,), frame=index)
     yield Step((found.estimate,))

@@ -110,6 +110,23 @@ class Model:
 
 
 @dataclass(frozen=True, slots=True)
+class FitOptions:
+    """How the parameter of `model` is found within `bounds`, and how sure of it to be.
+
+    method: "sweep" tries `candidates` values over `bounds` and refines around the lowest error (Algorithm 3);
+    "gradient" follows the slope (Algorithm 2's purpose) and draws the curve only where it went
+    level: of the interval; seed: of its random repeats
+    """
+
+    model: Model = Model()
+    bounds: tuple[float, float] = (0.0, 0.99)
+    method: Method = "sweep"
+    candidates: int = 100
+    level: float = 0.9
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class Calibration:
     """An estimate, and the simulation at it of every observation that it rests on."""
 
@@ -366,22 +383,16 @@ class _Fit:
 
 def calibrate(
     seen: Sequence[Observation],
-    model: Model,
-    bounds: tuple[float, float],
+    options: FitOptions,
     *,
-    method: Method = "sweep",
-    candidates: int = 100,
-    level: float = 0.9,
-    seed: int = 0,
     settings: dict[str, object] | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
-    """Fit `model.parameter` to observations that share it, with its interval and verdicts.
+    """Fit one parameter to observations that share it, with its interval and verdicts.
 
-    method: "sweep" tries `candidates` values over `bounds` and refines around the lowest error (Algorithm 3);
-    "gradient" follows the slope (Algorithm 2's purpose) and draws the curve only where it went
     settings: recorded with the estimate; progress: called with (what, done, all)
     """
+    model, bounds = options.model, options.bounds
     if len({s.unit for s in seen}) != 1:
         raise InputError("observations in one unit", "pixels and metres mixed", "fit them apart")
     fit = _Fit(seen, model, bounds)
@@ -391,21 +402,21 @@ def calibrate(
         "alpha": model.alpha,
         "beta": None if model.parameter == "beta" else model.beta,
         "theta": None if model.parameter == "theta" else model.theta,
-        "method": method,
+        "method": options.method,
         "bounds": list(bounds),
-        "seed": seed,
+        "seed": options.seed,
         "precision": model.precision,
         "device": model.device,
     }
-    if method == "sweep":
-        fit.sweep(candidates, progress)
+    if options.method == "sweep":
+        fit.sweep(options.candidates, progress)
         curve = Curve(fit.tried.parameter.copy(), fit.error())
         fit.refine()
-        used["candidates"] = candidates
+        used["candidates"] = options.candidates
     else:
         used["stopped"] = fit.descend(progress)
         curve = Curve(fit.tried.parameter.copy(), fit.error())
-    ends, found_noise = fit.support(level, seed, progress)
+    ends, found_noise = fit.support(options.level, options.seed, progress)
     best = fit.best()
     given = [float(np.sqrt(np.mean(s.noise[s.free_observed] ** 2))) for s in seen if s.noise is not None]
     used["noise"] = float(np.mean(given)) if given else found_noise
@@ -429,7 +440,7 @@ def calibrate(
         parameter=model.parameter,
         value=float(fit.tried.parameter[best]),
         interval=ends,
-        level=level,
+        level=options.level,
         bounds=bounds,
         verdict=verdict(ends, bounds),
         stiffness_verdict="unidentified" if told is None else _relative_verdict(*told),

@@ -11,6 +11,7 @@ import numpy as np
 import warp as wp
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.errors import InputError
 from deformscope.stages.msm import kernels as k
 from deformscope.stages.msm import reference
 from deformscope.stages.msm.clusters import Clusters, held_mask, spacing
@@ -413,6 +414,15 @@ class Msm:
         work = _Work(self, len(beta_b), stepping=True)
         self._launch_goals(u, self._scalars(beta_b), self._scalars(theta_b), work.running, work)
         return np.asarray(work.residual.numpy(), dtype=np.float64) * self.scale
+
+
+def pick_device(choice: Literal["auto", "cpu", "cuda"]) -> str:
+    """The warp device for a choice; `auto` is the GPU where there is one."""
+    if choice == "cpu" or (choice == "auto" and not wp.is_cuda_available()):
+        return "cpu"
+    if not wp.is_cuda_available():
+        raise InputError("a CUDA device", "none that warp can use on this machine", "--device cpu")
+    return "cuda:0"
 
 
 def weight_terms(dim: int, basis: Basis) -> int:

@@ -1,0 +1,301 @@
+"""`deformscope calibrate beta|theta`: fit the model to images or to pair files, with interval and verdict.
+
+deformscope calibrate beta my_video.mp4 --roi 400,200,750,350 --grid 7x15 --held bottom,contact --contact 740,180,60,40
+deformscope calibrate beta frames/ --mask mask.tif --grid 24x12 --held top,bottom --record out.rrd --viewer native
+deformscope calibrate beta pair.npz --cluster-size 3 --json -
+deformscope calibrate theta cube.npz --json -
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deformscope.cli.common import console, progress, quiet_warp, resolve_viewer, show_table, write_json
+from deformscope.config import BetaConfig, ImageOptions, OutputOptions, SearchOptions, ThetaConfig
+from deformscope.errors import InputError
+
+if TYPE_CHECKING:
+    from deformscope.arrays import ImageArray
+    from deformscope.experiments.foam_video import ParticleOptions
+    from deformscope.recorder import RecordingSummary
+    from deformscope.sources import Source
+    from deformscope.stages.calibrate import Calibration, FitOptions, Progress
+    from deformscope.stages.estimate import Estimate
+
+
+def beta(config: BetaConfig) -> None:
+    """`calibrate beta`: overlapping clusters, theta fixed."""
+    from deformscope.stages.calibrate import FitOptions, Model
+
+    quiet_warp()
+    model = Model("beta", config.mode, config.cluster_size, config.alpha, theta=config.theta, device=_device(config))
+    fit = FitOptions(
+        model,
+        config.beta_range,
+        config.search.method,
+        config.search.candidates,
+        config.search.level,
+        config.output.seed,
+    )
+    _calibrate(config.sources, fit, config.search, config.images, config.output)
+
+
+def theta(config: ThetaConfig) -> None:
+    """`calibrate theta`: one quadratic cluster unless asked otherwise, beta fixed."""
+    from deformscope.stages.calibrate import FitOptions, Model
+
+    quiet_warp()
+    model = Model("theta", config.mode, config.cluster_size, config.alpha, beta=config.beta, device=_device(config))
+    fit = FitOptions(
+        model,
+        config.theta_range,
+        config.search.method,
+        config.search.candidates,
+        config.search.level,
+        config.output.seed,
+    )
+    _calibrate(config.sources, fit, config.search, config.images, config.output)
+
+
+def _device(config: BetaConfig | ThetaConfig) -> str:
+    from deformscope.stages.msm.solver import pick_device
+
+    return pick_device(config.search.device)
+
+
+def _calibrate(
+    sources: Sequence[str], fit: FitOptions, search: SearchOptions, images: ImageOptions, output: OutputOptions
+) -> None:
+    pairs = [source for source in sources if Path(source).suffix.lower() == ".npz"]
+    if pairs and len(pairs) != len(sources):
+        other = next(source for source in sources if source not in pairs)
+        raise InputError("either pair files or images", "both", "name them in two commands", other)
+    if pairs:
+        calibrate_pairs([Path(source) for source in pairs], fit, search, images, output)
+        return
+    if len(sources) == 1 and (raws := _recorded_pairs(sources[0])):
+        calibrate_pair_bytes(raws, fit, output, noise_m=search.noise_m, joint=search.joint)
+        return
+    if search.joint:
+        raise InputError("pair files with --joint", "images", "leave out --joint")
+    if search.noise_m is not None:
+        raise InputError("--noise-px for images", "--noise-m", "give the noise in pixels")
+    calibrate_images(sources, fit, particle_options(images, search), images, output)
+
+
+def _recorded_pairs(source: str) -> list[tuple[str, bytes]]:
+    if Path(source).suffix.lower() != ".rrd":
+        return []
+    from deformscope.replay import Replay
+
+    return [(f"{source}, pair {index}", raw) for index, raw in enumerate(Replay(Path(source)).read_pair_bytes())]
+
+
+# Images --------------------------------------------------------------------------------------------------------------
+
+
+def particle_options(images: ImageOptions, search: SearchOptions) -> ParticleOptions:
+    """What decides how images become particles, without where they come from."""
+    from deformscope.experiments.foam_video import ParticleOptions
+
+    return ParticleOptions(
+        roi=images.roi,
+        grid=images.grid,
+        spacing_px=images.spacing_px,
+        held=images.held_parts(),
+        contact=images.contact,
+        flow=images.flow,
+        px_per_cm=images.px_per_cm,
+        noise_px=search.noise_px,
+    )
+
+
+def calibrate_images(
+    sources: Sequence[str],
+    fit: FitOptions,
+    particles: ParticleOptions,
+    images: ImageOptions,
+    output: OutputOptions,
+) -> Estimate:
+    """Fit a sequence, record it where asked, tell and write the result."""
+    from deformscope.replay import Replay
+    from deformscope.sources import open_source, read_image
+
+    mask: ImageArray | None = None
+    if images.mask is not None:
+        mask = read_image(images.mask)
+    elif len(sources) == 1 and Path(sources[0]).suffix.lower() == ".rrd":
+        mask = Replay(Path(sources[0])).mask
+    settings = {"sources": list(sources), "stride": images.stride, "fps": images.fps, "mask": images.mask is not None}
+    with open_source(sources, stride=images.stride, fps=images.fps, mask=images.mask) as source:
+        return run_images(source, mask, fit, particles, settings, output)
+
+
+def run_images(
+    source: Source,
+    mask: ImageArray | None,
+    fit: FitOptions,
+    particles: ParticleOptions,
+    settings: dict[str, Any],
+    output: OutputOptions,
+) -> Estimate:
+    """One sequence through the loop: the same for files, samples and recordings."""
+    from deformscope.experiments.foam_video import foam_video
+    from deformscope.recorder import Recorder
+    from deformscope.session import run
+    from deformscope.stages.particles import clean_mask
+
+    used = settings | {"particles": dataclasses.asdict(particles), "fit": dataclasses.asdict(fit)}
+    region = None if mask is None else clean_mask(mask)
+    with Recorder(
+        output.record, resolve_viewer(output.viewer), used, layout="images", overwrite=output.overwrite
+    ) as recorder:
+        _tell_viewer(recorder)
+        if mask is not None:
+            recorder.write_input("mask", mask)
+        with progress("frames", total=source.count) as advance, fit_progress() as fitting:
+
+            def frames() -> Iterator[Any]:
+                for frame in source:
+                    yield frame
+                    advance(1)
+
+            found = run(frames(), foam_video(particles, fit, region, fitting), recorder)
+    tell(found.estimate, recorder.summary())
+    write_json(found.estimate.as_json(), output.json)
+    return found.estimate
+
+
+# Pairs ---------------------------------------------------------------------------------------------------------------
+
+
+def calibrate_pairs(
+    paths: Sequence[Path], fit: FitOptions, search: SearchOptions, images: ImageOptions, output: OutputOptions
+) -> None:
+    """Fit pair files."""
+    if images != ImageOptions():
+        raise InputError("no flags about images with pair files", "some (--roi, --grid, --held...)", "leave them out")
+    if search.noise_px is not None:
+        raise InputError("--noise-m for pair files", "--noise-px", "give the noise in metres")
+    raws = []
+    for path in paths:
+        try:
+            raws.append((str(path), path.read_bytes()))
+        except OSError as error:
+            raise InputError("a pair file (.npz)", (error.strerror or str(error)).lower(), where=path) from error
+    calibrate_pair_bytes(raws, fit, output, noise_m=search.noise_m, joint=search.joint)
+
+
+def calibrate_pair_bytes(
+    raws: Sequence[tuple[str, bytes]],
+    fit: FitOptions,
+    output: OutputOptions,
+    *,
+    noise_m: float | None = None,
+    joint: bool = False,
+) -> list[Calibration]:
+    """Fit pairs given by name and content: the same for files and recordings."""
+    from deformscope.experiments.pair_files import pair_files
+    from deformscope.pairs import parse_pair
+    from deformscope.recorder import Recorder
+    from deformscope.session import run
+
+    seen = [parse_pair(raw, name, noise_m=noise_m) for name, raw in raws]
+    settings = {
+        "sources": [name for name, _ in raws],
+        "noise_m": noise_m,
+        "joint": joint,
+        "fit": dataclasses.asdict(fit),
+    }
+    with Recorder(
+        output.record, resolve_viewer(output.viewer), settings, layout="pair", overwrite=output.overwrite
+    ) as recorder:
+        _tell_viewer(recorder)
+        for index, (_, raw) in enumerate(raws):
+            recorder.write_input(f"pair/{index}", raw)
+        with fit_progress() as fitting:
+            found = run((), pair_files(seen, fit, joint=joint, progress=fitting), recorder)
+    for name, one in zip([name for name, _ in raws], found, strict=False):
+        tell(one.estimate, recorder.summary(), "all pairs" if joint else name)
+    every = [one.estimate.as_json() for one in found]
+    write_json(every[0] if len(every) == 1 else every, output.json)
+    return found
+
+
+# Telling -------------------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def fit_progress() -> Iterator[Progress]:
+    """A bar on stderr that names what the fit is doing; nothing where stderr is no terminal."""
+    from rich.progress import Progress as Bars
+
+    where = console()
+    with Bars(console=where, transient=True, disable=not where.is_terminal) as bars:
+        tasks: dict[str, Any] = {}
+
+        def note(what: str, done: int, total: int) -> None:
+            if what not in tasks:
+                for earlier in tasks.values():
+                    bars.update(earlier, visible=False)
+                tasks[what] = bars.add_task(what, total=total)
+            bars.update(tasks[what], completed=done, total=total)
+
+        yield note
+
+
+def _tell_viewer(recorder: Any) -> None:
+    if recorder.viewer is not None:
+        console().print(f"viewer: {recorder.viewer.url}", markup=False, soft_wrap=True)
+
+
+def tell(estimate: Estimate, recording: RecordingSummary, name: str = "") -> None:
+    """The result as a short table."""
+    low, high = estimate.interval
+    rows = [
+        (estimate.parameter, f"{estimate.value:.4g}"),
+        (f"{estimate.level:.0%} interval", f"{low:.4g} to {high:.4g}"),
+        ("verdict", f"{estimate.verdict}: {MEANING[estimate.verdict]}"),
+        ("stiffness", _stiffness(estimate)),
+        ("error, all particles", _length(estimate, estimate.aee)),
+        ("error, free particles", _length(estimate, estimate.aee_free)),
+        ("noise of a position", _length(estimate, estimate.settings.get("noise"))),
+        ("converged", "yes" if estimate.converged else "NO: do not rely on the value"),
+    ]
+    if lost := estimate.settings.get("lost"):
+        rows.insert(-1, ("lost particles", f"{lost} of {estimate.settings['particles']}: left out of the fit"))
+    if recording.path is not None:
+        rows.append(("recording", f"{recording.path} ({recording.bytes / 1e6:.1f} MB)"))
+        rows.append(("to look at it", f"rerun {recording.path}"))
+    if recording.dropped:
+        rows.append(("live view", f"{recording.dropped} items dropped; the recording has them all"))
+    title = f"{estimate.parameter} of {name}" if name else f"Estimate of {estimate.parameter}"
+    show_table(title, rows)
+
+
+MEANING = {
+    "identified": "the data tell it well",
+    "weak": "the data tell it roughly",
+    "at-bound": "the interval reaches the end of the range",
+    "unidentified": "the data do not tell it",
+}
+
+
+def _stiffness(estimate: Estimate) -> str:
+    if estimate.stiffness is None:
+        return f"{estimate.stiffness_verdict}: positions alone cannot tell it; a force can (force_n in a pair file)"
+    value, (low, high) = estimate.stiffness
+    return f"{value:.4g} N/m ({low:.4g} to {high:.4g}): {estimate.stiffness_verdict}"
+
+
+def _length(estimate: Estimate, value: object) -> str:
+    if not isinstance(value, float):
+        return "not known"
+    parts = [f"{value:.3g} px"] if estimate.unit == "px" else []
+    if estimate.metres_per_unit is not None:
+        parts.append(f"{1e3 * value * estimate.metres_per_unit:.3g} mm")
+    return ", ".join(parts)

@@ -1,0 +1,59 @@
+"""`deformscope demo`: the main job on what is built in; leaves `runs/demo-<stamp>.rrd`.
+
+deformscope demo
+deformscope demo --viewer none --json -
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from datetime import datetime
+from pathlib import Path
+
+from deformscope.cli.calibrate import calibrate_images, particle_options
+from deformscope.cli.common import quiet_warp
+from deformscope.config import DemoConfig, ImageOptions, SearchOptions
+from deformscope.errors import InputError
+
+FOLDER = Path("runs")
+SAMPLE = "tension"
+
+
+def run(config: DemoConfig) -> None:
+    """Fit the sample that ships, record it, and show it where there is a display."""
+    from deformscope.sources import sample_path
+    from deformscope.stages.calibrate import FitOptions, Model
+
+    quiet_warp()
+    folder = sample_path(SAMPLE)
+    told = tomllib.loads((folder / "sample.toml").read_text(encoding="utf-8"))
+    images = ImageOptions(
+        roi=tuple(told["roi"]), grid=tuple(told["grid"]), held=tuple(told["held"]), fps=float(told["fps"])
+    )
+    output = config.output
+    if output.record is None:
+        output = dataclasses.replace(output, record=_new_recording())
+    calibrate_images(
+        [f"sample:{SAMPLE}"],
+        FitOptions(Model(), seed=output.seed),
+        particle_options(images, SearchOptions()),
+        images,
+        output,
+    )
+
+
+def _new_recording() -> Path:
+    """A name that no earlier run took, in a folder that git ignores."""
+    try:
+        FOLDER.mkdir(exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            "a folder that can be written to", (error.strerror or str(error)).lower(), "--record FILE.rrd", FOLDER
+        ) from error
+    stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
+    for number in range(1, 100):
+        path = FOLDER / f"demo-{stamp}{'' if number == 1 else f'-{number}'}.rrd"
+        if not path.exists():
+            return path
+    raise InputError("fewer demos in one second", "100", where=FOLDER)

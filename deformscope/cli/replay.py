@@ -1,0 +1,104 @@
+"""`deformscope replay`: the same stages on the recorded inputs, compared with the recorded numbers.
+
+deformscope replay out.rrd
+deformscope replay out.rrd --viewer native --pace real
+deformscope replay out.rrd --record again.rrd --json -
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import TYPE_CHECKING, Any
+
+from deformscope.cli.calibrate import calibrate_pair_bytes, run_images
+from deformscope.cli.common import console, quiet_warp
+from deformscope.config import ReplayConfig
+from deformscope.errors import InputError
+
+if TYPE_CHECKING:
+    from deformscope.frames import ColorFrame
+
+CLOSE = 1e-6
+"""Largest relative difference between two machines' arithmetic that counts as the same number."""
+
+
+class Different(InputError):
+    """The recomputed numbers are not the recorded ones."""
+
+
+def run(config: ReplayConfig) -> None:
+    """Recompute a recording from its inputs; raises `Different` where the numbers do not come out as recorded."""
+    import msgspec
+
+    from deformscope.experiments.foam_video import ParticleOptions
+    from deformscope.replay import Replay
+    from deformscope.sources import Source
+    from deformscope.stages.calibrate import FitOptions
+    from deformscope.stages.msm.solver import pick_device
+
+    quiet_warp()
+    recording = Replay(config.recording)
+    settings = dict(recording.settings)
+    try:
+        fit = msgspec.convert(settings.pop("fit"), FitOptions)
+        particles = msgspec.convert(settings.pop("particles", {}), ParticleOptions)
+    except (KeyError, msgspec.ValidationError) as error:
+        raise InputError(
+            "a recording of a calibration", f"settings of another kind ({error})", where=config.recording
+        ) from error
+    if fit.model.device != "cpu":
+        fit = msgspec.structs.replace(fit) if isinstance(fit, msgspec.Struct) else _on(fit, pick_device("auto"))
+    pairs = recording.read_pair_bytes()
+    if pairs:
+        names = list(settings.get("sources", [])) or [f"pair {index}" for index in range(len(pairs))]
+        found = calibrate_pair_bytes(
+            list(zip(names, pairs, strict=True)),
+            fit,
+            config.output,
+            noise_m=settings.get("noise_m"),
+            joint=bool(settings.get("joint")),
+        )
+        estimates = [one.estimate.as_json() for one in found]
+    else:
+        with Source(
+            str(config.recording), lambda: recording.frames(config.pace, _wait), recording.frame_count
+        ) as source:
+            estimates = [run_images(source, recording.mask, fit, particles, settings, config.output).as_json()]
+    _compare(recording.read_results(), estimates, config)
+
+
+def _on(fit: Any, device: str) -> Any:
+    import dataclasses
+
+    return dataclasses.replace(fit, model=dataclasses.replace(fit.model, device=device))
+
+
+def _wait(frame: ColorFrame) -> None:
+    """Step by step: Enter takes the next frame."""
+    console().print(f"frame {frame.index}: press Enter", end="")
+    if not sys.stdin.readline():
+        raise InputError("Enter on the standard input for every frame", "its end", "--pace fast")
+
+
+def _compare(recorded: list[dict[str, Any]], computed: list[dict[str, Any]], config: ReplayConfig) -> None:
+    if not recorded:
+        console().print("the recording holds no result (its run was cut short): nothing to compare with")
+        return
+    worst = 0.0
+    for before, now in zip(recorded, computed, strict=False):
+        for name in ("value", "interval", "aee_m", "aee_px", "aee_free_m", "aee_free_px"):
+            worst = max(worst, _difference(before.get(name), now.get(name)))
+    if len(recorded) != len(computed) or worst > CLOSE:
+        came = f"{worst:.2g} relative difference" if len(recorded) == len(computed) else f"{len(computed)} results"
+        raise Different("the recorded numbers", came, "the versions in the recording's properties", config.recording)
+    same = "identical to" if worst == 0.0 else f"within {worst:.1g} of"
+    console().print(f"replay: {same} the recorded numbers")
+
+
+def _difference(before: Any, now: Any) -> float:
+    if isinstance(before, list) and isinstance(now, list):
+        return max((_difference(b, n) for b, n in zip(before, now, strict=False)), default=0.0)
+    if before is None or now is None:
+        return 0.0 if before == now else math.inf
+    return abs(now - before) / max(abs(before), abs(now), 1e-3)

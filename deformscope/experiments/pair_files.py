@@ -1,0 +1,27 @@
+"""Pairs of rest and deformed shapes: no frames, each fitted by itself or all to one value."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from deformscope.session import Experiment, Step
+from deformscope.stages.calibrate import Calibration, FitOptions, Observation, Progress, calibrate
+
+
+def pair_files(
+    seen: Sequence[Observation], fit: FitOptions, *, joint: bool = False, progress: Progress | None = None
+) -> Experiment[list[Calibration]]:
+    """Fit every pair, in order, or with `joint` one value to all. Each pair is one place on the `frame` timeline."""
+    yield Step()
+    if joint:
+        found = calibrate(seen, fit, settings={"pairs": len(seen)}, progress=progress)
+        for index, comparison in enumerate(found.comparisons):
+            yield Step((comparison,), frame=index)
+        yield Step((found.estimate,), frame=len(seen) - 1)
+        return [found]
+    every = []
+    for index, one in enumerate(seen):
+        found = calibrate([one], fit, progress=progress)
+        every.append(found)
+        yield Step((*found.comparisons, found.estimate), frame=index)
+    return every
