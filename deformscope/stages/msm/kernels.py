@@ -301,6 +301,7 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
         gram: wp.array(dtype=gram_matrix),
         span_axes: wp.array(dtype=square),
         span_count: wp.array(dtype=int),
+        untold: wp.array(dtype=transform),
         # In:
         u_in: wp.array2d(dtype=vec),
         beta: wp.array(dtype=scalar),
@@ -333,6 +334,7 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
         excess = zero
         denominator = one
         if th != zero:
+            g += r * untold[cluster]  # terms that the cluster cannot tell follow its rotation
             a = square()
             for i in range(wp.static(dim)):
                 for j in range(wp.static(dim)):
@@ -432,13 +434,18 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
         # Out:
         u_out: wp.array2d(dtype=vec),
         v_out: wp.array2d(dtype=vec),
+        diverged_out: wp.array(dtype=int),
     ):
-        """Eq. 3.11 and 3.12. `u_out` may be `u_old`."""
+        """Eq. 3.11 and 3.12. `u_out` may be `u_old`. A particle that would run away stays, and marks its candidate."""
         candidate, particle = wp.tid()
         before = u_old[candidate, particle]
         after = u_star[candidate, particle] + alpha * residual_in[candidate, particle]
-        u_out[candidate, particle] = after
-        v_out[candidate, particle] = (after - before) / dt
+        if wp.dot(after, after) < scalar(far) * scalar(far):
+            u_out[candidate, particle] = after
+            v_out[candidate, particle] = (after - before) / dt
+        else:
+            v_out[candidate, particle] = vec()
+            diverged_out[candidate] = 1
 
     @kernel
     def remember(

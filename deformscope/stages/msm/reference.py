@@ -4,7 +4,7 @@ What the equations leave open is decided here, for degenerate clusters:
 
 - Flat in space or on a line at rest: the fit uses the directions that the cluster spans (pseudo-inverse, chosen once
   at rest), and eq. 3.17 conserves its area or length instead of its volume.
-- Too few particles for the quadratic terms (2x2, 3x3x2...): the same pseudo-inverse drops the terms they cannot tell.
+- Too few particles for the quadratic terms (2x2, 3x3x2...): the same pseudo-inverse; what they cannot tell turns with R.
 - Crushed or inverted (det A <= 0): the cube root keeps its sign and the denominator of eq. 3.17 is held at or above
   `MIN_DENOMINATOR`; the rotation is a proper one (det R = +1) always.
 - Without any preferred rotation (all particles in one point, a mirror image): the rest orientation, R = I.
@@ -122,10 +122,11 @@ def cluster_goals(x: FloatArray, cluster: RestCluster, beta: float, theta: float
     m, d = cluster.mass, x.shape[1]
     t = np.average(x[cluster.index], axis=0, weights=m)
     p = (x[cluster.index] - t) / cluster.radius  # eq. 3.8, in units of the cluster's radius
-    a_tilde = np.einsum("n,ni,nj->ij", m, p, cluster.q_basis) @ cluster.inverse  # eq. 3.7, 3.14
     a_pq = np.einsum("n,ni,nj->ij", m, p, cluster.q)
     r = rotation(a_pq, float(np.einsum("n,ni,ni->", m, cluster.q, cluster.q)))  # eq. 3.9
-    a_tilde = a_tilde.copy()
+    # eq. 3.7, 3.14, as the fit of what the rotation leaves: the same, but terms that the cluster cannot tell follow R
+    a_tilde = np.einsum("n,ni,nj->ij", m, p - cluster.q @ r.T, cluster.q_basis) @ cluster.inverse
+    a_tilde[:, :d] += r
     a_tilde[:, :d] = conserve_volume(a_tilde[:, :d], theta, cluster.span)  # eq. 3.17
     blend = beta * a_tilde
     blend[:, :d] += (1.0 - beta) * r

@@ -48,11 +48,17 @@ class Relaxed:
 class Moving:
     """The state of time stepping, on the device, in units of the particle spacing.
 
-    u: (B, K) displacements from rest; v: (B, K) velocities [spacing / s]
+    u: (B, K) displacements from rest; v: (B, K) velocities [spacing / s]; ran_away: (B,) 1 where `diverged`
     """
 
     u: Any
     v: Any
+    ran_away: Any
+
+    @property
+    def diverged(self) -> BoolArray:
+        """(B,) bodies of which a particle would have left by 10 000 spacings: not to be used."""
+        return np.asarray(self.ran_away.numpy() != 0)
 
 
 class Msm:
@@ -98,6 +104,7 @@ class Msm:
         gram = np.zeros((clusters.count, weight_terms(d, basis), d))
         span = np.zeros((clusters.count, d, d))
         span_count = np.zeros(clusters.count, dtype=np.int32)
+        untold = np.zeros((clusters.count, d, weight_terms(d, basis)))
         for c, cluster in enumerate(rest.clusters):
             m, r = cluster.mass[:, None], cluster.radius
             share.append(cluster.mass / cluster.mass.sum())
@@ -109,6 +116,8 @@ class Msm:
             gram[c] = np.einsum("n,ni,nj->ij", cluster.mass, cluster.q_basis, cluster.q) / norm
             span[c, :, : cluster.span.shape[1]] = cluster.span
             span_count[c] = cluster.span.shape[1]
+            told = cluster.inverse @ np.einsum("n,ni,nj->ij", cluster.mass, cluster.q_basis, cluster.q_basis)
+            untold[c] = (np.eye(len(told)) - told.T)[:d]
         order = np.argsort(clusters.members, kind="stable")
         cluster_of = np.repeat(np.arange(clusters.count), np.diff(clusters.offsets))
         count = clusters.cluster_counts()
@@ -127,6 +136,7 @@ class Msm:
         self._gram = dev(gram, dtype=kk.gram)
         self._span = dev(span, dtype=kk.moment)
         self._span_count = dev(span_count, dtype=int)
+        self._untold = dev(untold, dtype=kk.transform)
         self._row_offsets = dev(np.concatenate([[0], np.cumsum(count)]).astype(np.int32), dtype=int)
         self._row_clusters = dev(cluster_of[order].astype(np.int32), dtype=int)
         self._row_basis = dev(np.concatenate(row_basis)[order], dtype=kk.basis_vec)
@@ -169,7 +179,7 @@ class Msm:
             dim=(size, self.cluster_count),
             inputs=[
                 *(self._offsets, self._members, self._share, self._weight, self._a_qq, self._gram),
-                *(self._span, self._span_count, u, beta, theta, running),
+                *(self._span, self._span_count, self._untold, u, beta, theta, running),
             ],
             outputs=[work.transform, work.centre, work.turned, work.compliance],
             device=self.device,
@@ -353,7 +363,7 @@ class Msm:
     def start(self, size: int = 1, position: FloatArray | None = None) -> Moving:
         """B bodies at rest without velocity, or at `position` (K, d) or (B, K, d)."""
         u = self._displacements(self.rest if position is None else position, size)
-        return Moving(u, wp.zeros_like(u))
+        return Moving(u, wp.zeros_like(u), wp.zeros(size, dtype=int, device=self.device))
 
     def step(
         self,
@@ -393,7 +403,7 @@ class Msm:
                 self._k.integrate,
                 dim=state.u.shape,
                 inputs=[state.u, work.u_last, work.residual, self._k.scalar(alpha), self._k.scalar(dt)],
-                outputs=[state.u, state.v],
+                outputs=[state.u, state.v, state.ran_away],
                 device=self.device,
             )
 

@@ -1,0 +1,101 @@
+"""Which particles form a cluster."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from deformscope.errors import InputError
+from deformscope.stages.msm import clusters
+from tests.stages.bodies import lattice
+
+
+def test_windows_of_a_full_lattice() -> None:
+    rest = lattice((3, 4))
+    found = clusters.lattice(rest, (3, 4), np.arange(12), 2)
+    assert found.count == 2 * 3
+    assert sorted(next(iter(found))) == [0, 1, 4, 5]
+    # a corner is in one window, an edge in two, the inside in four
+    assert found.cluster_counts().reshape(3, 4).tolist() == [[1, 2, 2, 1], [2, 4, 4, 2], [1, 2, 2, 1]]
+
+
+def test_window_is_clipped_to_a_thin_lattice() -> None:
+    found = clusters.lattice(lattice((2, 6)), (2, 6), np.arange(12), 5)
+    assert found.count == 2
+    assert all(len(row) == 10 for row in found)
+
+
+def test_every_particle_beside_a_hole_is_in_a_cluster_that_spans_the_plane() -> None:
+    full = lattice((6, 6))
+    cell = np.setdiff1d(np.arange(36), [7, 8, 13, 14, 19, 26])
+    found = clusters.lattice(full[cell], (6, 6), cell, 3)
+    assert found.cluster_counts().min() >= 1
+    assert all(clusters.rank(full[cell][row]) == 2 for row in found)
+
+
+def test_a_particle_that_no_window_keeps_is_given_neighbours() -> None:
+    full = lattice((2, 5))
+    cell = np.array([0, 1, 5, 6, 2, 3, 4])  # a 2x2 block and a thin tail of one row
+    found = clusters.lattice(full[cell], (2, 5), cell, 2)
+    assert found.cluster_counts().min() >= 1
+    tail = [row for row in found if 6 in row]
+    assert tail
+    assert all(clusters.rank(full[cell][row]) == 2 for row in tail)
+
+
+def test_a_flat_sheet_in_space_keeps_its_flat_windows() -> None:
+    rest = np.column_stack([lattice((4, 4)), np.zeros(16)])
+    found = clusters.lattice(rest, (4, 4, 1), np.arange(16), 3)
+    assert found.count == 4
+
+
+@pytest.mark.parametrize(
+    ("lists", "words"),
+    [
+        ([], "at least one cluster"),
+        ([[0, 1], []], "at least one particle"),
+        ([[0, 4]], "0 to 3"),
+        ([[0, 1, 1, 2, 3]], "once"),
+        ([[0, 1, 2]], "every particle"),
+    ],
+)
+def test_bad_lists_are_refused(lists: list[list[int]], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        clusters.from_lists(lists, 4)
+
+
+def test_lists_are_kept_as_given() -> None:
+    found = clusters.from_lists([[3, 1], [0, 1, 2]], 4)
+    assert [row.tolist() for row in found] == [[3, 1], [0, 1, 2]]
+
+
+@pytest.mark.parametrize("shape", [(7, 15), (3, 4, 5), (4, 1, 6)])
+def test_lattice_is_found_in_any_order_and_despite_jitter(shape: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(1)
+    rest = lattice(shape)
+    order = rng.permutation(len(rest))
+    jitter = rng.uniform(-0.004, 0.004, rest.shape) * 0.01
+    found = clusters.find_lattice(rest[order] + jitter)
+    assert found is not None
+    assert found[0] == shape
+    assert np.array_equal(found[1], order)
+
+
+@pytest.mark.parametrize("what", ["cloud", "hole", "bent"])
+def test_no_lattice_is_claimed_where_there_is_none(what: str) -> None:
+    rng = np.random.default_rng(2)
+    rest = lattice((5, 6))
+    if what == "cloud":
+        rest = rng.uniform(0, 0.1, (30, 2))
+    elif what == "hole":
+        rest = np.delete(rest, 12, axis=0)
+    else:
+        rest[:, 0] += 3.0 * (rest[:, 1] - 0.025) ** 2
+    assert clusters.find_lattice(rest) is None
+
+
+def test_nearest_clusters_cover_a_cloud() -> None:
+    rest = np.random.default_rng(3).uniform(0, 0.1, (50, 3))
+    found = clusters.nearest(rest, 27)
+    assert found.cluster_counts().min() >= 1
+    assert {len(row) for row in found} == {27}

@@ -1,0 +1,250 @@
+"""The warp engine against its float64 reference, on every device and in both precisions."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+pytest.importorskip("warp")
+
+from deformscope.stages.msm import clusters, reference
+from deformscope.stages.msm.reference import Basis
+from deformscope.stages.msm.solver import Msm, Precision
+from tests.stages.bodies import lattice, pushed
+
+KERNEL_TOLERANCE: dict[Precision, float] = {"float64": 1e-11, "float32": 1e-5}
+"""Goals against the reference, relative to the particle spacing: rounding of sums over a few hundred particles."""
+
+STATIC_TOLERANCE = 1e-5
+"""Static states against each other, as a share of the body's extent."""
+
+SHAPES = [((5, 7), 2), ((5, 7), 3), ((6, 6), 5), ((3, 4, 4), 2), ((4, 4, 5), 3), ((5, 4, 5), 4)]
+
+
+@pytest.fixture(params=["float64", "float32"])
+def precision(request: pytest.FixtureRequest) -> Precision:
+    found: Precision = request.param
+    return found
+
+
+@pytest.mark.parametrize("basis", ["linear", "quadratic"])
+@pytest.mark.parametrize(("shape", "size"), SHAPES)
+def test_goals_agree_with_the_reference(
+    device: str, precision: Precision, basis: Basis, shape: tuple[int, ...], size: int
+) -> None:
+    rng = np.random.default_rng(len(shape) * 10 + size)
+    rest = lattice(shape)
+    mass = rng.uniform(0.5, 2.0, len(rest))
+    grouped = clusters.lattice(rest, shape, np.arange(len(rest)), size)
+    held = np.array([3, 0])
+    spec = reference.build_rest(rest, grouped, held, mass, basis)
+    engine = Msm(rest, grouped, held, mass=mass, basis=basis, precision=precision, device=device)
+    # small and large noise, turned half round, mirrored (unevenly, so that one rotation is best) and crushed
+    half_turn = np.eye(len(shape))
+    half_turn[0, 0] = half_turn[1, 1] = -1.0
+    mirror = np.eye(len(shape))
+    mirror[0, 0] = -1.0
+    states = np.stack(
+        [
+            rest + rng.normal(0, 0.0005, rest.shape),
+            rest + rng.normal(0, 0.004, rest.shape),
+            rest @ half_turn + rng.normal(0, 0.001, rest.shape),
+            rest @ mirror * np.array([0.3, 0.8, 1.2])[: len(shape)] + rng.normal(0, 0.001, rest.shape),
+            rest * 0.3 + rng.normal(0, 0.001, rest.shape),
+        ]
+    )
+    beta = np.array([0.0, 0.5, 0.9, 0.6, 0.99])
+    theta = np.array([0.0, 0.0, 0.3, 0.0, 0.5])
+    found = engine.residual(states, beta, theta)
+    for row, state in enumerate(states):
+        expected = reference.goals(state, spec, float(beta[row]), float(theta[row])) - state
+        worst = np.abs(found[row] - expected).max() / (engine.scale * max(1.0, np.abs(state).max() / 0.1))
+        assert worst < KERNEL_TOLERANCE[precision] * (10.0 if basis == "quadratic" else 1.0), (row, worst)
+        assert np.all(found[row][held] == 0.0)
+
+
+def test_steps_agree_with_the_reference(device: str, precision: Precision) -> None:
+    body = pushed((5, 6), np.random.default_rng(0))
+    spec = reference.build_rest(body.rest, body.clusters(3), body.held)
+    engine = Msm(body.rest, body.clusters(3), body.held, precision=precision, device=device)
+    x, v = body.rest.copy(), np.zeros_like(body.rest)
+    gravity = np.array([-9.81, 0.0])
+    for _ in range(20):
+        x, v = reference.step(x, v, spec, body.held_position, beta=0.7, alpha=0.8, dt=2e-3, acceleration=gravity)
+    state = engine.start()
+    found = engine.step(state, body.held_position, 0.7, alpha=0.8, dt=2e-3, acceleration=[-9.81, 0.0], steps=20)
+    np.testing.assert_allclose(found[0], x, atol=20 * KERNEL_TOLERANCE[precision] * engine.scale)
+    # steps taken one call at a time are the same steps
+    again = engine.start()
+    for _ in range(20):
+        one = engine.step(again, body.held_position, 0.7, alpha=0.8, dt=2e-3, acceleration=[-9.81, 0.0])
+    np.testing.assert_array_equal(one, found)
+
+
+@pytest.mark.parametrize("case", range(8))
+def test_relax_finds_the_static_state_of_the_reference(device: str, precision: Precision, case: int) -> None:
+    rng = np.random.default_rng(100 + case)
+    shape = tuple(rng.integers(4, 7, 2)) if case % 2 else tuple(rng.integers(3, 5, 3))
+    body = pushed(shape, rng)
+    grouped = body.clusters(int(rng.integers(2, 6)))
+    beta = [0.0, 0.3, 0.6, 0.8, 0.9, 0.95, 0.99, 0.5][case]
+    spec = reference.build_rest(body.rest, grouped, body.held)
+    expected, residual = reference.relax(spec, body.held_position, beta=beta)
+    assert residual < 1e-9
+    engine = Msm(body.rest, grouped, body.held, precision=precision, device=device)
+    state = engine.relax(body.held_position, beta)
+    assert state.converged[0]
+    limit = STATIC_TOLERANCE if precision == "float64" else 10 * STATIC_TOLERANCE
+    assert np.abs(state.position[0] - expected).max() < limit * engine.extent
+    # tested on the equations themselves, too
+    assert np.abs(engine.residual(state.position, beta)).max() < limit * engine.extent
+
+
+@pytest.mark.parametrize("case", range(10))
+def test_stepping_to_rest_and_relaxing_agree(device: str, case: int) -> None:
+    rng = np.random.default_rng(200 + case)
+    shape = tuple(rng.integers(4, 8, 2)) if case % 2 else tuple(rng.integers(3, 5, 3))
+    body = pushed(shape, rng)
+    beta = float(rng.uniform(0.0, 0.95))
+    engine = Msm(body.rest, body.clusters(int(rng.integers(2, 5))), body.held, device=device)
+    moving = engine.start()
+    for _ in range(20):
+        stepped = engine.step(moving, body.held_position, beta, steps=1000)
+        if np.abs(engine.residual(stepped, beta)).max() < 1e-10 * engine.extent:
+            break
+    relaxed = engine.relax(body.held_position, beta)
+    assert relaxed.converged[0]
+    assert np.abs(relaxed.position[0] - stepped[0]).max() < STATIC_TOLERANCE * engine.extent
+
+
+def test_error_estimate_is_no_smaller_than_the_error(device: str) -> None:
+    for size, beta in [(2, 0.99), (3, 0.9), (2, 0.5)]:
+        body = pushed((7, 15), np.random.default_rng(size))
+        engine = Msm(body.rest, body.clusters(size), body.held, device=device)
+        loose = engine.relax(body.held_position, beta, tolerance=1e-3)
+        tight = engine.relax(body.held_position, beta, tolerance=1e-12)
+        error = np.sqrt(np.mean(np.sum((loose.position - tight.position) ** 2, axis=-1)))
+        assert error <= loose.error[0]
+
+
+def test_candidates_of_one_launch_are_what_each_would_be_alone(device: str) -> None:
+    body = pushed((5, 6), np.random.default_rng(3))
+    engine = Msm(body.rest, body.clusters(3), body.held, device=device)
+    betas = np.array([0.1, 0.5, 0.9])
+    together = engine.relax(body.held_position, betas)
+    poses = np.stack([body.held_position, body.rest[body.held], 0.5 * (body.held_position + body.rest[body.held])])
+    moved = engine.relax(poses, 0.5)
+    for row, beta in enumerate(betas):
+        np.testing.assert_array_equal(engine.relax(body.held_position, beta).position[0], together.position[row])
+        np.testing.assert_array_equal(engine.relax(poses[row], 0.5).position[0], moved.position[row])
+
+
+def test_runs_repeat_bit_for_bit(device: str, precision: Precision) -> None:
+    body = pushed((6, 7), np.random.default_rng(4))
+    ends = []
+    for _ in range(2):
+        engine = Msm(body.rest, body.clusters(3), body.held, precision=precision, device=device)
+        relaxed = engine.relax(body.held_position, np.linspace(0, 0.99, 20)).position
+        stepped = engine.step(engine.start(3), body.held_position, [0.1, 0.5, 0.9], steps=50)
+        ends.append((relaxed, stepped))
+    np.testing.assert_array_equal(ends[0][0], ends[1][0])
+    np.testing.assert_array_equal(ends[0][1], ends[1][1])
+
+
+def test_size_and_units_do_not_matter(device: str, precision: Precision) -> None:
+    body = pushed((5, 6), np.random.default_rng(5))
+    ends = []
+    for scale in (1.0, 1e3, 1e-4):
+        engine = Msm(body.rest * scale, body.clusters(3), body.held, precision=precision, device=device)
+        ends.append(engine.relax(body.held_position * scale, 0.7).position[0] / scale)
+    # the digits of the input differ with its scale; its meaning does not
+    limit = 1e-8 if precision == "float64" else 1e-4
+    np.testing.assert_allclose(ends[1], ends[0], atol=limit * 0.05)
+    np.testing.assert_allclose(ends[2], ends[0], atol=limit * 0.05)
+
+
+def test_free_form_clusters_in_any_order(device: str) -> None:
+    rng = np.random.default_rng(6)
+    rest = rng.uniform(0, 0.1, (40, 3))
+    grouped = clusters.nearest(rest, 12)
+    held = np.array([7, 2, 30])
+    position = rest[held] + rng.normal(0, 0.01, (3, 3))
+    expected, _ = reference.relax(reference.build_rest(rest, grouped, held), position, beta=0.4)
+    found = Msm(rest, grouped, held, device=device).relax(position, 0.4)
+    assert found.converged[0]
+    np.testing.assert_allclose(found.position[0], expected, atol=1e-6)
+    np.testing.assert_array_equal(found.position[0][held], rest[held] + (position - rest[held]))
+
+
+@dataclasses.dataclass(frozen=True)
+class Degenerate:
+    """A body or a state on which a careless solver divides by zero."""
+
+    shape: tuple[int, ...]
+    size: int
+    basis: Basis
+    held: tuple[int, ...]
+    squeeze: tuple[float, ...]
+
+
+DEGENERATE = {
+    "flat sheet in space": Degenerate((4, 4, 1), 3, "linear", (0, 3, 12, 15), (1.2, 1.0, 1.0)),
+    "flat sheet, quadratic": Degenerate((4, 4, 1), 3, "quadratic", (0, 3, 12, 15), (1.2, 1.0, 1.0)),
+    "2x2 quadratic": Degenerate((4, 4), 2, "quadratic", (0, 3, 12, 15), (0.7, 1.0)),
+    "2x2x2 quadratic": Degenerate((3, 3, 3), 2, "quadratic", (0, 2, 18, 26), (0.7, 1.0, 1.0)),
+    "crushed to a line": Degenerate((4, 4), 3, "linear", tuple(range(15)), (0.0, 1.0)),
+    "crushed to a point": Degenerate((3, 3, 3), 3, "linear", tuple(range(26)), (0.0, 0.0, 0.0)),
+    "inverted": Degenerate((4, 4), 3, "linear", (0, 1, 2, 3, 12, 13, 14, 15), (-1.0, 1.0)),
+    "inverted in space": Degenerate((3, 3, 3), 2, "linear", (*range(9), *range(18, 27)), (-1.0, 1.0, 1.0)),
+    "all held": Degenerate((3, 3), 2, "linear", tuple(range(9)), (0.5, 1.0)),
+    "one held": Degenerate((3, 3), 2, "linear", (4,), (1.0, 1.0)),
+}
+
+
+@pytest.mark.parametrize("theta", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("name", DEGENERATE)
+def test_degenerate_clusters_stay_finite(device: str, precision: Precision, name: str, theta: float) -> None:
+    case = DEGENERATE[name]
+    rest = lattice(case.shape)
+    grouped = clusters.lattice(rest, case.shape, np.arange(len(rest)), case.size)
+    held = np.array(case.held)
+    position = (rest * case.squeeze)[held]
+    engine = Msm(rest, grouped, held, basis=case.basis, precision=precision, device=device)
+    state = engine.relax(position, np.array([0.0, 0.5, 0.9]), theta, max_iterations=500)
+    assert np.isfinite(state.position).all()
+    assert np.isfinite(engine.step(engine.start(), position, 0.5, theta, steps=50)).all()
+    np.testing.assert_allclose(
+        state.position[:, held], np.broadcast_to(position, (3, *position.shape)), atol=1e-6 * engine.extent
+    )
+    spec = reference.build_rest(rest, grouped, held, basis=case.basis)
+    x = rest.copy()
+    x[held] = position
+    assert np.isfinite(reference.goals(x, spec, 0.5, theta)).all()
+
+
+def test_divergence_is_reported_and_never_shown_as_a_result(device: str) -> None:
+    """Eq. 3.17 with overlapping clusters runs away by plain steps; whatever relax does, it says so or it is static."""
+    shape = (6, 6, 6)
+    rest = lattice(shape)
+    low, high = np.flatnonzero(rest[:, 2] <= 0), np.flatnonzero(rest[:, 2] >= rest[:, 2].max() - 1e-9)
+    held = np.concatenate([low, high])
+    position = rest[held].copy()
+    position[len(low) :, 2] *= 0.7
+    grouped = clusters.lattice(rest, shape, np.arange(len(rest)), 3)
+    engine = Msm(rest, grouped, held, device=device)
+    state = engine.relax(position, 0.99, np.array([0.0, 0.5, 1.0]), max_iterations=300)
+    left = np.abs(engine.residual(state.position, 0.99, np.array([0.0, 0.5, 1.0]))).max(axis=(1, 2))
+    assert np.isfinite(state.position).all()
+    assert np.all(left[state.converged] < 1e-6 * engine.extent)
+    assert not np.any(state.converged & state.diverged)
+
+
+def test_warm_start_saves_iterations_and_changes_nothing(device: str) -> None:
+    body = pushed((7, 9), np.random.default_rng(8))
+    engine = Msm(body.rest, body.clusters(3), body.held, device=device)
+    cold = engine.relax(body.held_position, 0.70)
+    warm = engine.relax(body.held_position, 0.70, start=engine.relax(body.held_position, 0.71).position)
+    assert warm.iterations[0] < cold.iterations[0]
+    np.testing.assert_allclose(warm.position, cold.position, atol=1e-7 * engine.extent)
