@@ -7,6 +7,7 @@ deformscope replay out.rrd --record again.rrd --json -
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import sys
 from typing import TYPE_CHECKING, Any
@@ -47,8 +48,8 @@ def run(config: ReplayConfig) -> None:
         raise InputError(
             "a recording of a calibration", f"settings of another kind ({error})", where=config.recording
         ) from error
-    if fit.model.device != "cpu":
-        fit = msgspec.structs.replace(fit) if isinstance(fit, msgspec.Struct) else _on(fit, pick_device("auto"))
+    if fit.model.device != "cpu":  # the recording's GPU may not be here
+        fit = dataclasses.replace(fit, model=dataclasses.replace(fit.model, device=pick_device("auto")))
     pairs = recording.read_pair_bytes()
     if pairs:
         names = list(settings.get("sources", [])) or [f"pair {index}" for index in range(len(pairs))]
@@ -66,12 +67,6 @@ def run(config: ReplayConfig) -> None:
         ) as source:
             estimates = [run_images(source, recording.mask, fit, particles, settings, config.output).as_json()]
     _compare(recording.read_results(), estimates, config)
-
-
-def _on(fit: Any, device: str) -> Any:
-    import dataclasses
-
-    return dataclasses.replace(fit, model=dataclasses.replace(fit.model, device=device))
 
 
 def _wait(frame: ColorFrame) -> None:
@@ -101,4 +96,4 @@ def _difference(before: Any, now: Any) -> float:
         return max((_difference(b, n) for b, n in zip(before, now, strict=False)), default=0.0)
     if before is None or now is None:
         return 0.0 if before == now else math.inf
-    return abs(now - before) / max(abs(before), abs(now), 1e-3)
+    return float(abs(now - before) / max(abs(before), abs(now), 1e-3))

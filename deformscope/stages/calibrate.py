@@ -5,7 +5,7 @@ The sweep is the thesis's Algorithm 3; `method="gradient"` serves Algorithm 2's 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -21,6 +21,7 @@ from deformscope.stages.msm.reference import Basis
 from deformscope.stages.msm.solver import Msm, Precision, Relaxed
 
 Method = Literal["sweep", "gradient"]
+METHODS: tuple[Method, ...] = ("sweep", "gradient")
 Progress = Callable[[str, int, int], None]
 
 IDENTIFIED_WIDTH, WEAK_WIDTH = 0.2, 0.7
@@ -385,7 +386,7 @@ def calibrate(
     seen: Sequence[Observation],
     options: FitOptions,
     *,
-    settings: dict[str, object] | None = None,
+    settings: Mapping[str, object] | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
     """Fit one parameter to observations that share it, with its interval and verdicts.

@@ -32,7 +32,7 @@ MISFIT_RATIOS = (0.3, 1.0, 3.0, 10.0, 100.0)
 """Misfit variances tried, in units of the white noise (unknown noise)."""
 
 PRIOR_NO_MISFIT = 0.5
-MOST_FOR_EVIDENCE = 200
+MOST_FOR_EVIDENCE = 120
 """Particles that the evidence for noise and misfit is taken from; more add cost, not insight."""
 
 
