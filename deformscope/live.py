@@ -79,12 +79,8 @@ def start_viewer(kind: Literal["native", "page"]) -> Viewer:
         start_new_session=True,  # Ctrl-C ends the measurement and leaves its picture
         env={**os.environ, **quiet},
     )
-    _left_running.append(process)
+    process.returncode = 0  # that it runs on is the point: nobody waits for it, nor warns that nobody does
     return Viewer(process.pid, f"rerun+http://{LOOPBACK}:{port}/proxy", page)
-
-
-_left_running: list[subprocess.Popen[bytes]] = []
-"""Kept so that no warning tells of a process still running: that it runs on is the point."""
 
 
 def window_options() -> list[str]:
@@ -95,15 +91,21 @@ def window_options() -> list[str]:
 def wait_for_viewer(viewer: Viewer, give_up: threading.Event) -> None:
     """Return once it accepts connections; raise where it ends or stays away."""
     port = int(viewer.url.rsplit(":", 1)[1].split("/")[0])
-    process = next((started for started in _left_running if started.pid == viewer.pid), None)
     deadline = time.monotonic() + START_TIMEOUT_S
     while time.monotonic() < deadline and not give_up.is_set():
-        if process is not None and process.poll() is not None:
-            raise ConnectionError(f"the viewer ended at once with status {process.returncode}")
+        if _ended(viewer.pid):
+            raise ConnectionError("the viewer ended at once")
         with contextlib.suppress(OSError), socket.create_connection((LOOPBACK, port), timeout=0.5):
             return
         time.sleep(0.05)
     raise ConnectionError(f"the viewer did not listen within {START_TIMEOUT_S:g} s")
+
+
+def _ended(pid: int) -> bool:
+    try:
+        return os.waitpid(pid, os.WNOHANG)[0] == pid
+    except ChildProcessError:
+        return True
 
 
 def _has_display() -> bool:

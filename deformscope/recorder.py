@@ -215,6 +215,7 @@ class Recorder:
         return RecordingSummary(self._part, self._frames, self._steps, dropped, size)
 
     def _open(self) -> None:
+        os.environ.setdefault("RUST_LOG", "off")  # what rerun would print, this recorder notices and says itself
         recording_id = "deterministic" if self._deterministic else uuid.uuid4().hex
         provenance = _provenance(self._settings, brief=self._deterministic)
         if self._viewer_kind != "none":

@@ -7,6 +7,7 @@ import logging
 import math
 import re
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,7 +25,7 @@ from deformscope.sources import decode_image
 from deformscope_drivers.clock import Stamp
 
 if TYPE_CHECKING:
-    from rerun.chunk import Chunk, StoreEntry
+    from rerun.chunk import Chunk, RrdReader
 
 Pace = Literal["fast", "real", "step"]
 RRD_MAGIC = b"RRF"
@@ -147,7 +148,7 @@ class Replay:
         if not trust:
             self._check_ledger()
         try:
-            known = [entry.application_id for entry in self._stores()]
+            known = [entry.application_id for entry in self._reader().recordings()]
         except Exception as error:  # the reader raises what it likes on bytes it does not understand
             raise _unreadable(path) from error
         if APPLICATION_ID not in known:
@@ -166,15 +167,16 @@ class Replay:
             more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
             raise InputError("a recording as its ledger has it", problems[0] + more, "an intact copy", self.path)
 
-    def _stores(self) -> list[StoreEntry]:
+    def _reader(self) -> RrdReader:
         from rerun.chunk import RrdReader
 
-        return RrdReader(self.path).recordings()
+        with warnings.catch_warnings():
+            # A run that was killed leaves no footer; all that it recorded can be read all the same.
+            warnings.filterwarnings("ignore", "RRD file has no footer")
+            return RrdReader(self.path)
 
     def _chunks(self, *contents: str) -> Iterator[Chunk]:
-        from rerun.chunk import RrdReader
-
-        reader = RrdReader(self.path)
+        reader = self._reader()
         store = next(entry for entry in reader.recordings() if entry.application_id == APPLICATION_ID)
         try:
             yield from reader.stream(store=store).filter(content=list(contents))

@@ -4,7 +4,6 @@ Opens the recording in a headless viewer, sets the `frame` timeline, saves the w
 and prints what the viewer complained about. Needs Vulkan; without a GPU: apt-get install mesa-vulkan-drivers
 """
 
-# ruff: noqa: TID251 (a tool that looks at recordings; it logs nothing)
 from __future__ import annotations
 
 import argparse
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
 LAVAPIPE = Path("/usr/share/vulkan/icd.d/lvp_icd.x86_64.json")
 START_TIMEOUT_S = 30.0
 LOAD_TIMEOUT_S = 30.0
+NOTICES_S = 5.0
 
 
 def main() -> int:
@@ -86,7 +86,7 @@ def shoot(viewer: ViewerClient, recording: Path, out: Path, frame: int | None = 
     for view in viewer.get_state().views:
         name = "".join(letter if letter.isalnum() else "_" for letter in view.name)[:40]
         viewer.save_screenshot(str(out / f"{prefix}{name}.png"), view_id=view.view_id)
-    time.sleep(5.0)  # until the notices over the window are gone
+    time.sleep(NOTICES_S)  # until the notices over the window are gone
     viewer.save_screenshot(str(out / f"{prefix}window.png"))
     for view in viewer.get_state().views:
         complaints += [f"{view.name}: {report.severity}: {report.summary}" for report in view.reports]

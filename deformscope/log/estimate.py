@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import io
 import json
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import rerun as rr
@@ -82,7 +81,7 @@ def _log_flat(rec: rr.RecordingStream, comparison: Comparison, length: FloatArra
         "residual/points",
         rr.Points2D(comparison.observed[known], radii=radius * RESIDUAL_RADIUS, colors=tints, draw_order=41.0),
     )
-    rec.log("residual/points", rr.AnyValues(residual=length))
+    rec.log("residual/points", rr.AnyValues(particle=np.flatnonzero(known), residual=length[known]))
     held = comparison.observed[comparison.held]
     held = held[np.isfinite(held).all(axis=1)]
     rec.log("residual/held", rr.Points2D(held, radii=radius * 0.07, colors=HELD, draw_order=42.0))
@@ -107,7 +106,7 @@ def _log_deep(rec: rr.RecordingStream, comparison: Comparison, length: FloatArra
     rec.log(
         "residual/points", rr.Points3D(comparison.observed[known], radii=radius * DEEP_OBSERVED_RADIUS, colors=tints)
     )
-    rec.log("residual/points", rr.AnyValues(residual=length))
+    rec.log("residual/points", rr.AnyValues(particle=np.flatnonzero(known), residual=length[known]))
     factor, unit = readable(comparison.unit, end)
     legend = (
         "**green** rest, **blue** observed, **red** simulated (seen where it departs from blue)\n\n"
@@ -125,20 +124,21 @@ def log_estimate(rec: rr.RecordingStream, estimate: Estimate, canvas: Canvas) ->
     curve = estimate.curve
     chart = rr.EncodedImage(contents=chart_png(estimate), media_type="image/png")
     rec.log("calibration/chart", chart, static=whole)
-    rec.log("calibration/curve", rr.BarChart(values=curve.aee, abscissa=curve.parameter), static=whole)
-    rec.log(
-        "calibration/curve", rr.AnyValues(True, **{estimate.parameter: curve.parameter, "aee": curve.aee}), static=whole
-    )
+    # No BarChart: its tensor keeps a viewer from opening a second recording of this kind beside the first.
+    known = np.isfinite(curve.aee)
+    points = {estimate.parameter: curve.parameter[known], "aee": curve.aee[known]}
+    rec.log("calibration/curve", rr.AnyValues(True, **points), static=whole)
     rec.log("calibration/summary", rr.TextDocument(summary(estimate), media_type=rr.MediaType.MARKDOWN), static=whole)
     rec.log("calibration/estimate", rr.AnyValues(json=json.dumps(as_json(estimate))), static=whole)
 
 
-def as_json(estimate: Estimate) -> dict[str, object]:
-    """Every field of the estimate as JSON knows it: what is not finite becomes null."""
-    return {name: _plain(value) for name, value in dataclasses.asdict(estimate).items()}
+def as_json(estimate: Estimate) -> dict[str, Any]:
+    """The estimate's public form, in strict JSON: what is not finite becomes null."""
+    found: dict[str, Any] = _plain(estimate.as_json())
+    return found
 
 
-def _plain(value: object) -> object:
+def _plain(value: object) -> Any:
     if isinstance(value, dict):
         return {str(key): _plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
@@ -153,21 +153,19 @@ def _plain(value: object) -> object:
 def summary(estimate: Estimate) -> str:
     """The estimate in a page of Markdown."""
     low, high = estimate.interval
-    factor, unit = readable(estimate.unit, estimate.aee)
     lines = [
         f"# {estimate.parameter} = {estimate.value:.3g}: {estimate.verdict}",
         "",
         f"{estimate.level:.0%} interval **{low:.3g} to {high:.3g}** (searched {estimate.bounds[0]:g} to "
         f"{estimate.bounds[1]:g})",
         "",
-        f"Stiffness: **{estimate.stiffness_verdict}**"
-        + (" (positions alone cannot tell it)" if estimate.stiffness_verdict == "unidentified" else ""),
+        _stiffness(estimate),
         "",
         "| error at the best value | |",
         "| --- | --- |",
-        f"| all particles (eq. 3.18) | {estimate.aee * factor:.4g} {unit} |",
-        f"| free particles | {estimate.aee_free * factor:.4g} {unit} |",
-        f"| to the nearest particle (eq. 4.6) | {estimate.nearest * factor:.4g} {unit} |",
+        f"| all particles (eq. 3.18) | {_length(estimate, estimate.aee)} |",
+        f"| free particles | {_length(estimate, estimate.aee_free)} |",
+        f"| to the nearest particle (eq. 4.6) | {_length(estimate, estimate.nearest)} |",
         f"| converged | {'yes' if estimate.converged else '**NO**: do not rely on the value'} |",
         "",
         "| setting | |",
@@ -175,6 +173,23 @@ def summary(estimate: Estimate) -> str:
     ]
     lines += [f"| {name} | {value} |" for name, value in estimate.settings.items()]
     return "\n".join(lines)
+
+
+def _stiffness(estimate: Estimate) -> str:
+    said = f"Stiffness: **{estimate.stiffness_verdict}**"
+    if estimate.stiffness is not None:
+        value, (low, high) = estimate.stiffness
+        return f"{said}, k = {value:.4g} N/m ({low:.4g} to {high:.4g})"
+    return said + (" (positions alone cannot tell it)" if estimate.stiffness_verdict == "unidentified" else "")
+
+
+def _length(estimate: Estimate, length: float) -> str:
+    """A length in its unit, and in metres too where an image's scale is known."""
+    factor, unit = readable(estimate.unit, estimate.aee)
+    said = f"{length * factor:.4g} {unit}"
+    if estimate.unit == "px" and estimate.metres_per_unit is not None:
+        said += f" = {length * estimate.metres_per_unit * 1e3:.3g} mm"
+    return said
 
 
 def chart_png(estimate: Estimate) -> bytes:

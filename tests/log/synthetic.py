@@ -47,6 +47,7 @@ def estimate(verdict: str = "identified", unit: str = "px") -> Estimate:
         curve=Curve(parameter=beta, aee=aee),
         converged=True,
         settings={"cluster_size": 3, "mode": "linear", "alpha": 1.0, "theta": 0.0, "noise": float("nan")},
+        metres_per_unit=None if unit == "px" else 1.0,
     )
 
 
@@ -80,7 +81,7 @@ def calibration(
         height, width = flow_px.shape[:2]
         position = position + flow_px[place[:, 1].clip(0, height - 1), place[:, 0].clip(0, width - 1)]
         if len(tracks) == 5:
-            seen[[25, 26, 80]] = False
+            seen[np.array([25, 26, 80]) % len(seen)] = False
         tracks.append(Tracked(position.copy(), np.full(len(position), 0.1), seen.copy(), np.zeros(len(position))))
         results = (FlowField(flow_px), tracks[-1])
     for index, track in enumerate(tracks):

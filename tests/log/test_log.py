@@ -1,0 +1,189 @@
+"""What is drawn is what was found: positions, errors and numbers, read back from the recording."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import rerun as rr
+from rerun.chunk import RrdReader
+
+from deformscope.log.blueprint import blueprint
+from deformscope.log.canvas import Canvas, colors, readable, round_up, spacing_of
+from deformscope.log.estimate import as_json, chart_png, summary
+from deformscope.recorder import Recorder
+from deformscope.session import Step, run
+from deformscope.sources import open_source
+from tests.log import synthetic
+
+
+@pytest.fixture(autouse=True)
+def strict() -> Iterator[None]:
+    rr.set_strict_mode(True)
+    yield
+    rr.set_strict_mode(False)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("log") / "run.rrd"
+    with open_source(["sample:tension"]) as source, Recorder(path) as made:
+        run(source, synthetic.calibration(), made)
+    return path
+
+
+def values(path: Path, entity: str, component: str, frame: int | None = None) -> Any:
+    """One component of an entity at a frame, as it lies in the file."""
+    for chunk in RrdReader(path).stream():
+        batch = chunk.to_record_batch()
+        if chunk.entity_path != entity or component not in batch.schema.names:
+            continue
+        frames = [None] * chunk.num_rows if chunk.is_static else batch.column("frame").to_pylist()
+        for place, at in enumerate(frames):
+            if at == frame and batch.column(component)[place].is_valid:
+                return batch.column(component)[place].as_py()
+    raise AssertionError(f"no {component} of {entity} at frame {frame}")
+
+
+def test_particles(recording: Path) -> None:
+    rest = np.array(values(recording, "/particles/rest", "Points2D:positions", 0))
+    np.testing.assert_allclose(rest, synthetic.lattice().rest_px, rtol=1e-6)
+    assert len(values(recording, "/particles/observed", "Points2D:positions", 2)) == 154
+    assert len(values(recording, "/particles/observed", "Points2D:positions", 8)) == 151
+    assert len(values(recording, "/particles/lost", "LineStrips2D:strips", 8)) == 3 * 2 * 2
+    assert len(values(recording, "/particles/lost", "LineStrips2D:strips", 2)) == 0
+    assert values(recording, "/particles/legend/lost/label", "Points2D:labels", 8) == ["lost: 3"]
+    assert sum(values(recording, "/particles/observed", "seen", 8)) == 151
+    radius = values(recording, "/particles/observed", "Points2D:radii", 8)[0]
+    assert 2 < radius < 6
+
+
+def test_arrows_stay_on_the_specimen(recording: Path) -> None:
+    origins = np.array(values(recording, "/flow/arrows", "Arrows2D:origins", 4))
+    vectors = np.array(values(recording, "/flow/arrows", "Arrows2D:vectors", 4))
+    assert 50 < len(origins) < 400
+    assert origins[:, 0].min() > 35
+    assert origins[:, 0].max() < 165
+    assert np.median(vectors[:, 1]) < 0  # pulled upwards
+
+
+def test_simulated_and_residuals(recording: Path) -> None:
+    grid = synthetic.lattice()
+    simulated = np.array(values(recording, "/particles/simulated", "Points2D:positions", 8))
+    assert simulated.shape == grid.rest_px.shape
+    lines = np.array(values(recording, "/residual/lines", "LineStrips2D:strips", 8))
+    assert lines.shape == (151, 2, 2)
+    residual = np.array(values(recording, "/residual/points", "residual", 8))
+    particle = np.array(values(recording, "/residual/points", "particle", 8))
+    assert set(range(154)) - set(particle) == {25, 26, 80}
+    np.testing.assert_allclose(np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1), residual, atol=1e-4)
+    aee = values(recording, "/error/aee", "Scalars:scalars", 8)[0]
+    assert aee == pytest.approx(residual.mean())
+    free = (particle >= 7) & (particle < 147)
+    assert values(recording, "/error/aee_free", "Scalars:scalars", 8)[0] == pytest.approx(residual[free].mean())
+
+
+def test_estimate(recording: Path) -> None:
+    expected = synthetic.estimate()
+    curve = expected.curve
+    np.testing.assert_array_equal(values(recording, "/calibration/curve", "beta"), curve.parameter)
+    np.testing.assert_array_equal(values(recording, "/calibration/curve", "aee"), curve.aee)
+    found = json.loads(values(recording, "/calibration/estimate", "json")[0])
+    assert found == as_json(expected)
+    assert found["interval"] == [0.56, 0.69]
+    png = bytes(values(recording, "/calibration/chart", "EncodedImage:blob")[0])
+    chart = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    assert chart.shape == (650, 1040, 3)
+    text = values(recording, "/calibration/summary", "TextDocument:text")[0]
+    assert "beta = 0.62: identified" in text
+    assert "0.56 to 0.69" in text
+    assert "| cluster_size | 3 |" in text
+
+
+def test_sixteen_bits_are_shown_in_their_range(tmp_path: Path) -> None:
+    dark = [
+        type(frame)(frame.stamp, frame.index, (frame.image >> 6).astype(np.uint16))
+        for frame in synthetic.frames(2, depth=np.uint16)
+    ]
+    with Recorder(tmp_path / "run.rrd") as made:
+        for frame in dark:
+            made.write_frame(frame)
+    jpeg = bytes(values(tmp_path / "run.rrd", "/display/image", "EncodedImage:blob", 1)[0])
+    shown = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert shown.dtype == np.uint8
+    assert shown.max() > 240
+    assert shown.min() < 15
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_pairs(tmp_path: Path, dimensions: int) -> None:
+    pair = synthetic.pair_in_plane() if dimensions == 2 else synthetic.pair_in_space()
+    path = tmp_path / "run.rrd"
+    with Recorder(path, layout="pair") as made:
+        made.write_input("pair/0", b"some bytes")
+        made.write(Step((pair, synthetic.estimate(unit="m")), frame=0))
+    kind = f"Points{dimensions}D"
+    for name, expected in (
+        ("rest", pair.rest),
+        ("observed", pair.observed[pair.seen]),
+        ("simulated", pair.simulated),
+    ):
+        found = np.array(values(path, f"/particles/{name}", f"{kind}:positions", 0))
+        np.testing.assert_allclose(found, expected, atol=1e-7)
+    assert values(path, "/calibration/estimate", "json", 0)
+    assert len(RrdReader(path).blueprints()) == 1
+
+
+def test_chart_of_every_verdict() -> None:
+    import dataclasses
+
+    for verdict in ("identified", "weak", "at-bound", "unidentified"):
+        estimate = dataclasses.replace(synthetic.estimate(verdict), converged=verdict != "weak")
+        assert chart_png(estimate).startswith(b"\x89PNG")
+        assert verdict in summary(estimate)
+    scaled = dataclasses.replace(synthetic.estimate(), metres_per_unit=1e-4, stiffness=(12.0, (11.0, 13.5)))
+    assert "| 0.35 px = 0.035 mm |" in summary(scaled)
+    assert "k = 12 N/m (11 to 13.5)" in summary(scaled)
+    gaps = synthetic.estimate()
+    gaps.curve.aee[[0, 1, 5]] = np.nan
+    assert chart_png(gaps).startswith(b"\x89PNG")
+    assert as_json(gaps)["curve"]["aee"][0] is None
+    gaps.curve.aee[:] = np.nan
+    assert chart_png(gaps).startswith(b"\x89PNG")
+
+
+def test_one_chart_is_one_picture() -> None:
+    assert chart_png(synthetic.estimate()) == chart_png(synthetic.estimate())
+
+
+@pytest.mark.parametrize("size", [(100.0, 900.0), (200.0, 500.0), (640.0, 480.0), (1000.0, 200.0)])
+@pytest.mark.parametrize("layout", ["images", "flow", "pair"])
+def test_blueprints(size: tuple[float, float], layout: Any) -> None:
+    for canvas in (Canvas((0.0, 0.0), size, 5.0, image="input/image"), Canvas((0.0, 0.0, 0.0), (*size, 3.0), 5.0)):
+        blueprint(layout, canvas)
+
+
+def test_scales() -> None:
+    assert [round_up(value) for value in (0.0, 0.3, 1.0, 1.1, 4.9, 7.0, 1234.0)] == [1, 0.5, 1, 2, 5, 10, 2000]
+    assert readable("m", 0.002) == (1e3, "mm")
+    assert readable("px", 0.002) == (1.0, "px")
+    assert colors(np.array([0.0, 1.0, 7.0, np.nan])).shape == (4, 3)
+
+
+def test_spacing() -> None:
+    assert spacing_of(synthetic.lattice().rest_px) == pytest.approx(16.67, abs=0.1)
+    assert spacing_of(np.zeros((1, 2))) == 0.0
+    flat = np.column_stack([synthetic.lattice().rest_px, np.zeros(154)])
+    assert spacing_of(flat) == pytest.approx(16.67, abs=0.1)
+
+
+def test_the_canvas_follows_the_particles() -> None:
+    canvas = Canvas((0.0, 0.0), (200.0, 100.0), image="input/image")
+    moved = canvas.around(np.array([[10.0, 20.0], [30.0, 60.0], [np.nan, 1.0]]))
+    assert moved.region == ((10.0, 20.0), (30.0, 60.0))
+    assert canvas.around(np.full((3, 2), np.nan)) == canvas

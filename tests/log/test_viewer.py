@@ -1,0 +1,133 @@
+"""The viewer itself shows what is recorded, without a complaint."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import rerun as rr
+from rerun.experimental import ViewerClient
+
+from deformscope import live
+from deformscope.recorder import Recorder
+from deformscope.session import Step, run
+from deformscope.sources import open_source
+from tests.log import synthetic
+from tools import screenshot
+from tools.screenshot import LAVAPIPE, headless_viewer, shoot
+
+pytestmark = pytest.mark.viewer
+
+
+@pytest.fixture(autouse=True)
+def strict(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    rr.set_strict_mode(True)
+    monkeypatch.setattr(screenshot, "NOTICES_S", 0.5)
+    yield
+    rr.set_strict_mode(False)
+
+
+@pytest.fixture
+def viewer() -> Iterator[ViewerClient]:
+    """A fresh one for each test: a viewer keeps the views of the first recording for all that follow."""
+    if not Path("/usr/share/vulkan/icd.d").is_dir() and "VK_ICD_FILENAMES" not in os.environ:
+        pytest.skip("no Vulkan driver; apt-get install mesa-vulkan-drivers libvulkan1")
+    try:
+        with headless_viewer() as client:
+            client.get_state()
+            yield client
+    except (RuntimeError, ConnectionError) as error:
+        pytest.skip(f"no headless viewer: {error}")
+
+
+def test_calibration_of_images(tmp_path: Path, viewer: ViewerClient) -> None:
+    path = tmp_path / "run.rrd"
+    with open_source(["sample:tension"]) as source, Recorder(path) as made:
+        run(source, synthetic.calibration(), made)
+    assert shoot(viewer, path, tmp_path) == []
+    pictures = {shot.stem: cv2.imread(str(shot)) for shot in tmp_path.glob("*.png")}
+    assert len(pictures) == 7
+    particles = pictures["Particles"].astype(int)
+    blue, green, red = (
+        (np.abs(particles - color).max(axis=2) < 40).sum() for color in ((255, 110, 40), (80, 190, 30), (45, 45, 235))
+    )
+    assert min(blue, green, red) > 100
+    # No view is left empty.
+    for name, picture in pictures.items():
+        assert picture.std() > 10, name
+
+
+def test_two_recordings_in_one_viewer(tmp_path: Path, viewer: ViewerClient) -> None:
+    for name, count in (("a", 3), ("b", 4)):
+        with Recorder(tmp_path / f"{name}.rrd") as made:
+            run(synthetic.frames(count), synthetic.calibration((8.0, 8.0, 48.0, 32.0), (5, 7)), made)
+        assert viewer.open(str(tmp_path / f"{name}.rrd")).store_ids, viewer.get_logs()
+    assert len(viewer.get_state().recordings) == 2
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_calibration_of_a_pair(tmp_path: Path, viewer: ViewerClient, dimensions: int) -> None:
+    path = tmp_path / "run.rrd"
+    pair = synthetic.pair_in_plane() if dimensions == 2 else synthetic.pair_in_space()
+    with Recorder(path, layout="pair") as made:
+        made.write(Step((pair, synthetic.estimate(unit="m")), frame=0))
+    assert shoot(viewer, path, tmp_path) == []
+    for shot in tmp_path.glob("*.png"):
+        assert cv2.imread(str(shot)).std() > 8, shot.name
+
+
+def test_a_native_viewer_gets_the_run_and_outlives_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not LAVAPIPE.exists():
+        pytest.skip("no software Vulkan driver")
+    monkeypatch.setattr(live, "window_options", lambda: ["--headless"])
+    monkeypatch.setenv("VK_ICD_FILENAMES", str(LAVAPIPE))
+    with Recorder(tmp_path / "run.rrd", "native", {}) as made:
+        viewer = made.viewer
+        assert viewer is not None
+        try:
+            with open_source(["sample:tension"]) as source:
+                run(source, synthetic.calibration(), made)
+        except BaseException:
+            os.kill(viewer.pid, signal.SIGKILL)
+            raise
+    try:
+        assert made.summary().dropped == 0
+        client = ViewerClient.connect(viewer.url)
+        deadline = time.monotonic() + 10
+        while len(client.get_state().views) < 6 and time.monotonic() < deadline:
+            time.sleep(0.2)
+        assert {view.name for view in client.get_state().views} >= {"Particles", "Estimate"}
+        assert [report for view in client.get_state().views for report in view.reports] == []
+    finally:
+        os.kill(viewer.pid, signal.SIGKILL)
+
+
+def test_a_stopped_viewer_costs_the_picture_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not LAVAPIPE.exists():
+        pytest.skip("no software Vulkan driver")
+    monkeypatch.setattr(live, "window_options", lambda: ["--headless"])
+    monkeypatch.setenv("VK_ICD_FILENAMES", str(LAVAPIPE))
+    started = time.monotonic()
+    with Recorder(tmp_path / "run.rrd", "native", {}) as made:
+        viewer = made.viewer
+        assert viewer is not None
+        time.sleep(1.5)
+        os.kill(viewer.pid, signal.SIGSTOP)
+        try:
+            for frame in synthetic.frames(400, (200, 300)):
+                made.write_frame(frame)
+        except BaseException:
+            os.kill(viewer.pid, signal.SIGKILL)
+            raise
+        before_close = time.monotonic()
+    closed_s = time.monotonic() - before_close
+    os.kill(viewer.pid, signal.SIGKILL)
+    assert made.summary().frames == 400
+    assert closed_s < 15
+    assert time.monotonic() - started < 40
