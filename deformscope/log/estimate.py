@@ -210,11 +210,13 @@ def _draw(axes: Axes, estimate: Estimate) -> None:
     factor, unit = readable(estimate.unit, float(np.nanmax(curve.aee, initial=0.0)))
     best = _error_at(estimate) * factor
     axes.axvspan(low, high, color=INTERVAL, alpha=0.45, lw=0, label=f"{estimate.level:.0%} interval")
-    axes.plot(curve.parameter, curve.aee * factor, "o-", color=ERROR, lw=2, ms=4, label="error, all particles")
+    axes.plot(curve.parameter, curve.aee * factor, "o-", color=ERROR, lw=2, ms=4 if len(curve.aee) < 40 else 2.5, label="error, all particles")
     axes.axvline(estimate.value, color=MINIMUM, lw=1.2, ls="--")
     if math.isfinite(best):
         axes.plot([estimate.value], [best], "D", color=MINIMUM, ms=9, label=f"lowest at {estimate.value:.3g}")
-    axes.set_xlim(*estimate.bounds)
+    lowest, highest = estimate.bounds
+    room = 0.03 * (highest - lowest)  # a mark at a bound is seen whole
+    axes.set_xlim(lowest - room, highest + room)
     axes.set_xlabel(f"{estimate.parameter} [-]", fontsize=14)
     axes.set_ylabel(f"average Euclidean error [{unit}]", fontsize=14)
     color = {"identified": "#177a2b", "weak": "#a86400"}.get(estimate.verdict, "#b01818")
