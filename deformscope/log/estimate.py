@@ -210,7 +210,15 @@ def _draw(axes: Axes, estimate: Estimate) -> None:
     factor, unit = readable(estimate.unit, float(np.nanmax(curve.aee, initial=0.0)))
     best = _error_at(estimate) * factor
     axes.axvspan(low, high, color=INTERVAL, alpha=0.45, lw=0, label=f"{estimate.level:.0%} interval")
-    axes.plot(curve.parameter, curve.aee * factor, "o-", color=ERROR, lw=2, ms=4 if len(curve.aee) < 40 else 2.5, label="error, all particles")
+    axes.plot(
+        curve.parameter,
+        curve.aee * factor,
+        "o-",
+        color=ERROR,
+        lw=2,
+        ms=4 if len(curve.aee) < 40 else 2.5,
+        label="error, all particles",
+    )
     axes.axvline(estimate.value, color=MINIMUM, lw=1.2, ls="--")
     if math.isfinite(best):
         axes.plot([estimate.value], [best], "D", color=MINIMUM, ms=9, label=f"lowest at {estimate.value:.3g}")
