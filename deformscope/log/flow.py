@@ -9,8 +9,8 @@ from deformscope.arrays import FloatArray
 from deformscope.log.canvas import TEXT, Canvas, colors, log_color_bar, log_legend, round_up
 from deformscope.stages.flow import FlowField
 
-ARROWS_ALONG = 26
-"""Arrows along the longer side of what is shown: more would hide the image."""
+ARROWS_ALONG = 34
+"""Arrows along the longer side of the image: more would hide it."""
 STILL_PX = 0.25
 """Below this an arrow would show the flow's noise."""
 
@@ -44,7 +44,7 @@ def _sparse(flow_px: FloatArray, canvas: Canvas) -> tuple[FloatArray, FloatArray
     margin = canvas.spacing / 2 if canvas.region else 0.0
     x0, y0 = max(x0 - margin, 0.0), max(y0 - margin, 0.0)
     x1, y1 = min(x1 + margin, width - 1.0), min(y1 + margin, height - 1.0)
-    step_px = max(max(x1 - x0, y1 - y0) / ARROWS_ALONG, 4.0)
+    step_px = max(max(height, width) / ARROWS_ALONG, 4.0)
     x = np.arange(x0 + step_px / 2, x1, step_px)
     y = np.arange(y0 + step_px / 2, y1, step_px)
     grid = np.meshgrid(np.rint(x), np.rint(y))
