@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
@@ -417,7 +418,8 @@ def calibrate(
     else:
         used["stopped"] = fit.descend(progress)
         curve = Curve(fit.tried.parameter.copy(), fit.error())
-    ends, found_noise = fit.support(options.level, options.seed, progress)
+    with threadpool_limits(1):  # small matrices: more threads cost time, and change the last digits
+        ends, found_noise = fit.support(options.level, options.seed, progress)
     best = fit.best()
     given = [float(np.sqrt(np.mean(s.noise[s.free_observed] ** 2))) for s in seen if s.noise is not None]
     used["noise"] = float(np.mean(given)) if given else found_noise

@@ -4,7 +4,7 @@ What the equations leave open is decided here, for degenerate clusters:
 
 - Flat in space or on a line at rest: the fit uses the directions that the cluster spans (pseudo-inverse, chosen once
   at rest), and eq. 3.17 conserves its area or length instead of its volume.
-- Too few particles for the quadratic terms (2x2, 3x3x2...): the same pseudo-inverse; what they cannot tell turns with R.
+- Too few particles for the quadratic terms (2x2, 3x3x2...): the same pseudo-inverse; untold terms turn with R.
 - Crushed or inverted (det A <= 0): the cube root keeps its sign and the denominator of eq. 3.17 is held at or above
   `MIN_DENOMINATOR`; the rotation is a proper one (det R = +1) always.
 - Without any preferred rotation (all particles in one point, a mirror image): the rest orientation, R = I.
