@@ -59,6 +59,8 @@ def _observation(found: Mapping[str, npt.NDArray[Any]], noise_m: float | None) -
         raise InputError("rest of shape (K, 2) or (K, 3)", str(rest.shape))
     if deformed.shape != rest.shape:
         raise InputError(f"deformed of rest's shape {rest.shape}", str(deformed.shape))
+    if not np.isfinite(rest).all():
+        raise InputError("finite positions", "NaN or infinity in rest", "drop those particles")
     count = len(rest)
     observed = np.ones(count, dtype=bool)
     if "observed" in found:
@@ -69,7 +71,10 @@ def _observation(found: Mapping[str, npt.NDArray[Any]], noise_m: float | None) -
     if noise_m is not None:
         noise = np.full(count, noise_m)
     elif "noise_m" in found:
-        noise = np.broadcast_to(_numbers(found, "noise_m"), (count,)).copy()
+        noise = _numbers(found, "noise_m")
+        if noise.size not in (1, count):
+            raise InputError(f"one noise_m, or {count}", str(noise.size))
+        noise = np.broadcast_to(noise.reshape(-1), (count,)).copy()
         if not (np.isfinite(noise).all() and (noise > 0.0).all()):
             raise InputError("noise_m above 0", "0, a negative or no number", "leave it out if it is not known")
     force, contact = _force(found, rest, deformed, held)
