@@ -268,6 +268,9 @@ def tell(estimate: Estimate, recording: RecordingSummary, name: str = "") -> Non
     ]
     if lost := estimate.settings.get("lost"):
         rows.insert(-1, ("lost particles", f"{lost} of {estimate.settings['particles']}: left out of the fit"))
+    if moved := estimate.settings.get("held_moved"):
+        parts = ", ".join(moved) if isinstance(moved, list) else str(moved)
+        rows.insert(-1, ("held elsewhere", f"{parts}: lost there; the outermost row or column still seen is held"))
     if recording.path is not None:
         rows.append(("recording", f"{recording.path} ({recording.bytes / 1e6:.1f} MB)"))
         rows.append(("to look at it", f"rerun {recording.path}"))

@@ -46,7 +46,7 @@ def foam_video(
         raise InputError("at least two frames", "none")
     roi, contact = (None if box is None else Rect(*box) for box in (particles.roi, particles.contact))
     grid = seed_grid(frame.image.shape[:2], roi, particles.grid, particles.spacing_px, mask)
-    held = select_held(grid, particles.held, contact)
+    select_held(grid, particles.held, contact)  # refuses at once what cannot be held
     history = [start(grid)]
     step = Step((grid, history[0]))
     while True:
@@ -61,13 +61,16 @@ def foam_video(
     if len(history) < 2:
         raise InputError("at least two frames", "one", "a longer sequence, or a smaller --stride")
 
+    held, moved = hold_what_is_seen(grid, history[-1], particles, contact)
     seen = observe(grid, history[-1], held, particles)
-    used = {
+    used: dict[str, object] = {
         "frames": len(history),
         "particles": len(grid.rest_px),
         "lost": int(np.count_nonzero(~history[-1].seen)),
         "held": len(seen.held),
         "flow": particles.flow,
+        "held_parts": list(particles.held),
+        "held_moved": moved,
     }
     found = calibrate([seen], fit, settings=used, progress=progress)
     for index, comparison in enumerate(follow(seen, history, fit.model, found)):
@@ -76,13 +79,34 @@ def foam_video(
     return found
 
 
+def hold_what_is_seen(
+    grid: ParticleGrid, last: Tracked, particles: ParticleOptions, contact: Rect | None
+) -> tuple[IntArray, list[str]]:
+    """Indices of the held particles whose motion is known, and the parts that had to be taken elsewhere.
+
+    Particles lost on the way are prescribed nowhere, hence free. A part that was lost altogether (the specimen's end
+    has left the image) is held at the outermost row or column still seen: what is beyond moves with it.
+    """
+    chosen: list[IntArray] = []
+    moved: list[str] = []
+    still = np.flatnonzero(last.seen)
+    for part in particles.held:
+        one = select_held(grid, [part], contact)
+        if last.seen[one].any():
+            chosen.append(one[last.seen[one]])
+            continue
+        if part == "contact" or still.size < 4:
+            raise InputError(
+                f"held particles of {part!r} that can be followed", "all of them lost", "a --roi with more texture"
+            )
+        rest = ParticleGrid(grid.rest_px[still], grid.shape, grid.cell[still], grid.spacing_px)
+        chosen.append(still[select_held(rest, [part], contact)])
+        moved.append(part)
+    return np.unique(np.concatenate(chosen)), moved
+
+
 def observe(grid: ParticleGrid, last: Tracked, held: IntArray, particles: ParticleOptions) -> Observation:
-    """The last pose as an observation [px]. A held particle that was lost is prescribed nowhere, hence free."""
-    held = held[last.seen[held]]
-    if held.size == 0:
-        raise InputError(
-            "held particles that can be followed", "all of them lost", "other --held parts, a --roi with more texture"
-        )
+    """The last pose as an observation [px]."""
     noise = last.noise_px if particles.noise_px is None else np.full(len(grid.rest_px), particles.noise_px)
     return Observation(
         rest=np.asarray(grid.rest_px, dtype=np.float64),
