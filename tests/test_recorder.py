@@ -151,7 +151,7 @@ def test_without_file_and_viewer_rerun_is_not_imported(tmp_path: Path) -> None:
             for frame in source:
                 made.write_frame(frame)
                 made.write(Step((object(),)))
-        assert made.summary().frames == 9
+        assert made.summary().frames == 7
         assert made.summary().path is None
         assert not [name for name in sys.modules if name.split(".")[0] == "rerun"]
     """

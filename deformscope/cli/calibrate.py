@@ -84,6 +84,8 @@ def _calibrate(
         raise InputError("pair files with --joint", "images", "leave out --joint")
     if search.noise_m is not None:
         raise InputError("--noise-px for images", "--noise-m", "give the noise in pixels")
+    if len(sources) == 1 and sources[0].startswith("sample:") and images == ImageOptions():
+        images = sample_images(sources[0].removeprefix("sample:"))
     calibrate_images(sources, fit, particle_options(images, search), images, output)
 
 
@@ -96,6 +98,24 @@ def _recorded_pairs(source: str) -> list[tuple[str, bytes]]:
 
 
 # Images --------------------------------------------------------------------------------------------------------------
+
+
+def sample_images(name: str) -> ImageOptions:
+    """The flags that suit a sample that ships, out of its `sample.toml`."""
+    import tomllib
+
+    from deformscope.sources import sample_path
+
+    folder = sample_path(name)
+    told = tomllib.loads((folder / "sample.toml").read_text(encoding="utf-8"))
+    return ImageOptions(
+        roi=tuple(told["roi"]) if "roi" in told else None,
+        grid=tuple(told["grid"]) if "grid" in told else None,
+        spacing_px=told.get("spacing_px"),
+        mask=folder / told["mask"] if "mask" in told else None,
+        held=tuple(told["held"]),
+        fps=told.get("fps"),
+    )
 
 
 def particle_options(images: ImageOptions, search: SearchOptions) -> ParticleOptions:

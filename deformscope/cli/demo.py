@@ -7,13 +7,12 @@ deformscope demo --viewer none --json -
 from __future__ import annotations
 
 import dataclasses
-import tomllib
 from datetime import datetime
 from pathlib import Path
 
-from deformscope.cli.calibrate import calibrate_images, particle_options
+from deformscope.cli.calibrate import calibrate_images, particle_options, sample_images
 from deformscope.cli.common import quiet_warp
-from deformscope.config import DemoConfig, ImageOptions, SearchOptions
+from deformscope.config import DemoConfig, SearchOptions
 from deformscope.errors import InputError
 
 FOLDER = Path("runs")
@@ -22,15 +21,10 @@ SAMPLE = "tension"
 
 def run(config: DemoConfig) -> None:
     """Fit the sample that ships, record it, and show it where there is a display."""
-    from deformscope.sources import sample_path
     from deformscope.stages.calibrate import FitOptions, Model
 
     quiet_warp()
-    folder = sample_path(SAMPLE)
-    told = tomllib.loads((folder / "sample.toml").read_text(encoding="utf-8"))
-    images = ImageOptions(
-        roi=tuple(told["roi"]), grid=tuple(told["grid"]), held=tuple(told["held"]), fps=float(told["fps"])
-    )
+    images = sample_images(SAMPLE)
     output = config.output
     if output.record is None:
         output = dataclasses.replace(output, record=_new_recording())

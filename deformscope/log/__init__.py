@@ -64,7 +64,7 @@ def _(result: ParticleGrid, canvas: Canvas) -> Canvas:
 
 @canvas_with.register
 def _(result: Tracked, canvas: Canvas) -> Canvas:
-    return canvas.around(result.position_px)
+    return canvas.around(result.position_px[result.seen])
 
 
 @canvas_with.register

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -37,14 +37,14 @@ class Canvas:
 
     low, high: (d,) its corners, d = 2 or 3: pixels of the image, or the pair's own unit
     spacing: between neighbouring particles, in the same unit; 0 = not known yet
-    region: (2, 2) lowest and highest corner of where the particles are now [px]; None = everywhere
+    particles: (K, 2) where the particles are now [px], so that nothing is drawn where the thing is not; None = anywhere
     image: the path of the image under the results; empty = none
     """
 
     low: tuple[float, ...] = (0.0, 0.0)
     high: tuple[float, ...] = (1.0, 1.0)
     spacing: float = 0.0
-    region: tuple[tuple[float, float], tuple[float, float]] | None = None
+    particles: FloatArray | None = field(default=None, compare=False)
     image: str = ""
 
     @property
@@ -69,9 +69,9 @@ class Canvas:
         finite = position[np.isfinite(position).all(axis=1)]
         if not len(finite):
             return self
-        low, high = finite.min(axis=0), finite.max(axis=0)
         if self.image:
-            return replace(self, region=((float(low[0]), float(low[1])), (float(high[0]), float(high[1]))))
+            return replace(self, particles=finite)
+        low, high = finite.min(axis=0), finite.max(axis=0)
         return replace(self, low=tuple(map(float, low)), high=tuple(map(float, high)))
 
     def slot(self, place: float, row: int = 0) -> tuple[float, float]:

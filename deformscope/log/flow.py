@@ -16,7 +16,7 @@ STILL_PX = 0.25
 
 
 def log_flow(rec: rr.RecordingStream, flow: FlowField, canvas: Canvas, path: str = "flow") -> None:
-    """The motion since the frame before, on a sparse grid inside the particles' region, coloured by its length."""
+    """The motion since the frame before, at the particles, or on a sparse grid, coloured by its length."""
     origin, vector, step_px = _sparse(flow.flow_px, canvas)
     length_px = np.hypot(vector[:, 0], vector[:, 1])
     end_px = round_up(float(np.max(length_px, initial=0.0)))
@@ -38,18 +38,17 @@ def log_flow(rec: rr.RecordingStream, flow: FlowField, canvas: Canvas, path: str
 
 
 def _sparse(flow_px: FloatArray, canvas: Canvas) -> tuple[FloatArray, FloatArray, float]:
-    """(n, 2) origins [px] and (n, 2) vectors [px] on a sparse grid, and its step [px]."""
+    """(n, 2) origins [px] and (n, 2) vectors [px], and their distance [px]."""
     height, width = flow_px.shape[:2]
-    (x0, y0), (x1, y1) = canvas.region or ((0.0, 0.0), (width - 1.0, height - 1.0))
-    margin = canvas.spacing / 2 if canvas.region else 0.0
-    x0, y0 = max(x0 - margin, 0.0), max(y0 - margin, 0.0)
-    x1, y1 = min(x1 + margin, width - 1.0), min(y1 + margin, height - 1.0)
     step_px = max(max(height, width) / ARROWS_ALONG, 4.0)
-    x = np.arange(x0 + step_px / 2, x1, step_px)
-    y = np.arange(y0 + step_px / 2, y1, step_px)
-    grid = np.meshgrid(np.rint(x), np.rint(y))
-    origin = np.column_stack([grid[0].ravel(), grid[1].ravel()])
-    columns, rows = origin.astype(np.intp).T
+    if canvas.particles is not None:
+        # at the particles alone: beside the thing the flow is a guess, often a wild one
+        every = -(-len(canvas.particles) // ARROWS_ALONG**2)
+        origin, step_px = canvas.particles[::every], max(canvas.spacing, 4.0)
+    else:
+        x, y = (np.arange(step_px / 2, side - 1, step_px) for side in (width, height))
+        origin = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    columns, rows = np.rint(origin).astype(np.intp).T.clip(0, [[width - 1], [height - 1]])
     vector = flow_px[rows, columns]
     known = np.isfinite(vector).all(axis=1)
     return origin[known], vector[known], step_px

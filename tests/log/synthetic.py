@@ -14,7 +14,7 @@ from deformscope.stages.flow import FlowField
 from deformscope.stages.particles import ParticleGrid, Tracked
 from deformscope_drivers.clock import Stamp
 
-ROI = (51.0, 96.0, 100.0, 364.0)
+ROI = (150.0, 10.0, 90.0, 300.0)
 SHAPE = (22, 7)
 
 

@@ -110,12 +110,12 @@ def test_a_recording_is_a_source(tmp_path: Path) -> None:
     with open_source(["sample:tension"], fps=2.0) as source, Recorder(tmp_path / "run.rrd") as made:
         run(source, synthetic.calibration(), made)
     with open_source(["sample:tension"], fps=2.0) as first, open_source([tmp_path / "run.rrd"]) as again:
-        assert len(again) == 9
+        assert len(again) == 7
         for frame, replayed in zip(first, again, strict=True):
             assert frame.stamp == replayed.stamp
             np.testing.assert_array_equal(frame.image, replayed.image)
     with open_source([tmp_path / "run.rrd"], stride=4) as source:
-        assert [(frame.index, frame.stamp.host_ns) for frame in source] == [(0, 0), (1, 2 * 10**9), (2, 4 * 10**9)]
+        assert [(frame.index, frame.stamp.host_ns) for frame in source] == [(0, 0), (1, 2 * 10**9)]
 
 
 def test_recording_a_replay_gives_the_same_results(tmp_path: Path) -> None:
