@@ -41,7 +41,13 @@ if TYPE_CHECKING:
     from deformscope.log.blueprint import Layout
     from deformscope.log.canvas import Canvas
 
-APPLICATION_ID = "deformscope"
+APPLICATIONS: dict[Layout, str] = {
+    "images": "deformscope",
+    "flow": "deformscope-flow",
+    "pair": "deformscope-pair",
+    "pair-3d": "deformscope-pair-3d",
+}
+"""rerun's application of each layout: a viewer keeps one set of views an application, and these differ."""
 SUFFIX = ".rrd"
 FREE_BYTES = 64 << 20
 BEAT_S = 1.0
@@ -154,7 +160,7 @@ class Recorder:
             return
         if self._canvas is None:
             self._canvas = _canvas_of(frame.image)
-            if self._layout != "pair":
+            if not self._layout.startswith("pair"):
                 self._arrange()
         png = encode_png(frame.image)
         times = self._times(frame.index)
@@ -179,7 +185,7 @@ class Recorder:
             canvas = canvas_with(result, canvas)
             shown.append((result, canvas))
         self._canvas = canvas
-        if self._layout == "pair" and canvas != Canvas():
+        if self._layout.startswith("pair") and canvas != Canvas():
             self._arrange()
 
         def log(rec: rr.RecordingStream) -> None:
@@ -221,10 +227,11 @@ class Recorder:
         if self._viewer_kind != "none":
             viewer = start_viewer(self._viewer_kind)
             self._viewer = viewer
-            self._feed = LiveFeed(lambda closing: _live_stream(recording_id, viewer, provenance, closing))
+            application = APPLICATIONS[self._layout]
+            self._feed = LiveFeed(lambda closing: _live_stream(application, recording_id, viewer, provenance, closing))
             self._feed.start()
         if self._part is not None:
-            self._file = _file_stream(recording_id, self._part, self._deterministic)
+            self._file = _file_stream(APPLICATIONS[self._layout], recording_id, self._part, self._deterministic)
             self._file.send_property("session", _any_values(provenance))
             if not self._deterministic and self._target is not None:
                 self._file.send_recording_name(self._target.stem)
@@ -378,13 +385,13 @@ def _reserve(target: Path, overwrite: bool) -> Path:
     raise InputError("fewer unfinished recordings", "1000", "rename or delete some", target.parent)
 
 
-def _file_stream(recording_id: str, path: Path, deterministic: bool) -> rr.RecordingStream:
+def _file_stream(application: str, recording_id: str, path: Path, deterministic: bool) -> rr.RecordingStream:
     import rerun as rr
 
     never = 10**9
     batching = rr.ChunkBatcherConfig(never, never, never, never) if deterministic else None
     rec = rr.RecordingStream(
-        APPLICATION_ID, recording_id=recording_id, send_properties=not deterministic, batcher_config=batching
+        application, recording_id=recording_id, send_properties=not deterministic, batcher_config=batching
     )
     rec.set_log_time_enabled(not deterministic)
     rec.set_sinks(rr.FileSink(path))
@@ -392,13 +399,13 @@ def _file_stream(recording_id: str, path: Path, deterministic: bool) -> rr.Recor
 
 
 def _live_stream(
-    recording_id: str, viewer: Viewer, provenance: Mapping[str, object], closing: threading.Event
+    application: str, recording_id: str, viewer: Viewer, provenance: Mapping[str, object], closing: threading.Event
 ) -> rr.RecordingStream:
     """Connected to the viewer; blocks until it is there."""
     import rerun as rr
 
     wait_for_viewer(viewer, closing)
-    rec = rr.RecordingStream(APPLICATION_ID, recording_id=recording_id)
+    rec = rr.RecordingStream(application, recording_id=recording_id)
     rec.set_sinks(rr.GrpcSink(viewer.url))
     rec.send_property("session", _any_values(provenance))
     return rec

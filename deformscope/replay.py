@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 
 Pace = Literal["fast", "real", "step"]
 RRD_MAGIC = b"RRF"
-APPLICATION_ID = "deformscope"
+APPLICATION_PREFIX = "deformscope"
+"""Every layout of ours has an application of its own (`deformscope.recorder.APPLICATIONS`)."""
 IMAGE, MASK, PAIR, ESTIMATE = "/input/image", "/input/mask", "/input/pair", "/calibration/estimate"
 BLOB = "EncodedImage:blob"
 SESSION, OUTCOME = "/__properties/session", "/__properties/outcome"
@@ -151,7 +152,7 @@ class Replay:
             known = [entry.application_id for entry in self._reader().recordings()]
         except Exception as error:  # the reader raises what it likes on bytes it does not understand
             raise _unreadable(path) from error
-        if APPLICATION_ID not in known:
+        if not any(_ours(name) for name in known):
             came = f"one of {known[0]!r}" if known else "one without content"
             raise InputError("a recording made by deformscope", came, where=path)
 
@@ -177,7 +178,7 @@ class Replay:
 
     def _chunks(self, *contents: str) -> Iterator[Chunk]:
         reader = self._reader()
-        store = next(entry for entry in reader.recordings() if entry.application_id == APPLICATION_ID)
+        store = next(entry for entry in reader.recordings() if _ours(entry.application_id))
         try:
             yield from reader.stream(store=store).filter(content=list(contents))
         except Exception as error:  # whatever the reader raises on damaged bytes
@@ -193,6 +194,10 @@ class Replay:
                 if isinstance(found, dict):
                     return found
         raise InputError(f"a recording with {name}", "one without", where=self.path)
+
+
+def _ours(application: str) -> bool:
+    return application.split("-")[0] == APPLICATION_PREFIX
 
 
 def read_results(path: Path) -> list[dict[str, Any]]:

@@ -21,6 +21,7 @@ from deformscope.errors import InputError
 if TYPE_CHECKING:
     from deformscope.arrays import ImageArray
     from deformscope.experiments.foam_video import ParticleOptions
+    from deformscope.log.blueprint import Layout
     from deformscope.recorder import RecordingSummary
     from deformscope.sources import Source
     from deformscope.stages.calibrate import Calibration, FitOptions, Progress
@@ -84,8 +85,8 @@ def _calibrate(
         raise InputError("pair files with --joint", "images", "leave out --joint")
     if search.noise_m is not None:
         raise InputError("--noise-px for images", "--noise-m", "give the noise in pixels")
-    if len(sources) == 1 and sources[0].startswith("sample:") and images == ImageOptions():
-        images = sample_images(sources[0].removeprefix("sample:"))
+    if len(sources) == 1 and sources[0].startswith("sample:"):
+        images = for_sample(sources[0].removeprefix("sample:"), images)
     calibrate_images(sources, fit, particle_options(images, search), images, output)
 
 
@@ -115,6 +116,16 @@ def sample_images(name: str) -> ImageOptions:
         mask=folder / told["mask"] if "mask" in told else None,
         held=tuple(told["held"]),
         fps=told.get("fps"),
+    )
+
+
+def for_sample(name: str, asked: ImageOptions) -> ImageOptions:
+    """What was asked for, with the sample's own particles where nothing was said about them."""
+    told = sample_images(name)
+    if any(value is not None for value in (asked.roi, asked.grid, asked.spacing_px, asked.mask, asked.held)):
+        return dataclasses.replace(asked, fps=asked.fps or told.fps)
+    return dataclasses.replace(
+        told, fps=asked.fps or told.fps, stride=asked.stride, flow=asked.flow, px_per_cm=asked.px_per_cm
     )
 
 
@@ -231,8 +242,9 @@ def calibrate_pair_bytes(
         "joint": joint,
         "fit": dataclasses.asdict(fit),
     }
+    layout: Layout = "pair" if all(one.rest.shape[1] == 2 for one in seen) else "pair-3d"
     with Recorder(
-        output.record, resolve_viewer(output.viewer), settings, layout="pair", overwrite=output.overwrite
+        output.record, resolve_viewer(output.viewer), settings, layout=layout, overwrite=output.overwrite
     ) as recorder:
         _tell_viewer(recorder)
         for index, (_, raw) in enumerate(raws):

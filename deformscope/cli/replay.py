@@ -20,8 +20,9 @@ from deformscope.errors import InputError
 if TYPE_CHECKING:
     from deformscope.frames import ColorFrame
 
-CLOSE = 1e-6
-"""Largest relative difference between two machines' arithmetic that counts as the same number."""
+CLOSE = 0.01
+"""Largest difference that another machine's arithmetic may make: of the value and its interval as a share of the
+interval's width, of an error as a share of itself. On one machine there is none."""
 
 
 class Different(InputError):
@@ -80,20 +81,27 @@ def _compare(recorded: list[dict[str, Any]], computed: list[dict[str, Any]], con
     if not recorded:
         console().print("the recording holds no result (its run was cut short): nothing to compare with")
         return
-    worst = 0.0
-    for before, now in zip(recorded, computed, strict=False):
-        for name in ("value", "interval", "aee_m", "aee_px", "aee_free_m", "aee_free_px"):
-            worst = max(worst, _difference(before.get(name), now.get(name)))
-    if len(recorded) != len(computed) or worst > CLOSE:
-        came = f"{worst:.2g} relative difference" if len(recorded) == len(computed) else f"{len(computed)} results"
+    if len(recorded) != len(computed):
+        raise Different(f"{len(recorded)} results as recorded", str(len(computed)), where=config.recording)
+    worst = max(_difference(before, now) for before, now in zip(recorded, computed, strict=True))
+    if worst > CLOSE:
+        came = f"numbers that differ by {worst:.1%} of the interval or error"
         raise Different("the recorded numbers", came, "the versions in the recording's properties", config.recording)
-    same = "identical to" if worst == 0.0 else f"within {worst:.1g} of"
+    same = "identical to" if worst == 0.0 else f"within {worst:.1g} (of the interval or error) of"
     console().print(f"replay: {same} the recorded numbers")
 
 
-def _difference(before: Any, now: Any) -> float:
-    if isinstance(before, list) and isinstance(now, list):
-        return max((_difference(b, n) for b, n in zip(before, now, strict=False)), default=0.0)
-    if before is None or now is None:
-        return 0.0 if before == now else math.inf
-    return float(abs(now - before) / max(abs(before), abs(now), 1e-3))
+def _difference(before: dict[str, Any], now: dict[str, Any]) -> float:
+    """The largest difference of two estimates' numbers, in the units of `CLOSE`."""
+    low, high = before["interval"]
+    width = max(high - low, 1e-6)
+    found = [
+        abs(b - n) / width for b, n in zip([before["value"], low, high], [now["value"], *now["interval"]], strict=True)
+    ]
+    for name in ("aee_m", "aee_px", "aee_free_m", "aee_free_px"):
+        b, n = before[name], now[name]
+        if (b is None) != (n is None):
+            return math.inf
+        if b is not None:
+            found.append(abs(b - n) / max(abs(b), 1e-12))
+    return float(max(found))

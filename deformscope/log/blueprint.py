@@ -8,8 +8,8 @@ import rerun.blueprint as rrb
 
 from deformscope.log.canvas import COLUMN_SHARE, ROW_SHARE, Canvas
 
-Layout = Literal["images", "flow", "pair"]
-"""A calibrated sequence of images; optical flow alone; pairs of particle sets."""
+Layout = Literal["images", "flow", "pair", "pair-3d"]
+"""A calibrated sequence of images; optical flow alone; pairs of particle sets in the plane; in space."""
 
 PAPER = [232, 235, 240]
 """Behind particles without an image: every colour of theirs is seen on it."""
@@ -108,7 +108,7 @@ def _deep_view(name: str, contents: list[str], canvas: Canvas) -> rrb.View:
     """A view whose eye stands far enough away to have the whole in sight, above and to the side."""
     middle = [(low + high) / 2 for low, high in zip(canvas.low, canvas.high, strict=True)]
     size = sum((high - low) ** 2 for low, high in zip(canvas.low, canvas.high, strict=True)) ** 0.5 or 1.0
-    away = [middle[0] + 0.5 * size, middle[1] - 0.75 * size, middle[2] + 0.5 * size]
+    away = [middle[0] + 0.65 * size, middle[1] - 0.95 * size, middle[2] + 0.5 * size]
     return rrb.Spatial3DView(
         name=name,
         contents=contents,

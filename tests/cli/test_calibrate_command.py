@@ -1,0 +1,280 @@
+"""`calibrate`, `replay` and `demo` as a user calls them: results, files, and one-line errors."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import shutil
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("rerun")
+pytest.importorskip("tyro")
+
+from deformscope.cli import main
+from deformscope.stages.msm import reference
+from tests.stages.bodies import pushed
+
+ROOT = Path(__file__).resolve().parents[2]
+FAST = ["--candidates", "12", "--viewer", "none"]
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> Path:
+    """A pair of known beta 0.6, without noise."""
+    body = pushed((5, 6), np.random.default_rng(1))
+    spec = reference.build_rest(body.rest, body.clusters(3), body.held)
+    deformed, _ = reference.relax(spec, body.held_position, beta=0.6)
+    path = tmp_path / "pair.npz"
+    np.savez(path, rest=body.rest, deformed=deformed, held=body.held)
+    return path
+
+
+@pytest.fixture(scope="module")
+def frames(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four images of a speckled block, stretched upwards a little more in each; exact by construction."""
+    folder = tmp_path_factory.mktemp("frames")
+    rng = np.random.default_rng(2)
+    speckle = cv2.GaussianBlur(rng.normal(128, 60, (160, 120)).astype(np.float32), (0, 0), 1.3)
+    speckle = np.clip(128 + 2.5 * (speckle - 128), 0, 255).astype(np.float32)
+    y, x = np.mgrid[:160, :120].astype(np.float32)
+    for index in range(4):
+        strain = 0.01 * index
+        moved = cv2.remap(speckle, x, (y + strain * 150) / (1 + strain), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+        cv2.imwrite(str(folder / f"img{index + 8}.png"), moved.clip(0, 255).astype(np.uint8))
+    return folder
+
+
+def run_json(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> Any:
+    assert main([*arguments, *FAST, "--json", "-"]) == 0, capsys.readouterr().err
+    return json.loads(capsys.readouterr().out)
+
+
+def failure(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    assert main(arguments) == 2
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert len(shown.err.strip().splitlines()) == 1, shown.err
+    assert shown.err.startswith("deformscope: error: ")
+    return shown.err
+
+
+# What comes out ------------------------------------------------------------------------------------------------------
+
+
+def test_pair_json_is_the_public_contract(pair: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = run_json(["calibrate", "beta", str(pair), "--cluster-size", "3"], capsys)
+    assert found["parameter"] == "beta"
+    assert found["value"] == pytest.approx(0.6, abs=1e-3)
+    assert found["interval"][0] <= found["value"] <= found["interval"][1]
+    assert found["level"] == 0.9
+    assert found["verdict"] == "identified"
+    assert found["stiffness_verdict"] == "unidentified"
+    assert found["converged"] is True
+    assert found["aee_px"] is None
+    assert 0 <= found["aee_m"] < found["aee_free_m"] < 1e-6
+    assert len(found["curve"]["parameter"]) == len(found["curve"]["aee"]) == 12
+    assert found["settings"]["cluster_size"] == 3
+    assert found["settings"]["mode"] == "linear"
+    assert "stiffness_n_per_m" not in found
+
+
+def test_several_pairs_give_a_list_and_joint_one(
+    pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / "other.npz"
+    shutil.copy(pair, other)
+    assert len(run_json(["calibrate", "beta", str(pair), str(other)], capsys)) == 2
+    assert run_json(["calibrate", "beta", str(pair), str(other), "--joint"], capsys)["settings"]["pairs"] == 2
+
+
+def test_force_gives_a_stiffness(pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with np.load(pair) as file:
+        arrays = {name: file[name] for name in file.files}
+    np.savez(tmp_path / "force.npz", **arrays, force_n=2.0)
+    found = run_json(["calibrate", "beta", str(tmp_path / "force.npz")], capsys)
+    low, high = found["stiffness_n_per_m"]["interval"]
+    assert 0 < low <= found["stiffness_n_per_m"]["value"] <= high
+    assert found["stiffness_verdict"] == "identified"
+
+
+def test_images_give_pixels_and_with_a_scale_metres(frames: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["calibrate", "beta", str(frames), "--grid", "6x5", "--held", "top,bottom"]
+    found = run_json(arguments, capsys)
+    assert found["aee_m"] is None
+    assert found["aee_px"] < 0.2
+    assert found["settings"]["frames"] == 4
+    assert found["settings"]["particles"] == 30
+    scaled = run_json([*arguments, "--px-per-cm", "20"], capsys)
+    assert scaled["aee_px"] == pytest.approx(found["aee_px"])
+    assert scaled["aee_m"] == pytest.approx(found["aee_px"] * 0.01 / 20)
+
+
+def test_image_files_in_the_order_given_stride_and_theta(frames: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = [str(frames / f"img{n}.png") for n in (8, 9, 10, 11)]
+    found = run_json(["calibrate", "theta", *files, "--stride", "3", "--grid", "5x5"], capsys)
+    assert found["parameter"] == "theta"
+    assert found["settings"]["frames"] == 2
+
+
+def test_sample_brings_its_own_particles(capsys: pytest.CaptureFixture[str]) -> None:
+    found = run_json(["calibrate", "beta", "sample:tension", "--stride", "3"], capsys)
+    assert found["settings"]["frames"] == 3
+    assert found["settings"]["particles"] == 117
+
+
+# Recording and replay ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["images", "pair"])
+def test_replay_gives_the_recorded_numbers(
+    kind: str, frames: Path, pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = tmp_path / "run.rrd"
+    source = [str(frames), "--grid", "6x5"] if kind == "images" else [str(pair)]
+    first = run_json(["calibrate", "beta", *source, "--record", str(record)], capsys)
+    assert main(["replay", str(record), "--viewer", "none", "--json", "-"]) == 0
+    shown = capsys.readouterr()
+    assert json.loads(shown.out) == first
+    assert "identical" in shown.err
+    # a recording is a source, too
+    again = run_json(["calibrate", "beta", str(record), *source[1:]], capsys)
+    assert again["value"] == first["value"]
+
+
+def test_replay_refuses_a_changed_recording(pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    record = tmp_path / "run.rrd"
+    run_json(["calibrate", "beta", str(pair), "--record", str(record)], capsys)
+    raw = bytearray(record.read_bytes())
+    raw[len(raw) // 2] ^= 1
+    record.write_bytes(raw)
+    assert "ledger" in failure(["replay", str(record), "--viewer", "none"], capsys)
+
+
+def test_existing_recording_needs_overwrite(pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    record = tmp_path / "run.rrd"
+    arguments = ["calibrate", "beta", str(pair), *FAST, "--record", str(record)]
+    assert main(arguments) == 0
+    before = record.read_bytes()
+    capsys.readouterr()
+    assert "--overwrite" in failure(arguments, capsys)
+    assert record.read_bytes() == before
+    assert main([*arguments, "--overwrite"]) == 0
+
+
+def test_demo_leaves_a_recording_each_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    for count in (1, 2):
+        assert main(["demo"]) == 0
+        assert len(list((tmp_path / "runs").glob("demo-*.rrd"))) == count
+    shown = capsys.readouterr().out
+    assert "beta" in shown
+    assert "runs/demo-" in shown
+    newest = max((tmp_path / "runs").glob("demo-*.rrd"))
+    from deformscope.replay import Replay
+
+    assert Replay(newest).outcome["complete"]
+    (estimate,) = Replay(newest).read_results()
+    assert estimate["verdict"] in ("identified", "weak", "at-bound", "unidentified")
+
+
+def test_committed_recordings_are_what_their_manifest_says(capsys: pytest.CaptureFixture[str]) -> None:
+    manifest = tomllib.loads((ROOT / "recordings" / "manifest.toml").read_text(encoding="utf-8"))
+    listed = {entry["file"] for entry in manifest["recording"]}
+    assert listed == {path.name for path in (ROOT / "recordings").glob("*.rrd")}
+    for entry in manifest["recording"]:
+        path = ROOT / "recordings" / entry["file"]
+        assert hashlib.sha256(path.read_bytes()).hexdigest() == entry["sha256"]
+        assert path.stat().st_size < 1_000_000
+        assert main(["replay", str(path), "--viewer", "none"]) == 0, capsys.readouterr().err
+
+
+# Bad input -----------------------------------------------------------------------------------------------------------
+
+
+def _pair(path: Path, **changed: Any) -> str:
+    rest = np.stack(np.meshgrid(np.arange(4), np.arange(4), indexing="ij"), -1).reshape(-1, 2) * 0.01
+    np.savez(path, **({"rest": rest, "deformed": rest + 1e-4, "held": np.arange(4)} | changed))
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["none.mp4"], "nothing there"),
+        (["none.npz"], "no such file"),
+        (["text.mp4"], "text.mp4"),
+        (["one"], "two frames"),
+        (["img.png"], "two frames"),
+        (["frames", "--roi", "100,100,500,500"], "region inside"),
+        (["frames", "--roi", "1,2,3"], "x,y,width,height"),
+        (["frames", "--grid", "500x500"], "spacing"),
+        (["frames", "--held", "middle"], "middle"),
+        (["frames", "--held", "contact"], "--contact"),
+        (["frames", "--contact", "100,5,1,1", "--grid", "4x4"], "contact"),
+        (["frames", "--grid", "2x2", "--held", "border"], "held"),
+        (["frames", "--mask", "none.png"], "none.png"),
+        (["frames", "--mask", "small.png"], "size"),
+        (["frames", "--noise-m", "0.1"], "--noise-px"),
+        (["frames", "--joint"], "pair files"),
+        (["frames", "good.npz"], "either"),
+        (["good.npz", "--grid", "3x3"], "no flags about images"),
+        (["good.npz", "--noise-px", "1"], "--noise-m"),
+        (["good.npz", "--beta-range", "0.9,0.1"], "rises"),
+        (["good.npz", "--beta-range", "0,1.5"], "within"),
+        (["good.npz", "--level", "1.5"], "--level"),
+        (["good.npz", "--candidates", "1"], "--candidates"),
+        (["good.npz", "--json", "no/such/folder.json"], "folder"),
+        (["good.npz", "--record", "/proc/none.rrd"], "/proc"),
+        (["good.npz", "--record", "out.txt"], ".rrd"),
+        (["nan.npz"], "NaN"),
+        (["held-none.npz"], "held"),
+        (["held-all.npz"], "free"),
+        (["twice.npz"], "duplicate"),
+        (["text.npz"], "pair file"),
+        (["cut.npz"], "pair file"),
+        ([], "SOURCE"),
+        (["good.npz", "--no-such-flag"], "--no-such-flag"),
+    ],
+)
+def test_bad_input_is_one_line(
+    arguments: list[str],
+    words: str,
+    frames: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(frames, tmp_path / "frames")
+    (tmp_path / "one").mkdir()
+    shutil.copy(frames / "img8.png", tmp_path / "one")
+    shutil.copy(frames / "img8.png", tmp_path / "img.png")
+    (tmp_path / "text.mp4").write_text("not a video\n")
+    (tmp_path / "text.npz").write_text("not an archive\n")
+    cv2.imwrite(str(tmp_path / "small.png"), np.full((10, 10), 255, np.uint8))
+    rest = np.load(io.BytesIO(Path(_pair(tmp_path / "good.npz")).read_bytes()))["rest"]
+    _pair(tmp_path / "nan.npz", deformed=np.where(rest == rest.max(), np.nan, rest))
+    _pair(tmp_path / "held-none.npz", held=np.array([], dtype=int))
+    _pair(tmp_path / "held-all.npz", held=np.arange(16))
+    _pair(tmp_path / "twice.npz", rest=np.concatenate([rest[:1], rest[:-1]]))
+    (tmp_path / "cut.npz").write_bytes((tmp_path / "good.npz").read_bytes()[:300])
+    viewer = [] if not arguments else ["--viewer", "none"]
+    assert words in failure(["calibrate", "beta", *arguments, *viewer], capsys)
+    assert not list(tmp_path.glob("*.rrd"))
+
+
+@pytest.mark.parametrize("path", ["none.rrd", "text.rrd"])
+def test_replay_of_what_is_no_recording(path: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "text.rrd").write_text("no recording")
+    assert path in failure(["replay", str(tmp_path / path), "--viewer", "none"], capsys)
