@@ -137,11 +137,10 @@ def _smooth_field(place: FloatArray, rng: np.random.Generator) -> FloatArray:
 
     Waves drawn from its spectrum (Rahimi and Recht 2007), a multivariate t with 3 degrees of freedom: cost linear in n.
     """
-    n, d = place.shape
     stretch = np.sqrt(3.0 / rng.chisquare(3.0, (SPECTRAL_WAVES, 1)))
-    waves = rng.standard_normal((SPECTRAL_WAVES, d)) * stretch
+    waves = rng.standard_normal((SPECTRAL_WAVES, place.shape[1])) * stretch
     angle = place @ waves.T
-    sine, cosine = rng.standard_normal((2, SPECTRAL_WAVES, d)) / np.sqrt(SPECTRAL_WAVES)
+    sine, cosine = rng.standard_normal((2, SPECTRAL_WAVES, place.shape[1])) / np.sqrt(SPECTRAL_WAVES)
     return np.asarray(np.sin(angle) @ sine + np.cos(angle) @ cosine)
 
 
