@@ -93,7 +93,7 @@ def test_accepted_set_of_a_shift_is_what_theory_says() -> None:
     clean = _line(np.array([0.5]), 1.0)[0]
     draws = rng.normal(0, 0.3, (600, 64, 2))
     widths, inside = [], []
-    for _ in range(100):
+    for _ in range(40):
         observed = clean + rng.normal(0, 0.3, (64, 2))
         low, high = interval.accepted(parameter, simulated, observed, draws, 0.9)
         error = np.linalg.norm(simulated - observed, axis=2).mean(axis=1)
@@ -102,7 +102,7 @@ def test_accepted_set_of_a_shift_is_what_theory_says() -> None:
         inside.append(low <= 0.5 <= high)
     expected = 2 * 1.645 * 0.3 / np.sqrt(64) / np.sqrt(np.pi / 4)
     assert np.mean(widths) == pytest.approx(expected, rel=0.15)
-    assert 0.82 <= np.mean(inside) <= 0.97
+    assert 0.78 <= np.mean(inside) <= 0.97
 
 
 @pytest.mark.parametrize("level", [0.5, 0.9, 0.99])
