@@ -164,7 +164,8 @@ def accepted(
         offset = simulated[truth] - simulated  # (g, n, d)
         curves = np.empty((len(repeats), len(parameter)))
         for g in range(len(parameter)):
-            curves[:, g] = np.sqrt(np.einsum("rnd,rnd->rn", repeats + offset[g], repeats + offset[g])).mean(axis=1)
+            left = repeats + offset[g]
+            curves[:, g] = np.sqrt(np.einsum("rnd,rnd->rn", left, left)).mean(axis=1)
         limit[row] = np.quantile(curves[:, truth] - curves.min(axis=1), level)
     margin = np.interp(parameter, parameter[tested], limit) - excess
     inside = np.flatnonzero(margin >= 0.0)
