@@ -180,6 +180,19 @@ class OutputOptions:
         return (*record, *_written_json(self.json))
 
 
+class RecordedOptions(CommandOptions):
+    """A command whose outputs are its `OutputOptions`."""
+
+    __slots__ = ()
+    output: OutputOptions
+
+    def writes(self) -> tuple[Written, ...]:
+        return self.output.writes()
+
+    def json_target(self) -> str | None:
+        return self.output.json
+
+
 def _written_json(target: str | None) -> tuple[Written, ...]:
     return () if target is None or target == "-" else (Written("--json", Path(target)),)
 
@@ -325,8 +338,19 @@ def _check_alpha(alpha: float) -> None:
         raise InputError("an --alpha above 0 and at most 1", str(alpha))
 
 
+class CalibrateOptions(RecordedOptions):
+    """What `calibrate beta` and `calibrate theta` read."""
+
+    __slots__ = ()
+    sources: tuple[str, ...]
+    images: ImageOptions
+
+    def reads(self) -> tuple[str, ...]:
+        return self.sources if self.images.mask is None else (*self.sources, str(self.images.mask))
+
+
 @dataclass(frozen=True, slots=True)
-class BetaConfig(CommandOptions):
+class BetaConfig(CalibrateOptions):
     """Find beta, the share of linear deformation, from images or from pairs of rest and deformed positions."""
 
     sources: Sources
@@ -353,18 +377,9 @@ class BetaConfig(CommandOptions):
         _check_unit("--theta", self.theta)
         _check_span("--beta-range", self.beta_range)
 
-    def reads(self) -> tuple[str, ...]:
-        return self.sources if self.images.mask is None else (*self.sources, str(self.images.mask))
-
-    def writes(self) -> tuple[Written, ...]:
-        return self.output.writes()
-
-    def json_target(self) -> str | None:
-        return self.output.json
-
 
 @dataclass(frozen=True, slots=True)
-class ThetaConfig(CommandOptions):
+class ThetaConfig(CalibrateOptions):
     """Find theta, how strongly volume is conserved, from images or from pairs of rest and deformed positions."""
 
     sources: Sources
@@ -396,34 +411,19 @@ class ThetaConfig(CommandOptions):
         """Whether one cluster holds all particles."""
         return self.cluster_size is None
 
-    def reads(self) -> tuple[str, ...]:
-        return self.sources if self.images.mask is None else (*self.sources, str(self.images.mask))
-
-    def writes(self) -> tuple[Written, ...]:
-        return self.output.writes()
-
-    def json_target(self) -> str | None:
-        return self.output.json
-
 
 # deformscope demo and replay -----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class DemoConfig(CommandOptions):
+class DemoConfig(RecordedOptions):
     """Measure the sample that ships: real images of a specimen under tension. Leaves runs/demo-<stamp>.rrd."""
 
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
-    def writes(self) -> tuple[Written, ...]:
-        return self.output.writes()
-
-    def json_target(self) -> str | None:
-        return self.output.json
-
 
 @dataclass(frozen=True, slots=True)
-class ReplayConfig(CommandOptions):
+class ReplayConfig(RecordedOptions):
     """Run the same stages on a recording's inputs, and compare with the numbers that it holds."""
 
     recording: Annotated[Path, Positional, arg(metavar="FILE.rrd")]
@@ -434,9 +434,3 @@ class ReplayConfig(CommandOptions):
 
     def reads(self) -> tuple[str, ...]:
         return (str(self.recording),)
-
-    def writes(self) -> tuple[Written, ...]:
-        return self.output.writes()
-
-    def json_target(self) -> str | None:
-        return self.output.json

@@ -30,10 +30,10 @@ import numpy as np
 from deformscope.arrays import ImageArray
 from deformscope.errors import InputError
 from deformscope.frames import Frame
+from deformscope.images import encode_png
 from deformscope.ledger import ledger_path, write_ledger
 from deformscope.live import LiveFeed, Viewer, ViewerKind, start_viewer, wait_for_viewer
 from deformscope.session import Step
-from deformscope.sources import encode_png
 
 if TYPE_CHECKING:
     import rerun as rr

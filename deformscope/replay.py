@@ -20,8 +20,8 @@ import numpy.typing as npt
 from deformscope.arrays import ImageArray
 from deformscope.errors import InputError
 from deformscope.frames import ColorFrame
+from deformscope.images import decode_image
 from deformscope.ledger import check_ledger
-from deformscope.sources import decode_image
 from deformscope_drivers.clock import Stamp
 
 if TYPE_CHECKING:

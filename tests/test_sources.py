@@ -11,11 +11,10 @@ import pytest
 
 from deformscope.errors import InputError
 from deformscope.frames import ColorFrame
+from deformscope.images import encode_png, read_image
 from deformscope.sources import (
-    encode_png,
     images_in,
     open_source,
-    read_image,
     sample_names,
     sample_path,
 )
@@ -108,7 +107,7 @@ def test_sixteen_bits_are_exact(tmp_path: Path, suffix: str, channels: int) -> N
 @pytest.mark.parametrize("channels", [1, 3])
 @pytest.mark.parametrize("depth", [np.uint8, np.uint16])
 def test_own_png_is_exact(channels: int, depth: type) -> None:
-    from deformscope.sources import decode_image
+    from deformscope.images import decode_image
 
     image = noise(3, channels, depth)
     found = decode_image(encode_png(image), "memory")

@@ -24,42 +24,26 @@ if TYPE_CHECKING:
     from deformscope.log.blueprint import Layout
     from deformscope.recorder import RecordingSummary
     from deformscope.sources import Source
-    from deformscope.stages.calibrate import Calibration, FitOptions, Progress
+    from deformscope.stages.calibrate import Calibration, FitOptions, Model, Progress
     from deformscope.stages.estimate import Estimate
 
 
 def beta(config: BetaConfig) -> None:
     """`calibrate beta`: overlapping clusters, theta fixed."""
-    from deformscope.stages.calibrate import FitOptions, Model
+    from deformscope.stages.calibrate import Model
 
     quiet_warp()
     model = Model("beta", config.mode, config.cluster_size, config.alpha, theta=config.theta, device=_device(config))
-    fit = FitOptions(
-        model,
-        config.beta_range,
-        config.search.method,
-        config.search.candidates,
-        config.search.level,
-        config.output.seed,
-    )
-    _calibrate(config.sources, fit, config.search, config.images, config.output)
+    _calibrate(config, model, config.beta_range)
 
 
 def theta(config: ThetaConfig) -> None:
     """`calibrate theta`: one quadratic cluster unless asked otherwise, beta fixed."""
-    from deformscope.stages.calibrate import FitOptions, Model
+    from deformscope.stages.calibrate import Model
 
     quiet_warp()
     model = Model("theta", config.mode, config.cluster_size, config.alpha, beta=config.beta, device=_device(config))
-    fit = FitOptions(
-        model,
-        config.theta_range,
-        config.search.method,
-        config.search.candidates,
-        config.search.level,
-        config.output.seed,
-    )
-    _calibrate(config.sources, fit, config.search, config.images, config.output)
+    _calibrate(config, model, config.theta_range)
 
 
 def _device(config: BetaConfig | ThetaConfig) -> str:
@@ -68,9 +52,11 @@ def _device(config: BetaConfig | ThetaConfig) -> str:
     return pick_device(config.search.device)
 
 
-def _calibrate(
-    sources: Sequence[str], fit: FitOptions, search: SearchOptions, images: ImageOptions, output: OutputOptions
-) -> None:
+def _calibrate(config: BetaConfig | ThetaConfig, model: Model, bounds: tuple[float, float]) -> None:
+    from deformscope.stages.calibrate import FitOptions
+
+    sources, search, images, output = config.sources, config.search, config.images, config.output
+    fit = FitOptions(model, bounds, search.method, search.candidates, search.level, output.seed)
     pairs = [source for source in sources if Path(source).suffix.lower() == ".npz"]
     if pairs and len(pairs) != len(sources):
         other = next(source for source in sources if source not in pairs)
@@ -153,8 +139,9 @@ def calibrate_images(
     output: OutputOptions,
 ) -> Estimate:
     """Fit a sequence, record it where asked, tell and write the result."""
+    from deformscope.images import read_image
     from deformscope.replay import Replay
-    from deformscope.sources import open_source, read_image
+    from deformscope.sources import open_source
 
     mask: ImageArray | None = None
     if images.mask is not None:

@@ -24,7 +24,7 @@ def run(config: FlowConfig) -> None:
     """Compute the flow there and back, write what was asked for, and tell the motion and its error."""
     import numpy as np
 
-    from deformscope.sources import read_image
+    from deformscope.images import read_image
     from deformscope.stages.flow import dense_flow
 
     before, after = read_image(config.before), read_image(config.after)

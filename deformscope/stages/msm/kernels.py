@@ -269,6 +269,25 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
             root = -root
         return wp.max(theta * root + (one - theta), min_denominator)
 
+    @wp.func
+    def fit_affine(
+        candidate: int,
+        first: int,
+        last: int,
+        members: wp.array(dtype=int),
+        share: wp.array(dtype=scalar),
+        weight: wp.array(dtype=basis_vec),
+        u: wp.array2d(dtype=vec),
+    ):
+        """A cluster's mean displacement, and its linear (or quadratic) fit A~ - [I, 0] (eq. 3.7, 3.14)."""
+        centre = vec()
+        for slot in range(first, last):
+            centre += share[slot] * u[candidate, members[slot]]
+        g = transform()
+        for slot in range(first, last):
+            g += wp.outer(u[candidate, members[slot]] - centre, weight[slot])
+        return centre, g
+
     @kernel
     def predict(
         # In:
@@ -320,14 +339,7 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
         candidate, cluster = wp.tid()
         if running[candidate] != wp.static(RUNNING):
             return
-        first = offsets[cluster]
-        last = offsets[cluster + 1]
-        centre = vec()
-        for slot in range(first, last):
-            centre += share[slot] * u_in[candidate, members[slot]]
-        g = transform()
-        for slot in range(first, last):
-            g += wp.outer(u_in[candidate, members[slot]] - centre, weight[slot])
+        centre, g = fit_affine(candidate, offsets[cluster], offsets[cluster + 1], members, share, weight, u_in)
         r, compliance = turn(a_qq[cluster], g * gram[cluster])
         b = beta[candidate]
         th = theta[candidate]
@@ -376,14 +388,7 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
         candidate, cluster = wp.tid()
         if running[candidate] != wp.static(RUNNING):
             return
-        first = offsets[cluster]
-        last = offsets[cluster + 1]
-        centre = vec()
-        for slot in range(first, last):
-            centre += share[slot] * direction_in[candidate, members[slot]]
-        g = transform()
-        for slot in range(first, last):
-            g += wp.outer(direction_in[candidate, members[slot]] - centre, weight[slot])
+        centre, g = fit_affine(candidate, offsets[cluster], offsets[cluster + 1], members, share, weight, direction_in)
         r = turn_change(turned_in[candidate, cluster], compliance_in[candidate, cluster], g * gram[cluster])
         b = beta[candidate]
         blend = b * g

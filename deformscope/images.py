@@ -1,0 +1,86 @@
+"""Image files: read without loss or noise on the standard error, and written as PNG."""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from deformscope.arrays import ImageArray
+from deformscope.errors import InputError
+
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+
+# One clear line reaches the user; the decoders would print theirs first.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+
+
+def read_image(path: str | Path) -> ImageArray:
+    """One image file: (H, W) grey or (H, W, 3) RGB, uint8 or uint16; transparency is left out."""
+    path = Path(path)
+    try:
+        encoded = path.read_bytes()
+    except OSError as error:
+        raise InputError("an image", (error.strerror or str(error)).lower(), where=path) from error
+    return decode_image(encoded, path)
+
+
+def decode_image(encoded: bytes, where: object) -> ImageArray:
+    """The image in `encoded`, as `read_image` gives it; `where` names it in a refusal."""
+    if not encoded:
+        raise InputError("an image", "an empty file", where=where)
+    if encoded.startswith(PNG_SIGNATURE):
+        encoded = _bare_png(encoded, where)
+    try:
+        image = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+    except cv2.error as error:
+        raise InputError("an image", "one that cannot be decoded", "write the file again", where) from error
+    if image is None:
+        raise InputError("an image", "a damaged, cut or unknown file", "write the file again", where)
+    if image.dtype not in (np.uint8, np.uint16):
+        raise InputError("8 or 16 bits a channel", f"{image.dtype}", "convert it to 8 or 16 bits", where)
+    pixels: ImageArray = image if image.dtype == np.uint8 else image.view(np.uint16)  # type: ignore[assignment]
+    return pixels if pixels.ndim == 2 else to_rgb(pixels)
+
+
+def encode_png(image: ImageArray) -> bytes:
+    """(H, W) grey or (H, W, 3) RGB, uint8 or uint16, as PNG without loss; fast rather than small."""
+    swapped = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    done, encoded = cv2.imencode(".png", np.ascontiguousarray(swapped), [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    if not done:
+        raise ValueError(f"no PNG can be made of an image of shape {image.shape} and type {image.dtype}")
+    return encoded.tobytes()
+
+
+def to_rgb(bgr: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> ImageArray:
+    """OpenCV's (H, W, 3) BGR as RGB."""
+    swapped: ImageArray = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)  # type: ignore[assignment]
+    return swapped
+
+
+def _bare_png(encoded: bytes, where: object) -> bytes:
+    """The PNG with its critical chunks alone, each checked.
+
+    The decoder prints to the standard error on damage, and on a camera's odd colour profile: neither gets there.
+    """
+    kept = [PNG_SIGNATURE]
+    place = len(PNG_SIGNATURE)
+    kind = b""
+    while kind != b"IEND":
+        head = encoded[place : place + 8]
+        length, kind = struct.unpack(">I4s", head) if len(head) == 8 else (0, b"")
+        chunk = encoded[place : place + 12 + length]
+        if len(head) < 8 or len(chunk) < 12 + length:
+            raise InputError("a whole PNG image", "one that is cut off", "write the file again", where)
+        if zlib.crc32(chunk[4:-4]) != int.from_bytes(chunk[-4:], "big"):
+            raise InputError("a whole PNG image", "one with damaged bytes", "write the file again", where)
+        if kind[:1].isupper():
+            kept.append(chunk)
+        place += len(chunk)
+    return b"".join(kept)
