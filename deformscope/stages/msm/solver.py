@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -24,6 +25,10 @@ TOLERANCE = {"float64": 1e-9, "float32": 1e-5}
 
 CHECK_EVERY = 16
 """Iterations between looks at which candidates still run (a look waits for the device)."""
+
+
+PARTICLES_AT_ONCE = 2_000_000
+"""Particles of all candidates together that `relax` holds at once: at most some 2 GB; more are taken in turns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,8 +153,10 @@ class Msm:
 
     # -- candidates ------------------------------------------------------------------------------------------------
 
-    def _candidates(self, held_position: FloatArray, *parameters: FloatArray | float) -> tuple[Any, list[FloatArray]]:
-        """Held displacements (B, n) on the device, and every parameter as (B,)."""
+    def _candidates(
+        self, held_position: FloatArray, *parameters: FloatArray | float
+    ) -> tuple[FloatArray, list[FloatArray]]:
+        """Held displacements (B, n, d) in spacings, and every parameter as (B,)."""
         held_position = np.asarray(held_position, dtype=np.float64).reshape(-1, len(self.held), self.dim)
         arrays = [np.atleast_1d(np.asarray(p, dtype=np.float64)) for p in parameters]
         (size,) = np.broadcast_shapes(*[a.shape for a in arrays], held_position.shape[:1])
@@ -157,10 +164,7 @@ class Msm:
         held_u = np.broadcast_to(held_u, (size, *held_u.shape[1:]))
         if not len(self.held):
             held_u = np.zeros((size, 1, self.dim))  # warp takes no empty arrays; no particle reads it
-        return (
-            wp.array(np.ascontiguousarray(held_u), dtype=self._k.vec, device=self.device),
-            [np.broadcast_to(a, (size,)) for a in arrays],
-        )
+        return held_u, [np.broadcast_to(a, (size,)) for a in arrays]
 
     def _positions(self, u: Any) -> FloatArray:
         return self.rest + np.asarray(u.numpy(), dtype=np.float64) * self.scale
@@ -222,12 +226,46 @@ class Msm:
         """
         held_u, (beta_b, theta_b) = self._candidates(held_position, beta, theta)
         size = len(beta_b)
-        u = self._displacements(self.rest if start is None else start, size)
         if not self.free.any():
             return self._all_held(held_position, size)
         share = TOLERANCE[self.precision] if tolerance is None else tolerance
-        work = _Work(self, size)
-        beta_d, theta_d = self._scalars(beta_b), self._scalars(theta_b)
+        origin = np.broadcast_to(self.rest if start is None else start, (size, *self.rest.shape))
+        at_once = max(1, PARTICLES_AT_ONCE // len(self.rest))
+        parts = []
+        for first in range(0, size, at_once):
+            some = slice(first, first + at_once)
+            note = None if progress is None else functools.partial(_offset, progress, first, size)
+            parts.append(
+                self._relax(held_u[some], beta_b[some], theta_b[some], origin[some], share, max_iterations, note)
+            )
+        if len(parts) == 1:
+            return parts[0]
+        fields = [f.name for f in dataclasses.fields(Relaxed)]
+        return Relaxed(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in fields})
+
+    def _relax(
+        self,
+        held: FloatArray,
+        beta: FloatArray,
+        theta: FloatArray,
+        start: FloatArray,
+        tolerance: float,
+        max_iterations: int,
+        progress: Callable[[int], None] | None,
+    ) -> Relaxed:
+        """As many candidates as fit into memory at once."""
+        size = len(beta)
+        u = self._displacements(start, size)
+        held_u: Any = wp.array(np.ascontiguousarray(held), dtype=self._k.vec, device=self.device)
+        beta_d, theta_d = self._scalars(beta), self._scalars(theta)
+        wanted = tolerance * self.extent / self.scale
+        work: _Minimising | _Accelerating
+        if theta.any():
+            work = _Accelerating(self, size)
+            iterate = functools.partial(self._accelerate, u, beta_d, theta_d, work, wanted)
+        else:
+            work = _Minimising(self, size)
+            iterate = functools.partial(self._minimise, u, beta_d, theta_d, work, wanted)
         wp.launch(
             self._k.predict,
             dim=u.shape,
@@ -235,24 +273,17 @@ class Msm:
             outputs=[u],
             device=self.device,
         )
-        running = work.running
-
-        minimise = not theta_b.any()
-        iterate = functools.partial(
-            self._minimise if minimise else self._accelerate, u, beta_d, theta_d, work, share * self.extent / self.scale
-        )
-
         iterate()  # loads the kernels, so that the capture below records launches only
         with wp.ScopedCapture(device=self.device) as capture:
             iterate()
         done = 1
-        while done < max_iterations and (still := int(np.count_nonzero(running.numpy() == k.RUNNING))):
+        while done < max_iterations and (still := int(np.count_nonzero(work.running.numpy() == k.RUNNING))):
             if progress is not None:
-                progress(size - still, size)
+                progress(size - still)
             for _ in range(min(CHECK_EVERY, max_iterations - done)):
                 wp.capture_launch(capture.graph)
                 done += 1
-        state = running.numpy()
+        state = work.running.numpy()
         return Relaxed(
             position=self._positions(u),
             residual=work.norm.numpy() * self.scale,
@@ -262,9 +293,9 @@ class Msm:
             diverged=state == k.DIVERGED,
         )
 
-    def _minimise(self, u: Any, beta: Any, theta: Any, work: _Work, tolerance: float) -> None:
+    def _minimise(self, u: Any, beta: Any, theta: Any, work: _Minimising, tolerance: float) -> None:
         """One iteration of nonlinear conjugate gradients on the energy (theta = 0): launches only."""
-        running, size, chunks = work.running, u.shape[0], work.rhs_part.shape[2]
+        running, size, chunks = work.running, u.shape[0], work.chunks
         own, cross = work.own_part, work.cross_part
         launch = functools.partial(wp.launch, device=self.device)
         self._launch_goals(u, beta, theta, running, work)
@@ -314,9 +345,9 @@ class Msm:
         )
         launch(self._k.take_step, dim=u.shape, inputs=[work.direction, work.step, running], outputs=[u])
 
-    def _accelerate(self, u: Any, beta: Any, theta: Any, work: _Work, tolerance: float) -> None:
+    def _accelerate(self, u: Any, beta: Any, theta: Any, work: _Accelerating, tolerance: float) -> None:
         """One iteration of Anderson's acceleration: launches only, so that it can be captured."""
-        running, size, chunks = work.running, u.shape[0], work.rhs_part.shape[2]
+        running, size, chunks = work.running, u.shape[0], work.chunks
         self._launch_goals(u, beta, theta, running, work)
         wp.launch(
             self._k.remember,
@@ -385,16 +416,19 @@ class Msm:
         size = state.u.shape[0]
         beta_d = self._scalars(np.broadcast_to(beta_b, size))
         theta_d = self._scalars(np.broadcast_to(theta_b, size))
-        if held_u.shape[0] != size:
-            held_u = wp.array(np.repeat(held_u.numpy(), size, axis=0), dtype=self._k.vec, device=self.device)
+        held_d: Any = wp.array(
+            np.ascontiguousarray(np.broadcast_to(held_u, (size, *held_u.shape[1:]))),
+            dtype=self._k.vec,
+            device=self.device,
+        )
         push = np.zeros(self.dim) if acceleration is None else np.asarray(acceleration) / self.scale
-        work = _Work(self, size, stepping=True)
+        work = _Work(self, size)
 
         def advance() -> None:
             wp.launch(
                 self._k.predict,
                 dim=state.u.shape,
-                inputs=[state.u, state.v, self._held_row, held_u, self._k.vec(*push), self._k.scalar(dt)],
+                inputs=[state.u, state.v, self._held_row, held_d, self._k.vec(*push), self._k.scalar(dt)],
                 outputs=[work.u_last],
                 device=self.device,
             )
@@ -421,7 +455,7 @@ class Msm:
         position = np.asarray(position, dtype=np.float64).reshape(-1, *self.rest.shape)
         _, (beta_b, theta_b) = self._candidates(position[:, self.held], beta, theta)
         u = self._displacements(position, len(beta_b))
-        work = _Work(self, len(beta_b), stepping=True)
+        work = _Work(self, len(beta_b))
         self._launch_goals(u, self._scalars(beta_b), self._scalars(theta_b), work.running, work)
         return np.asarray(work.residual.numpy(), dtype=np.float64) * self.scale
 
@@ -435,48 +469,73 @@ def pick_device(choice: Literal["auto", "cpu", "cuda"]) -> str:
     return "cuda:0"
 
 
+def _offset(progress: Callable[[int, int], None], before: int, size: int, done: int) -> None:
+    progress(before + done, size)
+
+
 def weight_terms(dim: int, basis: Basis) -> int:
     """Terms of the basis: d, or 5 in the plane and 9 in space (eq. 3.14)."""
     return dim if basis == "linear" else {2: 5, 3: 9}[dim]
 
 
 class _Work:
-    """Scratch arrays of one run. Filled with NaN where a kernel must write before anything reads."""
+    """Scratch arrays for the goals of `size` candidates."""
 
-    def __init__(self, body: Msm, size: int, *, stepping: bool = False) -> None:
+    def __init__(self, body: Msm, size: int) -> None:
         count, kk = len(body.rest), body._k
-        zeros = functools.partial(wp.zeros, device=body.device)
-        self.transform = zeros((size, body.cluster_count), dtype=kk.transform)
-        self.centre = zeros((size, body.cluster_count), dtype=kk.vec)
-        self.residual = zeros((size, count), dtype=kk.vec)
-        self.u_last = zeros((size, count), dtype=kk.vec)
-        self.turned = zeros((size, body.cluster_count), dtype=kk.moment)
-        self.compliance = zeros((size, body.cluster_count), dtype=kk.moment)
+        self.zeros = functools.partial(wp.zeros, device=body.device)
+        self.transform = self.zeros((size, body.cluster_count), dtype=kk.transform)
+        self.centre = self.zeros((size, body.cluster_count), dtype=kk.vec)
+        self.residual = self.zeros((size, count), dtype=kk.vec)
+        self.u_last = self.zeros((size, count), dtype=kk.vec)
+        self.turned = self.zeros((size, body.cluster_count), dtype=kk.moment)
+        self.compliance = self.zeros((size, body.cluster_count), dtype=kk.moment)
         self.running = wp.full(size, k.RUNNING, dtype=int, device=body.device)
-        if stepping:
-            return
-        chunks = -(-count // k.CHUNK)
-        self.residual_last = zeros((size, count), dtype=kk.vec)
-        self.du = zeros((size, k.MEMORY, count), dtype=kk.vec)
-        self.dr = zeros((size, k.MEMORY, count), dtype=kk.vec)
-        self.gram_part = zeros((size, k.MEMORY + 1, chunks), dtype=wp.float64)
-        self.rhs_part = zeros((size, k.MEMORY + 1, chunks), dtype=wp.float64)
-        self.step_part = zeros((size, chunks), dtype=wp.float64)
-        self.gram = zeros(size, dtype=kk.history)
-        self.path = zeros(size, dtype=wp.float64)
+
+
+class _Relaxing(_Work):
+    """What both ways to a static state keep: the last residual, the path since the last mark, and the tallies."""
+
+    def __init__(self, body: Msm, size: int) -> None:
+        super().__init__(body, size)
+        self.chunks = -(-len(body.rest) // k.CHUNK)
+        self.residual_last = self.zeros((size, len(body.rest)), dtype=body._k.vec)
+        self.step_part = self.zeros((size, self.chunks), dtype=wp.float64)
+        self.path = self.zeros(size, dtype=wp.float64)
         self.mark = wp.full(size, 8, dtype=int, device=body.device)
-        self.own_part = zeros((size, chunks), dtype=wp.float64)
-        self.cross_part = zeros((size, chunks), dtype=wp.float64)
-        self.longest_part = zeros((size, chunks), dtype=wp.float64)
-        self.own_last = zeros(size, dtype=wp.float64)
+        self.norm = self.zeros(size, dtype=wp.float64)
+        self.error = self.zeros(size, dtype=wp.float64)
+        self.total = self.zeros(size, dtype=int)
+
+
+class _Minimising(_Relaxing):
+    """Scratch of conjugate gradients."""
+
+    def __init__(self, body: Msm, size: int) -> None:
+        super().__init__(body, size)
+        vectors = (size, len(body.rest))
+        self.own_part = self.zeros((size, self.chunks), dtype=wp.float64)
+        self.cross_part = self.zeros((size, self.chunks), dtype=wp.float64)
+        self.longest_part = self.zeros((size, self.chunks), dtype=wp.float64)
+        self.own_last = self.zeros(size, dtype=wp.float64)
         self.fresh = wp.full(size, 1, dtype=int, device=body.device)
-        self.mix = zeros(size, dtype=kk.scalar)
-        self.step = zeros(size, dtype=kk.scalar)
-        self.direction = zeros((size, count), dtype=kk.vec)
-        self.stiff = zeros((size, count), dtype=kk.vec)
-        self.iteration = zeros(size, dtype=int)
+        self.mix = self.zeros(size, dtype=body._k.scalar)
+        self.step = self.zeros(size, dtype=body._k.scalar)
+        self.direction = self.zeros(vectors, dtype=body._k.vec)
+        self.stiff = self.zeros(vectors, dtype=body._k.vec)
+
+
+class _Accelerating(_Relaxing):
+    """Scratch of Anderson's acceleration."""
+
+    def __init__(self, body: Msm, size: int) -> None:
+        super().__init__(body, size)
+        history = (size, k.MEMORY, len(body.rest))
+        self.du = self.zeros(history, dtype=body._k.vec)
+        self.dr = self.zeros(history, dtype=body._k.vec)
+        self.gram_part = self.zeros((size, k.MEMORY + 1, self.chunks), dtype=wp.float64)
+        self.rhs_part = self.zeros((size, k.MEMORY + 1, self.chunks), dtype=wp.float64)
+        self.gram = self.zeros(size, dtype=body._k.history)
+        self.gamma = self.zeros(size, dtype=body._k.history_vec)
+        self.iteration = self.zeros(size, dtype=int)
         self.best = wp.full(size, np.inf, dtype=wp.float64, device=body.device)
-        self.gamma = zeros(size, dtype=kk.history_vec)
-        self.norm = zeros(size, dtype=wp.float64)
-        self.error = zeros(size, dtype=wp.float64)
-        self.total = zeros(size, dtype=int)

@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("warp")
 
-from deformscope.stages.msm import clusters, reference
+from deformscope.stages.msm import clusters, reference, solver
 from deformscope.stages.msm.reference import Basis
 from deformscope.stages.msm.solver import Msm, Precision
 from tests.stages.bodies import lattice, pushed
@@ -139,6 +139,20 @@ def test_candidates_of_one_launch_are_what_each_would_be_alone(device: str) -> N
     for row, beta in enumerate(betas):
         np.testing.assert_array_equal(engine.relax(body.held_position, beta).position[0], together.position[row])
         np.testing.assert_array_equal(engine.relax(poses[row], 0.5).position[0], moved.position[row])
+
+
+def test_candidates_taken_in_turns_are_the_same(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    body = pushed((5, 6), np.random.default_rng(9))
+    engine = Msm(body.rest, body.clusters(3), body.held, device=device)
+    betas = np.linspace(0, 0.95, 7)
+    at_once = engine.relax(body.held_position, betas)
+    monkeypatch.setattr(solver, "PARTICLES_AT_ONCE", 70)
+    seen: list[tuple[int, int]] = []
+    in_turns = engine.relax(body.held_position, betas, progress=lambda done, all_: seen.append((done, all_)))
+    np.testing.assert_array_equal(in_turns.position, at_once.position)
+    np.testing.assert_array_equal(in_turns.converged, at_once.converged)
+    assert {all_ for _, all_ in seen} == {7}
+    assert max(done for done, _ in seen) >= 6
 
 
 def test_runs_repeat_bit_for_bit(device: str, precision: Precision) -> None:
