@@ -2,7 +2,7 @@
 
 State is the displacement u from rest in units of the particle spacing, so that float32 keeps its digits and SI units
 do not matter. Candidates (beta, theta, poses) are the slow axis of every array. All sums gather in a fixed order:
-runs repeat bit for bit. A candidate whose `running` flag is 0 is left as it is.
+runs repeat bit for bit. A candidate that is not `RUNNING` is left as it is.
 
 Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
 """
@@ -33,7 +33,6 @@ class Kernels:
     basis_vec: Any
     transform: Any
     moment: Any
-    gram: Any
     predict: Any
     fit_clusters: Any
     goals: Any
@@ -66,7 +65,6 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
     basis_vec = wp.types.vector(length=terms, dtype=scalar)
     square = wp.types.matrix(shape=(dim, dim), dtype=scalar)
     transform = wp.types.matrix(shape=(dim, terms), dtype=scalar)
-    gram_matrix = wp.types.matrix(shape=(terms, dim), dtype=scalar)
     mat44 = wp.types.matrix(shape=(4, 4), dtype=scalar)
     vec4 = wp.types.vector(length=4, dtype=scalar)
     history = wp.types.matrix(shape=(MEMORY, MEMORY), dtype=wp.float64)
@@ -277,16 +275,20 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
         members: wp.array(dtype=int),
         share: wp.array(dtype=scalar),
         weight: wp.array(dtype=basis_vec),
+        moment: wp.array(dtype=vec),
         u: wp.array2d(dtype=vec),
     ):
-        """A cluster's mean displacement, and its linear (or quadratic) fit A~ - [I, 0] (eq. 3.7, 3.14)."""
+        """A cluster's mean displacement, its linear (or quadratic) fit A~ - [I, 0] (eq. 3.7, 3.14), and A_pq - A_qq."""
         centre = vec()
         for slot in range(first, last):
             centre += share[slot] * u[candidate, members[slot]]
         g = transform()
+        a_pq = square()
         for slot in range(first, last):
-            g += wp.outer(u[candidate, members[slot]] - centre, weight[slot])
-        return centre, g
+            away = u[candidate, members[slot]] - centre
+            g += wp.outer(away, weight[slot])
+            a_pq += wp.outer(away, moment[slot])
+        return centre, g, a_pq
 
     @kernel
     def predict(
@@ -316,8 +318,8 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
         members: wp.array(dtype=int),
         share: wp.array(dtype=scalar),
         weight: wp.array(dtype=basis_vec),
+        moment: wp.array(dtype=vec),
         a_qq: wp.array(dtype=square),
-        gram: wp.array(dtype=gram_matrix),
         span_axes: wp.array(dtype=square),
         span_count: wp.array(dtype=int),
         untold: wp.array(dtype=transform),
@@ -339,14 +341,16 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
         candidate, cluster = wp.tid()
         if running[candidate] != wp.static(RUNNING):
             return
-        centre, g = fit_affine(candidate, offsets[cluster], offsets[cluster + 1], members, share, weight, u_in)
-        r, compliance = turn(a_qq[cluster], g * gram[cluster])
+        centre, g, a_pq = fit_affine(
+            candidate, offsets[cluster], offsets[cluster + 1], members, share, weight, moment, u_in
+        )
+        r, compliance = turn(a_qq[cluster], a_pq)
+        g += r * untold[cluster]  # terms that the cluster cannot tell follow its rotation
         b = beta[candidate]
         th = theta[candidate]
         excess = zero
         denominator = one
         if th != zero:
-            g += r * untold[cluster]  # terms that the cluster cannot tell follow its rotation
             a = square()
             for i in range(wp.static(dim)):
                 for j in range(wp.static(dim)):
@@ -373,7 +377,8 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
         members: wp.array(dtype=int),
         share: wp.array(dtype=scalar),
         weight: wp.array(dtype=basis_vec),
-        gram: wp.array(dtype=gram_matrix),
+        moment: wp.array(dtype=vec),
+        untold: wp.array(dtype=transform),
         # In:
         direction_in: wp.array2d(dtype=vec),
         turned_in: wp.array2d(dtype=square),
@@ -388,8 +393,11 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
         candidate, cluster = wp.tid()
         if running[candidate] != wp.static(RUNNING):
             return
-        centre, g = fit_affine(candidate, offsets[cluster], offsets[cluster + 1], members, share, weight, direction_in)
-        r = turn_change(turned_in[candidate, cluster], compliance_in[candidate, cluster], g * gram[cluster])
+        centre, g, a_pq = fit_affine(
+            candidate, offsets[cluster], offsets[cluster + 1], members, share, weight, moment, direction_in
+        )
+        r = turn_change(turned_in[candidate, cluster], compliance_in[candidate, cluster], a_pq)
+        g += r * untold[cluster]
         b = beta[candidate]
         blend = b * g
         for i in range(wp.static(dim)):
@@ -877,7 +885,6 @@ def kernels_for(dim: int, terms: int, scalar: Any) -> Kernels:
         basis_vec=basis_vec,
         transform=transform,
         moment=square,
-        gram=gram_matrix,
         predict=predict,
         fit_clusters=fit_clusters,
         goals=goals,

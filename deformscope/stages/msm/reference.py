@@ -7,7 +7,8 @@ What the equations leave open is decided here, for degenerate clusters:
 - Too few particles for the quadratic terms (2x2, 3x3x2...): the same pseudo-inverse; untold terms turn with R.
 - Crushed or inverted (det A <= 0): the cube root keeps its sign and the denominator of eq. 3.17 is held at or above
   `MIN_DENOMINATOR`; the rotation is a proper one (det R = +1) always.
-- Without any preferred rotation (all particles in one point, a mirror image): the rest orientation, R = I.
+- Where several rotations fit equally well (a line, a mirror image, a point): one of the best ones. It is the rest
+  orientation, R = I, for a point, and in the plane.
 - All particles held: nothing to solve; their positions stand.
 """
 
@@ -28,7 +29,7 @@ MIN_DENOMINATOR = 0.1
 """Smallest denominator of eq. 3.17: at theta = 1 it stands for a cluster crushed to a thousandth of its volume."""
 
 NO_ROTATION = 1e-6
-"""A cluster whose moments single out no rotation by more than this share of its rest moments keeps R = I."""
+"""Rotations that differ by less than this share of a cluster's rest moments in how well they fit are equally good."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,13 +94,13 @@ def quadratic_basis(q: FloatArray, mass: FloatArray) -> FloatArray:
 def rotation(a_pq: FloatArray, rest_size: float) -> FloatArray:
     """R of the polar decomposition (eq. 3.9), always proper: maximises tr(R^T A_pq) over rotations.
 
-    rest_size: trace of the rest moments; below `NO_ROTATION` of it, no rotation is preferred and R = I.
+    rest_size: trace of the rest moments; in the plane, below `NO_ROTATION` of it every rotation is as good, and R = I.
     """
     u, s, vt = np.linalg.svd(a_pq)
     sign = np.ones(len(s))
     sign[-1] = np.sign(np.linalg.det(u @ vt))
-    if s[-2] + sign[-1] * s[-1] <= NO_ROTATION * rest_size:
-        return np.eye(len(s))
+    if len(s) == 2 and s[0] + sign[1] * s[1] <= NO_ROTATION * rest_size:
+        return np.eye(2)
     return np.asarray(u * sign @ vt)
 
 

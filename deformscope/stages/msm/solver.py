@@ -104,9 +104,8 @@ class Msm:
         """Rest data of every cluster, dimensionless, and the transposed lists that particles gather through."""
         d, kk = self.dim, self._k
         rest = reference.build_rest(self.rest / self.scale, clusters, self.held, mass, basis)
-        share, weight, row_basis = [], [], []
+        share, weight, moment, row_basis = [], [], [], []
         a_qq = np.zeros((clusters.count, d, d))
-        gram = np.zeros((clusters.count, weight_terms(d, basis), d))
         span = np.zeros((clusters.count, d, d))
         span_count = np.zeros(clusters.count, dtype=np.int32)
         untold = np.zeros((clusters.count, d, weight_terms(d, basis)))
@@ -118,7 +117,7 @@ class Msm:
             row_basis.append(cluster.q_basis * r)
             norm = float(np.einsum("n,ni,ni->", cluster.mass, cluster.q, cluster.q)) or 1.0
             a_qq[c] = np.einsum("n,ni,nj->ij", cluster.mass, cluster.q, cluster.q) / norm
-            gram[c] = np.einsum("n,ni,nj->ij", cluster.mass, cluster.q_basis, cluster.q) / norm
+            moment.append(m * cluster.q / (norm * r))
             span[c, :, : cluster.span.shape[1]] = cluster.span
             span_count[c] = cluster.span.shape[1]
             told = cluster.inverse @ np.einsum("n,ni,nj->ij", cluster.mass, cluster.q_basis, cluster.q_basis)
@@ -138,7 +137,7 @@ class Msm:
         self._share = dev(np.concatenate(share), dtype=kk.scalar)
         self._weight = dev(np.concatenate(weight), dtype=kk.basis_vec)
         self._a_qq = dev(a_qq, dtype=kk.moment)
-        self._gram = dev(gram, dtype=kk.gram)
+        self._moment = dev(np.concatenate(moment), dtype=kk.vec)
         self._span = dev(span, dtype=kk.moment)
         self._span_count = dev(span_count, dtype=int)
         self._untold = dev(untold, dtype=kk.transform)
@@ -157,7 +156,9 @@ class Msm:
         self, held_position: FloatArray, *parameters: FloatArray | float
     ) -> tuple[FloatArray, list[FloatArray]]:
         """Held displacements (B, n, d) in spacings, and every parameter as (B,)."""
-        held_position = np.asarray(held_position, dtype=np.float64).reshape(-1, len(self.held), self.dim)
+        held_position = np.asarray(held_position, dtype=np.float64)
+        shape = (-1 if len(self.held) else 1, len(self.held), self.dim)
+        held_position = held_position.reshape(shape)
         arrays = [np.atleast_1d(np.asarray(p, dtype=np.float64)) for p in parameters]
         (size,) = np.broadcast_shapes(*[a.shape for a in arrays], held_position.shape[:1])
         held_u = (held_position - self.rest[self.held]) / self.scale
@@ -182,7 +183,7 @@ class Msm:
             self._k.fit_clusters,
             dim=(size, self.cluster_count),
             inputs=[
-                *(self._offsets, self._members, self._share, self._weight, self._a_qq, self._gram),
+                *(self._offsets, self._members, self._share, self._weight, self._moment, self._a_qq),
                 *(self._span, self._span_count, self._untold, u, beta, theta, running),
             ],
             outputs=[work.transform, work.centre, work.turned, work.compliance],
@@ -212,7 +213,7 @@ class Msm:
         *,
         start: FloatArray | None = None,
         tolerance: float | None = None,
-        max_iterations: int = 4000,
+        max_iterations: int | None = None,
         progress: Callable[[int, int], None] | None = None,
     ) -> Relaxed:
         """The static states; no dt, alpha or velocity enters.
@@ -220,8 +221,13 @@ class Msm:
         With theta = 0 they are minima of an energy, found by conjugate gradients with exact curvature; eq. 3.17 has no
         energy, so with theta the goal map is accelerated (Anderson). Both stop on an estimate of the distance to go.
 
+        A start that is symmetric stays so, as it does in time stepping: a strut pressed along its axis stays straight
+        where it would rather buckle. With theta and strong compression a static state can have clusters turned inside
+        out: look at the picture.
+
         held_position: (n, d) or (B, n, d); beta, theta: a number or (B,); start: (K, d) or (B, K, d), default rest
         tolerance: on the estimated distance from the static state, as a share of the body's extent
+        max_iterations: default 4000, or 40 a particle where that is more (long thin bodies bend slowly)
         progress: called with (candidates done, candidates) now and then
         """
         held_u, (beta_b, theta_b) = self._candidates(held_position, beta, theta)
@@ -229,15 +235,14 @@ class Msm:
         if not self.free.any():
             return self._all_held(held_position, size)
         share = TOLERANCE[self.precision] if tolerance is None else tolerance
+        most = max(4000, 40 * len(self.rest)) if max_iterations is None else max_iterations
         origin = np.broadcast_to(self.rest if start is None else start, (size, *self.rest.shape))
         at_once = max(1, PARTICLES_AT_ONCE // len(self.rest))
         parts = []
         for first in range(0, size, at_once):
             some = slice(first, first + at_once)
             note = None if progress is None else functools.partial(_offset, progress, first, size)
-            parts.append(
-                self._relax(held_u[some], beta_b[some], theta_b[some], origin[some], share, max_iterations, note)
-            )
+            parts.append(self._relax(held_u[some], beta_b[some], theta_b[some], origin[some], share, most, note))
         if len(parts) == 1:
             return parts[0]
         fields = [f.name for f in dataclasses.fields(Relaxed)]
@@ -321,7 +326,7 @@ class Msm:
             self._k.fit_changes,
             dim=(size, self.cluster_count),
             inputs=[
-                *(self._offsets, self._members, self._share, self._weight, self._gram),
+                *(self._offsets, self._members, self._share, self._weight, self._moment, self._untold),
                 *(work.direction, work.turned, work.compliance, beta, running),
             ],
             outputs=[work.transform, work.centre],
@@ -414,6 +419,8 @@ class Msm:
         """
         held_u, (beta_b, theta_b) = self._candidates(held_position, beta, theta)
         size = state.u.shape[0]
+        if len(beta_b) not in (1, size):
+            raise ValueError(f"expected candidates for {size} bodies or for one; got {len(beta_b)}")
         beta_d = self._scalars(np.broadcast_to(beta_b, size))
         theta_d = self._scalars(np.broadcast_to(theta_b, size))
         held_d: Any = wp.array(
