@@ -325,12 +325,16 @@ def _check_unit(flag: str, value: float) -> None:
         raise InputError(f"a {flag} between 0 and 1", str(value))
 
 
-def _check_span(flag: str, span: Span) -> None:
+BETA_LIMIT = 0.9999
+"""Highest beta that can be searched (`deformscope.stages.calibrate.BETA_LIMIT`, which would import numpy here)."""
+
+
+def _check_span(flag: str, span: Span, limit: float = 1.0) -> None:
     lowest, highest = span
     if not lowest < highest:
         raise InputError(f"a {flag} that rises", f"{lowest:g},{highest:g}", f"{flag} {highest:g},{lowest:g}")
-    if lowest < 0 or highest > 1:  # neither is NaN: `_finite` has seen to that
-        raise InputError(f"a {flag} within 0,1", f"{lowest:g},{highest:g}")
+    if lowest < 0 or highest > limit:  # neither is NaN: `_finite` has seen to that
+        raise InputError(f"a {flag} within 0,{limit:g}", f"{lowest:g},{highest:g}")
 
 
 def _check_alpha(alpha: float) -> None:
@@ -375,7 +379,7 @@ class BetaConfig(CalibrateOptions):
             raise InputError("a --cluster-size of 2 or more", str(self.cluster_size))
         _check_alpha(self.alpha)
         _check_unit("--theta", self.theta)
-        _check_span("--beta-range", self.beta_range)
+        _check_span("--beta-range", self.beta_range, BETA_LIMIT)
 
 
 @dataclass(frozen=True, slots=True)

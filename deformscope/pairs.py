@@ -15,7 +15,6 @@ from deformscope.errors import InputError
 from deformscope.stages.calibrate import Observation
 from deformscope.stages.msm.clusters import find_lattice
 
-KEYS = ("rest", "deformed", "held", "shape", "cell", "observed", "noise_m", "force_n", "contact")
 CONTACT_SHARE = 0.5
 """Without `contact`, the force acts on the held particles that moved more than this share of the largest motion."""
 
@@ -34,7 +33,8 @@ def parse_pair(raw: bytes, where: object = "", *, noise_m: float | None = None) 
 
     Needed: `rest (K, d)`, `deformed (K, d)` in metres, d = 2 or 3, `held (n,)` indices whose deformed position is
     prescribed. Optional: `shape` (lattice, last axis fastest), `cell (K,)` flat lattice index where it has holes,
-    `observed (K,)` bool, `noise_m` (a number, or (K,)), `force_n` with `contact (m,)`, a subset of `held`.
+    `observed (K,)` bool, `noise_m` (a number, or (K,)), `held_noise_m` (a number; 0 = exact), `force_n` with
+    `contact (m,)`, a subset of `held`.
     Without `shape`, a rest shape that is regular within 1 % is taken as a lattice. noise_m: instead of the file's.
     Raises InputError for what is missing, does not fit together, or is not finite.
     """
@@ -77,9 +77,26 @@ def _observation(found: Mapping[str, npt.NDArray[Any]], noise_m: float | None) -
         noise = np.broadcast_to(noise.reshape(-1), (count,)).copy()
         if not (np.isfinite(noise).all() and (noise > 0.0).all()):
             raise InputError("noise_m above 0", "0, a negative or no number", "leave it out if it is not known")
+    exact = None
+    if "held_noise_m" in found:
+        held_noise = _numbers(found, "held_noise_m").reshape(-1)
+        if held_noise.size != 1 or not (np.isfinite(held_noise).all() and held_noise[0] >= 0.0):
+            raise InputError("one held_noise_m of 0 or more", "something else")
+        exact = bool(held_noise[0] == 0.0)
+        if noise is not None and not exact:
+            noise[held] = held_noise[0]
     force, contact = _force(found, rest, deformed, held)
     return Observation(
-        rest, deformed, held, observed, noise=noise, shape=shape, cell=cell, force_n=force, contact=contact
+        rest,
+        deformed,
+        held,
+        observed,
+        noise=noise,
+        shape=shape,
+        cell=cell,
+        force_n=force,
+        contact=contact,
+        held_measured=None if exact is None else not exact,
     )
 
 

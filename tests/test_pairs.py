@@ -63,6 +63,16 @@ def test_noise_may_be_one_number_or_each_particles_own() -> None:
     np.testing.assert_array_equal(parse_pair(pair(noise_m=each), noise_m=1e-3).noise, np.full(12, 1e-3))
 
 
+def test_held_positions_are_exact_measured_or_unknown() -> None:
+    assert parse_pair(pair()).held_measured is None
+    assert parse_pair(pair(held_noise_m=0.0)).held_measured is False
+    seen = parse_pair(pair(noise_m=1e-4, held_noise_m=3e-4))
+    assert seen.held_measured is True
+    assert seen.noise is not None
+    np.testing.assert_array_equal(seen.noise[seen.held], 3e-4)
+    assert seen.noise[11] == 1e-4
+
+
 def test_held_and_contact_may_be_masks() -> None:
     held = np.zeros(12, dtype=bool)
     held[[0, 1, 11]] = True
@@ -110,6 +120,7 @@ NAN[5, 0] = np.nan
         ({"noise_m": -1.0}, "noise_m"),
         ({"noise_m": 0.0}, "noise_m"),
         ({"noise_m": np.ones(5)}, "noise_m"),
+        ({"held_noise_m": -1.0}, "held_noise_m"),
         ({"force_n": np.nan}, "force_n"),
         ({"force_n": 1.0, "contact": np.array([7])}, "among the held"),
         ({"rest": REST.astype("U8")}, "numbers in rest"),

@@ -19,6 +19,9 @@ from deformscope.stages.estimate import Comparison
 from deformscope.stages.flow import FlowMethod, dense_flow
 from deformscope.stages.particles import ParticleGrid, Rect, Tracked, advance, seed_grid, select_held, start
 
+FRAMES_AT_ONCE = 256
+"""Frames that are simulated in one launch; the next ones start from the last of them."""
+
 
 @dataclass(frozen=True, slots=True)
 class ParticleOptions:
@@ -71,6 +74,7 @@ def foam_video(
         "flow": particles.flow,
         "held_parts": list(particles.held),
         "held_moved": moved,
+        "noise_source": "flow" if particles.noise_px is None else "given",
     }
     found = calibrate([seen], fit, settings=used, progress=progress)
     for index, comparison in enumerate(follow(seen, history, fit.model, found)):
@@ -118,17 +122,22 @@ def observe(grid: ParticleGrid, last: Tracked, held: IntArray, particles: Partic
         cell=grid.cell,
         unit="px",
         metres_per_unit=None if particles.px_per_cm is None else 0.01 / particles.px_per_cm,
+        held_measured=True,
     )
 
 
 def follow(seen: Observation, history: list[Tracked], model: Model, found: Calibration) -> list[Comparison]:
-    """The best value simulated at every frame, all frames in one launch, each with that frame's held positions."""
+    """The best value simulated at every frame, many frames in one launch, each with that frame's held positions."""
     positions: FloatArray = np.stack([np.asarray(moment.position_px, dtype=np.float64) for moment in history])
     value = found.estimate.value
     beta, theta = (value, model.theta) if model.parameter == "beta" else (model.beta, value)
-    state = model.body(seen).relax(positions[:, seen.held], beta, theta)
+    body = model.body(seen)
+    simulated: list[FloatArray] = []
+    for first in range(0, len(positions), FRAMES_AT_ONCE):
+        held = positions[first : first + FRAMES_AT_ONCE, seen.held]
+        simulated.extend(body.relax(held, beta, theta, start=simulated[-1] if simulated else None).position)
     still = found.comparisons[0]
     return [
-        dataclasses.replace(still, observed=positions[index], simulated=state.position[index], seen=moment.seen)
+        dataclasses.replace(still, observed=positions[index], simulated=simulated[index], seen=moment.seen)
         for index, moment in enumerate(history)
     ]

@@ -19,7 +19,7 @@ from deformscope.stages.distance import distances, nearest_error
 from deformscope.stages.estimate import Comparison, Curve, Estimate, LengthUnit, Parameter, Verdict
 from deformscope.stages.msm import clusters, reference
 from deformscope.stages.msm.reference import Basis
-from deformscope.stages.msm.solver import Msm, Precision, Relaxed
+from deformscope.stages.msm.solver import TOLERANCE, Msm, Precision, Relaxed
 
 Method = Literal["sweep", "gradient"]
 METHODS: tuple[Method, ...] = ("sweep", "gradient")
@@ -28,9 +28,12 @@ Progress = Callable[[str, int, int], None]
 IDENTIFIED_WIDTH, WEAK_WIDTH = 0.2, 0.7
 """An interval narrower than the first is identified, narrower than the second weak."""
 
+BETA_LIMIT = 0.9999
+"""Highest beta that is searched: at 1 a cluster resists nothing but rigid motion of the whole."""
+
 REPEATS = 400
-MOST_HELD_DIRECTIONS = 200
-"""Held coordinates whose effect is computed one by one; beyond, as many random combinations stand for them."""
+MOST_HELD_DIRECTIONS, SKETCHED_DIRECTIONS = 200, 100
+"""Held coordinates whose effect is computed one by one; beyond, this many random combinations stand for them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +46,7 @@ class Observation:
     shape, cell: the lattice that the particles stand on (last axis fastest, may have holes), None if they stand on none
     metres_per_unit: size of the unit, None for pixels of unknown size
     force_n: net force [N] on the held particles `contact`; None if it was not measured
+    held_measured: whether the held positions were measured, with the noise of the others, or are exact; None = unknown
     """
 
     rest: FloatArray
@@ -56,6 +60,7 @@ class Observation:
     metres_per_unit: float | None = 1.0
     force_n: float | None = None
     contact: IntArray | None = None
+    held_measured: bool | None = None
 
     def __post_init__(self) -> None:
         count, d = self.rest.shape
@@ -67,7 +72,9 @@ class Observation:
             raise InputError("distinct rest positions", "duplicate points in rest", "keep each particle once")
         if self.held.size == 0:
             raise InputError("at least one held particle", "none", "name what was held and what was pushed")
-        if np.unique(self.held).size == count:
+        if np.unique(self.held).size != self.held.size:
+            raise InputError("each held particle once", "repeated ones")
+        if self.held.size == count:
             raise InputError("some free particles", "every particle held", "hold only what was fixed or pushed")
         if not self.free_observed.any():
             raise InputError("free particles that were observed", "none", "check `observed` and what is held")
@@ -136,6 +143,15 @@ class Calibration:
     comparisons: tuple[Comparison, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class _Support:
+    """An interval; the white noise of a coordinate that it allows for; whether all that it rests on has settled."""
+
+    ends: tuple[float, float]
+    noise: float
+    converged: bool
+
+
 @dataclass
 class _Tried:
     """Every candidate simulated so far, in rising order.
@@ -158,6 +174,7 @@ class _Fit:
         self.bounds = bounds
         self.bodies = [model.body(s) for s in self.seen]
         self.tried = _Tried(positions=[np.empty((0, *s.rest.shape)) for s in self.seen])
+        self.held_converged = True
 
     def simulate(self, parameter: FloatArray, progress: Progress | None = None, what: str = "simulating") -> FloatArray:
         """Relax every candidate for every observation, starting from the nearest one known; returns their AEE."""
@@ -248,12 +265,21 @@ class _Fit:
         low, high = (self._stretch(b) for b in self.bounds)
         h = 1e-3 * (high - low)
         point = 0.5 * (low + high)
+        # a few values in between, so that neither a bound nor the nearest valley is taken for the lowest
+        inner = np.linspace(low, high, 7)
+        self.simulate(self._shrink(inner[1:-1]))
         ends = {low: self._slope(low, h), high: self._slope(high, h)}
-        if ends[low] >= 0.0:
+        deepest = int(np.nanargmin([self._error_at(float(self._shrink(x))) for x in inner]))
+        if deepest == 0 and ends[low] >= 0.0:
             return "at the lower bound: the error rises from there"
-        if ends[high] <= 0.0:
+        if deepest == len(inner) - 1 and ends[high] <= 0.0:
             return "at the upper bound: the error still falls there"
-        a, b = low, high
+        a, b = float(inner[max(deepest - 1, 0)]), float(inner[min(deepest + 1, len(inner) - 1)])
+        ends |= {x: self._slope(x, h) for x in (a, b) if x not in ends}
+        if ends[a] >= 0.0 or ends[b] <= 0.0:
+            self.refine()
+            return "the slope does not change sign around the lowest value; refined there instead"
+        point = 0.5 * (a + b)
         for step in range(60):
             if progress is not None:
                 progress("descending", step, 60)
@@ -278,9 +304,12 @@ class _Fit:
         low, high = (self._stretch(b) for b in self.bounds)
         ends = self._shrink(np.array([max(point - h, low), min(point + h, high)]))
         self.simulate(ends)
-        error, at = self.error(), self.tried.parameter
-        pair = [float(error[np.abs(at - e).argmin()]) for e in ends]
+        pair = [self._error_at(float(e)) for e in ends]
         return (pair[1] - pair[0]) / (self._stretch(ends[1]) - self._stretch(ends[0]))
+
+    def _error_at(self, parameter: float) -> float:
+        """The AEE of a candidate that was tried (the nearest one)."""
+        return float(self.error()[np.abs(self.tried.parameter - parameter).argmin()])
 
     def _stretch(self, parameter: float) -> float:
         """-log(1 - beta) resolves beta near 1, where the shape still changes; theta stays as it is."""
@@ -293,35 +322,40 @@ class _Fit:
 
     # -- the interval ----------------------------------------------------------------------------------------------
 
-    def support(self, level: float, seed: int, progress: Progress | None) -> tuple[tuple[float, float], float | None]:
-        """The interval of `deformscope.stages.interval`, and the white noise that the residuals tell of [unit]."""
+    def support(self, level: float, seed: int, progress: Progress | None) -> _Support:
+        """The interval of `deformscope.stages.interval`, and what it rests on."""
         best = self.best()
         value = float(self.tried.parameter[best])
         rng = np.random.default_rng(seed)
         left = [self._residuals(row, best, rng, progress) for row in range(len(self.seen))]
         models = [interval.explain(r, seed) for r in left]
-        found = None
-        if left[0].noise is None:
-            found = float(np.sqrt(np.mean([float(m.weight @ m.scale**2) for m in models])))
+        found = [np.sqrt(float(m.weight @ m.scale**2)) * r.deviation() for r, m in zip(left, models, strict=True)]
+        soft = np.concatenate(found)
         size = sum(r.value.size for r in left)
         count = int(np.clip(4e5 / size, 150, REPEATS))
         draws = np.concatenate([interval.draw(r, m, count, rng) for r, m in zip(left, models, strict=True)], axis=1)
         half = self._guess_half_width(draws)
         at, low, high = self._stretch(value), self._stretch(self.bounds[0]), self._stretch(self.bounds[1])
         observed = np.concatenate([s.deformed[s.free_observed] for s in self.seen])
-        ends = (value, value)
+        ends, grid = (value, value), np.array([value])
         for widen in range(6):
             reach = half * 2.5**widen
             grid = self._shrink(
                 np.unique(np.concatenate([np.linspace(max(at - reach, low), min(at + reach, high), 41), [at]]))
             )
             simulated = self._at(grid, progress)
-            ends = interval.accepted(grid, simulated, observed, draws, level)
+            ends = interval.accepted(grid, simulated, observed, draws, level, soft)
             open_low = ends[0] <= grid[0] and grid[0] > self.bounds[0]
             open_high = ends[1] >= grid[-1] and grid[-1] < self.bounds[1]
             if not (open_low or open_high):
                 break
-        return (min(ends[0], value), max(ends[1], value)), found
+        value = float(self.tried.parameter[self.best()])  # the interval's own candidates may have found a better one
+        used = (self.tried.parameter >= grid[0]) & (self.tried.parameter <= grid[-1])
+        return _Support(
+            ends=(min(ends[0], value), max(ends[1], value)),
+            noise=float(np.sqrt(np.mean(soft**2))),
+            converged=bool(self.tried.converged[used].all() and self.held_converged),
+        )
 
     def _at(self, grid: FloatArray, progress: Progress | None) -> FloatArray:
         """Free observed particles of all observations at these parameters, (g, n, d)."""
@@ -352,35 +386,51 @@ class _Fit:
     ) -> interval.Residuals:
         seen, position = self.seen[row], self.tried.positions[row][best]
         judged = seen.free_observed
+        effect, response = self._held_effect(row, best, rng, progress)
+        floor = 10.0 * TOLERANCE[self.model.precision] * self.bodies[row].extent
+        floor += 4.0 * float(np.finfo(np.float64).eps * np.abs(seen.deformed[seen.observed]).max())
         return interval.Residuals(
             rest=seen.rest[judged],
             value=(seen.deformed - position)[judged],
             noise=None if seen.noise is None else seen.noise[judged],
-            held_effect=self._held_effect(row, best, rng, progress)[judged],
+            held_effect=effect[judged],
             spacing=self.bodies[row].scale,
+            held_rest=seen.rest[seen.held],
+            held_response=None if response is None else response[judged],
+            held_measured=seen.held_measured,
+            floor=floor,
         )
 
-    def _held_effect(self, row: int, best: int, rng: np.random.Generator, progress: Progress | None) -> FloatArray:
-        """How noise of the prescribed positions moves the particles, (K, d, m), for m standard draws."""
+    def _held_effect(
+        self, row: int, best: int, rng: np.random.Generator, progress: Progress | None
+    ) -> tuple[FloatArray, FloatArray | None]:
+        """How noise of the prescribed positions moves the particles, (K, d, m), for m standard draws.
+
+        Second: the movement for a unit displacement of each prescribed coordinate, (K, d, n d); None where there are so
+        many that random combinations stand for them.
+        """
         seen, body = self.seen[row], self.bodies[row]
         base = self.tried.positions[row][best]
         count, d = len(seen.held), seen.rest.shape[1]
-        deviation = np.ones(count) if seen.noise is None else seen.noise[seen.held]
+        deviation = np.repeat(np.ones(count) if seen.noise is None else seen.noise[seen.held], d)
         sketched = count * d > MOST_HELD_DIRECTIONS
         flat = np.eye(count * d)
         if sketched:
-            flat = rng.standard_normal((MOST_HELD_DIRECTIONS, count * d)) / np.sqrt(MOST_HELD_DIRECTIONS)
+            draws = rng.standard_normal((SKETCHED_DIRECTIONS, count * d)) / np.sqrt(SKETCHED_DIRECTIONS)
+            flat = draws * deviation
         directions = flat.reshape(-1, count, d)
-        small = 1e-3 * body.scale / np.abs(directions).max()
-        effect = np.empty((len(directions), *base.shape))
+        largest = float(np.abs(directions).max()) or 1.0
+        small = 1e-3 * body.scale / largest
+        moves = np.empty((len(directions), *base.shape))
         for first in range(0, len(directions), 64):
             batch = directions[first : first + 64]
             if progress is not None:
                 progress("held noise", first, len(directions))
             moved = self._relax(body, base[seen.held] + small * batch, float(self.tried.parameter[best]), base)
-            effect[first : first + 64] = (moved.position - base) / small
-        deviations = np.full(len(directions), float(np.mean(deviation))) if sketched else np.repeat(deviation, d)
-        return np.moveaxis(effect * deviations[:, None, None], 0, -1)
+            self.held_converged &= bool(moved.converged.all())
+            moves[first : first + 64] = (moved.position - base) / small
+        moves = np.moveaxis(moves, 0, -1)
+        return (moves, None) if sketched else (moves * deviation, moves)
 
 
 def calibrate(
@@ -395,8 +445,13 @@ def calibrate(
     settings: recorded with the estimate; progress: called with (what, done, all)
     """
     model, bounds = options.model, options.bounds
-    if len({s.unit for s in seen}) != 1:
-        raise InputError("observations in one unit", "pixels and metres mixed", "fit them apart")
+    if len({(s.unit, s.metres_per_unit) for s in seen}) != 1:
+        raise InputError("observations in one unit", "pixels and metres mixed, or several scales", "fit them apart")
+    highest = BETA_LIMIT if model.parameter == "beta" else 1.0
+    if not 0.0 <= bounds[0] < bounds[1] <= highest:
+        raise InputError(f"a range that rises within 0 to {highest:g}", f"{bounds[0]:g} to {bounds[1]:g}")
+    if options.candidates < 3:
+        raise InputError("at least 3 candidates", str(options.candidates))
     fit = _Fit(seen, model, bounds)
     used: dict[str, object] = {
         "cluster_size": model.cluster_size,
@@ -419,11 +474,11 @@ def calibrate(
         used["stopped"] = fit.descend(progress)
         curve = Curve(fit.tried.parameter.copy(), fit.error())
     with threadpool_limits(1):  # small matrices: more threads cost time, and change the last digits
-        ends, found_noise = fit.support(options.level, options.seed, progress)
+        support = fit.support(options.level, options.seed, progress)
+    ends = support.ends
     best = fit.best()
-    given = [float(np.sqrt(np.mean(s.noise[s.free_observed] ** 2))) for s in seen if s.noise is not None]
-    used["noise"] = float(np.mean(given)) if given else found_noise
-    used["noise_source"] = "given" if given else "residuals"
+    used["noise"] = support.noise
+    used["noise_source"] = "residuals" if seen[0].noise is None else "given"
     comparisons = tuple(
         Comparison(s.rest, s.deformed, p[best], s.observed, s.held, s.unit)
         for s, p in zip(seen, fit.tried.positions, strict=True)
@@ -431,10 +486,11 @@ def calibrate(
     free = np.concatenate(
         [distances(c.simulated, c.observed)[s.free_observed] for c, s in zip(comparisons, seen, strict=True)]
     )
-    near = [nearest_error(c.simulated, c.observed[c.seen]) for c in comparisons]
+    near = [nearest_error(c.simulated[c.seen], c.observed[c.seen]) for c in comparisons]
     supported = (fit.tried.parameter >= ends[0]) & (fit.tried.parameter <= ends[1])
+    converged = support.converged and bool(fit.tried.converged[supported].all())
     inside = np.flatnonzero(supported)
-    inside = np.unique(np.append(inside[:: max(1, inside.size // 12)], best))
+    inside = np.unique([*inside[:: max(1, inside.size // 12)], *inside[-1:], best])
     k = stiffness(seen, model, [p[inside] for p in fit.tried.positions], fit.tried.parameter[inside])
     told: tuple[float, tuple[float, float]] | None = None
     if k is not None and np.isfinite(k).all():
@@ -445,14 +501,14 @@ def calibrate(
         interval=ends,
         level=options.level,
         bounds=bounds,
-        verdict=verdict(ends, bounds),
+        verdict=verdict(ends, bounds) if converged else "unidentified",
         stiffness_verdict="unidentified" if told is None else _relative_verdict(*told),
         aee=float(fit.error()[best]),
         aee_free=float(free.mean()),
         nearest=float(np.mean(near)),
         unit=seen[0].unit,
         curve=curve,
-        converged=bool(fit.tried.converged[supported].all()),
+        converged=converged,
         settings={**used, **(settings or {})},
         stiffness=told,
         metres_per_unit=seen[0].metres_per_unit,

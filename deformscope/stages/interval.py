@@ -8,8 +8,12 @@ Repeats differ by three things, weighed by how well they explain the residuals t
 
 - white noise of each observed particle, of known or unknown size;
 - the same noise in the prescribed positions, which moves every simulated particle (taken as exact, 90 % intervals
-  cover about half the time); data whose prescribed positions are exact say so by their residuals;
-- misfit of the model: a smooth random field (Matern 3/2) as large as the residuals ask for.
+  cover about half the time); where it is not known whether they are exact, the residuals weigh in;
+- a smooth random field (Matern 3/2) as large as the residuals ask for: misfit of the model, and errors of measurement
+  that neighbours share. Measured prescribed positions share them too, so that a field common to all tells nothing.
+
+Far below the noise the error curve is taken as quadratic (a pseudo-Huber distance), so that residuals smaller than
+the noise that was stated cannot tell more than that noise allows.
 """
 
 from __future__ import annotations
@@ -20,7 +24,7 @@ import numpy as np
 from scipy.linalg import eigh, solve_triangular
 from scipy.spatial.distance import cdist
 
-from deformscope.arrays import FloatArray
+from deformscope.arrays import FloatArray, IntArray
 
 MISFIT_LENGTHS = (1.0, 2.5, 6.0)
 """Correlation lengths tried for the misfit, in particle spacings."""
@@ -34,8 +38,8 @@ MISFIT_RATIOS = (0.3, 1.0, 3.0, 10.0, 100.0)
 SPECTRAL_WAVES = 100
 """Waves that one draw of a smooth field is made of."""
 
-HELD_SHARES = (0.0, 1.0)
-"""Variances of the prescribed positions' noise tried, in units of the other particles': exact, or like the others."""
+HELD_SHARES: dict[bool | None, dict[float, float]] = {True: {1.0: 1.0}, False: {0.0: 1.0}, None: {0.0: 0.25, 1.0: 0.75}}
+"""Variances of the prescribed positions' noise tried, in units of the other particles', and their prior weights."""
 
 PRIOR_NO_MISFIT = 0.5
 MOST_FOR_EVIDENCE = 120
@@ -49,6 +53,10 @@ class Residuals:
     rest: (n, d) their rest positions; value: (n, d) observed - simulated; noise: (n,) one standard deviation per
     coordinate, or None if unknown; held_effect: (n, d, m) displacement of each for m independent standard draws of
     the prescribed positions' noise (times the noise if that is known); spacing: of the particles
+    held_rest: (k, d) rest positions of the prescribed particles; held_response: (n, d, k d) displacement of each for a
+    unit displacement of each prescribed coordinate, None where there are too many to know
+    held_measured: whether the prescribed positions carry noise; None = not known; floor: smallest deviation that the
+    numbers themselves can resolve
     """
 
     rest: FloatArray
@@ -56,6 +64,23 @@ class Residuals:
     noise: FloatArray | None
     held_effect: FloatArray
     spacing: float
+    held_rest: FloatArray
+    held_response: FloatArray | None
+    held_measured: bool | None
+    floor: float
+
+    def deviation(self) -> FloatArray:
+        """(n,) stated noise, or 1 where it is a scale that is still to be found."""
+        if self.noise is None:
+            return np.ones(len(self.value))
+        return np.maximum(self.noise, self.floor)
+
+    def with_held(self, free: FloatArray, held: FloatArray) -> FloatArray:
+        """Field at free particles (..., n, d), less what it does there through the prescribed ones (..., k, d)."""
+        if self.held_response is None:
+            return free
+        moved = np.tensordot(held.reshape(*held.shape[:-2], -1), self.held_response, axes=(-1, 2))
+        return np.asarray(free - moved)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,18 +105,16 @@ def explain(residuals: Residuals, seed: int = 0) -> NoiseModel:
     value = residuals.value[pick].ravel()
     size = value.size
     known = residuals.noise is not None
-    mean_square = float(np.mean(value**2)) or np.finfo(float).tiny
-    white = np.repeat(np.ones(len(pick)) if residuals.noise is None else residuals.noise[pick] ** 2, d)
-    white = np.maximum(white, 1e-12 * mean_square)
+    mean_square = max(float(np.mean(value**2)), residuals.floor**2)
+    white = np.maximum(np.repeat(residuals.deviation()[pick] ** 2, d), 1e-12 * mean_square)
     effect = residuals.held_effect[pick].reshape(size, -1)
-    distance = cdist(residuals.rest[pick], residuals.rest[pick]) / residuals.spacing
     rows: list[tuple[float, float, float, float, float]] = []
-    for held_share in HELD_SHARES:
+    for held_share, held_prior in HELD_SHARES[residuals.held_measured].items():
         base = np.diag(white) + held_share * effect @ effect.T
         lower = np.linalg.cholesky(base)
         log_det_base = 2.0 * float(np.log(np.diag(lower)).sum())
         for length in MISFIT_LENGTHS:
-            field = np.kron(_matern(distance / length), np.eye(d))
+            field = _field_covariance(residuals, pick, length, shared=held_share > 0.0)
             half = solve_triangular(lower, field, lower=True)
             moments, axes = eigh(solve_triangular(lower, half.T, lower=True))
             z2 = (axes.T @ solve_triangular(lower, value, lower=True)) ** 2
@@ -104,10 +127,11 @@ def explain(residuals: Residuals, seed: int = 0) -> NoiseModel:
                 if known:
                     scale2, log_like = 1.0, -0.5 * (chi2 + log_det)
                 else:
-                    scale2 = chi2 / size
-                    log_like = -0.5 * (size * np.log(max(scale2, np.finfo(float).tiny)) + log_det)
+                    scale2 = max(chi2 / size, residuals.floor**2)
+                    log_like = -0.5 * (chi2 / scale2 + size * np.log(scale2) + log_det)
                 prior = PRIOR_NO_MISFIT if misfit == 0.0 else (1.0 - PRIOR_NO_MISFIT) / len(misfits)
-                rows.append((log_like + float(np.log(prior)), np.sqrt(scale2), held_share, misfit * scale2, length))
+                weight_of = log_like + float(np.log(prior * held_prior))
+                rows.append((weight_of, np.sqrt(scale2), held_share, misfit * scale2, length))
     table = np.array(rows)
     weight = np.exp(table[:, 0] - table[:, 0].max())
     keep = weight > 1e-3 * weight.max()
@@ -118,18 +142,32 @@ def explain(residuals: Residuals, seed: int = 0) -> NoiseModel:
 def draw(residuals: Residuals, model: NoiseModel, count: int, rng: np.random.Generator) -> FloatArray:
     """Repeats of noise, held noise and misfit: (count, n, d)."""
     n, d = residuals.value.shape
-    sigma = np.ones(n) if residuals.noise is None else residuals.noise
     which = rng.choice(len(model.weight), size=count, p=model.weight)
-    out = rng.standard_normal((count, n, d)) * sigma[:, None] * model.scale[which][:, None, None]
+    scale, share = model.scale[which], model.held_share[which]
+    out = rng.standard_normal((count, n, d)) * residuals.deviation()[:, None] * scale[:, None, None]
     effect = residuals.held_effect.reshape(n * d, -1)
     held = rng.standard_normal((count, effect.shape[1])) @ effect.T
-    out += held.reshape(count, n, d) * (model.scale[which] * np.sqrt(model.held_share[which]))[:, None, None]
+    out += held.reshape(count, n, d) * (scale * np.sqrt(share))[:, None, None]
+    place = np.concatenate([residuals.rest, residuals.held_rest]) / residuals.spacing
     for row in np.flatnonzero(model.misfit[which] > 0.0):
         one = which[row]
-        out[row] += np.sqrt(model.misfit[one]) * _smooth_field(
-            residuals.rest / (residuals.spacing * model.length[one]), rng
-        )
+        field = np.sqrt(model.misfit[one]) * _smooth_field(place / model.length[one], rng)
+        out[row] += residuals.with_held(field[:n], field[n:]) if share[row] > 0.0 else field[:n]
     return out
+
+
+def _field_covariance(residuals: Residuals, pick: IntArray, length: float, *, shared: bool) -> FloatArray:
+    """Covariance (s, s) at the picked particles of a smooth field of unit variance; `shared` by the prescribed ones."""
+    d = residuals.value.shape[1]
+    rest = residuals.rest[pick]
+    scale = residuals.spacing * length
+    own = np.kron(_matern(cdist(rest, rest) / scale), np.eye(d))
+    if not shared or residuals.held_response is None:
+        return np.asarray(own)
+    response = residuals.held_response[pick].reshape(len(own), -1)
+    cross = np.kron(_matern(cdist(rest, residuals.held_rest) / scale), np.eye(d)) @ response.T
+    held = np.kron(_matern(cdist(residuals.held_rest, residuals.held_rest) / scale), np.eye(d))
+    return np.asarray(own - cross - cross.T + response @ held @ response.T)
 
 
 def _smooth_field(place: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -150,13 +188,15 @@ def accepted(
     observed: FloatArray,
     repeats: FloatArray,
     level: float,
+    soft: FloatArray,
 ) -> tuple[float, float]:
     """The set of values that the error curve does not rule out, as the ends of its hull.
 
     parameter: (g,) rising; simulated: (g, n, d) free observed particles at each; observed: (n, d);
-    repeats: (r, n, d) draws of what may happen to the observation
+    repeats: (r, n, d) draws of what may happen to the observation; soft: (n,) length below which the error of a
+    particle counts by its square: its noise
     """
-    error = np.sqrt(np.sum((simulated - observed) ** 2, axis=-1)).mean(axis=-1)
+    error = np.sqrt(np.sum((simulated - observed) ** 2, axis=-1) + soft**2).mean(axis=-1)
     excess = error - error.min()
     tested = np.unique(np.linspace(0, len(parameter) - 1, 13).round().astype(int))
     limit = np.empty(len(tested))
@@ -165,7 +205,7 @@ def accepted(
         curves = np.empty((len(repeats), len(parameter)))
         for g in range(len(parameter)):
             left = repeats + offset[g]
-            curves[:, g] = np.sqrt(np.einsum("rnd,rnd->rn", left, left)).mean(axis=1)
+            curves[:, g] = np.sqrt(np.einsum("rnd,rnd->rn", left, left) + soft**2).mean(axis=1)
         limit[row] = np.quantile(curves[:, truth] - curves.min(axis=1), level)
     margin = np.interp(parameter, parameter[tested], limit) - excess
     inside = np.flatnonzero(margin >= 0.0)

@@ -232,6 +232,7 @@ def _pair(path: Path, **changed: Any) -> str:
         (["good.npz", "--noise-px", "1"], "--noise-m"),
         (["good.npz", "--beta-range", "0.9,0.1"], "rises"),
         (["good.npz", "--beta-range", "0,1.5"], "within"),
+        (["good.npz", "--beta-range", "0,1"], "within"),
         (["good.npz", "--level", "1.5"], "--level"),
         (["good.npz", "--candidates", "1"], "--candidates"),
         (["good.npz", "--json", "no/such/folder.json"], "folder"),

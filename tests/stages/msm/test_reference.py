@@ -114,6 +114,7 @@ def test_rotation_is_proper_and_the_best_of_many(dim: int) -> None:
 def test_no_preferred_rotation_is_none() -> None:
     np.testing.assert_array_equal(reference.rotation(np.zeros((3, 3)), 1.0), np.eye(3))
     np.testing.assert_array_equal(reference.rotation(np.diag([1.0, -1.0]), 2.0), np.eye(2))
+    assert np.isclose(np.linalg.det(reference.rotation(-np.eye(3), 3.0)), 1.0)
 
 
 def test_pull_to_the_goals_is_the_gradient_of_the_energy() -> None:

@@ -179,6 +179,53 @@ def test_size_and_units_do_not_matter(device: str, precision: Precision) -> None
     np.testing.assert_allclose(ends[2], ends[0], atol=limit * 0.05)
 
 
+def test_a_free_body_follows_where_it_is_put(device: str) -> None:
+    rest = lattice((4, 5))
+    engine = Msm(rest, clusters.lattice(rest, (4, 5), np.arange(20), 3), [], device=device)
+    moved = rest @ np.array([[0.0, -1.0], [1.0, 0.0]]) + 3.0
+    found = engine.relax(np.zeros((0, 2)), [0.0, 0.5], start=moved)
+    np.testing.assert_allclose(found.position, np.stack([moved, moved]), atol=1e-9)
+    assert np.isfinite(engine.step(engine.start(2), np.zeros((0, 2)), 0.5, acceleration=[0.0, -9.81], steps=5)).all()
+
+
+@pytest.mark.parametrize("basis", ["linear", "quadratic"])
+def test_sheets_that_are_not_quite_flat_agree_with_the_reference(device: str, basis: Basis) -> None:
+    """Their pseudo-inverse drops a direction that is there: what it cannot tell must turn with the cluster."""
+    rng = np.random.default_rng(10)
+    rest = np.column_stack([lattice((5, 5)), rng.normal(0, 4e-5, 25)])
+    grouped = clusters.lattice(rest, (5, 5, 1), np.arange(25), 3)
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    turn[:, 0] *= np.sign(np.linalg.det(turn))
+    spec = reference.build_rest(rest, grouped, np.array([0]), basis=basis)
+    engine = Msm(rest, grouped, np.array([0]), basis=basis, device=device)
+    for state, theta in ((rest @ turn.T, 0.0), (rest @ turn.T + rng.normal(0, 2e-3, rest.shape), 0.4)):
+        expected = reference.goals(state, spec, 0.6, theta) - state
+        assert np.abs(engine.residual(state, 0.6, theta)[0] - expected).max() < 1e-8 * engine.scale
+    np.testing.assert_allclose(engine.residual(rest @ turn.T, 0.6), 0.0, atol=1e-12)
+
+
+def test_where_rotations_tie_one_of_the_best_is_taken(device: str) -> None:
+    """Lines, mirror images and points: the fit is as good as the reference's, though the rotation may be another."""
+    rest = lattice((3, 3, 3))
+    grouped = clusters.single(27)
+    spec = reference.build_rest(rest, grouped, np.array([], dtype=int))
+    engine = Msm(rest, grouped, [], device=device)
+    for squeeze in ([1.0, 0.0, 0.0], [-1.0, 1.0, 1.0], [-1.0, -1.0, -1.0], [0.0, 0.0, 0.0]):
+        state = rest * squeeze
+        expected = np.sum((reference.goals(state, spec, 0.0) - state) ** 2)
+        found = np.sum(engine.residual(state, 0.0)[0] ** 2)
+        assert found == pytest.approx(expected, rel=1e-9, abs=1e-18)
+
+
+def test_a_rod_turns_without_resistance(device: str) -> None:
+    rest = np.column_stack([np.arange(5) * 0.01, np.zeros(5), np.zeros(5)])
+    upright = rest[:, [1, 2, 0]]
+    spec = reference.build_rest(rest, clusters.single(5), np.array([], dtype=int))
+    np.testing.assert_allclose(reference.goals(upright, spec, 0.0), upright, atol=1e-12)
+    engine = Msm(rest, clusters.single(5), [], device=device)
+    np.testing.assert_allclose(engine.residual(upright, 0.0), 0.0, atol=1e-9)
+
+
 def test_free_form_clusters_in_any_order(device: str) -> None:
     rng = np.random.default_rng(6)
     rest = rng.uniform(0, 0.1, (40, 3))
