@@ -421,7 +421,8 @@ class ThetaConfig(CalibrateOptions):
 
 @dataclass(frozen=True, slots=True)
 class DemoConfig(RecordedOptions):
-    """Measure the sample that ships: real images of a specimen under tension. Leaves runs/demo-<stamp>.rrd."""
+    """Measure the sample that ships: real images of a specimen under tension. Leaves runs/demo-<stamp>.rrd, or what
+    --record names."""
 
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 

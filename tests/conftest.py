@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 os.environ["MPLBACKEND"] = "Agg"
-os.environ["RUST_LOG"] = "error"  # rerun's own chatter
+os.environ["RUST_LOG"] = "off"  # rerun's own chatter
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 """Real recordings that are too large to be kept in the repository; they lie beside a checkout where there are any."""

@@ -9,6 +9,9 @@ deformscope calibrate theta cube.npz --json -
 from __future__ import annotations
 
 import dataclasses
+import shutil
+import sys
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -248,12 +251,17 @@ def calibrate_pair_bytes(
 # Telling -------------------------------------------------------------------------------------------------------------
 
 
+SAY_EVERY_S = 20.0
+"""Seconds between lines about long work where no bar can be shown."""
+
+
 @contextmanager
 def fit_progress() -> Iterator[Progress]:
-    """A bar on stderr that names what the fit is doing; nothing where stderr is no terminal."""
+    """A bar on stderr that names what the fit is doing; where stderr is no terminal, a line now and then."""
     from rich.progress import Progress as Bars
 
     where = console()
+    said = [time.monotonic()]
     with Bars(console=where, transient=True, disable=not where.is_terminal) as bars:
         tasks: dict[str, Any] = {}
 
@@ -263,13 +271,18 @@ def fit_progress() -> Iterator[Progress]:
                     bars.update(earlier, visible=False)
                 tasks[what] = bars.add_task(what, total=total)
             bars.update(tasks[what], completed=done, total=total)
+            if not where.is_terminal and time.monotonic() - said[0] > SAY_EVERY_S:
+                said[0] = time.monotonic()
+                where.print(f"{what}: {done} of {total}", markup=False)
 
         yield note
 
 
 def _tell_viewer(recorder: Any) -> None:
-    if recorder.viewer is not None:
-        console().print(f"viewer: {recorder.viewer.url}", markup=False, soft_wrap=True)
+    viewer = recorder.viewer
+    if viewer is not None and viewer.page:
+        note = f"viewer: {viewer.page} (open it in a browser; it stays after this command: kill {viewer.pid} ends it)"
+        console().print(note, markup=False, soft_wrap=True)
 
 
 def tell(estimate: Estimate, recording: RecordingSummary, name: str = "") -> None:
@@ -286,17 +299,30 @@ def tell(estimate: Estimate, recording: RecordingSummary, name: str = "") -> Non
         ("converged", "yes" if estimate.converged else "NO: do not rely on the value"),
     ]
     if lost := estimate.settings.get("lost"):
-        rows.insert(-1, ("lost particles", f"{lost} of {estimate.settings['particles']}: left out of the fit"))
+        every = int(str(estimate.settings["particles"]))
+        many = "; so many that the tracking may have failed: look at the picture" if int(str(lost)) * 3 > every else ""
+        rows.insert(-1, ("lost particles", f"{lost} of {every}: left out of the fit{many}"))
     if moved := estimate.settings.get("held_moved"):
         parts = ", ".join(moved) if isinstance(moved, list) else str(moved)
         rows.insert(-1, ("held elsewhere", f"{parts}: lost there; the outermost row or column still seen is held"))
     if recording.path is not None:
         rows.append(("recording", f"{recording.path} ({recording.bytes / 1e6:.1f} MB)"))
-        rows.append(("to look at it", f"rerun {recording.path}"))
+        rows.append(("to look at it", f"{_rerun()} {recording.path}"))
     if recording.dropped:
         rows.append(("live view", f"{recording.dropped} items dropped; the recording has them all"))
     title = f"{estimate.parameter} of {name}" if name else f"Estimate of {estimate.parameter}"
     show_table(title, rows)
+
+
+def _rerun() -> str:
+    """How this user starts rerun's viewer: by name where it is on the PATH, else beside this Python."""
+    beside = Path(sys.executable).with_name("rerun")
+    if shutil.which("rerun") is not None or not beside.exists():
+        return "rerun"
+    try:
+        return str(beside.relative_to(Path.cwd()))
+    except ValueError:
+        return str(beside)
 
 
 MEANING = {

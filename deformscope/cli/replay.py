@@ -72,7 +72,7 @@ def run(config: ReplayConfig) -> None:
 
 def _wait(frame: ColorFrame) -> None:
     """Step by step: Enter takes the next frame."""
-    console().print(f"frame {frame.index}: press Enter", end="")
+    console().print(f"frame {frame.index}: press Enter")
     if not sys.stdin.readline():
         raise InputError("Enter on the standard input for every frame", "its end", "--pace fast")
 

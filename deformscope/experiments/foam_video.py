@@ -96,7 +96,7 @@ def hold_what_is_seen(
     still = np.flatnonzero(last.seen)
     for part in particles.held:
         one = select_held(grid, [part], contact)
-        if last.seen[one].any():
+        if np.count_nonzero(last.seen[one]) >= min(len(one), 2):  # one particle left of a row says little of its motion
             chosen.append(one[last.seen[one]])
             continue
         if part == "contact" or still.size < 4:
@@ -104,7 +104,7 @@ def hold_what_is_seen(
                 f"held particles of {part!r} that can be followed", "all of them lost", "a --roi with more texture"
             )
         rest = ParticleGrid(grid.rest_px[still], grid.shape, grid.cell[still], grid.spacing_px)
-        chosen.append(still[select_held(rest, [part], contact)])
+        chosen.append(still[select_held(rest, [part])])
         moved.append(part)
     return np.unique(np.concatenate(chosen)), moved
 

@@ -9,8 +9,8 @@ Repeats differ by three things, weighed by how well they explain the residuals t
 - white noise of each observed particle, of known or unknown size;
 - the same noise in the prescribed positions, which moves every simulated particle (taken as exact, 90 % intervals
   cover about half the time); where it is not known whether they are exact, the residuals weigh in;
-- a smooth random field (Matern 3/2) as large as the residuals ask for: misfit of the model, and errors of measurement
-  that neighbours share. Measured prescribed positions share them too, so that a field common to all tells nothing.
+- a smooth random field (Matern 3/2) as large as the residuals ask for: misfit of the model, or errors of measurement
+  that neighbours share. The latter is in measured prescribed positions too, so that one common to all tells nothing.
 
 Far below the noise the error curve is taken as quadratic (a pseudo-Huber distance), so that residuals smaller than
 the noise that was stated cannot tell more than that noise allows.
@@ -19,12 +19,13 @@ the noise that was stated cannot tell more than that noise allows.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy.linalg import eigh, solve_triangular
 from scipy.spatial.distance import cdist
 
-from deformscope.arrays import FloatArray, IntArray
+from deformscope.arrays import BoolArray, FloatArray, IntArray
 
 MISFIT_LENGTHS = (1.0, 2.5, 6.0)
 """Correlation lengths tried for the misfit, in particle spacings."""
@@ -88,6 +89,7 @@ class NoiseModel:
     """Weighed explanations of the residuals: each a white-noise scale, a share of held noise, a misfit and its length.
 
     weight: (h,) summing to 1; scale, held_share, misfit, length: (h,); scale multiplies `noise` (1 if that was known)
+    shared: (h,) whether the prescribed particles have the smooth field too: an error of measurement, not a misfit
     """
 
     weight: FloatArray
@@ -95,6 +97,7 @@ class NoiseModel:
     held_share: FloatArray
     misfit: FloatArray
     length: FloatArray
+    shared: BoolArray
 
 
 def explain(residuals: Residuals, seed: int = 0) -> NoiseModel:
@@ -108,13 +111,14 @@ def explain(residuals: Residuals, seed: int = 0) -> NoiseModel:
     mean_square = max(float(np.mean(value**2)), residuals.floor**2)
     white = np.maximum(np.repeat(residuals.deviation()[pick] ** 2, d), 1e-12 * mean_square)
     effect = residuals.held_effect[pick].reshape(size, -1)
-    rows: list[tuple[float, float, float, float, float]] = []
+    rows: list[tuple[float, ...]] = []
     for held_share, held_prior in HELD_SHARES[residuals.held_measured].items():
         base = np.diag(white) + held_share * effect @ effect.T
         lower = np.linalg.cholesky(base)
         log_det_base = 2.0 * float(np.log(np.diag(lower)).sum())
-        for length in MISFIT_LENGTHS:
-            field = _field_covariance(residuals, pick, length, shared=held_share > 0.0)
+        kinds = (False, True) if held_share > 0.0 and residuals.held_response is not None else (False,)
+        for length, shared in product(MISFIT_LENGTHS, kinds):
+            field = _field_covariance(residuals, pick, length, shared=shared)
             half = solve_triangular(lower, field, lower=True)
             moments, axes = eigh(solve_triangular(lower, half.T, lower=True))
             z2 = (axes.T @ solve_triangular(lower, value, lower=True)) ** 2
@@ -130,13 +134,13 @@ def explain(residuals: Residuals, seed: int = 0) -> NoiseModel:
                     scale2 = max(chi2 / size, residuals.floor**2)
                     log_like = -0.5 * (chi2 / scale2 + size * np.log(scale2) + log_det)
                 prior = PRIOR_NO_MISFIT if misfit == 0.0 else (1.0 - PRIOR_NO_MISFIT) / len(misfits)
-                weight_of = log_like + float(np.log(prior * held_prior))
-                rows.append((weight_of, np.sqrt(scale2), held_share, misfit * scale2, length))
+                weight_of = log_like + float(np.log(prior * held_prior / len(kinds)))
+                rows.append((weight_of, np.sqrt(scale2), held_share, misfit * scale2, length, float(shared)))
     table = np.array(rows)
     weight = np.exp(table[:, 0] - table[:, 0].max())
     keep = weight > 1e-3 * weight.max()
     weight, table = weight[keep] / weight[keep].sum(), table[keep]
-    return NoiseModel(weight, table[:, 1], table[:, 2], table[:, 3], table[:, 4])
+    return NoiseModel(weight, table[:, 1], table[:, 2], table[:, 3], table[:, 4], table[:, 5] > 0.0)
 
 
 def draw(residuals: Residuals, model: NoiseModel, count: int, rng: np.random.Generator) -> FloatArray:
@@ -152,7 +156,7 @@ def draw(residuals: Residuals, model: NoiseModel, count: int, rng: np.random.Gen
     for row in np.flatnonzero(model.misfit[which] > 0.0):
         one = which[row]
         field = np.sqrt(model.misfit[one]) * _smooth_field(place / model.length[one], rng)
-        out[row] += residuals.with_held(field[:n], field[n:]) if share[row] > 0.0 else field[:n]
+        out[row] += residuals.with_held(field[:n], field[n:]) if model.shared[one] else field[:n]
     return out
 
 

@@ -43,6 +43,10 @@ class Rect:
     width: float
     height: float
 
+    def told(self) -> str:
+        """As it is typed: x,y,width,height."""
+        return f"{self.x:g},{self.y:g},{self.width:g},{self.height:g}"
+
     def contains(self, xy: FloatArray) -> BoolArray:
         """Which of the (K, 2) points lie inside or on the edge, (K,)."""
         low = np.array([self.x, self.y])
@@ -143,7 +147,9 @@ def seed_grid(
     region = roi or _bounding_box(mask, height, width)
     fits = region.x >= 0 and region.y >= 0 and region.x + region.width <= width and region.y + region.height <= height
     if not (fits and region.width > 0 and region.height > 0):
-        raise InputError(f"a region inside the {width} x {height} px image", f"{region}", "x, y, width, height in px")
+        raise InputError(
+            f"a region inside the {width} x {height} px image", region.told(), "--roi x,y,width,height in px"
+        )
     if shape is not None and spacing_px is not None:
         raise InputError("a grid shape or a spacing", "both", "leave one out")
     if shape is not None:
@@ -205,8 +211,8 @@ def select_held(grid: ParticleGrid, groups: Sequence[str], contact: Rect | None 
             held |= sides[group]
         else:
             raise InputError(f"held groups out of {', '.join(get_args(HeldGroup))}", repr(group))
-    if contact is not None and not contact.contains(grid.rest_px).any():
-        raise InputError("particles inside the contact rectangle", f"none in {contact}", "a larger rectangle")
+    if "contact" in groups and contact is not None and not contact.contains(grid.rest_px).any():
+        raise InputError("particles inside the contact rectangle", f"none in {contact.told()}", "a larger rectangle")
     if not held.any():
         raise InputError("at least one held particle", "none", f"groups out of {', '.join(get_args(HeldGroup))}")
     if held.all():

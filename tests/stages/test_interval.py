@@ -82,7 +82,7 @@ def test_draws_have_the_covariance_of_their_model() -> None:
     effect[:, 0, 0] = 2e-4
     left = dataclasses.replace(residuals(np.zeros((64, 2)), 1e-4, effect), held_response=None)
     one = np.array([1.0])
-    model = interval.NoiseModel(one, one, one, np.array([9e-8]), np.array([2.5]))
+    model = interval.NoiseModel(one, one, one, np.array([9e-8]), np.array([2.5]), np.array([False]))
     draws = interval.draw(left, model, 4000, np.random.default_rng(4))
     variance = draws.var(axis=0).mean(axis=0)
     np.testing.assert_allclose(variance, [1e-8 + 4e-8 + 9e-8, 1e-8 + 9e-8], rtol=0.1)
@@ -159,7 +159,7 @@ def test_a_field_that_all_particles_share_tells_nothing() -> None:
     effect[:, 0, 0] = effect[:, 1, 1] = 1e-6
     left = residuals(np.zeros((64, 2)), 1e-6, effect, measured=True)
     one = np.array([1.0])
-    model = interval.NoiseModel(one, one, one, np.array([1e-4]), np.array([1000.0]))
+    model = interval.NoiseModel(one, one, one, np.array([1e-4]), np.array([1000.0]), np.array([True]))
     draws = interval.draw(left, model, 200, np.random.default_rng(9))
     assert np.abs(draws).max() < 3e-3  # of fields of deviation 1e-2
 
