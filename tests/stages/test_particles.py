@@ -156,7 +156,6 @@ def test_sides_are_the_outermost_that_exist() -> None:
         ([], None, "at least one held"),
         (["contact"], None, "a contact rectangle"),
         (["contact"], Rect(100, 100, 5, 5), "inside the contact"),
-        (["top"], Rect(100, 100, 5, 5), "inside the contact"),
         (["contact"], Rect(0, 0, 60, 60), "free particle"),
     ],
 )
