@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import zipfile
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,15 +16,6 @@ from deformscope.stages.msm.clusters import find_lattice
 
 CONTACT_SHARE = 0.5
 """Without `contact`, the force acts on the held particles that moved more than this share of the largest motion."""
-
-
-def read_pair(path: Path, *, noise_m: float | None = None) -> tuple[Observation, bytes]:
-    """A pair file as an observation [m], and its bytes as they are, for a recording. See `parse_pair`."""
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise InputError("a pair file (.npz)", (error.strerror or str(error)).lower(), where=path) from error
-    return parse_pair(raw, path, noise_m=noise_m), raw
 
 
 def parse_pair(raw: bytes, where: object = "", *, noise_m: float | None = None) -> Observation:

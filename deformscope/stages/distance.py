@@ -9,13 +9,11 @@ from deformscope.arrays import FloatArray
 
 
 def distances(simulated: FloatArray, observed: FloatArray) -> FloatArray:
-    """Euclidean distance of each particle from where it was observed: (..., K, d) and (K, d) give (..., K)."""
+    """Euclidean distance of each particle from where it was observed: (..., K, d) and (K, d) give (..., K).
+
+    Their mean is the average Euclidean error (AEE) of Thesis eq. 3.18 and 3.19.
+    """
     return np.asarray(np.sqrt(np.sum((simulated - observed) ** 2, axis=-1)))
-
-
-def average_error(simulated: FloatArray, observed: FloatArray) -> FloatArray:
-    """Average Euclidean error (AEE) over particles (Thesis eq. 3.18, 3.19): (..., K, d) and (K, d) give (...)."""
-    return np.asarray(distances(simulated, observed).mean(axis=-1))
 
 
 def nearest_error(simulated: FloatArray, observed: FloatArray) -> float:
