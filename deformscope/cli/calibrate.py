@@ -270,6 +270,7 @@ def fit_progress() -> Iterator[Progress]:
                 for earlier in tasks.values():
                     bars.update(earlier, visible=False)
                 tasks[what] = bars.add_task(what, total=total)
+                said[0] = time.monotonic()
             bars.update(tasks[what], completed=done, total=total)
             if not where.is_terminal and time.monotonic() - said[0] > SAY_EVERY_S:
                 said[0] = time.monotonic()
