@@ -5,6 +5,7 @@ The sweep is the thesis's Algorithm 3; `method="gradient"` serves Algorithm 2's 
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
@@ -175,6 +176,7 @@ class _Fit:
         self.bodies = [model.body(s) for s in self.seen]
         self.tried = _Tried(positions=[np.empty((0, *s.rest.shape)) for s in self.seen])
         self.held_converged = True
+        self.responses: dict[float, list[FloatArray]] = {}
 
     def simulate(self, parameter: FloatArray, progress: Progress | None = None, what: str = "simulating") -> FloatArray:
         """Relax every candidate for every observation, starting from the nearest one known; returns their AEE."""
@@ -327,14 +329,16 @@ class _Fit:
         best = self.best()
         value = float(self.tried.parameter[best])
         rng = np.random.default_rng(seed)
-        left = [self._residuals(row, best, rng, progress) for row in range(len(self.seen))]
+        directions = [_held_directions(one, rng) for one in self.seen]
+        response = self._response(value, directions, progress)
+        left = [self._residuals(row, best, d, r) for row, (d, r) in enumerate(zip(directions, response, strict=True))]
         models = [interval.explain(r, seed) for r in left]
         found = [np.sqrt(float(m.weight @ m.scale**2)) * r.deviation() for r, m in zip(left, models, strict=True)]
         soft = np.concatenate(found)
         size = sum(r.value.size for r in left)
         count = int(np.clip(4e5 / size, 150, REPEATS))
-        draws = np.concatenate([interval.draw(r, m, count, rng) for r, m in zip(left, models, strict=True)], axis=1)
-        half = self._guess_half_width(draws)
+        draws = [interval.draw(r, m, count, rng) for r, m in zip(left, models, strict=True)]
+        half = self._guess_half_width(_added(draws, [r.held_response for r in left]))
         at, low, high = self._stretch(value), self._stretch(self.bounds[0]), self._stretch(self.bounds[1])
         observed = np.concatenate([s.deformed[s.free_observed] for s in self.seen])
         ends, grid = (value, value), np.array([value])
@@ -344,7 +348,10 @@ class _Fit:
                 np.unique(np.concatenate([np.linspace(max(at - reach, low), min(at + reach, high), 41), [at]]))
             )
             simulated = self._at(grid, progress)
-            ends = interval.accepted(grid, simulated, observed, draws, level, soft)
+            nodes = np.unique([grid[0], value, grid[-1]])
+            responses = [self._response(float(node), directions, progress) for node in nodes]
+            repeats = functools.partial(self._repeats, draws, nodes, responses, grid)
+            ends = interval.accepted(grid, simulated, observed, repeats, level, soft)
             open_low = ends[0] <= grid[0] and grid[0] > self.bounds[0]
             open_high = ends[1] >= grid[-1] and grid[-1] < self.bounds[1]
             if not (open_low or open_high):
@@ -381,56 +388,95 @@ class _Fit:
         deviation = float(np.std(np.einsum("rnd,nd->r", draws, move) / size))
         return float(np.clip(5.0 * deviation, 1e-4 * whole, whole))
 
-    def _residuals(
-        self, row: int, best: int, rng: np.random.Generator, progress: Progress | None
-    ) -> interval.Residuals:
+    def _residuals(self, row: int, best: int, directions: _HeldDirections, response: FloatArray) -> interval.Residuals:
         seen, position = self.seen[row], self.tried.positions[row][best]
         judged = seen.free_observed
-        effect, response = self._held_effect(row, best, rng, progress)
         floor = 10.0 * TOLERANCE[self.model.precision] * self.bodies[row].extent
         floor += 4.0 * float(np.finfo(np.float64).eps * np.abs(seen.deformed[seen.observed]).max())
         return interval.Residuals(
             rest=seen.rest[judged],
             value=(seen.deformed - position)[judged],
             noise=None if seen.noise is None else seen.noise[judged],
-            held_effect=effect[judged],
             spacing=self.bodies[row].scale,
-            held_rest=seen.rest[seen.held],
-            held_response=None if response is None else response[judged],
-            held_measured=seen.held_measured,
             floor=floor,
+            held_response=response,
+            held_deviation=directions.deviation,
+            held_rest=None if directions.sketched else seen.rest[seen.held],
+            held_measured=seen.held_measured,
         )
 
-    def _held_effect(
-        self, row: int, best: int, rng: np.random.Generator, progress: Progress | None
-    ) -> tuple[FloatArray, FloatArray | None]:
-        """How noise of the prescribed positions moves the particles, (K, d, m), for m standard draws.
+    def _response(
+        self, parameter: float, directions: Sequence[_HeldDirections], progress: Progress | None
+    ) -> list[FloatArray]:
+        """How a unit step along each direction of the held positions moves the free observed particles, (n, d, m)."""
+        if parameter not in self.responses:
+            self._at(np.array([parameter]), progress)
+            place = int(np.abs(self.tried.parameter - parameter).argmin())
+            self.responses[parameter] = [
+                self._moved(row, place, one.step, progress) for row, one in enumerate(directions)
+            ]
+        return self.responses[parameter]
 
-        Second: the movement for a unit displacement of each prescribed coordinate, (K, d, n d); None where there are so
-        many that random combinations stand for them.
-        """
+    def _moved(self, row: int, place: int, steps: FloatArray, progress: Progress | None) -> FloatArray:
+        """Finite differences of the static state for steps (m, n held, d), at the free observed particles."""
         seen, body = self.seen[row], self.bodies[row]
-        base = self.tried.positions[row][best]
-        count, d = len(seen.held), seen.rest.shape[1]
-        deviation = np.repeat(np.ones(count) if seen.noise is None else seen.noise[seen.held], d)
-        sketched = count * d > MOST_HELD_DIRECTIONS
-        flat = np.eye(count * d)
-        if sketched:
-            draws = rng.standard_normal((SKETCHED_DIRECTIONS, count * d)) / np.sqrt(SKETCHED_DIRECTIONS)
-            flat = draws * deviation
-        directions = flat.reshape(-1, count, d)
-        largest = float(np.abs(directions).max()) or 1.0
-        small = 1e-3 * body.scale / largest
-        moves = np.empty((len(directions), *base.shape))
-        for first in range(0, len(directions), 64):
-            batch = directions[first : first + 64]
+        base = self.tried.positions[row][place]
+        small = 1e-3 * body.scale / (float(np.abs(steps).max()) or 1.0)
+        moves = np.empty((len(steps), *base.shape))
+        for first in range(0, len(steps), 64):
             if progress is not None:
-                progress("held noise", first, len(directions))
-            moved = self._relax(body, base[seen.held] + small * batch, float(self.tried.parameter[best]), base)
+                progress("held noise", first, len(steps))
+            held = base[seen.held] + small * steps[first : first + 64]
+            moved = self._relax(body, held, float(self.tried.parameter[place]), base)
             self.held_converged &= bool(moved.converged.all())
             moves[first : first + 64] = (moved.position - base) / small
-        moves = np.moveaxis(moves, 0, -1)
-        return (moves, None) if sketched else (moves * deviation, moves)
+        return np.moveaxis(moves[:, seen.free_observed], 0, -1)
+
+    def _repeats(
+        self,
+        draws: Sequence[interval.Repeats],
+        nodes: FloatArray,
+        responses: Sequence[Sequence[FloatArray]],
+        grid: FloatArray,
+        place: int,
+    ) -> FloatArray:
+        """What each repeat adds to observed - simulated at `grid[place]`, (r, n, d): the responses to held noise lie
+        between those at the nodes."""
+        at = self._stretch(float(grid[place]))
+        ends = np.array([self._stretch(float(node)) for node in nodes])
+        right = int(np.clip(np.searchsorted(ends, at), 1, max(len(ends) - 1, 1)))
+        if len(ends) == 1:
+            return _added(draws, responses[0])
+        share = (at - ends[right - 1]) / (ends[right] - ends[right - 1])
+        pairs = zip(responses[right - 1], responses[right], strict=True)
+        return _added(draws, [(1.0 - share) * a + share * b for a, b in pairs])
+
+
+@dataclass(frozen=True, slots=True)
+class _HeldDirections:
+    """Directions along which held positions may be off: step (m, n held, d), and the noise along each, (m,).
+
+    sketched: they are random combinations, noise included, that stand for too many coordinates to take one by one
+    """
+
+    step: FloatArray
+    deviation: FloatArray
+    sketched: bool
+
+
+def _held_directions(seen: Observation, rng: np.random.Generator) -> _HeldDirections:
+    count, d = len(seen.held), seen.rest.shape[1]
+    deviation = np.repeat(np.ones(count) if seen.noise is None else seen.noise[seen.held], d)
+    if count * d <= MOST_HELD_DIRECTIONS:
+        return _HeldDirections(np.eye(count * d).reshape(-1, count, d), deviation, False)
+    combined = rng.standard_normal((SKETCHED_DIRECTIONS, count * d)) * deviation / np.sqrt(SKETCHED_DIRECTIONS)
+    return _HeldDirections(combined.reshape(-1, count, d), np.ones(SKETCHED_DIRECTIONS), True)
+
+
+def _added(draws: Sequence[interval.Repeats], responses: Sequence[FloatArray]) -> FloatArray:
+    """Own errors less what the held ones do through the simulation, all observations together, (r, n, d)."""
+    every = [one.own - np.tensordot(one.held, response, (1, 2)) for one, response in zip(draws, responses, strict=True)]
+    return np.concatenate(every, axis=1)
 
 
 def calibrate(

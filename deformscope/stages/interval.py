@@ -18,6 +18,7 @@ the noise that was stated cannot tell more than that noise allows.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 
@@ -42,6 +43,9 @@ SPECTRAL_WAVES = 100
 HELD_SHARES: dict[bool | None, dict[float, float]] = {True: {1.0: 1.0}, False: {0.0: 1.0}, None: {0.0: 0.25, 1.0: 0.75}}
 """Variances of the prescribed positions' noise tried, in units of the other particles', and their prior weights."""
 
+SHARED_MOST = 25.0
+"""A smooth field of more than this variance, in units of the white noise, is misfit: measuring is not that wrong."""
+
 PRIOR_NO_MISFIT = 0.5
 MOST_FOR_EVIDENCE = 120
 """Particles that the evidence for noise and misfit is taken from; more add cost, not insight."""
@@ -52,23 +56,23 @@ class Residuals:
     """What is left unexplained at the estimate, for the free observed particles of one observation.
 
     rest: (n, d) their rest positions; value: (n, d) observed - simulated; noise: (n,) one standard deviation per
-    coordinate, or None if unknown; held_effect: (n, d, m) displacement of each for m independent standard draws of
-    the prescribed positions' noise (times the noise if that is known); spacing: of the particles
-    held_rest: (k, d) rest positions of the prescribed particles; held_response: (n, d, k d) displacement of each for a
-    unit displacement of each prescribed coordinate, None where there are too many to know
-    held_measured: whether the prescribed positions carry noise; None = not known; floor: smallest deviation that the
-    numbers themselves can resolve
+    coordinate, or None if unknown; spacing: of the particles; floor: smallest deviation that the numbers can resolve
+    held_response: (n, d, m) displacement of each for a unit step along each of m directions of the prescribed positions
+    held_deviation: (m,) noise along these directions (times the noise if that is known)
+    held_rest: (k, d) rest positions of the prescribed particles, whose k d coordinates are the directions; None where
+    random combinations stand for too many of them
+    held_measured: whether the prescribed positions carry noise; None = not known
     """
 
     rest: FloatArray
     value: FloatArray
     noise: FloatArray | None
-    held_effect: FloatArray
     spacing: float
-    held_rest: FloatArray
-    held_response: FloatArray | None
-    held_measured: bool | None
     floor: float
+    held_response: FloatArray
+    held_deviation: FloatArray
+    held_rest: FloatArray | None
+    held_measured: bool | None
 
     def deviation(self) -> FloatArray:
         """(n,) stated noise, or 1 where it is a scale that is still to be found."""
@@ -76,12 +80,17 @@ class Residuals:
             return np.ones(len(self.value))
         return np.maximum(self.noise, self.floor)
 
-    def with_held(self, free: FloatArray, held: FloatArray) -> FloatArray:
-        """Field at free particles (..., n, d), less what it does there through the prescribed ones (..., k, d)."""
-        if self.held_response is None:
-            return free
-        moved = np.tensordot(held.reshape(*held.shape[:-2], -1), self.held_response, axes=(-1, 2))
-        return np.asarray(free - moved)
+
+@dataclass(frozen=True, slots=True)
+class Repeats:
+    """What may happen to an observation, r times over.
+
+    own: (r, n, d) errors of the free observed particles; held: (r, m) steps of the prescribed positions along their
+    directions, which move the simulation
+    """
+
+    own: FloatArray
+    held: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,13 +119,13 @@ def explain(residuals: Residuals, seed: int = 0) -> NoiseModel:
     known = residuals.noise is not None
     mean_square = max(float(np.mean(value**2)), residuals.floor**2)
     white = np.maximum(np.repeat(residuals.deviation()[pick] ** 2, d), 1e-12 * mean_square)
-    effect = residuals.held_effect[pick].reshape(size, -1)
+    effect = (residuals.held_response[pick] * residuals.held_deviation).reshape(size, -1)
     rows: list[tuple[float, ...]] = []
     for held_share, held_prior in HELD_SHARES[residuals.held_measured].items():
         base = np.diag(white) + held_share * effect @ effect.T
         lower = np.linalg.cholesky(base)
         log_det_base = 2.0 * float(np.log(np.diag(lower)).sum())
-        kinds = (False, True) if held_share > 0.0 and residuals.held_response is not None else (False,)
+        kinds = (False, True) if held_share > 0.0 and residuals.held_rest is not None else (False,)
         for length, shared in product(MISFIT_LENGTHS, kinds):
             field = _field_covariance(residuals, pick, length, shared=shared)
             half = solve_triangular(lower, field, lower=True)
@@ -125,6 +134,8 @@ def explain(residuals: Residuals, seed: int = 0) -> NoiseModel:
             moments = np.maximum(moments, 0.0)
             misfits = [m * mean_square for m in MISFIT_SHARES] if known else list(MISFIT_RATIOS)
             for misfit in [0.0, *misfits]:
+                if shared and misfit > SHARED_MOST * (float(white.mean()) if known else 1.0):
+                    continue
                 spread = 1.0 + misfit * moments
                 chi2 = float(np.sum(z2 / spread))
                 log_det = log_det_base + float(np.log(spread).sum())
@@ -143,21 +154,24 @@ def explain(residuals: Residuals, seed: int = 0) -> NoiseModel:
     return NoiseModel(weight, table[:, 1], table[:, 2], table[:, 3], table[:, 4], table[:, 5] > 0.0)
 
 
-def draw(residuals: Residuals, model: NoiseModel, count: int, rng: np.random.Generator) -> FloatArray:
-    """Repeats of noise, held noise and misfit: (count, n, d)."""
+def draw(residuals: Residuals, model: NoiseModel, count: int, rng: np.random.Generator) -> Repeats:
+    """Repeats of noise, held noise and smooth fields."""
     n, d = residuals.value.shape
     which = rng.choice(len(model.weight), size=count, p=model.weight)
-    scale, share = model.scale[which], model.held_share[which]
-    out = rng.standard_normal((count, n, d)) * residuals.deviation()[:, None] * scale[:, None, None]
-    effect = residuals.held_effect.reshape(n * d, -1)
-    held = rng.standard_normal((count, effect.shape[1])) @ effect.T
-    out += held.reshape(count, n, d) * (scale * np.sqrt(share))[:, None, None]
-    place = np.concatenate([residuals.rest, residuals.held_rest]) / residuals.spacing
+    scale = model.scale[which]
+    own = rng.standard_normal((count, n, d)) * residuals.deviation()[:, None] * scale[:, None, None]
+    held = rng.standard_normal((count, len(residuals.held_deviation))) * residuals.held_deviation
+    held *= (scale * np.sqrt(model.held_share[which]))[:, None]
+    places = residuals.rest
+    if residuals.held_rest is not None:
+        places = np.concatenate([places, residuals.held_rest])
     for row in np.flatnonzero(model.misfit[which] > 0.0):
         one = which[row]
-        field = np.sqrt(model.misfit[one]) * _smooth_field(place / model.length[one], rng)
-        out[row] += residuals.with_held(field[:n], field[n:]) if model.shared[one] else field[:n]
-    return out
+        field = _smooth_field(places / (residuals.spacing * model.length[one]), rng) * np.sqrt(model.misfit[one])
+        own[row] += field[:n]
+        if model.shared[one]:
+            held[row] += field[n:].ravel()
+    return Repeats(own, held)
 
 
 def _field_covariance(residuals: Residuals, pick: IntArray, length: float, *, shared: bool) -> FloatArray:
@@ -166,7 +180,7 @@ def _field_covariance(residuals: Residuals, pick: IntArray, length: float, *, sh
     rest = residuals.rest[pick]
     scale = residuals.spacing * length
     own = np.kron(_matern(cdist(rest, rest) / scale), np.eye(d))
-    if not shared or residuals.held_response is None:
+    if not shared or residuals.held_rest is None:
         return np.asarray(own)
     response = residuals.held_response[pick].reshape(len(own), -1)
     cross = np.kron(_matern(cdist(rest, residuals.held_rest) / scale), np.eye(d)) @ response.T
@@ -190,31 +204,35 @@ def accepted(
     parameter: FloatArray,
     simulated: FloatArray,
     observed: FloatArray,
-    repeats: FloatArray,
+    repeats: Callable[[int], FloatArray],
     level: float,
     soft: FloatArray,
 ) -> tuple[float, float]:
     """The set of values that the error curve does not rule out, as the ends of its hull.
 
     parameter: (g,) rising; simulated: (g, n, d) free observed particles at each; observed: (n, d);
-    repeats: (r, n, d) draws of what may happen to the observation; soft: (n,) length below which the error of a
-    particle counts by its square: its noise
+    repeats: called with a place in `parameter`, gives (r, n, d): what each repeat adds to observed - simulated there
+    soft: (n,) length below which the error of a particle counts by its square: its noise
     """
     error = np.sqrt(np.sum((simulated - observed) ** 2, axis=-1) + soft**2).mean(axis=-1)
     excess = error - error.min()
     tested = np.unique(np.linspace(0, len(parameter) - 1, 13).round().astype(int))
-    limit = np.empty(len(tested))
-    for row, truth in enumerate(tested):
-        offset = simulated[truth] - simulated  # (g, n, d)
-        curves = np.empty((len(repeats), len(parameter)))
-        for g in range(len(parameter)):
-            left = repeats + offset[g]
-            curves[:, g] = np.sqrt(np.einsum("rnd,rnd->rn", left, left) + soft**2).mean(axis=1)
-        limit[row] = np.quantile(curves[:, truth] - curves.min(axis=1), level)
+    curves = np.stack([_errors(repeats(g), simulated[tested] - simulated[g], soft) for g in range(len(parameter))])
+    own = np.stack([curves[truth, row] for row, truth in enumerate(tested)])
+    limit = np.quantile(own - curves.min(axis=0), level, axis=1)
     margin = np.interp(parameter, parameter[tested], limit) - excess
     inside = np.flatnonzero(margin >= 0.0)
     low, high = int(inside[0]), int(inside[-1])
     return _cross(parameter, margin, low, low - 1), _cross(parameter, margin, high, high + 1)
+
+
+def _errors(added: FloatArray, offsets: FloatArray, soft: FloatArray) -> FloatArray:
+    """Mean soft distance of repeats (r, n, d) plus each offset (t, n, d), (t, r)."""
+    every = np.empty((len(offsets), len(added)))
+    for row, offset in enumerate(offsets):
+        left = added + offset
+        every[row] = np.sqrt(np.einsum("rnd,rnd->rn", left, left) + soft**2).mean(axis=1)
+    return every
 
 
 def _cross(parameter: FloatArray, margin: FloatArray, inside: int, outside: int) -> float:

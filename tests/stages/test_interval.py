@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -18,18 +18,27 @@ def residuals(
     value: FloatArray, noise: float | None, held_effect: FloatArray | None = None, measured: bool | None = None
 ) -> interval.Residuals:
     """Of an 8x8 lattice whose prescribed particle, a spacing beside it, moves the particles by `held_effect`."""
-    effect = np.zeros((64, 2, 2)) if held_effect is None else held_effect
     return interval.Residuals(
         rest=lattice((8, 8), SPACING),
         value=value,
         noise=None if noise is None else np.full(64, noise),
-        held_effect=effect,
         spacing=SPACING,
-        held_rest=np.array([[-SPACING, 0.0]]),
-        held_response=effect / (noise or 1.0),
-        held_measured=measured,
         floor=1e-12,
+        held_response=np.zeros((64, 2, 2)) if held_effect is None else held_effect,
+        held_deviation=np.full(2, noise or 1.0),
+        held_rest=np.array([[-SPACING, 0.0]]),
+        held_measured=measured,
     )
+
+
+def added(left: interval.Residuals, model: interval.NoiseModel, count: int, seed: int) -> FloatArray:
+    """Draws of what is added to observed - simulated, (count, 64, 2)."""
+    repeats = interval.draw(left, model, count, np.random.default_rng(seed))
+    return np.asarray(repeats.own - np.tensordot(repeats.held, left.held_response, (1, 2)))
+
+
+def always(draws: FloatArray) -> Callable[[int], FloatArray]:
+    return lambda place: draws
 
 
 SOFT = np.zeros(64)
@@ -66,7 +75,7 @@ def test_held_noise_is_told_from_exact_held_positions() -> None:
     """Noise of one held row shifts everything: the residuals say whether it was there."""
     rng = np.random.default_rng(3)
     effect = np.zeros((64, 2, 2))
-    effect[:, 0, 0] = effect[:, 1, 1] = 1e-4
+    effect[:, 0, 0] = effect[:, 1, 1] = 1.0
     exact = rng.normal(0, 1e-4, (64, 2))
     shifted = exact + np.array([2e-4, -1.5e-4])
     shares = []
@@ -79,11 +88,11 @@ def test_held_noise_is_told_from_exact_held_positions() -> None:
 
 def test_draws_have_the_covariance_of_their_model() -> None:
     effect = np.zeros((64, 2, 2))
-    effect[:, 0, 0] = 2e-4
-    left = dataclasses.replace(residuals(np.zeros((64, 2)), 1e-4, effect), held_response=None)
+    effect[:, 0, 0] = 2.0
+    left = residuals(np.zeros((64, 2)), 1e-4, effect)
     one = np.array([1.0])
     model = interval.NoiseModel(one, one, one, np.array([9e-8]), np.array([2.5]), np.array([False]))
-    draws = interval.draw(left, model, 4000, np.random.default_rng(4))
+    draws = added(left, model, 4000, 4)
     variance = draws.var(axis=0).mean(axis=0)
     np.testing.assert_allclose(variance, [1e-8 + 4e-8 + 9e-8, 1e-8 + 9e-8], rtol=0.1)
     # neighbours share the misfit by its correlation, (1 + s) exp(-s) at s = sqrt(3) / 2.5, and all of the held noise
@@ -111,7 +120,7 @@ def test_accepted_set_of_a_shift_is_what_theory_says() -> None:
     widths, inside = [], []
     for _ in range(40):
         observed = clean + rng.normal(0, 0.3, (64, 2))
-        low, high = interval.accepted(parameter, simulated, observed, draws, 0.9, SOFT)
+        low, high = interval.accepted(parameter, simulated, observed, always(draws), 0.9, SOFT)
         error = np.linalg.norm(simulated - observed, axis=2).mean(axis=1)
         assert low <= parameter[error.argmin()] <= high
         widths.append(high - low)
@@ -128,8 +137,8 @@ def test_a_higher_level_gives_a_wider_set(level: float) -> None:
     simulated = _line(parameter, 1.0)
     observed = simulated[50] + rng.normal(0, 0.3, (64, 2))
     draws = rng.normal(0, 0.3, (500, 64, 2))
-    low, high = interval.accepted(parameter, simulated, observed, draws, level, SOFT)
-    wider = interval.accepted(parameter, simulated, observed, draws, level + 0.009, SOFT)
+    low, high = interval.accepted(parameter, simulated, observed, always(draws), level, SOFT)
+    wider = interval.accepted(parameter, simulated, observed, always(draws), level + 0.009, SOFT)
     assert wider[0] <= low < high <= wider[1]
 
 
@@ -138,7 +147,7 @@ def test_a_flat_curve_accepts_everything() -> None:
     parameter = np.linspace(0, 1, 31)
     simulated = _line(parameter, 1e-9)
     draws = rng.normal(0, 0.3, (200, 64, 2))
-    assert interval.accepted(parameter, simulated, rng.normal(0, 0.3, (64, 2)), draws, 0.9, SOFT) == (0.0, 1.0)
+    assert interval.accepted(parameter, simulated, rng.normal(0, 0.3, (64, 2)), always(draws), 0.9, SOFT) == (0.0, 1.0)
 
 
 def test_truth_at_the_bound_is_accepted_as_often_as_stated() -> None:
@@ -149,18 +158,18 @@ def test_truth_at_the_bound_is_accepted_as_often_as_stated() -> None:
     inside = []
     for _ in range(100):
         observed = simulated[0] + rng.normal(0, 0.6, (64, 2))
-        inside.append(interval.accepted(parameter, simulated, observed, draws, 0.9, SOFT)[0] == 0.0)
+        inside.append(interval.accepted(parameter, simulated, observed, always(draws), 0.9, SOFT)[0] == 0.0)
     assert 0.82 <= np.mean(inside) <= 0.97
 
 
 def test_a_field_that_all_particles_share_tells_nothing() -> None:
     """One prescribed particle that carries all others along: a constant error of measurement cancels."""
     effect = np.zeros((64, 2, 2))
-    effect[:, 0, 0] = effect[:, 1, 1] = 1e-6
+    effect[:, 0, 0] = effect[:, 1, 1] = 1.0
     left = residuals(np.zeros((64, 2)), 1e-6, effect, measured=True)
     one = np.array([1.0])
     model = interval.NoiseModel(one, one, one, np.array([1e-4]), np.array([1000.0]), np.array([True]))
-    draws = interval.draw(left, model, 200, np.random.default_rng(9))
+    draws = added(left, model, 200, 9)
     assert np.abs(draws).max() < 3e-3  # of fields of deviation 1e-2
 
 
@@ -170,6 +179,6 @@ def test_residuals_far_below_the_stated_noise_tell_no_more_than_it() -> None:
     simulated = _line(parameter, 1e-4)
     observed = simulated[15] + rng.normal(0, 1e-6, (64, 2))
     draws = rng.normal(0, 0.01, (300, 64, 2))
-    assert interval.accepted(parameter, simulated, observed, draws, 0.9, np.full(64, 0.01)) == (0.0, 1.0)
-    sharp = interval.accepted(parameter, simulated, observed, rng.normal(0, 1e-6, (300, 64, 2)), 0.9, SOFT)
+    assert interval.accepted(parameter, simulated, observed, always(draws), 0.9, np.full(64, 0.01)) == (0.0, 1.0)
+    sharp = interval.accepted(parameter, simulated, observed, always(rng.normal(0, 1e-6, (300, 64, 2))), 0.9, SOFT)
     assert sharp[1] - sharp[0] < 0.1
