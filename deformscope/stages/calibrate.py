@@ -178,8 +178,8 @@ class _Fit:
         self.held_converged = True
         self.responses: dict[float, list[FloatArray]] = {}
 
-    def simulate(self, parameter: FloatArray, progress: Progress | None = None, what: str = "simulating") -> FloatArray:
-        """Relax every candidate for every observation, starting from the nearest one known; returns their AEE."""
+    def simulate(self, parameter: FloatArray, progress: Progress | None = None, what: str = "simulating") -> None:
+        """Relax every candidate for every observation, starting from the nearest one known."""
         parameter = np.atleast_1d(np.asarray(parameter, dtype=np.float64))
         converged = np.ones(len(parameter), dtype=bool)
         usable = np.ones(len(parameter), dtype=bool)
@@ -204,7 +204,6 @@ class _Fit:
             self.tried.converged[order],
             self.tried.usable[order],
         )
-        return self.error()
 
     def _relax(
         self,
@@ -266,7 +265,6 @@ class _Fit:
         """
         low, high = (self._stretch(b) for b in self.bounds)
         h = 1e-3 * (high - low)
-        point = 0.5 * (low + high)
         # a few values in between, so that neither a bound nor the nearest valley is taken for the lowest
         inner = np.linspace(low, high, 7)
         self.simulate(self._shrink(inner[1:-1]))
