@@ -65,8 +65,8 @@ def _observation(found: Mapping[str, npt.NDArray[Any]], noise_m: float | None) -
         if noise.size not in (1, count):
             raise InputError(f"one noise_m, or {count}", str(noise.size))
         noise = np.broadcast_to(noise.reshape(-1), (count,)).copy()
-        if not (np.isfinite(noise).all() and (noise > 0.0).all()):
-            raise InputError("noise_m above 0", "0, a negative or no number", "leave it out if it is not known")
+        if not (np.isfinite(noise).all() and (noise >= 0.0).all()):
+            raise InputError("noise_m of 0 or more", "a negative or no number", "leave it out if it is not known")
     exact = None
     if "held_noise_m" in found:
         held_noise = _numbers(found, "held_noise_m").reshape(-1)

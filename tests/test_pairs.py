@@ -117,7 +117,7 @@ NAN[5, 0] = np.nan
         ({"observed": np.ones(5, dtype=bool)}, "observed"),
         ({"observed": np.zeros(12, dtype=bool)}, "observed"),
         ({"noise_m": -1.0}, "noise_m"),
-        ({"noise_m": 0.0}, "noise_m"),
+        ({"noise_m": np.nan}, "noise_m"),
         ({"noise_m": np.ones(5)}, "noise_m"),
         ({"held_noise_m": -1.0}, "held_noise_m"),
         ({"force_n": np.nan}, "force_n"),

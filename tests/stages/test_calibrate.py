@@ -78,6 +78,12 @@ def test_exact_data_give_the_exact_value(device: str, dim: int, size: int, beta:
         assert found.value == pytest.approx(beta, abs=2e-4), method
         assert found.verdict == "identified"
         assert found.aee < 1e-6
+    stated = calibrate(
+        [observation(body, seen.deformed, noise=np.zeros(len(body.rest)))],
+        FitOptions(Model(cluster_size=size), BETA_BOUNDS),
+    )
+    assert stated.estimate.interval[0] <= stated.estimate.value <= stated.estimate.interval[1]
+    assert stated.estimate.verdict == "identified"
 
 
 @pytest.mark.parametrize("beta", [0.0, 0.99])
