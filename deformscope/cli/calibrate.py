@@ -299,6 +299,8 @@ def tell(estimate: Estimate, recording: RecordingSummary, name: str = "") -> Non
         ("noise of a position", _length(estimate, estimate.settings.get("noise"))),
         ("converged", "yes" if estimate.converged else "NO: do not rely on the value"),
     ]
+    if not estimate.settings.get("pose_held", True):
+        rows.insert(-1, ("pose", "the held particles leave the body free to turn: hold more for a value to rely on"))
     if lost := estimate.settings.get("lost"):
         every = int(str(estimate.settings["particles"]))
         many = "; so many that the tracking may have failed: look at the picture" if int(str(lost)) * 3 > every else ""

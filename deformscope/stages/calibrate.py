@@ -83,6 +83,11 @@ class Observation:
             raise InputError("rest points that span a plane", "points on a line", "observe an area, not a line")
 
     @property
+    def pose_held(self) -> bool:
+        """Whether the held particles keep the body from turning: two in the plane, three off a line in space."""
+        return bool(clusters.rank(self.rest[self.held]) >= self.rest.shape[1] - 1)
+
+    @property
     def free_observed(self) -> BoolArray:
         """(K,) particles that the fit is judged by: seen and not prescribed."""
         return np.asarray(self.observed & ~clusters.held_mask(len(self.rest), self.held))
@@ -508,6 +513,7 @@ def calibrate(
         "seed": options.seed,
         "precision": model.precision,
         "device": model.device,
+        "pose_held": all(s.pose_held for s in seen),
     }
     if options.method == "sweep":
         fit.sweep(options.candidates, progress)

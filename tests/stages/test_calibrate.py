@@ -137,6 +137,15 @@ def test_unseen_particles_do_not_count() -> None:
     assert np.isfinite(found.estimate.aee)
 
 
+def test_a_pose_that_is_not_held_is_told() -> None:
+    body = pushed((5, 6), np.random.default_rng(22))
+    one = dataclasses.replace(observation(body, body.rest + 1e-3), held=np.array([0]))
+    assert not one.pose_held
+    assert dataclasses.replace(one, held=np.array([0, 5])).pose_held
+    found = calibrate([one], FitOptions(Model(), BETA_BOUNDS, candidates=10)).estimate
+    assert found.settings["pose_held"] is False
+
+
 def test_joint_fit_is_narrower_than_each() -> None:
     rng = np.random.default_rng(16)
     bodies = [pushed((5, 6), rng) for _ in range(4)]
