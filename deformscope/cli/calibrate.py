@@ -150,7 +150,7 @@ def calibrate_images(
     if images.mask is not None:
         mask = read_image(images.mask)
     elif len(sources) == 1 and Path(sources[0]).suffix.lower() == ".rrd":
-        mask = Replay(Path(sources[0])).mask
+        mask = Replay(Path(sources[0]), trust=True).mask  # its ledger was compared when it was looked at for pairs
     settings = {"sources": list(sources), "stride": images.stride, "fps": images.fps, "mask": images.mask is not None}
     with open_source(sources, stride=images.stride, fps=images.fps, mask=images.mask) as source:
         return run_images(source, mask, fit, particles, settings, output)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import os
 import sys
@@ -10,9 +9,10 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Literal, TextIO, cast
+from typing import TYPE_CHECKING, BinaryIO, Literal, TextIO
 
 from deformscope.errors import InputError
+from deformscope.plain import plain
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -93,25 +93,6 @@ def write_json(value: object, target: str | None) -> None:
         return
     with replacing(Path(target)) as file:
         file.write(text.encode())
-
-
-def plain(value: object) -> object:
-    """`value` made of what JSON has: dict, list, str, int, float, bool and None."""
-    if value is None or isinstance(value, bool | int | str):
-        return value
-    if isinstance(value, float):
-        return float(value) if value - value == 0.0 else None
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
-    if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple | set | frozenset):
-        return [plain(item) for item in value]
-    if isinstance(value, Path):
-        return str(value)
-    if hasattr(value, "tolist"):  # arrays and their scalars, without importing numpy here
-        return plain(cast(Any, value).tolist())
-    raise TypeError(f"no JSON for {type(value).__name__}")
 
 
 @contextmanager

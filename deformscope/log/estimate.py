@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import rerun as rr
@@ -24,6 +24,7 @@ from deformscope.log.canvas import (
     round_up,
 )
 from deformscope.log.particles import REST_RADIUS, SIMULATED_RADIUS, log_observed, log_rest
+from deformscope.plain import plain
 from deformscope.stages.estimate import Comparison, Estimate
 
 if TYPE_CHECKING:
@@ -134,20 +135,7 @@ def log_estimate(rec: rr.RecordingStream, estimate: Estimate, canvas: Canvas) ->
 
 def as_json(estimate: Estimate) -> dict[str, Any]:
     """The estimate's public form, in strict JSON: what is not finite becomes null."""
-    found: dict[str, Any] = _plain(estimate.as_json())
-    return found
-
-
-def _plain(value: object) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _plain(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value if value is None or isinstance(value, str | int) else str(value)
+    return cast(dict[str, Any], plain(estimate.as_json()))
 
 
 def summary(estimate: Estimate) -> str:

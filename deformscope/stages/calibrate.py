@@ -23,7 +23,6 @@ from deformscope.stages.msm.reference import Basis
 from deformscope.stages.msm.solver import TOLERANCE, Msm, Precision, Relaxed
 
 Method = Literal["sweep", "gradient"]
-METHODS: tuple[Method, ...] = ("sweep", "gradient")
 Progress = Callable[[str, int, int], None]
 
 IDENTIFIED_WIDTH, WEAK_WIDTH = 0.2, 0.7
@@ -378,7 +377,7 @@ class _Fit:
         )
 
     def _guess_half_width(self, draws: FloatArray) -> float:
-        """About four standard deviations of the estimate, in stretched units, from its sensitivity."""
+        """Five standard deviations of the estimate, in stretched units, from its sensitivity."""
         i = self.best()
         a, b = max(i - 1, 0), min(i + 1, len(self.tried.parameter) - 1)
         move = np.concatenate(

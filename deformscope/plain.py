@@ -1,0 +1,26 @@
+"""Values made of what JSON has, for results that are written and for results that are recorded."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any, cast
+
+
+def plain(value: object) -> object:
+    """`value` made of what JSON has: dict, list, str, int, float, bool and None."""
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        return float(value) if value - value == 0.0 else None
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "tolist"):  # arrays and their scalars, without importing numpy here
+        return plain(cast(Any, value).tolist())
+    raise TypeError(f"no JSON for {type(value).__name__}")
