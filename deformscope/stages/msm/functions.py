@@ -1,0 +1,225 @@
+"""Warp functions of one cluster: rotation, volume conservation, and their derivatives. The kernels are made of them.
+
+Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
+"""
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+from deformscope.stages.msm.reference import MIN_DENOMINATOR, NO_ROTATION
+
+
+@dataclass(frozen=True, slots=True)
+class Functions:
+    """For one space dimension and precision. square: (dim, dim) matrix type; vec: (dim,) vector type."""
+
+    vec: Any
+    square: Any
+    turn: Any
+    turn_change: Any
+    volume_denominator: Any
+
+
+@functools.cache
+def functions_for(dim: int, scalar: Any) -> Functions:
+    """The functions for `dim` = 2 or 3 and scalar = wp.float32 or wp.float64."""
+    vec = wp.types.vector(length=dim, dtype=scalar)
+    square = wp.types.matrix(shape=(dim, dim), dtype=scalar)
+    mat44 = wp.types.matrix(shape=(4, 4), dtype=scalar)
+    vec4 = wp.types.vector(length=4, dtype=scalar)
+    zero, one, two = scalar(0.0), scalar(1.0), scalar(2.0)
+    no_rotation = scalar(NO_ROTATION)
+    min_denominator = scalar(MIN_DENOMINATOR)
+    # the rotation is accepted when its gradient is this small against the moments; else the eigenvector decides
+    accept = scalar(1e-12 if scalar is wp.float64 else 3e-6)
+
+    @wp.func
+    def turn_2d(a_qq: square, change: square):
+        """R - I of eq. 3.9 in the plane, for A_pq = a_qq + change: the closed form, without cancellation.
+
+        Second: the compliance of the rotation, d angle = compliance[0, 0] * axial(R^T dA_pq).
+        """
+        s = change[1, 0] - change[0, 1]
+        c = a_qq[0, 0] + a_qq[1, 1] + change[0, 0] + change[1, 1]
+        size = wp.sqrt(s * s + c * c)
+        out = square()
+        compliance = square()
+        if size > no_rotation * (a_qq[0, 0] + a_qq[1, 1]):
+            compliance[0, 0] = one / size
+            cosine_less_one = (c - size) / size
+            if c > zero:
+                cosine_less_one = -s * s / (size * (c + size))
+            out[0, 0] = cosine_less_one
+            out[1, 1] = cosine_less_one
+            out[1, 0] = s / size
+            out[0, 1] = -s / size
+        return out, compliance
+
+    @wp.func
+    def quaternion_turn(q: vec4):
+        """R - I of a unit quaternion (w, x, y, z), exact to the last digit for small turns."""
+        out = square()
+        w, x, y, z = q[0], q[1], q[2], q[3]
+        if wp.static(dim == 3):
+            out[0, 0] = -two * (y * y + z * z)
+            out[1, 1] = -two * (x * x + z * z)
+            out[2, 2] = -two * (x * x + y * y)
+            out[0, 1] = two * (x * y - w * z)
+            out[1, 0] = two * (x * y + w * z)
+            out[0, 2] = two * (x * z + w * y)
+            out[2, 0] = two * (x * z - w * y)
+            out[1, 2] = two * (y * z - w * x)
+            out[2, 1] = two * (y * z + w * x)
+        return out
+
+    @wp.func
+    def largest_quaternion(f: square):
+        """The quaternion that maximises tr(R^T F): leading eigenvector of Horn's matrix (Horn 1987), by Jacobi sweeps.
+
+        It is never a reflection, and it is global: used where Newton's steps from rest do not settle.
+        """
+        n = mat44()
+        v = wp.identity(n=4, dtype=scalar)
+        n[0, 0] = f[0, 0] + f[1, 1] + f[2, 2]
+        n[1, 1] = f[0, 0] - f[1, 1] - f[2, 2]
+        n[2, 2] = f[1, 1] - f[0, 0] - f[2, 2]
+        n[3, 3] = f[2, 2] - f[0, 0] - f[1, 1]
+        n[0, 1] = f[2, 1] - f[1, 2]
+        n[0, 2] = f[0, 2] - f[2, 0]
+        n[0, 3] = f[1, 0] - f[0, 1]
+        n[1, 2] = f[0, 1] + f[1, 0]
+        n[1, 3] = f[0, 2] + f[2, 0]
+        n[2, 3] = f[1, 2] + f[2, 1]
+        for i in range(4):
+            for j in range(i):
+                n[i, j] = n[j, i]
+        for _sweep in range(10):
+            for p in range(3):
+                for q in range(p + 1, 4):
+                    if n[p, q] != zero:
+                        angle = (n[q, q] - n[p, p]) / (two * n[p, q])
+                        t = one / (wp.abs(angle) + wp.sqrt(angle * angle + one))
+                        if angle < zero:
+                            t = -t
+                        c = one / wp.sqrt(t * t + one)
+                        s = t * c
+                        for k in range(4):
+                            a = n[k, p]
+                            b = n[k, q]
+                            n[k, p] = c * a - s * b
+                            n[k, q] = s * a + c * b
+                        for k in range(4):
+                            a = n[p, k]
+                            b = n[q, k]
+                            n[p, k] = c * a - s * b
+                            n[q, k] = s * a + c * b
+                        for k in range(4):
+                            a = v[k, p]
+                            b = v[k, q]
+                            v[k, p] = c * a - s * b
+                            v[k, q] = s * a + c * b
+        best = int(0)
+        for k in range(1, 4):
+            if n[k, k] > n[best, best]:
+                best = k
+        return wp.normalize(vec4(v[0, best], v[1, best], v[2, best], v[3, best]))
+
+    @wp.func
+    def turn_3d(a_qq: square, change: square):
+        """R - I of eq. 3.9 in space, for A_pq = a_qq + change.
+
+        Newton's steps on the rotation from rest (Kugelstadt 2018, 3.2). They end at the wanted maximum exactly when
+        the gradient vanishes and tr(S) I - S is positive definite; if not, the leading eigenvector takes over.
+        Second: the compliance (tr(S) I - S)^-1 of the rotation, 0 where none is preferred.
+        """
+        q = vec4(one, zero, zero, zero)
+        compliance = square()
+        size = a_qq[0, 0] + a_qq[1, 1] + a_qq[2, 2] + wp.sqrt(wp.ddot(change, change))
+        good = bool(False)
+        f = a_qq + change
+        for attempt in range(2):
+            if attempt == 1 and not good:
+                q = largest_quaternion(f)
+            if attempt == 0 or not good:
+                for _step in range(wp.static(8)):
+                    d = quaternion_turn(q)
+                    b = f + wp.transpose(d) * f
+                    # axial(R^T F); the rest part of F is symmetric and drops out
+                    extra = change + wp.transpose(d) * f
+                    g0 = extra[2, 1] - extra[1, 2]
+                    g1 = extra[0, 2] - extra[2, 0]
+                    g2 = extra[1, 0] - extra[0, 1]
+                    h00 = b[1, 1] + b[2, 2]
+                    h11 = b[0, 0] + b[2, 2]
+                    h22 = b[0, 0] + b[1, 1]
+                    h01 = -(b[0, 1] + b[1, 0]) / two
+                    h02 = -(b[0, 2] + b[2, 0]) / two
+                    h12 = -(b[1, 2] + b[2, 1]) / two
+                    m00 = h11 * h22 - h12 * h12
+                    m01 = h02 * h12 - h01 * h22
+                    m02 = h01 * h12 - h02 * h11
+                    det = h00 * m00 + h01 * m01 + h02 * m02
+                    gradient = wp.sqrt(g0 * g0 + g1 * g1 + g2 * g2)
+                    if h00 <= zero or h00 * h11 - h01 * h01 <= zero or det <= no_rotation * h00 * h11 * h22:
+                        good = bool(False)
+                        compliance = square()
+                        break
+                    m11 = h00 * h22 - h02 * h02
+                    m12 = h01 * h02 - h00 * h12
+                    m22 = h00 * h11 - h01 * h01
+                    compliance = square(m00, m01, m02, m01, m11, m12, m02, m12, m22) / det
+                    if gradient <= accept * size:
+                        good = bool(True)
+                        break
+                    half = compliance * vec(g0, g1, g2) / two
+                    w0, w1, w2 = half[0], half[1], half[2]
+                    turned = vec4(
+                        q[0] - q[1] * w0 - q[2] * w1 - q[3] * w2,
+                        q[1] + q[0] * w0 + q[2] * w2 - q[3] * w1,
+                        q[2] + q[0] * w1 + q[3] * w0 - q[1] * w2,
+                        q[3] + q[0] * w2 + q[1] * w1 - q[2] * w0,
+                    )
+                    q = wp.normalize(turned)
+                    good = gradient <= scalar(100.0) * accept * size
+        return quaternion_turn(q), compliance
+
+    turn = turn_2d if dim == 2 else turn_3d
+
+    @wp.func
+    def turn_change_2d(turned: square, compliance: square, change: square):
+        """dR for dA_pq = change, where R - I = turned."""
+        b = change + wp.transpose(turned) * change
+        angle = compliance[0, 0] * (b[1, 0] - b[0, 1])
+        spin = square(zero, -angle, angle, zero)
+        return spin + turned * spin
+
+    @wp.func
+    def turn_change_3d(turned: square, compliance: square, change: square):
+        """dR for dA_pq = change, where R - I = turned."""
+        b = change + wp.transpose(turned) * change
+        w = compliance * vec(b[2, 1] - b[1, 2], b[0, 2] - b[2, 0], b[1, 0] - b[0, 1])
+        spin = wp.skew(w)
+        return spin + turned * spin
+
+    turn_change = turn_change_2d if dim == 2 else turn_change_3d
+
+    @wp.func
+    def volume_denominator(a: square, theta: scalar, span_axes: square, span_count: int):
+        """Denominator of eq. 3.17 for what the cluster spans: volume, area or length; kept away from 0."""
+        measure = wp.determinant(a)
+        if span_count < wp.static(dim):
+            inside = a * span_axes  # columns beyond span_count are 0
+            metric = wp.transpose(inside) * inside
+            for k in range(wp.static(dim)):
+                if k >= span_count:
+                    metric[k, k] = one
+            measure = wp.sqrt(wp.max(wp.determinant(metric), zero))
+        root = wp.pow(wp.abs(measure), one / scalar(wp.max(span_count, 1)))
+        if measure < zero:
+            root = -root
+        return wp.max(theta * root + (one - theta), min_denominator)
+
+    return Functions(vec, square, turn, turn_change, volume_denominator)
