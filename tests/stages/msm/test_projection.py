@@ -256,6 +256,23 @@ def test_too_few_particles_for_the_quadratic_terms_leave_the_volume_free() -> No
     np.testing.assert_array_equal(reference.goals(x, body, 0.9, 1.0, volume="project"), plain)
 
 
+def test_a_cluster_of_one_particle_has_no_volume_to_keep() -> None:
+    rest = lattice((2, 2, 2), 1.0)
+    grouped = clusters.from_lists([[i] for i in range(8)], 8)
+    bases: tuple[reference.Basis, ...] = ("linear", "quadratic")
+    for basis in bases:
+        body = reference.build_rest(rest, grouped, np.array([], dtype=int), basis=basis)
+        np.testing.assert_array_equal(reference.goals(2.0 * rest, body, 0.5, 1.0, volume="project"), 2.0 * rest)
+
+
+def test_time_steps_take_the_mode() -> None:
+    rng = np.random.default_rng(15)
+    body = _body((4, 3, 3), 2, "linear", rng)
+    x = _states(body.position, rng)[0]
+    after, _ = reference.step(x, np.zeros_like(x), body, x[:0], beta=0.9, theta=0.8, volume="project")
+    np.testing.assert_allclose(after, reference.goals(x, body, 0.9, 0.8, volume="project"), atol=1e-14)
+
+
 def test_overlapping_clusters_pressed_flat_come_to_rest() -> None:
     """30 % compression, where eq. 3.17 runs away; theta widens the waist, as it should."""
     shape = (6, 6, 6)
