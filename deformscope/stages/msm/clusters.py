@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -16,7 +16,6 @@ FLAT_MOMENT_RATIO = 1e-4
 There its fit is not determined, so it is left out (pseudo-inverse) instead of being amplified."""
 
 
-@dataclass(frozen=True, slots=True)
 class Clusters:
     """Overlapping clusters in compressed rows: cluster c holds `members[offsets[c]:offsets[c + 1]]`.
 
@@ -24,13 +23,26 @@ class Clusters:
     Every particle belongs to at least one cluster.
     """
 
-    members: IntArray
-    offsets: IntArray
-    particle_count: int
+    def __init__(self, rows: Sequence[IntArray], particle_count: int) -> None:
+        self.particle_count = particle_count
+        self._rows = rows
+
+    @cached_property
+    def _packed(self) -> tuple[IntArray, IntArray]:
+        offsets = np.concatenate([[0], np.cumsum([len(row) for row in self._rows])])
+        return np.concatenate(self._rows).astype(np.int32), offsets.astype(np.int32)
+
+    @property
+    def members(self) -> IntArray:
+        return self._packed[0]
+
+    @property
+    def offsets(self) -> IntArray:
+        return self._packed[1]
 
     @property
     def count(self) -> int:
-        return len(self.offsets) - 1
+        return len(self._rows)
 
     def __iter__(self) -> Iterator[IntArray]:
         return (self.members[a:b] for a, b in zip(self.offsets[:-1], self.offsets[1:], strict=True))
@@ -38,6 +50,33 @@ class Clusters:
     def cluster_counts(self) -> IntArray:
         """N_i of Thesis eq. 3.15: how many clusters each particle belongs to, (K,)."""
         return np.bincount(self.members, minlength=self.particle_count)
+
+
+class LatticeClusters(Clusters):
+    """Clusters that are windows of a lattice, kept as such: their index lists are made only when asked for.
+
+    shape: lattice; cell: (K,) flat index of each particle; window: particles of a cluster along each axis
+    corner: (shape) True at the lowest corner of each cluster
+    """
+
+    def __init__(self, shape: tuple[int, ...], cell: IntArray, window: tuple[int, ...], corner: BoolArray) -> None:
+        self.particle_count = len(cell)
+        self.shape, self.cell, self.window, self.corner = shape, cell, window, corner
+
+    @cached_property
+    def _packed(self) -> tuple[IntArray, IntArray]:
+        rows = _windows(_particle_at(self.shape, self.cell), self.window)
+        rows = rows.reshape(-1, int(np.prod(self.window)))[self.corner[_fitting(self.shape, self.window)].reshape(-1)]
+        present = rows >= 0
+        offsets = np.concatenate([[0], np.cumsum(present.sum(axis=1))])
+        return rows[present].astype(np.int32), offsets.astype(np.int32)
+
+    @property
+    def count(self) -> int:
+        return int(np.count_nonzero(self.corner))
+
+    def cluster_counts(self) -> IntArray:
+        return _covering(self.corner, self.window).reshape(-1)[self.cell]
 
 
 def from_lists(lists: Sequence[Sequence[int] | IntArray], particle_count: int) -> Clusters:
@@ -57,7 +96,7 @@ def from_lists(lists: Sequence[Sequence[int] | IntArray], particle_count: int) -
             )
         if np.unique(row).size != row.size:
             raise InputError("each particle once in a cluster", f"a repeated index in cluster {number}")
-    clusters = _pack(rows, particle_count)
+    clusters = Clusters(rows, particle_count)
     alone = np.flatnonzero(clusters.cluster_counts() == 0)
     if alone.size:
         raise InputError(
@@ -70,7 +109,7 @@ def from_lists(lists: Sequence[Sequence[int] | IntArray], particle_count: int) -
 
 def single(particle_count: int) -> Clusters:
     """One cluster of all particles (Thesis 5.1)."""
-    return _pack([np.arange(particle_count)], particle_count)
+    return Clusters([np.arange(particle_count)], particle_count)
 
 
 def lattice(rest: FloatArray, shape: Sequence[int], cell: IntArray, size: int) -> Clusters:
@@ -85,17 +124,23 @@ def lattice(rest: FloatArray, shape: Sequence[int], cell: IntArray, size: int) -
     if size < 2:
         raise InputError("a cluster size of at least 2 particles a side", str(size))
     window = tuple(min(size, n) for n in dims)
-    particle_at = np.full(dims, -1, dtype=np.int64)
-    particle_at.reshape(-1)[cell] = np.arange(len(cell))
-    view = np.lib.stride_tricks.sliding_window_view(particle_at, window).reshape(-1, int(np.prod(window)))
+    particle_at = _particle_at(dims, cell)
+    present = _window_sums((particle_at >= 0).astype(np.int64), window)
+    fits = present == int(np.prod(window))
     directions = min(sum(n > 1 for n in dims), rest.shape[1])
-    rows: list[IntArray] = []
-    for candidate in view:
-        present = candidate[candidate >= 0]
-        if present.size == candidate.size or (present.size > directions and rank(rest[present]) >= directions):
-            rows.append(present)
-    rows += _adopt(rest, rows, directions)
-    return _pack(rows, len(rest))
+    view = _windows(particle_at, window)
+    for place in np.argwhere(~fits & (present > directions)):
+        some = view[tuple(place)].reshape(-1)
+        fits[tuple(place)] = rank(rest[some[some >= 0]]) >= directions
+    corner = np.zeros(dims, dtype=bool)
+    corner[_fitting(dims, window)] = fits
+    found = LatticeClusters(dims, np.asarray(cell), window, corner)
+    alone = np.flatnonzero(found.cluster_counts() == 0)
+    if not alone.size:
+        return found
+    return Clusters(
+        [*found, *_adopt(rest, alone, directions)] if found.count else _adopt(rest, alone, directions), len(rest)
+    )
 
 
 def nearest(rest: FloatArray, member_count: int) -> Clusters:
@@ -104,7 +149,7 @@ def nearest(rest: FloatArray, member_count: int) -> Clusters:
     count = min(member_count, len(rest))
     _, index = cKDTree(rest).query(rest, k=count)
     rows = np.unique(np.sort(np.asarray(index).reshape(len(rest), count), axis=1), axis=0)
-    return _pack(list(rows), len(rest))
+    return Clusters(list(rows), len(rest))
 
 
 def rank(points: FloatArray) -> int:
@@ -165,13 +210,42 @@ def spacing(rest: FloatArray) -> float:
     return float(np.median(distance[:, 1]))
 
 
-def _adopt(rest: FloatArray, rows: list[IntArray], directions: int) -> list[IntArray]:
-    covered = np.zeros(len(rest), dtype=bool)
-    for row in rows:
-        covered[row] = True
-    alone = np.flatnonzero(~covered)
-    if alone.size == 0:
-        return []
+def _particle_at(shape: tuple[int, ...], cell: IntArray) -> IntArray:
+    """The particle of each cell (shape), -1 where there is none."""
+    found = np.full(shape, -1, dtype=np.int64)
+    found.reshape(-1)[cell] = np.arange(len(cell))
+    return found
+
+
+def _windows(values: IntArray, window: tuple[int, ...]) -> IntArray:
+    return np.lib.stride_tricks.sliding_window_view(values, window)
+
+
+def _fitting(shape: tuple[int, ...], window: tuple[int, ...]) -> tuple[slice, ...]:
+    """The cells at which a window that fits into the lattice can have its lowest corner."""
+    return tuple(slice(n - w + 1) for n, w in zip(shape, window, strict=True))
+
+
+def _window_sums(values: IntArray, window: tuple[int, ...]) -> IntArray:
+    for axis, width in enumerate(window):
+        values = _windows_along(values, width, axis)
+    return values
+
+
+def _windows_along(values: IntArray, width: int, axis: int) -> IntArray:
+    total = np.cumsum(values, axis=axis)
+    total = np.insert(total, 0, 0, axis=axis)
+    count = values.shape[axis] - width + 1
+    return np.take(total, np.arange(width, width + count), axis) - np.take(total, np.arange(count), axis)
+
+
+def _covering(corner: BoolArray, window: tuple[int, ...]) -> IntArray:
+    """(shape) how many clusters each cell is in."""
+    padded = np.pad(corner.astype(np.int64), [(w - 1, 0) for w in window])
+    return _window_sums(padded, window)
+
+
+def _adopt(rest: FloatArray, alone: IntArray, directions: int) -> list[IntArray]:
     tree = cKDTree(rest)
     adopted = []
     for particle in alone:
@@ -182,8 +256,3 @@ def _adopt(rest: FloatArray, rows: list[IntArray], directions: int) -> list[IntA
                 break
         adopted.append(np.sort(row))
     return adopted
-
-
-def _pack(rows: Sequence[IntArray], particle_count: int) -> Clusters:
-    offsets = np.concatenate([[0], np.cumsum([len(row) for row in rows])])
-    return Clusters(np.concatenate(rows).astype(np.int32), offsets.astype(np.int32), particle_count)

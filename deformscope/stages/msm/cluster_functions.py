@@ -1,0 +1,452 @@
+"""Warp functions that fit one cluster in every lane, and their derivatives: what lattice and general kernels share.
+
+All matrices are transposed (rows are what the cluster is fitted over), so that the moments of a lattice multiply from
+the right. Displacements are in particle spacings.
+
+Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
+"""
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+from deformscope.stages.msm.functions import functions_for
+from deformscope.stages.msm.lanes import lanes_for, product_for, rows_for
+from deformscope.stages.msm.reference import MIN_DENOMINATOR, NO_ROTATION
+
+GOAL, BY_BETA, BY_THETA = 0, 1, 2
+"""What a fit gives: the goal map, or its derivative by beta or by theta."""
+
+NONE, SCALE, PROJECT = 0, 1, 2
+"""Volume conservation: none (theta = 0), Thesis eq. 3.17, or the projection onto the rest volume."""
+
+NEWTON_STEPS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class ClusterFunctions:
+    """For one dimension, basis, precision and width.
+
+    rest, kept: the struct types of what a cluster is at rest, and of what a fit leaves for its derivative
+    """
+
+    rest: Any
+    kept: Any
+    fit: Any
+    fit_change: Any
+
+
+@functools.cache
+def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> ClusterFunctions:
+    """The functions for `dim` = 2 or 3, `terms` = 2, 3 (linear) or 5, 9 (quadratic)."""
+    lanes = lanes_for(width, scalar)
+    lane, least = lanes.lane, lanes.least
+    moment_count = dim * (dim + 1) // 2
+    compliance_count = moment_count if dim == 3 else 1
+    square_count = dim * dim
+    squares = rows_for(square_count, width, scalar)
+    compliances = rows_for(compliance_count, width, scalar)
+    moments = rows_for(moment_count, width, scalar)
+    transforms = rows_for(terms * dim, width, scalar)
+    turns = rows_for(square_count + compliance_count + 1, width, scalar)
+    load_moment, load_untold, row_of_turn = moments.own, transforms.own, turns.row
+    store_square, load_square, store_compliance = squares.store, squares.load, compliances.store
+    load_compliance, add_transform = compliances.load, transforms.add
+    times_untold = product_for(terms, dim, dim, width, scalar)
+    functions = functions_for(dim, scalar)
+    square, turn_one = functions.square, functions.turn
+    denominator_of, denominator_change = functions.volume_denominator, functions.denominator_change
+    project, project_change = functions.project, functions.project_change
+    transform = wp.types.matrix(shape=(dim, terms), dtype=scalar)
+    min_denominator = scalar(MIN_DENOMINATOR)
+    zero, one = scalar(0.0), scalar(1.0)
+    number = f"wp::{scalar.__name__}"
+    lane_c = f"wp::vec_t<{width}, {number}>"
+    each = f"for (int l = 0; l < {width}; ++l)"
+    # the rotation is accepted when its gradient is this small against the moments; else the eigenvector decides
+    accept = 1e-12 if scalar is wp.float64 else 3e-6
+
+    def matrix_c(rows: int) -> str:
+        return f"wp::mat_t<{rows}, {width}, {number}>"
+
+    @wp.struct
+    class Rest:
+        """What stays the same: `stride` between rows of a quantity, `step` 1 where each lane has its own, else 0."""
+
+        a_qq: wp.array(dtype=scalar)  # upper triangle of the normalised rest moments
+        untold_t: wp.array(dtype=scalar)  # what of the basis a cluster cannot tell, transposed; empty if nothing
+        some_untold: int
+        span_axes: wp.array(dtype=square)
+        span_count: wp.array(dtype=int)
+        root: wp.array(dtype=square)  # see `reference.RestCluster`; one for each cluster that has its own rest
+        lift: wp.array(dtype=transform)
+        stride: int
+
+    @wp.struct
+    class Kept:
+        """What a fit leaves for its derivative: R - I and the compliance of the rotation, and A - I (transposed)."""
+
+        turned: wp.array(dtype=scalar)
+        compliance: wp.array(dtype=scalar)
+        affine: wp.array(dtype=scalar)
+        stride: int
+
+    @wp.func_native(
+        f"""
+    {matrix_c(6)} r;
+    {each} {{
+        const {number} trace = a.data[0][l] + a.data[2][l];
+        const {number} s = c.data[1][l] - c.data[2][l];
+        const {number} k = trace + c.data[0][l] + c.data[3][l];
+        const {number} size = wp::sqrt(s * s + k * k);
+        const bool told = size > {number}({NO_ROTATION}) * trace;
+        const {number} safe = told ? size : {number}(1);
+        const {number} reach = k > 0 ? k + safe : {number}(1);
+        const {number} cosine = told ? (k > 0 ? -s * s / (safe * reach) : (k - safe) / safe) : {number}(0);
+        const {number} sine = told ? s / safe : {number}(0);
+        r.data[0][l] = cosine;
+        r.data[1][l] = sine;
+        r.data[2][l] = -sine;
+        r.data[3][l] = cosine;
+        r.data[4][l] = told ? 1 / safe : {number}(0);
+        r.data[5][l] = 1;
+    }}
+    return r;"""
+    )
+    def turn_2d(a: moments.rows, c: squares.rows) -> turns.rows:
+        """R - I of eq. 3.9 in the plane (transposed), the compliance of its angle, and 1. See `functions.turn_2d`.
+
+        a: rest moments A_qq (upper triangle), c: A_pq - A_qq (transposed)
+        """
+        ...
+
+    @wp.func_native(
+        f"""
+    {matrix_c(16)} r;
+    {number} q[4][{width}];
+    {each} {{ q[0][l] = 1; q[1][l] = 0; q[2][l] = 0; q[3][l] = 0; }}
+    for (int step = 0; step < {NEWTON_STEPS}; ++step) {{
+        const {number} limit = {number}({accept}) * (step + 1 < {NEWTON_STEPS} ? 1 : 100);
+        {each} {{
+            const {number} w = q[0][l], x = q[1][l], y = q[2][l], z = q[3][l];
+            const {number} a00 = a.data[0][l], a01 = a.data[1][l], a02 = a.data[2][l];
+            const {number} a11 = a.data[3][l], a12 = a.data[4][l], a22 = a.data[5][l];
+            const {number} c00 = c.data[0][l], c10 = c.data[1][l], c20 = c.data[2][l];
+            const {number} c01 = c.data[3][l], c11 = c.data[4][l], c21 = c.data[5][l];
+            const {number} c02 = c.data[6][l], c12 = c.data[7][l], c22 = c.data[8][l];
+            const {number} size = a00 + a11 + a22;
+            const {number} size2 = size * size + c00 * c00 + c01 * c01 + c02 * c02 + c10 * c10 + c11 * c11
+                + c12 * c12 + c20 * c20 + c21 * c21 + c22 * c22;
+            const {number} f00 = a00 + c00, f01 = a01 + c01, f02 = a02 + c02;
+            const {number} f10 = a01 + c10, f11 = a11 + c11, f12 = a12 + c12;
+            const {number} f20 = a02 + c20, f21 = a12 + c21, f22 = a22 + c22;
+            const {number} d00 = -2 * (y * y + z * z), d11 = -2 * (x * x + z * z), d22 = -2 * (x * x + y * y);
+            const {number} d01 = 2 * (x * y - w * z), d10 = 2 * (x * y + w * z);
+            const {number} d02 = 2 * (x * z + w * y), d20 = 2 * (x * z - w * y);
+            const {number} d12 = 2 * (y * z - w * x), d21 = 2 * (y * z + w * x);
+            // B = R^T F = F + D^T F
+            const {number} t01 = d00 * f01 + d10 * f11 + d20 * f21, t10 = d01 * f00 + d11 * f10 + d21 * f20;
+            const {number} t02 = d00 * f02 + d10 * f12 + d20 * f22, t20 = d02 * f00 + d12 * f10 + d22 * f20;
+            const {number} t12 = d01 * f02 + d11 * f12 + d21 * f22, t21 = d02 * f01 + d12 * f11 + d22 * f21;
+            const {number} b00 = f00 + d00 * f00 + d10 * f10 + d20 * f20;
+            const {number} b11 = f11 + d01 * f01 + d11 * f11 + d21 * f21;
+            const {number} b22 = f22 + d02 * f02 + d12 * f12 + d22 * f22;
+            // gradient: axial(B); the rest part of F is symmetric and drops out
+            const {number} g0 = c21 - c12 + t21 - t12, g1 = c02 - c20 + t02 - t20, g2 = c10 - c01 + t10 - t01;
+            const {number} h00 = b11 + b22, h11 = b00 + b22, h22 = b00 + b11;
+            const {number} h01 = (f01 + t01 + f10 + t10) / -2, h02 = (f02 + t02 + f20 + t20) / -2;
+            const {number} h12 = (f12 + t12 + f21 + t21) / -2;
+            const {number} m00 = h11 * h22 - h12 * h12, m01 = h02 * h12 - h01 * h22, m02 = h01 * h12 - h02 * h11;
+            const {number} m11 = h00 * h22 - h02 * h02, m12 = h01 * h02 - h00 * h12, m22 = h00 * h11 - h01 * h01;
+            const {number} det = h00 * m00 + h01 * m01 + h02 * m02;
+            const {number} inverse = 1 / det;
+            const {number} v0 = (m00 * g0 + m01 * g1 + m02 * g2) * inverse / 2;
+            const {number} v1 = (m01 * g0 + m11 * g1 + m12 * g2) * inverse / 2;
+            const {number} v2 = (m02 * g0 + m12 * g1 + m22 * g2) * inverse / 2;
+            const int good = (g0 * g0 + g1 * g1 + g2 * g2 <= limit * limit * size2) & (h00 > 0) & (m22 > 0)
+                & (det > {number}({NO_ROTATION}) * h00 * h11 * h22);
+            r.data[0][l] = d00; r.data[1][l] = d10; r.data[2][l] = d20;
+            r.data[3][l] = d01; r.data[4][l] = d11; r.data[5][l] = d21;
+            r.data[6][l] = d02; r.data[7][l] = d12; r.data[8][l] = d22;
+            r.data[9][l] = m00 * inverse; r.data[10][l] = m01 * inverse; r.data[11][l] = m02 * inverse;
+            r.data[12][l] = m11 * inverse; r.data[13][l] = m12 * inverse; r.data[14][l] = m22 * inverse;
+            r.data[15][l] = good ? {number}(1) : {number}(0);
+            const {number} nw = w - x * v0 - y * v1 - z * v2, nx = x + w * v0 + y * v2 - z * v1;
+            const {number} ny = y + w * v1 + z * v0 - x * v2, nz = z + w * v2 + x * v1 - y * v0;
+            const {number} shrink = 1 / wp::sqrt(nw * nw + nx * nx + ny * ny + nz * nz);
+            q[0][l] = nw * shrink; q[1][l] = nx * shrink; q[2][l] = ny * shrink; q[3][l] = nz * shrink;
+        }}
+        int settled = 0;
+        {each} settled += r.data[15][l] > 0;
+        if (settled == {width}) break;
+    }}
+    return r;"""
+    )
+    def turn_3d(a: moments.rows, c: squares.rows) -> turns.rows:
+        """R - I of eq. 3.9 in space (transposed), the compliance (tr(S) I - S)^-1 of the rotation, and 1 if it settled.
+
+        Newton's steps on a quaternion from the rest orientation (Kugelstadt 2018, 3.2), all lanes together. They end at
+        the wanted maximum exactly when the gradient vanishes and tr(S) I - S is positive definite, so never at a
+        reflection. a: rest moments A_qq (upper triangle), c: A_pq - A_qq (transposed)
+        """
+        ...
+
+    @wp.func(inline=False)  # rare and long
+    def settle(turned: turns.rows, a_qq: moments.rows, change_t: squares.rows):
+        """Hands the lanes that did not settle to `functions.turn_3d`, which is global."""
+        for l in range(width):
+            if turned[15, l] <= zero:
+                moment = square()
+                change = square()
+                moment[0, 0] = a_qq[0, l]
+                moment[0, 1] = a_qq[1, l]
+                moment[0, 2] = a_qq[2, l]
+                moment[1, 0] = a_qq[1, l]
+                moment[1, 1] = a_qq[3, l]
+                moment[1, 2] = a_qq[4, l]
+                moment[2, 0] = a_qq[2, l]
+                moment[2, 1] = a_qq[4, l]
+                moment[2, 2] = a_qq[5, l]
+                for i in range(3):
+                    for j in range(3):
+                        change[i, j] = change_t[j * 3 + i, l]
+                r, c = turn_one(moment, change)
+                for i in range(3):
+                    for j in range(3):
+                        turned[j * 3 + i, l] = r[i, j]
+                turned[9, l] = c[0, 0]
+                turned[10, l] = c[0, 1]
+                turned[11, l] = c[0, 2]
+                turned[12, l] = c[1, 1]
+                turned[13, l] = c[1, 2]
+                turned[14, l] = c[2, 2]
+        return turned
+
+    @wp.func
+    def turn(a_qq: moments.rows, change_t: squares.rows):
+        if wp.static(dim == 2):
+            return turn_2d(a_qq, change_t)
+        else:
+            turned = turn_3d(a_qq, change_t)
+            if least(row_of_turn(turned, 15)) > zero:
+                return turned
+            return settle(turned, a_qq, change_t)
+
+    @wp.func_native(
+        f"{matrix_c(square_count)} r; for (int k = 0; k < {square_count}; ++k) {each} r.data[k][l] = t.data[k][l];"
+        " return r;"
+    )
+    def turned_part(t: turns.rows) -> squares.rows: ...
+
+    @wp.func_native(
+        f"{matrix_c(compliance_count)} r; for (int k = 0; k < {compliance_count}; ++k)"
+        f" {each} r.data[k][l] = t.data[k + {square_count}][l]; return r;"
+    )
+    def compliance_part(t: turns.rows) -> compliances.rows: ...
+
+    @wp.func_native(
+        f"""
+    {matrix_c(4)} r;
+    {each} {{
+        const {number} skew = c.data[1][l] - c.data[2][l], trace = c.data[0][l] + c.data[3][l];
+        const {number} angle = k.data[0][l] * (skew + t.data[0][l] * skew - t.data[1][l] * trace);
+        const {number} cosine = angle + t.data[0][l] * angle, sine = t.data[1][l] * angle;
+        r.data[0][l] = -sine;
+        r.data[1][l] = cosine;
+        r.data[2][l] = -cosine;
+        r.data[3][l] = -sine;
+    }}
+    return r;"""
+    )
+    def turn_change_2d(t: squares.rows, k: compliances.rows, c: squares.rows) -> squares.rows:
+        """dR (transposed) for dA_pq = c (transposed), where t is R - I (transposed) and k the compliance."""
+        ...
+
+    @wp.func_native(
+        f"""
+    {matrix_c(9)} r;
+    {each} {{
+        const {number} r00 = 1 + t.data[0][l], r10 = t.data[1][l], r20 = t.data[2][l];
+        const {number} r01 = t.data[3][l], r11 = 1 + t.data[4][l], r21 = t.data[5][l];
+        const {number} r02 = t.data[6][l], r12 = t.data[7][l], r22 = 1 + t.data[8][l];
+        const {number} c00 = c.data[0][l], c10 = c.data[1][l], c20 = c.data[2][l];
+        const {number} c01 = c.data[3][l], c11 = c.data[4][l], c21 = c.data[5][l];
+        const {number} c02 = c.data[6][l], c12 = c.data[7][l], c22 = c.data[8][l];
+        // axial(R^T dA_pq)
+        const {number} g0 = r02 * c01 + r12 * c11 + r22 * c21 - r01 * c02 - r11 * c12 - r21 * c22;
+        const {number} g1 = r00 * c02 + r10 * c12 + r20 * c22 - r02 * c00 - r12 * c10 - r22 * c20;
+        const {number} g2 = r01 * c00 + r11 * c10 + r21 * c20 - r00 * c01 - r10 * c11 - r20 * c21;
+        const {number} w0 = k.data[0][l] * g0 + k.data[1][l] * g1 + k.data[2][l] * g2;
+        const {number} w1 = k.data[1][l] * g0 + k.data[3][l] * g1 + k.data[4][l] * g2;
+        const {number} w2 = k.data[2][l] * g0 + k.data[4][l] * g1 + k.data[5][l] * g2;
+        // dR = R skew(w)
+        r.data[0][l] = w2 * r01 - w1 * r02; r.data[1][l] = w2 * r11 - w1 * r12; r.data[2][l] = w2 * r21 - w1 * r22;
+        r.data[3][l] = w0 * r02 - w2 * r00; r.data[4][l] = w0 * r12 - w2 * r10; r.data[5][l] = w0 * r22 - w2 * r20;
+        r.data[6][l] = w1 * r00 - w0 * r01; r.data[7][l] = w1 * r10 - w0 * r11; r.data[8][l] = w1 * r20 - w0 * r21;
+    }}
+    return r;"""
+    )
+    def turn_change_3d(t: squares.rows, k: compliances.rows, c: squares.rows) -> squares.rows:
+        """dR (transposed) for dA_pq = c (transposed), where t is R - I (transposed) and k the compliance."""
+        ...
+
+    turn_change = turn_change_2d if dim == 2 else turn_change_3d
+
+    @wp.func_native(
+        f"{matrix_c(terms * dim)} r; for (int k = 0; k < {terms * dim}; ++k) {each}"
+        f" r.data[k][l] = b.c[l] * a.data[k][l] + (k < {square_count} ? s.c[l] * t.data[k][l] : {number}(0)); return r;"
+    )
+    def mixed(a: transforms.rows, b: lane, t: squares.rows, s: lane) -> transforms.rows:
+        """b a + s [t, 0]."""
+        ...
+
+    @wp.func(inline=False)  # long, and not needed where theta = 0
+    def conserve(
+        rest: Rest, cluster: int, step: int, affine_t: transforms.rows, theta: lane, volume: int, what: int
+    ):
+        """A~_theta - [I, 0] of A~ - [I, 0] (transposed): eq. 3.17, or the projection; or its derivative by theta."""
+        for l in range(width):
+            own_cluster = cluster + l * step
+            k = rest.span_count[own_cluster]
+            th = theta[l]
+            a = square()
+            for i in range(wp.static(dim)):
+                for j in range(wp.static(dim)):
+                    a[i, j] = affine_t[j * wp.static(dim) + i, l]
+                a[i, i] += one
+            if volume == wp.static(PROJECT):
+                change, _u, _v, _stretch, _mu = project(a * rest.root[own_cluster], k)
+                lifted = change * rest.lift[own_cluster]
+                for t in range(wp.static(terms)):
+                    for i in range(wp.static(dim)):
+                        if what == wp.static(BY_THETA):
+                            affine_t[t * wp.static(dim) + i, l] = lifted[i, t]
+                        else:
+                            affine_t[t * wp.static(dim) + i, l] += th * lifted[i, t]
+            else:
+                denominator = denominator_of(a, th, rest.span_axes[own_cluster], k)
+                change = square()
+                if what == wp.static(BY_THETA):
+                    slope = zero
+                    if denominator > min_denominator:
+                        slope = denominator_of(a, one, rest.span_axes[own_cluster], k) - one
+                    change = a * (-slope / (denominator * denominator))
+                    for t in range(wp.static(terms * dim)):
+                        affine_t[t, l] = zero
+                else:
+                    change = a * (one / denominator - one)
+                for i in range(wp.static(dim)):
+                    for j in range(wp.static(dim)):
+                        affine_t[j * wp.static(dim) + i, l] += change[i, j]
+        return affine_t
+
+    @wp.func(inline=False)
+    def conserve_change(
+        rest: Rest,
+        cluster: int,
+        step: int,
+        before_t: squares.rows,
+        affine_t: transforms.rows,
+        theta: lane,
+        volume: int,
+    ):
+        """Derivative of `conserve` for the change `affine_t`, where A - I (transposed) was `before_t`."""
+        for l in range(width):
+            own_cluster = cluster + l * step
+            k = rest.span_count[own_cluster]
+            th = theta[l]
+            a = square()
+            da = square()
+            for i in range(wp.static(dim)):
+                for j in range(wp.static(dim)):
+                    a[i, j] = before_t[j * wp.static(dim) + i, l]
+                    da[i, j] = affine_t[j * wp.static(dim) + i, l]
+                a[i, i] += one
+            if volume == wp.static(PROJECT):
+                _change, u, v, stretch, mu = project(a * rest.root[own_cluster], k)
+                lifted = project_change(u, v, stretch, mu, k, da * rest.root[own_cluster]) * rest.lift[own_cluster]
+                for t in range(wp.static(terms)):
+                    for i in range(wp.static(dim)):
+                        affine_t[t * wp.static(dim) + i, l] += th * lifted[i, t]
+            else:
+                axes = rest.span_axes[own_cluster]
+                denominator = denominator_of(a, th, axes, k)
+                by = denominator_change(a, da, th, zero, axes, k)
+                change = da * (one / denominator - one) - a * (by / (denominator * denominator))
+                for i in range(wp.static(dim)):
+                    for j in range(wp.static(dim)):
+                        affine_t[j * wp.static(dim) + i, l] += change[i, j]
+        return affine_t
+
+    @wp.func_native(
+        f"{matrix_c(square_count)} r; for (int k = 0; k < {square_count}; ++k) {each} r.data[k][l] = a.data[k][l];"
+        " return r;"
+    )
+    def square_part(a: transforms.rows) -> squares.rows: ...
+
+    @wp.func
+    def fit(
+        rest: Rest,
+        cluster: int,
+        step: int,
+        kept: Kept,
+        position: int,
+        count: int,
+        affine_t: transforms.rows,
+        change_t: squares.rows,
+        beta: lane,
+        theta: lane,
+        volume: int,
+        what: int,
+    ):
+        """The blend of a cluster's rotation and its linear (quadratic) fit (Thesis eq. 3.9 to 3.14, 3.17), less rest.
+
+        affine_t: A~ - [I, 0] (eq. 3.7, 3.14); change_t: A_pq - A_qq, normalised by the trace of A_qq
+        """
+        turns = turn(load_moment(rest.a_qq, cluster, rest.stride, step), change_t)
+        turned = turned_part(turns)
+        if rest.some_untold != 0:  # terms that the cluster cannot tell follow its rotation
+            affine_t = add_transform(
+                affine_t, one, times_untold(load_untold(rest.untold_t, cluster, rest.stride, step), turned)
+            )
+        if kept.stride > 0:
+            store_square(kept.turned, position, kept.stride, turned, count)
+            store_compliance(kept.compliance, position, kept.stride, compliance_part(turns), count)
+        if volume != wp.static(NONE):
+            if kept.stride > 0:
+                store_square(kept.affine, position, kept.stride, square_part(affine_t), count)
+            affine_t = conserve(rest, cluster, step, affine_t, theta, volume, what)
+        if what == wp.static(BY_BETA):
+            return mixed(affine_t, lane(one), turned, lane(-one))
+        if what == wp.static(BY_THETA):
+            return mixed(affine_t, beta, turned, lane())
+        return mixed(affine_t, beta, turned, lane(one) - beta)
+
+    @wp.func
+    def fit_change(
+        rest: Rest,
+        cluster: int,
+        step: int,
+        kept: Kept,
+        position: int,
+        affine_t: transforms.rows,
+        change_t: squares.rows,
+        beta: lane,
+        theta: lane,
+        volume: int,
+    ):
+        """Derivative of `fit` along a direction whose own fit and moments are `affine_t` and `change_t`."""
+        turned = load_square(kept.turned, position, kept.stride)
+        change = turn_change(turned, load_compliance(kept.compliance, position, kept.stride), change_t)
+        if rest.some_untold != 0:
+            affine_t = add_transform(
+                affine_t, one, times_untold(load_untold(rest.untold_t, cluster, rest.stride, step), change)
+            )
+        if volume != wp.static(NONE):
+            before = load_square(kept.affine, position, kept.stride)
+            affine_t = conserve_change(rest, cluster, step, before, affine_t, theta, volume)
+        return mixed(affine_t, beta, change, lane(one) - beta)
+
+    return ClusterFunctions(Rest, Kept, fit, fit_change)

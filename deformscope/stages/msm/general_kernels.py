@@ -1,0 +1,282 @@
+"""Warp kernels of clusters given as index lists, for points without a lattice; candidates abreast in the lanes.
+
+Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
+"""
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
+from deformscope.stages.msm.lanes import CPU_FLAGS, Sized, lanes_for, rows_for
+from deformscope.stages.msm.lattice_kernels import STEP
+
+FAR = 1e4
+"""Spacings beyond which a particle has run away."""
+
+
+@dataclass(frozen=True, slots=True)
+class GeneralKernels:
+    """The compiled set and its struct types."""
+
+    lists: Any
+    motion: Any
+    fit_clusters: Any
+    fit_changes: Any
+    finish: Any
+
+
+@functools.cache
+def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> GeneralKernels:
+    """The kernels for `dim` = 2 or 3, `terms` = 2, 3 (linear) or 5, 9 (quadratic), and lanes of `width`."""
+    module = f"deformscope_general_{dim}d_{terms}_{scalar.__name__}_{width}"
+    wp.get_module(module).options.update(
+        {"enable_backward": False, "max_unroll": 3, "cpu_compiler_flags": CPU_FLAGS}
+    )
+    kernel = functools.partial(wp.kernel, module=module, enable_backward=False)
+    lanes = lanes_for(width, scalar)
+    lane, own, times, below = lanes.lane, lanes.own, lanes.times, lanes.below
+    vecs, squares = rows_for(dim, width, scalar), rows_for(dim * dim, width, scalar)
+    transforms = rows_for(dim * terms, width, scalar)
+    load, store, add, scale, row = vecs.load, vecs.store, vecs.add, vecs.scale, vecs.row
+    store_transform = transforms.store
+    cluster = cluster_functions_for(dim, terms, scalar, width)
+    fit, fit_change = cluster.fit, cluster.fit_change
+    one = scalar(1.0)
+    far = scalar(FAR)
+    number = f"wp::{scalar.__name__}"
+
+    @wp.struct
+    class Lists:
+        """Clusters as lists of particles, particles as lists of clusters, and where fields keep them.
+
+        particles, clusters: fields of particles and of clusters have `abreast` candidates at a place, and rows
+        `particle_stride` and `cluster_stride` numbers apart; a group of candidates follows the other
+        """
+
+        abreast: int
+        particles: int
+        clusters: int
+        particle_stride: int
+        cluster_stride: int
+        offsets: wp.array(dtype=int)
+        members: wp.array(dtype=int)
+        share: wp.array(dtype=scalar)  # m / M
+        weight: wp.array(dtype=scalar)  # from displacements to A~ - [I, 0], `terms` a member
+        moment: wp.array(dtype=scalar)  # from displacements to A_pq - A_qq, `dim` a member
+        row_offsets: wp.array(dtype=int)
+        row_clusters: wp.array(dtype=int)
+        row_basis: wp.array(dtype=scalar)  # q~, `terms` an entry
+
+    @wp.struct
+    class Motion:
+        """What time stepping adds: alpha, the share of the last motion that goes on, and a push each step."""
+
+        alpha: scalar
+        going_on: scalar
+        push: wp.array(dtype=scalar)
+
+    def outer(name: str, count: int, rows: Any) -> Any:
+        """The function m + w outer v for the `count` weights w of one member."""
+        sized = Sized(f"{name}_{count}x{dim}x{width}")
+
+        @sized.func_native(
+            f"wp::mat_t<{count * dim}, {width}, {number}> r; for (int t = 0; t < {count}; ++t)"
+            f" for (int i = 0; i < {dim}; ++i) for (int l = 0; l < {width}; ++l)"
+            f" r.data[t * {dim} + i][l] = m.data[t * {dim} + i][l] + w.data[slot * {count} + t] * v.data[i][l];"
+            " return r;"
+        )
+        def add_outer(m: rows, w: wp.array(dtype=scalar), slot: int, v: vecs.rows) -> rows: ...
+
+        return add_outer
+
+    add_weighted = outer("weight", terms, transforms.rows)
+    add_moment = outer("moment", dim, squares.rows)
+
+    @wp.func_native(
+        f"wp::mat_t<{dim}, {width}, {number}> r = m; for (int t = 0; t < {terms}; ++t)"
+        f" for (int i = 0; i < {dim}; ++i) for (int l = 0; l < {width}; ++l)"
+        f" r.data[i][l] += w.data[slot * {terms} + t] * a.data[at + (t * {dim} + i) * stride + l]; return r;"
+    )
+    def add_map(
+        m: vecs.rows, w: wp.array(dtype=scalar), slot: int, a: wp.array(dtype=scalar), at: int, stride: int
+    ) -> vecs.rows:
+        """m plus what a cluster's map (kept at `at` of `a`) makes of the basis of one of its particles."""
+        ...
+
+    @wp.func
+    def parameter(lists: Lists, values: wp.array(dtype=scalar), stride: int, group: int, cluster_index: int):
+        """A candidate's parameter, or (stride > 0) that of each cluster."""
+        if stride > 0:
+            return own(values, group * stride + cluster_index * lists.abreast, 1)
+        return own(values, group * lists.abreast, 1)
+
+    @wp.func
+    def gathered(lists: Lists, group: int, c: int, u_in: wp.array(dtype=scalar)):
+        """A cluster's mean displacement, A~ - [I, 0] and A_pq - A_qq (both transposed)."""
+        centre = vecs.rows()
+        base = group * lists.particles * lists.abreast
+        for slot in range(lists.offsets[c], lists.offsets[c + 1]):
+            at = base + lists.members[slot] * lists.abreast
+            centre = add(centre, lists.share[slot], load(u_in, at, lists.particle_stride))
+        affine_t = transforms.rows()
+        change_t = squares.rows()
+        for slot in range(lists.offsets[c], lists.offsets[c + 1]):
+            at = base + lists.members[slot] * lists.abreast
+            away = add(load(u_in, at, lists.particle_stride), -one, centre)
+            affine_t = add_weighted(affine_t, lists.weight, slot, away)
+            change_t = add_moment(change_t, lists.moment, slot, away)
+        return centre, affine_t, change_t
+
+    @kernel
+    def fit_clusters(
+        lists: Lists,
+        rest: cluster.rest,
+        kept: cluster.kept,
+        # In:
+        u_in: wp.array(dtype=scalar),
+        beta: wp.array(dtype=scalar),
+        beta_stride: int,
+        theta: wp.array(dtype=scalar),
+        volume: int,
+        what: int,
+        running: wp.array(dtype=int),
+        # Out:
+        maps_out: wp.array(dtype=scalar),
+    ):
+        """Each cluster's goal map (eq. 3.7 to 3.14, 3.17): mean displacement, and the blend of rotation and fit."""
+        group, c = wp.tid()
+        if running[group] == 0:
+            return
+        centre, affine_t, change_t = gathered(lists, group, c, u_in)
+        at = (group * lists.clusters + c) * lists.abreast
+        b = parameter(lists, beta, beta_stride, group, c)
+        t = parameter(lists, theta, 0, group, c)
+        blend_t = fit(rest, c, 0, kept, at, wp.static(width), affine_t, change_t, b, t, volume, what)
+        if what != wp.static(GOAL):
+            centre = vecs.rows()
+        store(maps_out, at, lists.cluster_stride, centre, wp.static(width))
+        store_transform(
+            maps_out,
+            at + wp.static(dim) * lists.cluster_stride,
+            lists.cluster_stride,
+            blend_t,
+            wp.static(width),
+        )
+
+    @kernel
+    def fit_changes(
+        lists: Lists,
+        rest: cluster.rest,
+        kept: cluster.kept,
+        # In:
+        direction_in: wp.array(dtype=scalar),
+        beta: wp.array(dtype=scalar),
+        beta_stride: int,
+        theta: wp.array(dtype=scalar),
+        volume: int,
+        what: int,
+        running: wp.array(dtype=int),
+        # Out:
+        maps_out: wp.array(dtype=scalar),
+    ):
+        """Derivative of `fit_clusters` along a direction, from what it kept."""
+        group, c = wp.tid()
+        if running[group] == 0:
+            return
+        centre, affine_t, change_t = gathered(lists, group, c, direction_in)
+        at = (group * lists.clusters + c) * lists.abreast
+        b = parameter(lists, beta, beta_stride, group, c)
+        t = parameter(lists, theta, 0, group, c)
+        blend_t = fit_change(rest, c, 0, kept, at, affine_t, change_t, b, t, volume)
+        store(maps_out, at, lists.cluster_stride, centre, wp.static(width))
+        store_transform(
+            maps_out,
+            at + wp.static(dim) * lists.cluster_stride,
+            lists.cluster_stride,
+            blend_t,
+            wp.static(width),
+        )
+
+    @wp.func
+    def ahead(
+        lists: Lists, u: vecs.rows, before_in: wp.array(dtype=scalar), motion: Motion, free: scalar, at: int
+    ):
+        """x* of eq. 3.1, 3.2: where the last motion and the push would take a free particle."""
+        moved = add(u, free * motion.going_on, add(u, -one, load(before_in, at, lists.particle_stride)))
+        for k in range(wp.static(dim)):
+            for l in range(wp.static(width)):
+                moved[k, l] = moved[k, l] + free * motion.push[k]
+        return moved
+
+    @kernel
+    def predict(
+        lists: Lists,
+        # In:
+        u_in: wp.array(dtype=scalar),
+        before_in: wp.array(dtype=scalar),
+        motion: Motion,
+        free: wp.array(dtype=scalar),
+        # Out:
+        star_out: wp.array(dtype=scalar),
+    ):
+        """x* of eq. 3.1, 3.2."""
+        group, particle = wp.tid()
+        at = (group * lists.particles + particle) * lists.abreast
+        u = load(u_in, at, lists.particle_stride)
+        star = ahead(lists, u, before_in, motion, free[particle], at)
+        store(star_out, at, lists.particle_stride, star, wp.static(width))
+
+    @kernel
+    def finish(
+        lists: Lists,
+        # In:
+        maps_in: wp.array(dtype=scalar),
+        u_in: wp.array(dtype=scalar),
+        star_in: wp.array(dtype=scalar),
+        motion: Motion,
+        pull: wp.array(dtype=scalar),
+        free: wp.array(dtype=scalar),
+        running: wp.array(dtype=int),
+        what: int,
+        # Out:
+        out: wp.array(dtype=scalar),
+        ran_away: wp.array(dtype=int),
+    ):
+        """Mean goal of each particle over its clusters (eq. 3.15), less where it is; 0 if held.
+
+        pull: 1 / number of clusters, 0 for a held particle. With `what` = STEP, eq. 3.11: the new position. A particle
+        that would run away stays, and marks its candidate.
+        """
+        group, particle = wp.tid()
+        if running[group] == 0:
+            return
+        at = (group * lists.particles + particle) * lists.abreast
+        star = load(star_in, at, lists.particle_stride)
+        total = vecs.rows()
+        for slot in range(lists.row_offsets[particle], lists.row_offsets[particle + 1]):
+            c = (group * lists.clusters + lists.row_clusters[slot]) * lists.abreast
+            total = add(total, one, add(load(maps_in, c, lists.cluster_stride), -one, star))
+            total = add_map(
+                total, lists.row_basis, slot, maps_in, c + wp.static(dim) * lists.cluster_stride, lists.cluster_stride
+            )
+        pulled = scale(total, lane(pull[particle]))
+        if what != wp.static(STEP):
+            store(out, at, lists.particle_stride, pulled, wp.static(width))
+        else:
+            new = add(star, motion.alpha, pulled)
+            length2 = lane()
+            for i in range(wp.static(dim)):
+                length2 += times(row(new, i), row(new, i))
+            if below(length2, far * far) == 0:
+                u = load(u_in, at, lists.particle_stride)
+                for l in range(wp.static(width)):
+                    if not (length2[l] < far * far):
+                        ran_away[group * lists.abreast + l] = 1
+                        for i in range(wp.static(dim)):
+                            new[i, l] = u[i, l]
+            store(out, at, lists.particle_stride, new, wp.static(width))
+
+    return GeneralKernels(Lists, Motion, fit_clusters, fit_changes, finish)

@@ -1,0 +1,687 @@
+"""Warp kernels of the two ways to a static state: Newton's steps by conjugate gradients, and Anderson's acceleration.
+
+They see fields of particles as they lie (see `layout.py`) and know nothing of clusters. Sums over particles are taken
+in a fixed order, so that runs repeat bit for bit. Every candidate goes its own way: what has ended gets steps of 0, and a
+group in which all have ended is skipped.
+
+Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
+"""
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+from deformscope.stages.msm.general_kernels import FAR
+from deformscope.stages.msm.lanes import CPU_FLAGS, lanes_for, rows_for
+
+MEMORY = 8
+"""Earlier iterates that Anderson's acceleration combines."""
+
+RUNNING, CONVERGED, DIVERGED, STALLED = 1, 0, -1, 2
+
+REACH = 1.0
+"""Spacings that no particle goes beyond in one Newton step: rotations are not straight."""
+
+
+@dataclass(frozen=True, slots=True)
+class IterationKernels:
+    """The compiled set and its struct types."""
+
+    span: Any
+    newton: Any
+    anderson: Any
+    inner_products: Any
+    move: Any
+    judge: Any
+    begin: Any
+    curvature: Any
+    descend: Any
+    conjugate: Any
+    direct: Any
+    remember: Any
+    history_products: Any
+    accelerate: Any
+    advance: Any
+    add_field: Any
+
+
+@functools.cache
+def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels:
+    """The kernels for fields of `dim` rows and lanes of `width`."""
+    module = f"deformscope_iteration_{dim}d_{scalar.__name__}_{width}"
+    wp.get_module(module).options.update({"enable_backward": False, "max_unroll": 3, "cpu_compiler_flags": CPU_FLAGS})
+    kernel = functools.partial(wp.kernel, module=module, enable_backward=False)
+    lanes = lanes_for(width, scalar)
+    lane, own = lanes.lane, lanes.own
+    vecs = rows_for(dim, width, scalar)
+    load, store, add, scale, choose = vecs.load, vecs.store, vecs.add, vecs.scale, vecs.choose
+    sums = wp.types.vector(length=width, dtype=wp.float64)
+    sums_c = f"wp::vec_t<{width}, wp::float64>"
+    each = f"for (int l = 0; l < {width}; ++l)"
+    history = wp.types.matrix(shape=(MEMORY, MEMORY), dtype=wp.float64)
+    history_vec = wp.types.vector(length=MEMORY, dtype=wp.float64)
+    one = scalar(1.0)
+    nought, unity = wp.float64(0.0), wp.float64(1.0)
+    far, growth, reach = wp.float64(FAR), wp.float64(1e2), wp.float64(REACH)
+    double = scalar is wp.float64
+    flat = wp.float64(1e-12 if double else 1e-7)
+    floor = wp.float64(1e-14 if double else 1e-8)
+    ridge = wp.float64(1e-14 if double else 1e-8)
+
+    @wp.struct
+    class Span:
+        """How particles lie in a field, and their metric N_i m_i (0 where held), in which the goal map is symmetric.
+
+        blocks: lanes' worths in a group; parts: a sum over a group is taken in so many
+        """
+
+        abreast: int
+        blocks: int
+        parts: int
+        front: int
+        group: int
+        stride: int
+        metric: wp.array(dtype=scalar)
+        metric_total: wp.float64
+
+    @wp.struct
+    class Newton:
+        """What Newton's steps keep of each candidate (arrays of B), and which groups have work to do."""
+
+        tolerance: wp.array(dtype=wp.float64)  # of the distance to the static state [spacing]; first entry
+        relative: wp.array(dtype=wp.float64)  # reduction of a residual that ends a linear solve; first entry, 0: Newton
+        state: wp.array(dtype=int)  # RUNNING...
+        inner: wp.array(dtype=int)  # 1 while conjugate gradients run
+        outer_groups: wp.array(dtype=int)
+        inner_groups: wp.array(dtype=int)
+        outers: wp.array(dtype=int)
+        inners: wp.array(dtype=int)  # of this Newton step
+        backs: wp.array(dtype=int)
+        stalls: wp.array(dtype=int)
+        total: wp.array(dtype=int)
+        norm: wp.array(dtype=wp.float64)
+        best: wp.array(dtype=wp.float64)
+        first: wp.array(dtype=wp.float64)
+        error: wp.array(dtype=wp.float64)
+        square: wp.array(dtype=wp.float64)  # squared norm of the inner residual
+        target: wp.array(dtype=wp.float64)  # at which the inner residual ends
+        slope: wp.array(dtype=wp.float64)  # along the step, where it began
+        taken: wp.array(dtype=wp.float64)  # share of the step that was taken
+        least: wp.array(dtype=wp.float64)  # smallest curvature met in this solve, and in the one before
+        least_before: wp.array(dtype=wp.float64)
+        last: wp.array(dtype=int)
+        by: wp.array(dtype=scalar)  # how far to go along the step
+        length: wp.array(dtype=scalar)  # along the direction
+        mix: wp.array(dtype=scalar)  # how much of the last direction to keep
+
+    @wp.struct
+    class Anderson:
+        """What Anderson's acceleration keeps of each candidate."""
+
+        tolerance: wp.array(dtype=wp.float64)
+        state: wp.array(dtype=int)
+        groups: wp.array(dtype=int)
+        count: wp.array(dtype=int)  # iterations of a group
+        known: wp.array(dtype=int)  # remembered changes that count
+        total: wp.array(dtype=int)
+        mark: wp.array(dtype=int)
+        path: wp.array(dtype=wp.float64)
+        norm: wp.array(dtype=wp.float64)
+        best: wp.array(dtype=wp.float64)
+        error: wp.array(dtype=wp.float64)
+        gram: wp.array(dtype=history)
+        gamma: wp.array(dtype=scalar)  # weights of the remembered changes, slot by slot
+        stride: int
+
+    @wp.func
+    def metric_of(span: Span, number: int):
+        """The metric of the lanes at a number of a group."""
+        if span.abreast == 1:
+            return own(span.metric, number, 1)
+        return own(span.metric, number / span.abreast, 0)
+
+    @wp.func
+    def of_candidate(span: Span, values: wp.array(dtype=scalar), group: int, offset: int):
+        """A candidate's number in its lanes."""
+        if span.abreast == 1:
+            return own(values, offset + group, 0)
+        return own(values, offset + group * span.abreast, 1)
+
+    @wp.func_native(
+        f"{sums_c} r = s; for (int i = 0; i < {dim}; ++i) {each}"
+        " r.c[l] += wp::float64(m.c[l] * a.data[i][l] * b.data[i][l]); return r;"
+    )
+    def add_product(s: sums, m: lane, a: vecs.rows, b: vecs.rows) -> sums: ...
+
+    @wp.func_native(
+        f"{sums_c} r = s; {each} {{ wp::float64 q = 0; for (int i = 0; i < {dim}; ++i)"
+        " q += wp::float64(a.data[i][l]) * wp::float64(a.data[i][l]); r.c[l] = q > r.c[l] ? q : r.c[l]; } return r;"
+    )
+    def longer(s: sums, a: vecs.rows) -> sums: ...
+
+    @wp.func_native(f"{each} a.data[i + l] = v.c[l];")
+    def put(a: wp.array(dtype=wp.float64), i: int, v: sums): ...
+
+    @wp.func
+    def collected(span: Span, parts: wp.array(dtype=wp.float64), row: int, groups: int, group: int, member: int):
+        """A sum over a group's particles for one candidate, from its parts."""
+        total = wp.float64(0.0)
+        first = (row * groups + group) * span.parts
+        for part in range(first, first + span.parts):
+            if span.abreast == 1:
+                for l in range(wp.static(width)):
+                    total += parts[part * wp.static(width) + l]
+            else:
+                total += parts[part * wp.static(width) + member]
+        return total
+
+    @wp.func
+    def largest(span: Span, parts: wp.array(dtype=wp.float64), row: int, groups: int, group: int, member: int):
+        total = wp.float64(0.0)
+        first = (row * groups + group) * span.parts
+        for part in range(first, first + span.parts):
+            if span.abreast == 1:
+                for l in range(wp.static(width)):
+                    total = wp.max(total, parts[part * wp.static(width) + l])
+            else:
+                total = wp.max(total, parts[part * wp.static(width) + member])
+        return total
+
+    @kernel
+    def inner_products(
+        span: Span,
+        running: wp.array(dtype=int),
+        groups: int,
+        # In:
+        a: wp.array(dtype=scalar),
+        b: wp.array(dtype=scalar),
+        c: wp.array(dtype=scalar),
+        d: wp.array(dtype=scalar),
+        # Out:
+        parts_out: wp.array(dtype=wp.float64),
+    ):
+        """Parts of <a, b> and of <c, d>."""
+        group, part = wp.tid()
+        if running[group] == 0:
+            return
+        first_sum = sums()
+        second_sum = sums()
+        base = span.front + group * span.group
+        for block in range(part, span.blocks, span.parts):
+            number = block * wp.static(width)
+            m = metric_of(span, number)
+            first_sum = add_product(
+                first_sum, m, load(a, base + number, span.stride), load(b, base + number, span.stride)
+            )
+            second_sum = add_product(
+                second_sum, m, load(c, base + number, span.stride), load(d, base + number, span.stride)
+            )
+        put(parts_out, (group * span.parts + part) * wp.static(width), first_sum)
+        put(parts_out, ((groups + group) * span.parts + part) * wp.static(width), second_sum)
+
+    @kernel
+    def move(
+        span: Span,
+        newton: Newton,
+        # In:
+        step_in: wp.array(dtype=scalar),
+        # In and out:
+        u: wp.array(dtype=scalar),
+    ):
+        """Goes along the step."""
+        group, block = wp.tid()
+        if newton.outer_groups[group] == 0:
+            return
+        at = span.front + group * span.group + block * wp.static(width)
+        count = span.group - block * wp.static(width)
+        by = of_candidate(span, newton.by, group, 0)
+        new = add(load(u, at, span.stride), one, scale(load(step_in, at, span.stride), by))
+        store(u, at, span.stride, new, count)
+
+    @kernel
+    def judge(span: Span, newton: Newton, parts: wp.array(dtype=wp.float64), groups: int):
+        """After a Newton step: has it gone too far, is this the static state, and how well to solve for the next step.
+
+        The energy falls along the step as long as its slope <residual, step> is positive; where the slope at the end is
+        clearly negative, the step is shortened to where the slope would vanish. The distance that is left is the
+        residual over the smallest curvature that the last solves met: a mode that pulls back by 2e-4 of its
+        displacement has a residual 5000 times smaller than its error.
+        """
+        group = wp.tid()
+        any_outer = int(0)
+        any_inner = int(0)
+        for member in range(span.abreast):
+            i = group * span.abreast + member
+            newton.by[i] = scalar(0.0)
+            newton.inner[i] = 0
+            if newton.state[i] == wp.static(RUNNING):
+                norm = wp.sqrt(collected(span, parts, 0, groups, group, member) / span.metric_total)
+                along = collected(span, parts, 1, groups, group, member)
+                newton.norm[i] = norm
+                newton.total[i] = newton.total[i] + 1
+                tolerance = newton.tolerance[0]
+                least = wp.min(newton.least[i], newton.least_before[i])
+                slope = newton.slope[i]
+                taken = newton.taken[i]
+                newton.error[i] = norm / wp.max(least, floor)
+                if not wp.isfinite(norm) or norm > far:
+                    newton.state[i] = wp.static(DIVERGED)
+                elif norm <= floor:
+                    newton.state[i] = wp.static(CONVERGED)
+                elif newton.outers[i] > 0 and taken * along < -0.5 * slope and newton.backs[i] < 12:
+                    share = slope / (slope - taken * along)
+                    newton.by[i] = scalar(-(unity - share) * taken)
+                    newton.taken[i] = taken * share
+                    newton.slope[i] = slope * share
+                    newton.backs[i] = newton.backs[i] + 1
+                elif newton.outers[i] > 0 and newton.error[i] <= tolerance:
+                    newton.state[i] = wp.static(CONVERGED)
+                else:
+                    if newton.outers[i] == 0:
+                        newton.first[i] = norm
+                        newton.best[i] = norm
+                    if norm < 0.5 * newton.best[i]:
+                        newton.best[i] = norm
+                        newton.stalls[i] = 0
+                    else:
+                        newton.stalls[i] = newton.stalls[i] + 1
+                    if newton.stalls[i] > 60:
+                        newton.state[i] = wp.static(STALLED)
+                    else:
+                        forcing = wp.min(wp.float64(0.1), wp.sqrt(norm / newton.first[i]))
+                        goal = forcing * norm
+                        if newton.outers[i] > 0:
+                            goal = wp.max(goal, 0.1 * tolerance * least)
+                        newton.target[i] = goal * goal * span.metric_total
+                        newton.square[i] = norm * norm * span.metric_total
+                        newton.inner[i] = 1
+                        newton.inners[i] = 0
+                        newton.last[i] = 0
+                        newton.backs[i] = 0
+                        newton.slope[i] = nought
+                        newton.outers[i] = newton.outers[i] + 1
+                        newton.least_before[i] = newton.least[i]
+                        newton.least[i] = wp.float64(1.0)
+            if newton.state[i] == wp.static(RUNNING):
+                any_outer = int(1)
+            if newton.inner[i] == 1:
+                any_inner = int(1)
+        newton.outer_groups[group] = any_outer
+        newton.inner_groups[group] = any_inner
+
+    @kernel
+    def begin(
+        span: Span,
+        newton: Newton,
+        # In:
+        residual_in: wp.array(dtype=scalar),
+        # Out:
+        rho_out: wp.array(dtype=scalar),
+        direction_out: wp.array(dtype=scalar),
+        step_out: wp.array(dtype=scalar),
+    ):
+        """Conjugate gradients start at a step of 0, unless the last step is to be shortened first."""
+        group, block = wp.tid()
+        if newton.inner_groups[group] == 0:
+            return
+        at = span.front + group * span.group + block * wp.static(width)
+        count = span.group - block * wp.static(width)
+        begins = lane()
+        for l in range(wp.static(width)):
+            member = group
+            if span.abreast > 1:
+                member = group * span.abreast + l
+            begins[l] = scalar(newton.inner[member])
+        keeps = lane(one) - begins
+        r = choose(begins, load(residual_in, at, span.stride))
+        store(rho_out, at, span.stride, r, count)
+        store(direction_out, at, span.stride, r, count)
+        store(step_out, at, span.stride, choose(keeps, load(step_out, at, span.stride)), count)
+
+    @kernel
+    def curvature(span: Span, newton: Newton, parts: wp.array(dtype=wp.float64), groups: int):
+        """How far to go along the direction p: to the minimum, by its curvature <p, (I - J) p>.
+
+        Where the energy curves down (a crushed cluster about to turn) the solve ends; if that is so at its first
+        direction, the step is that of the plain goal map, which never raises the energy.
+        """
+        group = wp.tid()
+        if newton.inner_groups[group] == 0:
+            return
+        for member in range(span.abreast):
+            i = group * span.abreast + member
+            newton.length[i] = scalar(0.0)
+            if newton.inner[i] == 1:
+                stiff = -collected(span, parts, 0, groups, group, member)
+                own_square = collected(span, parts, 1, groups, group, member)
+                if stiff > flat * own_square:
+                    length = newton.square[i] / stiff
+                    newton.length[i] = scalar(length)
+                    newton.slope[i] = newton.slope[i] + length * newton.square[i]
+                    newton.least[i] = wp.min(newton.least[i], stiff / own_square)
+                else:
+                    newton.last[i] = 1
+                    if newton.inners[i] == 0:
+                        newton.length[i] = one
+                        newton.slope[i] = newton.square[i]
+
+    @kernel
+    def descend(
+        span: Span,
+        newton: Newton,
+        groups: int,
+        # In:
+        direction_in: wp.array(dtype=scalar),
+        change_in: wp.array(dtype=scalar),
+        # In and out:
+        step: wp.array(dtype=scalar),
+        rho: wp.array(dtype=scalar),
+        # Out:
+        parts_out: wp.array(dtype=wp.float64),
+    ):
+        """Goes along the direction; parts of the new squared residual, and of the longest |step_i|^2."""
+        group, part = wp.tid()
+        if newton.inner_groups[group] == 0:
+            return
+        square_sum = sums()
+        longest = sums()
+        base = span.front + group * span.group
+        length = of_candidate(span, newton.length, group, 0)
+        for block in range(part, span.blocks, span.parts):
+            number = block * wp.static(width)
+            at = base + number
+            count = span.group - number
+            s = add(load(step, at, span.stride), one, scale(load(direction_in, at, span.stride), length))
+            r = add(load(rho, at, span.stride), one, scale(load(change_in, at, span.stride), length))
+            store(step, at, span.stride, s, count)
+            store(rho, at, span.stride, r, count)
+            square_sum = add_product(square_sum, metric_of(span, number), r, r)
+            longest = longer(longest, s)
+        put(parts_out, (group * span.parts + part) * wp.static(width), square_sum)
+        put(parts_out, ((groups + group) * span.parts + part) * wp.static(width), longest)
+
+    @kernel
+    def conjugate(span: Span, newton: Newton, parts: wp.array(dtype=wp.float64), groups: int, most: int):
+        """Ends the solve, or mixes the next direction. No particle goes beyond `REACH` in one Newton step."""
+        group = wp.tid()
+        if newton.inner_groups[group] == 0:
+            return
+        any_inner = int(0)
+        for member in range(span.abreast):
+            i = group * span.abreast + member
+            newton.mix[i] = scalar(0.0)
+            if newton.inner[i] == 1:
+                fresh = collected(span, parts, 0, groups, group, member)
+                longest = wp.sqrt(largest(span, parts, 1, groups, group, member))
+                newton.total[i] = newton.total[i] + 1
+                newton.inners[i] = newton.inners[i] + 1
+                linear = newton.relative[0] > nought
+                done = newton.last[i] == 1 or fresh <= newton.target[i] or newton.inners[i] >= most
+                if not linear and longest > reach:
+                    done = True
+                if not wp.isfinite(fresh):
+                    done = True
+                    newton.state[i] = wp.static(DIVERGED)
+                newton.mix[i] = scalar(fresh / newton.square[i])
+                newton.square[i] = fresh
+                if done:
+                    newton.inner[i] = 0
+                    taken = unity
+                    if longest > reach:
+                        taken = reach / longest
+                    newton.taken[i] = taken
+                    newton.by[i] = scalar(taken)
+                    newton.slope[i] = newton.slope[i] * taken
+                else:
+                    any_inner = int(1)
+        newton.inner_groups[group] = any_inner
+
+    @kernel
+    def direct(
+        span: Span,
+        newton: Newton,
+        # In:
+        rho_in: wp.array(dtype=scalar),
+        # In and out:
+        direction: wp.array(dtype=scalar),
+    ):
+        """The next direction."""
+        group, block = wp.tid()
+        if newton.inner_groups[group] == 0:
+            return
+        at = span.front + group * span.group + block * wp.static(width)
+        count = span.group - block * wp.static(width)
+        mix = of_candidate(span, newton.mix, group, 0)
+        p = add(load(rho_in, at, span.stride), one, scale(load(direction, at, span.stride), mix))
+        store(direction, at, span.stride, p, count)
+
+    @kernel
+    def remember(
+        span: Span,
+        anderson: Anderson,
+        # In:
+        u_in: wp.array(dtype=scalar),
+        residual_in: wp.array(dtype=scalar),
+        # Out:
+        u_last: wp.array(dtype=scalar),
+        residual_last: wp.array(dtype=scalar),
+        du_out: wp.array(dtype=scalar),
+        dr_out: wp.array(dtype=scalar),
+    ):
+        """Keep the change of iterate and of residual since the last iteration in this iteration's slot."""
+        group, block = wp.tid()
+        if anderson.groups[group] == 0:
+            return
+        at = span.front + group * span.group + block * wp.static(width)
+        count = span.group - block * wp.static(width)
+        u = load(u_in, at, span.stride)
+        r = load(residual_in, at, span.stride)
+        k = anderson.count[group]
+        if k > 0:
+            slot = at + ((k - 1) % wp.static(MEMORY)) * wp.static(dim) * span.stride
+            store(du_out, slot, span.stride, add(u, -one, load(u_last, at, span.stride)), count)
+            store(dr_out, slot, span.stride, add(r, -one, load(residual_last, at, span.stride)), count)
+        store(u_last, at, span.stride, u, count)
+        store(residual_last, at, span.stride, r, count)
+
+    @kernel
+    def history_products(
+        span: Span,
+        anderson: Anderson,
+        groups: int,
+        # In:
+        residual_in: wp.array(dtype=scalar),
+        du_in: wp.array(dtype=scalar),
+        dr_in: wp.array(dtype=scalar),
+        # Out:
+        parts_out: wp.array(dtype=wp.float64),
+    ):
+        """Parts of the newest residual change with each, and of each with the residual; last the residual and the step."""
+        group, what, part = wp.tid()
+        if anderson.groups[group] == 0:
+            return
+        base = span.front + group * span.group
+        rows = wp.static(dim) * span.stride
+        newest = (wp.max(anderson.count[group] - 1, 0) % wp.static(MEMORY)) * rows
+        first_sum = sums()
+        second_sum = sums()
+        for block in range(part, span.blocks, span.parts):
+            number = block * wp.static(width)
+            at = base + number
+            m = metric_of(span, number)
+            r = load(residual_in, at, span.stride)
+            if what == wp.static(MEMORY):
+                first_sum = add_product(first_sum, m, r, r)
+                du = load(du_in, at + newest, span.stride)
+                second_sum = add_product(second_sum, m, du, du)
+            else:
+                dr = load(dr_in, at + what * rows, span.stride)
+                first_sum = add_product(first_sum, m, dr, load(dr_in, at + newest, span.stride))
+                second_sum = add_product(second_sum, m, dr, r)
+        put(parts_out, ((2 * what * groups + group) * span.parts + part) * wp.static(width), first_sum)
+        put(parts_out, (((2 * what + 1) * groups + group) * span.parts + part) * wp.static(width), second_sum)
+
+    @kernel
+    def accelerate(span: Span, anderson: Anderson, parts: wp.array(dtype=wp.float64), groups: int):
+        """Anderson's weights of the remembered changes: least squares of the residual over them, slightly damped.
+
+        The distance still to go is judged by the path over the last quarter of all iterations, not by the residual:
+        accelerated steps are as long as the error that they remove. When the residual has grown far above its best,
+        the memory is dropped and a plain step follows.
+        """
+        group = wp.tid()
+        if anderson.groups[group] == 0:
+            return
+        k = anderson.count[group]
+        any_running = int(0)
+        for member in range(span.abreast):
+            i = group * span.abreast + member
+            for slot in range(wp.static(MEMORY)):
+                anderson.gamma[slot * anderson.stride + i] = scalar(0.0)
+            if anderson.state[i] == wp.static(RUNNING):
+                norm = wp.sqrt(
+                    collected(span, parts, wp.static(2 * MEMORY), groups, group, member) / span.metric_total
+                )
+                anderson.norm[i] = norm
+                anderson.total[i] = anderson.total[i] + 1
+                if k > 0:
+                    step = collected(span, parts, wp.static(2 * MEMORY + 1), groups, group, member)
+                    anderson.path[i] = anderson.path[i] + wp.sqrt(step / span.metric_total)
+                done = anderson.total[i]
+                if not wp.isfinite(norm) or norm > far:
+                    anderson.state[i] = wp.static(DIVERGED)
+                elif norm <= floor:
+                    anderson.state[i] = wp.static(CONVERGED)
+                elif done >= anderson.mark[i]:
+                    anderson.error[i] = anderson.path[i]
+                    anderson.mark[i] = done + wp.max(done / 3, 8)
+                    anderson.path[i] = nought
+                    if anderson.error[i] <= anderson.tolerance[0]:
+                        anderson.state[i] = wp.static(CONVERGED)
+            if anderson.state[i] == wp.static(RUNNING):
+                any_running = int(1)
+                norm = anderson.norm[i]
+                known = anderson.known[i]
+                if k > 0:
+                    known = wp.min(known + 1, wp.static(MEMORY))
+                g = anderson.gram[i]
+                rhs = history_vec()
+                newest = wp.max(k - 1, 0) % wp.static(MEMORY)
+                for j in range(wp.static(MEMORY)):
+                    if k > 0:
+                        both = collected(span, parts, 2 * j, groups, group, member)
+                        g[j, newest] = both
+                        g[newest, j] = both
+                    rhs[j] = collected(span, parts, 2 * j + 1, groups, group, member)
+                anderson.gram[i] = g
+                if norm > growth * anderson.best[i]:
+                    anderson.best[i] = norm
+                    known = int(0)
+                anderson.best[i] = wp.min(anderson.best[i], norm)
+                anderson.known[i] = known
+                # scaled to a unit diagonal (the changes shrink by orders as it converges); Cholesky with a small ridge
+                unit = history_vec()
+                for j in range(wp.static(MEMORY)):
+                    age = (newest - j + wp.static(MEMORY)) % wp.static(MEMORY)
+                    if age < known and g[j, j] > nought:
+                        unit[j] = unity / wp.sqrt(g[j, j])
+                low = history()
+                for j in range(wp.static(MEMORY)):
+                    for m in range(j + 1):
+                        value = g[j, m] * unit[j] * unit[m]
+                        if j == m:
+                            value = unity + ridge
+                        for n in range(m):
+                            value -= low[j, n] * low[m, n]
+                        if j == m:
+                            low[j, j] = wp.sqrt(wp.max(value, ridge))
+                        else:
+                            low[j, m] = value / low[m, m]
+                y = history_vec()
+                for j in range(wp.static(MEMORY)):
+                    value = rhs[j] * unit[j]
+                    for m in range(j):
+                        value -= low[j, m] * y[m]
+                    y[j] = value / low[j, j]
+                for back in range(wp.static(MEMORY)):
+                    j = wp.static(MEMORY - 1) - back
+                    value = y[j]
+                    for m in range(j + 1, wp.static(MEMORY)):
+                        value -= low[m, j] * y[m]
+                    y[j] = value / low[j, j]
+                for j in range(wp.static(MEMORY)):
+                    anderson.gamma[j * anderson.stride + i] = scalar(y[j] * unit[j])
+        anderson.count[group] = k + 1
+        anderson.groups[group] = any_running
+
+    @kernel
+    def advance(
+        span: Span,
+        anderson: Anderson,
+        # In:
+        residual_in: wp.array(dtype=scalar),
+        du_in: wp.array(dtype=scalar),
+        dr_in: wp.array(dtype=scalar),
+        # Out:
+        u: wp.array(dtype=scalar),
+    ):
+        """The accelerated step."""
+        group, block = wp.tid()
+        if anderson.groups[group] == 0:
+            return
+        at = span.front + group * span.group + block * wp.static(width)
+        count = span.group - block * wp.static(width)
+        runs = lane()
+        for l in range(wp.static(width)):
+            member = group
+            if span.abreast > 1:
+                member = group * span.abreast + l
+            if anderson.state[member] == wp.static(RUNNING):
+                runs[l] = one
+        moved = load(residual_in, at, span.stride)
+        for slot in range(wp.static(MEMORY)):
+            w = of_candidate(span, anderson.gamma, group, slot * anderson.stride)
+            row = at + slot * wp.static(dim) * span.stride
+            moved = add(moved, -one, scale(load(du_in, row, span.stride), w))
+            moved = add(moved, -one, scale(load(dr_in, row, span.stride), w))
+        store(u, at, span.stride, add(load(u, at, span.stride), one, choose(runs, moved)), count)
+
+    @kernel
+    def add_field(
+        span: Span,
+        running: wp.array(dtype=int),
+        # In:
+        field_in: wp.array(dtype=scalar),
+        # In and out:
+        total: wp.array(dtype=scalar),
+    ):
+        """total += field."""
+        group, block = wp.tid()
+        if running[group] == 0:
+            return
+        at = span.front + group * span.group + block * wp.static(width)
+        count = span.group - block * wp.static(width)
+        store(
+            total, at, span.stride, add(load(total, at, span.stride), one, load(field_in, at, span.stride)), count
+        )
+
+    return IterationKernels(
+        Span,
+        Newton,
+        Anderson,
+        inner_products,
+        move,
+        judge,
+        begin,
+        curvature,
+        descend,
+        conjugate,
+        direct,
+        remember,
+        history_products,
+        accelerate,
+        advance,
+        add_field,
+    )

@@ -1,0 +1,190 @@
+"""Lanes: `width` numbers that go through a computation side by side, as one vector of the processor.
+
+A lane is a cell of the lattice or a candidate; the kernels do not care which. Width 16 fills the vector units of a CPU,
+whose compiler finds none of this parallelism in scalar kernels; width 1 is a plain number, for a GPU and for lists of
+indices. `Rows` are small matrices of lanes, row by row. The loops of the native functions have no branches and run
+over the lanes innermost, which is what compilers turn into vector instructions; warp's own operators on matrices are
+not turned.
+
+Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
+"""
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+
+CPU_FLAGS = "-march=native -mllvm=-inline-threshold=9000 -mllvm=-inline-cold-callsite-threshold=3000"
+"""For modules of lanes. Warp's own flags also cap the recursion of the search for vector instructions, which leaves
+most of the lanes to plain ones; without the high threshold matrices of lanes go through memory at every call."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lanes:
+    """The lane type of one width and precision, and its functions."""
+
+    lane: Any
+    load: Any
+    store: Any
+    own: Any
+    times: Any
+    over: Any
+    root: Any
+    choose: Any
+    least: Any
+    below: Any
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """`count` rows of lanes (a vector of `count`, or a matrix by rows), and their functions."""
+
+    rows: Any
+    load: Any
+    store: Any
+    own: Any
+    row: Any
+    with_row: Any
+    add: Any
+    scale: Any
+    choose: Any
+
+
+@functools.cache
+def lanes_for(width: int, scalar: Any) -> Lanes:
+    """Lanes of `width` numbers of type `scalar` (wp.float32 or wp.float64)."""
+    lane = wp.types.vector(length=width, dtype=scalar)
+    vec = f"wp::vec_t<{width}, wp::{scalar.__name__}>"
+    each = f"for (int l = 0; l < {width}; ++l)"
+
+    @wp.func_native(f"{vec} r; {each} r.c[l] = a.data[i + l]; return r;")
+    def load(a: wp.array(dtype=scalar), i: int) -> lane:
+        """Numbers i to i + width - 1."""
+        ...
+
+    @wp.func_native(
+        f"if (count >= {width}) {{ {each} a.data[i + l] = v.c[l]; }}"
+        " else { for (int l = 0; l < count; ++l) a.data[i + l] = v.c[l]; }"
+    )
+    def store(a: wp.array(dtype=scalar), i: int, v: lane, count: int):
+        """Puts the first `count` lanes (all, if there are fewer) at i and after."""
+        ...
+
+    @wp.func_native(
+        f"{vec} r; if (step == 0) {{ {each} r.c[l] = a.data[i]; }} else {{ {each} r.c[l] = a.data[i + l]; }} return r;"
+    )
+    def own(a: wp.array(dtype=scalar), i: int, step: int) -> lane:
+        """Each lane's own number, or with step 0 the one that all share."""
+        ...
+
+    @wp.func_native(f"{vec} r; {each} r.c[l] = a.c[l] * b.c[l]; return r;")
+    def times(a: lane, b: lane) -> lane: ...
+
+    @wp.func_native(f"{vec} r; {each} r.c[l] = a.c[l] / b.c[l]; return r;")
+    def over(a: lane, b: lane) -> lane: ...
+
+    @wp.func_native(f"{vec} r; {each} r.c[l] = wp::sqrt(a.c[l]); return r;")
+    def root(a: lane) -> lane: ...
+
+    @wp.func_native(f"{vec} r; {each} r.c[l] = when.c[l] > 0 ? a.c[l] : b.c[l]; return r;")
+    def choose(when: lane, a: lane, b: lane) -> lane:
+        """a where `when` is positive, else b."""
+        ...
+
+    @wp.func_native(f"wp::{scalar.__name__} r = a.c[0]; {each} r = a.c[l] < r ? a.c[l] : r; return r;")
+    def least(a: lane) -> scalar: ...
+
+    @wp.func_native(f"int r = 1; {each} r &= a.c[l] < limit; return r;")
+    def below(a: lane, limit: scalar) -> int:
+        """1 if every lane is below the limit (a lane that is not a number is not)."""
+        ...
+
+    return Lanes(lane, load, store, own, times, over, root, choose, least, below)
+
+
+@functools.cache
+def rows_for(count: int, width: int, scalar: Any) -> Rows:
+    """`count` rows of `width` lanes. Arrays hold them `stride` numbers apart (structure of arrays)."""
+    lanes = lanes_for(width, scalar)
+    lane = lanes.lane
+    rows = wp.types.matrix(shape=(count, width), dtype=scalar)
+    vec = f"wp::vec_t<{width}, wp::{scalar.__name__}>"
+    mat = f"wp::mat_t<{count}, {width}, wp::{scalar.__name__}>"
+    sized = Sized(f"{count}x{width}")
+    each = f"for (int k = 0; k < {count}; ++k) for (int l = 0; l < {width}; ++l)"
+
+    @sized.func_native(f"{mat} r; {each} r.data[k][l] = a.data[i + k * stride + l]; return r;")
+    def load(a: wp.array(dtype=scalar), i: int, stride: int) -> rows: ...
+
+    @sized.func_native(
+        f"if (count >= {width}) {{ {each} a.data[i + k * stride + l] = v.data[k][l]; }} else {{"
+        f" for (int k = 0; k < {count}; ++k) for (int l = 0; l < count; ++l) a.data[i + k * stride + l] = v.data[k][l]; }}"
+    )
+    def store(a: wp.array(dtype=scalar), i: int, stride: int, v: rows, count: int): ...
+
+    @sized.func_native(
+        f"{mat} r; if (step == 0) {{ {each} r.data[k][l] = a.data[i + k * stride]; }}"
+        f" else {{ {each} r.data[k][l] = a.data[i + k * stride + l]; }} return r;"
+    )
+    def own(a: wp.array(dtype=scalar), i: int, stride: int, step: int) -> rows:
+        """Each lane's own numbers, or with step 0 those that all share."""
+        ...
+
+    @sized.func_native(f"{vec} r; for (int l = 0; l < {width}; ++l) r.c[l] = m.data[k][l]; return r;")
+    def row(m: rows, k: int) -> lane: ...
+
+    @sized.func_native(f"{mat} r = m; for (int l = 0; l < {width}; ++l) r.data[k][l] = v.c[l]; return r;")
+    def with_row(m: rows, k: int, v: lane) -> rows: ...
+
+    @sized.func_native(f"{mat} r; {each} r.data[k][l] = m.data[k][l] + f * n.data[k][l]; return r;")
+    def add(m: rows, f: scalar, n: rows) -> rows:
+        """m + f n."""
+        ...
+
+    @sized.func_native(f"{mat} r; {each} r.data[k][l] = m.data[k][l] * v.c[l]; return r;")
+    def scale(m: rows, v: lane) -> rows:
+        """Each lane of m times that of v."""
+        ...
+
+    @sized.func_native(f"{mat} r; {each} r.data[k][l] = when.c[l] > 0 ? m.data[k][l] : 0; return r;")
+    def choose(when: lane, m: rows) -> rows:
+        """m where `when` is positive, else 0 (whatever m holds there)."""
+        ...
+
+    return Rows(rows, load, store, own, row, with_row, add, scale, choose)
+
+
+@functools.cache
+def product_for(p: int, q: int, r: int, width: int, scalar: Any) -> Any:
+    """The function (p x q) times (q x r), matrices of lanes by rows."""
+    left = wp.types.matrix(shape=(p * q, width), dtype=scalar)
+    right = wp.types.matrix(shape=(q * r, width), dtype=scalar)
+    result = wp.types.matrix(shape=(p * r, width), dtype=scalar)
+    sized = Sized(f"{p}x{q}x{r}x{width}")
+
+    terms = " + ".join(f"a.data[i * {q} + {k}][l] * b.data[{k * r} + j][l]" for k in range(q))
+
+    @sized.func_native(
+        f"wp::mat_t<{p * r}, {width}, wp::{scalar.__name__}> c;"
+        f" for (int i = 0; i < {p}; ++i) for (int j = 0; j < {r}; ++j) for (int l = 0; l < {width}; ++l)"
+        f" c.data[i * {r} + j][l] = {terms}; return c;"
+    )
+    def product(a: left, b: right) -> result: ...
+
+    return product
+
+
+class Sized:
+    """`wp.func_native` for functions that exist in several sizes: each has its own name in the generated code."""
+
+    def __init__(self, tag: str) -> None:
+        self.tag = tag
+
+    def func_native(self, snippet: str) -> Any:  # warp looks for a decorator of this name
+        def register(function: Any) -> Any:
+            function.__name__ = function.__qualname__ = f"{function.__name__}_{self.tag}"
+            return wp.func_native(snippet)(function)
+
+        return register

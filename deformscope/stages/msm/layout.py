@@ -1,0 +1,99 @@
+"""Where the numbers of all candidates lie: fields are structures of arrays, candidates abreast or one after another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from deformscope.arrays import FloatArray, IntArray
+
+LANES = {wp.float32: 16, wp.float64: 8}
+"""Numbers that a CPU's vector units take side by side; a width that the machine lacks is taken in parts."""
+
+ABREAST_FROM = 4
+"""Candidates from which on a CPU takes them side by side, and no longer the cells of one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """A field has rows (components) `stride` numbers apart; in a row, group after group of candidates, `group` numbers
+    apart from `front` on; in a group, place after place; at a place, `abreast` candidates.
+
+    width: lanes; abreast: 1 (the lanes are places) or `width` (the lanes are candidates); places: in a group
+    place: (K,) place of each particle
+    """
+
+    candidates: int
+    width: int
+    abreast: int
+    places: int
+    front: int
+    group: int
+    stride: int
+    place: IntArray
+    scalar: Any
+    device: str
+
+    @property
+    def groups(self) -> int:
+        return -(-self.candidates // self.abreast)
+
+    @property
+    def blocks(self) -> int:
+        """Lanes' worths of numbers in a group."""
+        return -(-self.group // self.width)
+
+    def field(self, rows: int) -> Any:
+        """`rows` rows of 0."""
+        return wp.zeros(rows * self.stride, dtype=self.scalar, device=self.device)
+
+    def put(self, values: FloatArray, into: Any) -> None:
+        """(B or 1, K, d) into a field's particles; the last candidate fills what is left of its group."""
+        d = values.shape[2]
+        host = np.zeros((d, self.stride), dtype=_dtype(self.scalar))
+        body = host[:, self.front : self.front + self.groups * self.group].reshape(d, self.groups, -1, self.abreast)
+        filled = np.broadcast_to(values, (self.candidates, *values.shape[1:]))
+        more = self.groups * self.abreast - self.candidates
+        if more:
+            filled = np.concatenate([filled, np.repeat(filled[-1:], more, axis=0)])
+        body[:, :, self.place, :] = filled.reshape(self.groups, self.abreast, -1, d).transpose(3, 0, 2, 1)
+        into.assign(host.reshape(-1))
+
+    def get(self, field: Any, rows: int) -> FloatArray:
+        """The particles of a field, (B, K, rows) float64."""
+        host = np.asarray(field.numpy(), dtype=np.float64).reshape(rows, self.stride)
+        body = host[:, self.front : self.front + self.groups * self.group].reshape(rows, self.groups, -1, self.abreast)
+        found = body[:, :, self.place, :].transpose(1, 3, 2, 0)
+        return found.reshape(-1, len(self.place), rows)[: self.candidates]
+
+    def each(self, values: FloatArray, dtype: Any = None) -> Any:
+        """One number for each candidate, (B,); the last one is repeated to the end."""
+        filled = np.full(self.groups * self.abreast + self.width, values[-1], dtype=np.float64)
+        filled[: len(values)] = values
+        dtype = self.scalar if dtype is None else dtype
+        return wp.array(filled.astype(_dtype(dtype)), dtype=dtype, device=self.device)
+
+
+def widths(candidates: int, scalar: Any, device: str, *, cells_in_lanes: bool) -> tuple[int, int]:
+    """Width and candidates abreast for a device: plain numbers on a GPU, lanes on a CPU."""
+    if not device.startswith("cpu"):
+        return 1, 1
+    width = LANES[scalar]
+    if candidates >= ABREAST_FROM:
+        return width, width
+    return (width, 1) if cells_in_lanes else (1, 1)
+
+
+def upload(values: FloatArray | IntArray, dtype: Any, device: str, spare: int = 0) -> Any:
+    """Numbers on a device, in rows of the first axis, flat; `spare` more at the end, for lanes that reach over it."""
+    host = np.ascontiguousarray(values).reshape(-1)
+    if spare:
+        host = np.concatenate([host, np.zeros(spare, dtype=host.dtype)])
+    return wp.array(host.astype(_dtype(dtype)), dtype=dtype, device=device)
+
+
+def _dtype(scalar: Any) -> Any:
+    return {wp.float32: np.float32, wp.float64: np.float64, int: np.int32}[scalar]
