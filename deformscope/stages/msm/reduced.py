@@ -241,7 +241,9 @@ class OneCluster:
         start: FloatArray | None,
     ) -> _Work:
         """The candidates' rows, in scratch that calls of one size share."""
-        size = max(np.size(beta), np.size(theta), len(held.moments), 1 if start is None or start.ndim < 3 else len(start))
+        size = max(
+            np.size(beta), np.size(theta), len(held.moments), 1 if start is None or start.ndim < 3 else len(start)
+        )
         work = self._work.get(size)
         if work is None:
             work = self._work[size] = _Work(self, size)
