@@ -269,6 +269,7 @@ def functions_for(dim: int, scalar: Any) -> Functions:
             out = theta * root / (count * measure) * d_measure + theta_change * (root - one)
         return out
 
+    @wp.func
     def column_product_of(a: square, b: square, j: int):
         total = scalar(0.0)
         for i in range(wp.static(dim)):

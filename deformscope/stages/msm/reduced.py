@@ -22,7 +22,7 @@ whatever the basis and the number of particles. With theta = 0, e = 0 and R = po
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -30,11 +30,9 @@ import warp as wp
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.msm import reduced_kernels as k
 from deformscope.stages.msm.clusters import FLAT_MOMENT_RATIO, held_mask, single
-from deformscope.stages.msm.reference import Basis, build_rest
+from deformscope.stages.msm.reference import Basis, RestCluster, Volume, build_rest
 
-Volume = Literal["scale", "project"]
-
-MODES: dict[Volume, int] = {"scale": k.SCALE, "project": k.PROJECT}
+VOLUMES: dict[Volume, int] = {"scale": k.SCALE, "project": k.PROJECT}
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,33 +114,58 @@ class OneCluster:
         mode[:, : len(share)] = white @ turn
         shares = np.ones(self.terms)
         shares[: len(share)] = np.clip(share, 0.0, 1.0)
-        span = np.zeros((d, d))
-        span[:, : cluster.span.shape[1]] = cluster.span
         # (n, terms + d): what a held position gives to each H b_j and H J^T
         self._weights = held_m[:, None] * away @ np.hstack([mode, np.eye(self.terms)[:, :d]]) / self.radius
         self._mean_weights = held_m / (held_m.sum() or 1.0)
         self._rest_mean = np.average(self.rest, axis=0, weights=m)
 
         self._k = k.reduced_kernels_for(d, self.terms)
-        body = self._k.body()
+        volumes: tuple[Volume, ...] = ("scale", "project")
+        self._bodies = {
+            volume: self._body(volume, cluster, gram, held_gram, mode, shares, white, held_mean) for volume in volumes
+        }
+        self._work: dict[tuple[int, Volume], _Work] = {}
 
-        def rows(values: FloatArray, dtype: Any = self._k.basis_vec) -> Any:
-            return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
+    def _body(
+        self,
+        volume: Volume,
+        cluster: RestCluster,
+        gram: FloatArray,
+        held_gram: FloatArray,
+        mode: FloatArray,
+        share: FloatArray,
+        white: FloatArray,
+        held_mean: FloatArray,
+    ) -> Any:
+        """The rest data on the device. mode: (terms, terms) in columns; white: (terms, told) with white^T G white = I"""
+        d, kk = self.dim, self._k
+        body = kk.body()
+        free_gram, linear = gram - held_gram, np.eye(d, self.terms)
+        lift = linear if volume == "scale" else cluster.lift
+        span = np.zeros((d, d))
+        span[:, : cluster.span.shape[1]] = cluster.span
+
+        def rows(values: FloatArray, dtype: Any = kk.basis_vec) -> Any:
+            return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
 
         body.mode = rows(mode.T)
-        body.free_mode = rows(((gram - held_gram) @ mode).T)
-        body.held_mode = rows((held_gram @ mode)[:d].T, self._k.vec)
-        body.share = rows(shares, wp.float64)
-        body.free_q = rows((gram - held_gram)[:d])
-        body.untold = rows((np.eye(self.terms) - gram @ white @ white.T)[:d])
+        body.free_mode = rows((free_gram @ mode).T)
+        body.lifted_mode = rows((lift @ free_gram @ mode).T, kk.vec)
+        body.held_mode = rows((held_gram @ mode)[:d].T, kk.vec)
+        body.share = rows(share, wp.float64)
+        body.free_q = rows(free_gram[:d])
+        body.untold = rows(linear - gram[:d] @ white @ white.T)
         body.gram = rows(gram)
-        body.held_mean = self._k.basis_vec(*held_mean)
-        body.a_qq = self._k.square(*gram[:d, :d].ravel())
-        body.span_axes = self._k.square(*span.ravel())
+        body.lift = rows(lift)
+        body.lift_free = kk.square(*(lift @ free_gram[:, :d]).ravel())
+        body.root = kk.square(*cluster.root.ravel())
+        body.volume = VOLUMES[volume]
+        body.held_mean = kk.basis_vec(*held_mean)
+        body.a_qq = kk.square(*gram[:d, :d].ravel())
+        body.span_axes = kk.square(*span.ravel())
         body.span_count = cluster.span.shape[1]
         body.radius = self.radius
-        self._body = body
-        self._work: dict[int, _Work] = {}
+        return body
 
     def hold(self, held_position: FloatArray) -> Held:
         """Held positions (n, d) or (B, n, d) [m], reduced to their moments."""
@@ -244,13 +267,13 @@ class OneCluster:
         size = max(
             np.size(beta), np.size(theta), len(held.moments), 1 if start is None or start.ndim < 3 else len(start)
         )
-        work = self._work.get(size)
+        work = self._work.get((size, volume))
         if work is None:
-            work = self._work[size] = _Work(self, size)
+            work = self._work[size, volume] = _Work(self, self._bodies[volume], size)
         row = work.row
         row[:, k.BETA] = beta
         row[:, k.THETA] = theta
-        row[:, k.TOLERANCE : k.HELD] = (tolerance, max_iterations, MODES[volume], start is not None)
+        row[:, k.TOLERANCE : k.HELD] = (tolerance, max_iterations, start is not None)
         row[:, k.HELD : k.HELD + held.moments.shape[1]] = held.moments
         if start is not None:
             flat = np.asarray(start).reshape(*start.shape[:-2], -1)
@@ -261,13 +284,13 @@ class OneCluster:
 class _Work:
     """Rows in and results out for `size` candidates, and the launches on them, recorded once."""
 
-    def __init__(self, body: OneCluster, size: int) -> None:
+    def __init__(self, body: OneCluster, rest: Any, size: int) -> None:
         kk, self.on_cpu = body._k, body.device == "cpu"
         self.row_in: Any = wp.zeros((size, kk.row), dtype=wp.float64, device=body.device)
         self.relaxed: Any = wp.zeros((size, kk.result), dtype=wp.float64, device=body.device)
         self.slopes: Any = wp.zeros((size, 2, kk.result), dtype=wp.float64, device=body.device)
         self.row: FloatArray = self.row_in.numpy()  # on the CPU the array itself
-        inputs = [body._body, self.row_in]
+        inputs = [rest, self.row_in]
 
         def recorded(kernel: Any, out: Any) -> Any:
             return wp.launch(kernel, dim=size, inputs=inputs, outputs=[out], device=body.device, record_cmd=True)

@@ -15,7 +15,7 @@ import warp as wp
 
 from deformscope.stages.msm.functions import functions_for
 
-BETA, THETA, TOLERANCE, MOST_ITERATIONS, VOLUME, STARTED, HELD = range(7)
+BETA, THETA, TOLERANCE, MOST_ITERATIONS, STARTED, HELD = range(6)
 """Places in a candidate's row: numbers first, then what is held, then the transform to start from."""
 
 RESIDUAL, ERROR, ITERATIONS, STATE, TRANSFORM = range(5)
@@ -24,7 +24,7 @@ RESIDUAL, ERROR, ITERATIONS, STATE, TRANSFORM = range(5)
 NOT_CONVERGED, CONVERGED, DIVERGED = 0, 1, -1
 
 SCALE, PROJECT = 0, 1
-"""How volume is conserved: eq. 3.17, or the nearest matrix of the wanted volume."""
+"""How volume is conserved: eq. 3.17, or by projection."""
 
 NEWTON_STEPS, HALVINGS = 16, 6
 FINEST_PATH = 1.0 / 256.0
@@ -55,6 +55,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
     functions = functions_for(dim, scalar)
     vec, square, turn = functions.vec, functions.square, functions.turn
     volume_denominator, denominator_change = functions.volume_denominator, functions.denominator_change
+    project, project_change = functions.project, functions.project_change
     basis_vec = wp.types.vector(length=terms, dtype=scalar)
     transform = wp.types.matrix(shape=(dim, terms), dtype=scalar)
     turns = 1 if dim == 2 else 3
@@ -81,6 +82,8 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
 
         mode, free_mode: (terms,) b_j and (G - C) b_j; held_mode: (terms,) first entries of C b_j; share: (terms,) mu_j
         free_q: (dim,) first rows of G - C; untold: (dim,) first rows of I - G G+; gram: (terms,) G
+        lift, root: how volume is conserved (`volume_frame`); lifted_mode: (terms,) L (G - C) b_j; lift_free:
+        L (G - C) J^T; volume: SCALE or PROJECT
         """
 
         mode: wp.array(dtype=basis_vec)
@@ -90,6 +93,11 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         free_q: wp.array(dtype=basis_vec)
         untold: wp.array(dtype=basis_vec)
         gram: wp.array(dtype=basis_vec)
+        lift: wp.array(dtype=basis_vec)
+        lifted_mode: wp.array(dtype=vec)
+        lift_free: square
+        root: square
+        volume: int
         held_mean: basis_vec
         a_qq: square
         span_axes: square
@@ -145,22 +153,42 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         return wp.identity(n=dim, dtype=scalar)
 
     @wp.func
-    def volume_gain(body: Body, a: square, theta: scalar, volume: int):
-        """What conserving volume adds to a."""
-        out = square()
-        if theta != zero:
-            den = volume_denominator(a, theta, body.span_axes, body.span_count)
-            out = a * ((one - den) / den)
+    def volume_frame(body: Body, a: square, theta: scalar):
+        """What conserving volume adds to the fit, as multiples of `lift`, and what `volume_change` needs to know.
+
+        Eq. 3.17: A / den - A. Projection: theta (P - B), with B = A root and P the nearest matrix of the rest volume.
+        """
+        if body.volume == wp.static(PROJECT):
+            toward, left, right, stretch, mu = project(a * body.root, body.span_count)
+            return toward * theta, toward, left, right, stretch, mu
+        den = volume_denominator(a, theta, body.span_axes, body.span_count)
+        return a * ((one - den) / den), a, a, a, vec(), den
+
+    @wp.func
+    def volume_gain(body: Body, a: square, theta: scalar):
+        """What conserving volume adds to the fit, as multiples of `lift`."""
+        out, _toward, _left, _right, _stretch, _number = volume_frame(body, a, theta)
         return out
 
     @wp.func
-    def volume_gain_change(body: Body, a: square, change: square, theta: scalar, theta_change: scalar, volume: int):
-        out = square()
-        if theta != zero or theta_change != zero:
-            den = volume_denominator(a, theta, body.span_axes, body.span_count)
-            d_den = denominator_change(a, change, theta, theta_change, body.span_axes, body.span_count)
-            out = change * ((one - den) / den) - a * (d_den / (den * den))
-        return out
+    def volume_change(
+        body: Body,
+        a: square,
+        theta: scalar,
+        toward: square,
+        left: square,
+        right: square,
+        stretch: vec,
+        number: scalar,
+        change: square,
+        theta_change: scalar,
+    ):
+        """Derivative of `volume_gain` for dA = change, dtheta = theta_change."""
+        if body.volume == wp.static(PROJECT):
+            d_toward = project_change(left, right, stretch, number, body.span_count, change * body.root)
+            return d_toward * theta + toward * theta_change
+        d_den = denominator_change(a, change, theta, theta_change, body.span_axes, body.span_count)
+        return change * ((one - number) / number) - a * (d_den / (number * number))
 
     @wp.func
     def sums(body: Body, row: wp.array(dtype=scalar), beta: scalar, slope: bool):
@@ -175,9 +203,9 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
             u = identity()
             for i in range(wp.static(dim)):
                 for j in range(wp.static(dim)):
-                    v[i, j] = body.free_q[i][j]
+                    w[i, j] = body.free_q[i][j]
                     k[i, j] = row[wp.static(held_q) + i * wp.static(dim) + j]
-            w = v
+            v = body.lift_free
         for j in range(wp.static(terms)):
             g = gain(body, beta, j)
             first = g
@@ -186,13 +214,14 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
                 first = (one - body.share[j]) * g * g
                 second = g * g
             a = head(body.free_mode[j])
+            above = body.lifted_mode[j]
             b = head(body.mode[j])
             c = body.held_mode[j]
             p = held_moment(row, j)
-            n += wp.outer(a, b) * first
+            n += wp.outer(above, b) * first
             u -= wp.outer(c, b) * first
             y += wp.outer(p, b) * first
-            v += wp.outer(a, a) * second
+            v += wp.outer(above, a) * second
             w -= wp.outer(c, a) * second
             k += wp.outer(p, a) * second
         return n, v, w, u, y, k
@@ -206,6 +235,16 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         return one / left
 
     @wp.func
+    def lifted(body: Body, e: square):
+        """e L."""
+        out = transform()
+        for i in range(wp.static(dim)):
+            for j in range(wp.static(dim)):
+                for m in range(wp.static(terms)):
+                    out[i, m] = out[i, m] + e[i, j] * body.lift[j][m]
+        return out
+
+    @wp.func
     def assemble(
         body: Body,
         row: wp.array(dtype=scalar),
@@ -216,20 +255,21 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         held: scalar,
         slope: bool,
     ):
-        """T = (e + R) J + sum_j beta g_j (e J a_j + y_j - R J C b_j) b_j^T.
+        """T = e L + R J + sum_j beta g_j (e L (G - C) b_j + y_j - R J C b_j) b_j^T.
 
         direct: weight of the first part; held: of y_j; slope: beta g_j is replaced by its derivative
         """
         out = transform()
         for i in range(wp.static(dim)):
             for j in range(wp.static(dim)):
-                out[i, j] = (e[i, j] + r[i, j]) * direct
+                out[i, j] = r[i, j] * direct
+        out += lifted(body, e * direct)
         for j in range(wp.static(terms)):
             g = gain(body, beta, j)
             weight = beta * g
             if slope:
                 weight = g * g
-            p = e * head(body.free_mode[j]) + held_moment(row, j) * held - r * body.held_mode[j]
+            p = e * body.lifted_mode[j] + held_moment(row, j) * held - r * body.held_mode[j]
             out += wp.outer(p * weight, body.mode[j])
         return out
 
@@ -263,15 +303,15 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         return out
 
     @wp.func
-    def misfit(body: Body, row: wp.array(dtype=scalar), t: transform, beta: scalar, theta: scalar, volume: int):
+    def misfit(body: Body, row: wp.array(dtype=scalar), t: transform, beta: scalar, theta: scalar):
         """Root mean square of goal - place over all particles of the state T (none taken as held): the equations anew,
         by themselves."""
         r, a = fit(body, row, t)
-        e = volume_gain(body, linear_part(a), theta, volume)
-        off = a * beta - t
+        e = volume_gain(body, linear_part(a), theta)
+        off = a * beta - t + lifted(body, e * beta)
         for i in range(wp.static(dim)):
             for j in range(wp.static(dim)):
-                off[i, j] = off[i, j] + beta * e[i, j] + (one - beta) * r[i, j]
+                off[i, j] = off[i, j] + (one - beta) * r[i, j]
         total = zero
         for i in range(wp.static(dim)):
             for j in range(wp.static(terms)):
@@ -312,7 +352,6 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         r: square,
         beta: scalar,
         theta: scalar,
-        volume: int,
         n: square,
         v: square,
         u: square,
@@ -323,8 +362,8 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
 
         Unknowns that nothing determines (a rotation that the held particles leave free) stay 0.
         """
-        e = volume_gain(body, a, theta, volume) * beta
-        pull = wp.transpose(r) * (k + e * v)
+        gain, toward, left, right_frame, stretch, number = volume_frame(body, a, theta)
+        pull = wp.transpose(r) * (k + gain * v * beta)
         weight = one / (wp.sqrt(wp.ddot(k, k)) + tiny)  # equations of the rotation weigh as much as the others
         m = system()
         b = right
@@ -334,7 +373,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
             x = unknowns()
             x[column] = one
             da, dw = unpack(x)
-            de = volume_gain_change(body, a, da, theta, zero, volume) * beta
+            de = volume_change(body, a, theta, toward, left, right_frame, stretch, number, da, zero) * beta
             s = spin(dw)
             change = pack(r * s * u + de * n - da, axial(wp.transpose(r) * de * v - s * pull))
             for i in range(wp.static(size)):
@@ -422,7 +461,6 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         theta = row[wp.static(THETA)]
         tolerance = row[wp.static(TOLERANCE)]
         most = int(row[wp.static(MOST_ITERATIONS)])
-        volume = int(row[wp.static(VOLUME)])
         n, v, w, u, y, k = sums(body, row, beta, False)
         # theta = 0: R maximises tr(R^T K); what K leaves free stays as at the start
         r_start = identity()
@@ -457,14 +495,14 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
             trial = -1
         while iterations < most:
             settled = bool(False)
-            f = defect(a, r, volume_gain(body, a, target, volume) * beta, n, v, w, u, y, k)
+            f = defect(a, r, volume_gain(body, a, target) * beta, n, v, w, u, y, k)
             for i in range(wp.static(dim * dim), wp.static(size)):
                 f[i] = f[i] * weight
             for _newton in range(wp.static(NEWTON_STEPS)):
                 raw = f
                 for i in range(wp.static(dim * dim), wp.static(size)):
                     raw[i] = f[i] / weight
-                step = solve(body, a, r, beta, target, volume, n, v, u, k, raw)
+                step = solve(body, a, r, beta, target, n, v, u, k, raw)
                 da, dw = unpack(step)
                 length = wp.length(step)
                 iterations += 1
@@ -482,7 +520,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
                 for _halving in range(wp.static(HALVINGS)):
                     a_new = a + da * shorter
                     r_new = turned_by(r, dw * shorter)
-                    f_new = defect(a_new, r_new, volume_gain(body, a_new, target, volume) * beta, n, v, w, u, y, k)
+                    f_new = defect(a_new, r_new, volume_gain(body, a_new, target) * beta, n, v, w, u, y, k)
                     for i in range(wp.static(dim * dim), wp.static(size)):
                         f_new[i] = f_new[i] * weight
                     if wp.length(f_new) < before:
@@ -494,7 +532,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
                     shorter = shorter * half
                 if not lower:
                     break
-            if settled and volume == wp.static(SCALE):
+            if settled and body.volume == wp.static(SCALE):
                 settled = stable(body, a, target, beta, n)
             if settled:
                 good_a = a
@@ -513,9 +551,9 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
                 trial = int(1)
                 a = good_a
                 r = good_r
-        e = volume_gain(body, good_a, theta, volume) * beta
+        e = volume_gain(body, good_a, theta) * beta
         t = assemble(body, row, beta, e, good_r, one, one, False)
-        residual = misfit(body, row, t, beta, theta, volume)
+        residual = misfit(body, row, t, beta, theta)
         state = int(NOT_CONVERGED)
         if found:
             if residual <= tolerance:
@@ -548,7 +586,6 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         row = rows[candidate]
         beta = row[wp.static(BETA)]
         theta = row[wp.static(THETA)]
-        volume = int(row[wp.static(VOLUME)])
         t = transform()
         for i in range(wp.static(dim)):
             for j in range(wp.static(terms)):
@@ -556,7 +593,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         r, fitted = fit(body, row, t)
         a = linear_part(fitted)
         n, v, w, u, y, k = sums(body, row, beta, False)
-        gain_now = volume_gain(body, a, theta, volume)
+        gain_now, toward, left, right_frame, stretch, number = volume_frame(body, a, theta)
         for which in range(wp.static(2)):
             own = transform()
             own_e = square()  # how beta * gain changes at an unchanged state
@@ -568,11 +605,11 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
                 own = assemble(body, row, beta, e, r, zero, one, True)
                 right = defect(square(), r, e, dn, dv, dw, du, dy, dk)
             else:
-                own_e = volume_gain_change(body, a, square(), theta, one, volume) * beta
+                own_e = beta * volume_change(body, a, theta, toward, left, right_frame, stretch, number, square(), one)
             right += pack(own_e * n, axial(wp.transpose(r) * own_e * v))
-            x = solve(body, a, r, beta, theta, volume, n, v, u, k, right)
+            x = solve(body, a, r, beta, theta, n, v, u, k, right)
             da, dturn = unpack(x)
-            de = own_e + volume_gain_change(body, a, da, theta, zero, volume) * beta
+            de = own_e + beta * volume_change(body, a, theta, toward, left, right_frame, stretch, number, da, zero)
             own += assemble(body, row, beta, de, r * spin(dturn), one, zero, False)
             result = results[candidate, which]
             for i in range(wp.static(dim)):
