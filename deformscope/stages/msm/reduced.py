@@ -116,6 +116,7 @@ class OneCluster:
         shares[: len(share)] = np.clip(share, 0.0, 1.0)
         # (n, terms + d): what a held position gives to each H b_j and H J^T
         self._weights = held_m[:, None] * away @ np.hstack([mode, np.eye(self.terms)[:, :d]]) / self.radius
+        self._mass, self._fit_weights = m, m[:, None] * self.basis @ white @ white.T / self.radius
         self._mean_weights = held_m / (held_m.sum() or 1.0)
         self._rest_mean = np.average(self.rest, axis=0, weights=m)
 
@@ -137,7 +138,7 @@ class OneCluster:
         white: FloatArray,
         held_mean: FloatArray,
     ) -> Any:
-        """The rest data on the device. mode: (terms, terms) in columns; white: (terms, told) with white^T G white = I"""
+        """The rest data on the device. mode: (terms, terms) in columns; white: (terms, told), white^T G white = I"""
         d, kk = self.dim, self._k
         body = kk.body()
         free_gram, linear = gram - held_gram, np.eye(d, self.terms)
@@ -193,14 +194,19 @@ class OneCluster:
     ) -> Equilibrium:
         """The static states, one candidate for each beta, theta and held pose.
 
-        A body that the held particles leave free to turn keeps the rotation of the start; it stays at rest where
-        nothing is held. With theta, the state is the one that follows from theta = 0 without a jump, if the start
-        leads to none.
+        A body that the held particles leave free to turn turns as little as it can from where it starts, and one that
+        nothing holds stays there. With theta > 0 Newton's steps begin at the start; if they settle on no state that
+        holds, the state is the one that follows from theta = 0 without a jump.
 
-        beta, theta: a number or (B,); start: transform (d, terms) or (B, d, terms) [m], default the state at theta = 0
+        beta, theta: a number or (B,); start: positions (K, d) or (B, K, d) [m], default rest
         tolerance: on `residual` and `error`, as a share of the cluster's radius
         """
-        work = self._filled(held, beta, theta, tolerance, max_iterations, volume, start)
+        size = max(
+            np.size(beta), np.size(theta), len(held.moments), 1 if start is None else start.size // self.rest.size
+        )
+        work = self._filled(size, held, beta, theta, tolerance, max_iterations, volume)
+        if start is not None:
+            self._begin_at(np.asarray(start, dtype=np.float64).reshape(-1, *self.rest.shape), work)
         result = work.relax()
         state = result[:, k.STATE]
         split = k.TRANSFORM + self.dim * self.terms
@@ -224,7 +230,8 @@ class OneCluster:
         volume: Volume = "scale",
     ) -> Sensitivity:
         """How static states change with beta and theta (implicit differentiation, with Newton's own matrix)."""
-        work = self._filled(held, beta, theta, 0.0, 0, volume, equilibrium.transform)
+        work = self._filled(len(equilibrium.transform), held, beta, theta, 0.0, 0, volume)
+        work.start[:] = equilibrium.transform.reshape(len(work.start), -1) / self.radius
         result = work.differentiate()
         split = k.TRANSFORM + self.dim * self.terms
         transform = result[:, :, k.TRANSFORM : split].reshape(len(result), 2, self.dim, self.terms)
@@ -255,30 +262,33 @@ class OneCluster:
 
     def _filled(
         self,
+        size: int,
         held: Held,
         beta: FloatArray | float,
         theta: FloatArray | float,
         tolerance: float,
         max_iterations: int,
         volume: Volume,
-        start: FloatArray | None,
     ) -> _Work:
-        """The candidates' rows, in scratch that calls of one size share."""
-        size = max(
-            np.size(beta), np.size(theta), len(held.moments), 1 if start is None or start.ndim < 3 else len(start)
-        )
+        """The rows of `size` candidates, in scratch that calls of one size share."""
         work = self._work.get((size, volume))
         if work is None:
             work = self._work[size, volume] = _Work(self, self._bodies[volume], size)
         row = work.row
         row[:, k.BETA] = beta
         row[:, k.THETA] = theta
-        row[:, k.TOLERANCE : k.HELD] = (tolerance, max_iterations, start is not None)
-        row[:, k.HELD : k.HELD + held.moments.shape[1]] = held.moments
-        if start is not None:
-            flat = np.asarray(start).reshape(*start.shape[:-2], -1)
-            row[:, k.HELD + held.moments.shape[1] :] = flat / self.radius
+        row[:, k.TOLERANCE : k.HELD] = (tolerance, max_iterations, False)
+        work.held[:] = held.moments
         return work
+
+    def _begin_at(self, start: FloatArray, work: _Work) -> None:
+        """Have candidates start at positions (B, K, d)."""
+        mean = self._mass @ start
+        fit = (self._fit_weights.T @ (start - mean[:, None])).transpose(0, 2, 1)
+        work.row[:, k.STARTED] = True
+        work.start[:] = fit.reshape(len(start), -1)
+        if not len(self.held):
+            work.held[:, -self.dim :] = mean  # nothing else says where the body is
 
 
 class _Work:
@@ -290,6 +300,8 @@ class _Work:
         self.relaxed: Any = wp.zeros((size, kk.result), dtype=wp.float64, device=body.device)
         self.slopes: Any = wp.zeros((size, 2, kk.result), dtype=wp.float64, device=body.device)
         self.row: FloatArray = self.row_in.numpy()  # on the CPU the array itself
+        split = kk.row - body.dim * body.terms
+        self.held, self.start = self.row[:, k.HELD : split], self.row[:, split:]
         inputs = [rest, self.row_in]
 
         def recorded(kernel: Any, out: Any) -> Any:

@@ -8,6 +8,7 @@ Annotations here are read by warp while the closures are made, so they are not p
 """
 
 import functools
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,7 +27,7 @@ NOT_CONVERGED, CONVERGED, DIVERGED = 0, 1, -1
 SCALE, PROJECT = 0, 1
 """How volume is conserved: eq. 3.17, or by projection."""
 
-NEWTON_STEPS, HALVINGS = 16, 6
+NEWTON_STEPS, HALVINGS = 10, 3
 FINEST_PATH = 1.0 / 256.0
 """Where Newton's steps fail at theta, it is approached in parts; a part smaller than this share ends the search."""
 
@@ -60,6 +61,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
     transform = wp.types.matrix(shape=(dim, terms), dtype=scalar)
     turns = 1 if dim == 2 else 3
     size = dim * dim + turns
+    triple = wp.types.vector(length=3, dtype=scalar)
     system = wp.types.matrix(shape=(size, size), dtype=scalar)
     unknowns = wp.types.vector(length=size, dtype=scalar)
     order = wp.types.vector(length=size, dtype=wp.int32)
@@ -72,7 +74,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
 
     zero, one, two, half = scalar(0.0), scalar(1.0), scalar(2.0), scalar(0.5)
     tiny = scalar(1e-13)
-    far = scalar(1e6)
+    far, infinite = scalar(1e6), scalar(math.inf)
     near = scalar(1e-6)
     finest = scalar(FINEST_PATH)
 
@@ -124,11 +126,11 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
     def axial(m: square):
         """The part of m that turns, as (1,) or (3,) numbers."""
         if wp.static(dim == 2):
-            return wp.vec3d(m[1, 0] - m[0, 1], zero, zero)
-        return wp.vec3d(m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1])
+            return triple(m[1, 0] - m[0, 1], zero, zero)
+        return triple(m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1])
 
     @wp.func
-    def spin(w: wp.vec3d):
+    def spin(w: triple):
         out = square()
         if wp.static(dim == 2):
             out[0, 1] = -w[0]
@@ -143,7 +145,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         return out
 
     @wp.func
-    def turned_by(r: square, w: wp.vec3d):
+    def turned_by(r: square, w: triple):
         """R turned on by w, a rotation to the last digit (Cayley's formula)."""
         s = spin(w * half)
         return r + r * (s + s * s) * (two / (one + wp.dot(w, w) * half * half))
@@ -320,7 +322,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         return wp.sqrt(wp.max(total, zero))
 
     @wp.func
-    def pack(f: square, g: wp.vec3d):
+    def pack(f: square, g: triple):
         out = unknowns()
         for i in range(wp.static(dim)):
             for j in range(wp.static(dim)):
@@ -332,7 +334,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
     @wp.func
     def unpack(x: unknowns):
         f = square()
-        g = wp.vec3d()
+        g = triple()
         for i in range(wp.static(dim)):
             for j in range(wp.static(dim)):
                 f[i, j] = x[i * wp.static(dim) + j]
@@ -482,7 +484,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         weight = one / (pull + tiny)
         iterations = int(0)
         found = bool(False)
-        error = far
+        error = infinite
         a = a_free
         r = r_free
         good_a = a_free
@@ -512,7 +514,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
                     error = length
                     settled = bool(True)
                     break
-                if not length < far:
+                if not length < far or iterations >= most:
                     break
                 before = wp.length(f)
                 shorter = one
@@ -592,7 +594,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
                 t[i, j] = row[wp.static(start_at) + i * wp.static(terms) + j]
         r, fitted = fit(body, row, t)
         a = linear_part(fitted)
-        n, v, w, u, y, k = sums(body, row, beta, False)
+        n, v, _w, u, _y, k = sums(body, row, beta, False)
         gain_now, toward, left, right_frame, stretch, number = volume_frame(body, a, theta)
         for which in range(wp.static(2)):
             own = transform()
