@@ -14,7 +14,7 @@ import warp as wp
 
 from deformscope.stages.msm.functions import functions_for
 from deformscope.stages.msm.lanes import lanes_for, product_for, rows_for
-from deformscope.stages.msm.reference import MIN_DENOMINATOR, NO_ROTATION
+from deformscope.stages.msm.reference import NO_ROTATION
 
 GOAL, BY_BETA, BY_THETA = 0, 1, 2
 """What a fit gives: the goal map, or its derivative by beta or by theta."""
@@ -60,7 +60,6 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Clus
     denominator_of, denominator_change = functions.volume_denominator, functions.denominator_change
     project, project_change = functions.project, functions.project_change
     transform = wp.types.matrix(shape=(dim, terms), dtype=scalar)
-    min_denominator = scalar(MIN_DENOMINATOR)
     zero, one = scalar(0.0), scalar(1.0)
     number = f"wp::{scalar.__name__}"
     lane_c = f"wp::vec_t<{width}, {number}>"
@@ -329,9 +328,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Clus
                 denominator = denominator_of(a, th, rest.span_axes[own_cluster], k)
                 change = square()
                 if what == wp.static(BY_THETA):
-                    slope = zero
-                    if denominator > min_denominator:
-                        slope = denominator_of(a, one, rest.span_axes[own_cluster], k) - one
+                    slope = denominator_change(a, square(), th, one, rest.span_axes[own_cluster], k)
                     change = a * (-slope / (denominator * denominator))
                     for t in range(wp.static(terms * dim)):
                         affine_t[t, l] = zero

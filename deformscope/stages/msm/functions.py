@@ -21,6 +21,7 @@ class Functions:
     turn: Any
     turn_change: Any
     volume_denominator: Any
+    denominator_change: Any
     project: Any
     project_change: Any
 
@@ -229,6 +230,44 @@ def functions_for(dim: int, scalar: Any) -> Functions:
         if measure < zero:
             root = -root
         return wp.max(theta * root + (one - theta), min_denominator)
+
+    @wp.func
+    def determinant_change(a: square, change: square):
+        """d det A for dA = change."""
+        total = zero
+        for row in range(wp.static(dim)):
+            replaced = a
+            for column in range(wp.static(dim)):
+                replaced[row, column] = change[row, column]
+            total += wp.determinant(replaced)
+        return total
+
+    @wp.func
+    def denominator_change(
+        a: square, change: square, theta: scalar, theta_change: scalar, span_axes: square, span_count: int
+    ):
+        """Derivative of `volume_denominator` for dA = change, dtheta = theta_change; 0 where it is clamped."""
+        measure = wp.determinant(a)
+        d_measure = determinant_change(a, change)
+        if span_count < wp.static(dim):
+            inside = a * span_axes  # columns beyond span_count are 0
+            metric = wp.transpose(inside) * inside
+            half_change = wp.transpose(inside) * (change * span_axes)
+            for k in range(wp.static(dim)):
+                if k >= span_count:
+                    metric[k, k] = one
+            measure = wp.sqrt(wp.max(wp.determinant(metric), zero))
+            d_measure = zero
+            if measure > zero:
+                d_measure = determinant_change(metric, half_change + wp.transpose(half_change)) / (two * measure)
+        count = scalar(wp.max(span_count, 1))
+        root = wp.pow(wp.abs(measure), one / count)
+        if measure < zero:
+            root = -root
+        out = zero
+        if theta * root + (one - theta) > min_denominator and measure != zero:
+            out = theta * root / (count * measure) * d_measure + theta_change * (root - one)
+        return out
 
     @wp.func
     def column_product(a: square, p: int, b: square, q: int):
@@ -461,4 +500,4 @@ def functions_for(dim: int, scalar: Any) -> Functions:
                 x[2, 2] = stretch[2] * (z20 - z12)
         return u * x * wp.transpose(v) - change
 
-    return Functions(vec, square, turn, turn_change, volume_denominator, project, project_change)
+    return Functions(vec, square, turn, turn_change, volume_denominator, denominator_change, project, project_change)
