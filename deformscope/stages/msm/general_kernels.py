@@ -25,6 +25,7 @@ class GeneralKernels:
     motion: Any
     fit_clusters: Any
     fit_changes: Any
+    predict: Any
     finish: Any
 
 
@@ -279,4 +280,4 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Genera
                             new[i, l] = u[i, l]
             store(out, at, lists.particle_stride, new, wp.static(width))
 
-    return GeneralKernels(Lists, Motion, fit_clusters, fit_changes, finish)
+    return GeneralKernels(Lists, Motion, fit_clusters, fit_changes, predict, finish)

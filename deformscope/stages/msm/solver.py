@@ -1,4 +1,4 @@
-"""The MSM engine: rest data on a device, and the two ways to run it, over many candidates at once."""
+"""The MSM engine: rest data on a device, the two ways to run it over many candidates at once, and its derivatives."""
 
 from __future__ import annotations
 
@@ -13,22 +13,32 @@ import warp as wp
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.msm import kernels as k
-from deformscope.stages.msm import reference
-from deformscope.stages.msm.clusters import Clusters, held_mask, spacing
-from deformscope.stages.msm.reference import Basis
+from deformscope.stages.msm.body import Body, BodyRest, Operator
+from deformscope.stages.msm.cluster_functions import BY_BETA, BY_THETA, NONE, PROJECT, SCALE
+from deformscope.stages.msm.clusters import Clusters, LatticeClusters, held_mask, spacing
+from deformscope.stages.msm.general import GeneralBody
+from deformscope.stages.msm.iteration import Anderson, Ended, Graph, Newton, goal_derivative
+from deformscope.stages.msm.iteration_kernels import CONVERGED, DIVERGED, iteration_kernels_for
+from deformscope.stages.msm.lattice import LatticeBody, lattice_edges
+from deformscope.stages.msm.layout import Layout, upload
+from deformscope.stages.msm.reduced import OneCluster
+from deformscope.stages.msm.reference import Basis, Volume
 
 Precision = Literal["float32", "float64"]
 
 TOLERANCE = {"float64": 1e-9, "float32": 1e-5}
 """Default tolerance of `relax`, as a share of the body's extent."""
 
-CHECK_EVERY = 16
-"""Iterations between looks at which candidates still run (a look waits for the device)."""
-
+LINEAR_TOLERANCE = {"float64": 1e-10, "float32": 1e-5}
+"""To which a derivative's linear equations are solved, as a share of their right-hand side."""
 
 PARTICLES_AT_ONCE = 2_000_000
 """Particles of all candidates together that `relax` holds at once: at most some 2 GB; more are taken in turns."""
+
+KEPT_NUMBERS = 2_000_000
+"""Particles of all candidates up to which the scratch of a way to run is kept for the next call."""
+
+VOLUMES: dict[Volume, int] = {"scale": SCALE, "project": PROJECT}
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +47,9 @@ class Relaxed:
 
     position: (B, K, d) [m, or the unit of the rest shape]; residual: (B,) root mean square of goal - position;
     error: (B,) estimated distance from the static state, root mean square over particles (same unit)
-    iterations: (B,); converged: (B,) `error` came below the tolerance; diverged: (B,) the state ran away (eq. 3.17
-    with overlapping clusters can): its position is what was reached, and is to be thrown away
+    iterations: (B,) evaluations of goals or of their derivative; converged: (B,) `error` came below the tolerance;
+    diverged: (B,) the state ran away (eq. 3.17 with overlapping clusters can): its position is what was reached, and is
+    to be thrown away
     """
 
     position: FloatArray
@@ -50,20 +61,39 @@ class Relaxed:
 
 
 @dataclass(frozen=True, slots=True)
+class Sensitivity:
+    """How static states move with their parameters: by beta and by theta (B, K, d) [m]; converged: all were solved."""
+
+    beta: FloatArray
+    theta: FloatArray
+    converged: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Gradient:
+    """Gradient of a function of static states: by beta and theta (B,), and by the beta of each cluster (B, C)."""
+
+    beta: FloatArray
+    theta: FloatArray
+    beta_by_cluster: FloatArray
+    converged: bool
+
+
 class Moving:
-    """The state of time stepping, on the device, in units of the particle spacing.
+    """The state of time stepping, on the device: displacements now and one step before, for B bodies."""
 
-    u: (B, K) displacements from rest; v: (B, K) velocities [spacing / s]; ran_away: (B,) 1 where `diverged`
-    """
-
-    u: Any
-    v: Any
-    ran_away: Any
+    def __init__(self, operator: Operator) -> None:
+        self.operator = operator
+        self.layout: Layout = operator.layout
+        self.u, self.before = self.layout.field(operator.dim), self.layout.field(operator.dim)
+        self.last_dt = 0.0
+        self.ran_away = self.layout.each(np.zeros(1), int)
+        self.recorded: dict[Any, Graph] = {}
 
     @property
     def diverged(self) -> BoolArray:
         """(B,) bodies of which a particle would have left by 10 000 spacings: not to be used."""
-        return np.asarray(self.ran_away.numpy() != 0)
+        return np.asarray(self.ran_away.numpy()[: self.layout.candidates] != 0)
 
 
 class Msm:
@@ -74,7 +104,9 @@ class Msm:
     "quadratic"; precision: of the state; device: "cpu", "cuda:0"...
 
     One candidate is one beta, one theta and one set of held positions. Whatever has a leading axis of B runs as B
-    candidates; the rest is shared.
+    candidates; the rest is shared. Windows of an even lattice with a linear basis are summed axis by axis, at a cost
+    that does not grow with their width; other clusters are gathered particle by particle; a body of one cluster relaxes
+    in the unknowns of that cluster.
     """
 
     def __init__(
@@ -95,113 +127,63 @@ class Msm:
         self.device = device
         self.scale = spacing(self.rest)
         self.extent = float(np.ptp(self.rest, axis=0).max())
-        terms = weight_terms(self.dim, basis)
-        scalar = wp.float64 if precision == "float64" else wp.float32
-        self._k = k.kernels_for(self.dim, terms, scalar)
-        self._upload(clusters, np.ones(len(self.rest)) if mass is None else np.asarray(mass, np.float64), basis)
-
-    def _upload(self, clusters: Clusters, mass: FloatArray, basis: Basis) -> None:
-        """Rest data of every cluster, dimensionless, and the transposed lists that particles gather through."""
-        d, kk = self.dim, self._k
-        rest = reference.build_rest(self.rest / self.scale, clusters, self.held, mass, basis)
-        share, weight, moment, row_basis = [], [], [], []
-        a_qq = np.zeros((clusters.count, d, d))
-        span = np.zeros((clusters.count, d, d))
-        span_count = np.zeros(clusters.count, dtype=np.int32)
-        untold = np.zeros((clusters.count, d, weight_terms(d, basis)))
-        for c, cluster in enumerate(rest.clusters):
-            m, r = cluster.mass[:, None], cluster.radius
-            share.append(cluster.mass / cluster.mass.sum())
-            # (u - centre) outer weight = A~ - [I, 0] for displacements in spacings; basis in cluster radii
-            weight.append(m * cluster.q_basis @ cluster.inverse / r)
-            row_basis.append(cluster.q_basis * r)
-            norm = float(np.einsum("n,ni,ni->", cluster.mass, cluster.q, cluster.q)) or 1.0
-            a_qq[c] = np.einsum("n,ni,nj->ij", cluster.mass, cluster.q, cluster.q) / norm
-            moment.append(m * cluster.q / (norm * r))
-            span[c, :, : cluster.span.shape[1]] = cluster.span
-            span_count[c] = cluster.span.shape[1]
-            told = cluster.inverse @ np.einsum("n,ni,nj->ij", cluster.mass, cluster.q_basis, cluster.q_basis)
-            untold[c] = (np.eye(len(told)) - told.T)[:d]
-        order = np.argsort(clusters.members, kind="stable")
-        cluster_of = np.repeat(np.arange(clusters.count), np.diff(clusters.offsets))
-        count = clusters.cluster_counts()
-        held_row = np.full(len(self.rest), -1, dtype=np.int32)
-        held_row[self.held] = np.arange(len(self.held))
         self.free = ~held_mask(len(self.rest), self.held)
-
-        def dev(values: FloatArray | IntArray, dtype: Any) -> Any:
-            return wp.array(values, dtype=dtype, device=self.device)
-
-        self._offsets = dev(clusters.offsets, dtype=int)
-        self._members = dev(clusters.members, dtype=int)
-        self._share = dev(np.concatenate(share), dtype=kk.scalar)
-        self._weight = dev(np.concatenate(weight), dtype=kk.basis_vec)
-        self._a_qq = dev(a_qq, dtype=kk.moment)
-        self._moment = dev(np.concatenate(moment), dtype=kk.vec)
-        self._span = dev(span, dtype=kk.moment)
-        self._span_count = dev(span_count, dtype=int)
-        self._untold = dev(untold, dtype=kk.transform)
-        self._row_offsets = dev(np.concatenate([[0], np.cumsum(count)]).astype(np.int32), dtype=int)
-        self._row_clusters = dev(cluster_of[order].astype(np.int32), dtype=int)
-        self._row_basis = dev(np.concatenate(row_basis)[order], dtype=kk.basis_vec)
-        metric = count * mass / mass.mean()  # in which the goal map is symmetric: N_i m_i
-        self._metric = dev(metric, dtype=kk.scalar)
-        self._held_row = dev(held_row, dtype=int)
-        self._metric_total = float(metric[self.free].sum()) or 1.0
         self.cluster_count = clusters.count
+        self._scalar = wp.float64 if precision == "float64" else wp.float32
+        self._basis = basis
+        mass = np.ones(len(self.rest)) if mass is None else np.asarray(mass, np.float64)
+        counts = clusters.cluster_counts()
+        metric = np.where(self.free, counts * mass / mass.mean(), 0.0)
+        self._particles = BodyRest(self.rest / self.scale, mass, self.free, counts, metric)
+        self._clusters = clusters
+        self._scratch: dict[Any, Any] = {}
+
+    @functools.cached_property
+    def _body(self) -> Body:
+        if self._basis == "linear" and isinstance(self._clusters, LatticeClusters):
+            edges = lattice_edges(self._particles.position, self._clusters)
+            if edges is not None and (self.dim == 3 or len(self._clusters.shape) == 2):
+                return LatticeBody(self._particles, self._clusters, edges, self._scalar, self.device)
+        return GeneralBody(self._particles, self._clusters, self._basis, self._scalar, self.device)
+
+    @functools.cached_property
+    def _one(self) -> OneCluster | None:
+        """The body as one cluster, if it is one."""
+        if self._clusters.count != 1 or len(self._clusters.members) != len(self.rest):
+            return None
+        mass = self._particles.mass
+        return OneCluster(self.rest, self.held, mass=mass, basis=self._basis, device=self.device)
 
     # -- candidates ------------------------------------------------------------------------------------------------
 
     def _candidates(
-        self, held_position: FloatArray, *parameters: FloatArray | float
-    ) -> tuple[FloatArray, list[FloatArray]]:
-        """Held displacements (B, n, d) in spacings, and every parameter as (B,)."""
-        held_position = np.asarray(held_position, dtype=np.float64)
+        self, held_position: FloatArray, beta: FloatArray | float, theta: FloatArray | float
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Held displacements (B or 1, n, d) in spacings, beta (B,) or (B, C), theta (B,)."""
         shape = (-1 if len(self.held) else 1, len(self.held), self.dim)
-        held_position = held_position.reshape(shape)
-        arrays = [np.atleast_1d(np.asarray(p, dtype=np.float64)) for p in parameters]
-        (size,) = np.broadcast_shapes(*[a.shape for a in arrays], held_position.shape[:1])
+        held_position = np.asarray(held_position, dtype=np.float64).reshape(shape)
         held_u = (held_position - self.rest[self.held]) / self.scale
-        held_u = np.broadcast_to(held_u, (size, *held_u.shape[1:]))
-        if not len(self.held):
-            held_u = np.zeros((size, 1, self.dim))  # warp takes no empty arrays; no particle reads it
-        return held_u, [np.broadcast_to(a, (size,)) for a in arrays]
+        beta, theta = np.atleast_1d(np.asarray(beta, np.float64)), np.atleast_1d(np.asarray(theta, np.float64))
+        if beta.ndim == 2 and beta.shape[1] != self.cluster_count:
+            raise ValueError(f"expected a beta for each of {self.cluster_count} clusters; got {beta.shape[1]}")
+        (size,) = np.broadcast_shapes(beta.shape[:1], theta.shape, held_u.shape[:1])
+        return held_u, np.broadcast_to(beta, (size, *beta.shape[1:])), np.broadcast_to(theta, (size,))
 
-    def _positions(self, u: Any) -> FloatArray:
-        return self.rest + np.asarray(u.numpy(), dtype=np.float64) * self.scale
+    def _displacements(self, position: FloatArray | None) -> FloatArray:
+        """(B or 1, K, d) in spacings."""
+        if position is None:
+            return np.zeros((1, *self.rest.shape))
+        return (np.asarray(position, np.float64).reshape(-1, *self.rest.shape) - self.rest) / self.scale
 
-    def _displacements(self, position: FloatArray, size: int) -> Any:
-        u = np.broadcast_to((np.asarray(position) - self.rest) / self.scale, (size, *self.rest.shape))
-        return wp.array(np.ascontiguousarray(u), dtype=self._k.vec, device=self.device)
-
-    def _scalars(self, values: FloatArray) -> Any:
-        return wp.array(np.ascontiguousarray(values), dtype=self._k.scalar, device=self.device)
-
-    def _launch_goals(self, u: Any, beta: Any, theta: Any, running: Any, work: _Work) -> None:
-        size = u.shape[0]
-        wp.launch(
-            self._k.fit_clusters,
-            dim=(size, self.cluster_count),
-            inputs=[
-                *(self._offsets, self._members, self._share, self._weight, self._moment, self._a_qq),
-                *(self._span, self._span_count, self._untold, u, beta, theta, running),
-            ],
-            outputs=[work.transform, work.centre, work.turned, work.compliance],
-            device=self.device,
-        )
-        self._launch_means(u, running, work, work.residual)
-
-    def _launch_means(self, u: Any, running: Any, work: _Work, out: Any) -> None:
-        wp.launch(
-            self._k.goals,
-            dim=u.shape,
-            inputs=[
-                *(self._row_offsets, self._row_clusters, self._row_basis, self._held_row),
-                *(u, work.transform, work.centre, running),
-            ],
-            outputs=[out],
-            device=self.device,
-        )
+    def _way(self, kind: type[Newton] | type[Anderson], size: int, volume: int) -> Any:
+        """A way to run, with its scratch; that of the last few calls is kept."""
+        key = (kind, size, volume)
+        way = self._scratch.pop(key, None) or kind(self._body, self._particles, size, volume)
+        if size * len(self.rest) <= KEPT_NUMBERS:
+            self._scratch[key] = way
+            while len(self._scratch) > 4:
+                del self._scratch[next(iter(self._scratch))]
+        return way
 
     # -- relax -----------------------------------------------------------------------------------------------------
 
@@ -211,6 +193,7 @@ class Msm:
         beta: FloatArray | float,
         theta: FloatArray | float = 0.0,
         *,
+        volume: Volume = "scale",
         start: FloatArray | None = None,
         tolerance: float | None = None,
         max_iterations: int | None = None,
@@ -218,174 +201,88 @@ class Msm:
     ) -> Relaxed:
         """The static states; no dt, alpha or velocity enters.
 
-        With theta = 0 they are minima of an energy, found by conjugate gradients with exact curvature; eq. 3.17 has no
-        energy, so with theta the goal map is accelerated (Anderson). Both stop on an estimate of the distance to go.
+        With theta = 0, and with the volume conserved by projection, they are minima of an energy, found by Newton's
+        steps (conjugate gradients); eq. 3.17 has no energy, so there the goal map is accelerated (Anderson). Both stop
+        on an estimate of the distance to go. One cluster of all particles is solved in its own few unknowns.
 
         A start that is symmetric stays so, as it does in time stepping: a strut pressed along its axis stays straight
-        where it would rather buckle. With theta and strong compression a static state can have clusters turned inside
-        out: look at the picture.
+        where it would rather buckle. With eq. 3.17 and strong compression a static state can have clusters turned
+        inside out: look at the picture, or use volume="project".
 
-        held_position: (n, d) or (B, n, d); beta, theta: a number or (B,); start: (K, d) or (B, K, d), default rest
+        held_position: (n, d) or (B, n, d); theta: a number or (B,); beta: a number, (B,), or (B, C) for each cluster
+        volume: "scale" (eq. 3.17) or "project" (stable): see `reference`
+        start: (K, d) or (B, K, d), default rest
         tolerance: on the estimated distance from the static state, as a share of the body's extent
         max_iterations: default 4000, or 40 a particle where that is more (long thin bodies bend slowly)
         progress: called with (candidates done, candidates) now and then
         """
-        held_u, (beta_b, theta_b) = self._candidates(held_position, beta, theta)
-        size = len(beta_b)
+        held_u, beta_b, theta_b = self._candidates(held_position, beta, theta)
+        origin = self._displacements(start)
+        size = max(len(beta_b), len(origin))
+        beta_b, theta_b = (np.broadcast_to(each, (size, *each.shape[1:])) for each in (beta_b, theta_b))
         if not self.free.any():
             return self._all_held(held_position, size)
         share = TOLERANCE[self.precision] if tolerance is None else tolerance
         most = max(4000, 40 * len(self.rest)) if max_iterations is None else max_iterations
-        origin = np.broadcast_to(self.rest if start is None else start, (size, *self.rest.shape))
+        if self._one is not None:
+            return self._relax_one(held_position, beta_b.reshape(size, -1)[:, 0], theta_b, volume, start, share, most)
         at_once = max(1, PARTICLES_AT_ONCE // len(self.rest))
         parts = []
         for first in range(0, size, at_once):
-            some = slice(first, first + at_once)
+            some = slice(first, min(first + at_once, size))
+            count = some.stop - first
+            u = np.array(np.broadcast_to(origin[some] if len(origin) > 1 else origin, (count, *self.rest.shape)))
+            u[:, self.held] = held_u[some] if len(held_u) > 1 else held_u
+            way = self._way(*self._kind(theta_b[some], count, volume))
+            way.set(beta_b[some], theta_b[some])
             note = None if progress is None else functools.partial(_offset, progress, first, size)
-            parts.append(self._relax(held_u[some], beta_b[some], theta_b[some], origin[some], share, most, note))
+            ended = way.relax(u, share * self.extent / self.scale, most, note)
+            parts.append(self._relaxed(way.layout.get(way.u, self.dim), ended))
         if len(parts) == 1:
             return parts[0]
         fields = [f.name for f in dataclasses.fields(Relaxed)]
         return Relaxed(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in fields})
 
-    def _relax(
+    @staticmethod
+    def _kind(theta: FloatArray, size: int, volume: Volume) -> tuple[type[Newton] | type[Anderson], int, int]:
+        if not theta.any():
+            return Newton, size, NONE
+        return (Newton if volume == "project" else Anderson), size, VOLUMES[volume]
+
+    def _relaxed(self, u: FloatArray, ended: Ended) -> Relaxed:
+        return Relaxed(
+            position=self.rest + u * self.scale,
+            residual=ended.norm * self.scale,
+            error=ended.error * self.scale,
+            iterations=ended.total,
+            converged=ended.state == CONVERGED,
+            diverged=ended.state == DIVERGED,
+        )
+
+    def _relax_one(
         self,
-        held: FloatArray,
+        held_position: FloatArray,
         beta: FloatArray,
         theta: FloatArray,
-        start: FloatArray,
+        volume: Volume,
+        start: FloatArray | None,
         tolerance: float,
-        max_iterations: int,
-        progress: Callable[[int], None] | None,
+        most: int,
     ) -> Relaxed:
-        """As many candidates as fit into memory at once."""
-        size = len(beta)
-        u = self._displacements(start, size)
-        held_u: Any = wp.array(np.ascontiguousarray(held), dtype=self._k.vec, device=self.device)
-        beta_d, theta_d = self._scalars(beta), self._scalars(theta)
-        wanted = tolerance * self.extent / self.scale
-        work: _Minimising | _Accelerating
-        if theta.any():
-            work = _Accelerating(self, size)
-            iterate = functools.partial(self._accelerate, u, beta_d, theta_d, work, wanted)
-        else:
-            work = _Minimising(self, size)
-            iterate = functools.partial(self._minimise, u, beta_d, theta_d, work, wanted)
-        wp.launch(
-            self._k.predict,
-            dim=u.shape,
-            inputs=[u, work.u_last, self._held_row, held_u, self._k.vec(), self._k.scalar(0.0)],
-            outputs=[u],
-            device=self.device,
+        one = self._one
+        assert one is not None
+        held = one.hold(np.asarray(held_position, dtype=np.float64))
+        found = one.relax(
+            held,
+            beta,
+            theta,
+            volume=volume,
+            start=start,
+            tolerance=tolerance * self.extent / one.radius,
+            max_iterations=most,
         )
-        iterate()  # loads the kernels, so that the capture below records launches only
-        with wp.ScopedCapture(device=self.device) as capture:
-            iterate()
-        done = 1
-        while done < max_iterations and (still := int(np.count_nonzero(work.running.numpy() == k.RUNNING))):
-            if progress is not None:
-                progress(size - still)
-            for _ in range(min(CHECK_EVERY, max_iterations - done)):
-                wp.capture_launch(capture.graph)
-                done += 1
-        state = work.running.numpy()
-        return Relaxed(
-            position=self._positions(u),
-            residual=work.norm.numpy() * self.scale,
-            error=work.error.numpy() * self.scale,
-            iterations=work.total.numpy(),
-            converged=state == k.CONVERGED,
-            diverged=state == k.DIVERGED,
-        )
-
-    def _minimise(self, u: Any, beta: Any, theta: Any, work: _Minimising, tolerance: float) -> None:
-        """One iteration of nonlinear conjugate gradients on the energy (theta = 0): launches only."""
-        running, size, chunks = work.running, u.shape[0], work.chunks
-        own, cross = work.own_part, work.cross_part
-        launch = functools.partial(wp.launch, device=self.device)
-        self._launch_goals(u, beta, theta, running, work)
-        launch(
-            self._k.residual_products,
-            dim=(size, chunks),
-            inputs=[self._metric, work.residual, work.residual_last, running, u.shape[1]],
-            outputs=[own, cross],
-        )
-        launch(
-            self._k.conjugate,
-            dim=size,
-            inputs=[own, cross, chunks, wp.float64(self._metric_total), work.own_last, work.fresh, running],
-            outputs=[work.mix, work.norm, work.total],
-        )
-        launch(
-            self._k.direct,
-            dim=u.shape,
-            inputs=[work.residual, work.mix, running],
-            outputs=[work.direction, work.residual_last],
-        )
-        launch(
-            self._k.fit_changes,
-            dim=(size, self.cluster_count),
-            inputs=[
-                *(self._offsets, self._members, self._share, self._weight, self._moment, self._untold),
-                *(work.direction, work.turned, work.compliance, beta, running),
-            ],
-            outputs=[work.transform, work.centre],
-        )
-        self._launch_means(work.direction, running, work, work.stiff)
-        launch(
-            self._k.curvature_products,
-            dim=(size, chunks),
-            inputs=[self._metric, work.residual, work.direction, work.stiff, running, u.shape[1]],
-            outputs=[own, cross, work.step_part, work.longest_part],
-        )
-        launch(
-            self._k.choose_step,
-            dim=size,
-            inputs=[
-                *(own, cross, work.step_part, work.longest_part, chunks),
-                *(wp.float64(self._metric_total), wp.float64(tolerance)),
-                *(work.path, work.mark, work.total, work.fresh, running),
-            ],
-            outputs=[work.step, work.error],
-        )
-        launch(self._k.take_step, dim=u.shape, inputs=[work.direction, work.step, running], outputs=[u])
-
-    def _accelerate(self, u: Any, beta: Any, theta: Any, work: _Accelerating, tolerance: float) -> None:
-        """One iteration of Anderson's acceleration: launches only, so that it can be captured."""
-        running, size, chunks = work.running, u.shape[0], work.chunks
-        self._launch_goals(u, beta, theta, running, work)
-        wp.launch(
-            self._k.remember,
-            dim=u.shape,
-            inputs=[u, work.residual, work.iteration, running],
-            outputs=[work.u_last, work.residual_last, work.du, work.dr],
-            device=self.device,
-        )
-        wp.launch(
-            self._k.products,
-            dim=(size, k.MEMORY + 1, chunks),
-            inputs=[self._metric, work.residual, work.du, work.dr, work.iteration, running, u.shape[1]],
-            outputs=[work.gram_part, work.rhs_part, work.step_part],
-            device=self.device,
-        )
-        wp.launch(
-            self._k.accelerate,
-            dim=size,
-            inputs=[
-                *(work.gram_part, work.rhs_part, work.step_part, chunks),
-                *(wp.float64(self._metric_total), wp.float64(tolerance)),
-                *(work.gram, work.path, work.mark, work.iteration, work.best, running),
-            ],
-            outputs=[work.gamma, work.norm, work.error, work.total],
-            device=self.device,
-        )
-        wp.launch(
-            self._k.advance,
-            dim=u.shape,
-            inputs=[work.residual, work.du, work.dr, work.gamma, work.iteration, self._held_row, running],
-            outputs=[u],
-            device=self.device,
-        )
+        position = one.positions(found, held)
+        return Relaxed(position, found.residual, found.error, found.iterations, found.converged, found.diverged)
 
     def _all_held(self, held_position: FloatArray, size: int) -> Relaxed:
         position = np.broadcast_to(self.rest, (size, *self.rest.shape)).copy()
@@ -394,12 +291,129 @@ class Msm:
         yes = np.ones(size, dtype=bool)
         return Relaxed(position, none, none.copy(), np.zeros(size, dtype=int), yes, ~yes)
 
+    # -- derivatives -----------------------------------------------------------------------------------------------
+
+    def sensitivity(
+        self,
+        position: FloatArray,
+        beta: FloatArray | float,
+        theta: FloatArray | float = 0.0,
+        *,
+        volume: Volume = "scale",
+    ) -> Sensitivity:
+        """How static states move with beta and theta, by implicit differentiation: (I - J) dx = d goals.
+
+        position: (K, d) or (B, K, d), static for these parameters (`relax`), held particles in place
+        """
+        position = np.asarray(position, np.float64).reshape(-1, *self.rest.shape)
+        if self._one is not None:
+            return self._one_sensitivity(position, beta, theta, volume)
+        way = self._at(position, beta, theta, volume)
+        out = []
+        good = True
+        for by in (BY_BETA, BY_THETA):
+            right = way.residual if isinstance(way, Newton) else way.linear_right
+            if by == BY_THETA and way.volume == NONE:
+                theta_way = self._at(position, beta, theta, volume, conserving=True)
+                goal_derivative(theta_way, by, theta_way.residual)
+                wp.copy(right, theta_way.residual)
+            else:
+                goal_derivative(way, by, right)
+            if isinstance(way, Newton):
+                moved, solved = way.solve(right, LINEAR_TOLERANCE[self.precision])
+                good &= solved
+                out.append(way.layout.get(moved, self.dim) * self.scale)
+            else:
+                saved = way.layout.get(way.u, self.dim)
+                ended = way.solve(LINEAR_TOLERANCE[self.precision] * self.extent / self.scale, 40 * len(self.rest))
+                good &= bool((ended.state == CONVERGED).all())
+                out.append(way.layout.get(way.u, self.dim) * self.scale)
+                way.layout.put(saved, way.u)
+                way.evaluate()
+        return Sensitivity(out[0], out[1], good)
+
+    def gradient(
+        self,
+        position: FloatArray,
+        beta: FloatArray | float,
+        theta: FloatArray | float = 0.0,
+        *,
+        cotangent: FloatArray,
+        volume: Volume = "scale",
+    ) -> Gradient:
+        """Gradient of a function of static states, given its own by positions: one symmetric solve for all parameters.
+
+        position: as for `sensitivity`; cotangent: (K, d) or (B, K, d), what the function changes by for each coordinate
+        (that of held particles does not count). With eq. 3.17 overlapping clusters have no symmetric equations; there
+        the derivatives by beta and theta are solved for, and those by cluster are not given (nan).
+        """
+        cotangent = np.asarray(cotangent, np.float64).reshape(-1, *self.rest.shape)
+        position = np.asarray(position, np.float64).reshape(-1, *self.rest.shape)
+        theta_b = np.atleast_1d(np.asarray(theta, np.float64))
+        if self._one is not None or (theta_b.any() and volume == "scale"):
+            changes = self.sensitivity(position, beta, theta, volume=volume)
+            free = np.where(self.free[:, None], cotangent, 0.0)
+            by_beta, by_theta = (np.sum(free * each, axis=(1, 2)) for each in (changes.beta, changes.theta))
+            by_cluster = by_beta[:, None] if self._one else np.full((len(by_beta), self.cluster_count), np.nan)
+            return Gradient(by_beta, by_theta, by_cluster, changes.converged)
+        way = self._at(position, beta, theta, volume)
+        metric = self._particles.metric[:, None]
+        right = np.divide(cotangent, metric, out=np.zeros_like(cotangent), where=metric > 0)
+        way.layout.put(right * self.scale, way.residual)
+        adjoint, good = way.solve(way.residual, LINEAR_TOLERANCE[self.precision])
+        running = way.all_groups()
+        by_cluster = way.operator.cluster_gradient(way.u, adjoint, way.parameters, running, way.changed)
+        by_cluster /= self._particles.mass.mean()
+        theta_way = way
+        if way.volume == NONE:
+            theta_way = self._at(position, beta, theta, volume, conserving=True)
+        goal_derivative(theta_way, BY_THETA, theta_way.changed if isinstance(theta_way, Newton) else theta_way.residual)
+        moved = theta_way.layout.get(
+            theta_way.changed if isinstance(theta_way, Newton) else theta_way.residual, self.dim
+        )
+        by_theta = np.sum(metric * way.layout.get(adjoint, self.dim) * moved, axis=(1, 2))
+        return Gradient(by_cluster.sum(axis=1), by_theta, by_cluster, good)
+
+    def _at(
+        self,
+        position: FloatArray,
+        beta: FloatArray | float,
+        theta: FloatArray | float,
+        volume: Volume,
+        *,
+        conserving: bool = False,
+    ) -> Any:
+        """A way to run, evaluated at `position`; `conserving`: with volume conservation though theta is 0."""
+        _, beta_b, theta_b = self._candidates(position[:, self.held], beta, theta)
+        size = max(len(position), len(beta_b))
+        kind, size, how = self._kind(theta_b, size, volume)
+        if conserving and how == NONE:
+            kind, how = (Newton if volume == "project" else Anderson), VOLUMES[volume]
+        way = self._way(kind, size, how)
+        way.set(np.broadcast_to(beta_b, (size, *beta_b.shape[1:])), np.broadcast_to(theta_b, (size,)))
+        way.layout.put(self._displacements(position), way.u)
+        way.evaluate()
+        return way
+
+    def _one_sensitivity(
+        self, position: FloatArray, beta: FloatArray | float, theta: FloatArray | float, volume: Volume
+    ) -> Sensitivity:
+        one = self._one
+        assert one is not None
+        held = one.hold(position[:, self.held])
+        found = one.relax(held, np.asarray(beta, np.float64).reshape(-1), theta, volume=volume, start=position)
+        moved = one.changes(one.sensitivity(found, held, beta, theta, volume=volume))
+        return Sensitivity(moved[0], moved[1], bool(found.converged.all()))
+
     # -- time stepping ---------------------------------------------------------------------------------------------
 
     def start(self, size: int = 1, position: FloatArray | None = None) -> Moving:
         """B bodies at rest without velocity, or at `position` (K, d) or (B, K, d)."""
-        u = self._displacements(self.rest if position is None else position, size)
-        return Moving(u, wp.zeros_like(u), wp.zeros(size, dtype=int, device=self.device))
+        state = Moving(self._body.operator(self._body.layout(size)))
+        u = self._displacements(position)
+        state.layout.put(u, state.u)
+        state.layout.put(u, state.before)
+        return state
 
     def step(
         self,
@@ -408,6 +422,7 @@ class Msm:
         beta: FloatArray | float,
         theta: FloatArray | float = 0.0,
         *,
+        volume: Volume = "scale",
         alpha: float = 1.0,
         dt: float = 2e-3,
         acceleration: Sequence[float] | None = None,
@@ -417,132 +432,38 @@ class Msm:
 
         dt [s]; acceleration: f_ext / m, (d,) [m/s^2]. Without it, dt does not change the motion (alpha = 1).
         """
-        held_u, (beta_b, theta_b) = self._candidates(held_position, beta, theta)
-        size = state.u.shape[0]
+        run = self._stepper(state, held_position, beta, theta, volume, alpha, dt, acceleration)
+        run(steps)
+        return self.rest + state.layout.get(state.u, self.dim) * self.scale
+
+    def _stepper(
+        self,
+        state: Moving,
+        held_position: FloatArray,
+        beta: FloatArray | float,
+        theta: FloatArray | float,
+        volume: Volume,
+        alpha: float,
+        dt: float,
+        acceleration: Sequence[float] | None,
+    ) -> Callable[[int], None]:
+        held_u, beta_b, theta_b = self._candidates(held_position, beta, theta)
+        layout, operator = state.layout, state.operator
+        size = layout.candidates
         if len(beta_b) not in (1, size):
             raise ValueError(f"expected candidates for {size} bodies or for one; got {len(beta_b)}")
-        beta_d = self._scalars(np.broadcast_to(beta_b, size))
-        theta_d = self._scalars(np.broadcast_to(theta_b, size))
-        held_d: Any = wp.array(
-            np.ascontiguousarray(np.broadcast_to(held_u, (size, *held_u.shape[1:]))),
-            dtype=self._k.vec,
-            device=self.device,
-        )
-        push = np.zeros(self.dim) if acceleration is None else np.asarray(acceleration) / self.scale
-        work = _Work(self, size)
+        how = VOLUMES[volume] if theta_b.any() else NONE
+        return _Stepping(self, state, held_u, beta_b, theta_b, how, alpha, dt, acceleration).run
 
-        def advance() -> None:
-            wp.launch(
-                self._k.predict,
-                dim=state.u.shape,
-                inputs=[state.u, state.v, self._held_row, held_d, self._k.vec(*push), self._k.scalar(dt)],
-                outputs=[work.u_last],
-                device=self.device,
-            )
-            self._launch_goals(work.u_last, beta_d, theta_d, work.running, work)
-            wp.launch(
-                self._k.integrate,
-                dim=state.u.shape,
-                inputs=[state.u, work.u_last, work.residual, self._k.scalar(alpha), self._k.scalar(dt)],
-                outputs=[state.u, state.v, state.ran_away],
-                device=self.device,
-            )
-
-        if steps > 0:
-            advance()
-        if steps > 1:
-            with wp.ScopedCapture(device=self.device) as capture:
-                advance()
-            for _ in range(steps - 1):
-                wp.capture_launch(capture.graph)
-        return self._positions(state.u)
-
-    def residual(self, position: FloatArray, beta: FloatArray | float, theta: FloatArray | float = 0.0) -> FloatArray:
+    def residual(
+        self,
+        position: FloatArray,
+        beta: FloatArray | float,
+        theta: FloatArray | float = 0.0,
+        *,
+        volume: Volume = "scale",
+    ) -> FloatArray:
         """goals(x) - x at the given positions (K, d) or (B, K, d), 0 at held particles: (B, K, d)."""
         position = np.asarray(position, dtype=np.float64).reshape(-1, *self.rest.shape)
-        _, (beta_b, theta_b) = self._candidates(position[:, self.held], beta, theta)
-        u = self._displacements(position, len(beta_b))
-        work = _Work(self, len(beta_b))
-        self._launch_goals(u, self._scalars(beta_b), self._scalars(theta_b), work.running, work)
-        return np.asarray(work.residual.numpy(), dtype=np.float64) * self.scale
-
-
-def pick_device(choice: Literal["auto", "cpu", "cuda"]) -> str:
-    """The warp device for a choice; `auto` is the GPU where there is one."""
-    if choice == "cpu" or (choice == "auto" and not wp.is_cuda_available()):
-        return "cpu"
-    if not wp.is_cuda_available():
-        raise InputError("a CUDA device", "none that warp can use on this machine", "--device cpu")
-    return "cuda:0"
-
-
-def _offset(progress: Callable[[int, int], None], before: int, size: int, done: int) -> None:
-    progress(before + done, size)
-
-
-def weight_terms(dim: int, basis: Basis) -> int:
-    """Terms of the basis: d, or 5 in the plane and 9 in space (eq. 3.14)."""
-    return dim if basis == "linear" else {2: 5, 3: 9}[dim]
-
-
-class _Work:
-    """Scratch arrays for the goals of `size` candidates."""
-
-    def __init__(self, body: Msm, size: int) -> None:
-        count, kk = len(body.rest), body._k
-        self.zeros = functools.partial(wp.zeros, device=body.device)
-        self.transform = self.zeros((size, body.cluster_count), dtype=kk.transform)
-        self.centre = self.zeros((size, body.cluster_count), dtype=kk.vec)
-        self.residual = self.zeros((size, count), dtype=kk.vec)
-        self.u_last = self.zeros((size, count), dtype=kk.vec)
-        self.turned = self.zeros((size, body.cluster_count), dtype=kk.moment)
-        self.compliance = self.zeros((size, body.cluster_count), dtype=kk.moment)
-        self.running = wp.full(size, k.RUNNING, dtype=int, device=body.device)
-
-
-class _Relaxing(_Work):
-    """What both ways to a static state keep: the last residual, the path since the last mark, and the tallies."""
-
-    def __init__(self, body: Msm, size: int) -> None:
-        super().__init__(body, size)
-        self.chunks = -(-len(body.rest) // k.CHUNK)
-        self.residual_last = self.zeros((size, len(body.rest)), dtype=body._k.vec)
-        self.step_part = self.zeros((size, self.chunks), dtype=wp.float64)
-        self.path = self.zeros(size, dtype=wp.float64)
-        self.mark = wp.full(size, 8, dtype=int, device=body.device)
-        self.norm = self.zeros(size, dtype=wp.float64)
-        self.error = self.zeros(size, dtype=wp.float64)
-        self.total = self.zeros(size, dtype=int)
-
-
-class _Minimising(_Relaxing):
-    """Scratch of conjugate gradients."""
-
-    def __init__(self, body: Msm, size: int) -> None:
-        super().__init__(body, size)
-        vectors = (size, len(body.rest))
-        self.own_part = self.zeros((size, self.chunks), dtype=wp.float64)
-        self.cross_part = self.zeros((size, self.chunks), dtype=wp.float64)
-        self.longest_part = self.zeros((size, self.chunks), dtype=wp.float64)
-        self.own_last = self.zeros(size, dtype=wp.float64)
-        self.fresh = wp.full(size, 1, dtype=int, device=body.device)
-        self.mix = self.zeros(size, dtype=body._k.scalar)
-        self.step = self.zeros(size, dtype=body._k.scalar)
-        self.direction = self.zeros(vectors, dtype=body._k.vec)
-        self.stiff = self.zeros(vectors, dtype=body._k.vec)
-
-
-class _Accelerating(_Relaxing):
-    """Scratch of Anderson's acceleration."""
-
-    def __init__(self, body: Msm, size: int) -> None:
-        super().__init__(body, size)
-        history = (size, k.MEMORY, len(body.rest))
-        self.du = self.zeros(history, dtype=body._k.vec)
-        self.dr = self.zeros(history, dtype=body._k.vec)
-        self.gram_part = self.zeros((size, k.MEMORY + 1, self.chunks), dtype=wp.float64)
-        self.rhs_part = self.zeros((size, k.MEMORY + 1, self.chunks), dtype=wp.float64)
-        self.gram = self.zeros(size, dtype=body._k.history)
-        self.gamma = self.zeros(size, dtype=body._k.history_vec)
-        self.iteration = self.zeros(size, dtype=int)
-        self.best = wp.full(size, np.inf, dtype=wp.float64, device=body.device)
+        way = self._at(position, beta, theta, volume)
+        return way.layout.get(way.residual, self.dim) * self.scale

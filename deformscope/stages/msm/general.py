@@ -1,0 +1,240 @@
+"""Clusters as index lists on a device: their rest data, and the launches that make goals of displacements."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from deformscope.arrays import FloatArray
+from deformscope.stages.msm import general_kernels as k
+from deformscope.stages.msm import reference
+from deformscope.stages.msm.body import BodyRest, Parameters, RestArrays, rest_struct
+from deformscope.stages.msm.cluster_functions import BY_BETA, GOAL, cluster_functions_for
+from deformscope.stages.msm.clusters import Clusters
+from deformscope.stages.msm.lattice_kernels import CHANGE, RESIDUAL, STEP
+from deformscope.stages.msm.layout import Layout, upload, widths
+from deformscope.stages.msm.reference import Basis
+
+
+class GeneralBody:
+    """A body of any clusters and basis. Lengths in particle spacings."""
+
+    def __init__(self, rest: BodyRest, clusters: Clusters, basis: Basis, scalar: Any, device: str) -> None:
+        d = rest.position.shape[1]
+        self.dim, self.scalar, self.device = d, scalar, device
+        self.terms = d if basis == "linear" else {2: 5, 3: 9}[d]
+        self.particle_count, self.cluster_count = len(rest.position), clusters.count
+        self.rest = rest
+        spec = reference.build_rest(rest.position, clusters, np.zeros(0, dtype=int), rest.mass, basis)
+        share, weight, moment, row_basis = [], [], [], []
+        count = clusters.count
+        a_qq, span, root = np.zeros((3, count, d, d))
+        span_count = np.zeros(count, dtype=np.int32)
+        untold, lift = np.zeros((2, count, d, self.terms))
+        for c, cluster in enumerate(spec.clusters):
+            m, r = cluster.mass[:, None], cluster.radius
+            share.append(cluster.mass / cluster.mass.sum())
+            # (u - centre) outer weight = A~ - [I, 0] for displacements in spacings; basis in cluster radii
+            weight.append(m * cluster.q_basis @ cluster.inverse / r)
+            row_basis.append(cluster.q_basis * r)
+            norm = float(np.einsum("n,ni,ni->", cluster.mass, cluster.q, cluster.q)) or 1.0
+            a_qq[c] = np.einsum("n,ni,nj->ij", cluster.mass, cluster.q, cluster.q) / norm
+            moment.append(m * cluster.q / (norm * r))
+            span[c, :, : cluster.span.shape[1]] = cluster.span
+            span_count[c] = cluster.span.shape[1]
+            told = cluster.inverse @ np.einsum("n,ni,nj->ij", cluster.mass, cluster.q_basis, cluster.q_basis)
+            untold[c] = (np.eye(len(told)) - told.T)[:d]
+            root[c], lift[c] = cluster.root, cluster.lift
+        self.rest_arrays = RestArrays(a_qq, untold, span, span_count, root, lift)
+        order = np.argsort(clusters.members, kind="stable")
+        cluster_of = np.repeat(np.arange(count), np.diff(clusters.offsets))
+        self._lists: dict[str, Any] = {
+            "offsets": upload(clusters.offsets, int, device),
+            "members": upload(clusters.members, int, device),
+            "share": upload(np.concatenate(share), scalar, device),
+            "weight": upload(np.concatenate(weight), scalar, device),
+            "moment": upload(np.concatenate(moment), scalar, device),
+            "row_offsets": upload(np.concatenate([[0], np.cumsum(rest.counts)]), int, device),
+            "row_clusters": upload(cluster_of[order], int, device),
+            "row_basis": upload(np.concatenate(row_basis)[order], scalar, device),
+        }
+        self.member_basis = np.concatenate(row_basis)
+        self.member_mass = rest.mass[clusters.members]
+        self.members, self.offsets = clusters.members, clusters.offsets
+        self._arrays: dict[int, _Arrays] = {}
+
+    def layout(self, candidates: int) -> Layout:
+        width, abreast = widths(candidates, self.scalar, self.device, cells_in_lanes=False)
+        groups = -(-candidates // abreast)
+        group = self.particle_count * abreast
+        return Layout(
+            candidates,
+            width,
+            abreast,
+            self.particle_count,
+            0,
+            group,
+            groups * group + width,
+            np.arange(self.particle_count),
+            self.scalar,
+            self.device,
+        )
+
+    def operator(self, layout: Layout) -> GeneralOperator:
+        if layout.width not in self._arrays:
+            self._arrays[layout.width] = _Arrays(self, layout.width)
+        return GeneralOperator(self, layout, self._arrays[layout.width])
+
+    def lists(self, struct: Any) -> Any:
+        for name, value in self._lists.items():
+            setattr(struct, name, value)
+        return struct
+
+
+class _Arrays:
+    """Rest data on the device, for lanes of one width."""
+
+    def __init__(self, body: GeneralBody, width: int) -> None:
+        self.kernels = k.general_kernels_for(body.dim, body.terms, body.scalar, width)
+        functions = cluster_functions_for(body.dim, body.terms, body.scalar, width)
+        self.rest = rest_struct(functions, body.rest_arrays, body.cluster_count, body.scalar, body.device)
+        self.kept_type = functions.kept
+        free = body.rest.free.astype(float)
+        spare = 2 * width
+        self.free = upload(free, body.scalar, body.device, spare)
+        self.pull = upload(free / body.rest.counts, body.scalar, body.device, spare)
+        self.metric = upload(body.rest.metric, body.scalar, body.device, spare)
+
+
+class GeneralOperator:
+    """Goals of clusters given as lists, for the candidates of one layout, with their scratch."""
+
+    def __init__(self, body: GeneralBody, layout: Layout, arrays: _Arrays) -> None:
+        self.body, self.layout, self.arrays = body, layout, arrays
+        self.dim, self.metric = body.dim, arrays.metric
+        lists = body.lists(arrays.kernels.lists())
+        lists.abreast, lists.particles, lists.clusters = layout.abreast, body.particle_count, body.cluster_count
+        lists.particle_stride = layout.stride
+        self.cluster_stride = layout.groups * body.cluster_count * layout.abreast + layout.width
+        lists.cluster_stride = self.cluster_stride
+        self.lists = lists
+        self.beta_stride = body.cluster_count * layout.abreast
+        self._maps = self._cluster_field(self.dim + self.dim * body.terms)
+        self._star = layout.field(self.dim)
+        self._nothing = layout.each(np.zeros(1), int)
+        self._still = self.motion(1.0, 0.0, np.zeros(self.dim))
+        self._kept: dict[int, Any] = {}
+
+    def _cluster_field(self, rows: int) -> Any:
+        return wp.zeros(rows * self.cluster_stride, dtype=self.layout.scalar, device=self.layout.device)
+
+    def motion(self, alpha: float, going_on: float, push: FloatArray) -> Any:
+        """What a time step needs: see `general_kernels`."""
+        motion = self.arrays.kernels.motion()
+        motion.alpha, motion.going_on = alpha, going_on
+        motion.push = upload(push, self.layout.scalar, self.layout.device)
+        return motion
+
+    def kept(self, volume: int) -> Any:
+        """What `residual` leaves for `change`."""
+        if volume not in self._kept:
+            d = self.dim
+            kept = self.arrays.kept_type()
+            kept.turned = self._cluster_field(d * d)
+            kept.compliance = self._cluster_field(6 if d == 3 else 1)
+            kept.affine = self._cluster_field(d * d if volume else 1)
+            kept.stride = self.cluster_stride
+            self._kept[volume] = kept
+        return self._kept[volume]
+
+    def residual(
+        self, u: Any, out: Any, parameters: Parameters, running: Any, kept: Any = None, what: int = GOAL
+    ) -> None:
+        """goal - u of every free particle into `out`; with `what` BY_BETA or BY_THETA the derivative of the goals.
+
+        kept: where to leave what `change` needs (None: nowhere)
+        """
+        kept = self._unkept() if kept is None else kept
+        self._fit(self.arrays.kernels.fit_clusters, u, parameters, running, kept, what)
+        star = u if what == GOAL else self._zero()
+        self._finish(star, star, self._still, running, RESIDUAL, out, self._nothing)
+
+    def change(self, direction: Any, out: Any, parameters: Parameters, running: Any, kept: Any) -> None:
+        """J p - p for a direction p of the free particles, where `residual` was last evaluated."""
+        self._fit(self.arrays.kernels.fit_changes, direction, parameters, running, kept, GOAL)
+        self._finish(direction, direction, self._still, running, CHANGE, out, self._nothing)
+
+    def step(
+        self, u: Any, before: Any, motion: Any, parameters: Parameters, running: Any, ran_away: Any
+    ) -> None:
+        """One time step; `before` becomes the new displacement."""
+        self._launch(
+            self.arrays.kernels.predict,
+            (self.layout.groups, self.body.particle_count),
+            [self.lists, u, before, motion, self.arrays.free],
+            [self._star],
+        )
+        self._fit(self.arrays.kernels.fit_clusters, self._star, parameters, running, self._unkept(), GOAL)
+        self._finish(u, self._star, motion, running, STEP, before, ran_away)
+
+    def cluster_values(self, values: FloatArray) -> Any:
+        """(B, C) one value for each cluster, as the kernels read them."""
+        layout = self.layout
+        filled = np.concatenate([values, np.repeat(values[-1:], layout.groups * layout.abreast - len(values), 0)])
+        host = filled.reshape(layout.groups, layout.abreast, -1).transpose(0, 2, 1)
+        return upload(host, layout.scalar, layout.device, 2 * layout.width)
+
+    def cluster_gradient(self, u: Any, adjoint: Any, parameters: Parameters, running: Any, out: Any) -> FloatArray:
+        """(B, C) sum over each cluster's particles of m_i <adjoint_i, d goal_i / d beta_c> at the state u."""
+        self.residual(u, out, parameters, running, what=BY_BETA)
+        body, d = self.body, self.dim
+        maps = self._cluster_fields(self._maps, d + d * body.terms)[:, :, d:]
+        maps = maps.reshape(*maps.shape[:2], body.terms, d)
+        pull = self.layout.get(adjoint, d)[:, body.members] * body.member_mass[:, None]
+        cluster_of = np.repeat(np.arange(body.cluster_count), np.diff(body.offsets))
+        each = np.einsum("bmd,bmtd,mt->bm", pull, maps[:, cluster_of], body.member_basis)
+        return np.asarray(np.add.reduceat(each, body.offsets[:-1], axis=1))
+
+    def _cluster_fields(self, field: Any, rows: int) -> FloatArray:
+        """(B, C, rows) of a field of clusters."""
+        layout = self.layout
+        host = np.asarray(field.numpy(), dtype=np.float64).reshape(rows, self.cluster_stride)
+        body = host[:, : self.cluster_stride - layout.width].reshape(rows, layout.groups, -1, layout.abreast)
+        return body.transpose(1, 3, 2, 0).reshape(-1, self.body.cluster_count, rows)[: layout.candidates]
+
+    def _zero(self) -> Any:
+        if not hasattr(self, "_zeros"):
+            self._zeros = self.layout.field(self.dim)
+        return self._zeros
+
+    def _unkept(self) -> Any:
+        if -1 not in self._kept:
+            kept = self.arrays.kept_type()
+            kept.turned = kept.compliance = kept.affine = self._maps
+            kept.stride = 0
+            self._kept[-1] = kept
+        return self._kept[-1]
+
+    def _launch(self, kernel: Any, dim: tuple[int, ...], inputs: list[Any], outputs: list[Any]) -> None:
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.layout.device)
+
+    def _fit(self, kernel: Any, u: Any, parameters: Parameters, running: Any, kept: Any, what: int) -> None:
+        self._launch(
+            kernel,
+            (self.layout.groups, self.body.cluster_count),
+            [
+                *(self.lists, self.arrays.rest, kept, u, parameters.beta, parameters.beta_stride, parameters.theta),
+                *(parameters.volume, what, running),
+            ],
+            [self._maps],
+        )
+
+    def _finish(self, u: Any, star: Any, motion: Any, running: Any, what: int, out: Any, ran_away: Any) -> None:
+        self._launch(
+            self.arrays.kernels.finish,
+            (self.layout.groups, self.body.particle_count),
+            [self.lists, self._maps, u, star, motion, self.arrays.pull, self.arrays.free, running, what],
+            [out, ran_away],
+        )

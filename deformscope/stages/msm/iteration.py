@@ -1,0 +1,346 @@
+"""The two ways to a static state, over the goals of any body: Newton's steps, and Anderson's acceleration.
+
+Launches are recorded once and replayed: on a CPU too, where a launch from Python costs more than its work.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.stages.msm import iteration_kernels as k
+from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters
+from deformscope.stages.msm.cluster_functions import BY_BETA, BY_THETA
+from deformscope.stages.msm.layout import upload
+
+Progress = Callable[[int], None]
+
+PART_BLOCKS = {"cpu": 256, "cuda": 8}
+"""Lanes' worths that one thread sums up; the sums of threads are added in order."""
+
+MOST_PARTS = 256
+
+REPLAYS = {"cpu": 1, "cuda": 8}
+"""Iterations between looks at which candidates still run: on a GPU, a look waits for the device."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """How the candidates ended, (B,) each; norm and error in particle spacings."""
+
+    state: IntArray
+    norm: FloatArray
+    error: FloatArray
+    total: IntArray
+
+
+class Graph:
+    """Launches that are recorded the first time, and replayed ever after."""
+
+    def __init__(self, launches: Callable[[], None], device: str) -> None:
+        self._launches, self._device = launches, device
+        self._graph: Any = None
+
+    def __call__(self) -> None:
+        if self._graph is None:
+            self._launches()  # loads the kernels, so that the capture records launches only
+            with wp.ScopedCapture(device=self._device) as capture:
+                self._launches()
+            self._graph = capture.graph
+        else:
+            wp.capture_launch(self._graph)
+
+
+class Iteration:
+    """What both ways share: fields of the candidates, their parameters, and how sums over particles are taken."""
+
+    def __init__(self, body: Body, rest: BodyRest, size: int, volume: int) -> None:
+        self.body, self.volume = body, volume
+        self.layout = body.layout(size)
+        self.operator: Operator = body.operator(self.layout)
+        self.kernels = k.iteration_kernels_for(body.dim, body.scalar, self.layout.width)
+        self.kind = "cpu" if self.layout.device.startswith("cpu") else "cuda"
+        span = self.kernels.span()
+        span.abreast, span.blocks = self.layout.abreast, self.layout.blocks
+        span.parts = max(1, min(-(-self.layout.blocks // PART_BLOCKS[self.kind]), MOST_PARTS))
+        span.front, span.group, span.stride = self.layout.front, self.layout.group, self.layout.stride
+        span.metric = self.operator.metric
+        span.metric_total = float(rest.metric.sum()) or 1.0
+        self.span = span
+        self.u = self.layout.field(body.dim)
+        self.residual = self.layout.field(body.dim)
+        zero = np.zeros(size)
+        self.beta, self.theta = self.layout.each(zero), self.layout.each(zero)
+        self.parameters = Parameters(self.beta, self.theta, 0, volume)
+        self.tolerance = wp.zeros(1, dtype=wp.float64, device=self.layout.device)
+
+    def parts(self, rows: int) -> Any:
+        count = rows * self.layout.groups * self.span.parts * self.layout.width
+        return wp.zeros(count, dtype=wp.float64, device=self.layout.device)
+
+    def set(self, beta: FloatArray, theta: FloatArray) -> None:
+        """Parameters of the candidates: beta (B,) or (B, C), theta (B,)."""
+        self.theta.assign(self.layout.each(theta))
+        stride = 0
+        if beta.ndim == 2:
+            stride = self.operator.beta_stride
+            values = self.operator.cluster_values(beta)
+        else:
+            values = self.layout.each(beta)
+        if stride != self.parameters.beta_stride:
+            self.parameters = Parameters(values, self.theta, stride, self.volume)
+            self._parameters_changed()
+        else:
+            self.parameters.beta.assign(values)
+
+    def _parameters_changed(self) -> None:
+        """The recorded launches hold other arrays than those in use."""
+
+    def launch(self, kernel: Any, dim: tuple[int, ...] | int, inputs: list[Any], outputs: list[Any] | None = None) -> None:
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs or [], device=self.layout.device)
+
+    def all_groups(self) -> Any:
+        return wp.full(self.layout.groups, 1, dtype=int, device=self.layout.device)
+
+
+class Newton(Iteration):
+    """Newton's steps on the energy, each solved by conjugate gradients; without eq. 3.17."""
+
+    def __init__(self, body: Body, rest: BodyRest, size: int, volume: int) -> None:
+        super().__init__(body, rest, size, volume)
+        layout = self.layout
+        d = body.dim
+        self.step, self.rho, self.direction, self.changed = (layout.field(d) for _ in range(4))
+        self._parts = self.parts(2)
+        state = self.kernels.newton()
+        zero = np.zeros(size)
+        for name in ("state", "inner", "outers", "inners", "backs", "stalls", "total", "last"):
+            setattr(state, name, layout.each(zero, int))
+        for name in ("norm", "best", "first", "error", "square", "target", "slope", "taken", "least", "least_before"):
+            setattr(state, name, layout.each(zero, wp.float64))
+        for name in ("by", "length", "mix"):
+            setattr(state, name, layout.each(zero))
+        state.tolerance = self.tolerance
+        self._relative = wp.zeros(1, dtype=wp.float64, device=layout.device)
+        state.relative = self._relative
+        state.outer_groups, state.inner_groups = self.all_groups(), self.all_groups()
+        self.state = state
+        self._most = 10 * len(rest.mass) * d + 100
+        self._kept = self.operator.kept(volume)
+        self._parameters_changed()
+
+    def _parameters_changed(self) -> None:
+        self._outer, self._inner = (Graph(each, self.layout.device) for each in (self._launch_outer, self._launch_inner))
+
+    def relax(
+        self, start: FloatArray, tolerance: float, max_iterations: int, progress: Progress | None = None
+    ) -> Ended:
+        """The static states from displacements (B or 1, K, d); tolerance and result in particle spacings."""
+        state = self.state
+        self.layout.put(start, self.u)
+        self.tolerance.fill_(tolerance)
+        self._relative.fill_(0.0)
+        for name in ("inner", "outers", "backs", "stalls", "total"):
+            getattr(state, name).zero_()
+        state.state.fill_(k.RUNNING)
+        for name in ("by", "slope", "taken"):
+            getattr(state, name).zero_()
+        state.error.fill_(np.inf)
+        state.least.fill_(1.0)
+        state.least_before.fill_(1.0)
+        state.outer_groups.fill_(1)
+        state.inner_groups.fill_(0)
+        self.step.zero_()
+        done = 0
+        size = self.layout.candidates
+        while done < max_iterations:
+            self._outer()
+            done += 1
+            if not state.outer_groups.numpy().any():
+                break
+            if progress is not None:
+                progress(size - int(np.count_nonzero(state.state.numpy()[:size] == k.RUNNING)))
+            done += self._descend(max_iterations - done)
+        return Ended(*(each.numpy()[:size].copy() for each in (state.state, state.norm, state.error, state.total)))
+
+    def solve(self, right: Any, relative: float) -> tuple[Any, bool]:
+        """s of (I - J) s = right, where `evaluate` was last called, and whether it came to `relative` of the right."""
+        state = self.state
+        self._relative.fill_(relative)
+        for name in ("inners", "last", "slope"):
+            getattr(state, name).zero_()
+        state.state.fill_(k.RUNNING)
+        state.inner.fill_(1)
+        state.least.fill_(1.0)
+        state.inner_groups.fill_(1)
+        span, kk, groups = self.span, self.kernels, self.layout.groups
+        self.launch(
+            kk.inner_products,
+            (groups, span.parts),
+            [span, state.inner_groups, groups, right, right, right, right],
+            [self._parts],
+        )
+        norms = self._parts.numpy()[: self._parts.shape[0] // 2].reshape(groups, span.parts, self.layout.width)
+        square = norms.sum(axis=(1, 2)) if self.layout.abreast == 1 else norms.sum(axis=1).reshape(-1)
+        state.square.assign(self.layout.each(np.maximum(square, np.finfo(float).tiny), wp.float64))
+        state.target.assign(self.layout.each(square * relative**2, wp.float64))
+        self.launch(kk.begin, (groups, self.layout.blocks), [span, state, right], [self.rho, self.direction, self.step])
+        self._descend(self._most)
+        size = self.layout.candidates
+        good = state.square.numpy()[:size] <= np.maximum(state.target.numpy()[:size], np.finfo(float).tiny)
+        return self.step, bool(good.all())
+
+    def evaluate(self) -> None:
+        """The residual at `u`, and with it what derivatives there need."""
+        self.operator.residual(self.u, self.residual, self.parameters, self.all_groups(), self._kept)
+
+    def _descend(self, most: int) -> int:
+        done = 0
+        flags = self.state.inner_groups
+        while done < most and flags.numpy().any():
+            for _ in range(REPLAYS[self.kind]):
+                self._inner()
+                done += 1
+        return done
+
+    def _launch_outer(self) -> None:
+        kk, span, state, layout = self.kernels, self.span, self.state, self.layout
+        running, groups = state.outer_groups, layout.groups
+        self.launch(kk.move, (groups, layout.blocks), [span, state, self.step], [self.u])
+        self.operator.residual(self.u, self.residual, self.parameters, running, self._kept)
+        self.launch(
+            kk.inner_products,
+            (groups, span.parts),
+            [span, running, groups, self.residual, self.residual, self.residual, self.step],
+            [self._parts],
+        )
+        self.launch(kk.judge, groups, [span, state, self._parts, groups])
+        self.launch(
+            kk.begin, (groups, layout.blocks), [span, state, self.residual], [self.rho, self.direction, self.step]
+        )
+
+    def _launch_inner(self) -> None:
+        kk, span, state, layout = self.kernels, self.span, self.state, self.layout
+        running, groups = state.inner_groups, layout.groups
+        p, q = self.direction, self.changed
+        self.operator.change(p, q, self.parameters, running, self._kept)
+        self.launch(kk.inner_products, (groups, span.parts), [span, running, groups, p, q, p, p], [self._parts])
+        self.launch(kk.curvature, groups, [span, state, self._parts, groups])
+        self.launch(
+            kk.descend, (groups, span.parts), [span, state, groups, p, q], [self.step, self.rho, self._parts]
+        )
+        self.launch(kk.conjugate, groups, [span, state, self._parts, groups, self._most])
+        self.launch(kk.direct, (groups, layout.blocks), [span, state, self.rho], [p])
+
+
+class Anderson(Iteration):
+    """Anderson's acceleration of the goal map: for eq. 3.17, which follows no energy."""
+
+    def __init__(self, body: Body, rest: BodyRest, size: int, volume: int) -> None:
+        super().__init__(body, rest, size, volume)
+        layout = self.layout
+        d = body.dim
+        self.u_last, self.residual_last = layout.field(d), layout.field(d)
+        self.du, self.dr = layout.field(d * k.MEMORY), layout.field(d * k.MEMORY)
+        self._parts = self.parts(2 * (k.MEMORY + 1))
+        state = self.kernels.anderson()
+        zero = np.zeros(size)
+        for name in ("state", "known", "total", "mark"):
+            setattr(state, name, layout.each(zero, int))
+        for name in ("path", "norm", "best", "error"):
+            setattr(state, name, layout.each(zero, wp.float64))
+        lanes = layout.groups * layout.abreast + layout.width
+        state.gamma = upload(np.zeros((k.MEMORY, lanes)), layout.scalar, layout.device)
+        state.stride = lanes
+        history = wp.types.matrix(shape=(k.MEMORY, k.MEMORY), dtype=wp.float64)
+        state.gram = wp.zeros(lanes, dtype=history, device=layout.device)
+        state.tolerance = self.tolerance
+        state.groups, state.count = self.all_groups(), self.all_groups()
+        self.state = state
+        self._kept = self.operator.kept(volume)
+        self.linear_right = layout.field(d)
+        self._parameters_changed()
+
+    def _parameters_changed(self) -> None:
+        device = self.layout.device
+        self._goals, self._linear = (Graph(each, device) for each in (self._launch_goals, self._launch_linear))
+
+    def relax(
+        self, start: FloatArray, tolerance: float, max_iterations: int, progress: Progress | None = None
+    ) -> Ended:
+        """The static states from displacements (B or 1, K, d); tolerance and result in particle spacings."""
+        self.layout.put(start, self.u)
+        return self._iterate(self._goals, tolerance, max_iterations, progress)
+
+    def solve(self, tolerance: float, max_iterations: int) -> Ended:
+        """y of y = J y + right (`linear_right`), where `evaluate` was last called, into `u`."""
+        self.u.zero_()
+        return self._iterate(self._linear, tolerance, max_iterations, None)
+
+    def evaluate(self) -> None:
+        """The residual at `u`, and with it what derivatives there need."""
+        self.operator.residual(self.u, self.residual, self.parameters, self.all_groups(), self._kept)
+
+    def _iterate(self, graph: Graph, tolerance: float, max_iterations: int, progress: Progress | None) -> Ended:
+        state = self.state
+        self.tolerance.fill_(tolerance)
+        for name in ("known", "total", "path", "gram", "count", "du", "dr"):
+            (getattr(self, name) if name in ("du", "dr") else getattr(state, name)).zero_()
+        state.state.fill_(k.RUNNING)
+        state.mark.fill_(8)
+        state.best.fill_(np.inf)
+        state.error.fill_(np.inf)
+        state.groups.fill_(1)
+        done = 0
+        size = self.layout.candidates
+        while done < max_iterations and state.groups.numpy().any():
+            for _ in range(min(REPLAYS[self.kind], max_iterations - done)):
+                graph()
+                done += 1
+            if progress is not None and done % 16 == 0:
+                progress(size - int(np.count_nonzero(state.state.numpy()[:size] == k.RUNNING)))
+        return Ended(*(each.numpy()[:size].copy() for each in (state.state, state.norm, state.error, state.total)))
+
+    def _launch_goals(self) -> None:
+        self.operator.residual(self.u, self.residual, self.parameters, self.state.groups)
+        self._launch_rest()
+
+    def _launch_linear(self) -> None:
+        running = self.state.groups
+        self.operator.change(self.u, self.residual, self.parameters, running, self._kept)
+        self.launch(
+            self.kernels.add_field,
+            (self.layout.groups, self.layout.blocks),
+            [self.span, running, self.linear_right],
+            [self.residual],
+        )
+        self._launch_rest()
+
+    def _launch_rest(self) -> None:
+        kk, span, state, layout = self.kernels, self.span, self.state, self.layout
+        groups = layout.groups
+        self.launch(
+            kk.remember,
+            (groups, layout.blocks),
+            [span, state, self.u, self.residual],
+            [self.u_last, self.residual_last, self.du, self.dr],
+        )
+        self.launch(
+            kk.history_products,
+            (groups, k.MEMORY + 1, span.parts),
+            [span, state, groups, self.residual, self.du, self.dr],
+            [self._parts],
+        )
+        self.launch(kk.accelerate, groups, [span, state, self._parts, groups])
+        self.launch(kk.advance, (groups, layout.blocks), [span, state, self.residual, self.du, self.dr], [self.u])
+
+
+def goal_derivative(iteration: Iteration, by: int, out: Any) -> None:
+    """Derivative of every free particle's goal by beta or theta at `u` into `out`."""
+    assert by in (BY_BETA, BY_THETA)
+    iteration.operator.residual(iteration.u, out, iteration.parameters, iteration.all_groups(), what=by)

@@ -1,0 +1,387 @@
+"""Lattice clusters on a device: their rest data, and the launches that make goals of displacements."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.stages.msm import lattice_kernels as k
+from deformscope.stages.msm.body import BodyRest, Parameters, RestArrays, rest_struct
+from deformscope.stages.msm.cluster_functions import BY_BETA, GOAL, cluster_functions_for
+from deformscope.stages.msm.clusters import FLAT_MOMENT_RATIO, LatticeClusters
+from deformscope.stages.msm.layout import Layout, upload, widths
+
+REGULAR = 1e-6
+"""Spacings by which a particle may stand beside its place in an even lattice to be taken as standing on it."""
+
+SLIDE = {"cpu": (3, 64), "cuda": (4, 8)}
+"""Widest window that is summed up anew at each cell, and the run of a sum that slides over wider ones."""
+
+
+def lattice_edges(rest: FloatArray, clusters: LatticeClusters) -> FloatArray | None:
+    """(axes, d) from one cell to the next along each axis, where the rest shape (K, d) is an even lattice, else None."""
+    index = np.column_stack(np.unravel_index(clusters.cell, clusters.shape)).astype(np.float64)
+    used = [axis for axis, count in enumerate(clusters.shape) if count > 1]
+    centred = index[:, used] - index[:, used].mean(axis=0)
+    edges = np.zeros((len(clusters.shape), rest.shape[1]))
+    edges[used] = np.linalg.lstsq(centred, rest - rest.mean(axis=0), rcond=None)[0]
+    off = centred @ edges[used] - (rest - rest.mean(axis=0))
+    return edges if np.abs(off).max(initial=0.0) <= REGULAR else None
+
+
+class LatticeBody:
+    """A body whose clusters are windows of an even lattice; linear basis. Lengths in particle spacings."""
+
+    terms: int
+
+    def __init__(
+        self, rest: BodyRest, clusters: LatticeClusters, edges: FloatArray, scalar: Any, device: str
+    ) -> None:
+        d = rest.position.shape[1]
+        self.dim = self.terms = d
+        self.scalar, self.device = scalar, device
+        shape = (*(1,) * (3 - len(clusters.shape)), *clusters.shape)
+        window = (*(1,) * (3 - len(clusters.window)), *clusters.window)
+        if d == 2 and shape[0] > 1:
+            raise ValueError(f"expected a lattice of two axes in the plane; got {clusters.shape}")
+        self.shape, self.window = shape, window
+        self.cell = clusters.cell
+        self.corner = clusters.corner.reshape(shape)
+        self.edges = np.zeros((3, d))
+        self.edges[3 - len(edges) :] = edges
+        mass = np.zeros(int(np.prod(shape)))
+        mass[self.cell] = rest.mass
+        self.mass = mass.reshape(shape)
+        self.count = int(np.prod(shape))
+        counts = np.zeros(self.count)
+        counts[self.cell] = rest.counts
+        free = np.zeros(self.count)
+        free[self.cell] = rest.free
+        self.pull = np.divide(free, counts, out=np.zeros_like(free), where=counts > 0)
+        self.free = free
+        self.metric = np.zeros(self.count)
+        self.metric[self.cell] = rest.metric
+        self.alike = bool((self.mass == self.mass.flat[0]).all())
+        self._arrays: dict[int, _Arrays] = {}
+
+    @property
+    def clusters_at(self) -> IntArray:
+        """Flat cell of each cluster, (C,)."""
+        return np.flatnonzero(self.corner.reshape(-1))
+
+    def layout(self, candidates: int) -> Layout:
+        width, abreast = widths(candidates, self.scalar, self.device, cells_in_lanes=True)
+        cells = self.count * abreast
+        line, plane = self.shape[2] * abreast, self.shape[1] * self.shape[2] * abreast
+        group = -(-cells // width) * width
+        w = self.window
+        front = (w[0] - 1) * plane + (w[1] - 1) * line + (w[2] - 1) * abreast
+        front = -(-front // 16) * 16
+        groups = -(-candidates // abreast)
+        stride = front + groups * group + w[2] * abreast + 2 * width
+        stride = -(-stride // 16) * 16
+        return Layout(
+            candidates, width, abreast, self.count, front, group, stride, self.cell, self.scalar, self.device
+        )
+
+    def operator(self, layout: Layout) -> LatticeOperator:
+        return LatticeOperator(self, layout, self.arrays(layout.width))
+
+    def arrays(self, width: int) -> _Arrays:
+        if width not in self._arrays:
+            self._arrays[width] = _Arrays(self, width)
+        return self._arrays[width]
+
+    def moments(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Mass (n,), mean offset [cells] (n, 3) and second moments about it [spacings^2] (n, d, d) of the windows.
+
+        One row stands for all where they are alike, else there is one for each cell (0 where no cluster is).
+        """
+        offset = [np.arange(w) - (w - 1) / 2 for w in self.window]
+        if self.alike:
+            grid = np.stack(np.meshgrid(*offset, indexing="ij"), axis=-1).reshape(1, -1, 3)
+            mass = np.full(grid.shape[:2], self.mass.flat[0])
+            total = mass.sum(axis=1)
+            mean = np.zeros((1, 3))
+            second = np.einsum("nk,nka,nkb->nab", mass, grid, grid)
+        else:
+            places = tuple(slice(n - w + 1) for n, w in zip(self.shape, self.window, strict=True))
+            total = np.zeros(self.shape)
+            first = np.zeros((*self.shape, 3))
+            second = np.zeros((*self.shape, 3, 3))
+            for step in np.ndindex(*self.window):
+                away = np.array([offset[axis][i] for axis, i in enumerate(step)])
+                part = self.mass[tuple(slice(i, i + s.stop) for i, s in zip(step, places, strict=True))]
+                total[places] += part
+                first[places] += part[..., None] * away
+                second[places] += part[..., None, None] * np.outer(away, away)
+            chosen = self.corner
+            total = np.where(chosen, total, 0.0).reshape(-1)
+            mean = np.divide(first.reshape(-1, 3), total[:, None], out=np.zeros((self.count, 3)), where=total[:, None] > 0)
+            second = second.reshape(-1, 3, 3) - total[:, None, None] * mean[:, :, None] * mean[:, None, :]
+            second[total == 0] = 0.0
+        return total, mean, np.einsum("ai,nab,bj->nij", self.edges, second, self.edges)
+
+
+def _window_sums(values: FloatArray, window: tuple[int, int, int], moment: int | None) -> FloatArray:
+    """(B, cells, d) sums over windows from each cell on, 0 where none fits; weighted with the offset along an axis."""
+    for axis, width in enumerate(window):
+        weight = np.arange(width) - (width - 1) / 2 if axis == moment else np.ones(width)
+        views = np.lib.stride_tricks.sliding_window_view(values, width, axis=axis + 1)
+        total = views @ weight
+        pad = [(0, 0)] * values.ndim
+        pad[axis + 1] = (0, width - 1)
+        values = np.pad(total, pad)
+    return values
+
+
+class _Arrays:
+    """Rest data on the device, for lanes of one width."""
+
+    def __init__(self, body: LatticeBody, width: int) -> None:
+        d, scalar, device = body.dim, body.scalar, body.device
+        self.kernels = k.lattice_kernels_for(d, scalar, width)
+        functions = cluster_functions_for(d, d, scalar, width)
+        total, mean, gram = body.moments()
+        n = len(total)
+        axes = 3 if d == 3 else 2
+        edges = body.edges[3 - axes :]
+        values, vectors = np.linalg.eigh(gram)
+        told = values > FLAT_MOMENT_RATIO * np.maximum(values[:, -1:], np.finfo(float).tiny)
+        inverse = np.where(told, 1.0 / np.where(told, values, 1.0), 0.0)
+        pinv = np.einsum("nik,nk,njk->nij", vectors, inverse, vectors)
+        size = np.maximum(values.sum(axis=1), np.finfo(float).tiny)
+        span_count = told.sum(axis=1)
+        packed = np.argsort(~told, axis=1, kind="stable")  # spanned directions first
+        ordered = np.take_along_axis(vectors, packed[:, None, :], axis=2)
+        order_told = np.take_along_axis(told, packed, axis=1)
+        span = ordered * order_told[:, None, :]
+        spread = np.where(order_told, np.sqrt(np.take_along_axis(np.maximum(values, 0), packed, axis=1)), 1.0)
+        mean_log = np.log(spread).sum(axis=1) / np.maximum(span_count, 1)
+        stretch = np.where(order_told, spread / np.exp(mean_log)[:, None], 0.0)
+        unstretch = np.divide(1.0, stretch, out=np.zeros_like(stretch), where=stretch > 0)
+        root, lift = span * stretch[:, None, :], np.einsum("nk,nik->nki", unstretch, span)
+        full = span_count == d  # a full root must not be a reflection
+        root[full] = np.einsum("nik,njk->nij", root[full], ordered[full])
+        lift[full] = np.einsum("nik,nkj->nij", ordered[full], lift[full])
+        spare = 2 * width
+        site = self.kernels.site()
+        site.valid = upload(body.corner, scalar, device, spare)
+        site.stride = n + (spare if n > 1 else 0)
+        site.step = int(n > 1)
+
+        def rows(each: FloatArray) -> Any:
+            """(n, ...) as rows of n."""
+            flat = each.reshape(n, -1).T
+            return upload(np.pad(flat, ((0, 0), (0, site.stride - n))), scalar, device)
+
+        site.share = rows(np.divide(1.0, total, out=np.zeros(n), where=total > 0))
+        site.mean = rows(mean[:, 3 - axes :])
+        site.affine = rows(np.einsum("nij,aj->nia", pinv, edges))
+        site.moment = rows(np.einsum("ai,n->nia", edges, 1.0 / size))
+        site.edge_t = upload(edges, scalar, device)
+        self.site = site
+        untold = np.eye(d) - np.einsum("nik,nk,njk->nij", vectors, told, vectors)
+        self.rest = rest_struct(
+            functions,
+            RestArrays(gram / size[:, None, None], untold, span, span_count, root, lift),
+            site.stride,
+            scalar,
+            device,
+        )
+        self.kept_type = functions.kept
+        self.mass = upload(body.mass.reshape(-1)[:1] if body.alike else body.mass, scalar, device, 0 if body.alike else spare)
+        self.free = upload(body.free, scalar, device, spare)
+        self.pull = upload(body.pull, scalar, device, spare)
+        self.metric = upload(body.metric, scalar, device, spare)
+
+
+class LatticeOperator:
+    """Goals of lattice clusters for the candidates of one layout, with their scratch."""
+
+    def __init__(self, body: LatticeBody, layout: Layout, arrays: _Arrays) -> None:
+        self.body, self.layout, self.arrays = body, layout, arrays
+        kk = arrays.kernels
+        n, w, many = body.shape, body.window, layout.abreast
+        grid = kk.grid()
+        grid.cells_0, grid.cells_1 = n[0], n[1]
+        grid.clusters_0, grid.clusters_1 = n[0] - w[0] + 1, n[1] - w[1] + 1
+        grid.window_0, grid.window_1, grid.window_2 = w
+        grid.line, grid.plane, grid.abreast = n[2] * many, n[1] * n[2] * many, many
+        grid.front, grid.group, grid.stride = layout.front, layout.group, layout.stride
+        grid.plane_end = grid.plane
+        grid.cluster_end = ((grid.clusters_1 - 1) * n[2] + n[2] - w[2] + 1) * many
+        self.grid = grid
+        d, self.dim = body.dim, body.dim
+        self._sums_fast = layout.field(2 * d)
+        self._sums_middle = layout.field(3 * d)
+        self._maps = layout.field(d + d * (3 if d == 3 else 2))
+        self._maps_slow = layout.field(3 * d) if d == 3 else self._maps
+        self._maps_middle = layout.field(2 * d)
+        self._nothing = layout.each(np.zeros(1), int)
+        self._still = self.motion(1.0, 0.0, np.zeros(d))
+        limit, run = SLIDE["cpu" if layout.device.startswith("cpu") else "cuda"]
+        if many > 1:
+            limit = 1
+        self._run_0 = 1 if w[0] <= limit else run
+        self._run_1 = 1 if w[1] <= limit else run
+        self._kept = {}
+        self.beta_stride = layout.group
+        self.metric = arrays.metric
+
+    def motion(self, alpha: float, going_on: float, push: FloatArray) -> Any:
+        """What a time step needs: see `lattice_kernels`."""
+        motion = self.arrays.kernels.motion()
+        motion.alpha, motion.going_on = alpha, going_on
+        motion.push = upload(push, self.layout.scalar, self.layout.device)
+        return motion
+
+    def kept(self, volume: int) -> Any:
+        """What `residual` leaves for `change`."""
+        if volume not in self._kept:
+            d = self.dim
+            kept = self.arrays.kept_type()
+            kept.turned = self.layout.field(d * d)
+            kept.compliance = self.layout.field(6 if d == 3 else 1)
+            kept.affine = self.layout.field(d * d if volume else 1)
+            kept.stride = self.layout.stride
+            self._kept[volume] = kept
+        return self._kept[volume]
+
+    def residual(
+        self, u: Any, out: Any, parameters: Parameters, running: Any, kept: Any = None, what: int = GOAL
+    ) -> None:
+        """goal - u of every free particle into `out`; with `what` BY_BETA or BY_THETA the derivative of the goals.
+
+        kept: where to leave what `change` needs (None: nowhere)
+        """
+        kept = self._unkept() if kept is None else kept
+        self._windows(u, u, self._still, running, stepping=0)
+        self._solve(self.arrays.kernels.fit_clusters, parameters, running, kept, what)
+        self._spread(u if what == GOAL else self._zero(), u, self._still, running, k.RESIDUAL, out, self._nothing)
+
+    def change(self, direction: Any, out: Any, parameters: Parameters, running: Any, kept: Any) -> None:
+        """J p - p for a direction p of the free particles, where `residual` was last evaluated."""
+        self._windows(direction, direction, self._still, running, stepping=0)
+        self._solve(self.arrays.kernels.fit_changes, parameters, running, kept, GOAL)
+        self._spread(direction, direction, self._still, running, k.CHANGE, out, self._nothing)
+
+    def step(
+        self, u: Any, before: Any, motion: Any, parameters: Parameters, running: Any, ran_away: Any
+    ) -> None:
+        """One time step; `before` becomes the new displacement."""
+        self._windows(u, before, motion, running, stepping=1)
+        self._solve(self.arrays.kernels.fit_clusters, parameters, running, self._unkept(), GOAL)
+        self._spread(u, before, motion, running, k.STEP, before, ran_away)
+
+    def cluster_values(self, values: FloatArray) -> Any:
+        """(B, C) one value for each cluster, as the kernels read them."""
+        layout = self.layout
+        host = np.zeros((layout.groups, layout.group // layout.abreast, layout.abreast))
+        filled = np.concatenate([values, np.repeat(values[-1:], layout.groups * layout.abreast - len(values), 0)])
+        host[:, self.body.clusters_at, :] = filled.reshape(layout.groups, layout.abreast, -1).transpose(0, 2, 1)
+        return upload(host, layout.scalar, layout.device, 2 * layout.width)
+
+    def cluster_gradient(self, u: Any, adjoint: Any, parameters: Parameters, running: Any, out: Any) -> FloatArray:
+        """(B, C) sum over each cluster's particles of m_i <adjoint_i, d goal_i / d beta_c> at the state u."""
+        self.residual(u, out, parameters, running, what=BY_BETA)
+        axes = 3 if self.dim == 3 else 2
+        maps = self._cluster_fields(self._maps, self.dim * (1 + axes))
+        body = self.body
+        weighted = np.zeros((self.layout.candidates, body.count, self.dim))
+        weighted[:, body.cell] = self.layout.get(adjoint, self.dim) * body.mass.reshape(-1)[body.cell, None]
+        weighted = weighted.reshape(-1, *body.shape, self.dim)
+        sums = [_window_sums(weighted, body.window, None)]
+        sums += [_window_sums(weighted, body.window, axis) for axis in range(3 - axes, 3)]
+        kept = np.concatenate([each[:, body.corner] for each in sums], axis=-1)
+        return np.asarray(np.einsum("bcr,bcr->bc", maps, kept))
+
+    def _cluster_fields(self, field: Any, rows: int) -> FloatArray:
+        """(B, C, rows) of a field of clusters."""
+        layout = self.layout
+        host = np.asarray(field.numpy(), dtype=np.float64).reshape(rows, layout.stride)
+        body = host[:, layout.front : layout.front + layout.groups * layout.group]
+        body = body.reshape(rows, layout.groups, -1, layout.abreast)[:, :, self.body.clusters_at, :]
+        return body.transpose(1, 3, 2, 0).reshape(-1, len(self.body.clusters_at), rows)[: layout.candidates]
+
+    def _zero(self) -> Any:
+        if not hasattr(self, "_zeros"):
+            self._zeros = self.layout.field(self.dim)
+        return self._zeros
+
+    def _unkept(self) -> Any:
+        if -1 not in self._kept:
+            kept = self.arrays.kept_type()
+            kept.turned = kept.compliance = kept.affine = self._maps
+            kept.stride = 0
+            self._kept[-1] = kept
+        return self._kept[-1]
+
+    def _launch(self, kernel: Any, dim: tuple[int, ...], inputs: list[Any], outputs: list[Any]) -> None:
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.layout.device)
+
+    def _blocks(self, numbers: int) -> int:
+        return -(-numbers // self.layout.width)
+
+    def _windows(self, u: Any, before: Any, motion: Any, running: Any, *, stepping: int) -> None:
+        kk, grid, layout, a = self.arrays.kernels, self.grid, self.layout, self.arrays
+        planes = grid.cells_0
+        self._launch(
+            kk.windows_fast,
+            (layout.groups, planes, self._blocks(grid.plane_end)),
+            [grid, u, before, motion, a.mass, a.free, running, stepping],
+            [self._sums_fast],
+        )
+        run, numbers = self._run_1, grid.line
+        segments = -(-grid.clusters_1 // run)
+        if run == 1:
+            numbers, segments = grid.clusters_1 * grid.line, 1
+        blocks = self._blocks(numbers)
+        self._launch(
+            kk.windows_middle,
+            (layout.groups, planes, segments * blocks),
+            [grid, run, blocks, self._sums_fast, running],
+            [self._sums_middle],
+        )
+
+    def _solve(self, kernel: Any, parameters: Parameters, running: Any, kept: Any, what: int) -> None:
+        grid = self.grid
+        self._launch(
+            kernel,
+            (self.layout.groups, -(-grid.clusters_0 // self._run_0), self._blocks(grid.cluster_end)),
+            [
+                *(grid, self.arrays.site, self.arrays.rest, kept, self._run_0, self._sums_middle),
+                *(parameters.beta, parameters.beta_stride, parameters.theta, parameters.volume, what, running),
+            ],
+            [self._maps],
+        )
+
+    def _spread(self, u: Any, before: Any, motion: Any, running: Any, what: int, out: Any, ran_away: Any) -> None:
+        kk, grid, layout, a = self.arrays.kernels, self.grid, self.layout, self.arrays
+        if self.dim == 3:
+            self._launch(
+                kk.spread_slow,
+                (layout.groups, -(-grid.cells_0 // self._run_0), self._blocks(grid.cluster_end)),
+                [grid, self._run_0, self._maps, running],
+                [self._maps_slow],
+            )
+        run, numbers = self._run_1, grid.line
+        segments = -(-grid.cells_1 // run)
+        if run == 1:
+            numbers, segments = grid.plane_end, 1
+        blocks = self._blocks(numbers)
+        self._launch(
+            kk.spread_middle,
+            (layout.groups, grid.cells_0, segments * blocks),
+            [grid, run, blocks, self._maps_slow, running],
+            [self._maps_middle],
+        )
+        self._launch(
+            kk.finish,
+            (layout.groups, grid.cells_0, self._blocks(grid.plane_end)),
+            [grid, self._maps_middle, u, before, motion, a.pull, a.free, running, what],
+            [out, ran_away],
+        )
