@@ -9,14 +9,18 @@ equations need nothing of the particles but sums. With mass shares m_i, lengths 
 
 t follows from the held particles (t = mean p - T mean q~), and the goals are T itself when
 
-    A~ = R J + sum_j (e J (G - C) b_j + H b_j - R J C b_j) b_j^T / (1 - beta lambda_j)     (fit, eq. 3.7, 3.14)
-    T = beta A~ + e J + (1 - beta) R J                                                   (blend, eq. 3.13)
-    e = beta (A_theta - A),  A = A~ J^T                                                  (eq. 3.17)
-    R = polar(T (G - C) J^T + H J^T)                                                      (eq. 3.9)
+    A~ = R J + sum_j (e L (G - C) b_j + H b_j - R J C b_j) b_j^T / (1 - beta lambda_j)     (fit, eq. 3.7, 3.14)
+    T = beta A~ + e L + (1 - beta) R J                                                     (blend, eq. 3.13)
+    e L = beta (A~_theta - A~)                                    (eq. 3.17, where L = J, or the projected volume)
+    R = polar(T (G - C) J^T + H J^T)                                                       (eq. 3.9)
 
-Everything linear is solved by the modes. What is left are A and R: Y + R U + e N = A and R^T (K + e V) + W without a
-turning part, with (d, d) matrices that are sums over the modes. That is 5 unknowns in the plane and 12 in space,
-whatever the basis and the number of particles. With theta = 0, e = 0 and R = polar(K): no iteration at all.
+Everything linear is solved by the modes. What is left are A = A~ J^T, of which e is a function, and R:
+Y + R U + e N = A, and R^T (K + e V) + W without a turning part, with (d, d) matrices that are sums over the modes.
+That is 5 unknowns in the plane and 12 in space, whatever the basis and the number of particles; Newton's steps find
+them. With theta = 0, e = 0 and R = polar(K): the first step only confirms it.
+
+Flags are earned: `converged` takes a Newton step below the tolerance, goals that agree with the state by the equations
+anew, and for eq. 3.17, which has no energy, a state that its goals pull back to.
 """
 
 from __future__ import annotations
@@ -51,7 +55,8 @@ class Equilibrium:
     transform: (B, d, terms) [m]; translation: (B, d) [m]; iterations: (B,) Newton's steps
     residual: (B,) root mean square of goal - place over all particles, from the equations anew [m]
     error: (B,) length of the last Newton step [m]: how far the state before it was from the solution
-    converged: (B,) both are below the tolerance; diverged: (B,) no static state that holds was found
+    converged: (B,) both are below the tolerance; diverged: (B,) no state was found to
+    which the goals of eq. 3.17 pull back: a body turned inside out has none, and runs away in time stepping
     """
 
     transform: FloatArray
