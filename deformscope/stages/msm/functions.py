@@ -270,17 +270,10 @@ def functions_for(dim: int, scalar: Any) -> Functions:
         return out
 
     @wp.func
-    def column_product_of(a: square, b: square, j: int):
+    def column_product(a: square, p: int, b: square, q: int):
         total = scalar(0.0)
         for i in range(wp.static(dim)):
-            total += a[i, j] * b[i, j]
-        return total
-
-    @wp.func
-    def column_product(b: square, p: int, q: int):
-        total = scalar(0.0)
-        for i in range(wp.static(dim)):
-            total += b[i, p] * b[i, q]
+            total += a[i, p] * b[i, q]
         return total
 
     @wp.func
@@ -296,9 +289,9 @@ def functions_for(dim: int, scalar: Any) -> Functions:
     @wp.func
     def orthogonal_columns(b: square, v: square, p: int, q: int):
         """Turn columns p and q of b, and of v with them, so that they are orthogonal, the longer one first."""
-        pp = column_product(b, p, p)
-        qq = column_product(b, q, q)
-        pq = column_product(b, p, q)
+        pp = column_product(b, p, b, p)
+        qq = column_product(b, q, b, q)
+        pq = column_product(b, p, b, q)
         c = one
         s = zero
         turned = bool(False)
@@ -364,7 +357,7 @@ def functions_for(dim: int, scalar: Any) -> Functions:
                 first = wp.normalize(vec(b[0, 0], b[1, 0]))
                 u = square(first[0], -first[1], first[1], first[0])
             for j in range(wp.static(dim)):
-                s[j] = column_product_of(u, b, j) * size
+                s[j] = column_product(u, j, b, j) * size
         return u, s, v
 
     @wp.func

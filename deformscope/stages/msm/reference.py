@@ -17,7 +17,8 @@ rest volume at theta = 1:
 - "scale" is eq. 3.17, faithful to the thesis: A is divided by a number. No energy stands behind it: what it does to a
   compressed cluster amplifies every displacement, so overlapping clusters at high beta and theta diverge.
 - "project" goes the share theta of the way from the fit to the nearest fit of the rest volume. Its goals are the
-  gradient of an energy (see `energy`), so a relaxation cannot diverge; theta weighs the pull to the rest volume.
+  gradient of an energy that no step to them raises (see `energy`), so it cannot diverge; theta weighs the pull to the
+  rest volume.
   Choose it for overlapping clusters, and wherever stability counts more than the thesis's numbers.
 """
 
