@@ -25,6 +25,7 @@ anew, and for eq. 3.17, which has no energy, a state that its goals pull back to
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Any
 
@@ -86,6 +87,8 @@ class OneCluster:
     mass: (K,), default 1 each; basis: "linear" (also rigid, with beta = 0) or "quadratic"; device: "cpu", "cuda:0"...
 
     basis: (K, terms) q~ of every particle, in cluster radii; radius [m]
+
+    Calls share scratch: one thread at a time.
     """
 
     def __init__(
@@ -300,29 +303,37 @@ class _Work:
     """Rows in and results out for `size` candidates, and the launches on them, recorded once."""
 
     def __init__(self, body: OneCluster, rest: Any, size: int) -> None:
-        kk, self.on_cpu = body._k, body.device == "cpu"
-        self.row_in: Any = wp.zeros((size, kk.row), dtype=wp.float64, device=body.device)
-        self.relaxed: Any = wp.zeros((size, kk.result), dtype=wp.float64, device=body.device)
-        self.slopes: Any = wp.zeros((size, 2, kk.result), dtype=wp.float64, device=body.device)
+        self.body, self.rest, self.size = body, rest, size
+        self.row_in = self._zeros(size, body._k.row)
         self.row: FloatArray = self.row_in.numpy()  # on the CPU the array itself
-        split = kk.row - body.dim * body.terms
+        split = body._k.row - body.dim * body.terms
         self.held, self.start = self.row[:, k.HELD : split], self.row[:, split:]
-        inputs = [rest, self.row_in]
-
-        def recorded(kernel: Any, out: Any) -> Any:
-            return wp.launch(kernel, dim=size, inputs=inputs, outputs=[out], device=body.device, record_cmd=True)
-
-        self._relax = recorded(kk.relax, self.relaxed)
-        self._differentiate = recorded(kk.differentiate, self.slopes)
 
     def relax(self) -> FloatArray:
-        return self._run(self._relax, self.relaxed)
+        return self._run(*self._relax)
 
     def differentiate(self) -> FloatArray:
-        return self._run(self._differentiate, self.slopes)
+        return self._run(*self._differentiate)
 
-    def _run(self, command: Any, out: Any) -> FloatArray:
-        if not self.on_cpu:
+    @functools.cached_property
+    def _relax(self) -> tuple[Any, Any]:
+        return self._recorded(self.body._k.relax, self._zeros(self.size, self.body._k.result))
+
+    @functools.cached_property
+    def _differentiate(self) -> tuple[Any, Any]:
+        return self._recorded(self.body._k.differentiate, self._zeros(self.size, 2, self.body._k.result))
+
+    def _zeros(self, *shape: int) -> Any:
+        return wp.zeros(shape, dtype=wp.float64, device=self.body.device)
+
+    def _recorded(self, kernel: Any, out: Any) -> tuple[Any, Any]:
+        """A launch, which costs a fifth when it is recorded, and its result."""
+        inputs = [self.rest, self.row_in]
+        launch = wp.launch(kernel, self.size, inputs, [out], device=self.body.device, record_cmd=True)
+        return launch, out
+
+    def _run(self, launch: Any, out: Any) -> FloatArray:
+        if self.body.device != "cpu":
             self.row_in.assign(self.row)
-        command.launch()
+        launch.launch()
         return np.array(out.numpy())
