@@ -9,18 +9,23 @@ equations need nothing of the particles but sums. With mass shares m_i, lengths 
 
 t follows from the held particles (t = mean p - T mean q~), and the goals are T itself when
 
-    A~ = R J + sum_j (e J (G - C) b_j + H b_j - R J C b_j) b_j^T / (1 - beta lambda_j)     (fit, eq. 3.7, 3.14)
-    T = beta A~ + e J + (1 - beta) R J                                                   (blend, eq. 3.13)
-    e = beta (A_theta - A),  A = A~ J^T                                                  (eq. 3.17)
-    R = polar(T (G - C) J^T + H J^T)                                                      (eq. 3.9)
+    A~ = R J + sum_j (e L (G - C) b_j + H b_j - R J C b_j) b_j^T / (1 - beta lambda_j)     (fit, eq. 3.7, 3.14)
+    T = beta A~ + e L + (1 - beta) R J                                                     (blend, eq. 3.13)
+    e L = beta (A~_theta - A~)                                    (eq. 3.17, where L = J, or the projected volume)
+    R = polar(T (G - C) J^T + H J^T)                                                       (eq. 3.9)
 
-Everything linear is solved by the modes. What is left are A and R: Y + R U + e N = A and R^T (K + e V) + W without a
-turning part, with (d, d) matrices that are sums over the modes. That is 5 unknowns in the plane and 12 in space,
-whatever the basis and the number of particles. With theta = 0, e = 0 and R = polar(K): no iteration at all.
+Everything linear is solved by the modes. What is left are A = A~ J^T, of which e is a function, and R:
+Y + R U + e N = A, and R^T (K + e V) + W without a turning part, with (d, d) matrices that are sums over the modes.
+That is 5 unknowns in the plane and 12 in space, whatever the basis and the number of particles; Newton's steps find
+them. With theta = 0, e = 0 and R = polar(K): the first step only confirms it.
+
+Flags are earned: `converged` takes a Newton step below the tolerance, goals that agree with the state by the equations
+anew, and for eq. 3.17, which has no energy, a state that its goals pull back to.
 """
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,7 +56,8 @@ class Equilibrium:
     transform: (B, d, terms) [m]; translation: (B, d) [m]; iterations: (B,) Newton's steps
     residual: (B,) root mean square of goal - place over all particles, from the equations anew [m]
     error: (B,) length of the last Newton step [m]: how far the state before it was from the solution
-    converged: (B,) both are below the tolerance; diverged: (B,) no static state that holds was found
+    converged: (B,) both are below the tolerance; diverged: (B,) no state was found to
+    which the goals of eq. 3.17 pull back: a body turned inside out has none, and runs away in time stepping
     """
 
     transform: FloatArray
@@ -81,6 +87,8 @@ class OneCluster:
     mass: (K,), default 1 each; basis: "linear" (also rigid, with beta = 0) or "quadratic"; device: "cpu", "cuda:0"...
 
     basis: (K, terms) q~ of every particle, in cluster radii; radius [m]
+
+    Calls share scratch: one thread at a time.
     """
 
     def __init__(
@@ -295,29 +303,37 @@ class _Work:
     """Rows in and results out for `size` candidates, and the launches on them, recorded once."""
 
     def __init__(self, body: OneCluster, rest: Any, size: int) -> None:
-        kk, self.on_cpu = body._k, body.device == "cpu"
-        self.row_in: Any = wp.zeros((size, kk.row), dtype=wp.float64, device=body.device)
-        self.relaxed: Any = wp.zeros((size, kk.result), dtype=wp.float64, device=body.device)
-        self.slopes: Any = wp.zeros((size, 2, kk.result), dtype=wp.float64, device=body.device)
+        self.body, self.rest, self.size = body, rest, size
+        self.row_in = self._zeros(size, body._k.row)
         self.row: FloatArray = self.row_in.numpy()  # on the CPU the array itself
-        split = kk.row - body.dim * body.terms
+        split = body._k.row - body.dim * body.terms
         self.held, self.start = self.row[:, k.HELD : split], self.row[:, split:]
-        inputs = [rest, self.row_in]
-
-        def recorded(kernel: Any, out: Any) -> Any:
-            return wp.launch(kernel, dim=size, inputs=inputs, outputs=[out], device=body.device, record_cmd=True)
-
-        self._relax = recorded(kk.relax, self.relaxed)
-        self._differentiate = recorded(kk.differentiate, self.slopes)
 
     def relax(self) -> FloatArray:
-        return self._run(self._relax, self.relaxed)
+        return self._run(*self._relax)
 
     def differentiate(self) -> FloatArray:
-        return self._run(self._differentiate, self.slopes)
+        return self._run(*self._differentiate)
 
-    def _run(self, command: Any, out: Any) -> FloatArray:
-        if not self.on_cpu:
+    @functools.cached_property
+    def _relax(self) -> tuple[Any, Any]:
+        return self._recorded(self.body._k.relax, self._zeros(self.size, self.body._k.result))
+
+    @functools.cached_property
+    def _differentiate(self) -> tuple[Any, Any]:
+        return self._recorded(self.body._k.differentiate, self._zeros(self.size, 2, self.body._k.result))
+
+    def _zeros(self, *shape: int) -> Any:
+        return wp.zeros(shape, dtype=wp.float64, device=self.body.device)
+
+    def _recorded(self, kernel: Any, out: Any) -> tuple[Any, Any]:
+        """A launch, which costs a fifth when it is recorded, and its result."""
+        inputs = [self.rest, self.row_in]
+        launch = wp.launch(kernel, self.size, inputs, [out], device=self.body.device, record_cmd=True)
+        return launch, out
+
+    def _run(self, launch: Any, out: Any) -> FloatArray:
+        if self.body.device != "cpu":
             self.row_in.assign(self.row)
-        command.launch()
+        launch.launch()
         return np.array(out.numpy())

@@ -27,7 +27,12 @@ NOT_CONVERGED, CONVERGED, DIVERGED = 0, 1, -1
 SCALE, PROJECT = 0, 1
 """How volume is conserved: eq. 3.17, or by projection."""
 
-NEWTON_STEPS, HALVINGS = 10, 3
+NEWTON_STEPS, TRIALS = 11, 3
+"""At most so many steps at one theta, each tried in full, in half and in quarter."""
+
+ATTEMPTS = 4
+"""Times that a state balanced by a rotation which is not the best one is left for another."""
+
 FINEST_PATH = 1.0 / 256.0
 """Where Newton's steps fail at theta, it is approached in parts; a part smaller than this share ends the search."""
 
@@ -50,8 +55,9 @@ class ReducedKernels:
 def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
     """The kernels for `dim` = 2 or 3 and `terms` = 2, 3 (linear) or 5, 9 (quadratic)."""
     module = f"deformscope_msm_reduced_{dim}d_{terms}"
-    wp.get_module(module).options.update({"enable_backward": False, "max_unroll": 3})
-    kernel = functools.partial(wp.kernel, module=module, enable_backward=False)
+    # two modules: few need derivatives, and a GPU takes seconds to compile either
+    for name in (module, f"{module}_slopes"):
+        wp.get_module(name).options.update({"enable_backward": False, "max_unroll": 1})
     scalar = wp.float64
     functions = functions_for(dim, scalar)
     vec, square, turn = functions.vec, functions.square, functions.turn
@@ -75,7 +81,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
     zero, one, two, half = scalar(0.0), scalar(1.0), scalar(2.0), scalar(0.5)
     tiny = scalar(1e-13)
     far, infinite = scalar(1e6), scalar(math.inf)
-    near = scalar(1e-6)
+    near = scalar(1e-8)
     finest = scalar(FINEST_PATH)
 
     @wp.struct
@@ -307,9 +313,10 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
     @wp.func
     def misfit(body: Body, row: wp.array(dtype=scalar), t: transform, beta: scalar, theta: scalar):
         """Root mean square of goal - place over all particles of the state T (none taken as held): the equations anew,
-        by themselves."""
+        by themselves. And their rotation and linear fit."""
         r, a = fit(body, row, t)
-        e = volume_gain(body, linear_part(a), theta)
+        linear = linear_part(a)
+        e = volume_gain(body, linear, theta)
         off = a * beta - t + lifted(body, e * beta)
         for i in range(wp.static(dim)):
             for j in range(wp.static(dim)):
@@ -319,7 +326,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
             for j in range(wp.static(terms)):
                 for m in range(wp.static(terms)):
                     total += off[i, j] * off[i, m] * body.gram[j][m]
-        return wp.sqrt(wp.max(total, zero))
+        return wp.sqrt(wp.max(total, zero)), r, linear
 
     @wp.func
     def pack(f: square, g: triple):
@@ -348,34 +355,55 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         return pack(y + r * u + e * n - a, axial(wp.transpose(r) * (k + e * v) + w))
 
     @wp.func
+    def weight_of(k: square):
+        """With it the equations of the rotation weigh as much as the others; 1 where nothing turns the body."""
+        size = wp.sqrt(wp.ddot(k, k))
+        if size > tiny:
+            return one / size
+        return one
+
+    @wp.func
+    def weighed(f: unknowns, weight: scalar):
+        """Length of a defect, with its equations of the rotation weighed like the others."""
+        out = f
+        for i in range(wp.static(dim * dim), wp.static(size)):
+            out[i] = f[i] * weight
+        return wp.length(out)
+
+    @wp.func
     def solve(
         body: Body,
         a: square,
         r: square,
         beta: scalar,
         theta: scalar,
+        gain: square,
+        toward: square,
+        left: square,
+        right: square,
+        stretch: vec,
+        number: scalar,
         n: square,
         v: square,
         u: square,
         k: square,
-        right: unknowns,
+        weight: scalar,
+        value: unknowns,
     ):
-        """x of (- d defect) x = right, by elimination with full pivots.
+        """x of (- d defect) x = value, by elimination with full pivots, at a state and its `volume_frame`.
 
         Unknowns that nothing determines (a rotation that the held particles leave free) stay 0.
         """
-        gain, toward, left, right_frame, stretch, number = volume_frame(body, a, theta)
         pull = wp.transpose(r) * (k + gain * v * beta)
-        weight = one / (wp.sqrt(wp.ddot(k, k)) + tiny)  # equations of the rotation weigh as much as the others
         m = system()
-        b = right
+        b = value
         place = order()
         for column in range(wp.static(size)):
             place[column] = column
             x = unknowns()
             x[column] = one
             da, dw = unpack(x)
-            de = volume_change(body, a, theta, toward, left, right_frame, stretch, number, da, zero) * beta
+            de = volume_change(body, a, theta, toward, left, right, stretch, number, da, zero) * beta
             s = spin(dw)
             change = pack(r * s * u + de * n - da, axial(wp.transpose(r) * de * v - s * pull))
             for i in range(wp.static(size)):
@@ -430,13 +458,10 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         return out
 
     @wp.func
-    def stable(body: Body, a: square, theta: scalar, beta: scalar, n: square):
-        """Whether, with the denominator of eq. 3.17 as it is, the goals pull the shape back: every eigenvalue of
-        1 - beta (1 / denominator - 1) N above 0. Beyond, time stepping leaves such a state."""
-        if theta == zero:
-            return True
-        den = volume_denominator(a, theta, body.span_axes, body.span_count)
-        m = identity() - n * (beta * (one - den) / den)
+    def stable(n: square, excess: scalar):
+        """Whether the goals pull the shape back while the denominator of eq. 3.17 stays as it is, for excess =
+        beta (1 / denominator - 1): every eigenvalue of I - excess N above 0. Beyond, time stepping leaves the state."""
+        m = identity() - n * excess
         good = wp.determinant(m) > zero and wp.trace(m) > zero
         if wp.static(dim == 3):
             minors = zero
@@ -447,7 +472,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
             good = good and minors > zero
         return good
 
-    @kernel
+    @wp.kernel(module=module, enable_backward=False)
     def relax(
         # In:
         body: Body,
@@ -481,7 +506,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
             r_free = r_start * (turned + identity())
         a_free = y + r_free * u
 
-        weight = one / (pull + tiny)
+        weight = weight_of(k)
         iterations = int(0)
         found = bool(False)
         error = infinite
@@ -489,78 +514,94 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         r = r_free
         good_a = a_free
         good_r = r_free
+        good_gain = square()
         reached = zero
         target = theta
-        trial = int(0)
-        if row[wp.static(STARTED)] != zero:
+        own_start = row[wp.static(STARTED)] != zero
+        if own_start:
             a = a_start
-            trial = -1
-        while iterations < most:
-            settled = bool(False)
-            f = defect(a, r, volume_gain(body, a, target) * beta, n, v, w, u, y, k)
-            for i in range(wp.static(dim * dim), wp.static(size)):
-                f[i] = f[i] * weight
-            for _newton in range(wp.static(NEWTON_STEPS)):
-                raw = f
-                for i in range(wp.static(dim * dim), wp.static(size)):
-                    raw[i] = f[i] / weight
-                step = solve(body, a, r, beta, target, n, v, u, k, raw)
-                da, dw = unpack(step)
-                length = wp.length(step)
-                iterations += 1
-                if length <= tolerance:
-                    a = a + da
-                    r = turned_by(r, dw)
-                    error = length
-                    settled = bool(True)
-                    break
-                if not length < far or iterations >= most:
-                    break
-                before = wp.length(f)
-                shorter = one
-                lower = bool(False)
-                for _halving in range(wp.static(HALVINGS)):
-                    a_new = a + da * shorter
-                    r_new = turned_by(r, dw * shorter)
-                    f_new = defect(a_new, r_new, volume_gain(body, a_new, target) * beta, n, v, w, u, y, k)
-                    for i in range(wp.static(dim * dim), wp.static(size)):
-                        f_new[i] = f_new[i] * weight
-                    if wp.length(f_new) < before:
-                        a = a_new
-                        r = r_new
-                        f = f_new
-                        lower = bool(True)
+        residual = infinite
+        for _attempt in range(wp.static(ATTEMPTS)):
+            while iterations < most:
+                f = unknowns()
+                gain = square()
+                toward = square()
+                left = square()
+                right = square()
+                stretch = vec()
+                number = one
+                da = square()
+                dw = triple()
+                before = infinite
+                last = bool(False)
+                settled = bool(False)
+                for _newton in range(wp.static(NEWTON_STEPS)):
+                    shorter = one
+                    lower = bool(False)
+                    for _halving in range(wp.static(TRIALS)):
+                        a_new = a + da * shorter
+                        r_new = turned_by(r, dw * shorter)
+                        gain, toward, left, right, stretch, number = volume_frame(body, a_new, target)
+                        f = defect(a_new, r_new, gain * beta, n, v, w, u, y, k)
+                        length = weighed(f, weight)
+                        if length < before or last:
+                            a = a_new
+                            r = r_new
+                            before = length
+                            lower = bool(True)
+                            break
+                        shorter = shorter * half
+                    if last:
+                        settled = bool(True)
+                    if last or not lower or iterations >= most:
                         break
-                    shorter = shorter * half
-                if not lower:
-                    break
-            if settled and body.volume == wp.static(SCALE):
-                settled = stable(body, a, target, beta, n)
-            if settled:
-                good_a = a
-                good_r = r
-                if target == theta:
-                    found = bool(True)
-                    break
-                ahead = two * (target - reached)
-                reached = target
-                target = wp.min(theta, target + ahead)
-            else:
-                if trial >= 0:
-                    target = half * (reached + target)
-                    if target - reached <= finest * theta:
+                    step = solve(
+                        body, a, r, beta, target, gain, toward, left, right, stretch, number, n, v, u, k, weight, f
+                    )
+                    da, dw = unpack(step)
+                    error = wp.length(step)
+                    iterations += 1
+                    last = error <= tolerance
+                    if not error < far:
                         break
-                trial = int(1)
-                a = good_a
-                r = good_r
-        e = volume_gain(body, good_a, theta) * beta
-        t = assemble(body, row, beta, e, good_r, one, one, False)
-        residual = misfit(body, row, t, beta, theta)
+                if settled and body.volume == wp.static(SCALE):
+                    settled = stable(n, beta * (one - number) / number)
+                if settled:
+                    good_a = a
+                    good_r = r
+                    good_gain = gain
+                    if target == theta:
+                        found = bool(True)
+                        break
+                    ahead = two * (target - reached)
+                    reached = target
+                    target = wp.min(theta, target + ahead)
+                else:
+                    if not own_start:
+                        target = half * (reached + target)
+                        if target - reached <= finest * theta:
+                            break
+                    own_start = bool(False)
+                    a = good_a
+                    r = good_r
+            t = assemble(body, row, beta, good_gain * beta, good_r, one, one, False)
+            residual, r, a = misfit(body, row, t, beta, theta)
+            if not found or residual <= tolerance:
+                break
+            # balanced, but another rotation fits better: on from that one
+            own_start = bool(True)
+            found = bool(False)
+            good_a = a_free
+            good_r = r_free
+            reached = zero
+            target = theta
+        if not found:
+            error = infinite
         state = int(NOT_CONVERGED)
         if found:
             if residual <= tolerance:
                 state = int(CONVERGED)
-        elif iterations < most:
+        elif iterations < most and body.volume == wp.static(SCALE):
             state = int(DIVERGED)
         result = results[candidate]
         result[wp.static(RESIDUAL)] = residual * body.radius
@@ -575,7 +616,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
                 place -= metres * body.held_mean[j]
             result[wp.static(translation_at) + i] = place
 
-    @kernel
+    @wp.kernel(module=f"{module}_slopes", enable_backward=False)
     def differentiate(
         # In:
         body: Body,
@@ -595,23 +636,23 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         r, fitted = fit(body, row, t)
         a = linear_part(fitted)
         n, v, _w, u, _y, k = sums(body, row, beta, False)
-        gain_now, toward, left, right_frame, stretch, number = volume_frame(body, a, theta)
-        for which in range(wp.static(2)):
+        gain, toward, left, right, stretch, number = volume_frame(body, a, theta)
+        weight = weight_of(k)
+        for which in range(2):
             own = transform()
             own_e = square()  # how beta * gain changes at an unchanged state
-            right = unknowns()
+            value = unknowns()
             if which == 0:
                 dn, dv, dw, du, dy, dk = sums(body, row, beta, True)
-                own_e = gain_now
-                e = gain_now * beta
-                own = assemble(body, row, beta, e, r, zero, one, True)
-                right = defect(square(), r, e, dn, dv, dw, du, dy, dk)
+                own_e = gain
+                own = assemble(body, row, beta, gain * beta, r, zero, one, True)
+                value = defect(square(), r, gain * beta, dn, dv, dw, du, dy, dk)
             else:
-                own_e = beta * volume_change(body, a, theta, toward, left, right_frame, stretch, number, square(), one)
-            right += pack(own_e * n, axial(wp.transpose(r) * own_e * v))
-            x = solve(body, a, r, beta, theta, n, v, u, k, right)
+                own_e = beta * volume_change(body, a, theta, toward, left, right, stretch, number, square(), one)
+            value += pack(own_e * n, axial(wp.transpose(r) * own_e * v))
+            x = solve(body, a, r, beta, theta, gain, toward, left, right, stretch, number, n, v, u, k, weight, value)
             da, dturn = unpack(x)
-            de = own_e + beta * volume_change(body, a, theta, toward, left, right_frame, stretch, number, da, zero)
+            de = own_e + beta * volume_change(body, a, theta, toward, left, right, stretch, number, da, zero)
             own += assemble(body, row, beta, de, r * spin(dturn), one, zero, False)
             result = results[candidate, which]
             for i in range(wp.static(dim)):

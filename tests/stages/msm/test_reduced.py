@@ -196,12 +196,14 @@ def test_too_few_iterations_are_not_called_converged(device: str) -> None:
 
 @pytest.mark.parametrize("volume", VOLUMES)
 @pytest.mark.parametrize("basis", BASES)
-@pytest.mark.parametrize("shape", [(5, 5), (4, 4, 4)])
+@pytest.mark.parametrize("shape", [(5, 5), (4, 4, 4), (6, 5, 1)])
 def test_sensitivities_are_those_of_finite_differences(
     device: str, shape: tuple[int, ...], basis: Basis, volume: Volume
 ) -> None:
     rng = np.random.default_rng(5)
     rest = rough(shape, rng)
+    if shape[-1] == 1:
+        rest[:, -1] = 0.0
     mass = rng.uniform(0.5, 2.0, len(rest))
     held = rng.choice(len(rest), 8, replace=False)
     one = OneCluster(rest, held, mass=mass, basis=basis, device=device)
@@ -277,7 +279,7 @@ def test_bodies_that_are_free_to_turn(device: str, volume: Volume) -> None:
             # an undeformed body stays one, and where it was
             state = one.relax(holding, beta, theta, volume=volume, start=elsewhere)
             assert state.converged.all()
-            np.testing.assert_allclose(one.positions(state, holding)[0], elsewhere, atol=1e-9)
+            np.testing.assert_allclose(one.positions(state, holding)[0], elsewhere, atol=1e-8)
     # two particles pulled apart leave it free to turn about the line between them
     one = OneCluster(rest, np.array([5, 40]), device=device)
     holding = one.hold(rest[[5, 40]] * 1.2)
