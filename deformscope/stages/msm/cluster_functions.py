@@ -302,9 +302,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Clus
         ...
 
     @wp.func(inline=False)  # long, and not needed where theta = 0
-    def conserve(
-        rest: Rest, cluster: int, step: int, affine_t: transforms.rows, theta: lane, volume: int, what: int
-    ):
+    def conserve(rest: Rest, cluster: int, step: int, affine_t: transforms.rows, theta: lane, volume: int, what: int):
         """A~_theta - [I, 0] of A~ - [I, 0] (transposed): eq. 3.17, or the projection; or its derivative by theta."""
         for l in range(width):
             own_cluster = cluster + l * step

@@ -166,9 +166,7 @@ class GeneralOperator:
         self._fit(self.arrays.kernels.fit_changes, direction, parameters, running, kept, GOAL)
         self._finish(direction, direction, self._still, running, CHANGE, out, self._nothing)
 
-    def step(
-        self, u: Any, before: Any, motion: Any, parameters: Parameters, running: Any, ran_away: Any
-    ) -> None:
+    def step(self, u: Any, before: Any, motion: Any, parameters: Parameters, running: Any, ran_away: Any) -> None:
         """One time step; `before` becomes the new displacement."""
         self._launch(
             self.arrays.kernels.predict,

@@ -33,9 +33,7 @@ class GeneralKernels:
 def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> GeneralKernels:
     """The kernels for `dim` = 2 or 3, `terms` = 2, 3 (linear) or 5, 9 (quadratic), and lanes of `width`."""
     module = f"deformscope_general_{dim}d_{terms}_{scalar.__name__}_{width}"
-    wp.get_module(module).options.update(
-        {"enable_backward": False, "max_unroll": 3, "cpu_compiler_flags": CPU_FLAGS}
-    )
+    wp.get_module(module).options.update({"enable_backward": False, "max_unroll": 3, "cpu_compiler_flags": CPU_FLAGS})
     kernel = functools.partial(wp.kernel, module=module, enable_backward=False)
     lanes = lanes_for(width, scalar)
     lane, own, times, below = lanes.lane, lanes.own, lanes.times, lanes.below
@@ -202,9 +200,7 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Genera
         )
 
     @wp.func
-    def ahead(
-        lists: Lists, u: vecs.rows, before_in: wp.array(dtype=scalar), motion: Motion, free: scalar, at: int
-    ):
+    def ahead(lists: Lists, u: vecs.rows, before_in: wp.array(dtype=scalar), motion: Motion, free: scalar, at: int):
         """x* of eq. 3.1, 3.2: where the last motion and the push would take a free particle."""
         moved = add(u, free * motion.going_on, add(u, -one, load(before_in, at, lists.particle_stride)))
         for k in range(wp.static(dim)):

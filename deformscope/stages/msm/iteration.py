@@ -101,7 +101,9 @@ class Iteration:
     def _parameters_changed(self) -> None:
         """The recorded launches hold other arrays than those in use."""
 
-    def launch(self, kernel: Any, dim: tuple[int, ...] | int, inputs: list[Any], outputs: list[Any] | None = None) -> None:
+    def launch(
+        self, kernel: Any, dim: tuple[int, ...] | int, inputs: list[Any], outputs: list[Any] | None = None
+    ) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs or [], device=self.layout.device)
 
     def all_groups(self) -> Any:
@@ -135,7 +137,9 @@ class Newton(Iteration):
         self._parameters_changed()
 
     def _parameters_changed(self) -> None:
-        self._outer, self._inner = (Graph(each, self.layout.device) for each in (self._launch_outer, self._launch_inner))
+        self._outer, self._inner = (
+            Graph(each, self.layout.device) for each in (self._launch_outer, self._launch_inner)
+        )
 
     def relax(
         self, start: FloatArray, tolerance: float, max_iterations: int, progress: Progress | None = None
@@ -231,9 +235,7 @@ class Newton(Iteration):
         self.operator.change(p, q, self.parameters, running, self._kept)
         self.launch(kk.inner_products, (groups, span.parts), [span, running, groups, p, q, p, p], [self._parts])
         self.launch(kk.curvature, groups, [span, state, self._parts, groups])
-        self.launch(
-            kk.descend, (groups, span.parts), [span, state, groups, p, q], [self.step, self.rho, self._parts]
-        )
+        self.launch(kk.descend, (groups, span.parts), [span, state, groups, p, q], [self.step, self.rho, self._parts])
         self.launch(kk.conjugate, groups, [span, state, self._parts, groups, self._most])
         self.launch(kk.direct, (groups, layout.blocks), [span, state, self.rho], [p])
 

@@ -45,6 +45,7 @@ class IterationKernels:
     accelerate: Any
     advance: Any
     add_field: Any
+    put_at: Any
 
 
 @functools.cache
@@ -541,9 +542,7 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
             for slot in range(wp.static(MEMORY)):
                 anderson.gamma[slot * anderson.stride + i] = scalar(0.0)
             if anderson.state[i] == wp.static(RUNNING):
-                norm = wp.sqrt(
-                    collected(span, parts, wp.static(2 * MEMORY), groups, group, member) / span.metric_total
-                )
+                norm = wp.sqrt(collected(span, parts, wp.static(2 * MEMORY), groups, group, member) / span.metric_total)
                 anderson.norm[i] = norm
                 anderson.total[i] = anderson.total[i] + 1
                 if k > 0:
@@ -663,9 +662,24 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
             return
         at = span.front + group * span.group + block * wp.static(width)
         count = span.group - block * wp.static(width)
-        store(
-            total, at, span.stride, add(load(total, at, span.stride), one, load(field_in, at, span.stride)), count
-        )
+        store(total, at, span.stride, add(load(total, at, span.stride), one, load(field_in, at, span.stride)), count)
+
+    @kernel
+    def put_at(
+        # In:
+        places: wp.array(dtype=int),
+        values: wp.array(dtype=scalar),
+        stride: int,
+        # Out:
+        first_out: wp.array(dtype=scalar),
+        second_out: wp.array(dtype=scalar),
+    ):
+        """Puts vectors (component by component) at the places of two fields."""
+        i = wp.tid()
+        for k in range(wp.static(dim)):
+            value = values[k * places.shape[0] + i]
+            first_out[places[i] + k * stride] = value
+            second_out[places[i] + k * stride] = value
 
     return IterationKernels(
         Span,
@@ -684,4 +698,5 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
         accelerate,
         advance,
         add_field,
+        put_at,
     )

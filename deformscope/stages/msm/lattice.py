@@ -37,9 +37,7 @@ class LatticeBody:
 
     terms: int
 
-    def __init__(
-        self, rest: BodyRest, clusters: LatticeClusters, edges: FloatArray, scalar: Any, device: str
-    ) -> None:
+    def __init__(self, rest: BodyRest, clusters: LatticeClusters, edges: FloatArray, scalar: Any, device: str) -> None:
         d = rest.position.shape[1]
         self.dim = self.terms = d
         self.scalar, self.device = scalar, device
@@ -83,9 +81,7 @@ class LatticeBody:
         groups = -(-candidates // abreast)
         stride = front + groups * group + w[2] * abreast + 2 * width
         stride = -(-stride // 16) * 16
-        return Layout(
-            candidates, width, abreast, self.count, front, group, stride, self.cell, self.scalar, self.device
-        )
+        return Layout(candidates, width, abreast, self.count, front, group, stride, self.cell, self.scalar, self.device)
 
     def operator(self, layout: Layout) -> LatticeOperator:
         return LatticeOperator(self, layout, self.arrays(layout.width))
@@ -120,7 +116,9 @@ class LatticeBody:
                 second[places] += part[..., None, None] * np.outer(away, away)
             chosen = self.corner
             total = np.where(chosen, total, 0.0).reshape(-1)
-            mean = np.divide(first.reshape(-1, 3), total[:, None], out=np.zeros((self.count, 3)), where=total[:, None] > 0)
+            mean = np.divide(
+                first.reshape(-1, 3), total[:, None], out=np.zeros((self.count, 3)), where=total[:, None] > 0
+            )
             second = second.reshape(-1, 3, 3) - total[:, None, None] * mean[:, :, None] * mean[:, None, :]
             second[total == 0] = 0.0
         return total, mean, np.einsum("ai,nab,bj->nij", self.edges, second, self.edges)
@@ -153,7 +151,8 @@ class _Arrays:
         told = values > FLAT_MOMENT_RATIO * np.maximum(values[:, -1:], np.finfo(float).tiny)
         inverse = np.where(told, 1.0 / np.where(told, values, 1.0), 0.0)
         pinv = np.einsum("nik,nk,njk->nij", vectors, inverse, vectors)
-        size = np.maximum(values.sum(axis=1), np.finfo(float).tiny)
+        size = values.sum(axis=1)
+        size[size <= 0.0] = 1.0  # no cluster there
         span_count = told.sum(axis=1)
         packed = np.argsort(~told, axis=1, kind="stable")  # spanned directions first
         ordered = np.take_along_axis(vectors, packed[:, None, :], axis=2)
@@ -193,7 +192,9 @@ class _Arrays:
             device,
         )
         self.kept_type = functions.kept
-        self.mass = upload(body.mass.reshape(-1)[:1] if body.alike else body.mass, scalar, device, 0 if body.alike else spare)
+        self.mass = upload(
+            body.mass.reshape(-1)[:1] if body.alike else body.mass, scalar, device, 0 if body.alike else spare
+        )
         self.free = upload(body.free, scalar, device, spare)
         self.pull = upload(body.pull, scalar, device, spare)
         self.metric = upload(body.metric, scalar, device, spare)
@@ -269,9 +270,7 @@ class LatticeOperator:
         self._solve(self.arrays.kernels.fit_changes, parameters, running, kept, GOAL)
         self._spread(direction, direction, self._still, running, k.CHANGE, out, self._nothing)
 
-    def step(
-        self, u: Any, before: Any, motion: Any, parameters: Parameters, running: Any, ran_away: Any
-    ) -> None:
+    def step(self, u: Any, before: Any, motion: Any, parameters: Parameters, running: Any, ran_away: Any) -> None:
         """One time step; `before` becomes the new displacement."""
         self._windows(u, before, motion, running, stepping=1)
         self._solve(self.arrays.kernels.fit_clusters, parameters, running, self._unkept(), GOAL)

@@ -13,11 +13,11 @@ import warp as wp
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.msm.body import Body, BodyRest, Operator
+from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters
 from deformscope.stages.msm.cluster_functions import BY_BETA, BY_THETA, NONE, PROJECT, SCALE
 from deformscope.stages.msm.clusters import Clusters, LatticeClusters, held_mask, spacing
 from deformscope.stages.msm.general import GeneralBody
-from deformscope.stages.msm.iteration import Anderson, Ended, Graph, Newton, goal_derivative
+from deformscope.stages.msm.iteration import Anderson, Ended, Newton, goal_derivative
 from deformscope.stages.msm.iteration_kernels import CONVERGED, DIVERGED, iteration_kernels_for
 from deformscope.stages.msm.lattice import LatticeBody, lattice_edges
 from deformscope.stages.msm.layout import Layout, upload
@@ -88,7 +88,6 @@ class Moving:
         self.u, self.before = self.layout.field(operator.dim), self.layout.field(operator.dim)
         self.last_dt = 0.0
         self.ran_away = self.layout.each(np.zeros(1), int)
-        self.recorded: dict[Any, Graph] = {}
 
     @property
     def diverged(self) -> BoolArray:
@@ -432,28 +431,12 @@ class Msm:
 
         dt [s]; acceleration: f_ext / m, (d,) [m/s^2]. Without it, dt does not change the motion (alpha = 1).
         """
-        run = self._stepper(state, held_position, beta, theta, volume, alpha, dt, acceleration)
-        run(steps)
-        return self.rest + state.layout.get(state.u, self.dim) * self.scale
-
-    def _stepper(
-        self,
-        state: Moving,
-        held_position: FloatArray,
-        beta: FloatArray | float,
-        theta: FloatArray | float,
-        volume: Volume,
-        alpha: float,
-        dt: float,
-        acceleration: Sequence[float] | None,
-    ) -> Callable[[int], None]:
         held_u, beta_b, theta_b = self._candidates(held_position, beta, theta)
-        layout, operator = state.layout, state.operator
-        size = layout.candidates
-        if len(beta_b) not in (1, size):
-            raise ValueError(f"expected candidates for {size} bodies or for one; got {len(beta_b)}")
+        if len(beta_b) not in (1, state.layout.candidates):
+            raise ValueError(f"expected candidates for {state.layout.candidates} bodies or for one; got {len(beta_b)}")
         how = VOLUMES[volume] if theta_b.any() else NONE
-        return _Stepping(self, state, held_u, beta_b, theta_b, how, alpha, dt, acceleration).run
+        _Stepping(self, state, held_u, beta_b, theta_b, how, alpha, dt, acceleration).run(steps)
+        return self.rest + state.layout.get(state.u, self.dim) * self.scale
 
     def residual(
         self,
@@ -467,3 +450,95 @@ class Msm:
         position = np.asarray(position, dtype=np.float64).reshape(-1, *self.rest.shape)
         way = self._at(position, beta, theta, volume)
         return way.layout.get(way.residual, self.dim) * self.scale
+
+
+class _Stepping:
+    """Time steps of one state with fixed parameters, recorded two at a time: each step's result takes the place of the
+    displacements before, and two steps bring both home."""
+
+    def __init__(
+        self,
+        body: Msm,
+        state: Moving,
+        held_u: FloatArray,
+        beta: FloatArray,
+        theta: FloatArray,
+        volume: int,
+        alpha: float,
+        dt: float,
+        acceleration: Sequence[float] | None,
+    ) -> None:
+        self.state = state
+        layout, operator = state.layout, state.operator
+        size = layout.candidates
+        push = np.zeros(body.dim) if acceleration is None else np.asarray(acceleration) / body.scale
+        self.first = operator.motion(alpha, dt / state.last_dt if state.last_dt else 1.0, push * dt**2)
+        self.motion = operator.motion(alpha, 1.0, push * dt**2)
+        state.last_dt = dt
+        stride = operator.beta_stride if beta.ndim == 2 else 0
+        values = (
+            operator.cluster_values(np.broadcast_to(beta, (size, beta.shape[1])))
+            if stride
+            else layout.each(np.broadcast_to(beta, (size,)))
+        )
+        self.parameters = Parameters(values, layout.each(np.broadcast_to(theta, (size,))), stride, volume)
+        self.running = wp.full(layout.groups, 1, dtype=int, device=layout.device)
+        if len(body.held):
+            self._hold(np.broadcast_to(held_u, (size, *held_u.shape[1:])), body.held)
+
+    def _hold(self, held_u: FloatArray, held: IntArray) -> None:
+        layout, state = self.state.layout, self.state
+        kernels = iteration_kernels_for(self.state.operator.dim, layout.scalar, layout.width)
+        places = np.concatenate(
+            [layout.front + layout.group * (c // layout.abreast) + layout.place[held] * layout.abreast + c % layout.abreast
+             for c in range(layout.candidates)]
+        )  # fmt: skip
+        wp.launch(
+            kernels.put_at,
+            dim=len(places),
+            inputs=[
+                upload(places, int, layout.device),
+                upload(held_u.reshape(-1, held_u.shape[2]).T, layout.scalar, layout.device),
+                layout.stride,
+            ],
+            outputs=[state.u, state.before],
+            device=layout.device,
+        )
+
+    def run(self, steps: int) -> None:
+        """The next `steps` steps."""
+        done = 0
+        if steps > 0:
+            self._one(self.first)
+            done = 1
+        if steps - done >= 4:
+
+            def two() -> None:
+                self._one(self.motion)
+                self._one(self.motion)
+
+            with wp.ScopedCapture(device=self.state.layout.device) as capture:
+                two()
+            for _ in range((steps - done) // 2):
+                wp.capture_launch(capture.graph)
+            done += (steps - done) // 2 * 2
+        for _ in range(steps - done):
+            self._one(self.motion)
+
+    def _one(self, motion: Any) -> None:
+        state = self.state
+        state.operator.step(state.u, state.before, motion, self.parameters, self.running, state.ran_away)
+        state.u, state.before = state.before, state.u
+
+
+def pick_device(choice: Literal["auto", "cpu", "cuda"]) -> str:
+    """The warp device for a choice; `auto` is the GPU where there is one."""
+    if choice == "cpu" or (choice == "auto" and not wp.is_cuda_available()):
+        return "cpu"
+    if not wp.is_cuda_available():
+        raise InputError("a CUDA device", "none that warp can use on this machine", "--device cpu")
+    return "cuda:0"
+
+
+def _offset(progress: Callable[[int, int], None], before: int, size: int, done: int) -> None:
+    progress(before + done, size)
