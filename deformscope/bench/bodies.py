@@ -1,0 +1,68 @@
+"""The bodies that are measured: a cube pressed between two plates, and the thesis's sheet with one particle pushed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.stages.msm.clusters import Clusters, lattice
+
+PRESSED = 0.1
+"""Share of its height by which the cube is pressed."""
+SHEET = (7, 15)
+SHEET_CLUSTERS = (2, 4, 5)
+PUSH = 1.5
+"""How far the sheet's particle is pushed [spacings]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """A full lattice with some particles held. Lengths are in units of its spacing.
+
+    shape: (d,); rest: (K, d); held: (n,) indices; held_position: (n, d)
+    """
+
+    shape: tuple[int, ...]
+    rest: FloatArray
+    held: IntArray
+    held_position: FloatArray
+
+    @property
+    def particles(self) -> int:
+        return len(self.rest)
+
+    @property
+    def named(self) -> str:
+        return f"{self.shape[0]} x {self.shape[1]} sheet" if len(self.shape) == 2 else counted(self.particles)
+
+    def clusters(self, size: int) -> Clusters:
+        """All windows of `size` particles a side."""
+        return lattice(self.rest, self.shape, np.arange(self.particles), size)
+
+
+def counted(particles: int) -> str:
+    """`1 000 000 particles`."""
+    return f"{particles:,} particles".replace(",", " ")
+
+
+def cube(side: int) -> Body:
+    """side^3 particles; the bottom plate is held, the top plate pressed towards it."""
+    shape = (side, side, side)
+    rest = np.indices(shape, dtype=np.float64).reshape(3, -1).T
+    plate = np.arange(side * side)
+    held = np.concatenate([plate, plate + side**3 - side * side])
+    position = rest[held]
+    position[side * side :, 0] -= PRESSED * (side - 1)
+    return Body(shape, rest, held, position)
+
+
+def sheet() -> Body:
+    """7 x 15 particles in the plane; the bottom row stands, the top middle particle is pushed in."""
+    rows, columns = SHEET
+    rest = np.indices(SHEET, dtype=np.float64).reshape(2, -1).T
+    held = np.array([*range(columns), (rows - 1) * columns + columns // 2])
+    position = rest[held]
+    position[-1, 0] -= PUSH
+    return Body(SHEET, rest, held, position)
