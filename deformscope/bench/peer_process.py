@@ -73,6 +73,7 @@ def pypbd(side: int) -> Built:
     def position() -> FloatArray:
         return np.array([particles.getPosition(i) for i in range(len(body.rest))]) / CELL_M
 
+    simulation.reset()  # as before every run
     kept = len(model.getConstraints())
     facts: dict[str, object] = {"clusters": clusters.count, "constraints_kept": kept, "precision": "float64"}
     return facts, start, step, position
@@ -140,7 +141,6 @@ def newton(side: int) -> Built:
         particle_radius=0.1 * spacing_m,  # its default pushes these particles apart
     )
     model: Any = builder.finalize(device="cpu")
-    model.particle_max_radius = 0.0  # no search for particles that collide: ours has none
     solver = nt.solvers.SolverXPBD(model, iterations=1)
     state, other, control = model.state(), model.state(), model.control()
     rest = state.particle_q.numpy()

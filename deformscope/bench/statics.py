@@ -77,6 +77,7 @@ def theta(plan: Plan, tell: Tell) -> Iterator[Row]:
         held = one.hold(body.held_position)
         result = one.relax(held, THETA_BETA, THETA)
         told = {"iterations_most": int(result.iterations.max()), "converged": int(result.converged.sum())}
+        told |= {"hold_ms": 1e3 * clock(partial(one.hold, body.held_position)).wall_s, "candidates": 1}
         smallest = contestants[0] if contestants else None
         turn = plan.turn(partial(one.relax, held, THETA_BETA, THETA))
         contestants.append(Contestant(what, OURS, turn, beside=smallest, facts=told))

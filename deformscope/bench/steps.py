@@ -28,7 +28,7 @@ MEMORY_LEAST = 10_000
 NUMPY = "NumPy, batched SVD"
 PHYSICS = {
     "mujoco": "other physics: tetrahedra with linear elasticity, explicit",
-    "newton": "other physics: tetrahedra under XPBD, 1 iteration",
+    "newton": "other physics: tetrahedra under XPBD, 1 iteration, looking for collisions",
 }
 
 

@@ -22,6 +22,7 @@ WIDTH = 180
 
 FACTS: dict[str, Callable[[Any], str]] = {
     "setup_s": lambda value: f"set-up {value:.3g} s",
+    "hold_ms": lambda value: f"holding {value:.2g} ms more",
     "iterations_most": lambda value: f"{value} iterations",
     "steps": lambda value: f"{value:,} steps".replace(",", " "),
     "beta": lambda value: f"beta {value:.4f}",
@@ -59,7 +60,8 @@ def run(config: BenchConfig) -> None:
         complete = True
     finally:
         told = report(plan, rows, complete=complete)
-        show(rows, told.machine, complete)
+        if rows:
+            show(rows, told.machine, complete)
         write_json(told, config.json)
 
 
