@@ -76,7 +76,10 @@ def theta(plan: Plan, tell: Tell) -> Iterator[Row]:
         one = OneCluster(body.rest, body.held, basis="quadratic", device=plan.device)
         held = one.hold(body.held_position)
         result = one.relax(held, THETA_BETA, THETA)
-        told = {"iterations_most": int(result.iterations.max()), "converged": int(result.converged.sum())}
+        told: dict[str, float] = {
+            "iterations_most": int(result.iterations.max()),
+            "converged": int(result.converged.sum()),
+        }
         told |= {"hold_ms": 1e3 * clock(partial(one.hold, body.held_position)).wall_s, "candidates": 1}
         smallest = contestants[0] if contestants else None
         turn = plan.turn(partial(one.relax, held, THETA_BETA, THETA))

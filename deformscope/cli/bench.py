@@ -17,7 +17,7 @@ from deformscope.config import BenchConfig
 if TYPE_CHECKING:
     from deformscope.bench.timing import Row
 
-WIDTH = 180
+WIDTH = 200
 """Columns of the table where there is no terminal to fit it to."""
 
 FACTS: dict[str, Callable[[Any], str]] = {
@@ -26,9 +26,9 @@ FACTS: dict[str, Callable[[Any], str]] = {
     "iterations_most": lambda value: f"{value} iterations",
     "steps": lambda value: f"{value:,} steps".replace(",", " "),
     "beta": lambda value: f"beta {value:.4f}",
-    "from_minimum_of_mean_distance": lambda value: f"{value:+.1e} from the minimum",
+    "from_minimum_of_mean_distance": lambda value: f"{value:+.1e} from the least mean distance",
+    "from_minimum_of_squares": lambda value: f"{value:+.1e} from the least squares",
     "import_s": lambda value: f"imports {value:.2g} s more",
-    "threads": lambda value: f"{value:.2g} threads",
 }
 """What of a row's facts the table shows, and how."""
 
@@ -76,8 +76,8 @@ def show(rows: Sequence[Row], machine: Mapping[str, Any], complete: bool) -> Non
     processor = machine["gpu"] or f"{machine['cpu']}, {machine['cores']} cores, load {machine['load']:.1f}"
     table = Table(title=f"What MSM costs on {machine['device']} ({processor}; warp {machine['warp']})")
     table.add_column("case")
-    table.add_column("what", overflow="fold")
-    table.add_column("by", overflow="fold")
+    table.add_column("what", no_wrap=out.width >= WIDTH)
+    table.add_column("by", no_wrap=out.width >= WIDTH)
     for heading in ("median", "IQR"):
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("unit", no_wrap=True)
@@ -113,6 +113,9 @@ def number(value: float | None) -> str:
 def details(row: Row) -> str:
     """What a reader must know of a row besides its figures."""
     told = [text(row.facts[name]) for name, text in FACTS.items() if row.facts.get(name) is not None]
+    threads = row.facts.get("threads")
+    if isinstance(threads, float) and abs(threads - 1) > 0.1:
+        told.append(f"{threads:.2g} threads")
     candidates = row.facts.get("candidates")
     if candidates is not None:
         told.append(f"{row.facts['converged']} of {candidates} converged")
