@@ -23,6 +23,8 @@ class Meter:
         """Count from here. On Linux the kernel forgets the process's highest mark."""
         gc.collect()
         if self._gpu:
+            if not wp.is_mempool_supported(self._device):
+                return
             wp.synchronize_device(self._device)
             self._base = wp.get_mempool_used_mem_current(self._device)
             self._highest = wp.get_mempool_used_mem_high(self._device)
@@ -38,12 +40,14 @@ class Meter:
 
     def peak(self) -> int | None:
         """The most bytes at once since zero; on a GPU None where an earlier body took more: all that the pool tells."""
+        if self._base is None:
+            return None
         if self._gpu:
             wp.synchronize_device(self._device)
             highest = wp.get_mempool_used_mem_high(self._device)
-            return highest - (self._base or 0) if highest > self._highest else None
+            return highest - self._base if highest > self._highest else None
         highest_rss = _status("VmHWM")
-        return None if self._base is None or highest_rss is None else highest_rss - self._base
+        return None if highest_rss is None else highest_rss - self._base
 
 
 def _status(name: str) -> int | None:
