@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from deformscope.arrays import FloatArray
-from deformscope.bench.bodies import SHEET_CLUSTERS, Body, counted, cube, sheet
+from deformscope.bench.bodies import SHEET_CLUSTERS, Body, counted, cube, poked, sheet
 from deformscope.bench.plan import BETA, CLUSTER, MIDDLE, Plan, Tell, side_of
 from deformscope.bench.timing import OURS, Contestant, Row, clock, compare
 from deformscope.stages.msm.clusters import single
@@ -27,15 +27,20 @@ ALL_PARTICLES_MOST = 1331
 def relax(plan: Plan, tell: Tell) -> Iterator[Row]:
     """The static state of ever larger cubes, from rest."""
     plan.engine(cube(4)).relax(cube(4).held_position, BETA)  # loads the kernels
+    for make in (cube, poked):
+        yield from _growing(plan, tell, make)
+
+
+def _growing(plan: Plan, tell: Tell, make: Callable[[int], Body]) -> Iterator[Row]:
     last_s, before = 0.0, 1
     for particles in plan.sizes:
-        what = f"{counted(particles)}, clusters of {CLUSTER}^3"
+        body = make(side_of(particles))
+        what = f"{body.named}, clusters of {CLUSTER}^3"
         tell(f"relax: {what}")
         # Iterations grow with the side.
         if (expected_s := last_s * (particles / before) ** (4 / 3)) > plan.longest_s:
             yield Row("relax", what, OURS, "ms", (), note=f"left out: it would take some {expected_s:.0f} s")
             continue
-        body = cube(side_of(particles))
         (row,) = compare("relax", [_relaxing(plan.engine(body), body, what, BETA)], plan.rounds)
         last_s, before = min(row.samples) / 1e3, particles
         yield row
@@ -43,8 +48,10 @@ def relax(plan: Plan, tell: Tell) -> Iterator[Row]:
 
 def sweep(plan: Plan, tell: Tell) -> Iterator[Row]:
     """Static states of 100 betas in one launch."""
-    plan.engine(sheet()).relax(sheet().held_position, BETA)
-    for body, size in [(cube(MIDDLE), CLUSTER), *((sheet(), size) for size in SHEET_CLUSTERS)]:
+    for small in (sheet(), cube(4)):
+        plan.engine(small).relax(small.held_position, BETA)  # loads the kernels
+    sizes = SHEET_CLUSTERS[1:2] if plan.quick else SHEET_CLUSTERS
+    for body, size in [(poked(MIDDLE), CLUSTER), *((sheet(), size) for size in sizes)]:
         what = f"{len(SWEPT)} betas, {body.named}, clusters of {size}^{body.rest.shape[1]}"
         tell(f"sweep: {what}")
         yield from compare("sweep", [_relaxing(plan.engine(body, size), body, what, SWEPT)], plan.rounds)
@@ -93,7 +100,7 @@ def theta(plan: Plan, tell: Tell) -> Iterator[Row]:
 
 def gradient(plan: Plan, tell: Tell) -> Iterator[Row]:
     """The gradient of an error over every cluster's beta, beside one static state."""
-    for body, size in ((cube(MIDDLE), CLUSTER), (sheet(), 4)):
+    for body, size in ((poked(MIDDLE), CLUSTER), (sheet(), 4)):
         what = f"{body.named}, clusters of {size}^{body.rest.shape[1]}"
         tell(f"gradient: {what}")
         engine: Any = plan.engine(body, size)

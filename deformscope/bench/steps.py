@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from importlib.util import find_spec
 
 import numpy as np
@@ -33,7 +33,10 @@ PHYSICS = {
 
 
 class Stepping:
-    """The engine's step, timed as m + 2 steps in one call less 2, over m: both set up and record the same."""
+    """The engine's step, timed as m + 2 steps in one call less 2, over m: both set up and record the same.
+
+    two_s: what a call of 2 steps takes, nearly all of it setting up, recording and copying the result [s]
+    """
 
     def __init__(self, engine: Msm, body: Body, turn_s: float, candidates: int = 1) -> None:
         self._engine, self._body, self._size = engine, body, candidates
@@ -45,7 +48,11 @@ class Stepping:
 
     def __call__(self) -> Timing:
         few = self._call(2)
+        self.two_s = few.wall_s
         return self._call(2 + self.count).per(self.count, without=few)
+
+    def found(self) -> dict[str, object]:
+        return {"call_of_2_steps_ms": 1e3 * self.two_s}
 
     def _call(self, steps: int) -> Timing:
         state = self._engine.start(self._size)
@@ -61,22 +68,29 @@ def steps(plan: Plan, tell: Tell) -> Iterator[Row]:
         if (expected_s := setup_s * particles / before) > SETUP_MOST_S:
             yield Row("step", what, OURS, "ms/step", (), note=f"left out: setting up would take {expected_s:.0f} s")
             continue
-        body, meter = cube(side_of(particles)), Meter(plan.device)
-        began_s = time.perf_counter()
-        engine = plan.engine(body, precision="float32")
-        setup_s, before = time.perf_counter() - began_s, particles
-        built = meter.peak()
-        meter.zero()
-        stepping = Stepping(engine, body, plan.turn_s)
-        if not plan.cpu or particles >= MEMORY_LEAST:
-            where = "process" if plan.cpu else "device"
-            for doing, peak in (("set-up", built), ("stepping", meter.peak())):
-                if peak is not None:
-                    yield Row("memory", f"{what}, {doing}", OURS, f"B/particle ({where})", (peak / particles,))
-        if "step" in plan.only:
-            facts = {"particles": particles, "clusters": engine.cluster_count, "setup_s": setup_s, "bits": 32}
-            ours = Contestant(f"{what}, clusters of {CLUSTER}^3", OURS, stepping, "ms/step", facts=facts)
-            yield from _beside(plan, tell, body, ours)
+        setup_s, before = (yield from _one_size(plan, tell, particles)), particles
+
+
+def _one_size(plan: Plan, tell: Tell, particles: int) -> Generator[Row, None, float]:
+    """Rows of one cube, all of whose memory is free again afterwards. Returns the seconds of setting up."""
+    what, body, meter = counted(particles), cube(side_of(particles)), Meter(plan.device)
+    began_s = time.perf_counter()
+    engine = plan.engine(body, precision="float32")
+    setup_s = time.perf_counter() - began_s
+    built = meter.peak()
+    meter.zero()
+    stepping = Stepping(engine, body, plan.turn_s)
+    if not plan.cpu or particles >= MEMORY_LEAST:
+        where = "process" if plan.cpu else "device"
+        for doing, peak in (("set-up", built), ("stepping", meter.peak())):
+            if peak is not None:
+                yield Row("memory", f"{what}, {doing}", OURS, f"B/particle ({where})", (peak / particles,))
+    if "step" in plan.only:
+        facts = {"particles": particles, "clusters": engine.cluster_count, "setup_s": setup_s, "bits": 32}
+        named = f"{what}, clusters of {CLUSTER}^3"
+        ours = Contestant(named, OURS, stepping, "ms/step", facts=facts, found=stepping.found)
+        yield from _beside(plan, tell, body, ours)
+    return setup_s
 
 
 def _beside(plan: Plan, tell: Tell, body: Body, ours: Contestant) -> Iterator[Row]:
