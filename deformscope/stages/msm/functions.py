@@ -21,6 +21,9 @@ class Functions:
     turn: Any
     turn_change: Any
     volume_denominator: Any
+    denominator_change: Any
+    project: Any
+    project_change: Any
 
 
 @functools.cache
@@ -35,6 +38,12 @@ def functions_for(dim: int, scalar: Any) -> Functions:
     min_denominator = scalar(MIN_DENOMINATOR)
     # the rotation is accepted when its gradient is this small against the moments; else the eigenvector decides
     accept = scalar(1e-12 if scalar is wp.float64 else 3e-6)
+    # of the projection: rounding of a product of columns, a direction lost in it, a step of Newton's that is the last
+    # but one, and what is 0 among slopes
+    orthogonal = scalar(1e-15 if scalar is wp.float64 else 5e-7)
+    lost = scalar(1e-20 if scalar is wp.float64 else 1e-12)
+    close = scalar(1e-8 if scalar is wp.float64 else 1e-4)
+    tiny = scalar(1e-30)
 
     @wp.func
     def turn_2d(a_qq: square, change: square):
@@ -222,4 +231,273 @@ def functions_for(dim: int, scalar: Any) -> Functions:
             root = -root
         return wp.max(theta * root + (one - theta), min_denominator)
 
-    return Functions(vec, square, turn, turn_change, volume_denominator)
+    @wp.func
+    def determinant_change(a: square, change: square):
+        """d det A for dA = change."""
+        total = zero
+        for row in range(wp.static(dim)):
+            replaced = a
+            for column in range(wp.static(dim)):
+                replaced[row, column] = change[row, column]
+            total += wp.determinant(replaced)
+        return total
+
+    @wp.func
+    def denominator_change(
+        a: square, change: square, theta: scalar, theta_change: scalar, span_axes: square, span_count: int
+    ):
+        """Derivative of `volume_denominator` for dA = change, dtheta = theta_change; 0 where it is clamped."""
+        measure = wp.determinant(a)
+        d_measure = determinant_change(a, change)
+        if span_count < wp.static(dim):
+            inside = a * span_axes  # columns beyond span_count are 0
+            metric = wp.transpose(inside) * inside
+            half_change = wp.transpose(inside) * (change * span_axes)
+            for k in range(wp.static(dim)):
+                if k >= span_count:
+                    metric[k, k] = one
+            measure = wp.sqrt(wp.max(wp.determinant(metric), zero))
+            d_measure = zero
+            if measure > zero:
+                d_measure = determinant_change(metric, half_change + wp.transpose(half_change)) / (two * measure)
+        count = scalar(wp.max(span_count, 1))
+        root = wp.pow(wp.abs(measure), one / count)
+        if measure < zero:
+            root = -root
+        out = zero
+        if theta * root + (one - theta) > min_denominator and measure != zero:
+            out = theta * root / (count * measure) * d_measure + theta_change * (root - one)
+        return out
+
+    @wp.func
+    def column_product(a: square, p: int, b: square, q: int):
+        total = scalar(0.0)
+        for i in range(wp.static(dim)):
+            total += a[i, p] * b[i, q]
+        return total
+
+    @wp.func
+    def rotate_columns(b: square, p: int, q: int, c: scalar, s: scalar):
+        """Columns p and q of b as c p - s q and s p + c q."""
+        for i in range(wp.static(dim)):
+            x = b[i, p]
+            y = b[i, q]
+            b[i, p] = c * x - s * y
+            b[i, q] = s * x + c * y
+        return b
+
+    @wp.func
+    def orthogonal_columns(b: square, v: square, p: int, q: int):
+        """Turn columns p and q of b, and of v with them, so that they are orthogonal, the longer one first."""
+        pp = column_product(b, p, b, p)
+        qq = column_product(b, q, b, q)
+        pq = column_product(b, p, b, q)
+        c = one
+        s = zero
+        turned = bool(False)
+        if wp.abs(pq) > orthogonal * wp.sqrt(pp * qq):
+            angle = (qq - pp) / (two * pq)
+            t = one / (wp.abs(angle) + wp.sqrt(angle * angle + one))
+            if angle < zero:
+                t = -t
+            c = one / wp.sqrt(t * t + one)
+            s = t * c
+            pp -= t * pq
+            qq += t * pq
+            turned = bool(True)
+        if qq > pp:  # a quarter turn more
+            swap = c
+            c = s
+            s = -swap
+            turned = bool(True)
+        if turned:
+            b = rotate_columns(b, p, q, c, s)
+            v = rotate_columns(v, p, q, c, s)
+        return b, v, turned
+
+    @wp.func
+    def singular_values(b: square):
+        """u, s, v with b = u diag(s) v^T, u and v proper rotations: s descends, only the last may be below 0.
+
+        By rotating the columns of b itself (Hestenes 1958): b^T b would lose half of the digits of the smallest value.
+        Columns of b that are 0 stay so, and v leaves them alone.
+        """
+        size = zero
+        for i in range(wp.static(dim)):
+            for j in range(wp.static(dim)):
+                size = wp.max(size, wp.abs(b[i, j]))
+        u = wp.identity(n=dim, dtype=scalar)
+        v = wp.identity(n=dim, dtype=scalar)
+        s = vec()
+        if size > zero:
+            b = b / size
+            for _sweep in range(12):
+                b, v, turned = orthogonal_columns(b, v, 0, 1)
+                if wp.static(dim == 3):
+                    b, v, turned_02 = orthogonal_columns(b, v, 0, 2)
+                    b, v, turned_12 = orthogonal_columns(b, v, 1, 2)
+                    turned = turned or turned_02 or turned_12
+                if not turned:
+                    break
+            if wp.static(dim == 3):
+                first = wp.normalize(vec(b[0, 0], b[1, 0], b[2, 0]))
+                normal = wp.cross(first, vec(b[0, 1], b[1, 1], b[2, 1]))
+                if wp.length(normal) <= lost:  # of rank 1: any two directions across
+                    axis = vec(one, zero, zero)
+                    if wp.abs(first[0]) > scalar(0.6):
+                        axis = vec(zero, one, zero)
+                    normal = wp.cross(first, axis)
+                normal = wp.normalize(normal)
+                second = wp.cross(normal, first)
+                for i in range(wp.static(dim)):
+                    u[i, 0] = first[i]
+                    u[i, 1] = second[i]
+                    u[i, 2] = normal[i]
+            else:
+                first = wp.normalize(vec(b[0, 0], b[1, 0]))
+                u = square(first[0], -first[1], first[1], first[0])
+            for j in range(wp.static(dim)):
+                s[j] = column_product(u, j, b, j) * size
+        return u, s, v
+
+    @wp.func
+    def stretch_root(s: scalar, smallest: scalar, y: scalar):
+        """sqrt(s^2 + 4 mu) for mu = y (y - smallest), as a sum of what is never negative."""
+        away = smallest - two * y
+        return wp.sqrt(wp.max((s - smallest) * (s + smallest), zero) + away * away)
+
+    @wp.func
+    def smallest_stretch(s: vec, span_count: int, start: scalar):
+        """Newton's steps on log(y prod s'_i) = 0, in log y, from `start`; and the squared distance of its stretches.
+
+        The distance is -1 where the steps do not settle: the solution of that side is none.
+        """
+        smallest = s[wp.max(span_count - 1, 0)]
+        y = start
+        distance = -one
+        settled = bool(False)
+        most = wp.max(s[0], one) + wp.sqrt(one + wp.abs(smallest))
+        low = one / (most * most)
+        for _step in range(40):
+            product = y
+            slope = scalar(1.0)
+            apart = (y - smallest) * (y - smallest)
+            for i in range(wp.static(dim - 1)):
+                if i < span_count - 1:
+                    root = stretch_root(s[i], smallest, y)
+                    stretch = (s[i] + root) / two
+                    product *= stretch
+                    slope += y * (two * y - smallest) / wp.max(stretch * root, tiny)
+                    apart += (stretch - s[i]) * (stretch - s[i])
+            if settled:
+                distance = apart
+                break
+            if slope <= tiny:
+                break
+            excess = wp.log(product)
+            # quadratic convergence: after a step this short, the next would be lost in rounding
+            settled = wp.abs(excess) <= close * slope
+            y = wp.clamp(y * wp.exp(-excess / slope), low, wp.max(one, smallest))
+        return y, distance
+
+    @wp.func
+    def nearest_stretches(s: vec, span_count: int):
+        """The span_count positive numbers of product 1 nearest to the first of s, and mu: s' - mu / s' = s.
+
+        As in the reference: one equation for the smallest, y. Its largest solution is at most 1 and is reached from
+        there. A second one, below s_k / 2, can be the nearer one where the product of s is above 2; it is reached from
+        the left.
+        """
+        smallest = s[wp.max(span_count - 1, 0)]
+        product = one
+        for i in range(wp.static(dim - 1)):
+            if i < span_count - 1:
+                product *= s[i]
+        y = one
+        distance = -one
+        if smallest < two:
+            y, distance = smallest_stretch(s, span_count, one)
+        if product * smallest > two and span_count > 1:
+            y_low, distance_low = smallest_stretch(s, span_count, one / product)
+            if distance < zero or (distance_low >= zero and distance_low < distance):
+                y = y_low
+        out = vec()
+        for i in range(wp.static(dim)):
+            out[i] = one  # never divided by 0 where nothing is spanned
+            if i < span_count - 1:
+                out[i] = (s[i] + stretch_root(s[i], smallest, y)) / two
+            if i == span_count - 1:
+                out[i] = y
+        return out, y * (y - smallest)
+
+    @wp.func
+    def project(b: square, span_count: int):
+        """From b to the nearest matrix of measure 1 (`reference.project_measure`), less b, and its frame.
+
+        Only the first span_count columns of b may differ from 0. With b + change = u diag(stretch) v^T, u and v proper,
+        change = mu u diag(1 / stretch) v^T over those columns. Returns change, u, v, stretch, mu: what `project_change`
+        needs. Finite for every b whose squares are.
+        """
+        u, s, v = singular_values(b)
+        stretch, mu = nearest_stretches(s, span_count)
+        change = square()
+        for k in range(wp.static(dim)):
+            if k < span_count:
+                by = mu / stretch[k]
+                for i in range(wp.static(dim)):
+                    for j in range(wp.static(dim)):
+                        change[i, j] = change[i, j] + by * u[i, k] * v[j, k]
+        return change, u, v, stretch, mu
+
+    @wp.func
+    def project_change(u: square, v: square, stretch: vec, mu: scalar, span_count: int, change: square):
+        """How the first answer of `project` changes with b, for db = change (0 beyond its first span_count columns).
+
+        With x = u^T dP v and m = u^T db v, dP that of the nearest matrix, from P - mu P^-T = b and d det P = 0:
+        - x_ij + w x_ji = m_ij off the diagonal, w = mu / (s'_i s'_j): symmetric and antisymmetric part on their own
+        - on it z_i = x_ii / s'_i has the sum 0 and (s'_i^2 + mu) z_i = s'_i m_ii + dmu
+        - x_ij (1 - mu / s'_j^2) = m_ij for directions i that a flat cluster does not span
+        Where one of these denominators vanishes two answers are equally near; there x is 0, the answer held as it is.
+        """
+        m = wp.transpose(u) * change * v
+        x = square()
+        for i in range(wp.static(dim)):
+            for j in range(wp.static(dim)):
+                if i < j and j < span_count:
+                    w = mu / (stretch[i] * stretch[j])
+                    even = zero
+                    odd = zero
+                    if one + w > no_rotation:
+                        even = (m[i, j] + m[j, i]) / (two * (one + w))
+                    if one - w > no_rotation:
+                        odd = (m[i, j] - m[j, i]) / (two * (one - w))
+                    x[i, j] = even + odd
+                    x[j, i] = even - odd
+                if i >= span_count and j < span_count:
+                    w = mu / (stretch[j] * stretch[j])
+                    if one - w > no_rotation:
+                        x[i, j] = m[i, j] / (one - w)
+        h = vec()
+        n = vec()
+        for i in range(wp.static(dim)):
+            h[i] = stretch[i] * stretch[i] + mu
+            n[i] = stretch[i] * m[i, i]
+        if span_count == 2:
+            total = h[0] + h[1]
+            if total > no_rotation * (wp.abs(h[0]) + wp.abs(h[1])):
+                z = (n[0] - n[1]) / total
+                x[0, 0] = stretch[0] * z
+                x[1, 1] = -stretch[1] * z
+        if wp.static(dim == 3):
+            total_3 = h[0] * h[1] + h[1] * h[2] + h[2] * h[0]
+            size_3 = wp.abs(h[0] * h[1]) + wp.abs(h[1] * h[2]) + wp.abs(h[2] * h[0])
+            if span_count == 3 and total_3 > no_rotation * size_3:
+                z01 = h[2] * (n[0] - n[1]) / total_3
+                z12 = h[0] * (n[1] - n[2]) / total_3
+                z20 = h[1] * (n[2] - n[0]) / total_3
+                x[0, 0] = stretch[0] * (z01 - z20)
+                x[1, 1] = stretch[1] * (z12 - z01)
+                x[2, 2] = stretch[2] * (z20 - z12)
+        return u * x * wp.transpose(v) - change
+
+    return Functions(vec, square, turn, turn_change, volume_denominator, denominator_change, project, project_change)

@@ -1,0 +1,666 @@
+"""Warp kernels of a body that is one cluster, where a static state has a handful of unknowns; the equations stand in
+`deformscope.stages.msm.reduced`.
+
+One thread solves one candidate from start to end, in float64. All that a candidate brings and takes is one row of
+numbers each, so that a call copies once in and once out.
+
+Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
+"""
+
+import functools
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+from deformscope.stages.msm.functions import functions_for
+
+BETA, THETA, TOLERANCE, MOST_ITERATIONS, STARTED, HELD = range(6)
+"""Places in a candidate's row: numbers first, then what is held, then the transform to start from."""
+
+RESIDUAL, ERROR, ITERATIONS, STATE, TRANSFORM = range(5)
+"""Places in a candidate's result: numbers first, then the transform [m] by rows, then the translation [m]."""
+
+NOT_CONVERGED, CONVERGED, DIVERGED = 0, 1, -1
+
+SCALE, PROJECT = 0, 1
+"""How volume is conserved: eq. 3.17, or by projection."""
+
+NEWTON_STEPS, TRIALS = 11, 3
+"""At most so many steps at one theta, each tried in full, in half and in quarter."""
+
+ATTEMPTS = 4
+"""Times that a state balanced by a rotation which is not the best one is left for another."""
+
+FINEST_PATH = 1.0 / 256.0
+"""Where Newton's steps fail at theta, it is approached in parts; a part smaller than this share ends the search."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReducedKernels:
+    """The compiled set, and its types. body: the struct of rest data; row, result: numbers a candidate brings, takes"""
+
+    body: Any
+    vec: Any
+    square: Any
+    basis_vec: Any
+    relax: Any
+    differentiate: Any
+    row: int
+    result: int
+
+
+@functools.cache
+def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
+    """The kernels for `dim` = 2 or 3 and `terms` = 2, 3 (linear) or 5, 9 (quadratic)."""
+    module = f"deformscope_msm_reduced_{dim}d_{terms}"
+    # two modules: few need derivatives, and a GPU takes seconds to compile either
+    for name in (module, f"{module}_slopes"):
+        wp.get_module(name).options.update({"enable_backward": False, "max_unroll": 1})
+    scalar = wp.float64
+    functions = functions_for(dim, scalar)
+    vec, square, turn = functions.vec, functions.square, functions.turn
+    volume_denominator, denominator_change = functions.volume_denominator, functions.denominator_change
+    project, project_change = functions.project, functions.project_change
+    basis_vec = wp.types.vector(length=terms, dtype=scalar)
+    transform = wp.types.matrix(shape=(dim, terms), dtype=scalar)
+    turns = 1 if dim == 2 else 3
+    size = dim * dim + turns
+    triple = wp.types.vector(length=3, dtype=scalar)
+    system = wp.types.matrix(shape=(size, size), dtype=scalar)
+    unknowns = wp.types.vector(length=size, dtype=scalar)
+    order = wp.types.vector(length=size, dtype=wp.int32)
+    held_q = HELD + terms * dim
+    held_centre = held_q + dim * dim
+    start_at = held_centre + dim
+    row_width = start_at + dim * terms
+    translation_at = TRANSFORM + dim * terms
+    result_width = translation_at + dim
+
+    zero, one, two, half = scalar(0.0), scalar(1.0), scalar(2.0), scalar(0.5)
+    tiny = scalar(1e-13)
+    far, infinite = scalar(1e6), scalar(math.inf)
+    near = scalar(1e-8)
+    finest = scalar(FINEST_PATH)
+
+    @wp.struct
+    class Body:
+        """Rest data, with masses that sum to 1 and lengths in cluster radii.
+
+        mode, free_mode: (terms,) b_j and (G - C) b_j; held_mode: (terms,) first entries of C b_j; share: (terms,) mu_j
+        free_q: (dim,) first rows of G - C; untold: (dim,) first rows of I - G G+; gram: (terms,) G
+        lift, root: how volume is conserved (`volume_frame`); lifted_mode: (terms,) L (G - C) b_j; lift_free:
+        L (G - C) J^T; volume: SCALE or PROJECT
+        """
+
+        mode: wp.array(dtype=basis_vec)
+        free_mode: wp.array(dtype=basis_vec)
+        held_mode: wp.array(dtype=vec)
+        share: wp.array(dtype=scalar)
+        free_q: wp.array(dtype=basis_vec)
+        untold: wp.array(dtype=basis_vec)
+        gram: wp.array(dtype=basis_vec)
+        lift: wp.array(dtype=basis_vec)
+        lifted_mode: wp.array(dtype=vec)
+        lift_free: square
+        root: square
+        volume: int
+        held_mean: basis_vec
+        a_qq: square
+        span_axes: square
+        span_count: int
+        radius: scalar
+
+    @wp.func
+    def head(values: basis_vec):
+        """Its linear terms."""
+        out = vec()
+        for i in range(wp.static(dim)):
+            out[i] = values[i]
+        return out
+
+    @wp.func
+    def held_moment(row: wp.array(dtype=scalar), mode: int):
+        """y_j: how the held particles stand along one mode."""
+        out = vec()
+        for i in range(wp.static(dim)):
+            out[i] = row[wp.static(HELD) + mode * wp.static(dim) + i]
+        return out
+
+    @wp.func
+    def axial(m: square):
+        """The part of m that turns, as (1,) or (3,) numbers."""
+        if wp.static(dim == 2):
+            return triple(m[1, 0] - m[0, 1], zero, zero)
+        return triple(m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1])
+
+    @wp.func
+    def spin(w: triple):
+        out = square()
+        if wp.static(dim == 2):
+            out[0, 1] = -w[0]
+            out[1, 0] = w[0]
+        else:
+            out[2, 1] = w[0]
+            out[1, 2] = -w[0]
+            out[0, 2] = w[1]
+            out[2, 0] = -w[1]
+            out[1, 0] = w[2]
+            out[0, 1] = -w[2]
+        return out
+
+    @wp.func
+    def turned_by(r: square, w: triple):
+        """R turned on by w, a rotation to the last digit (Cayley's formula)."""
+        s = spin(w * half)
+        return r + r * (s + s * s) * (two / (one + wp.dot(w, w) * half * half))
+
+    @wp.func
+    def identity():
+        return wp.identity(n=dim, dtype=scalar)
+
+    @wp.func
+    def volume_frame(body: Body, a: square, theta: scalar):
+        """What conserving volume adds to the fit, as multiples of `lift`, and what `volume_change` needs to know.
+
+        Eq. 3.17: A / den - A. Projection: theta (P - B), with B = A root and P the nearest matrix of the rest volume.
+        """
+        if body.volume == wp.static(PROJECT):
+            toward, left, right, stretch, mu = project(a * body.root, body.span_count)
+            return toward * theta, toward, left, right, stretch, mu
+        den = volume_denominator(a, theta, body.span_axes, body.span_count)
+        return a * ((one - den) / den), a, a, a, vec(), den
+
+    @wp.func
+    def volume_gain(body: Body, a: square, theta: scalar):
+        """What conserving volume adds to the fit, as multiples of `lift`."""
+        out, _toward, _left, _right, _stretch, _number = volume_frame(body, a, theta)
+        return out
+
+    @wp.func
+    def volume_change(
+        body: Body,
+        a: square,
+        theta: scalar,
+        toward: square,
+        left: square,
+        right: square,
+        stretch: vec,
+        number: scalar,
+        change: square,
+        theta_change: scalar,
+    ):
+        """Derivative of `volume_gain` for dA = change, dtheta = theta_change."""
+        if body.volume == wp.static(PROJECT):
+            d_toward = project_change(left, right, stretch, number, body.span_count, change * body.root)
+            return d_toward * theta + toward * theta_change
+        d_den = denominator_change(a, change, theta, theta_change, body.span_axes, body.span_count)
+        return change * ((one - number) / number) - a * (d_den / (number * number))
+
+    @wp.func
+    def sums(body: Body, row: wp.array(dtype=scalar), beta: scalar, slope: bool):
+        """N, V, W, U, Y, K at beta, or their derivatives by beta: sums over the modes."""
+        n = square()
+        v = square()
+        w = square()
+        u = square()
+        y = square()
+        k = square()
+        if not slope:
+            u = identity()
+            for i in range(wp.static(dim)):
+                for j in range(wp.static(dim)):
+                    w[i, j] = body.free_q[i][j]
+                    k[i, j] = row[wp.static(held_q) + i * wp.static(dim) + j]
+            v = body.lift_free
+        for j in range(wp.static(terms)):
+            g = gain(body, beta, j)
+            first = g
+            second = beta * g
+            if slope:
+                first = (one - body.share[j]) * g * g
+                second = g * g
+            a = head(body.free_mode[j])
+            above = body.lifted_mode[j]
+            b = head(body.mode[j])
+            c = body.held_mode[j]
+            p = held_moment(row, j)
+            n += wp.outer(above, b) * first
+            u -= wp.outer(c, b) * first
+            y += wp.outer(p, b) * first
+            v += wp.outer(above, a) * second
+            w -= wp.outer(c, a) * second
+            k += wp.outer(p, a) * second
+        return n, v, w, u, y, k
+
+    @wp.func
+    def gain(body: Body, beta: scalar, mode: int):
+        """1 / (1 - beta lambda_j); 0 for what nothing holds in shape (beta = 1): it stays as at rest."""
+        left = (one - beta) + beta * body.share[mode]
+        if left <= tiny:
+            return zero
+        return one / left
+
+    @wp.func
+    def lifted(body: Body, e: square):
+        """e L."""
+        out = transform()
+        for i in range(wp.static(dim)):
+            for j in range(wp.static(dim)):
+                for m in range(wp.static(terms)):
+                    out[i, m] = out[i, m] + e[i, j] * body.lift[j][m]
+        return out
+
+    @wp.func
+    def assemble(
+        body: Body,
+        row: wp.array(dtype=scalar),
+        beta: scalar,
+        e: square,
+        r: square,
+        direct: scalar,
+        held: scalar,
+        slope: bool,
+    ):
+        """T = e L + R J + sum_j beta g_j (e L (G - C) b_j + y_j - R J C b_j) b_j^T.
+
+        direct: weight of the first part; held: of y_j; slope: beta g_j is replaced by its derivative
+        """
+        out = transform()
+        for i in range(wp.static(dim)):
+            for j in range(wp.static(dim)):
+                out[i, j] = r[i, j] * direct
+        out += lifted(body, e * direct)
+        for j in range(wp.static(terms)):
+            g = gain(body, beta, j)
+            weight = beta * g
+            if slope:
+                weight = g * g
+            p = e * body.lifted_mode[j] + held_moment(row, j) * held - r * body.held_mode[j]
+            out += wp.outer(p * weight, body.mode[j])
+        return out
+
+    @wp.func
+    def fit(body: Body, row: wp.array(dtype=scalar), t: transform):
+        """R of the rotation and A~ of the fit (eq. 3.7, 3.9, 3.14) for the state T, held particles included."""
+        a_pq = square()
+        for i in range(wp.static(dim)):
+            for j in range(wp.static(dim)):
+                total = row[wp.static(held_q) + i * wp.static(dim) + j]
+                for m in range(wp.static(terms)):
+                    total += t[i, m] * body.free_q[j][m]
+                a_pq[i, j] = total
+        turned, _compliance = turn(body.a_qq, a_pq - body.a_qq)
+        r = turned + identity()
+        out = transform()
+        for j in range(wp.static(terms)):
+            out += wp.outer(t * body.free_mode[j] + held_moment(row, j), body.mode[j])
+        for i in range(wp.static(dim)):
+            for j in range(wp.static(dim)):
+                for m in range(wp.static(terms)):
+                    out[i, m] = out[i, m] + r[i, j] * body.untold[j][m]
+        return r, out
+
+    @wp.func
+    def linear_part(t: transform):
+        out = square()
+        for i in range(wp.static(dim)):
+            for j in range(wp.static(dim)):
+                out[i, j] = t[i, j]
+        return out
+
+    @wp.func
+    def misfit(body: Body, row: wp.array(dtype=scalar), t: transform, beta: scalar, theta: scalar):
+        """Root mean square of goal - place over all particles of the state T (none taken as held): the equations anew,
+        by themselves. And their rotation and linear fit."""
+        r, a = fit(body, row, t)
+        linear = linear_part(a)
+        e = volume_gain(body, linear, theta)
+        off = a * beta - t + lifted(body, e * beta)
+        for i in range(wp.static(dim)):
+            for j in range(wp.static(dim)):
+                off[i, j] = off[i, j] + (one - beta) * r[i, j]
+        total = zero
+        for i in range(wp.static(dim)):
+            for j in range(wp.static(terms)):
+                for m in range(wp.static(terms)):
+                    total += off[i, j] * off[i, m] * body.gram[j][m]
+        return wp.sqrt(wp.max(total, zero)), r, linear
+
+    @wp.func
+    def pack(f: square, g: triple):
+        out = unknowns()
+        for i in range(wp.static(dim)):
+            for j in range(wp.static(dim)):
+                out[i * wp.static(dim) + j] = f[i, j]
+        for i in range(wp.static(turns)):
+            out[wp.static(dim * dim) + i] = g[i]
+        return out
+
+    @wp.func
+    def unpack(x: unknowns):
+        f = square()
+        g = triple()
+        for i in range(wp.static(dim)):
+            for j in range(wp.static(dim)):
+                f[i, j] = x[i * wp.static(dim) + j]
+        for i in range(wp.static(turns)):
+            g[i] = x[wp.static(dim * dim) + i]
+        return f, g
+
+    @wp.func
+    def defect(a: square, r: square, e: square, n: square, v: square, w: square, u: square, y: square, k: square):
+        """What is to vanish: Y + R U + e N - A, and the turning part of R^T (K + e V) + W."""
+        return pack(y + r * u + e * n - a, axial(wp.transpose(r) * (k + e * v) + w))
+
+    @wp.func
+    def weight_of(k: square):
+        """With it the equations of the rotation weigh as much as the others; 1 where nothing turns the body."""
+        size = wp.sqrt(wp.ddot(k, k))
+        if size > tiny:
+            return one / size
+        return one
+
+    @wp.func
+    def weighed(f: unknowns, weight: scalar):
+        """Length of a defect, with its equations of the rotation weighed like the others."""
+        out = f
+        for i in range(wp.static(dim * dim), wp.static(size)):
+            out[i] = f[i] * weight
+        return wp.length(out)
+
+    @wp.func
+    def solve(
+        body: Body,
+        a: square,
+        r: square,
+        beta: scalar,
+        theta: scalar,
+        gain: square,
+        toward: square,
+        left: square,
+        right: square,
+        stretch: vec,
+        number: scalar,
+        n: square,
+        v: square,
+        u: square,
+        k: square,
+        weight: scalar,
+        value: unknowns,
+    ):
+        """x of (- d defect) x = value, by elimination with full pivots, at a state and its `volume_frame`.
+
+        Unknowns that nothing determines (a rotation that the held particles leave free) stay 0.
+        """
+        pull = wp.transpose(r) * (k + gain * v * beta)
+        m = system()
+        b = value
+        place = order()
+        for column in range(wp.static(size)):
+            place[column] = column
+            x = unknowns()
+            x[column] = one
+            da, dw = unpack(x)
+            de = volume_change(body, a, theta, toward, left, right, stretch, number, da, zero) * beta
+            s = spin(dw)
+            change = pack(r * s * u + de * n - da, axial(wp.transpose(r) * de * v - s * pull))
+            for i in range(wp.static(size)):
+                m[i, column] = -change[i]
+        for i in range(wp.static(dim * dim), wp.static(size)):
+            b[i] = b[i] * weight
+            for j in range(wp.static(size)):
+                m[i, j] = m[i, j] * weight
+        rank = int(0)
+        first = zero
+        for pivot in range(wp.static(size)):
+            row = int(pivot)
+            column = int(pivot)
+            best = zero
+            for i in range(pivot, wp.static(size)):
+                for j in range(pivot, wp.static(size)):
+                    if wp.abs(m[i, j]) > best:
+                        best = wp.abs(m[i, j])
+                        row = i
+                        column = j
+            if pivot == 0:
+                first = best
+            if not best > tiny * first:
+                break
+            rank = pivot + 1
+            for j in range(wp.static(size)):
+                swap = m[pivot, j]
+                m[pivot, j] = m[row, j]
+                m[row, j] = swap
+            for i in range(wp.static(size)):
+                swap = m[i, pivot]
+                m[i, pivot] = m[i, column]
+                m[i, column] = swap
+            swap = b[pivot]
+            b[pivot] = b[row]
+            b[row] = swap
+            swap_place = place[pivot]
+            place[pivot] = place[column]
+            place[column] = swap_place
+            for i in range(pivot + 1, wp.static(size)):
+                ratio = m[i, pivot] / m[pivot, pivot]
+                for j in range(pivot + 1, wp.static(size)):
+                    m[i, j] = m[i, j] - ratio * m[pivot, j]
+                b[i] = b[i] - ratio * b[pivot]
+        out = unknowns()
+        for back in range(rank):
+            i = rank - 1 - back
+            total = b[i]
+            for j in range(i + 1, rank):
+                total -= m[i, j] * out[place[j]]
+            out[place[i]] = total / m[i, i]
+        return out
+
+    @wp.func
+    def stable(n: square, excess: scalar):
+        """Whether the goals pull the shape back while the denominator of eq. 3.17 stays as it is, for excess =
+        beta (1 / denominator - 1): every eigenvalue of I - excess N above 0. Beyond, time stepping leaves the state."""
+        m = identity() - n * excess
+        good = wp.determinant(m) > zero and wp.trace(m) > zero
+        if wp.static(dim == 3):
+            minors = zero
+            for i in range(wp.static(dim)):
+                for j in range(wp.static(dim)):
+                    if j > i:
+                        minors += m[i, i] * m[j, j] - m[i, j] * m[j, i]
+            good = good and minors > zero
+        return good
+
+    @wp.kernel(module=module, enable_backward=False)
+    def relax(
+        # In:
+        body: Body,
+        rows: wp.array2d(dtype=scalar),
+        # Out:
+        results: wp.array2d(dtype=scalar),
+    ):
+        """The static state of one candidate: Newton's steps on its few unknowns, from theta = 0, where the state is
+        known, or from a given start. Where they fail they go to theta in parts."""
+        candidate = wp.tid()
+        row = rows[candidate]
+        beta = row[wp.static(BETA)]
+        theta = row[wp.static(THETA)]
+        tolerance = row[wp.static(TOLERANCE)]
+        most = int(row[wp.static(MOST_ITERATIONS)])
+        n, v, w, u, y, k = sums(body, row, beta, False)
+        # theta = 0: R maximises tr(R^T K); what K leaves free stays as at the start
+        r_start = identity()
+        a_start = square()
+        t = transform()
+        if row[wp.static(STARTED)] != zero:
+            for i in range(wp.static(dim)):
+                for j in range(wp.static(terms)):
+                    t[i, j] = row[wp.static(start_at) + i * wp.static(terms) + j]
+            r_start, fitted = fit(body, row, t)
+            a_start = linear_part(fitted)
+        r_free = r_start
+        pull = wp.sqrt(wp.ddot(k, k))
+        if pull > tiny:
+            turned, _compliance = turn(square(), wp.transpose(r_start) * k / pull + identity() * near)
+            r_free = r_start * (turned + identity())
+        a_free = y + r_free * u
+
+        weight = weight_of(k)
+        iterations = int(0)
+        found = bool(False)
+        error = infinite
+        a = a_free
+        r = r_free
+        good_a = a_free
+        good_r = r_free
+        good_gain = square()
+        reached = zero
+        target = theta
+        own_start = row[wp.static(STARTED)] != zero
+        if own_start:
+            a = a_start
+        residual = infinite
+        for _attempt in range(wp.static(ATTEMPTS)):
+            while iterations < most:
+                f = unknowns()
+                gain = square()
+                toward = square()
+                left = square()
+                right = square()
+                stretch = vec()
+                number = one
+                da = square()
+                dw = triple()
+                before = infinite
+                last = bool(False)
+                settled = bool(False)
+                for _newton in range(wp.static(NEWTON_STEPS)):
+                    shorter = one
+                    lower = bool(False)
+                    for _halving in range(wp.static(TRIALS)):
+                        a_new = a + da * shorter
+                        r_new = turned_by(r, dw * shorter)
+                        gain, toward, left, right, stretch, number = volume_frame(body, a_new, target)
+                        f = defect(a_new, r_new, gain * beta, n, v, w, u, y, k)
+                        length = weighed(f, weight)
+                        if length < before or last:
+                            a = a_new
+                            r = r_new
+                            before = length
+                            lower = bool(True)
+                            break
+                        shorter = shorter * half
+                    if last:
+                        settled = bool(True)
+                    if last or not lower or iterations >= most:
+                        break
+                    step = solve(
+                        body, a, r, beta, target, gain, toward, left, right, stretch, number, n, v, u, k, weight, f
+                    )
+                    da, dw = unpack(step)
+                    error = wp.length(step)
+                    iterations += 1
+                    last = error <= tolerance
+                    if not error < far:
+                        break
+                if settled and body.volume == wp.static(SCALE):
+                    settled = stable(n, beta * (one - number) / number)
+                if settled:
+                    good_a = a
+                    good_r = r
+                    good_gain = gain
+                    if target == theta:
+                        found = bool(True)
+                        break
+                    ahead = two * (target - reached)
+                    reached = target
+                    target = wp.min(theta, target + ahead)
+                else:
+                    if not own_start:
+                        target = half * (reached + target)
+                        if target - reached <= finest * theta:
+                            break
+                    own_start = bool(False)
+                    a = good_a
+                    r = good_r
+            t = assemble(body, row, beta, good_gain * beta, good_r, one, one, False)
+            residual, r, a = misfit(body, row, t, beta, theta)
+            if not found or residual <= tolerance:
+                break
+            # balanced, but another rotation fits better: on from that one
+            own_start = bool(True)
+            found = bool(False)
+            good_a = a_free
+            good_r = r_free
+            reached = zero
+            target = theta
+        if not found:
+            error = infinite
+        state = int(NOT_CONVERGED)
+        if found:
+            if residual <= tolerance:
+                state = int(CONVERGED)
+        elif iterations < most and body.volume == wp.static(SCALE):
+            state = int(DIVERGED)
+        result = results[candidate]
+        result[wp.static(RESIDUAL)] = residual * body.radius
+        result[wp.static(ERROR)] = error * body.radius
+        result[wp.static(ITERATIONS)] = scalar(iterations)
+        result[wp.static(STATE)] = scalar(state)
+        for i in range(wp.static(dim)):
+            place = row[wp.static(held_centre) + i]
+            for j in range(wp.static(terms)):
+                metres = t[i, j] * body.radius
+                result[wp.static(TRANSFORM) + i * wp.static(terms) + j] = metres
+                place -= metres * body.held_mean[j]
+            result[wp.static(translation_at) + i] = place
+
+    @wp.kernel(module=f"{module}_slopes", enable_backward=False)
+    def differentiate(
+        # In:
+        body: Body,
+        rows: wp.array2d(dtype=scalar),
+        # Out: for beta, then theta
+        results: wp.array3d(dtype=scalar),
+    ):
+        """Derivatives of the static state given as the start, by beta and theta (implicit function)."""
+        candidate = wp.tid()
+        row = rows[candidate]
+        beta = row[wp.static(BETA)]
+        theta = row[wp.static(THETA)]
+        t = transform()
+        for i in range(wp.static(dim)):
+            for j in range(wp.static(terms)):
+                t[i, j] = row[wp.static(start_at) + i * wp.static(terms) + j]
+        r, fitted = fit(body, row, t)
+        a = linear_part(fitted)
+        n, v, _w, u, _y, k = sums(body, row, beta, False)
+        gain, toward, left, right, stretch, number = volume_frame(body, a, theta)
+        weight = weight_of(k)
+        for which in range(2):
+            own = transform()
+            own_e = square()  # how beta * gain changes at an unchanged state
+            value = unknowns()
+            if which == 0:
+                dn, dv, dw, du, dy, dk = sums(body, row, beta, True)
+                own_e = gain
+                own = assemble(body, row, beta, gain * beta, r, zero, one, True)
+                value = defect(square(), r, gain * beta, dn, dv, dw, du, dy, dk)
+            else:
+                own_e = beta * volume_change(body, a, theta, toward, left, right, stretch, number, square(), one)
+            value += pack(own_e * n, axial(wp.transpose(r) * own_e * v))
+            x = solve(body, a, r, beta, theta, gain, toward, left, right, stretch, number, n, v, u, k, weight, value)
+            da, dturn = unpack(x)
+            de = own_e + beta * volume_change(body, a, theta, toward, left, right, stretch, number, da, zero)
+            own += assemble(body, row, beta, de, r * spin(dturn), one, zero, False)
+            result = results[candidate, which]
+            for i in range(wp.static(dim)):
+                place = zero
+                for j in range(wp.static(terms)):
+                    metres = own[i, j] * body.radius
+                    result[wp.static(TRANSFORM) + i * wp.static(terms) + j] = metres
+                    place -= metres * body.held_mean[j]
+                result[wp.static(translation_at) + i] = place
+
+    return ReducedKernels(Body, vec, square, basis_vec, relax, differentiate, row_width, result_width)
