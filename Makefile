@@ -15,16 +15,18 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONUNBUFFERED := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup system-libraries demo test test-slow lint format clean
+.PHONY: help setup system-libraries demo bench bench-suite test test-slow lint format clean
 
 help:
-	@echo 'make demo       measure what is built in, and leave the recording in runs/'
-	@echo 'make test       lints, types and tests (minutes)'
-	@echo 'make test-slow  the tests that take many minutes as well'
-	@echo 'make lint       lints and types alone'
-	@echo 'make format     write the house format'
-	@echo 'make setup      the virtual environment alone (the others do this by themselves)'
-	@echo 'make clean      remove what was built; recordings in runs/ stay'
+	@printf '%-17s%s\n' 'make demo' 'measure what is built in, and leave the recording in runs/'
+	@printf '%-17s%s\n' 'make test' 'lints, types and tests (minutes)'
+	@printf '%-17s%s\n' 'make test-slow' 'the tests that take many minutes as well'
+	@printf '%-17s%s\n' 'make bench' 'what MSM costs on this machine, as a table (2 minutes)'
+	@printf '%-17s%s\n' 'make bench-suite' 'the same for comparing commits, with pytest-benchmark'
+	@printf '%-17s%s\n' 'make lint' 'lints and types alone'
+	@printf '%-17s%s\n' 'make format' 'write the house format'
+	@printf '%-17s%s\n' 'make setup' 'the virtual environment alone (the others do this by themselves)'
+	@printf '%-17s%s\n' 'make clean' 'remove what was built; recordings in runs/ stay'
 
 setup: $(READY)
 	@:
@@ -62,6 +64,12 @@ test: lint
 
 test-slow: setup
 	$(PYTEST) -m 'not hardware'
+
+bench: setup
+	@$(PY) -m deformscope bench
+
+bench-suite: setup
+	$(PYTEST) -p benchmark -m bench tests/bench
 
 lint: setup
 	$(PY) -m ruff check .

@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from tyro.conf import OmitArgPrefixes, Positional, arg
 from tyro.constructors import PrimitiveConstructorSpec
 
+from deformscope.bench.timing import CASES, Case
 from deformscope.errors import InputError
 
 T = TypeVar("T")
@@ -73,6 +74,25 @@ def parse_span(text: str) -> Span:
     return lowest, highest
 
 
+def parse_sizes(text: str) -> tuple[int, ...]:
+    """A comma list of cubes n^3 with n from 4."""
+    try:
+        sizes = tuple(int(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(f"expected numbers of particles, such as 216,1331; got {text!r}") from None
+    if odd := [size for size in sizes if size < 64 or round(size ** (1 / 3)) ** 3 != size]:
+        raise ValueError(f"expected cubes of 4 or more, such as 216 or 1331; got {', '.join(map(str, odd))}")
+    return tuple(sorted(set(sizes)))
+
+
+def parse_cases(text: str) -> tuple[Case, ...]:
+    """A comma list of what is measured, each named once in the result."""
+    named = [part.strip() for part in text.split(",")]
+    if unknown := [part for part in named if part not in CASES]:
+        raise ValueError(f"expected a comma list of {', '.join(CASES)}; got {', '.join(map(repr, unknown))}")
+    return tuple(case for case in CASES if case in named)
+
+
 def _finite(text: str) -> float:
     value = float(text)
     if value - value != 0.0:  # inf and nan
@@ -113,6 +133,8 @@ GridFlag = Annotated[GridShape | None, _value("ROWSxCOLS", parse_grid, _joined("
 HeldFlag = Annotated[tuple[HeldPart, ...] | None, _value("PART,PART...", parse_held, _joined(",")), _unset]
 SpanFlag = Annotated[Span, _value("LOWEST,HIGHEST", parse_span, _joined(","))]
 PositiveFlag = Annotated[float | None, _value("NUMBER", _positive), _unset]
+SizesFlag = Annotated[tuple[int, ...] | None, _value("N,N...", parse_sizes, _joined(",")), _unset]
+CasesFlag = Annotated[tuple[Case, ...] | None, _value("CASE,CASE...", parse_cases, _joined(",")), _unset]
 CountFlag = Annotated[int | None, _value("INT", int), _unset]
 FileFlag = Annotated[Path | None, _value("FILE", Path), _unset]
 PictureFlag = Annotated[Path | None, _value("FILE.png", Path), _unset]
@@ -439,3 +461,36 @@ class ReplayConfig(RecordedOptions):
 
     def reads(self) -> tuple[str, ...]:
         return (str(self.recording),)
+
+
+# deformscope bench ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class BenchConfig(CommandOptions):
+    """Measure what MSM costs on this machine, beside NumPy. Ctrl-C ends it and shows what has been measured."""
+
+    peers: bool = False
+    """Run other engines too: pypbd, and mujoco and newton where they are installed (deformscope[peers])."""
+    quick: bool = False
+    """Less of everything, in some 20 s."""
+    only: CasesFlag = None
+    """Measure these alone, out of step, memory, relax, sweep, theta, gradient, fit and cold."""
+    sizes: SizesFlag = None
+    """Particles of the cubes that are stepped and relaxed; default: 216 to a million, on a GPU to ten."""
+    repeats: CountFlag = None
+    """Rounds of every comparison; default: what fits into a few seconds, 9 at most."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where the simulation runs; auto: on the GPU where there is one."""
+    json: JsonFlag = None
+    """Write all of it as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+
+    def __post_init__(self) -> None:
+        if self.repeats is not None and self.repeats < 1:
+            raise InputError("--repeats of 1 or more", str(self.repeats))
+
+    def writes(self) -> tuple[Written, ...]:
+        return _written_json(self.json)
+
+    def json_target(self) -> str | None:
+        return self.json

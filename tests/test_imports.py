@@ -18,7 +18,7 @@ PACKAGES = {"deformscope": ROOT / "deformscope", "deformscope_drivers": ROOT / "
 
 ABOVE_FRAMES = tuple(
     f"deformscope.{name}"
-    for name in ("sources", "replay", "log", "recorder", "session", "experiments", "cli", "config", "lab")
+    for name in ("sources", "replay", "log", "recorder", "session", "experiments", "cli", "config", "lab", "bench")
 )
 FORBIDDEN = {
     # Drivers can be split out one day by moving a folder.
@@ -34,6 +34,11 @@ FORBIDDEN = {
     # The simulated world must not share the model that is fitted to it.
     "deformscope.lab": ("deformscope.stages.msm", "deformscope.experiments", "deformscope.cli"),
     "deformscope.config": ("numpy", "rich", "rerun", "warp"),
+    # A GPU machine that has numpy, scipy and warp alone runs it.
+    "deformscope.bench": (
+        *("deformscope.cli", "deformscope.config", "deformscope.experiments", "deformscope.log", "deformscope.session"),
+        *("rerun", "tyro", "rich", "open3d", "cv2", "sklearn", "threadpoolctl"),
+    ),
 }
 
 
@@ -76,6 +81,15 @@ def test_imports_point_one_way(layer: str) -> None:
     ]
 
     assert wrong == []
+
+
+def test_other_engines_are_imported_in_their_own_processes_alone() -> None:
+    engines = ("pypbd", "mujoco", "newton")
+    importers = [
+        name for name, path in modules().items() if any(within(to, e) for to in imported(path) for e in engines)
+    ]
+
+    assert importers == ["deformscope.bench.peer_process"]
 
 
 def test_help_loads_nothing_heavy() -> None:

@@ -1,0 +1,65 @@
+"""`python -m deformscope.bench`: the rows as JSON, where numpy, scipy and warp are all there is.
+
+python -m deformscope.bench --device cuda --json -
+python -m deformscope.bench --quick --only step,relax --json bench.json
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from deformscope.bench.timing import CASES
+from deformscope.plain import plain
+
+
+def main() -> int:
+    """Measure, telling progress on stderr; whatever was measured is written, also when it ends early."""
+    parser = argparse.ArgumentParser(prog="python -m deformscope.bench", description=__doc__)
+    parser.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
+    parser.add_argument("--sizes", type=lambda text: tuple(int(part) for part in text.split(",")))
+    parser.add_argument("--repeats", type=int)
+    parser.add_argument("--only", type=lambda text: tuple(text.split(",")), default=CASES, help=",".join(CASES))
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--peers", action="store_true")
+    parser.add_argument("--json", default="-")
+    asked = parser.parse_args()
+    if unknown := set(asked.only) - set(CASES):
+        parser.error(f"expected --only out of {','.join(CASES)}; got {', '.join(sorted(unknown))}")
+
+    import warp as wp
+
+    from deformscope.bench.plan import Plan, default_sizes
+    from deformscope.bench.report import check, measure, report
+    from deformscope.errors import InputError
+    from deformscope.stages.msm.solver import pick_device
+
+    wp.config.log_level = wp.LOG_WARNING
+    try:
+        device = pick_device(asked.device)
+        sizes = asked.sizes or default_sizes(device, asked.quick)
+        plan = Plan(device, sizes, asked.repeats, asked.quick, asked.peers, asked.only)
+        check(plan)
+        rows, complete = [], False
+        try:
+            for row in measure(plan, lambda text: print(text, file=sys.stderr, flush=True)):
+                rows.append(row)
+            complete = True
+        finally:
+            text = json.dumps(plain(report(plan, rows, complete=complete)), indent=2, allow_nan=False) + "\n"
+            if asked.json == "-":
+                sys.stdout.write(text)
+            else:
+                Path(asked.json).write_text(text, encoding="utf-8")
+    except InputError as error:
+        print(f"deformscope: error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,80 @@
+"""The bodies that are measured: a cube pressed between two plates, and the thesis's sheet with one particle pushed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.stages.msm.clusters import Clusters, lattice
+
+PRESSED = 0.1
+"""Share of its height by which the cube is pressed."""
+SHEET = (7, 15)
+SHEET_CLUSTERS = (2, 4, 5)
+PUSH = 1.5
+"""How far the sheet's particle is pushed [spacings]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """A full lattice with some particles held. Lengths are in units of its spacing.
+
+    named: in the table; shape: (d,); rest: (K, d); held: (n,) indices; held_position: (n, d)
+    """
+
+    named: str
+    shape: tuple[int, ...]
+    rest: FloatArray
+    held: IntArray
+    held_position: FloatArray
+
+    @property
+    def particles(self) -> int:
+        return len(self.rest)
+
+    def clusters(self, size: int) -> Clusters:
+        """All windows of `size` particles a side."""
+        return lattice(self.rest, self.shape, np.arange(self.particles), size)
+
+
+def counted(particles: int) -> str:
+    """`1 000 000 particles`."""
+    return f"{particles:,} particles".replace(",", " ")
+
+
+def cube(side: int) -> Body:
+    """side^3 particles; the bottom plate is held, the top plate pressed towards it."""
+    shape = (side, side, side)
+    rest = np.indices(shape, dtype=np.float64).reshape(3, -1).T
+    plate = np.arange(side * side)
+    held = np.concatenate([plate, plate + side**3 - side * side])
+    position = rest[held]
+    position[side * side :, 0] -= PRESSED * (side - 1)
+    return Body(f"{counted(side**3)} between plates", shape, rest, held, position)
+
+
+def poked(side: int) -> Body:
+    """The same cube with the middle ninth of its top held and pressed as far.
+
+    Between plates that hold it all over, a cube without volume conservation is pressed alike in every column, which
+    conjugate gradients solve in about as many iterations as there are layers: such static states are all too easy.
+    """
+    body = cube(side)
+    tool = slice(side // 3, max(side - side // 3, side // 3 + 1))
+    index = np.arange(body.particles).reshape(body.shape)
+    held = np.concatenate([index[0].ravel(), index[-1, tool, tool].ravel()])
+    position = body.rest[held]
+    position[side * side :, 0] -= PRESSED * (side - 1)
+    return Body(f"{counted(side**3)} poked", body.shape, body.rest, held, position)
+
+
+def sheet() -> Body:
+    """7 x 15 particles in the plane; the bottom row stands, the top middle particle is pushed in."""
+    rows, columns = SHEET
+    rest = np.indices(SHEET, dtype=np.float64).reshape(2, -1).T
+    held = np.array([*range(columns), (rows - 1) * columns + columns // 2])
+    position = rest[held]
+    position[-1, 0] -= PUSH
+    return Body(f"{rows} x {columns} sheet", SHEET, rest, held, position)

@@ -1,0 +1,119 @@
+"""Fitting beta to the thesis's sheet: by following the gradient, and by the thesis's sweep of time stepping."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from deformscope.arrays import FloatArray
+from deformscope.bench.bodies import SHEET_CLUSTERS, sheet
+from deformscope.bench.plan import Plan, Tell
+from deformscope.bench.statics import SWEPT
+from deformscope.bench.timing import OURS, Contestant, Row, clock, compare
+from deformscope.stages.msm.solver import Msm
+
+TRUE_BETA, NOISE = 0.637, 0.02
+"""Of the sheet that is fitted; noise in spacings."""
+SETTLED = 1e-6
+"""The thesis's time stepping has arrived: rms of goal - position, as a share of the extent."""
+STEPS_MOST = 1_000_000
+TIGHT = 1e-11
+"""Tolerance of the static states that the answers are judged by."""
+
+Error = Callable[[FloatArray, FloatArray], float]
+
+
+def fit(plan: Plan, tell: Tell) -> Iterator[Row]:
+    """The same beta found in two ways, and how far each is from the error's minimum."""
+    from deformscope.stages.msm.fit import fit_beta
+
+    body = sheet()
+    for size in SHEET_CLUSTERS[1:2] if plan.quick else SHEET_CLUSTERS:
+        what = f"beta of the {body.named}, clusters of {size}^2"
+        tell(f"fit: {what}, counting the steps of the thesis's sweep")
+        engine = plan.engine(body, size)
+        truth = engine.relax(body.held_position, TRUE_BETA, tolerance=TIGHT).position[0]
+        observed = truth + NOISE * np.random.default_rng(0).standard_normal(truth.shape)
+        judged = _Judged(engine, body.held_position, observed)
+        steps = [_steps_needed(engine, body.held_position, float(beta)) for beta in SWEPT]
+
+        tell(f"fit: {what}")
+        turn = plan.turn(partial(_follow, fit_beta, judged))
+        ours = Contestant(what, f"{OURS}, by gradient", turn, found=partial(judged.answer, "gradient"))
+        thesis = Contestant(
+            *(what, f"{OURS}, the thesis's sweep", partial(clock, partial(_sweep, judged, steps))),
+            beside=ours,
+            facts={"steps": sum(steps), "settled": SETTLED},
+            found=partial(judged.answer, "sweep"),
+            note="100 betas in turn, time stepping until settled (steps counted beforehand)",
+        )
+        yield from compare("fit", [ours, thesis], plan.rounds)
+
+
+class _Judged:
+    """One problem, and the answers given to it. minimum: the beta of least error, to 1e-8, by two measures of error."""
+
+    def __init__(self, engine: Msm, held_position: FloatArray, observed: FloatArray) -> None:
+        self.engine, self.held_position, self.observed = engine, held_position, observed
+        self.answers: dict[str, float] = {}
+        self.minimum = {"mean_distance": self._least(mean_distance), "squares": self._least(squares)}
+
+    def _least(self, error: Error) -> float:
+        """The best of the sweep, refined by Brent's method."""
+
+        def at(beta: float) -> float:
+            position = self.engine.relax(self.held_position, beta, tolerance=TIGHT).position[0]
+            return error(position, self.observed)
+
+        every = self.engine.relax(self.held_position, SWEPT, tolerance=TIGHT).position
+        best = float(SWEPT[np.argmin([error(position, self.observed) for position in every])])
+        bounds = (max(best - 0.01, 0.0), best + 0.01)
+        found: Any = minimize_scalar(at, bounds=bounds, method="bounded", options={"xatol": 1e-8})
+        return float(found.x)
+
+    def answer(self, name: str) -> dict[str, object]:
+        """What one of them found, and how far that is from the minimum."""
+        away = {f"from_minimum_of_{error}": self.answers[name] - beta for error, beta in self.minimum.items()}
+        return {"beta": self.answers[name], "truth": TRUE_BETA, **away}
+
+
+def mean_distance(position: FloatArray, observed: FloatArray) -> float:
+    """Average Euclidean error (Thesis eq. 3.18)."""
+    return float(np.linalg.norm(position - observed, axis=-1).mean())
+
+
+def squares(position: FloatArray, observed: FloatArray) -> float:
+    """Sum of squared distances."""
+    return float(np.sum((position - observed) ** 2))
+
+
+def _follow(fit_beta: Callable[..., Any], judged: _Judged) -> None:
+    judged.answers["gradient"] = float(fit_beta(judged.engine, judged.held_position, judged.observed).value)
+
+
+def _sweep(judged: _Judged, steps: list[int]) -> None:
+    """Algorithm 3: every beta from rest by time stepping, and the one of least error."""
+    engine, errors = judged.engine, []
+    for beta, count in zip(SWEPT, steps, strict=True):
+        position = engine.step(engine.start(), judged.held_position, float(beta), steps=count)
+        errors.append(mean_distance(position[0], judged.observed))
+    judged.answers["sweep"] = float(SWEPT[np.argmin(errors)])
+
+
+def _steps_needed(engine: Msm, held_position: FloatArray, beta: float) -> int:
+    """Time steps from rest until settled, looked for in strides of a quarter and then placed between two looks by the
+    rate at which the residual falls."""
+    state, done, last = engine.start(), 0, np.inf
+    while done < STEPS_MOST:
+        stride = max(20, done // 4)
+        position = engine.step(state, held_position, beta, steps=stride)
+        now = float(np.sqrt(np.mean(engine.residual(position, beta) ** 2))) / engine.extent
+        if now <= SETTLED:
+            share = np.log(SETTLED / last) / np.log(now / last) if np.isfinite(last) and now < last else 1.0
+            return done + max(1, round(float(share) * stride))
+        done, last = done + stride, now
+    return done

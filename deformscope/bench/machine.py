@@ -1,0 +1,49 @@
+"""What a figure depends on besides the code: the machine, and what runs on it."""
+
+from __future__ import annotations
+
+import os
+import platform
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+
+from deformscope import __version__
+
+
+def machine(device: str) -> dict[str, object]:
+    """Facts for the JSON. load: of the last minute, when asked; what others run makes every figure larger."""
+    gpu = None if device == "cpu" else wp.get_device(device)
+    return {
+        "cpu": _cpu(),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
+        "device": device,
+        "gpu": None if gpu is None else gpu.name,
+        "gpu_memory_bytes": None if gpu is None else gpu.total_memory,
+        "system": platform.platform(),
+        "python": platform.python_version(),
+        "deformscope": __version__,
+        "warp": wp.config.version,
+        "numpy": np.__version__,
+        "peers": {name: found for name in ("pypbd", "mujoco", "newton") if (found := _version(name))},
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
+def _cpu() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None

@@ -1,0 +1,58 @@
+"""How much memory something took: of the process on a CPU, of the device's pool on a GPU."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import gc
+from pathlib import Path
+
+import warp as wp
+
+
+class Meter:
+    """Bytes above where it was last set to zero. `peak` is the most since then; None where the system does not say."""
+
+    def __init__(self, device: str) -> None:
+        self._device = device
+        self._base: int | None = None
+        self._gpu = device != "cpu"
+        self.zero()
+
+    def zero(self) -> None:
+        """Count from here. On Linux the kernel forgets the process's highest mark."""
+        gc.collect()
+        if self._gpu:
+            if not wp.is_mempool_supported(self._device):
+                return
+            wp.synchronize_device(self._device)
+            self._base = wp.get_mempool_used_mem_current(self._device)
+            self._highest = wp.get_mempool_used_mem_high(self._device)
+            return
+        with contextlib.suppress(OSError, AttributeError):
+            ctypes.CDLL(None).malloc_trim(0)  # what is free goes back, else it would hide what is taken next
+        try:
+            Path("/proc/self/clear_refs").write_text("5")
+        except OSError:
+            self._base = None
+            return
+        self._base = _status("VmRSS")
+
+    def peak(self) -> int | None:
+        """The most bytes at once since zero; on a GPU None where an earlier body took more: all that the pool tells."""
+        if self._base is None:
+            return None
+        if self._gpu:
+            wp.synchronize_device(self._device)
+            highest = wp.get_mempool_used_mem_high(self._device)
+            return highest - self._base if highest > self._highest else None
+        highest_rss = _status("VmHWM")
+        return None if highest_rss is None else highest_rss - self._base
+
+
+def _status(name: str) -> int | None:
+    try:
+        text = Path("/proc/self/status").read_text()
+    except OSError:
+        return None
+    return next((int(line.split()[1]) * 1024 for line in text.splitlines() if line.startswith(f"{name}:")), None)

@@ -1,0 +1,93 @@
+"""What is to be measured, and for how long."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from deformscope.bench.bodies import Body
+from deformscope.bench.timing import CASES, Case, Timing, clock
+from deformscope.stages.msm.solver import Msm, Precision
+
+SIZES = (216, 512, 1331, 50_653, 195_112, 1_000_000)
+QUICK_SIZES = (216, 1331)
+CUDA_SIZE = 9_938_375
+"""215^3: only a GPU takes it on by default."""
+
+CLUSTER = 3
+"""Particles a side of a cluster, wherever nothing else is said."""
+MIDDLE = 11
+"""Side of the cube of 1331 particles, at which most is compared."""
+BETA = 0.7
+
+Tell = Callable[[str], None]
+"""Told what is being measured."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What to measure.
+
+    device: warp's name; sizes: particles of the cubes, each n^3; repeats: rounds of every comparison, None = what fits
+    quick: short rounds and less of everything; peers: other engines too; only: which cases
+    """
+
+    device: str
+    sizes: tuple[int, ...]
+    repeats: int | None = None
+    quick: bool = False
+    peers: bool = False
+    only: tuple[Case, ...] = CASES
+
+    @property
+    def cpu(self) -> bool:
+        return self.device == "cpu"
+
+    @property
+    def turn_s(self) -> float:
+        """How long one contestant's turn takes where that can be chosen."""
+        return 0.02 if self.quick else 0.1
+
+    @property
+    def longest_s(self) -> float:
+        """What is expected to take longer for one row is left out."""
+        return 3.0 if self.quick else 20.0
+
+    def rounds(self, seconds: float, least: int = 1) -> int:
+        """How often to repeat a round that takes so long."""
+        if self.repeats is not None:
+            return self.repeats
+        budget_s, most = (0.5, 3) if self.quick else (4.0, 9)
+        return max(least, min(most, int(budget_s / max(seconds, 1e-9))))
+
+    def rounds_of_steps(self, seconds: float) -> int:
+        """The same where a round is made short, so that there are always some."""
+        return self.rounds(seconds, 3)
+
+    def engine(self, body: Body, size: int = CLUSTER, precision: Precision = "float64") -> Msm:
+        """The body in overlapping clusters on the plan's device."""
+        return Msm(body.rest, body.clusters(size), body.held, precision=precision, device=self.device)
+
+    def turn(self, work: Callable[[], object]) -> Callable[[], Timing]:
+        """A contestant's turn of something short: it runs as often as fits, and the time of one is told."""
+        work()
+        count = max(1, min(10_000, int(self.turn_s / clock(work).wall_s)))
+
+        def often() -> None:
+            for _ in range(count):
+                work()
+
+        return lambda: clock(often).per(count)
+
+
+def default_sizes(device: str, quick: bool) -> tuple[int, ...]:
+    """Sizes that take about 2 minutes in all on 2 cores."""
+    if quick:
+        return QUICK_SIZES
+    return SIZES if device == "cpu" else (*SIZES, CUDA_SIZE)
+
+
+def side_of(particles: int) -> int:
+    """The n of n^3; 0 where it is no cube."""
+    side = round(particles ** (1 / 3))
+    return side if side**3 == particles else 0

@@ -1,0 +1,64 @@
+"""One run of the bench: its rows as they come, and all of it as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from deformscope.bench.fitting import fit
+from deformscope.bench.machine import machine
+from deformscope.bench.peers import require_peers
+from deformscope.bench.plan import Plan, Tell, side_of
+from deformscope.bench.starting import cold
+from deformscope.bench.statics import gradient, relax, sweep, theta
+from deformscope.bench.steps import candidates_at_once, steps
+from deformscope.bench.timing import Case, Row
+from deformscope.errors import InputError
+
+FORMAT = 1
+"""Of the JSON; a change that breaks readers raises it."""
+
+Rows = Callable[[Plan, Tell], Iterator[Row]]
+
+MEASURES: tuple[tuple[frozenset[Case], Rows], ...] = (
+    (frozenset({"step", "memory"}), steps),
+    (frozenset({"relax"}), relax),
+    (frozenset({"sweep"}), sweep),
+    (frozenset({"sweep"}), candidates_at_once),
+    (frozenset({"theta"}), theta),
+    (frozenset({"gradient"}), gradient),
+    (frozenset({"fit"}), fit),
+    (frozenset({"cold"}), cold),
+)
+
+
+def check(plan: Plan) -> None:
+    """Raises InputError for what cannot be measured."""
+    odd = [size for size in plan.sizes if side_of(size) < 4]
+    if odd:
+        raise InputError("sizes that are cubes of 4 or more", ", ".join(map(str, odd)), "--sizes 216,1331")
+    if plan.peers:
+        require_peers()
+
+
+def measure(plan: Plan, tell: Tell) -> Iterator[Row]:
+    """Each row of the plan as soon as it is known."""
+    for cases, rows in MEASURES:
+        if cases & set(plan.only):
+            yield from (row for row in rows(plan, tell) if row.case in plan.only)
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """One run, as its JSON has it. complete: whether it ran to its end."""
+
+    format: int
+    complete: bool
+    machine: Mapping[str, object]
+    settings: Plan
+    rows: tuple[Mapping[str, object], ...]
+
+
+def report(plan: Plan, rows: Sequence[Row], *, complete: bool) -> Report:
+    """All of it. The machine's load is that of the end."""
+    return Report(FORMAT, complete, machine(plan.device), plan, tuple(row.plain() for row in rows))

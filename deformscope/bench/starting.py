@@ -1,0 +1,47 @@
+"""How long a new process takes to its first result, with kernels to compile and with kernels compiled before."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+
+from deformscope.bench.bodies import counted
+from deformscope.bench.first_result import SIDE
+from deformscope.bench.peers import search_path
+from deformscope.bench.plan import Plan, Tell
+from deformscope.bench.timing import OURS, Row
+
+WARM_STARTS = 3
+
+
+def cold(plan: Plan, tell: Tell) -> Iterator[Row]:
+    """From process start to the first static state, less the time that imports take."""
+    what = f"first static state, {counted(SIDE**3)}"
+    with tempfile.TemporaryDirectory() as cache:
+        tell("cold: first result, compiling")
+        result_s, import_s = _start(plan.device, cache)
+        yield Row("cold", f"{what}, empty kernel cache", OURS, "s", (result_s,), facts={"import_s": import_s})
+        tell("cold: first result, compiled before")
+        again = [_start(plan.device, cache) for _ in range(1 if plan.quick else WARM_STARTS)]
+        facts = {"import_s": min(seconds for _, seconds in again)}
+        yield Row("cold", f"{what}, kernels compiled", OURS, "s", tuple(s for s, _ in again), facts=facts)
+
+
+def _start(device: str, cache: str) -> tuple[float, float]:
+    """Seconds of a new process from its start to its result without imports, and of its imports."""
+    # Both processes read the same clock, so that starting the interpreter counts too.
+    began_s = time.perf_counter()
+    ended = subprocess.run(
+        [sys.executable, "-m", "deformscope.bench.first_result", device],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=os.environ | {"WARP_CACHE_PATH": cache, "PYTHONPATH": search_path()},
+    )
+    told = json.loads(ended.stdout)
+    return told["ended_s"] - began_s - told["import_s"], told["import_s"]

@@ -1,0 +1,114 @@
+"""Static states: one, a sweep of a hundred, a single cluster's, and their gradient."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.bench.bodies import SHEET_CLUSTERS, Body, counted, cube, poked, sheet
+from deformscope.bench.plan import BETA, CLUSTER, MIDDLE, Plan, Tell, side_of
+from deformscope.bench.timing import OURS, Contestant, Row, clock, compare
+from deformscope.stages.msm.clusters import single
+from deformscope.stages.msm.solver import Msm, Relaxed
+
+SWEPT = np.arange(100) * 0.01
+"""The betas of the thesis's sweep (Algorithm 3)."""
+
+THETA_BETA, THETA = 0.99, 0.9
+ONE_CLUSTER_SIDES = (6, 11, 32, 64)
+ALL_PARTICLES_MOST = 1331
+"""Particles up to which the single cluster is relaxed particle by particle too."""
+
+
+def relax(plan: Plan, tell: Tell) -> Iterator[Row]:
+    """The static state of ever larger cubes, from rest."""
+    plan.engine(cube(4)).relax(cube(4).held_position, BETA)  # loads the kernels
+    for make in (cube, poked):
+        yield from _growing(plan, tell, make)
+
+
+def _growing(plan: Plan, tell: Tell, make: Callable[[int], Body]) -> Iterator[Row]:
+    last_s, before = 0.0, 1
+    for particles in plan.sizes:
+        body = make(side_of(particles))
+        what = f"{body.named}, clusters of {CLUSTER}^3"
+        tell(f"relax: {what}")
+        # Iterations grow with the side.
+        if (expected_s := last_s * (particles / before) ** (4 / 3)) > plan.longest_s:
+            yield Row("relax", what, OURS, "ms", (), note=f"left out: it would take some {expected_s:.0f} s")
+            continue
+        (row,) = compare("relax", [_relaxing(plan.engine(body), body, what, BETA)], plan.rounds)
+        last_s, before = min(row.samples) / 1e3, particles
+        yield row
+
+
+def sweep(plan: Plan, tell: Tell) -> Iterator[Row]:
+    """Static states of 100 betas in one launch."""
+    for small in (sheet(), cube(4)):
+        plan.engine(small).relax(small.held_position, BETA)  # loads the kernels
+    sizes = SHEET_CLUSTERS[1:2] if plan.quick else SHEET_CLUSTERS
+    for body, size in [(poked(MIDDLE), CLUSTER), *((sheet(), size) for size in sizes)]:
+        what = f"{len(SWEPT)} betas, {body.named}, clusters of {size}^{body.rest.shape[1]}"
+        tell(f"sweep: {what}")
+        yield from compare("sweep", [_relaxing(plan.engine(body, size), body, what, SWEPT)], plan.rounds)
+
+
+def _relaxing(engine: Msm, body: Body, what: str, beta: FloatArray | float) -> Contestant:
+    last: list[Relaxed] = []
+
+    def run() -> None:
+        last[:] = [engine.relax(body.held_position, beta)]
+
+    def facts() -> dict[str, object]:
+        (result,) = last
+        numbers: dict[str, object] = {"particles": body.particles, "iterations_most": int(result.iterations.max())}
+        return numbers | {"converged": int(result.converged.sum()), "candidates": len(result.converged)}
+
+    return Contestant(what, OURS, lambda: clock(run), found=facts)
+
+
+def theta(plan: Plan, tell: Tell) -> Iterator[Row]:
+    """The static state of a single quadratic cluster under eq. 3.17, by its moments and by all its particles."""
+    from deformscope.stages.msm.reduced import OneCluster
+
+    contestants: list[Contestant] = []
+    for side in ONE_CLUSTER_SIDES[:2] if plan.quick else ONE_CLUSTER_SIDES:
+        body = cube(side)
+        what = f"{counted(body.particles)} in one quadratic cluster"
+        tell(f"theta: {what}")
+        one = OneCluster(body.rest, body.held, basis="quadratic", device=plan.device)
+        held = one.hold(body.held_position)
+        result = one.relax(held, THETA_BETA, THETA)
+        told: dict[str, float] = {
+            "iterations_most": int(result.iterations.max()),
+            "converged": int(result.converged.sum()),
+        }
+        told |= {"hold_ms": 1e3 * clock(partial(one.hold, body.held_position)).wall_s, "candidates": 1}
+        smallest = contestants[0] if contestants else None
+        turn = plan.turn(partial(one.relax, held, THETA_BETA, THETA))
+        contestants.append(Contestant(what, OURS, turn, beside=smallest, facts=told))
+        if body.particles <= ALL_PARTICLES_MOST:
+            engine = Msm(body.rest, single(body.particles), body.held, basis="quadratic", device=plan.device)
+            turn = plan.turn(partial(engine.relax, body.held_position, THETA_BETA, THETA))
+            contestants.append(Contestant(what, f"{OURS}, particle by particle", turn, beside=contestants[-1]))
+    yield from compare("theta", contestants, plan.rounds_of_steps)
+
+
+def gradient(plan: Plan, tell: Tell) -> Iterator[Row]:
+    """The gradient of an error over every cluster's beta, beside one static state."""
+    for body, size in ((poked(MIDDLE), CLUSTER), (sheet(), 4)):
+        what = f"{body.named}, clusters of {size}^{body.rest.shape[1]}"
+        tell(f"gradient: {what}")
+        engine: Any = plan.engine(body, size)
+        position = engine.relax(body.held_position, BETA).position
+        cotangent = np.random.default_rng(0).standard_normal(position.shape)
+        settle = plan.turn(partial(engine.relax, body.held_position, BETA))
+        descend = plan.turn(partial(engine.gradient, position, BETA, 0.0, cotangent=cotangent))
+        facts = {"clusters": engine.cluster_count}
+        state = Contestant(f"static state, {what}", OURS, settle)
+        slope = Contestant(f"gradient by every cluster's beta, {what}", OURS, descend, beside=state, facts=facts)
+        yield from compare("gradient", [state, slope], plan.rounds_of_steps)

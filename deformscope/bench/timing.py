@@ -1,0 +1,152 @@
+"""Clocks, and rows of results: what ran, how long each time, and beside what."""
+
+from __future__ import annotations
+
+import gc
+import statistics
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+Case = Literal["step", "memory", "relax", "sweep", "theta", "gradient", "fit", "cold"]
+
+CASES: tuple[Case, ...] = get_args(Case)
+
+OURS = "deformscope"
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """One run. wall_s: what it took [s]; cpu_s: what all threads of its process worked meanwhile [s]."""
+
+    wall_s: float
+    cpu_s: float
+
+    def per(self, count: int, without: Timing | None = None) -> Timing:
+        """The share of one of `count` equal parts, less what another run took."""
+        base = Timing(0.0, 0.0) if without is None else without
+        return Timing((self.wall_s - base.wall_s) / count, (self.cpu_s - base.cpu_s) / count)
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of the table.
+
+    case: which part of the bench; what: was done; who: did it; unit: of the samples; samples: one a round
+    costs: median over rounds of its cost over that of the row it is compared with, None where there is none
+    beside: what that row is; same: False where it solves another problem (context, no comparison of like with like)
+    facts: what else is known, by name with its unit; note: what a reader must know
+    """
+
+    case: Case
+    what: str
+    who: str
+    unit: str
+    samples: tuple[float, ...]
+    costs: float | None = None
+    beside: str = ""
+    same: bool = True
+    facts: Mapping[str, object] = field(default_factory=dict)
+    note: str = ""
+
+    @property
+    def median(self) -> float | None:
+        return statistics.median(self.samples) if self.samples else None
+
+    @property
+    def spread(self) -> float | None:
+        """Interquartile range, in the unit of the samples; None for fewer than 3."""
+        if len(self.samples) < 3:
+            return None
+        low, _, high = statistics.quantiles(self.samples, n=4, method="inclusive")
+        return high - low
+
+    def plain(self) -> dict[str, object]:
+        """As it stands in the JSON."""
+        return {
+            "case": self.case,
+            "what": self.what,
+            "who": self.who,
+            "unit": self.unit,
+            "median": self.median,
+            "iqr": self.spread,
+            "repeats": len(self.samples),
+            "samples": list(self.samples),
+            "costs": self.costs,
+            "beside": self.beside,
+            "same_problem": self.same,
+            "facts": dict(self.facts),
+            "note": self.note,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Contestant:
+    """Something that can be run once, on the clock.
+
+    run: once, and the time of it; amount: how many of the unit's things that was (steps, candidates)
+    beside: whom it is compared with; facts: what is known before it runs; found: what is known once it has
+    """
+
+    what: str
+    who: str
+    run: Callable[[], Timing]
+    unit: str = "ms"
+    amount: float = 1.0
+    beside: Contestant | None = None
+    same: bool = True
+    facts: Mapping[str, object] = field(default_factory=dict)
+    found: Callable[[], Mapping[str, object]] = dict
+    note: str = ""
+
+    def sample(self, timing: Timing) -> float:
+        """What the table shows of one run."""
+        if self.unit.endswith("/s"):
+            return self.amount / timing.wall_s
+        return timing.wall_s / self.amount * (1e3 if self.unit.startswith("ms") else 1.0)
+
+
+def clock(work: Callable[[], object]) -> Timing:
+    """Run it once. What it returns is thrown away after the clock has stopped."""
+    gc.collect()
+    cpu_s, wall_s = time.process_time(), time.perf_counter()
+    kept = work()
+    timing = Timing(time.perf_counter() - wall_s, time.process_time() - cpu_s)
+    del kept
+    return timing
+
+
+def compare(case: Case, contestants: Sequence[Contestant], rounds: Callable[[float], int]) -> list[Row]:
+    """Every contestant once a round, in turn (A B C A B C...): what disturbs the machine disturbs all alike.
+
+    rounds: how many, told the seconds of the first; that one only warms up, unless there is no other.
+    """
+    began_s = time.perf_counter()
+    taken = [[contestant.run()] for contestant in contestants]
+    count = rounds(time.perf_counter() - began_s)
+    if count > 1:
+        taken = [[] for _ in contestants]
+    for _ in range(count if count > 1 else 0):
+        for timings, contestant in zip(taken, contestants, strict=True):
+            timings.append(contestant.run())
+    return [_row(case, index, contestants, taken) for index in range(len(contestants))]
+
+
+def _row(case: Case, index: int, contestants: Sequence[Contestant], taken: Sequence[Sequence[Timing]]) -> Row:
+    contestant, timings, costs = contestants[index], taken[index], None
+    other = contestant.beside
+    if other is not None:
+        costs = statistics.median(
+            (mine.wall_s / contestant.amount) / (theirs.wall_s / other.amount)
+            for mine, theirs in zip(timings, taken[contestants.index(other)], strict=True)
+        )
+    wall_s = sum(timing.wall_s for timing in timings)
+    threads = {"threads": round(sum(timing.cpu_s for timing in timings) / wall_s, 2)}
+    return Row(
+        *(case, contestant.what, contestant.who, contestant.unit, tuple(map(contestant.sample, timings)), costs),
+        beside="" if other is None else f"{other.who}: {other.what}",
+        same=contestant.same,
+        facts=threads | dict(contestant.facts) | dict(contestant.found()),
+        note=contestant.note,
+    )

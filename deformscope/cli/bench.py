@@ -1,0 +1,122 @@
+"""`deformscope bench`: what MSM costs on this machine, as a table.
+
+deformscope bench
+deformscope bench --quick --only step,relax --json -
+deformscope bench --peers --json bench.json
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from deformscope.cli.common import console, quiet_warp, write_json
+from deformscope.config import BenchConfig
+
+if TYPE_CHECKING:
+    from deformscope.bench.timing import Row
+
+WIDTH = 200
+"""Columns of the table where there is no terminal to fit it to."""
+
+FACTS: dict[str, Callable[[Any], str]] = {
+    "setup_s": lambda value: f"set-up {value:.3g} s",
+    "hold_ms": lambda value: f"holding {value:.2g} ms more",
+    "iterations_most": lambda value: f"{value} iterations",
+    "steps": lambda value: f"{value:,} steps".replace(",", " "),
+    "beta": lambda value: f"beta {value:.4f}",
+    "from_minimum_of_mean_distance": lambda value: f"{value:+.1e} from the least mean distance",
+    "from_minimum_of_squares": lambda value: f"{value:+.1e} from the least squares",
+    "import_s": lambda value: f"imports {value:.2g} s more",
+}
+"""What of a row's facts the table shows, and how."""
+
+REMARK = (
+    "costs: median over rounds of this row over the row it is beside (the first of its body by deformscope). "
+    "Dim rows solve another problem."
+)
+
+
+def run(config: BenchConfig) -> None:
+    """Measure, and show what there is when it ends, also where it ends early."""
+    quiet_warp()
+    from deformscope.bench.plan import Plan, default_sizes
+    from deformscope.bench.report import check, measure, report
+    from deformscope.bench.timing import CASES
+    from deformscope.stages.msm.solver import pick_device
+
+    device = pick_device(config.device)
+    sizes = config.sizes or default_sizes(device, config.quick)
+    plan = Plan(device, sizes, config.repeats, config.quick, config.peers, config.only or CASES)
+    check(plan)
+    rows: list[Row] = []
+    complete = False
+    where = console()
+    try:
+        # Lines, no spinner: its thread would take its share of what is measured.
+        for row in measure(plan, lambda doing: where.print(doing, style="dim", markup=False)):
+            rows.append(row)
+        complete = True
+    finally:
+        told = report(plan, rows, complete=complete)
+        if rows:
+            show(rows, told.machine, complete)
+        write_json(told, config.json)
+
+
+def show(rows: Sequence[Row], machine: Mapping[str, Any], complete: bool) -> None:
+    """One line a row, in sections by case; on stderr where `--json -` has taken stdout."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from deformscope.bench.timing import CASES
+
+    out = Console(file=sys.stdout, highlight=False, width=None if sys.stdout.isatty() else WIDTH)
+    processor = machine["gpu"] or f"{machine['cpu']}, {machine['cores']} cores, load {machine['load']:.1f}"
+    table = Table(title=f"What MSM costs on {machine['device']} ({processor}; warp {machine['warp']})")
+    table.add_column("case")
+    table.add_column("what", no_wrap=out.width >= WIDTH)
+    table.add_column("by", no_wrap=out.width >= WIDTH)
+    for heading in ("median", "IQR"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
+    for heading in ("rounds", "costs"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("", overflow="fold")
+    last = ""
+    for row in sorted(rows, key=lambda row: CASES.index(row.case)):
+        if last and row.case != last:
+            table.add_section()
+        costs = "" if row.costs is None else f"{number(row.costs)}x"
+        table.add_row(
+            *("" if row.case == last else row.case, row.what, row.who, number(row.median), number(row.spread)),
+            *(row.unit, str(len(row.samples) or ""), costs, details(row)),
+            style=None if row.same else "dim",
+        )
+        last = row.case
+    out.print(table)
+    out.print(REMARK, markup=False)
+    if not complete:
+        out.print("It ended early: rows are missing.", style="bold", markup=False)
+
+
+def number(value: float | None) -> str:
+    """Three digits that count, thousands apart."""
+    if value is None:
+        return ""
+    if abs(value) >= 1000:
+        return f"{value:,.0f}".replace(",", " ")
+    return f"{value:.3g}"
+
+
+def details(row: Row) -> str:
+    """What a reader must know of a row besides its figures."""
+    told = [text(row.facts[name]) for name, text in FACTS.items() if row.facts.get(name) is not None]
+    threads = row.facts.get("threads")
+    if isinstance(threads, float) and abs(threads - 1) > 0.1:
+        told.append(f"{threads:.2g} threads")
+    candidates = row.facts.get("candidates")
+    if candidates is not None:
+        told.append(f"{row.facts['converged']} of {candidates} converged")
+    return "; ".join([*told, *([row.note] if row.note else [])])

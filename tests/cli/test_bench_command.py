@@ -1,0 +1,213 @@
+"""`deformscope bench`: no figure is asserted here, only that it measures what it says, and tells all of it."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("tyro")
+
+from deformscope.bench import peers, report
+from deformscope.bench.numpy_step import NumpyLattice
+from deformscope.bench.peers import Peer
+from deformscope.bench.plan import Plan, Tell
+from deformscope.bench.timing import Contestant, Row, Timing, compare
+from deformscope.cli import EXIT_INPUT, EXIT_INTERRUPTED, main
+from deformscope.stages.msm import reference
+from deformscope.stages.msm.clusters import lattice
+
+SHORT = ["bench", "--quick", "--device", "cpu", "--sizes", "64", "--repeats", "3"]
+TOP = {"format", "complete", "machine", "settings", "rows"}
+OF_ROWS = {
+    *("case", "what", "who", "unit", "median", "iqr", "repeats", "samples"),
+    *("costs", "beside", "same_problem", "facts", "note"),
+}
+WITHIN = 1e-12
+"""Both are float64; positions and velocities differ by rounding alone."""
+
+
+@pytest.fixture(autouse=True)
+def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def run_module(*args: str, without: tuple[str, ...] = ()) -> subprocess.CompletedProcess[str]:
+    """`python -m deformscope.bench` in a process that lacks some packages."""
+    script = f"import runpy, sys; sys.modules.update(dict.fromkeys({without!r})); sys.argv[1:] = {list(args)!r}; "
+    return subprocess.run(
+        [sys.executable, "-c", script + "runpy.run_module('deformscope.bench', run_name='__main__', alter_sys=True)"],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+    )
+
+
+def test_a_table_and_all_of_it_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*SHORT, "--only", "step,relax", "--json", "bench.json"]) == 0
+    out, err = capsys.readouterr()
+    told = json.loads(Path("bench.json").read_text(encoding="utf-8"))
+
+    assert told.keys() == TOP
+    assert told["complete"] is True
+    assert {"cpu", "cores", "load", "device", "gpu", "warp", "numpy", "deformscope", "date"} <= told["machine"].keys()
+    assert told["settings"]["sizes"] == [64]
+    assert all(row.keys() == OF_ROWS for row in told["rows"])
+    assert [(row["case"], row["who"]) for row in told["rows"]] == [
+        ("step", "deformscope"),
+        ("step", "NumPy, batched SVD"),
+        ("relax", "deformscope"),
+        ("relax", "deformscope"),
+    ]
+    ours, numpy, static, _ = told["rows"]
+    assert (ours["repeats"], len(ours["samples"]), ours["costs"]) == (3, 3, None)
+    assert (numpy["costs"] > 0, numpy["beside"]) == (True, f"deformscope: {ours['what']}")
+    assert (static["facts"]["converged"], static["facts"]["candidates"]) == (1, 1)
+    assert "ms/step" in out
+    assert "64 particles, clusters of 3^3" in out
+    assert "step: 64 particles" in err
+
+
+def test_json_has_stdout_to_itself(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*SHORT, "--only", "relax", "--json", "-"]) == 0
+
+    assert json.loads(capsys.readouterr().out).keys() == TOP
+
+
+@pytest.mark.parametrize("case", ["sweep", "theta", "gradient", "fit", "cold"])
+def test_every_case_gives_rows(case: str) -> None:
+    assert main([*SHORT, "--repeats", "1", "--only", case, "--json", "bench.json"]) == 0
+    rows = json.loads(Path("bench.json").read_text(encoding="utf-8"))["rows"]
+
+    assert {row["case"] for row in rows} == {case}
+    assert all(row["median"] > 0 for row in rows)
+
+
+def test_memory_is_told_of_bodies_that_take_some() -> None:
+    assert main([*SHORT[:-3], "13824", "--only", "memory", "--json", "bench.json"]) == 0
+    rows = json.loads(Path("bench.json").read_text(encoding="utf-8"))["rows"]
+
+    assert all(row["unit"] == "B/particle (process)" for row in rows)
+    assert len(rows) in (0, 2)  # some systems do not say
+
+
+@pytest.mark.parametrize(("shape", "size"), [((5, 6, 7), 3), ((4, 4, 5), 2), ((7, 9), 4), ((9, 10, 9), 9)])
+def test_numpy_takes_the_reference_s_step(shape: tuple[int, ...], size: int) -> None:
+    d, rng = len(shape), np.random.default_rng(0)
+    rest = np.indices(shape, dtype=float).reshape(d, -1).T
+    held = np.zeros(shape, dtype=bool)
+    held[0] = held[-1] = True
+    index = np.flatnonzero(held)
+    x, v = rest + 0.3 * rng.standard_normal(rest.shape), rng.standard_normal(rest.shape)
+    body = reference.build_rest(rest, lattice(rest, shape, np.arange(len(rest)), size), index)
+    x_wanted, v_wanted = reference.step(x, v, body, rest[index] + 0.1, beta=0.7, alpha=0.8, dt=1.0)
+
+    x_new, v_new = NumpyLattice.build(size, held).step(
+        x.T.reshape(d, *shape), v.T.reshape(d, *shape), (rest[index] + 0.1).T, 0.7, alpha=0.8, dt=1.0
+    )
+
+    np.testing.assert_allclose(x_new.reshape(d, -1).T, x_wanted, rtol=0, atol=WITHIN)
+    np.testing.assert_allclose(v_new.reshape(d, -1).T, v_wanted, rtol=0, atol=WITHIN)
+
+
+def test_contestants_take_turns_and_are_compared_within_rounds() -> None:
+    ran: list[str] = []
+
+    def runs(name: str, seconds: list[float]) -> Contestant:
+        def run() -> Timing:
+            ran.append(name)
+            return Timing(seconds[ran.count(name) - 1], 0.0)
+
+        return Contestant("a step", name, run, "ms/step")
+
+    ours = runs("ours", [9.0, 1.0, 2.0, 4.0])
+    theirs = runs("theirs", [9.0, 3.0, 8.0, 8.0])
+    first, second = compare(
+        "step", [ours, Contestant("a step", "theirs", theirs.run, "steps/s", 2.0, beside=ours)], lambda seconds: 3
+    )
+
+    assert ran == ["ours", "theirs"] * 4
+    assert first.samples == (1000.0, 2000.0, 4000.0)
+    assert (first.median, first.spread, first.costs) == (2000.0, 1500.0, None)
+    assert second.samples == (2 / 3, 2 / 8, 2 / 8)
+    assert second.costs == 1.5  # the middle one of 3/1, 8/2 and 8/4, for two steps instead of one
+
+
+def test_other_engines_that_are_not_installed_are_asked_for(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(peers, "find_spec", lambda name: None)
+
+    assert main([*SHORT, "--peers"]) == EXIT_INPUT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "pip install 'deformscope[peers]'" in line
+
+
+def test_what_was_measured_is_kept_when_it_is_interrupted(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(plan: Plan, tell: Tell) -> Iterator[Row]:
+        yield Row("step", "64 particles", "deformscope", "ms/step", (1.5,))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(report, "MEASURES", ((frozenset({"step"}), interrupted),))
+
+    assert main([*SHORT, "--json", "bench.json"]) == EXIT_INTERRUPTED
+    out, err = capsys.readouterr()
+    told = json.loads(Path("bench.json").read_text(encoding="utf-8"))
+    assert told["complete"] is False
+    assert [row["samples"] for row in told["rows"]] == [[1.5]]
+    assert "64 particles" in out
+    assert "rows are missing" in out
+    assert "interrupted" in err
+
+
+@pytest.mark.parametrize(
+    ("args", "told"),
+    [
+        (["--sizes", "1000,1001"], "1001"),
+        (["--sizes", "27"], "cubes of 4 or more"),
+        (["--only", "step,walk"], "'walk'"),
+        (["--repeats", "0"], "1 or more"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused(args: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", *args]) == EXIT_INPUT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert told in line
+
+
+def test_a_gpu_that_is_not_there_is_said() -> None:
+    wp = pytest.importorskip("warp")
+    if wp.is_cuda_available():
+        pytest.skip("warp finds a CUDA device")
+
+    assert main(["bench", "--device", "cuda"]) == EXIT_INPUT
+
+
+def test_it_runs_where_numpy_scipy_and_warp_are_all_there_is() -> None:
+    lacking = ("rich", "tyro", "rerun", "open3d", "cv2", "sklearn", "threadpoolctl", "msgspec", "matplotlib")
+    ran = run_module(
+        *("--quick", "--device", "cpu", "--sizes", "64", "--only", "step,memory,relax", "--repeats", "1"),
+        without=lacking,
+    )
+
+    assert (ran.returncode, "Traceback" in ran.stderr) == (0, False), ran.stderr
+    assert json.loads(ran.stdout)["complete"] is True
+
+
+def test_pypbd_keeps_every_cluster_and_moves() -> None:
+    pytest.importorskip("pypbd")
+    with Peer("pypbd", 5) as peer:
+        assert peer.facts["constraints_kept"] == peer.facts["clusters"] == 27
+        assert isinstance(moved := peer.facts["moved_spacings_rms"], float)
+        assert moved > 0.01
+        assert peer.steps(3).wall_s > 0
