@@ -25,6 +25,9 @@ PART_BLOCKS = {"cpu": 256, "cuda": 8}
 
 MOST_PARTS = 256
 
+ROUNDING = {wp.float32: 1e-8, wp.float64: 1e-14}
+"""Residual that is but rounding, as a share of the displacements (or of a spacing)."""
+
 REPLAYS = {"cpu": 1, "cuda": 8}
 """Iterations between looks at which candidates still run: on a GPU, a look waits for the device."""
 
@@ -78,6 +81,12 @@ class Iteration:
         self.beta, self.theta = self.layout.each(zero), self.layout.each(zero)
         self.parameters = Parameters(self.beta, self.theta, 0, volume)
         self.tolerance = wp.zeros(1, dtype=wp.float64, device=self.layout.device)
+        self.floor = wp.zeros(1, dtype=wp.float64, device=self.layout.device)
+
+    def put(self, u: FloatArray) -> None:
+        """Starts at displacements (B or 1, K, d); what of a residual is rounding grows with them."""
+        self.layout.put(u, self.u)
+        self.floor.fill_(ROUNDING[self.layout.scalar] * max(1.0, float(np.abs(u).max(initial=0.0))))
 
     def parts(self, rows: int) -> Any:
         count = rows * self.layout.groups * self.span.parts * self.layout.width
@@ -121,13 +130,13 @@ class Newton(Iteration):
         self._parts = self.parts(2)
         state = self.kernels.newton()
         zero = np.zeros(size)
-        for name in ("state", "inner", "outers", "inners", "backs", "stalls", "total", "last"):
+        for name in ("state", "inner", "outers", "inners", "backs", "stalls", "total", "last", "sharp"):
             setattr(state, name, layout.each(zero, int))
         for name in ("norm", "best", "first", "error", "square", "target", "slope", "taken", "least", "least_before"):
             setattr(state, name, layout.each(zero, wp.float64))
         for name in ("by", "length", "mix"):
             setattr(state, name, layout.each(zero))
-        state.tolerance = self.tolerance
+        state.tolerance, state.floor = self.tolerance, self.floor
         self._relative = wp.zeros(1, dtype=wp.float64, device=layout.device)
         state.relative = self._relative
         state.outer_groups, state.inner_groups = self.all_groups(), self.all_groups()
@@ -146,10 +155,10 @@ class Newton(Iteration):
     ) -> Ended:
         """The static states from displacements (B or 1, K, d); tolerance and result in particle spacings."""
         state = self.state
-        self.layout.put(start, self.u)
+        self.put(start)
         self.tolerance.fill_(tolerance)
         self._relative.fill_(0.0)
-        for name in ("inner", "outers", "backs", "stalls", "total"):
+        for name in ("inner", "outers", "backs", "stalls", "total", "sharp"):
             getattr(state, name).zero_()
         state.state.fill_(k.RUNNING)
         for name in ("by", "slope", "taken"):
@@ -261,7 +270,7 @@ class Anderson(Iteration):
         state.stride = lanes
         history = wp.types.matrix(shape=(k.MEMORY, k.MEMORY), dtype=wp.float64)
         state.gram = wp.zeros(lanes, dtype=history, device=layout.device)
-        state.tolerance = self.tolerance
+        state.tolerance, state.floor = self.tolerance, self.floor
         state.groups, state.count = self.all_groups(), self.all_groups()
         self.state = state
         self._kept = self.operator.kept(volume)
@@ -276,7 +285,7 @@ class Anderson(Iteration):
         self, start: FloatArray, tolerance: float, max_iterations: int, progress: Progress | None = None
     ) -> Ended:
         """The static states from displacements (B or 1, K, d); tolerance and result in particle spacings."""
-        self.layout.put(start, self.u)
+        self.put(start)
         return self._iterate(self._goals, tolerance, max_iterations, progress)
 
     def solve(self, tolerance: float, max_iterations: int) -> Ended:

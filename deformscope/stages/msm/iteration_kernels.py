@@ -24,6 +24,9 @@ RUNNING, CONVERGED, DIVERGED, STALLED = 1, 0, -1, 2
 REACH = 1.0
 """Spacings that no particle goes beyond in one Newton step: rotations are not straight."""
 
+SHARP = 1e-2
+"""To what share a solve reduces its residual before the smallest curvature that it met counts as the smallest."""
+
 
 @dataclass(frozen=True, slots=True)
 class IterationKernels:
@@ -64,11 +67,11 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
     history = wp.types.matrix(shape=(MEMORY, MEMORY), dtype=wp.float64)
     history_vec = wp.types.vector(length=MEMORY, dtype=wp.float64)
     one = scalar(1.0)
-    nought, unity = wp.float64(0.0), wp.float64(1.0)
+    nought, unity, half, tenth = wp.float64(0.0), wp.float64(1.0), wp.float64(0.5), wp.float64(0.1)
     far, growth, reach = wp.float64(FAR), wp.float64(1e2), wp.float64(REACH)
     double = scalar is wp.float64
     flat = wp.float64(1e-12 if double else 1e-7)
-    floor = wp.float64(1e-14 if double else 1e-8)
+    sharp = wp.float64(SHARP)
     ridge = wp.float64(1e-14 if double else 1e-8)
 
     @wp.struct
@@ -92,6 +95,7 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
         """What Newton's steps keep of each candidate (arrays of B), and which groups have work to do."""
 
         tolerance: wp.array(dtype=wp.float64)  # of the distance to the static state [spacing]; first entry
+        floor: wp.array(dtype=wp.float64)  # residual that is but rounding [spacing]; first entry
         relative: wp.array(dtype=wp.float64)  # reduction of a residual that ends a linear solve; first entry, 0: Newton
         state: wp.array(dtype=int)  # RUNNING...
         inner: wp.array(dtype=int)  # 1 while conjugate gradients run
@@ -113,6 +117,7 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
         least: wp.array(dtype=wp.float64)  # smallest curvature met in this solve, and in the one before
         least_before: wp.array(dtype=wp.float64)
         last: wp.array(dtype=int)
+        sharp: wp.array(dtype=int)  # 1 if the last solve went far enough to have met the slowest modes
         by: wp.array(dtype=scalar)  # how far to go along the step
         length: wp.array(dtype=scalar)  # along the direction
         mix: wp.array(dtype=scalar)  # how much of the last direction to keep
@@ -122,6 +127,7 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
         """What Anderson's acceleration keeps of each candidate."""
 
         tolerance: wp.array(dtype=wp.float64)
+        floor: wp.array(dtype=wp.float64)
         state: wp.array(dtype=int)
         groups: wp.array(dtype=int)
         count: wp.array(dtype=int)  # iterations of a group
@@ -246,8 +252,8 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
         """After a Newton step: has it gone too far, is this the static state, and how well to solve for the next step.
 
         The energy falls along the step as long as its slope <residual, step> is positive; where the slope at the end is
-        clearly negative, the step is shortened to where the slope would vanish. The distance that is left is the
-        residual over the smallest curvature that the last solves met: a mode that pulls back by 2e-4 of its
+        clearly negative, the step is shortened to where the slope would vanish. The distance that is left is (at
+        most five times) the residual over the smallest curvature that the last solves met, if they went far enough to meet it: a mode that pulls back by 2e-4 of its
         displacement has a residual 5000 times smaller than its error.
         """
         group = wp.tid()
@@ -266,24 +272,24 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
                 least = wp.min(newton.least[i], newton.least_before[i])
                 slope = newton.slope[i]
                 taken = newton.taken[i]
-                newton.error[i] = norm / wp.max(least, floor)
+                newton.error[i] = wp.float64(5.0) * norm / wp.max(least, flat)
                 if not wp.isfinite(norm) or norm > far:
                     newton.state[i] = wp.static(DIVERGED)
-                elif norm <= floor:
+                elif norm <= newton.floor[0]:
                     newton.state[i] = wp.static(CONVERGED)
-                elif newton.outers[i] > 0 and taken * along < -0.5 * slope and newton.backs[i] < 12:
+                elif newton.outers[i] > 0 and taken * along < -half * slope and newton.backs[i] < 12:
                     share = slope / (slope - taken * along)
                     newton.by[i] = scalar(-(unity - share) * taken)
                     newton.taken[i] = taken * share
                     newton.slope[i] = slope * share
                     newton.backs[i] = newton.backs[i] + 1
-                elif newton.outers[i] > 0 and newton.error[i] <= tolerance:
+                elif newton.outers[i] > 0 and newton.error[i] <= tolerance and newton.sharp[i] == 1:
                     newton.state[i] = wp.static(CONVERGED)
                 else:
                     if newton.outers[i] == 0:
                         newton.first[i] = norm
                         newton.best[i] = norm
-                    if norm < 0.5 * newton.best[i]:
+                    if norm < half * newton.best[i]:
                         newton.best[i] = norm
                         newton.stalls[i] = 0
                     else:
@@ -291,10 +297,15 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
                     if newton.stalls[i] > 60:
                         newton.state[i] = wp.static(STALLED)
                     else:
-                        forcing = wp.min(wp.float64(0.1), wp.sqrt(norm / newton.first[i]))
+                        forcing = wp.min(tenth, wp.sqrt(norm / newton.first[i]))
                         goal = forcing * norm
                         if newton.outers[i] > 0:
-                            goal = wp.max(goal, 0.1 * tolerance * least)
+                            goal = wp.max(goal, tenth * tolerance * least)
+                            if newton.error[i] <= wp.float64(10.0) * tolerance:
+                                goal = wp.min(goal, sharp * norm)
+                        newton.sharp[i] = 0
+                        if goal <= sharp * norm:
+                            newton.sharp[i] = 1
                         newton.target[i] = goal * goal * span.metric_total
                         newton.square[i] = norm * norm * span.metric_total
                         newton.inner[i] = 1
@@ -432,6 +443,8 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
                     taken = unity
                     if longest > reach:
                         taken = reach / longest
+                    if fresh > newton.target[i]:
+                        newton.sharp[i] = 0
                     newton.taken[i] = taken
                     newton.by[i] = scalar(taken)
                     newton.slope[i] = newton.slope[i] * taken
@@ -551,7 +564,7 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
                 done = anderson.total[i]
                 if not wp.isfinite(norm) or norm > far:
                     anderson.state[i] = wp.static(DIVERGED)
-                elif norm <= floor:
+                elif norm <= anderson.floor[0]:
                     anderson.state[i] = wp.static(CONVERGED)
                 elif done >= anderson.mark[i]:
                     anderson.error[i] = anderson.path[i]
