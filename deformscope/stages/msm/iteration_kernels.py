@@ -24,6 +24,9 @@ RUNNING, CONVERGED, DIVERGED, STALLED = 1, 0, -1, 2
 REACH = 1.0
 """Spacings that no particle goes beyond in one Newton step: rotations are not straight."""
 
+PATIENCE = 20
+"""Newton steps without a residual half of the best before, after which a candidate has stalled (numbers have no more)."""
+
 SHARP = 1e-2
 """To what share a solve reduces its residual before the smallest curvature that it met counts as the smallest."""
 
@@ -294,7 +297,7 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
                         newton.stalls[i] = 0
                     else:
                         newton.stalls[i] = newton.stalls[i] + 1
-                    if newton.stalls[i] > 60:
+                    if newton.stalls[i] > wp.static(PATIENCE):
                         newton.state[i] = wp.static(STALLED)
                     else:
                         forcing = wp.min(tenth, wp.sqrt(norm / newton.first[i]))

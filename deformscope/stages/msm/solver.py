@@ -26,7 +26,7 @@ from deformscope.stages.msm.reference import Basis, Volume
 
 Precision = Literal["float32", "float64"]
 
-TOLERANCE = {"float64": 1e-9, "float32": 1e-5}
+TOLERANCE = {"float64": 1e-9, "float32": 3e-5}
 """Default tolerance of `relax`, as a share of the body's extent."""
 
 LINEAR_TOLERANCE = {"float64": 1e-10, "float32": 1e-5}
