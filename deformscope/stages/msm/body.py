@@ -86,6 +86,11 @@ class Operator(Protocol):
     metric: Any
     beta_stride: int
 
+    @property
+    def threads(self) -> int:
+        """Threads that keep to one group of candidates in a kernel that stays; 0 where there is none."""
+        ...
+
     def motion(self, alpha: float, going_on: float, push: FloatArray) -> Any: ...
 
     def kept(self, volume: int) -> Any: ...
@@ -97,6 +102,14 @@ class Operator(Protocol):
     def change(self, direction: Any, out: Any, parameters: Parameters, running: Any, kept: Any) -> None: ...
 
     def step(self, u: Any, before: Any, motion: Any, parameters: Parameters, running: Any, ran_away: Any) -> None: ...
+
+    def stay_stepping(
+        self, pair: Any, swapped: bool, motion: Any, parameters: Parameters, steps: int, ran_away: Any
+    ) -> None: ...
+
+    def stay_relaxing(
+        self, parameters: Parameters, kept: Any, span: Any, state: Any, most: int, limit: int, arrays: list[Any]
+    ) -> Any: ...
 
     def cluster_values(self, values: FloatArray) -> Any: ...
 

@@ -13,7 +13,6 @@ from deformscope.stages.msm import reference
 from deformscope.stages.msm.body import BodyRest, Parameters, RestArrays, rest_struct
 from deformscope.stages.msm.cluster_functions import BY_BETA, GOAL, cluster_functions_for
 from deformscope.stages.msm.clusters import Clusters
-from deformscope.stages.msm.lattice_kernels import CHANGE, RESIDUAL, STEP
 from deformscope.stages.msm.layout import Layout, upload, widths
 from deformscope.stages.msm.reference import Basis
 
@@ -124,15 +123,17 @@ class GeneralOperator:
         self._maps = self._cluster_field(self.dim + self.dim * body.terms)
         self._star = layout.field(self.dim)
         self._nothing = layout.each(np.zeros(1), int)
-        self._still = self.motion(1.0, 0.0, np.zeros(self.dim))
+        self._still = self.motion(1.0, 0.0, np.zeros(self.dim), stepping=False)
         self._kept: dict[int, Any] = {}
+        self.threads = 0
 
     def _cluster_field(self, rows: int) -> Any:
         return wp.zeros(rows * self.cluster_stride, dtype=self.layout.scalar, device=self.layout.device)
 
-    def motion(self, alpha: float, going_on: float, push: FloatArray) -> Any:
+    def motion(self, alpha: float, going_on: float, push: FloatArray, *, stepping: bool = True) -> Any:
         """What a time step needs: see `general_kernels`."""
         motion = self.arrays.kernels.motion()
+        motion.stepping = int(stepping)
         motion.alpha, motion.going_on = alpha, going_on
         motion.push = upload(push, self.layout.scalar, self.layout.device)
         return motion
@@ -159,12 +160,12 @@ class GeneralOperator:
         kept = self._unkept() if kept is None else kept
         self._fit(self.arrays.kernels.fit_clusters, u, parameters, running, kept, what)
         star = u if what == GOAL else self._zero()
-        self._finish(star, star, self._still, running, RESIDUAL, out, self._nothing)
+        self._finish(star, star, self._still, running, out, self._nothing)
 
     def change(self, direction: Any, out: Any, parameters: Parameters, running: Any, kept: Any) -> None:
         """J p - p for a direction p of the free particles, where `residual` was last evaluated."""
         self._fit(self.arrays.kernels.fit_changes, direction, parameters, running, kept, GOAL)
-        self._finish(direction, direction, self._still, running, CHANGE, out, self._nothing)
+        self._finish(direction, direction, self._still, running, out, self._nothing)
 
     def step(self, u: Any, before: Any, motion: Any, parameters: Parameters, running: Any, ran_away: Any) -> None:
         """One time step; `before` becomes the new displacement."""
@@ -175,7 +176,7 @@ class GeneralOperator:
             [self._star],
         )
         self._fit(self.arrays.kernels.fit_clusters, self._star, parameters, running, self._unkept(), GOAL)
-        self._finish(u, self._star, motion, running, STEP, before, ran_away)
+        self._finish(u, self._star, motion, running, before, ran_away)
 
     def cluster_values(self, values: FloatArray) -> Any:
         """(B, C) one value for each cluster, as the kernels read them."""
@@ -229,10 +230,10 @@ class GeneralOperator:
             [self._maps],
         )
 
-    def _finish(self, u: Any, star: Any, motion: Any, running: Any, what: int, out: Any, ran_away: Any) -> None:
+    def _finish(self, u: Any, star: Any, motion: Any, running: Any, out: Any, ran_away: Any) -> None:
         self._launch(
             self.arrays.kernels.finish,
             (self.layout.groups, self.body.particle_count),
-            [self.lists, self._maps, u, star, motion, self.arrays.pull, self.arrays.free, running, what],
+            [self.lists, self._maps, u, star, motion, self.arrays.pull, self.arrays.free, running],
             [out, ran_away],
         )

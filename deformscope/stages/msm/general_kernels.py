@@ -11,10 +11,7 @@ import warp as wp
 
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
 from deformscope.stages.msm.lanes import CPU_FLAGS, Sized, lanes_for, rows_for
-from deformscope.stages.msm.lattice_kernels import STEP
-
-FAR = 1e4
-"""Spacings beyond which a particle has run away."""
+from deformscope.stages.msm.lattice_kernels import FAR
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +70,7 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Genera
     class Motion:
         """What time stepping adds: alpha, the share of the last motion that goes on, and a push each step."""
 
+        stepping: int
         alpha: scalar
         going_on: scalar
         push: wp.array(dtype=scalar)
@@ -237,14 +235,13 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Genera
         pull: wp.array(dtype=scalar),
         free: wp.array(dtype=scalar),
         running: wp.array(dtype=int),
-        what: int,
         # Out:
         out: wp.array(dtype=scalar),
         ran_away: wp.array(dtype=int),
     ):
         """Mean goal of each particle over its clusters (eq. 3.15), less where it is; 0 if held.
 
-        pull: 1 / number of clusters, 0 for a held particle. With `what` = STEP, eq. 3.11: the new position. A particle
+        pull: 1 / number of clusters, 0 for a held particle. Stepping, eq. 3.11: the new position. A particle
         that would run away stays, and marks its candidate.
         """
         group, particle = wp.tid()
@@ -260,7 +257,7 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Genera
                 total, lists.row_basis, slot, maps_in, c + wp.static(dim) * lists.cluster_stride, lists.cluster_stride
             )
         pulled = scale(total, lane(pull[particle]))
-        if what != wp.static(STEP):
+        if motion.stepping == 0:
             store(out, at, lists.particle_stride, pulled, wp.static(width))
         else:
             new = add(star, motion.alpha, pulled)

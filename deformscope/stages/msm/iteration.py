@@ -28,6 +28,9 @@ MOST_PARTS = 256
 ROUNDING = {wp.float32: 1e-8, wp.float64: 1e-14}
 """Residual that is but rounding, as a share of the displacements (or of a spacing)."""
 
+STAY = 256
+"""Evaluations that a kernel that stays does before it comes back to be looked at."""
+
 REPLAYS = {"cpu": 1, "cuda": 8}
 """Iterations between looks at which candidates still run: on a GPU, a look waits for the device."""
 
@@ -70,13 +73,15 @@ class Iteration:
         self.kind = "cpu" if self.layout.device.startswith("cpu") else "cuda"
         span = self.kernels.span()
         span.abreast, span.blocks = self.layout.abreast, self.layout.blocks
-        span.parts = max(1, min(-(-self.layout.blocks // PART_BLOCKS[self.kind]), MOST_PARTS))
+        self.threads = self.operator.threads
+        span.parts = 1 if self.threads else max(1, min(-(-self.layout.blocks // PART_BLOCKS[self.kind]), MOST_PARTS))
         span.front, span.group, span.stride = self.layout.front, self.layout.group, self.layout.stride
         span.metric = self.operator.metric
         span.metric_total = float(rest.metric.sum()) or 1.0
         self.span = span
-        self.u = self.layout.field(body.dim)
-        self.residual = self.layout.field(body.dim)
+        self.pair, self.pair_out = self.layout.field(2 * body.dim), self.layout.field(2 * body.dim)
+        self.u, self.direction = halves(self.pair)
+        self.residual, self.changed = halves(self.pair_out)
         zero = np.zeros(size)
         self.beta, self.theta = self.layout.each(zero), self.layout.each(zero)
         self.parameters = Parameters(self.beta, self.theta, 0, volume)
@@ -126,7 +131,7 @@ class Newton(Iteration):
         super().__init__(body, rest, size, volume)
         layout = self.layout
         d = body.dim
-        self.step, self.rho, self.direction, self.changed = (layout.field(d) for _ in range(4))
+        self.step, self.rho = layout.field(d), layout.field(d)
         self._parts = self.parts(2)
         state = self.kernels.newton()
         zero = np.zeros(size)
@@ -146,9 +151,9 @@ class Newton(Iteration):
         self._parameters_changed()
 
     def _parameters_changed(self) -> None:
-        self._outer, self._inner = (
-            Graph(each, self.layout.device) for each in (self._launch_outer, self._launch_inner)
-        )
+        device = self.layout.device
+        self._outer, self._inner = (Graph(each, device) for each in (self._launch_outer, self._launch_inner))
+        self._stay: Any = None
 
     def relax(
         self, start: FloatArray, tolerance: float, max_iterations: int, progress: Progress | None = None
@@ -172,6 +177,13 @@ class Newton(Iteration):
         done = 0
         size = self.layout.candidates
         while done < max_iterations:
+            if self.threads:
+                done += self._stay_for(max_iterations - done)
+                if progress is not None:
+                    progress(size - int(np.count_nonzero(state.state.numpy()[:size] == k.RUNNING)))
+                if not state.outer_groups.numpy().any():
+                    break
+                continue
             self._outer()
             done += 1
             if not state.outer_groups.numpy().any():
@@ -191,6 +203,7 @@ class Newton(Iteration):
         state.inner.fill_(1)
         state.least.fill_(1.0)
         state.inner_groups.fill_(1)
+        state.outer_groups.fill_(0)
         span, kk, groups = self.span, self.kernels, self.layout.groups
         self.launch(
             kk.inner_products,
@@ -215,11 +228,31 @@ class Newton(Iteration):
     def _descend(self, most: int) -> int:
         done = 0
         flags = self.state.inner_groups
+        while self.threads and done < most and flags.numpy().any():
+            done += self._stay_for(most - done)
         while done < most and flags.numpy().any():
             for _ in range(REPLAYS[self.kind]):
                 self._inner()
                 done += 1
         return done
+
+    def _stay_for(self, most: int) -> int:
+        """Up to STAY evaluations in one launch."""
+        limit = min(STAY, most)
+        if self._stay is None:
+            arrays = [self.pair, self.pair_out, self.u, self.direction, self.residual, self.changed]
+            self._stay = self.operator.stay_relaxing(
+                self.parameters,
+                self._kept,
+                self.span,
+                self.state,
+                self._most,
+                limit,
+                [*arrays, self.step, self.rho, self._parts],
+            )
+        self._stay.set_param_by_name("limit", limit)
+        self._stay.launch()
+        return limit
 
     def _launch_outer(self) -> None:
         kk, span, state, layout = self.kernels, self.span, self.state, self.layout
@@ -349,6 +382,12 @@ class Anderson(Iteration):
         )
         self.launch(kk.accelerate, groups, [span, state, self._parts, groups])
         self.launch(kk.advance, (groups, layout.blocks), [span, state, self.residual, self.du, self.dr], [self.u])
+
+
+def halves(pair: Any) -> tuple[Any, Any]:
+    """The two fields of a field of twice the rows."""
+    rows = pair.shape[0] // 2
+    return pair[:rows], pair[rows:]
 
 
 def goal_derivative(iteration: Iteration, by: int, out: Any) -> None:

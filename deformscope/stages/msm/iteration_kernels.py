@@ -13,7 +13,7 @@ from typing import Any
 
 import warp as wp
 
-from deformscope.stages.msm.general_kernels import FAR
+from deformscope.stages.msm.lattice_kernels import FAR
 from deformscope.stages.msm.lanes import CPU_FLAGS, lanes_for, rows_for
 
 MEMORY = 8
@@ -29,6 +29,28 @@ PATIENCE = 20
 
 SHARP = 1e-2
 """To what share a solve reduces its residual before the smallest curvature that it met counts as the smallest."""
+
+
+@dataclass(frozen=True, slots=True)
+class NewtonFunctions:
+    """What one thread does in each part of a Newton step, and the struct types."""
+
+    span: Any
+    newton: Any
+    sums: Any
+    put: Any
+    inner_products: Any
+    move: Any
+    judge: Any
+    begin: Any
+    curvature: Any
+    descend: Any
+    conjugate: Any
+    direct: Any
+    metric_of: Any
+    of_candidate: Any
+    add_product: Any
+    collected: Any
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,11 +77,8 @@ class IterationKernels:
 
 
 @functools.cache
-def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels:
-    """The kernels for fields of `dim` rows and lanes of `width`."""
-    module = f"deformscope_iteration_{dim}d_{scalar.__name__}_{width}"
-    wp.get_module(module).options.update({"enable_backward": False, "max_unroll": 3, "cpu_compiler_flags": CPU_FLAGS})
-    kernel = functools.partial(wp.kernel, module=module, enable_backward=False)
+def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
+    """The functions for fields of `dim` rows and lanes of `width`."""
     lanes = lanes_for(width, scalar)
     lane, own = lanes.lane, lanes.own
     vecs = rows_for(dim, width, scalar)
@@ -125,26 +144,6 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
         length: wp.array(dtype=scalar)  # along the direction
         mix: wp.array(dtype=scalar)  # how much of the last direction to keep
 
-    @wp.struct
-    class Anderson:
-        """What Anderson's acceleration keeps of each candidate."""
-
-        tolerance: wp.array(dtype=wp.float64)
-        floor: wp.array(dtype=wp.float64)
-        state: wp.array(dtype=int)
-        groups: wp.array(dtype=int)
-        count: wp.array(dtype=int)  # iterations of a group
-        known: wp.array(dtype=int)  # remembered changes that count
-        total: wp.array(dtype=int)
-        mark: wp.array(dtype=int)
-        path: wp.array(dtype=wp.float64)
-        norm: wp.array(dtype=wp.float64)
-        best: wp.array(dtype=wp.float64)
-        error: wp.array(dtype=wp.float64)
-        gram: wp.array(dtype=history)
-        gamma: wp.array(dtype=scalar)  # weights of the remembered changes, slot by slot
-        stride: int
-
     @wp.func
     def metric_of(span: Span, number: int):
         """The metric of the lanes at a number of a group."""
@@ -199,27 +198,22 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
                 total = wp.max(total, parts[part * wp.static(width) + member])
         return total
 
-    @kernel
+    @wp.func
     def inner_products(
         span: Span,
-        running: wp.array(dtype=int),
-        groups: int,
-        # In:
         a: wp.array(dtype=scalar),
         b: wp.array(dtype=scalar),
         c: wp.array(dtype=scalar),
         d: wp.array(dtype=scalar),
-        # Out:
-        parts_out: wp.array(dtype=wp.float64),
+        group: int,
+        part: int,
+        parts: int,
     ):
-        """Parts of <a, b> and of <c, d>."""
-        group, part = wp.tid()
-        if running[group] == 0:
-            return
+        """<a, b> and <c, d> over every `parts`-th block of a group, from the `part`-th on."""
         first_sum = sums()
         second_sum = sums()
         base = span.front + group * span.group
-        for block in range(part, span.blocks, span.parts):
+        for block in range(part, span.blocks, parts):
             number = block * wp.static(width)
             m = metric_of(span, number)
             first_sum = add_product(
@@ -228,30 +222,26 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
             second_sum = add_product(
                 second_sum, m, load(c, base + number, span.stride), load(d, base + number, span.stride)
             )
-        put(parts_out, (group * span.parts + part) * wp.static(width), first_sum)
-        put(parts_out, ((groups + group) * span.parts + part) * wp.static(width), second_sum)
+        return first_sum, second_sum
 
-    @kernel
+    @wp.func
     def move(
         span: Span,
         newton: Newton,
-        # In:
         step_in: wp.array(dtype=scalar),
-        # In and out:
         u: wp.array(dtype=scalar),
+        group: int,
+        block: int,
     ):
         """Goes along the step."""
-        group, block = wp.tid()
-        if newton.outer_groups[group] == 0:
-            return
         at = span.front + group * span.group + block * wp.static(width)
         count = span.group - block * wp.static(width)
         by = of_candidate(span, newton.by, group, 0)
         new = add(load(u, at, span.stride), one, scale(load(step_in, at, span.stride), by))
         store(u, at, span.stride, new, count)
 
-    @kernel
-    def judge(span: Span, newton: Newton, parts: wp.array(dtype=wp.float64), groups: int):
+    @wp.func
+    def judge(span: Span, newton: Newton, parts: wp.array(dtype=wp.float64), groups: int, group: int):
         """After a Newton step: has it gone too far, is this the static state, and how well to solve for the next step.
 
         The energy falls along the step as long as its slope <residual, step> is positive; where the slope at the end is
@@ -259,7 +249,6 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
         most five times) the residual over the smallest curvature that the last solves met, if they went far enough to meet it: a mode that pulls back by 2e-4 of its
         displacement has a residual 5000 times smaller than its error.
         """
-        group = wp.tid()
         any_outer = int(0)
         any_inner = int(0)
         for member in range(span.abreast):
@@ -326,21 +315,18 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
         newton.outer_groups[group] = any_outer
         newton.inner_groups[group] = any_inner
 
-    @kernel
+    @wp.func
     def begin(
         span: Span,
         newton: Newton,
-        # In:
         residual_in: wp.array(dtype=scalar),
-        # Out:
         rho_out: wp.array(dtype=scalar),
         direction_out: wp.array(dtype=scalar),
         step_out: wp.array(dtype=scalar),
+        group: int,
+        block: int,
     ):
         """Conjugate gradients start at a step of 0, unless the last step is to be shortened first."""
-        group, block = wp.tid()
-        if newton.inner_groups[group] == 0:
-            return
         at = span.front + group * span.group + block * wp.static(width)
         count = span.group - block * wp.static(width)
         begins = lane()
@@ -355,16 +341,13 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
         store(direction_out, at, span.stride, r, count)
         store(step_out, at, span.stride, choose(keeps, load(step_out, at, span.stride)), count)
 
-    @kernel
-    def curvature(span: Span, newton: Newton, parts: wp.array(dtype=wp.float64), groups: int):
+    @wp.func
+    def curvature(span: Span, newton: Newton, parts: wp.array(dtype=wp.float64), groups: int, group: int):
         """How far to go along the direction p: to the minimum, by its curvature <p, (I - J) p>.
 
         Where the energy curves down (a crushed cluster about to turn) the solve ends; if that is so at its first
         direction, the step is that of the plain goal map, which never raises the energy.
         """
-        group = wp.tid()
-        if newton.inner_groups[group] == 0:
-            return
         for member in range(span.abreast):
             i = group * span.abreast + member
             newton.length[i] = scalar(0.0)
@@ -382,29 +365,24 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
                         newton.length[i] = one
                         newton.slope[i] = newton.square[i]
 
-    @kernel
+    @wp.func
     def descend(
         span: Span,
         newton: Newton,
-        groups: int,
-        # In:
         direction_in: wp.array(dtype=scalar),
         change_in: wp.array(dtype=scalar),
-        # In and out:
         step: wp.array(dtype=scalar),
         rho: wp.array(dtype=scalar),
-        # Out:
-        parts_out: wp.array(dtype=wp.float64),
+        group: int,
+        part: int,
+        parts: int,
     ):
-        """Goes along the direction; parts of the new squared residual, and of the longest |step_i|^2."""
-        group, part = wp.tid()
-        if newton.inner_groups[group] == 0:
-            return
+        """Goes along the direction; the new squared residual, and the longest |step_i|^2, as for `inner_products`."""
         square_sum = sums()
         longest = sums()
         base = span.front + group * span.group
         length = of_candidate(span, newton.length, group, 0)
-        for block in range(part, span.blocks, span.parts):
+        for block in range(part, span.blocks, parts):
             number = block * wp.static(width)
             at = base + number
             count = span.group - number
@@ -414,15 +392,11 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
             store(rho, at, span.stride, r, count)
             square_sum = add_product(square_sum, metric_of(span, number), r, r)
             longest = longer(longest, s)
-        put(parts_out, (group * span.parts + part) * wp.static(width), square_sum)
-        put(parts_out, ((groups + group) * span.parts + part) * wp.static(width), longest)
+        return square_sum, longest
 
-    @kernel
-    def conjugate(span: Span, newton: Newton, parts: wp.array(dtype=wp.float64), groups: int, most: int):
+    @wp.func
+    def conjugate(span: Span, newton: Newton, parts: wp.array(dtype=wp.float64), groups: int, most: int, group: int):
         """Ends the solve, or mixes the next direction. No particle goes beyond `REACH` in one Newton step."""
-        group = wp.tid()
-        if newton.inner_groups[group] == 0:
-            return
         any_inner = int(0)
         for member in range(span.abreast):
             i = group * span.abreast + member
@@ -455,24 +429,174 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
                     any_inner = int(1)
         newton.inner_groups[group] = any_inner
 
-    @kernel
+    @wp.func
     def direct(
         span: Span,
         newton: Newton,
-        # In:
         rho_in: wp.array(dtype=scalar),
-        # In and out:
         direction: wp.array(dtype=scalar),
+        group: int,
+        block: int,
     ):
         """The next direction."""
-        group, block = wp.tid()
-        if newton.inner_groups[group] == 0:
-            return
         at = span.front + group * span.group + block * wp.static(width)
         count = span.group - block * wp.static(width)
         mix = of_candidate(span, newton.mix, group, 0)
         p = add(load(rho_in, at, span.stride), one, scale(load(direction, at, span.stride), mix))
         store(direction, at, span.stride, p, count)
+
+    return NewtonFunctions(
+        Span,
+        Newton,
+        sums,
+        put,
+        inner_products,
+        move,
+        judge,
+        begin,
+        curvature,
+        descend,
+        conjugate,
+        direct,
+        metric_of,
+        of_candidate,
+        add_product,
+        collected,
+    )
+
+
+@functools.cache
+def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels:
+    """A kernel for each part of an iteration, for fields of `dim` rows and lanes of `width`."""
+    module = f"deformscope_iteration_{dim}d_{scalar.__name__}_{width}"
+    wp.get_module(module).options.update({"enable_backward": False, "max_unroll": 3, "cpu_compiler_flags": CPU_FLAGS})
+    kernel = functools.partial(wp.kernel, module=module, enable_backward=False)
+    lanes = lanes_for(width, scalar)
+    lane = lanes.lane
+    vecs = rows_for(dim, width, scalar)
+    load, store, add, scale, choose = vecs.load, vecs.store, vecs.add, vecs.scale, vecs.choose
+    history = wp.types.matrix(shape=(MEMORY, MEMORY), dtype=wp.float64)
+    history_vec = wp.types.vector(length=MEMORY, dtype=wp.float64)
+    one = scalar(1.0)
+    nought, unity = wp.float64(0.0), wp.float64(1.0)
+    far, growth = wp.float64(FAR), wp.float64(1e2)
+    ridge = wp.float64(1e-14 if scalar is wp.float64 else 1e-8)
+    functions = newton_functions_for(dim, scalar, width)
+    Span, Newton, sums, put = functions.span, functions.newton, functions.sums, functions.put
+    products_of, move_of, judge_of, begin_of = (
+        functions.inner_products,
+        functions.move,
+        functions.judge,
+        functions.begin,
+    )
+    curvature_of, descend_of, conjugate_of, direct_of = (
+        functions.curvature,
+        functions.descend,
+        functions.conjugate,
+        functions.direct,
+    )
+    metric_of, of_candidate, add_product, collected = (
+        functions.metric_of,
+        functions.of_candidate,
+        functions.add_product,
+        functions.collected,
+    )
+
+    @wp.struct
+    class Anderson:
+        """What Anderson's acceleration keeps of each candidate."""
+
+        tolerance: wp.array(dtype=wp.float64)
+        floor: wp.array(dtype=wp.float64)
+        state: wp.array(dtype=int)
+        groups: wp.array(dtype=int)
+        count: wp.array(dtype=int)  # iterations of a group
+        known: wp.array(dtype=int)  # remembered changes that count
+        total: wp.array(dtype=int)
+        mark: wp.array(dtype=int)
+        path: wp.array(dtype=wp.float64)
+        norm: wp.array(dtype=wp.float64)
+        best: wp.array(dtype=wp.float64)
+        error: wp.array(dtype=wp.float64)
+        gram: wp.array(dtype=history)
+        gamma: wp.array(dtype=scalar)  # weights of the remembered changes, slot by slot
+        stride: int
+
+    @kernel
+    def inner_products(
+        span: Span,
+        running: wp.array(dtype=int),
+        groups: int,
+        a: wp.array(dtype=scalar),
+        b: wp.array(dtype=scalar),
+        c: wp.array(dtype=scalar),
+        d: wp.array(dtype=scalar),
+        parts_out: wp.array(dtype=wp.float64),
+    ):
+        """Parts of <a, b> and of <c, d>."""
+        group, part = wp.tid()
+        if running[group] != 0:
+            first_sum, second_sum = products_of(span, a, b, c, d, group, part, span.parts)
+            put(parts_out, (group * span.parts + part) * wp.static(width), first_sum)
+            put(parts_out, ((groups + group) * span.parts + part) * wp.static(width), second_sum)
+
+    @kernel
+    def move(span: Span, newton: Newton, step_in: wp.array(dtype=scalar), u: wp.array(dtype=scalar)):
+        group, block = wp.tid()
+        if newton.outer_groups[group] != 0:
+            move_of(span, newton, step_in, u, group, block)
+
+    @kernel
+    def judge(span: Span, newton: Newton, parts: wp.array(dtype=wp.float64), groups: int):
+        judge_of(span, newton, parts, groups, wp.tid())
+
+    @kernel
+    def begin(
+        span: Span,
+        newton: Newton,
+        residual_in: wp.array(dtype=scalar),
+        rho_out: wp.array(dtype=scalar),
+        direction_out: wp.array(dtype=scalar),
+        step_out: wp.array(dtype=scalar),
+    ):
+        group, block = wp.tid()
+        if newton.inner_groups[group] != 0:
+            begin_of(span, newton, residual_in, rho_out, direction_out, step_out, group, block)
+
+    @kernel
+    def curvature(span: Span, newton: Newton, parts: wp.array(dtype=wp.float64), groups: int):
+        group = wp.tid()
+        if newton.inner_groups[group] != 0:
+            curvature_of(span, newton, parts, groups, group)
+
+    @kernel
+    def descend(
+        span: Span,
+        newton: Newton,
+        groups: int,
+        direction_in: wp.array(dtype=scalar),
+        change_in: wp.array(dtype=scalar),
+        step: wp.array(dtype=scalar),
+        rho: wp.array(dtype=scalar),
+        parts_out: wp.array(dtype=wp.float64),
+    ):
+        group, part = wp.tid()
+        if newton.inner_groups[group] != 0:
+            square_sum, longest = descend_of(span, newton, direction_in, change_in, step, rho, group, part, span.parts)
+            put(parts_out, (group * span.parts + part) * wp.static(width), square_sum)
+            put(parts_out, ((groups + group) * span.parts + part) * wp.static(width), longest)
+
+    @kernel
+    def conjugate(span: Span, newton: Newton, parts: wp.array(dtype=wp.float64), groups: int, most: int):
+        group = wp.tid()
+        if newton.inner_groups[group] != 0:
+            conjugate_of(span, newton, parts, groups, most, group)
+
+    @kernel
+    def direct(span: Span, newton: Newton, rho_in: wp.array(dtype=scalar), direction: wp.array(dtype=scalar)):
+        group, block = wp.tid()
+        if newton.inner_groups[group] != 0:
+            direct_of(span, newton, rho_in, direction, group, block)
 
     @kernel
     def remember(

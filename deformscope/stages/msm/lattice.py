@@ -13,12 +13,20 @@ from deformscope.stages.msm.body import BodyRest, Parameters, RestArrays, rest_s
 from deformscope.stages.msm.cluster_functions import BY_BETA, GOAL, cluster_functions_for
 from deformscope.stages.msm.clusters import FLAT_MOMENT_RATIO, LatticeClusters
 from deformscope.stages.msm.layout import Layout, upload, widths
+from deformscope.stages.msm.resident_kernels import resident_kernels_for
 
 REGULAR = 1e-6
 """Spacings by which a particle may stand beside its place in an even lattice to be taken as standing on it."""
 
 SLIDE = {"cpu": (3, 64), "cuda": (4, 8)}
 """Widest window that is summed up anew at each cell, and the run of a sum that slides over wider ones."""
+
+RESIDENT_CELLS = 8192
+"""Cells up to which one block of a GPU's threads goes through a whole body by itself."""
+
+RESIDENT_THREADS = 512
+
+FIELDS = ("mass", "free", "pull", "sums_fast", "sums_middle", "maps", "maps_slow", "maps_middle")
 
 
 def lattice_edges(rest: FloatArray, clusters: LatticeClusters) -> FloatArray | None:
@@ -142,6 +150,8 @@ class _Arrays:
     def __init__(self, body: LatticeBody, width: int) -> None:
         d, scalar, device = body.dim, body.scalar, body.device
         self.kernels = k.lattice_kernels_for(d, scalar, width)
+        self.functions = k.lattice_functions_for(d, scalar, width)
+        self.resident = resident_kernels_for(d, scalar, width)
         functions = cluster_functions_for(d, d, scalar, width)
         total, mean, gram = body.moments()
         n = len(total)
@@ -167,7 +177,7 @@ class _Arrays:
         root[full] = np.einsum("nik,njk->nij", root[full], ordered[full])
         lift[full] = np.einsum("nik,nkj->nij", ordered[full], lift[full])
         spare = 2 * width
-        site = self.kernels.site()
+        site = self.functions.site()
         site.valid = upload(body.corner, scalar, device, spare)
         site.stride = n + (spare if n > 1 else 0)
         site.step = int(n > 1)
@@ -205,7 +215,7 @@ class LatticeOperator:
 
     def __init__(self, body: LatticeBody, layout: Layout, arrays: _Arrays) -> None:
         self.body, self.layout, self.arrays = body, layout, arrays
-        kk = arrays.kernels
+        kk = arrays.functions
         n, w, many = body.shape, body.window, layout.abreast
         grid = kk.grid()
         grid.cells_0, grid.cells_1 = n[0], n[1]
@@ -215,27 +225,43 @@ class LatticeOperator:
         grid.front, grid.group, grid.stride = layout.front, layout.group, layout.stride
         grid.plane_end = grid.plane
         grid.cluster_end = ((grid.clusters_1 - 1) * n[2] + n[2] - w[2] + 1) * many
-        self.grid = grid
-        d, self.dim = body.dim, body.dim
-        self._sums_fast = layout.field(2 * d)
-        self._sums_middle = layout.field(3 * d)
-        self._maps = layout.field(d + d * (3 if d == 3 else 2))
-        self._maps_slow = layout.field(3 * d) if d == 3 else self._maps
-        self._maps_middle = layout.field(2 * d)
-        self._nothing = layout.each(np.zeros(1), int)
-        self._still = self.motion(1.0, 0.0, np.zeros(d))
         limit, run = SLIDE["cpu" if layout.device.startswith("cpu") else "cuda"]
         if many > 1:
             limit = 1
-        self._run_0 = 1 if w[0] <= limit else run
-        self._run_1 = 1 if w[1] <= limit else run
-        self._kept = {}
+        grid.run_0 = 1 if w[0] <= limit else run
+        grid.run_1 = 1 if w[1] <= limit else run
+        blocks = self._blocks
+        grid.blocks_plane, grid.blocks_clusters = blocks(grid.plane_end), blocks(grid.cluster_end)
+        grid.items_plane = n[0] * grid.blocks_plane
+        grid.items_fit = -(-grid.clusters_0 // grid.run_0) * grid.blocks_clusters
+        grid.items_slow = -(-n[0] // grid.run_0) * grid.blocks_clusters
+        if grid.run_1 == 1:
+            grid.blocks_windows, grid.blocks_spread = blocks(grid.clusters_1 * grid.line), grid.blocks_plane
+            segments = (1, 1)
+        else:
+            grid.blocks_windows = grid.blocks_spread = blocks(grid.line)
+            segments = (-(-grid.clusters_1 // run), -(-n[1] // run))
+        grid.items_windows = n[0] * segments[0] * grid.blocks_windows
+        grid.items_spread = n[0] * segments[1] * grid.blocks_spread
+        self.grid = grid
+        d, self.dim = body.dim, body.dim
+        fields = kk.fields()
+        fields.mass, fields.free, fields.pull = arrays.mass, arrays.free, arrays.pull
+        fields.sums_fast, fields.sums_middle = layout.field(2 * d), layout.field(3 * d)
+        fields.maps = layout.field(d + d * (3 if d == 3 else 2))
+        fields.maps_slow = layout.field(3 * d) if d == 3 else fields.maps
+        fields.maps_middle = layout.field(2 * d)
+        self._fields = fields
+        self._nothing = layout.each(np.zeros(1), int)
+        self.still = self.motion(1.0, 0.0, np.zeros(d), stepping=False)
+        self._kept: dict[int, Any] = {}
         self.beta_stride = layout.group
         self.metric = arrays.metric
 
-    def motion(self, alpha: float, going_on: float, push: FloatArray) -> Any:
+    def motion(self, alpha: float, going_on: float, push: FloatArray, *, stepping: bool = True) -> Any:
         """What a time step needs: see `lattice_kernels`."""
-        motion = self.arrays.kernels.motion()
+        motion = self.arrays.functions.motion()
+        motion.stepping = int(stepping)
         motion.alpha, motion.going_on = alpha, going_on
         motion.push = upload(push, self.layout.scalar, self.layout.device)
         return motion
@@ -259,22 +285,34 @@ class LatticeOperator:
 
         kept: where to leave what `change` needs (None: nowhere)
         """
-        kept = self._unkept() if kept is None else kept
-        self._windows(u, u, self._still, running, stepping=0)
-        self._solve(self.arrays.kernels.fit_clusters, parameters, running, kept, what)
-        self._spread(u if what == GOAL else self._zero(), u, self._still, running, k.RESIDUAL, out, self._nothing)
+        kept = self.unkept() if kept is None else kept
+        fields = self.fields(parameters, what)
+        self._windows(fields, self.still, running, u, u)
+        self._fit(self.arrays.kernels.fit_clusters, fields, running, kept)
+        self._spread(fields, self.still, running, u, u, out, self._nothing)
 
     def change(self, direction: Any, out: Any, parameters: Parameters, running: Any, kept: Any) -> None:
         """J p - p for a direction p of the free particles, where `residual` was last evaluated."""
-        self._windows(direction, direction, self._still, running, stepping=0)
-        self._solve(self.arrays.kernels.fit_changes, parameters, running, kept, GOAL)
-        self._spread(direction, direction, self._still, running, k.CHANGE, out, self._nothing)
+        fields = self.fields(parameters)
+        self._windows(fields, self.still, running, direction, direction)
+        self._fit(self.arrays.kernels.fit_changes, fields, running, kept)
+        self._spread(fields, self.still, running, direction, direction, out, self._nothing)
 
     def step(self, u: Any, before: Any, motion: Any, parameters: Parameters, running: Any, ran_away: Any) -> None:
         """One time step; `before` becomes the new displacement."""
-        self._windows(u, before, motion, running, stepping=1)
-        self._solve(self.arrays.kernels.fit_clusters, parameters, running, self._unkept(), GOAL)
-        self._spread(u, before, motion, running, k.STEP, before, ran_away)
+        fields = self.fields(parameters)
+        self._windows(fields, motion, running, u, before)
+        self._fit(self.arrays.kernels.fit_clusters, fields, running, self.unkept())
+        self._spread(fields, motion, running, u, before, before, ran_away)
+
+    def fields(self, parameters: Parameters, what: int = GOAL) -> Any:
+        """What the passes work on, for these parameters."""
+        fields = self.arrays.functions.fields()
+        for name in FIELDS:
+            setattr(fields, name, getattr(self._fields, name))
+        fields.beta, fields.theta = parameters.beta, parameters.theta
+        fields.beta_stride, fields.volume, fields.what = parameters.beta_stride, parameters.volume, what
+        return fields
 
     def cluster_values(self, values: FloatArray) -> Any:
         """(B, C) one value for each cluster, as the kernels read them."""
@@ -288,7 +326,7 @@ class LatticeOperator:
         """(B, C) sum over each cluster's particles of m_i <adjoint_i, d goal_i / d beta_c> at the state u."""
         self.residual(u, out, parameters, running, what=BY_BETA)
         axes = 3 if self.dim == 3 else 2
-        maps = self._cluster_fields(self._maps, self.dim * (1 + axes))
+        maps = self._cluster_fields(self._fields.maps, self.dim * (1 + axes))
         body = self.body
         weighted = np.zeros((self.layout.candidates, body.count, self.dim))
         weighted[:, body.cell] = self.layout.get(adjoint, self.dim) * body.mass.reshape(-1)[body.cell, None]
@@ -306,81 +344,72 @@ class LatticeOperator:
         body = body.reshape(rows, layout.groups, -1, layout.abreast)[:, :, self.body.clusters_at, :]
         return body.transpose(1, 3, 2, 0).reshape(-1, len(self.body.clusters_at), rows)[: layout.candidates]
 
-    def _zero(self) -> Any:
-        if not hasattr(self, "_zeros"):
-            self._zeros = self.layout.field(self.dim)
-        return self._zeros
+    @property
+    def threads(self) -> int:
+        """Threads that keep to one group of candidates in a kernel that stays; 0 where passes are launched one by one."""
+        if self.layout.device.startswith("cpu"):
+            return 1
+        return RESIDENT_THREADS if self.body.count <= RESIDENT_CELLS else 0
 
-    def _unkept(self) -> Any:
+    def stay_stepping(
+        self, pair: Any, swapped: bool, motion: Any, parameters: Parameters, steps: int, ran_away: Any
+    ) -> None:
+        """`steps` time steps in one launch, of the displacement and the one before in the halves of `pair`."""
+        a, layout = self.arrays, self.layout
+        wp.launch(
+            a.resident.steps,
+            dim=layout.groups * self.threads,
+            block_dim=max(self.threads, 1),
+            inputs=[
+                *(self.grid, a.site, a.rest, self.unkept(), self.fields(parameters), motion),
+                *(steps, int(swapped), self.threads, pair, ran_away),
+            ],
+            device=layout.device,
+        )
+
+    def stay_relaxing(
+        self, parameters: Parameters, kept: Any, span: Any, state: Any, most: int, limit: int, arrays: list[Any]
+    ) -> Any:
+        """The command for up to `limit` evaluations of Newton's steps in one launch; arrays as its kernel lists them."""
+        a, layout = self.arrays, self.layout
+        return wp.launch(
+            a.resident.relax,
+            dim=layout.groups * self.threads,
+            block_dim=max(self.threads, 1),
+            inputs=[
+                *(self.grid, a.site, a.rest, kept, self.fields(parameters), self.still, span, state),
+                *(layout.groups, most, limit, self.threads, *arrays, self._nothing),
+            ],
+            device=layout.device,
+            record_cmd=True,
+        )
+
+    def unkept(self) -> Any:
         if -1 not in self._kept:
             kept = self.arrays.kept_type()
-            kept.turned = kept.compliance = kept.affine = self._maps
+            kept.turned = kept.compliance = kept.affine = self._fields.maps
             kept.stride = 0
             self._kept[-1] = kept
         return self._kept[-1]
 
-    def _launch(self, kernel: Any, dim: tuple[int, ...], inputs: list[Any], outputs: list[Any]) -> None:
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.layout.device)
-
     def _blocks(self, numbers: int) -> int:
         return -(-numbers // self.layout.width)
 
-    def _windows(self, u: Any, before: Any, motion: Any, running: Any, *, stepping: int) -> None:
-        kk, grid, layout, a = self.arrays.kernels, self.grid, self.layout, self.arrays
-        planes = grid.cells_0
-        self._launch(
-            kk.windows_fast,
-            (layout.groups, planes, self._blocks(grid.plane_end)),
-            [grid, u, before, motion, a.mass, a.free, running, stepping],
-            [self._sums_fast],
-        )
-        run, numbers = self._run_1, grid.line
-        segments = -(-grid.clusters_1 // run)
-        if run == 1:
-            numbers, segments = grid.clusters_1 * grid.line, 1
-        blocks = self._blocks(numbers)
-        self._launch(
-            kk.windows_middle,
-            (layout.groups, planes, segments * blocks),
-            [grid, run, blocks, self._sums_fast, running],
-            [self._sums_middle],
-        )
+    def _pass(self, kernel: Any, items: int, inputs: list[Any], outputs: list[Any] | None = None) -> None:
+        dim = (self.layout.groups, items)
+        wp.launch(kernel, dim=dim, inputs=[self.grid, *inputs], outputs=outputs or [], device=self.layout.device)
 
-    def _solve(self, kernel: Any, parameters: Parameters, running: Any, kept: Any, what: int) -> None:
-        grid = self.grid
-        self._launch(
-            kernel,
-            (self.layout.groups, -(-grid.clusters_0 // self._run_0), self._blocks(grid.cluster_end)),
-            [
-                *(grid, self.arrays.site, self.arrays.rest, kept, self._run_0, self._sums_middle),
-                *(parameters.beta, parameters.beta_stride, parameters.theta, parameters.volume, what, running),
-            ],
-            [self._maps],
-        )
+    def _windows(self, fields: Any, motion: Any, running: Any, u: Any, before: Any) -> None:
+        kk, grid = self.arrays.kernels, self.grid
+        self._pass(kk.windows_fast, grid.items_plane, [fields, motion, running, u, before])
+        self._pass(kk.windows_middle, grid.items_windows, [fields, running])
 
-    def _spread(self, u: Any, before: Any, motion: Any, running: Any, what: int, out: Any, ran_away: Any) -> None:
-        kk, grid, layout, a = self.arrays.kernels, self.grid, self.layout, self.arrays
+    def _fit(self, kernel: Any, fields: Any, running: Any, kept: Any) -> None:
+        self._pass(kernel, self.grid.items_fit, [self.arrays.site, self.arrays.rest, kept, fields, running])
+
+    def _spread(self, fields: Any, motion: Any, running: Any, u: Any, before: Any, out: Any, ran_away: Any) -> None:
+        kk, grid = self.arrays.kernels, self.grid
         if self.dim == 3:
-            self._launch(
-                kk.spread_slow,
-                (layout.groups, -(-grid.cells_0 // self._run_0), self._blocks(grid.cluster_end)),
-                [grid, self._run_0, self._maps, running],
-                [self._maps_slow],
-            )
-        run, numbers = self._run_1, grid.line
-        segments = -(-grid.cells_1 // run)
-        if run == 1:
-            numbers, segments = grid.plane_end, 1
-        blocks = self._blocks(numbers)
-        self._launch(
-            kk.spread_middle,
-            (layout.groups, grid.cells_0, segments * blocks),
-            [grid, run, blocks, self._maps_slow, running],
-            [self._maps_middle],
-        )
-        self._launch(
-            kk.finish,
-            (layout.groups, grid.cells_0, self._blocks(grid.plane_end)),
-            [grid, self._maps_middle, u, before, motion, a.pull, a.free, running, what],
-            [out, ran_away],
-        )
+            self._pass(kk.spread_slow, grid.items_slow, [fields, running])
+        self._pass(kk.spread_middle, grid.items_spread, [fields, running])
+        self._pass(kk.finish, grid.items_plane, [fields, motion, running, u, before], [out, ran_away])

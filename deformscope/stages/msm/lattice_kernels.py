@@ -21,16 +21,17 @@ import warp as wp
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
 from deformscope.stages.msm.lanes import CPU_FLAGS, lanes_for, product_for, rows_for
 
-RESIDUAL, CHANGE, STEP = 0, 1, 2
-"""What the last pass makes of the mean goals: goal - u, J p - p, or the next state of time stepping."""
+FAR = 1e4
+"""Spacings beyond which a particle has run away."""
 
 
 @dataclass(frozen=True, slots=True)
-class LatticeKernels:
-    """The compiled set and its struct types."""
+class LatticeFunctions:
+    """What one thread does in each pass, and the struct types. Passes follow each other; each has its count of items."""
 
     grid: Any
     site: Any
+    fields: Any
     motion: Any
     windows_fast: Any
     windows_middle: Any
@@ -41,23 +42,31 @@ class LatticeKernels:
     finish: Any
 
 
+@dataclass(frozen=True, slots=True)
+class LatticeKernels:
+    """A kernel for each pass, for lattices that fill a GPU."""
+
+    windows_fast: Any
+    windows_middle: Any
+    fit_clusters: Any
+    fit_changes: Any
+    spread_slow: Any
+    spread_middle: Any
+    finish: Any
+
+
 @functools.cache
-def lattice_kernels_for(dim: int, scalar: Any, width: int) -> LatticeKernels:
-    """The kernels for `dim` = 2 or 3, scalar = wp.float32 or wp.float64, and lanes of `width`."""
-    module = f"deformscope_lattice_{dim}d_{scalar.__name__}_{width}"
-    wp.get_module(module).options.update({"enable_backward": False, "max_unroll": 3, "cpu_compiler_flags": CPU_FLAGS})
-    kernel = functools.partial(wp.kernel, module=module, enable_backward=False)
+def lattice_functions_for(dim: int, scalar: Any, width: int) -> LatticeFunctions:
+    """The functions for `dim` = 2 or 3, scalar = wp.float32 or wp.float64, and lanes of `width`."""
     axes = dim
     lanes = lanes_for(width, scalar)
-    lane, own, choose, times, below = lanes.lane, lanes.own, lanes.choose, lanes.times, lanes.below
-    load_lane, store_lane = lanes.load, lanes.store
+    lane, own, times, below = lanes.lane, lanes.own, lanes.times, lanes.below
     vecs = rows_for(dim, width, scalar)
     axis_vecs = rows_for(axes, width, scalar)
-    squares = rows_for(dim * dim, width, scalar)
     maps = rows_for(axes * dim, width, scalar)
-    load, store, add, row, with_row, only = vecs.load, vecs.store, vecs.add, vecs.row, vecs.with_row, vecs.choose
-    scale, own_mean, row_of_mean = vecs.scale, axis_vecs.own, axis_vecs.row
-    own_map, store_map, only_map, with_map, row_of_map = maps.own, maps.store, maps.choose, maps.with_row, maps.row
+    load, store, add, row, with_row = vecs.load, vecs.store, vecs.add, vecs.row, vecs.with_row
+    scale, own_mean = vecs.scale, axis_vecs.own
+    own_map, store_map, only_map = maps.own, maps.store, maps.choose
     square_times_map = product_for(dim, axes, dim, width, scalar)
     map_times_square = product_for(axes, dim, dim, width, scalar)
     cluster = cluster_functions_for(dim, dim, scalar, width)
@@ -66,7 +75,7 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int) -> LatticeKernels:
     number = f"wp::{scalar.__name__}"
     each = f"for (int l = 0; l < {width}; ++l)"
     moved = " + ".join(f"mean.data[{a}][l] * slopes.data[{a * dim} + i][l]" for a in range(axes))
-    far = scalar(1e4)
+    far = scalar(FAR)
 
     def matrix_c(rows: int) -> str:
         return f"wp::mat_t<{rows}, {width}, {number}>"
@@ -78,8 +87,9 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int) -> LatticeKernels:
         cells: along axes 0 and 1; clusters: along axes 0 and 1; plane, line: cells of one step along axis 0 and 1, each
         times `abreast`; abreast: candidates side by side in the lanes (1: cells side by side); front: numbers before
         the first place of a field; group: numbers from one group of candidates to the next; stride: from one row of a
-        field to the next; window_0...: cells of a cluster along the axis; line_end, plane_end, cluster_end: numbers
-        that a line, a plane, and the clusters of a plane fill
+        field to the next; window_0...: cells of a cluster along the axis; plane_end, cluster_end: numbers that a plane
+        and the clusters of a plane fill; run_0, run_1: cells that a sum slides over along an axis; items_*: of a pass,
+        in a group; blocks_*: of these, in a plane (or a line)
         """
 
         cells_0: int
@@ -97,6 +107,17 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int) -> LatticeKernels:
         stride: int
         plane_end: int
         cluster_end: int
+        run_0: int
+        run_1: int
+        blocks_plane: int
+        blocks_clusters: int
+        blocks_windows: int
+        blocks_spread: int
+        items_plane: int
+        items_windows: int
+        items_fit: int
+        items_slow: int
+        items_spread: int
 
     @wp.struct
     class Site:
@@ -112,9 +133,32 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int) -> LatticeKernels:
         step: int
 
     @wp.struct
+    class Fields:
+        """What the passes read of particles, leave to each other, and know of the candidates.
+
+        mass: one value if all are alike; pull: 1 / number of clusters, 0 for a held particle and for a missing one
+        what: GOAL, BY_BETA or BY_THETA; beta_stride: see `body.Parameters`
+        """
+
+        mass: wp.array(dtype=scalar)
+        free: wp.array(dtype=scalar)
+        pull: wp.array(dtype=scalar)
+        sums_fast: wp.array(dtype=scalar)
+        sums_middle: wp.array(dtype=scalar)
+        maps: wp.array(dtype=scalar)
+        maps_slow: wp.array(dtype=scalar)
+        maps_middle: wp.array(dtype=scalar)
+        beta: wp.array(dtype=scalar)
+        theta: wp.array(dtype=scalar)
+        beta_stride: int
+        volume: int
+        what: int
+
+    @wp.struct
     class Motion:
         """What time stepping adds: alpha, the share of the last motion that goes on, and a push each step."""
 
+        stepping: int
         alpha: scalar
         going_on: scalar
         push: wp.array(dtype=scalar)
@@ -198,25 +242,21 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int) -> LatticeKernels:
                     total = add(add(add(total, one, slopes), -one - h, old), -h, new)
                     slopes = add(add(slopes, -one, old), one, new)
 
-    @kernel
+    @wp.func
     def windows_fast(
         grid: Grid,
-        # In:
-        u_in: wp.array(dtype=scalar),
-        before_in: wp.array(dtype=scalar),
+        fields: Fields,
         motion: Motion,
-        mass: wp.array(dtype=scalar),
-        free: wp.array(dtype=scalar),
-        running: wp.array(dtype=int),
-        stepping: int,
-        # Out:
-        sums_out: wp.array(dtype=scalar),
+        u_in: wp.array(dtype=scalar),
+        offset: int,
+        before_in: wp.array(dtype=scalar),
+        before_offset: int,
+        group: int,
+        item: int,
     ):
         """Windows along the fast axis of m u, or of m x* (eq. 3.1, 3.2): sum, first moment."""
-        group, plane, block = wp.tid()
-        if running[group] == 0:
-            return
-        in_plane = block * wp.static(width)
+        plane = item / grid.blocks_plane
+        in_plane = (item - plane * grid.blocks_plane) * wp.static(width)
         cell = plane * grid.plane + in_plane
         at = grid.front + group * grid.group + cell
         count = grid.plane_end - in_plane
@@ -225,14 +265,14 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int) -> LatticeKernels:
         moment = vecs.rows()
         for k in range(grid.window_2):
             here = at + k * grid.abreast
-            v = load(u_in, here, grid.stride)
-            if stepping != 0:
-                v = ahead(grid, v, before_in, motion, free, here, cell + k * grid.abreast)
-            v = scale(v, particle_own(mass, cell + k * grid.abreast, grid.abreast))
+            v = load(u_in, offset + here, grid.stride)
+            if motion.stepping != 0:
+                v = ahead(grid, v, before_in, motion, fields.free, before_offset + here, cell + k * grid.abreast)
+            v = scale(v, particle_own(fields.mass, cell + k * grid.abreast, grid.abreast))
             total = add(total, one, v)
             moment = add(moment, scalar(k) - h, v)
-        store(sums_out, at, grid.stride, total, count)
-        store(sums_out, at + wp.static(dim) * grid.stride, grid.stride, moment, count)
+        store(fields.sums_fast, at, grid.stride, total, count)
+        store(fields.sums_fast, at + wp.static(dim) * grid.stride, grid.stride, moment, count)
 
     @wp.func
     def particle_own(values: wp.array(dtype=scalar), cell: int, abreast: int):
@@ -261,37 +301,26 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int) -> LatticeKernels:
             moves = with_row(moves, k, row(moves, k) + lane(motion.push[k]))
         return add(u, one, scale(moves, particle_own(free, cell, grid.abreast)))
 
-    @kernel
-    def windows_middle(
-        grid: Grid,
-        run: int,
-        blocks: int,
-        # In:
-        sums_in: wp.array(dtype=scalar),
-        running: wp.array(dtype=int),
-        # Out:
-        sums_out: wp.array(dtype=scalar),
-    ):
+    @wp.func
+    def windows_middle(grid: Grid, fields: Fields, group: int, item: int):
         """Windows along the middle axis: sum, first moment along it, and the first moment along the fast axis."""
-        group, plane, item = wp.tid()
-        if running[group] == 0:
-            return
-        segment = item / blocks
-        block = item - segment * blocks
-        first_line = segment * run
-        steps = wp.min(run, grid.clusters_1 - first_line)
-        in_line = block * wp.static(width)
-        end = grid.line
-        if run == 1:
-            end = grid.clusters_1 * grid.line  # lines follow each other: the lanes run through
-            steps = 1
-        count = end - in_line
-        if run == 1:
+        per_plane = grid.items_windows / grid.cells_0
+        plane = item / per_plane
+        rest = item - plane * per_plane
+        segment = rest / grid.blocks_windows
+        in_line = (rest - segment * grid.blocks_windows) * wp.static(width)
+        first_line = segment * grid.run_1
+        steps = wp.min(grid.run_1, grid.clusters_1 - first_line)
+        count = grid.line - in_line
+        if grid.run_1 == 1:  # lines follow each other: the lanes run through
+            count = grid.clusters_1 * grid.line - in_line
             first_line = 0
         at = grid.front + group * grid.group + plane * grid.plane + first_line * grid.line + in_line
         d = wp.static(dim)
-        slide_in(sums_in, 0, at, grid.line, grid.window_1, steps, grid.stride, sums_out, 0, d, count)
-        slide_in(sums_in, d, at, grid.line, grid.window_1, steps, grid.stride, sums_out, 2 * d, -1, count)
+        source = fields.sums_fast
+        target = fields.sums_middle
+        slide_in(source, 0, at, grid.line, grid.window_1, steps, grid.stride, target, 0, d, count)
+        slide_in(source, d, at, grid.line, grid.window_1, steps, grid.stride, target, 2 * d, -1, count)
 
     @wp.func_native(
         f"{matrix_c(axes * dim)} r; for (int a = 0; a < {axes}; ++a) for (int i = 0; i < {dim}; ++i) {each}"
@@ -324,17 +353,12 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int) -> LatticeKernels:
         site: Site,
         rest: cluster.rest,
         kept: cluster.kept,
+        fields: Fields,
         at: int,
         cell: int,
         group: int,
         total: vecs.rows,
         moments: maps.rows,
-        beta_in: wp.array(dtype=scalar),
-        beta_stride: int,
-        theta_in: wp.array(dtype=scalar),
-        volume: int,
-        what: int,
-        maps_out: wp.array(dtype=scalar),
         count: int,
     ):
         """From the moments of a cluster to its goal map, as what the particles add up: a shift, and slopes by axis."""
@@ -344,15 +368,15 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int) -> LatticeKernels:
         moments = centred(moments, mean, total, valid)
         affine_t = square_times_map(own_map(site.affine, place, site.stride, step), moments)
         change_t = square_times_map(own_map(site.moment, place, site.stride, step), moments)
-        beta = parameter(grid, beta_in, beta_stride, group, cell)
-        theta = parameter(grid, theta_in, 0, group, cell)
-        blend_t = fit(rest, place, step, kept, at, count, affine_t, change_t, beta, theta, volume, what)
+        beta = parameter(grid, fields.beta, fields.beta_stride, group, cell)
+        theta = parameter(grid, fields.theta, 0, group, cell)
+        blend_t = fit(rest, place, step, kept, at, count, affine_t, change_t, beta, theta, fields.volume, fields.what)
         slopes = map_times_square(own_map(site.edge_t, 0, 1, 0), blend_t)
         share = own(site.share, place, step)
-        if what != wp.static(GOAL):
+        if fields.what != wp.static(GOAL):
             share = lane()
-        store(maps_out, at, grid.stride, shift_of(total, share, mean, slopes, valid), count)
-        store_map(maps_out, at + wp.static(dim) * grid.stride, grid.stride, only_map(valid, slopes), count)
+        store(fields.maps, at, grid.stride, shift_of(total, share, mean, slopes, valid), count)
+        store_map(fields.maps, at + wp.static(dim) * grid.stride, grid.stride, only_map(valid, slopes), count)
 
     @wp.func
     def changed(
@@ -360,17 +384,12 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int) -> LatticeKernels:
         site: Site,
         rest: cluster.rest,
         kept: cluster.kept,
+        fields: Fields,
         at: int,
         cell: int,
         group: int,
         total: vecs.rows,
         moments: maps.rows,
-        beta_in: wp.array(dtype=scalar),
-        beta_stride: int,
-        theta_in: wp.array(dtype=scalar),
-        volume: int,
-        what: int,
-        maps_out: wp.array(dtype=scalar),
         count: int,
     ):
         """Derivative of `fitted` along the direction that the moments belong to."""
@@ -380,13 +399,13 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int) -> LatticeKernels:
         moments = centred(moments, mean, total, valid)
         affine_t = square_times_map(own_map(site.affine, place, site.stride, step), moments)
         change_t = square_times_map(own_map(site.moment, place, site.stride, step), moments)
-        beta = parameter(grid, beta_in, beta_stride, group, cell)
-        theta = parameter(grid, theta_in, 0, group, cell)
-        blend_t = fit_change(rest, place, step, kept, at, affine_t, change_t, beta, theta, volume)
+        beta = parameter(grid, fields.beta, fields.beta_stride, group, cell)
+        theta = parameter(grid, fields.theta, 0, group, cell)
+        blend_t = fit_change(rest, place, step, kept, at, affine_t, change_t, beta, theta, fields.volume)
         slopes = map_times_square(own_map(site.edge_t, 0, 1, 0), blend_t)
         share = own(site.share, place, step)
-        store(maps_out, at, grid.stride, shift_of(total, share, mean, slopes, valid), count)
-        store_map(maps_out, at + wp.static(dim) * grid.stride, grid.stride, only_map(valid, slopes), count)
+        store(fields.maps, at, grid.stride, shift_of(total, share, mean, slopes, valid), count)
+        store_map(fields.maps, at + wp.static(dim) * grid.stride, grid.stride, only_map(valid, slopes), count)
 
     @wp.func
     def rest_place(grid: Grid, site: Site, cell: int):
@@ -408,44 +427,34 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int) -> LatticeKernels:
         return own(values, group * grid.abreast, 1)
 
     def windows_slow(solve: Any, name: str) -> Any:
-        """The kernel that ends the window sums and hands them to `solve`."""
+        """The function that ends the window sums, and hands them to `solve`."""
 
+        @wp.func(name=name)
         def windows(
             grid: Grid,
             site: Site,
             rest: cluster.rest,
             kept: cluster.kept,
-            run: int,
-            # In:
-            sums_in: wp.array(dtype=scalar),
-            beta: wp.array(dtype=scalar),
-            beta_stride: int,
-            theta: wp.array(dtype=scalar),
-            volume: int,
-            what: int,
-            running: wp.array(dtype=int),
-            # Out:
-            maps_out: wp.array(dtype=scalar),
+            fields: Fields,
+            group: int,
+            item: int,
         ):
             """Windows along the slow axis, and with them each cluster's map."""
-            group, segment, block = wp.tid()
-            if running[group] == 0:
-                return
-            in_plane = block * wp.static(width)
-            first = segment * run
-            steps = wp.min(run, grid.clusters_0 - first)
+            segment = item / grid.blocks_clusters
+            in_plane = (item - segment * grid.blocks_clusters) * wp.static(width)
+            first = segment * grid.run_0
+            steps = wp.min(grid.run_0, grid.clusters_0 - first)
             count = grid.cluster_end - in_plane
             base = grid.front + group * grid.group
             d = wp.static(dim)
+            source = fields.sums_middle
             if wp.static(dim) == 2:
                 at = base + in_plane
-                total = load(sums_in, at, grid.stride)
-                slow = load(sums_in, at + d * grid.stride, grid.stride)
-                fast = load(sums_in, at + 2 * d * grid.stride, grid.stride)
-                moments = stacked(slow, fast, fast)
+                slow = load(source, at + d * grid.stride, grid.stride)
+                fast = load(source, at + 2 * d * grid.stride, grid.stride)
+                total = load(source, at, grid.stride)
                 solve(
-                    grid, site, rest, kept, at, in_plane, group, total, moments, beta, beta_stride, theta, volume, what,
-                    maps_out, count,
+                    grid, site, rest, kept, fields, at, in_plane, group, total, stacked(slow, fast, fast), count
                 )  # fmt: skip
             if wp.static(dim) == 3:
                 h = middle(grid.window_0)
@@ -456,115 +465,105 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int) -> LatticeKernels:
                 at = base + first * grid.plane + in_plane
                 for k in range(grid.window_0):
                     here = at + k * grid.plane
-                    v = load(sums_in, here, grid.stride)
+                    v = load(source, here, grid.stride)
                     total = add(total, one, v)
                     slow = add(slow, scalar(k) - h, v)
-                    mid = add(mid, one, load(sums_in, here + d * grid.stride, grid.stride))
-                    fast = add(fast, one, load(sums_in, here + 2 * d * grid.stride, grid.stride))
+                    mid = add(mid, one, load(source, here + d * grid.stride, grid.stride))
+                    fast = add(fast, one, load(source, here + 2 * d * grid.stride, grid.stride))
                 for j in range(steps):
                     place = at + j * grid.plane
-                    moments = stacked(slow, mid, fast)
+                    cell = (first + j) * grid.plane + in_plane
                     solve(
-                        grid, site, rest, kept, place, (first + j) * grid.plane + in_plane, group, total, moments, beta,
-                        beta_stride, theta, volume, what, maps_out, count,
+                        grid, site, rest, kept, fields, place, cell, group, total, stacked(slow, mid, fast), count
                     )  # fmt: skip
                     if j + 1 < steps:
                         over = grid.window_0 * grid.plane
-                        leaves = load(sums_in, place, grid.stride)
-                        enters = load(sums_in, place + over, grid.stride)
+                        leaves = load(source, place, grid.stride)
+                        enters = load(source, place + over, grid.stride)
                         slow = add(add(add(slow, -one, total), one + h, leaves), h, enters)
                         total = add(add(total, -one, leaves), one, enters)
-                        mid = add(mid, -one, load(sums_in, place + d * grid.stride, grid.stride))
-                        mid = add(mid, one, load(sums_in, place + d * grid.stride + over, grid.stride))
-                        fast = add(fast, -one, load(sums_in, place + 2 * d * grid.stride, grid.stride))
-                        fast = add(fast, one, load(sums_in, place + 2 * d * grid.stride + over, grid.stride))
+                        mid = add(mid, -one, load(source, place + d * grid.stride, grid.stride))
+                        mid = add(mid, one, load(source, place + d * grid.stride + over, grid.stride))
+                        fast = add(fast, -one, load(source, place + 2 * d * grid.stride, grid.stride))
+                        fast = add(fast, one, load(source, place + 2 * d * grid.stride + over, grid.stride))
 
-        windows.__name__ = windows.__qualname__ = name
-        return kernel(windows)
+        return windows
 
     fit_clusters = windows_slow(fitted, "fit_clusters")
     fit_changes = windows_slow(changed, "fit_changes")
 
-    @kernel
-    def spread_slow(
-        grid: Grid,
-        run: int,
-        # In:
-        maps_in: wp.array(dtype=scalar),
-        running: wp.array(dtype=int),
-        # Out:
-        maps_out: wp.array(dtype=scalar),
-    ):
-        """Along the slow axis, what the clusters of a particle add up: the shift with its slope, and the two other slopes."""
-        group, segment, block = wp.tid()
-        if running[group] == 0:
-            return
-        in_plane = block * wp.static(width)
-        first = segment * run
-        steps = wp.min(run, grid.cells_0 - first)
+    @wp.func
+    def spread_slow(grid: Grid, fields: Fields, group: int, item: int):
+        """Along the slow axis, what the clusters of a particle add up: the shift with its slope, and the other slopes."""
+        segment = item / grid.blocks_clusters
+        in_plane = (item - segment * grid.blocks_clusters) * wp.static(width)
+        first = segment * grid.run_0
+        steps = wp.min(grid.run_0, grid.cells_0 - first)
         count = grid.cluster_end - in_plane
         at = grid.front + group * grid.group + first * grid.plane + in_plane
         d = wp.static(dim)
-        slide_out(maps_in, 0, d, at, grid.plane, grid.window_0, steps, grid.stride, maps_out, 0, count)
-        slide_out(maps_in, 2 * d, -1, at, grid.plane, grid.window_0, steps, grid.stride, maps_out, d, count)
-        slide_out(maps_in, 3 * d, -1, at, grid.plane, grid.window_0, steps, grid.stride, maps_out, 2 * d, count)
+        source = fields.maps
+        target = fields.maps_slow
+        slide_out(source, 0, d, at, grid.plane, grid.window_0, steps, grid.stride, target, 0, count)
+        slide_out(source, 2 * d, -1, at, grid.plane, grid.window_0, steps, grid.stride, target, d, count)
+        slide_out(source, 3 * d, -1, at, grid.plane, grid.window_0, steps, grid.stride, target, 2 * d, count)
 
-    @kernel
-    def spread_middle(
-        grid: Grid,
-        run: int,
-        blocks: int,
-        # In:
-        maps_in: wp.array(dtype=scalar),
-        running: wp.array(dtype=int),
-        # Out:
-        maps_out: wp.array(dtype=scalar),
-    ):
+    @wp.func
+    def spread_middle(grid: Grid, fields: Fields, group: int, item: int):
         """The same along the middle axis: the shift with its slope, and the slope along the fast axis."""
-        group, plane, item = wp.tid()
-        if running[group] == 0:
-            return
-        segment = item / blocks
-        block = item - segment * blocks
-        first_line = segment * run
-        steps = wp.min(run, grid.cells_1 - first_line)
-        in_line = block * wp.static(width)
-        end = grid.line
-        if run == 1:
-            end = grid.plane_end
-            steps = 1
+        per_plane = grid.items_spread / grid.cells_0
+        plane = item / per_plane
+        rest = item - plane * per_plane
+        segment = rest / grid.blocks_spread
+        in_line = (rest - segment * grid.blocks_spread) * wp.static(width)
+        first_line = segment * grid.run_1
+        steps = wp.min(grid.run_1, grid.cells_1 - first_line)
+        count = grid.line - in_line
+        if grid.run_1 == 1:
+            count = grid.plane_end - in_line
             first_line = 0
-        count = end - in_line
         at = grid.front + group * grid.group + plane * grid.plane + first_line * grid.line + in_line
         d = wp.static(dim)
-        slide_out(maps_in, 0, d, at, grid.line, grid.window_1, steps, grid.stride, maps_out, 0, count)
-        slide_out(maps_in, 2 * d, -1, at, grid.line, grid.window_1, steps, grid.stride, maps_out, d, count)
+        source = fields.maps_slow
+        target = fields.maps_middle
+        slide_out(source, 0, d, at, grid.line, grid.window_1, steps, grid.stride, target, 0, count)
+        slide_out(source, 2 * d, -1, at, grid.line, grid.window_1, steps, grid.stride, target, d, count)
 
-    @kernel
+    @wp.func(inline=False)  # rare
+    def hold_back(new: vecs.rows, u: vecs.rows, ran_away: wp.array(dtype=int), first: int, step: int, count: int):
+        """A particle that would run away stays, and marks its candidate."""
+        for l in range(wp.static(width)):
+            length2 = scalar(0.0)
+            for i in range(wp.static(dim)):
+                length2 += new[i, l] * new[i, l]
+            if l < count and not (length2 < far * far):
+                ran_away[first + l * step] = 1
+                for i in range(wp.static(dim)):
+                    new[i, l] = u[i, l]
+        return new
+
+    @wp.func
     def finish(
         grid: Grid,
-        # In:
-        maps_in: wp.array(dtype=scalar),
-        u_in: wp.array(dtype=scalar),
-        before_in: wp.array(dtype=scalar),
+        fields: Fields,
         motion: Motion,
-        pull: wp.array(dtype=scalar),
-        free: wp.array(dtype=scalar),
-        running: wp.array(dtype=int),
-        what: int,
-        # Out:
+        u_in: wp.array(dtype=scalar),
+        offset: int,
+        before_in: wp.array(dtype=scalar),
+        before_offset: int,
         out: wp.array(dtype=scalar),
         ran_away: wp.array(dtype=int),
+        group: int,
+        item: int,
     ):
         """Along the fast axis, and with it the mean goal of each particle (eq. 3.15), less where it is; 0 if held.
 
-        pull: 1 / number of clusters, 0 for a held particle and for a missing one. With `what` = STEP, eq. 3.11: the new
-        position, which may take the place of the one before. A particle that would run away marks its candidate.
+        Stepping, eq. 3.11: the new position, which may take the place of the one before. offset: from the first number of
+        `u_in` to that of the field meant, and the same in `out`; before_offset: the same of `before_in`, and of `out` when
+        stepping.
         """
-        group, plane, block = wp.tid()
-        if running[group] == 0:
-            return
-        in_plane = block * wp.static(width)
+        plane = item / grid.blocks_plane
+        in_plane = (item - plane * grid.blocks_plane) * wp.static(width)
         cell = plane * grid.plane + in_plane
         at = grid.front + group * grid.group + cell
         count = grid.plane_end - in_plane
@@ -573,35 +572,32 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int) -> LatticeKernels:
         total = vecs.rows()
         for k in range(grid.window_2):
             here = at - k * grid.abreast
-            total = add(total, one, load(maps_in, here, grid.stride))
-            total = add(total, scalar(k) - h, load(maps_in, here + d * grid.stride, grid.stride))
-        u = load(u_in, at, grid.stride)
-        is_free = particle_own(free, cell, grid.abreast)
-        if what == wp.static(STEP):
-            star = ahead(grid, u, before_in, motion, free, at, cell)
-            goal = scale(total, particle_own(pull, cell, grid.abreast))
-            pulled = add(goal, -one, scale(star, is_free))
-            new = add(star, motion.alpha, pulled)
+            total = add(total, one, load(fields.maps_middle, here, grid.stride))
+            total = add(total, scalar(k) - h, load(fields.maps_middle, here + d * grid.stride, grid.stride))
+        goal = scale(total, particle_own(fields.pull, cell, grid.abreast))
+        u = load(u_in, offset + at, grid.stride)
+        is_free = particle_own(fields.free, cell, grid.abreast)
+        if motion.stepping == 0:
+            if fields.what == wp.static(GOAL):
+                goal = add(goal, -one, scale(u, is_free))
+            store(out, offset + at, grid.stride, goal, count)
+        else:
+            star = ahead(grid, u, before_in, motion, fields.free, before_offset + at, cell)
+            new = add(star, motion.alpha, add(goal, -one, scale(star, is_free)))
             length2 = lane()
             for i in range(d):
                 length2 += times(row(new, i), row(new, i))
-            if below(length2, far * far) == 0:
-                for l in range(wp.static(width)):
-                    if l < count and not (length2[l] < far * far):
-                        if grid.abreast == 1:
-                            ran_away[group] = 1
-                        else:
-                            ran_away[group * grid.abreast + l] = 1
-                        for i in range(d):
-                            new[i, l] = u[i, l]
-            store(out, at, grid.stride, new, count)
-        else:
-            goal = scale(total, particle_own(pull, cell, grid.abreast))
-            store(out, at, grid.stride, add(goal, -one, scale(u, is_free)), count)
+            if below(length2, far * far) != 0:
+                store(out, before_offset + at, grid.stride, new, count)
+            else:
+                first = group * grid.abreast
+                step = wp.min(grid.abreast - 1, 1)
+                store(out, before_offset + at, grid.stride, hold_back(new, u, ran_away, first, step, count), count)
 
-    return LatticeKernels(
+    return LatticeFunctions(
         Grid,
         Site,
+        Fields,
         Motion,
         windows_fast,
         windows_middle,
@@ -611,3 +607,90 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int) -> LatticeKernels:
         spread_middle,
         finish,
     )
+
+
+@functools.cache
+def lattice_kernels_for(dim: int, scalar: Any, width: int) -> LatticeKernels:
+    """A kernel for each pass: a GPU's threads share the items of all groups."""
+    module = f"deformscope_lattice_{dim}d_{scalar.__name__}_{width}"
+    wp.get_module(module).options.update({"enable_backward": False, "max_unroll": 3, "cpu_compiler_flags": CPU_FLAGS})
+    kernel = functools.partial(wp.kernel, module=module, enable_backward=False)
+    functions = lattice_functions_for(dim, scalar, width)
+    cluster = cluster_functions_for(dim, dim, scalar, width)
+    windows_fast_of, windows_middle_of = functions.windows_fast, functions.windows_middle
+    fit_clusters_of, fit_changes_of = functions.fit_clusters, functions.fit_changes
+    spread_slow_of, spread_middle_of, finish_of = functions.spread_slow, functions.spread_middle, functions.finish
+
+    @kernel
+    def windows_fast(
+        grid: functions.grid,
+        fields: functions.fields,
+        motion: functions.motion,
+        running: wp.array(dtype=int),
+        u_in: wp.array(dtype=scalar),
+        before_in: wp.array(dtype=scalar),
+    ):
+        group, item = wp.tid()
+        if running[group] != 0:
+            windows_fast_of(grid, fields, motion, u_in, 0, before_in, 0, group, item)
+
+    @kernel
+    def windows_middle(grid: functions.grid, fields: functions.fields, running: wp.array(dtype=int)):
+        group, item = wp.tid()
+        if running[group] != 0:
+            windows_middle_of(grid, fields, group, item)
+
+    @kernel
+    def fit_clusters(
+        grid: functions.grid,
+        site: functions.site,
+        rest: cluster.rest,
+        kept: cluster.kept,
+        fields: functions.fields,
+        running: wp.array(dtype=int),
+    ):
+        group, item = wp.tid()
+        if running[group] != 0:
+            fit_clusters_of(grid, site, rest, kept, fields, group, item)
+
+    @kernel
+    def fit_changes(
+        grid: functions.grid,
+        site: functions.site,
+        rest: cluster.rest,
+        kept: cluster.kept,
+        fields: functions.fields,
+        running: wp.array(dtype=int),
+    ):
+        group, item = wp.tid()
+        if running[group] != 0:
+            fit_changes_of(grid, site, rest, kept, fields, group, item)
+
+    @kernel
+    def spread_slow(grid: functions.grid, fields: functions.fields, running: wp.array(dtype=int)):
+        group, item = wp.tid()
+        if running[group] != 0:
+            spread_slow_of(grid, fields, group, item)
+
+    @kernel
+    def spread_middle(grid: functions.grid, fields: functions.fields, running: wp.array(dtype=int)):
+        group, item = wp.tid()
+        if running[group] != 0:
+            spread_middle_of(grid, fields, group, item)
+
+    @kernel
+    def finish(
+        grid: functions.grid,
+        fields: functions.fields,
+        motion: functions.motion,
+        running: wp.array(dtype=int),
+        u_in: wp.array(dtype=scalar),
+        before_in: wp.array(dtype=scalar),
+        out: wp.array(dtype=scalar),
+        ran_away: wp.array(dtype=int),
+    ):
+        group, item = wp.tid()
+        if running[group] != 0:
+            finish_of(grid, fields, motion, u_in, 0, before_in, 0, out, ran_away, group, item)
+
+    return LatticeKernels(windows_fast, windows_middle, fit_clusters, fit_changes, spread_slow, spread_middle, finish)

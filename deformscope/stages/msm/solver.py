@@ -17,7 +17,7 @@ from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters
 from deformscope.stages.msm.cluster_functions import BY_BETA, BY_THETA, NONE, PROJECT, SCALE
 from deformscope.stages.msm.clusters import Clusters, LatticeClusters, held_mask, spacing
 from deformscope.stages.msm.general import GeneralBody
-from deformscope.stages.msm.iteration import Anderson, Ended, Newton, goal_derivative
+from deformscope.stages.msm.iteration import Anderson, Ended, Newton, goal_derivative, halves
 from deformscope.stages.msm.iteration_kernels import CONVERGED, DIVERGED, iteration_kernels_for
 from deformscope.stages.msm.lattice import LatticeBody, lattice_edges
 from deformscope.stages.msm.layout import Layout, upload
@@ -85,9 +85,18 @@ class Moving:
     def __init__(self, operator: Operator) -> None:
         self.operator = operator
         self.layout: Layout = operator.layout
-        self.u, self.before = self.layout.field(operator.dim), self.layout.field(operator.dim)
+        self.pair = self.layout.field(2 * operator.dim)
+        self.swapped = False
         self.last_dt = 0.0
         self.ran_away = self.layout.each(np.zeros(1), int)
+
+    @property
+    def u(self) -> Any:
+        return halves(self.pair)[int(self.swapped)]
+
+    @property
+    def before(self) -> Any:
+        return halves(self.pair)[int(not self.swapped)]
 
     @property
     def diverged(self) -> BoolArray:
@@ -507,28 +516,30 @@ class _Stepping:
 
     def run(self, steps: int) -> None:
         """The next `steps` steps."""
-        done = 0
+        state, operator = self.state, self.state.operator
+        if operator.threads:
+            for motion, count in ((self.first, min(steps, 1)), (self.motion, max(steps - 1, 0))):
+                if count:
+                    operator.stay_stepping(state.pair, state.swapped, motion, self.parameters, count, state.ran_away)
+                    state.swapped ^= bool(count % 2)
+            return
         if steps > 0:
             self._one(self.first)
-            done = 1
-        if steps - done >= 4:
-
-            def two() -> None:
+        steps -= 1
+        if steps >= 4:
+            with wp.ScopedCapture(device=state.layout.device) as capture:
                 self._one(self.motion)
                 self._one(self.motion)
-
-            with wp.ScopedCapture(device=self.state.layout.device) as capture:
-                two()
-            for _ in range((steps - done) // 2):
+            for _ in range(steps // 2):
                 wp.capture_launch(capture.graph)
-            done += (steps - done) // 2 * 2
-        for _ in range(steps - done):
+            steps %= 2
+        for _ in range(steps):
             self._one(self.motion)
 
     def _one(self, motion: Any) -> None:
         state = self.state
         state.operator.step(state.u, state.before, motion, self.parameters, self.running, state.ran_away)
-        state.u, state.before = state.before, state.u
+        state.swapped = not state.swapped
 
 
 def pick_device(choice: Literal["auto", "cpu", "cuda"]) -> str:

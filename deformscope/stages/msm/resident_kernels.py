@@ -1,0 +1,257 @@
+"""Warp kernels that stay: all passes of a step, and all steps, or a whole relaxation, in one launch.
+
+A block of threads keeps to one group of candidates and goes through its passes, meeting at a barrier after each. On a GPU
+that saves the launches between passes, which cost more than a small body's work, and what a pass leaves is still near
+when the next reads it; on a CPU a block is one thread, and there are no launches left to pay for at any size.
+
+Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
+"""
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+from deformscope.stages.msm.cluster_functions import cluster_functions_for
+from deformscope.stages.msm.iteration_kernels import newton_functions_for
+from deformscope.stages.msm.lanes import CPU_FLAGS, Sized
+from deformscope.stages.msm.lattice_kernels import lattice_functions_for
+
+
+@dataclass(frozen=True, slots=True)
+class ResidentKernels:
+    """The kernels; one module each, since not all who step relax."""
+
+    steps: Any
+    relax: Any
+
+
+@functools.cache
+def resident_kernels_for(dim: int, scalar: Any, width: int) -> ResidentKernels:
+    """The kernels for lattices of `dim` = 2 or 3, scalar = wp.float32 or wp.float64, and lanes of `width`."""
+
+    def kernel_in(name: str) -> Any:
+        module = f"deformscope_{name}_{dim}d_{scalar.__name__}_{width}"
+        options = {"enable_backward": False, "max_unroll": 3, "cpu_compiler_flags": CPU_FLAGS}
+        wp.get_module(module).options.update(options)
+        return functools.partial(wp.kernel, module=module, enable_backward=False)
+
+    lattice = lattice_functions_for(dim, scalar, width)
+    cluster = cluster_functions_for(dim, dim, scalar, width)
+    newton = newton_functions_for(dim, scalar, width)
+    Grid, Site, Fields, Motion = lattice.grid, lattice.site, lattice.fields, lattice.motion
+    windows_fast, windows_middle, finish = lattice.windows_fast, lattice.windows_middle, lattice.finish
+    fit_clusters, fit_changes = lattice.fit_clusters, lattice.fit_changes
+    spread_slow, spread_middle = lattice.spread_slow, lattice.spread_middle
+    Span, Newton, sums, put = newton.span, newton.newton, newton.sums, newton.put
+    inner_products, move, judge, begin = newton.inner_products, newton.move, newton.judge, newton.begin
+    curvature, descend, conjugate, direct = newton.curvature, newton.descend, newton.conjugate, newton.direct
+
+    @wp.func_native(
+        """
+    #if defined(__CUDA_ARCH__)
+    __syncthreads();
+    #endif
+    """
+    )
+    def meet():
+        """All threads of the block have come here, and see what the others wrote."""
+        ...
+
+    def together(name: str, join: str) -> Any:
+        """Joins a number of every thread of a block; on a CPU the block is the thread."""
+        sized = Sized(name)
+        snippet = f"""
+    #if defined(__CUDA_ARCH__)
+    __shared__ double parts[32];
+    for (int offset = 16; offset > 0; offset >>= 1) {{
+        const double other = __shfl_down_sync(0xffffffffu, v, offset);
+        v = {join};
+    }}
+    __syncthreads();
+    if ((threadIdx.x & 31) == 0) parts[threadIdx.x >> 5] = v;
+    __syncthreads();
+    v = parts[0];
+    for (unsigned warp = 1; warp < (blockDim.x + 31) / 32; ++warp) {{
+        const double other = parts[warp];
+        v = {join};
+    }}
+    #endif
+    return v;"""
+
+        @sized.func_native(snippet)
+        def joined_threads(v: wp.float64) -> wp.float64: ...
+
+        return joined_threads
+
+    total_of_threads = together("sum", "v + other")
+    largest_of_threads = together("max", "v > other ? v : other")
+
+    @wp.func
+    def operate(
+        grid: Grid,
+        site: Site,
+        rest: cluster.rest,
+        kept: cluster.kept,
+        fields: Fields,
+        motion: Motion,
+        u: wp.array(dtype=scalar),
+        offset: int,
+        before: wp.array(dtype=scalar),
+        before_offset: int,
+        out: wp.array(dtype=scalar),
+        ran_away: wp.array(dtype=int),
+        changing: int,
+        group: int,
+        thread: int,
+        threads: int,
+    ):
+        """All passes over a group: goals (or with `changing` their derivative) of what is at `offset` of u, into out."""
+        for item in range(thread, grid.items_plane, threads):
+            windows_fast(grid, fields, motion, u, offset, before, before_offset, group, item)
+        meet()
+        for item in range(thread, grid.items_windows, threads):
+            windows_middle(grid, fields, group, item)
+        meet()
+        if changing != 0:
+            for item in range(thread, grid.items_fit, threads):
+                fit_changes(grid, site, rest, kept, fields, group, item)
+        else:
+            for item in range(thread, grid.items_fit, threads):
+                fit_clusters(grid, site, rest, kept, fields, group, item)
+        meet()
+        if wp.static(dim == 3):
+            for item in range(thread, grid.items_slow, threads):
+                spread_slow(grid, fields, group, item)
+            meet()
+        for item in range(thread, grid.items_spread, threads):
+            spread_middle(grid, fields, group, item)
+        meet()
+        for item in range(thread, grid.items_plane, threads):
+            finish(grid, fields, motion, u, offset, before, before_offset, out, ran_away, group, item)
+        meet()
+
+    steps_kernel = kernel_in("steps")
+
+    @steps_kernel
+    def steps(
+        grid: Grid,
+        site: Site,
+        rest: cluster.rest,
+        kept: cluster.kept,
+        fields: Fields,
+        motion: Motion,
+        count: int,
+        swapped: int,
+        threads: int,
+        # In and out:
+        pair: wp.array(dtype=scalar),
+        ran_away: wp.array(dtype=int),
+    ):
+        """`count` time steps. The displacement is in the first half of the pair, the one before in the second; each step
+        they change places, and with `swapped` they begin so."""
+        index = wp.tid()
+        group = index / threads
+        thread = index - group * threads
+        rows = wp.static(dim) * grid.stride
+        for n in range(count):
+            offset = ((n + swapped) % 2) * rows
+            operate(
+                grid, site, rest, kept, fields, motion, pair, offset, pair, rows - offset, pair, ran_away, 0, group,
+                thread, threads,
+            )  # fmt: skip
+
+    relax_kernel = kernel_in("relax")
+
+    @wp.func
+    def keep(span: Span, parts: wp.array(dtype=wp.float64), row: int, groups: int, group: int, thread: int, v: sums):
+        """The group's sums, of which there is one part."""
+        if thread == 0:
+            put(parts, (row * groups + group) * wp.static(width), v)
+
+    @wp.func
+    def joined(v: sums):
+        if wp.static(width == 1):
+            v[0] = total_of_threads(v[0])
+        return v
+
+    @wp.func
+    def longest_of(v: sums):
+        if wp.static(width == 1):
+            v[0] = largest_of_threads(v[0])
+        return v
+
+    @relax_kernel
+    def relax(
+        grid: Grid,
+        site: Site,
+        rest: cluster.rest,
+        kept: cluster.kept,
+        fields: Fields,
+        still: Motion,
+        span: Span,
+        state: Newton,
+        groups: int,
+        most: int,
+        limit: int,
+        threads: int,
+        # In and out: the displacement and the direction, the residual and the direction's change, each as one field
+        pair: wp.array(dtype=scalar),
+        pair_out: wp.array(dtype=scalar),
+        u: wp.array(dtype=scalar),
+        direction: wp.array(dtype=scalar),
+        residual: wp.array(dtype=scalar),
+        changed: wp.array(dtype=scalar),
+        step: wp.array(dtype=scalar),
+        rho: wp.array(dtype=scalar),
+        parts: wp.array(dtype=wp.float64),
+        nothing: wp.array(dtype=int),
+    ):
+        """Up to `limit` evaluations of a group's Newton steps, or of its linear solve."""
+        index = wp.tid()
+        group = index / threads
+        thread = index - group * threads
+        done = int(0)
+        while done < limit and (state.outer_groups[group] != 0 or state.inner_groups[group] != 0):
+            changing = state.inner_groups[group]
+            offset = int(0)
+            if changing != 0:
+                offset = wp.static(dim) * grid.stride
+            else:
+                for block in range(thread, span.blocks, threads):
+                    move(span, state, step, u, group, block)
+            meet()
+            operate(
+                grid, site, rest, kept, fields, still, pair, offset, pair, 0, pair_out, nothing, changing, group, thread,
+                threads,
+            )  # fmt: skip
+            if changing != 0:
+                stiff, square = inner_products(span, direction, changed, direction, direction, group, thread, threads)
+                keep(span, parts, 0, groups, group, thread, joined(stiff))
+                keep(span, parts, 1, groups, group, thread, joined(square))
+                if thread == 0:
+                    curvature(span, state, parts, groups, group)
+                meet()
+                left, longest = descend(span, state, direction, changed, step, rho, group, thread, threads)
+                keep(span, parts, 0, groups, group, thread, joined(left))
+                keep(span, parts, 1, groups, group, thread, longest_of(longest))
+                if thread == 0:
+                    conjugate(span, state, parts, groups, most, group)
+                meet()
+                for block in range(thread, span.blocks, threads):
+                    direct(span, state, rho, direction, group, block)
+            else:
+                own, along = inner_products(span, residual, residual, residual, step, group, thread, threads)
+                keep(span, parts, 0, groups, group, thread, joined(own))
+                keep(span, parts, 1, groups, group, thread, joined(along))
+                if thread == 0:
+                    judge(span, state, parts, groups, group)
+                meet()
+                if state.inner_groups[group] != 0:
+                    for block in range(thread, span.blocks, threads):
+                        begin(span, state, residual, rho, direction, step, group, block)
+            meet()
+            done += int(1)
+
+    return ResidentKernels(steps, relax)
