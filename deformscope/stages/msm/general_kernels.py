@@ -10,7 +10,7 @@ from typing import Any
 import warp as wp
 
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
-from deformscope.stages.msm.lanes import CPU_FLAGS, Sized, lanes_for, rows_for
+from deformscope.stages.msm.lanes import Sized, lanes_for, module_options, rows_for
 from deformscope.stages.msm.lattice_kernels import FAR
 
 
@@ -30,7 +30,7 @@ class GeneralKernels:
 def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> GeneralKernels:
     """The kernels for `dim` = 2 or 3, `terms` = 2, 3 (linear) or 5, 9 (quadratic), and lanes of `width`."""
     module = f"deformscope_general_{dim}d_{terms}_{scalar.__name__}_{width}"
-    wp.get_module(module).options.update({"enable_backward": False, "max_unroll": 3, "cpu_compiler_flags": CPU_FLAGS})
+    wp.get_module(module).options.update(module_options(scalar))
     kernel = functools.partial(wp.kernel, module=module, enable_backward=False)
     lanes = lanes_for(width, scalar)
     lane, own, times, below = lanes.lane, lanes.own, lanes.times, lanes.below

@@ -14,7 +14,7 @@ from typing import Any
 import warp as wp
 
 from deformscope.stages.msm.lattice_kernels import FAR
-from deformscope.stages.msm.lanes import CPU_FLAGS, lanes_for, rows_for
+from deformscope.stages.msm.lanes import lanes_for, module_options, rows_for
 
 MEMORY = 8
 """Earlier iterates that Anderson's acceleration combines."""
@@ -469,7 +469,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
 def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels:
     """A kernel for each part of an iteration, for fields of `dim` rows and lanes of `width`."""
     module = f"deformscope_iteration_{dim}d_{scalar.__name__}_{width}"
-    wp.get_module(module).options.update({"enable_backward": False, "max_unroll": 3, "cpu_compiler_flags": CPU_FLAGS})
+    wp.get_module(module).options.update(module_options(scalar))
     kernel = functools.partial(wp.kernel, module=module, enable_backward=False)
     lanes = lanes_for(width, scalar)
     lane = lanes.lane

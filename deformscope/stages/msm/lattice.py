@@ -13,7 +13,7 @@ from deformscope.stages.msm.body import BodyRest, Parameters, RestArrays, rest_s
 from deformscope.stages.msm.cluster_functions import BY_BETA, GOAL, cluster_functions_for
 from deformscope.stages.msm.clusters import FLAT_MOMENT_RATIO, LatticeClusters
 from deformscope.stages.msm.layout import Layout, upload, widths
-from deformscope.stages.msm.resident_kernels import resident_kernels_for
+from deformscope.stages.msm.resident_kernels import THREADS, resident_kernels_for
 
 REGULAR = 1e-6
 """Spacings by which a particle may stand beside its place in an even lattice to be taken as standing on it."""
@@ -23,8 +23,6 @@ SLIDE = {"cpu": (3, 64), "cuda": (4, 8)}
 
 RESIDENT_CELLS = 8192
 """Cells up to which one block of a GPU's threads goes through a whole body by itself."""
-
-RESIDENT_THREADS = 512
 
 FIELDS = ("mass", "free", "pull", "sums_fast", "sums_middle", "maps", "maps_slow", "maps_middle")
 
@@ -38,6 +36,11 @@ def lattice_edges(rest: FloatArray, clusters: LatticeClusters) -> FloatArray | N
     edges[used] = np.linalg.lstsq(centred, rest - rest.mean(axis=0), rcond=None)[0]
     off = centred @ edges[used] - (rest - rest.mean(axis=0))
     return edges if np.abs(off).max(initial=0.0) <= REGULAR else None
+
+
+def axes_of(dim: int) -> int:
+    """Axes along which the passes take moments."""
+    return dim
 
 
 class LatticeBody:
@@ -149,13 +152,16 @@ class _Arrays:
 
     def __init__(self, body: LatticeBody, width: int) -> None:
         d, scalar, device = body.dim, body.scalar, body.device
-        self.kernels = k.lattice_kernels_for(d, scalar, width)
-        self.functions = k.lattice_functions_for(d, scalar, width)
-        self.resident = resident_kernels_for(d, scalar, width)
+        limit, _ = SLIDE["cpu" if device.startswith("cpu") else "cuda"]
+        wide = set(body.window[3 - axes_of(d) :])
+        window = 0 if device.startswith("cpu") or len(wide) > 1 or max(wide) > limit else max(wide)
+        self.kernels = k.lattice_kernels_for(d, scalar, width, window)
+        self.functions = k.lattice_functions_for(d, scalar, width, window)
+        self.resident = resident_kernels_for(d, scalar, width, window)
         functions = cluster_functions_for(d, d, scalar, width)
         total, mean, gram = body.moments()
         n = len(total)
-        axes = 3 if d == 3 else 2
+        axes = axes_of(d)
         edges = body.edges[3 - axes :]
         values, vectors = np.linalg.eigh(gram)
         told = values > FLAT_MOMENT_RATIO * np.maximum(values[:, -1:], np.finfo(float).tiny)
@@ -248,7 +254,7 @@ class LatticeOperator:
         fields = kk.fields()
         fields.mass, fields.free, fields.pull = arrays.mass, arrays.free, arrays.pull
         fields.sums_fast, fields.sums_middle = layout.field(2 * d), layout.field(3 * d)
-        fields.maps = layout.field(d + d * (3 if d == 3 else 2))
+        fields.maps = layout.field(d + d * axes_of(d))
         fields.maps_slow = layout.field(3 * d) if d == 3 else fields.maps
         fields.maps_middle = layout.field(2 * d)
         self._fields = fields
@@ -325,7 +331,7 @@ class LatticeOperator:
     def cluster_gradient(self, u: Any, adjoint: Any, parameters: Parameters, running: Any, out: Any) -> FloatArray:
         """(B, C) sum over each cluster's particles of m_i <adjoint_i, d goal_i / d beta_c> at the state u."""
         self.residual(u, out, parameters, running, what=BY_BETA)
-        axes = 3 if self.dim == 3 else 2
+        axes = axes_of(self.dim)
         maps = self._cluster_fields(self._fields.maps, self.dim * (1 + axes))
         body = self.body
         weighted = np.zeros((self.layout.candidates, body.count, self.dim))
@@ -349,7 +355,7 @@ class LatticeOperator:
         """Threads that keep to one group of candidates in a kernel that stays; 0 where passes are launched one by one."""
         if self.layout.device.startswith("cpu"):
             return 1
-        return RESIDENT_THREADS if self.body.count <= RESIDENT_CELLS else 0
+        return THREADS[self.layout.scalar] if self.body.count <= RESIDENT_CELLS else 0
 
     def stay_stepping(
         self, pair: Any, swapped: bool, motion: Any, parameters: Parameters, steps: int, ran_away: Any

@@ -19,7 +19,7 @@ from typing import Any
 import warp as wp
 
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
-from deformscope.stages.msm.lanes import CPU_FLAGS, lanes_for, product_for, rows_for
+from deformscope.stages.msm.lanes import lanes_for, module_options, product_for, rows_for
 
 FAR = 1e4
 """Spacings beyond which a particle has run away."""
@@ -56,8 +56,12 @@ class LatticeKernels:
 
 
 @functools.cache
-def lattice_functions_for(dim: int, scalar: Any, width: int) -> LatticeFunctions:
-    """The functions for `dim` = 2 or 3, scalar = wp.float32 or wp.float64, and lanes of `width`."""
+def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) -> LatticeFunctions:
+    """The functions for `dim` = 2 or 3, scalar = wp.float32 or wp.float64, and lanes of `width`.
+
+    window: cells of a cluster along every axis, each summed up anew: a GPU then has all its numbers on the way at once;
+    0: any windows and runs, as the grid says
+    """
     axes = dim
     lanes = lanes_for(width, scalar)
     lane, own, times, below = lanes.lane, lanes.own, lanes.times, lanes.below
@@ -164,8 +168,28 @@ def lattice_functions_for(dim: int, scalar: Any, width: int) -> LatticeFunctions
         push: wp.array(dtype=scalar)
 
     @wp.func
-    def middle(window: int):
-        return scalar(0.5) * scalar(window - 1)
+    def middle(window_here: int):
+        return scalar(0.5) * scalar(window_here - 1)
+
+    if window:
+
+        @wp.func
+        def cells_of(asked: int):
+            return wp.static(window)
+
+        @wp.func
+        def run_of(asked: int):
+            return wp.static(1)
+
+    else:
+
+        @wp.func
+        def cells_of(asked: int):
+            return asked
+
+        @wp.func
+        def run_of(asked: int):
+            return asked
 
     @wp.func
     def slide_in(
@@ -173,7 +197,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int) -> LatticeFunctions
         row_in: int,
         first: int,
         step: int,
-        window: int,
+        window_here: int,
         run: int,
         stride: int,
         target: wp.array(dtype=scalar),
@@ -184,21 +208,21 @@ def lattice_functions_for(dim: int, scalar: Any, width: int) -> LatticeFunctions
         """Sums (and first moments, where row_moment >= 0) of a vector over windows that start at `first`, `run` of them."""
         total = vecs.rows()
         moment = vecs.rows()
-        h = middle(window)
+        h = middle(cells_of(window_here))
         at = first + row_in * stride
-        for k in range(window):
+        for k in range(cells_of(window_here)):
             v = load(source, at + k * step, stride)
             total = add(total, one, v)
             if row_moment >= 0:
                 moment = add(moment, scalar(k) - h, v)
-        for j in range(run):
+        for j in range(run_of(run)):
             place = first + j * step
             store(target, place + row_sum * stride, stride, total, count)
             if row_moment >= 0:
                 store(target, place + row_moment * stride, stride, moment, count)
-            if j + 1 < run:
+            if j + 1 < run_of(run):
                 leaves = load(source, place + row_in * stride, stride)
-                enters = load(source, place + row_in * stride + window * step, stride)
+                enters = load(source, place + row_in * stride + window_here * step, stride)
                 if row_moment >= 0:
                     moment = add(add(add(moment, -one, total), one + h, leaves), h, enters)
                 total = add(add(total, -one, leaves), one, enters)
@@ -210,7 +234,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int) -> LatticeFunctions
         row_slope: int,
         first: int,
         step: int,
-        window: int,
+        window_here: int,
         run: int,
         stride: int,
         target: wp.array(dtype=scalar),
@@ -220,19 +244,19 @@ def lattice_functions_for(dim: int, scalar: Any, width: int) -> LatticeFunctions
         """Sums over the clusters that a place belongs to, of a vector and (row_slope >= 0) of a slope times its offset."""
         total = vecs.rows()
         slopes = vecs.rows()
-        h = middle(window)
-        for k in range(window):
+        h = middle(cells_of(window_here))
+        for k in range(cells_of(window_here)):
             at = first - k * step
             total = add(total, one, load(source, at + row_in * stride, stride))
             if row_slope >= 0:
                 slope = load(source, at + row_slope * stride, stride)
                 total = add(total, scalar(k) - h, slope)
                 slopes = add(slopes, one, slope)
-        for j in range(run):
+        for j in range(run_of(run)):
             place = first + j * step
             store(target, place + row_sum * stride, stride, total, count)
-            if j + 1 < run:
-                leaves = place - (window - 1) * step
+            if j + 1 < run_of(run):
+                leaves = place - (window_here - 1) * step
                 enters = place + step
                 total = add(total, -one, load(source, leaves + row_in * stride, stride))
                 total = add(total, one, load(source, enters + row_in * stride, stride))
@@ -260,10 +284,10 @@ def lattice_functions_for(dim: int, scalar: Any, width: int) -> LatticeFunctions
         cell = plane * grid.plane + in_plane
         at = grid.front + group * grid.group + cell
         count = grid.plane_end - in_plane
-        h = middle(grid.window_2)
+        h = middle(cells_of(grid.window_2))
         total = vecs.rows()
         moment = vecs.rows()
-        for k in range(grid.window_2):
+        for k in range(cells_of(grid.window_2)):
             here = at + k * grid.abreast
             v = load(u_in, offset + here, grid.stride)
             if motion.stepping != 0:
@@ -279,7 +303,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int) -> LatticeFunctions
         """What belongs to a particle, for the lanes at `cell` (of one group); one value if all are alike."""
         if values.shape[0] == 1:
             return own(values, 0, 0)
-        if abreast == 1:
+        if wp.static(width == 1) or abreast == 1:
             return own(values, cell, 1)
         return own(values, cell / abreast, 0)
 
@@ -362,8 +386,9 @@ def lattice_functions_for(dim: int, scalar: Any, width: int) -> LatticeFunctions
         count: int,
     ):
         """From the moments of a cluster to its goal map, as what the particles add up: a shift, and slopes by axis."""
-        place, own_valid, step = rest_place(grid, site, cell)
-        valid = own(site.valid, cell / grid.abreast, own_valid)
+        place, valid_place, differ = rest_place(grid, site, cell)
+        valid = own(site.valid, valid_place, differ)
+        step = differ * site.step
         mean = own_mean(site.mean, place, site.stride, step)
         moments = centred(moments, mean, total, valid)
         affine_t = square_times_map(own_map(site.affine, place, site.stride, step), moments)
@@ -393,8 +418,9 @@ def lattice_functions_for(dim: int, scalar: Any, width: int) -> LatticeFunctions
         count: int,
     ):
         """Derivative of `fitted` along the direction that the moments belong to."""
-        place, own_valid, step = rest_place(grid, site, cell)
-        valid = own(site.valid, cell / grid.abreast, own_valid)
+        place, valid_place, differ = rest_place(grid, site, cell)
+        valid = own(site.valid, valid_place, differ)
+        step = differ * site.step
         mean = own_mean(site.mean, place, site.stride, step)
         moments = centred(moments, mean, total, valid)
         affine_t = square_times_map(own_map(site.affine, place, site.stride, step), moments)
@@ -409,20 +435,17 @@ def lattice_functions_for(dim: int, scalar: Any, width: int) -> LatticeFunctions
 
     @wp.func
     def rest_place(grid: Grid, site: Site, cell: int):
-        """Where a cluster's rest data are, whether each lane has its own `valid`, and whether each has its own rest."""
-        differ = 0
-        if grid.abreast == 1:
-            differ = 1
-        if site.step == 0:
-            return 0, differ, 0
-        return cell / grid.abreast, differ, differ
+        """Where a cluster's rest data are, where its `valid` is, and 1 if the lanes are clusters (each with its own)."""
+        if wp.static(width == 1) or grid.abreast == 1:
+            return cell * site.step, cell, 1
+        return (cell / grid.abreast) * site.step, cell / grid.abreast, 0
 
     @wp.func
     def parameter(grid: Grid, values: wp.array(dtype=scalar), stride: int, group: int, cell: int):
         """A candidate's parameter, or (stride > 0) that of each cluster."""
         if stride > 0:
             return own(values, group * stride + cell, 1)
-        if grid.abreast == 1:
+        if wp.static(width == 1) or grid.abreast == 1:
             return own(values, group, 0)
         return own(values, group * grid.abreast, 1)
 
@@ -457,26 +480,26 @@ def lattice_functions_for(dim: int, scalar: Any, width: int) -> LatticeFunctions
                     grid, site, rest, kept, fields, at, in_plane, group, total, stacked(slow, fast, fast), count
                 )  # fmt: skip
             if wp.static(dim) == 3:
-                h = middle(grid.window_0)
+                h = middle(cells_of(grid.window_0))
                 total = vecs.rows()
                 slow = vecs.rows()
                 mid = vecs.rows()
                 fast = vecs.rows()
                 at = base + first * grid.plane + in_plane
-                for k in range(grid.window_0):
+                for k in range(cells_of(grid.window_0)):
                     here = at + k * grid.plane
                     v = load(source, here, grid.stride)
                     total = add(total, one, v)
                     slow = add(slow, scalar(k) - h, v)
                     mid = add(mid, one, load(source, here + d * grid.stride, grid.stride))
                     fast = add(fast, one, load(source, here + 2 * d * grid.stride, grid.stride))
-                for j in range(steps):
+                for j in range(run_of(steps)):
                     place = at + j * grid.plane
                     cell = (first + j) * grid.plane + in_plane
                     solve(
                         grid, site, rest, kept, fields, place, cell, group, total, stacked(slow, mid, fast), count
                     )  # fmt: skip
-                    if j + 1 < steps:
+                    if j + 1 < run_of(steps):
                         over = grid.window_0 * grid.plane
                         leaves = load(source, place, grid.stride)
                         enters = load(source, place + over, grid.stride)
@@ -568,9 +591,9 @@ def lattice_functions_for(dim: int, scalar: Any, width: int) -> LatticeFunctions
         at = grid.front + group * grid.group + cell
         count = grid.plane_end - in_plane
         d = wp.static(dim)
-        h = middle(grid.window_2)
+        h = middle(cells_of(grid.window_2))
         total = vecs.rows()
-        for k in range(grid.window_2):
+        for k in range(cells_of(grid.window_2)):
             here = at - k * grid.abreast
             total = add(total, one, load(fields.maps_middle, here, grid.stride))
             total = add(total, scalar(k) - h, load(fields.maps_middle, here + d * grid.stride, grid.stride))
@@ -610,12 +633,13 @@ def lattice_functions_for(dim: int, scalar: Any, width: int) -> LatticeFunctions
 
 
 @functools.cache
-def lattice_kernels_for(dim: int, scalar: Any, width: int) -> LatticeKernels:
+def lattice_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> LatticeKernels:
     """A kernel for each pass: a GPU's threads share the items of all groups."""
-    module = f"deformscope_lattice_{dim}d_{scalar.__name__}_{width}"
-    wp.get_module(module).options.update({"enable_backward": False, "max_unroll": 3, "cpu_compiler_flags": CPU_FLAGS})
+    module = f"deformscope_lattice_{dim}d_{scalar.__name__}_{width}_{window}"
+    wp.get_module(module).options.update(module_options(scalar))
     kernel = functools.partial(wp.kernel, module=module, enable_backward=False)
-    functions = lattice_functions_for(dim, scalar, width)
+    fitting = functools.partial(kernel, launch_bounds=(256, 2))  # else too few threads fit to hide what they wait for
+    functions = lattice_functions_for(dim, scalar, width, window)
     cluster = cluster_functions_for(dim, dim, scalar, width)
     windows_fast_of, windows_middle_of = functions.windows_fast, functions.windows_middle
     fit_clusters_of, fit_changes_of = functions.fit_clusters, functions.fit_changes
@@ -640,7 +664,7 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int) -> LatticeKernels:
         if running[group] != 0:
             windows_middle_of(grid, fields, group, item)
 
-    @kernel
+    @fitting
     def fit_clusters(
         grid: functions.grid,
         site: functions.site,
@@ -653,7 +677,7 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int) -> LatticeKernels:
         if running[group] != 0:
             fit_clusters_of(grid, site, rest, kept, fields, group, item)
 
-    @kernel
+    @fitting
     def fit_changes(
         grid: functions.grid,
         site: functions.site,

@@ -15,8 +15,11 @@ import warp as wp
 
 from deformscope.stages.msm.cluster_functions import cluster_functions_for
 from deformscope.stages.msm.iteration_kernels import newton_functions_for
-from deformscope.stages.msm.lanes import CPU_FLAGS, Sized
+from deformscope.stages.msm.lanes import Sized, module_options
 from deformscope.stages.msm.lattice_kernels import lattice_functions_for
+
+THREADS = {wp.float32: 512, wp.float64: 256}
+"""Threads of a block on a GPU, for which the compiler saves registers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,16 +31,15 @@ class ResidentKernels:
 
 
 @functools.cache
-def resident_kernels_for(dim: int, scalar: Any, width: int) -> ResidentKernels:
+def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> ResidentKernels:
     """The kernels for lattices of `dim` = 2 or 3, scalar = wp.float32 or wp.float64, and lanes of `width`."""
 
     def kernel_in(name: str) -> Any:
-        module = f"deformscope_{name}_{dim}d_{scalar.__name__}_{width}"
-        options = {"enable_backward": False, "max_unroll": 3, "cpu_compiler_flags": CPU_FLAGS}
-        wp.get_module(module).options.update(options)
-        return functools.partial(wp.kernel, module=module, enable_backward=False)
+        module = f"deformscope_{name}_{dim}d_{scalar.__name__}_{width}_{window}"
+        wp.get_module(module).options.update(module_options(scalar))
+        return functools.partial(wp.kernel, module=module, enable_backward=False, launch_bounds=THREADS[scalar])
 
-    lattice = lattice_functions_for(dim, scalar, width)
+    lattice = lattice_functions_for(dim, scalar, width, window)
     cluster = cluster_functions_for(dim, dim, scalar, width)
     newton = newton_functions_for(dim, scalar, width)
     Grid, Site, Fields, Motion = lattice.grid, lattice.site, lattice.fields, lattice.motion
