@@ -265,6 +265,22 @@ def test_steps_are_the_references(device: str, precision: Precision, name: str, 
 
 
 @pytest.mark.parametrize("count", [1, 5])
+@pytest.mark.parametrize("name", ["plane with holes", "masses, holes, shuffled"])
+def test_a_step_without_motion_goes_to_the_goals_of_each_cluster(
+    device: str, precision: Precision, name: str, count: int
+) -> None:
+    body = CASES[name].build()
+    states = body.states(count)
+    beta = body.rng.uniform(0.0, 1.0, (count, body.clusters.count))
+    limit = _limit(precision, body, states)
+    for engine in (body.engine(precision, device), body.as_lists(precision, device)):
+        state = engine.start(count, states)
+        stepped = engine.step(state, states[:, body.held], beta, 0.4, volume="project")
+        expected = states + engine.residual(states, beta, 0.4, volume="project")
+        np.testing.assert_allclose(stepped, expected, rtol=0.0, atol=limit)
+
+
+@pytest.mark.parametrize("count", [1, 5])
 @pytest.mark.parametrize("name", ["plane without a corner", "masses, holes, shuffled", "oblique in the plane"])
 def test_static_states_are_those_of_the_same_clusters_as_lists(device: str, name: str, count: int) -> None:
     body = CASES[name].build()

@@ -185,7 +185,15 @@ def test_what_converged_in_single_precision_is_near_what_double_precision_makes_
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("shape", "size"), [((12, 30), 2), ((6, 6, 8), 2), ((6, 6, 8), 4), ((5, 5, 20), 3)])
+@pytest.mark.parametrize(
+    ("shape", "size"),
+    [
+        pytest.param((12, 30), 2, marks=GIVES_UP),
+        ((6, 6, 8), 2),
+        ((6, 6, 8), 4),
+        pytest.param((5, 5, 20), 3, marks=GIVES_UP),
+    ],
+)
 def test_with_projection_larger_pressed_bodies_converge(device: str, shape: tuple[int, ...], size: int) -> None:
     press = _press(shape, size)
     engine = Msm(press.rest, press.grouped, press.held, device=device)
