@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.msm import clusters
+from deformscope.stages.msm.clusters import LatticeClusters
 from tests.stages.bodies import lattice
 
 
@@ -47,6 +51,59 @@ def test_a_flat_sheet_in_space_keeps_its_flat_windows() -> None:
     rest = np.column_stack([lattice((4, 4)), np.zeros(16)])
     found = clusters.lattice(rest, (4, 4, 1), np.arange(16), 3)
     assert found.count == 4
+
+
+SHAPES = [(5,), (1, 6), (6, 1), (5, 6), (9, 3), (1, 4, 5), (4, 1, 5), (4, 5, 1), (3, 4, 5), (5, 5, 5), (2, 2, 9)]
+
+
+def _windows_by_loop(
+    rest: FloatArray, shape: tuple[int, ...], cell: IntArray, size: int
+) -> list[tuple[tuple[int, ...], list[int]]]:
+    """Corner and particles of every window that spans as many directions as a full one, looked up cell by cell."""
+    directions = min(sum(n > 1 for n in shape), rest.shape[1])
+    particle_of = {int(c): i for i, c in enumerate(cell)}
+    width = [min(size, n) for n in shape]
+    found = []
+    for corner in itertools.product(*(range(n - w + 1) for n, w in zip(shape, width, strict=True))):
+        row = []
+        for step in itertools.product(*(range(w) for w in width)):
+            place = int(np.ravel_multi_index(tuple(a + b for a, b in zip(corner, step, strict=True)), shape))
+            if place in particle_of:
+                row.append(particle_of[place])
+        if len(row) > directions and clusters.rank(rest[row]) >= directions:
+            found.append((corner, row))
+    return found
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("share", [0.0, 0.05, 0.25])
+@pytest.mark.parametrize("size", [2, 3, 4, 9])
+def test_windows_are_those_found_cell_by_cell(shape: tuple[int, ...], share: float, size: int) -> None:
+    """Full lattices, and such with holes, particles in any order; a particle in no window is adopted by another."""
+    rng = np.random.default_rng([*shape, size, int(100 * share)])
+    full = lattice(shape)
+    cell = rng.permutation(len(full))[: max(4, round(len(full) * (1.0 - share)))]
+    rest = full[cell]
+    found = clusters.lattice(rest, shape, cell, size)
+    expected = _windows_by_loop(rest, shape, cell, size)
+    counts = np.bincount(
+        np.concatenate([np.zeros(0, int), *(row for _, row in expected)]).astype(int), minlength=len(cell)
+    )
+    if counts.min() == 0:
+        assert not isinstance(found, LatticeClusters)
+        assert [row.tolist() for row in found][: len(expected)] == [row for _, row in expected]
+        assert found.count == len(expected) + np.count_nonzero(counts == 0)
+        assert found.cluster_counts().min() >= 1
+        return
+    assert isinstance(found, LatticeClusters)
+    assert found.count == len(expected)
+    assert [tuple(place) for place in np.argwhere(found.corner)] == [corner for corner, _ in expected]
+    np.testing.assert_array_equal(found.cluster_counts(), counts)  # before the lists are made, and after
+    assert [row.tolist() for row in found] == [row for _, row in expected]
+    np.testing.assert_array_equal(found.offsets, np.cumsum([0, *(len(row) for _, row in expected)]))
+    np.testing.assert_array_equal(found.members, np.concatenate([row for _, row in expected]))
+    assert found.members.dtype == found.offsets.dtype == np.int32
+    np.testing.assert_array_equal(np.bincount(found.members, minlength=len(cell)), counts)
 
 
 @pytest.mark.parametrize(
