@@ -25,7 +25,7 @@ PART_BLOCKS = {"cpu": 256, "cuda": 8}
 
 MOST_PARTS = 256
 
-ROUNDING = {wp.float32: 1e-8, wp.float64: 1e-14}
+ROUNDING = {wp.float32: 1e-8, wp.float64: 2e-15}
 """Residual that is but rounding, as a share of the displacements (or of a spacing)."""
 
 STAY = 256
@@ -137,7 +137,20 @@ class Newton(Iteration):
         zero = np.zeros(size)
         for name in ("state", "inner", "outers", "inners", "backs", "stalls", "total", "last", "sharp"):
             setattr(state, name, layout.each(zero, int))
-        for name in ("norm", "best", "first", "error", "square", "target", "slope", "taken", "least", "least_before"):
+        for name in (
+            "norm",
+            "best",
+            "first",
+            "error",
+            "square",
+            "target",
+            "slope",
+            "taken",
+            "least",
+            "least_before",
+            "reach",
+            "longest",
+        ):
             setattr(state, name, layout.each(zero, wp.float64))
         for name in ("by", "length", "mix"):
             setattr(state, name, layout.each(zero))
@@ -171,6 +184,7 @@ class Newton(Iteration):
         state.error.fill_(np.inf)
         state.least.fill_(1.0)
         state.least_before.fill_(1.0)
+        state.reach.fill_(k.REACH)
         state.outer_groups.fill_(1)
         state.inner_groups.fill_(0)
         self.step.zero_()
@@ -296,7 +310,7 @@ class Anderson(Iteration):
         zero = np.zeros(size)
         for name in ("state", "known", "total", "mark"):
             setattr(state, name, layout.each(zero, int))
-        for name in ("path", "norm", "best", "error"):
+        for name in ("path", "norm", "best", "error", "least", "least_before"):
             setattr(state, name, layout.each(zero, wp.float64))
         lanes = layout.groups * layout.abreast + layout.width
         state.gamma = upload(np.zeros((k.MEMORY, lanes)), layout.scalar, layout.device)
@@ -339,6 +353,8 @@ class Anderson(Iteration):
         state.mark.fill_(8)
         state.best.fill_(np.inf)
         state.error.fill_(np.inf)
+        state.least.fill_(1.0)
+        state.least_before.fill_(1.0)
         state.groups.fill_(1)
         done = 0
         size = self.layout.candidates

@@ -22,7 +22,7 @@ MEMORY = 8
 RUNNING, CONVERGED, DIVERGED, STALLED = 1, 0, -1, 2
 
 REACH = 1.0
-"""Spacings that no particle goes beyond in one Newton step: rotations are not straight."""
+"""Spacings that no particle ever goes beyond in one Newton step: rotations are not straight."""
 
 PATIENCE = 20
 """Newton steps without a residual half of the best before, after which a candidate has stalled (numbers have no more)."""
@@ -136,6 +136,8 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
         target: wp.array(dtype=wp.float64)  # at which the inner residual ends
         slope: wp.array(dtype=wp.float64)  # along the step, where it began
         taken: wp.array(dtype=wp.float64)  # share of the step that was taken
+        reach: wp.array(dtype=wp.float64)  # spacings that no particle goes beyond in the next step
+        longest: wp.array(dtype=wp.float64)  # spacings that the farthest particle went
         least: wp.array(dtype=wp.float64)  # smallest curvature met in this solve, and in the one before
         least_before: wp.array(dtype=wp.float64)
         last: wp.array(dtype=int)
@@ -245,7 +247,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
         """After a Newton step: has it gone too far, is this the static state, and how well to solve for the next step.
 
         The energy falls along the step as long as its slope <residual, step> is positive; where the slope at the end is
-        clearly negative, the step is shortened to where the slope would vanish. The distance that is left is (at
+        clearly negative, the step is shortened to where the slope would vanish, and the next goes no farther. The distance that is left is (at
         most five times) the residual over the smallest curvature that the last solves met, if they went far enough to meet it: a mode that pulls back by 2e-4 of its
         displacement has a residual 5000 times smaller than its error.
         """
@@ -268,13 +270,17 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
                 if not wp.isfinite(norm) or norm > far:
                     newton.state[i] = wp.static(DIVERGED)
                 elif norm <= newton.floor[0]:
-                    newton.state[i] = wp.static(CONVERGED)
+                    newton.state[i] = wp.static(STALLED)
+                    if newton.outers[i] == 0 or newton.error[i] <= tolerance:
+                        newton.state[i] = wp.static(CONVERGED)
                 elif newton.outers[i] > 0 and taken * along < -half * slope and newton.backs[i] < 12:
                     share = slope / (slope - taken * along)
                     newton.by[i] = scalar(-(unity - share) * taken)
                     newton.taken[i] = taken * share
                     newton.slope[i] = slope * share
                     newton.backs[i] = newton.backs[i] + 1
+                    newton.longest[i] = newton.longest[i] * share
+                    newton.reach[i] = wp.max(newton.longest[i], wp.float64(1e-6))
                 elif newton.outers[i] > 0 and newton.error[i] <= tolerance and newton.sharp[i] == 1:
                     newton.state[i] = wp.static(CONVERGED)
                 else:
@@ -284,7 +290,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
                     if norm < half * newton.best[i]:
                         newton.best[i] = norm
                         newton.stalls[i] = 0
-                    else:
+                    elif norm <= wp.float64(1000.0) * newton.floor[0]:  # on the way there it may well rise
                         newton.stalls[i] = newton.stalls[i] + 1
                     if newton.stalls[i] > wp.static(PATIENCE):
                         newton.state[i] = wp.static(STALLED)
@@ -303,6 +309,8 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
                         newton.inner[i] = 1
                         newton.inners[i] = 0
                         newton.last[i] = 0
+                        if newton.outers[i] > 0 and newton.backs[i] == 0:  # a straight step held: dare a longer one
+                            newton.reach[i] = wp.min(wp.float64(2.0) * newton.reach[i], reach)
                         newton.backs[i] = 0
                         newton.slope[i] = nought
                         newton.outers[i] = newton.outers[i] + 1
@@ -345,8 +353,8 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
     def curvature(span: Span, newton: Newton, parts: wp.array(dtype=wp.float64), groups: int, group: int):
         """How far to go along the direction p: to the minimum, by its curvature <p, (I - J) p>.
 
-        Where the energy curves down (a crushed cluster about to turn) the solve ends; if that is so at its first
-        direction, the step is that of the plain goal map, which never raises the energy.
+        Where the energy curves down (a crushed cluster about to turn, a strut about to buckle) the solve ends with a
+        step along that direction as far as particles may go at once; `judge` shortens it where that is too far.
         """
         for member in range(span.abreast):
             i = group * span.abreast + member
@@ -361,9 +369,9 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
                     newton.least[i] = wp.min(newton.least[i], stiff / own_square)
                 else:
                     newton.last[i] = 1
-                    if newton.inners[i] == 0:
-                        newton.length[i] = one
-                        newton.slope[i] = newton.square[i]
+                    length = reach / wp.sqrt(own_square / span.metric_total)
+                    newton.length[i] = scalar(length)
+                    newton.slope[i] = newton.slope[i] + length * newton.square[i]
 
     @wp.func
     def descend(
@@ -396,7 +404,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
 
     @wp.func
     def conjugate(span: Span, newton: Newton, parts: wp.array(dtype=wp.float64), groups: int, most: int, group: int):
-        """Ends the solve, or mixes the next direction. No particle goes beyond `REACH` in one Newton step."""
+        """Ends the solve, or mixes the next direction. No particle goes farther in one step than steps have proved good."""
         any_inner = int(0)
         for member in range(span.abreast):
             i = group * span.abreast + member
@@ -408,7 +416,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
                 newton.inners[i] = newton.inners[i] + 1
                 linear = newton.relative[0] > nought
                 done = newton.last[i] == 1 or fresh <= newton.target[i] or newton.inners[i] >= most
-                if not linear and longest > reach:
+                if not linear and longest > newton.reach[i]:
                     done = True
                 if not wp.isfinite(fresh):
                     done = True
@@ -418,8 +426,9 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
                 if done:
                     newton.inner[i] = 0
                     taken = unity
-                    if longest > reach:
-                        taken = reach / longest
+                    if not linear and longest > newton.reach[i]:
+                        taken = newton.reach[i] / longest
+                    newton.longest[i] = taken * longest
                     if fresh > newton.target[i]:
                         newton.sharp[i] = 0
                     newton.taken[i] = taken
@@ -518,6 +527,8 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
         norm: wp.array(dtype=wp.float64)
         best: wp.array(dtype=wp.float64)
         error: wp.array(dtype=wp.float64)
+        least: wp.array(dtype=wp.float64)  # smallest |dr| / |du| met since the last mark, and in the stretch before
+        least_before: wp.array(dtype=wp.float64)
         gram: wp.array(dtype=history)
         gamma: wp.array(dtype=scalar)  # weights of the remembered changes, slot by slot
         stride: int
@@ -668,8 +679,8 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
     def accelerate(span: Span, anderson: Anderson, parts: wp.array(dtype=wp.float64), groups: int):
         """Anderson's weights of the remembered changes: least squares of the residual over them, slightly damped.
 
-        The distance still to go is judged by the path over the last quarter of all iterations, not by the residual:
-        accelerated steps are as long as the error that they remove. When the residual has grown far above its best,
+        The distance still to go is judged by the path over the last quarter of all iterations, since accelerated steps
+        are as long as the error that they remove, and by the residual over the smallest pull back that they met. When the residual has grown far above its best,
         the memory is dropped and a plain step follows.
         """
         group = wp.tid()
@@ -687,16 +698,27 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
                 anderson.total[i] = anderson.total[i] + 1
                 if k > 0:
                     step = collected(span, parts, wp.static(2 * MEMORY + 1), groups, group, member)
+                    newest_row = 2 * ((k - 1) % wp.static(MEMORY))
+                    change = collected(span, parts, newest_row, groups, group, member)
                     anderson.path[i] = anderson.path[i] + wp.sqrt(step / span.metric_total)
+                    if step > nought:
+                        anderson.least[i] = wp.min(anderson.least[i], wp.sqrt(change / step))
                 done = anderson.total[i]
+                least = wp.min(anderson.least[i], anderson.least_before[i])
+                left = wp.float64(10.0) * norm / wp.max(least, wp.float64(1e-12))
                 if not wp.isfinite(norm) or norm > far:
                     anderson.state[i] = wp.static(DIVERGED)
                 elif norm <= anderson.floor[0]:
-                    anderson.state[i] = wp.static(CONVERGED)
+                    anderson.error[i] = left
+                    anderson.state[i] = wp.static(STALLED)
+                    if k == 0 or left <= anderson.tolerance[0]:
+                        anderson.state[i] = wp.static(CONVERGED)
                 elif done >= anderson.mark[i]:
-                    anderson.error[i] = anderson.path[i]
+                    anderson.error[i] = wp.max(anderson.path[i], left)
                     anderson.mark[i] = done + wp.max(done / 3, 8)
                     anderson.path[i] = nought
+                    anderson.least_before[i] = anderson.least[i]
+                    anderson.least[i] = unity
                     if anderson.error[i] <= anderson.tolerance[0]:
                         anderson.state[i] = wp.static(CONVERGED)
             if anderson.state[i] == wp.static(RUNNING):

@@ -18,7 +18,7 @@ from deformscope.stages.msm.resident_kernels import THREADS, resident_kernels_fo
 REGULAR = 1e-6
 """Spacings by which a particle may stand beside its place in an even lattice to be taken as standing on it."""
 
-SLIDE = {"cpu": (3, 64), "cuda": (4, 8)}
+SLIDE = {"cpu": (3, 32), "cuda": (4, 8)}
 """Widest window that is summed up anew at each cell, and the run of a sum that slides over wider ones."""
 
 RESIDENT_CELLS = 8192

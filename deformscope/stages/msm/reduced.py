@@ -39,6 +39,9 @@ from deformscope.stages.msm.reference import Basis, RestCluster, Volume, build_r
 
 VOLUMES: dict[Volume, int] = {"scale": k.SCALE, "project": k.PROJECT}
 
+SMALLEST_TOLERANCE = 2e-12
+"""Share of a cluster's radius to which the numbers themselves tell where a static state is."""
+
 
 @dataclass(frozen=True, slots=True)
 class Held:
@@ -207,11 +210,12 @@ class OneCluster:
         holds, the state is the one that follows from theta = 0 without a jump.
 
         beta, theta: a number or (B,); start: positions (K, d) or (B, K, d) [m], default rest
-        tolerance: on `residual` and `error`, as a share of the cluster's radius
+        tolerance: on `residual` and `error`, as a share of the cluster's radius, but no less than `SMALLEST_TOLERANCE`
         """
         size = max(
             np.size(beta), np.size(theta), len(held.moments), 1 if start is None else start.size // self.rest.size
         )
+        tolerance = max(tolerance, SMALLEST_TOLERANCE)
         work = self._filled(size, held, beta, theta, tolerance, max_iterations, volume)
         if start is not None:
             self._begin_at(np.asarray(start, dtype=np.float64).reshape(-1, *self.rest.shape), work)

@@ -148,11 +148,19 @@ class Msm:
 
     @functools.cached_property
     def _body(self) -> Body:
+        return self._build(self._scalar)
+
+    @functools.cached_property
+    def _double(self) -> Body:
+        """The body in float64: for eq. 3.17, which has no energy, and whose error float32 cannot judge."""
+        return self._body if self._scalar is wp.float64 else self._build(wp.float64)
+
+    def _build(self, scalar: Any) -> Body:
         if self._basis == "linear" and isinstance(self._clusters, LatticeClusters):
             edges = lattice_edges(self._particles.position, self._clusters)
             if edges is not None and (self.dim == 3 or len(self._clusters.shape) == 2):
-                return LatticeBody(self._particles, self._clusters, edges, self._scalar, self.device)
-        return GeneralBody(self._particles, self._clusters, self._basis, self._scalar, self.device)
+                return LatticeBody(self._particles, self._clusters, edges, scalar, self.device)
+        return GeneralBody(self._particles, self._clusters, self._basis, scalar, self.device)
 
     @functools.cached_property
     def _one(self) -> OneCluster | None:
@@ -186,7 +194,8 @@ class Msm:
     def _way(self, kind: type[Newton] | type[Anderson], size: int, volume: int) -> Any:
         """A way to run, with its scratch; that of the last few calls is kept."""
         key = (kind, size, volume)
-        way = self._scratch.pop(key, None) or kind(self._body, self._particles, size, volume)
+        body = self._double if kind is Anderson else self._body
+        way = self._scratch.pop(key, None) or kind(body, self._particles, size, volume)
         if size * len(self.rest) <= KEPT_NUMBERS:
             self._scratch[key] = way
             while len(self._scratch) > 4:
@@ -210,8 +219,8 @@ class Msm:
         """The static states; no dt, alpha or velocity enters.
 
         With theta = 0, and with the volume conserved by projection, they are minima of an energy, found by Newton's
-        steps (conjugate gradients); eq. 3.17 has no energy, so there the goal map is accelerated (Anderson). Both stop
-        on an estimate of the distance to go. One cluster of all particles is solved in its own few unknowns.
+        steps (conjugate gradients); eq. 3.17 has no energy, so there the goal map is accelerated (Anderson), in float64
+        always. Both stop on an estimate of the distance to go. One cluster of all particles is solved in its own few unknowns.
 
         A start that is symmetric stays so, as it does in time stepping: a strut pressed along its axis stays straight
         where it would rather buckle. With eq. 3.17 and strong compression a static state can have clusters turned
@@ -333,7 +342,7 @@ class Msm:
                 out.append(way.layout.get(moved, self.dim) * self.scale)
             else:
                 saved = way.layout.get(way.u, self.dim)
-                ended = way.solve(LINEAR_TOLERANCE[self.precision] * self.extent / self.scale, 40 * len(self.rest))
+                ended = way.solve(1e-12 * self.extent / self.scale, max(4000, 40 * len(self.rest)))
                 good &= bool((ended.state == CONVERGED).all())
                 out.append(way.layout.get(way.u, self.dim) * self.scale)
                 way.layout.put(saved, way.u)
@@ -390,14 +399,16 @@ class Msm:
         volume: Volume,
         *,
         conserving: bool = False,
+        way_kind: type[Newton] | None = None,
     ) -> Any:
-        """A way to run, evaluated at `position`; `conserving`: with volume conservation though theta is 0."""
+        """A way to run, evaluated at `position`; `conserving`: with volume conservation though theta is 0; way_kind: which,
+        where it only is to be evaluated."""
         _, beta_b, theta_b = self._candidates(position[:, self.held], beta, theta)
         size = max(len(position), len(beta_b))
         kind, size, how = self._kind(theta_b, size, volume)
         if conserving and how == NONE:
             kind, how = (Newton if volume == "project" else Anderson), VOLUMES[volume]
-        way = self._way(kind, size, how)
+        way = self._way(way_kind or kind, size, how)
         way.set(np.broadcast_to(beta_b, (size, *beta_b.shape[1:])), np.broadcast_to(theta_b, (size,)))
         way.layout.put(self._displacements(position), way.u)
         way.evaluate()
@@ -457,7 +468,7 @@ class Msm:
     ) -> FloatArray:
         """goals(x) - x at the given positions (K, d) or (B, K, d), 0 at held particles: (B, K, d)."""
         position = np.asarray(position, dtype=np.float64).reshape(-1, *self.rest.shape)
-        way = self._at(position, beta, theta, volume)
+        way = self._at(position, beta, theta, volume, way_kind=Newton)
         return way.layout.get(way.residual, self.dim) * self.scale
 
 

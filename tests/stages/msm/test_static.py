@@ -72,11 +72,6 @@ SHARES = (0.1, 0.2, 0.3, 0.45, 0.6)
 PRESSED = [((6, 9), 3), ((8, 6), 2), ((4, 4, 5), 3), ((3, 4, 5), 2)]
 """Four bodies of 50 candidates each."""
 
-GIVES_UP = pytest.mark.xfail(strict=True, reason="Newton gives up while the energy still falls (PATIENCE)")
-UNDERRATED = pytest.mark.xfail(strict=True, reason="eq. 3.17: the path of Anderson's steps is shorter than the error")
-TOO_SMALL = pytest.mark.xfail(strict=True, reason="one cluster: a step that rounding forbids counts as a jump")
-STALE = pytest.mark.xfail(strict=True, reason="eq. 3.17: a state that converged to rounding keeps an old error")
-
 
 def _press(shape: tuple[int, ...], size: int) -> Press:
     rng = np.random.default_rng(1)
@@ -103,7 +98,7 @@ def _left(press: Press, found: Relaxed, rows: BoolArray, volume: Volume) -> Floa
     )
 
 
-@pytest.mark.parametrize(("shape", "size"), [*PRESSED[:3], pytest.param(*PRESSED[3], marks=GIVES_UP)])
+@pytest.mark.parametrize(("shape", "size"), [*PRESSED[:3], PRESSED[3]])
 def test_with_projection_every_pressed_body_converges_to_what_the_equations_hold(
     device: str, shape: tuple[int, ...], size: int
 ) -> None:
@@ -137,7 +132,6 @@ def test_pressed_bodies_with_eq_3_17_converge_or_say_that_they_did_not(
     assert _left(press, found, found.converged, "scale").max() < 1e-9 * engine.extent
 
 
-@STALE
 def test_pressed_bodies_that_converged_with_eq_3_17_are_as_near_as_they_say(device: str) -> None:
     press = _press(*PRESSED[0])
     engine = Msm(press.rest, press.grouped, press.held, device=device)
@@ -162,7 +156,7 @@ def test_single_precision_is_never_silently_wrong(
         assert np.all(found.error[found.converged] <= limit)
 
 
-@pytest.mark.parametrize("volume", ["project", pytest.param("scale", marks=UNDERRATED)])
+@pytest.mark.parametrize("volume", ["project", "scale"])
 @pytest.mark.parametrize(("shape", "size"), [PRESSED[0], PRESSED[3]])
 def test_what_converged_in_single_precision_is_near_what_double_precision_makes_of_it(
     device: str, shape: tuple[int, ...], size: int, volume: Volume
@@ -177,7 +171,7 @@ def test_what_converged_in_single_precision_is_near_what_double_precision_makes_
         press.theta,
         volume=volume,
         start=found.position,
-        tolerance=1e-10,
+        tolerance=1e-8,  # far below what is asked of single precision, and within reach of a warm start
     )
     known = found.converged & exact.converged
     assert known.sum() >= 15
@@ -188,10 +182,10 @@ def test_what_converged_in_single_precision_is_near_what_double_precision_makes_
 @pytest.mark.parametrize(
     ("shape", "size"),
     [
-        pytest.param((12, 30), 2, marks=GIVES_UP),
+        ((12, 30), 2),
         ((6, 6, 8), 2),
         ((6, 6, 8), 4),
-        pytest.param((5, 5, 20), 3, marks=GIVES_UP),
+        ((5, 5, 20), 3),
     ],
 )
 def test_with_projection_larger_pressed_bodies_converge(device: str, shape: tuple[int, ...], size: int) -> None:
@@ -319,7 +313,7 @@ ERROR_CASES = 30
 """For each way to conserve volume."""
 
 
-@pytest.mark.parametrize(("volume", "theta"), [*MODES, pytest.param("scale", 0.2, marks=UNDERRATED)])
+@pytest.mark.parametrize(("volume", "theta"), [*MODES, ("scale", 0.2)])
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-5, 1e-7])
 def test_error_is_no_smaller_than_the_error(device: str, tolerance: float, volume: Volume, theta: float) -> None:
     rng = np.random.default_rng(16)
@@ -343,13 +337,7 @@ def test_error_is_no_smaller_than_the_error(device: str, tolerance: float, volum
         assert loose.error[0] <= tolerance * engine.extent
 
 
-@pytest.mark.parametrize(
-    "size",
-    [
-        3,
-        pytest.param(9, marks=pytest.mark.xfail(strict=True, reason="one cluster: too small a step is taken for none")),
-    ],
-)
+@pytest.mark.parametrize("size", [3, 9])
 @pytest.mark.parametrize("shape", [(6, 5), (4, 3, 4)])
 def test_a_tolerance_that_rounding_forbids_is_no_divergence(device: str, shape: tuple[int, ...], size: int) -> None:
     body = pushed(shape, np.random.default_rng(17))
