@@ -91,7 +91,7 @@ class Iteration:
     def put(self, u: FloatArray) -> None:
         """Starts at displacements (B or 1, K, d); what of a residual is rounding grows with them."""
         self.layout.put(u, self.u)
-        self.floor.fill_(ROUNDING[self.layout.scalar] * max(1.0, float(np.abs(u).max(initial=0.0))))
+        set_first(self.floor, ROUNDING[self.layout.scalar] * max(1.0, float(np.abs(u).max(initial=0.0))))
 
     def parts(self, rows: int) -> Any:
         count = rows * self.layout.groups * self.span.parts * self.layout.width
@@ -99,18 +99,16 @@ class Iteration:
 
     def set(self, beta: FloatArray, theta: FloatArray) -> None:
         """Parameters of the candidates: beta (B,) or (B, C), theta (B,)."""
-        self.theta.assign(self.layout.each(theta))
-        stride = 0
-        if beta.ndim == 2:
-            stride = self.operator.beta_stride
-            values = self.operator.cluster_values(beta)
-        else:
-            values = self.layout.each(beta)
+        self.layout.refill(self.theta, theta)
+        stride = self.operator.beta_stride if beta.ndim == 2 else 0
         if stride != self.parameters.beta_stride:
+            values = self.operator.cluster_values(beta) if stride else self.layout.each(beta)
             self.parameters = Parameters(values, self.theta, stride, self.volume)
             self._parameters_changed()
+        elif stride:
+            self.parameters.beta.assign(self.operator.cluster_values(beta))
         else:
-            self.parameters.beta.assign(values)
+            self.layout.refill(self.parameters.beta, beta)
 
     def _parameters_changed(self) -> None:
         """The recorded launches hold other arrays than those in use."""
@@ -166,6 +164,8 @@ class Newton(Iteration):
     def _parameters_changed(self) -> None:
         device = self.layout.device
         self._outer, self._inner = (Graph(each, device) for each in (self._launch_outer, self._launch_inner))
+        self._aim = Graph(self._launch_aim, device)
+        self._derive: dict[int, Graph] = {}
         self._stay: Any = None
 
     def relax(
@@ -173,20 +173,9 @@ class Newton(Iteration):
     ) -> Ended:
         """The static states from displacements (B or 1, K, d); tolerance and result in particle spacings."""
         state = self.state
-        self.put(start)
-        self.tolerance.fill_(tolerance)
-        self._relative.fill_(0.0)
-        for name in ("inner", "outers", "backs", "stalls", "total", "sharp"):
-            getattr(state, name).zero_()
-        state.state.fill_(k.RUNNING)
-        for name in ("by", "slope", "taken"):
-            getattr(state, name).zero_()
-        state.error.fill_(np.inf)
-        state.least.fill_(1.0)
-        state.least_before.fill_(1.0)
-        state.reach.fill_(k.REACH)
-        state.outer_groups.fill_(1)
-        state.inner_groups.fill_(0)
+        if start is not None:
+            self.put(start)
+        self._begin(tolerance, 0.0, outer=1)
         self.step.zero_()
         done = 0
         size = self.layout.candidates
@@ -207,33 +196,32 @@ class Newton(Iteration):
             done += self._descend(max_iterations - done)
         return Ended(*(each.numpy()[:size].copy() for each in (state.state, state.norm, state.error, state.total)))
 
-    def solve(self, right: Any, relative: float) -> tuple[Any, bool]:
-        """s of (I - J) s = right, where `evaluate` was last called, and whether it came to `relative` of the right."""
+    def solve(self, relative: float) -> bool:
+        """`step` of (I - J) step = `residual` where goals were last evaluated; whether it came to `relative` of it."""
         state = self.state
-        self._relative.fill_(relative)
-        for name in ("inners", "last", "slope"):
-            getattr(state, name).zero_()
-        state.state.fill_(k.RUNNING)
-        state.inner.fill_(1)
-        state.least.fill_(1.0)
-        state.inner_groups.fill_(1)
-        state.outer_groups.fill_(0)
-        span, kk, groups = self.span, self.kernels, self.layout.groups
+        self._begin(0.0, relative, outer=0)
+        self._aim()
+        self._descend(self._most)
+        size = self.layout.candidates
+        return bool((state.square.numpy()[:size] <= np.maximum(state.target.numpy()[:size], 1e-300)).all())
+
+    def derive(self, by: int) -> None:
+        """Derivative of every free particle's goal by beta or theta at `u` into `residual`."""
+        if by not in self._derive:
+            self._derive[by] = Graph(lambda: goal_derivative(self, by, self.residual), self.layout.device)
+        self._derive[by]()
+
+    def _launch_aim(self) -> None:
+        span, kk, layout = self.span, self.kernels, self.layout
+        right, groups = self.residual, layout.groups
         self.launch(
             kk.inner_products,
             (groups, span.parts),
-            [span, state.inner_groups, groups, right, right, right, right],
+            [span, self.state.inner_groups, groups, right, right, right, right],
             [self._parts],
         )
-        norms = self._parts.numpy()[: self._parts.shape[0] // 2].reshape(groups, span.parts, self.layout.width)
-        square = norms.sum(axis=(1, 2)) if self.layout.abreast == 1 else norms.sum(axis=1).reshape(-1)
-        state.square.assign(self.layout.each(np.maximum(square, np.finfo(float).tiny), wp.float64))
-        state.target.assign(self.layout.each(square * relative**2, wp.float64))
-        self.launch(kk.begin, (groups, self.layout.blocks), [span, state, right], [self.rho, self.direction, self.step])
-        self._descend(self._most)
-        size = self.layout.candidates
-        good = state.square.numpy()[:size] <= np.maximum(state.target.numpy()[:size], np.finfo(float).tiny)
-        return self.step, bool(good.all())
+        self.launch(kk.aim, groups, [span, self.state, self._parts, groups])
+        self.launch(kk.begin, (groups, layout.blocks), [span, self.state, right], [self.rho, self.direction, self.step])
 
     def evaluate(self) -> None:
         """The residual at `u`, and with it what derivatives there need."""
@@ -249,6 +237,17 @@ class Newton(Iteration):
                 self._inner()
                 done += 1
         return done
+
+    def _begin(self, tolerance: float, relative: float, *, outer: int) -> None:
+        """Every candidate runs anew: Newton's steps (`outer`), or a linear solve."""
+        layout = self.layout
+        set_first(self.tolerance, tolerance)
+        set_first(self._relative, relative)
+        count = layout.groups * layout.abreast
+        reach = k.REACH if outer else np.inf
+        self.launch(
+            self.kernels.reset, count, [self.state, layout.groups, layout.abreast, wp.float64(reach), outer, 1 - outer]
+        )
 
     def _stay_for(self, most: int) -> int:
         """Up to STAY evaluations in one launch."""
@@ -398,6 +397,14 @@ class Anderson(Iteration):
         )
         self.launch(kk.accelerate, groups, [span, state, self._parts, groups])
         self.launch(kk.advance, (groups, layout.blocks), [span, state, self.residual, self.du, self.dr], [self.u])
+
+
+def set_first(array: Any, value: float) -> None:
+    """Sets an array of one number; on a CPU without a launch."""
+    if array.device.is_cpu:
+        array.numpy()[0] = value
+    else:
+        array.fill_(value)
 
 
 def halves(pair: Any) -> tuple[Any, Any]:

@@ -68,6 +68,8 @@ class IterationKernels:
     descend: Any
     conjugate: Any
     direct: Any
+    aim: Any
+    reset: Any
     remember: Any
     history_products: Any
     accelerate: Any
@@ -610,6 +612,41 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
             direct_of(span, newton, rho_in, direction, group, block)
 
     @kernel
+    def aim(span: Span, newton: Newton, parts: wp.array(dtype=wp.float64), groups: int):
+        """A linear solve ends at `relative` of its right-hand side."""
+        group = wp.tid()
+        for member in range(span.abreast):
+            i = group * span.abreast + member
+            square = wp.max(collected(span, parts, 0, groups, group, member), wp.float64(1e-300))
+            newton.square[i] = square
+            newton.target[i] = square * newton.relative[0] * newton.relative[0]
+
+    @kernel
+    def reset(newton: Newton, groups: int, abreast: int, reach: wp.float64, outer: int, inner: int):
+        """Every candidate runs, from Newton's first step or (with `inner`) from a linear solve."""
+        i = wp.tid()
+        if i < groups:
+            newton.outer_groups[i] = outer
+            newton.inner_groups[i] = inner
+        if i < groups * abreast:
+            newton.state[i] = wp.static(RUNNING)
+            newton.inner[i] = inner
+            newton.outers[i] = 0
+            newton.inners[i] = 0
+            newton.backs[i] = 0
+            newton.stalls[i] = 0
+            newton.total[i] = 0
+            newton.last[i] = 0
+            newton.sharp[i] = 0
+            newton.by[i] = scalar(0.0)
+            newton.slope[i] = nought
+            newton.taken[i] = nought
+            newton.error[i] = wp.float64(wp.inf)
+            newton.least[i] = unity
+            newton.least_before[i] = unity
+            newton.reach[i] = reach
+
+    @kernel
     def remember(
         span: Span,
         anderson: Anderson,
@@ -855,6 +892,8 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
         descend,
         conjugate,
         direct,
+        aim,
+        reset,
         remember,
         history_products,
         accelerate,

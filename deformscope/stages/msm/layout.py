@@ -76,6 +76,15 @@ class Layout:
         dtype = self.scalar if dtype is None else dtype
         return wp.array(filled.astype(_dtype(dtype)), dtype=dtype, device=self.device)
 
+    def refill(self, array: Any, values: FloatArray) -> None:
+        """Numbers of the candidates, (B,), into what `each` made."""
+        if array.device.is_cpu:
+            view = array.numpy()
+            view[: len(values)] = values
+            view[len(values) :] = values[-1]
+        else:
+            array.assign(self.each(values))
+
 
 def widths(candidates: int, scalar: Any, device: str, *, cells_in_lanes: bool) -> tuple[int, int]:
     """Width and candidates abreast for a device: plain numbers on a GPU, lanes on a CPU."""

@@ -329,23 +329,16 @@ class Msm:
         out = []
         good = True
         for by in (BY_BETA, BY_THETA):
-            right = way.residual if isinstance(way, Newton) else way.linear_right
-            if by == BY_THETA and way.volume == NONE:
-                theta_way = self._at(position, beta, theta, volume, conserving=True)
-                goal_derivative(theta_way, by, theta_way.residual)
-                wp.copy(right, theta_way.residual)
-            else:
-                goal_derivative(way, by, right)
             if isinstance(way, Newton):
-                moved, solved = way.solve(right, LINEAR_TOLERANCE[self.precision])
-                good &= solved
-                out.append(way.layout.get(moved, self.dim) * self.scale)
+                self._derive(way, by, position, beta, theta, volume)
+                good &= way.solve(LINEAR_TOLERANCE[self.precision])
+                out.append(way.layout.get(way.step, self.dim) * self.scale)
             else:
-                saved = way.layout.get(way.u, self.dim)
+                goal_derivative(way, by, way.linear_right)
                 ended = way.solve(1e-12 * self.extent / self.scale, max(4000, 40 * len(self.rest)))
                 good &= bool((ended.state == CONVERGED).all())
                 out.append(way.layout.get(way.u, self.dim) * self.scale)
-                way.layout.put(saved, way.u)
+                way.layout.put(self._displacements(position), way.u)
                 way.evaluate()
         return Sensitivity(out[0], out[1], good)
 
@@ -377,19 +370,32 @@ class Msm:
         metric = self._particles.metric[:, None]
         right = np.divide(cotangent, metric, out=np.zeros_like(cotangent), where=metric > 0)
         way.layout.put(right * self.scale, way.residual)
-        adjoint, good = way.solve(way.residual, LINEAR_TOLERANCE[self.precision])
-        running = way.all_groups()
-        by_cluster = way.operator.cluster_gradient(way.u, adjoint, way.parameters, running, way.changed)
-        by_cluster /= self._particles.mass.mean()
-        theta_way = way
-        if way.volume == NONE:
-            theta_way = self._at(position, beta, theta, volume, conserving=True)
-        goal_derivative(theta_way, BY_THETA, theta_way.changed if isinstance(theta_way, Newton) else theta_way.residual)
-        moved = theta_way.layout.get(
-            theta_way.changed if isinstance(theta_way, Newton) else theta_way.residual, self.dim
+        good = way.solve(LINEAR_TOLERANCE[self.precision])
+        adjoint = way.layout.get(way.step, self.dim)
+        by_cluster = (
+            way.operator.cluster_gradient(way.u, way.step, way.parameters, way.all_groups(), way.changed)
+            / self._particles.mass.mean()
         )
-        by_theta = np.sum(metric * way.layout.get(adjoint, self.dim) * moved, axis=(1, 2))
+        self._derive(way, BY_THETA, position, beta, theta, volume)
+        by_theta = np.sum(metric * adjoint * way.layout.get(way.residual, self.dim), axis=(1, 2))
         return Gradient(by_cluster.sum(axis=1), by_theta, by_cluster, good)
+
+    def _derive(
+        self,
+        way: Newton,
+        by: int,
+        position: FloatArray,
+        beta: FloatArray | float,
+        theta: FloatArray | float,
+        volume: Volume,
+    ) -> None:
+        """Derivative of the goals into the way's residual; by theta also where theta is 0 and nothing is conserved yet."""
+        if by == BY_THETA and way.volume == NONE:
+            conserving = self._at(position, beta, theta, volume, way_kind=Newton, conserving=True)
+            conserving.derive(by)
+            wp.copy(way.residual, conserving.residual)
+        else:
+            way.derive(by)
 
     def _at(
         self,
