@@ -13,8 +13,9 @@ from deformscope.stages.msm.layout import Layout, upload
 
 @dataclass(frozen=True, slots=True)
 class BodyRest:
-    """Particles at rest, in particle spacings: position (K, d), mass (K,), free (K,) bool, counts (K,) clusters of each.
+    """Particles at rest, in particle spacings.
 
+    position: (K, d); mass: (K,); free: (K,) bool; counts: (K,) clusters of each
     metric: (K,) N_i m_i over the mean mass, in which the goal map is symmetric; 0 where held
     """
 
@@ -27,7 +28,10 @@ class BodyRest:
 
 @dataclass(frozen=True, slots=True)
 class Parameters:
-    """Parameters of all candidates on the device. beta_stride: 0, or numbers from group to group of a beta by cluster."""
+    """Parameters of all candidates on the device.
+
+    beta_stride: 0, or with a beta for each cluster the numbers from one group of candidates to the next
+    """
 
     beta: Any
     theta: Any
@@ -125,4 +129,4 @@ class Body(Protocol):
 
     def layout(self, candidates: int) -> Layout: ...
 
-    def operator(self, layout: Layout) -> Operator: ...
+    def operator(self, layout: Layout) -> Any: ...

@@ -62,7 +62,6 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Clus
     transform = wp.types.matrix(shape=(dim, terms), dtype=scalar)
     zero, one = scalar(0.0), scalar(1.0)
     number = f"wp::{scalar.__name__}"
-    lane_c = f"wp::vec_t<{width}, {number}>"
     each = f"for (int l = 0; l < {width}; ++l)"
     # the rotation is accepted when its gradient is this small against the moments; else the eigenvector decides
     accept = 1e-12 if scalar is wp.float64 else 3e-6
@@ -227,7 +226,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Clus
     def turn(a_qq: moments.rows, change_t: squares.rows):
         if wp.static(dim == 2):
             return turn_2d(a_qq, change_t)
-        else:
+        else:  # noqa: RET505 (what follows a static `if` is compiled in any case; a static `else` is not)
             turned = turn_3d(a_qq, change_t)
             if least(row_of_turn(turned, 15)) > zero:
                 return turned

@@ -169,9 +169,12 @@ class Newton(Iteration):
         self._stay: Any = None
 
     def relax(
-        self, start: FloatArray, tolerance: float, max_iterations: int, progress: Progress | None = None
+        self, start: FloatArray | None, tolerance: float, max_iterations: int, progress: Progress | None = None
     ) -> Ended:
-        """The static states from displacements (B or 1, K, d); tolerance and result in particle spacings."""
+        """The static states; tolerance and result in particle spacings.
+
+        start: displacements (B or 1, K, d); None: from where `u` is
+        """
         state = self.state
         if start is not None:
             self.put(start)

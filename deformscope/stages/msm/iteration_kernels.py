@@ -1,8 +1,8 @@
 """Warp kernels of the two ways to a static state: Newton's steps by conjugate gradients, and Anderson's acceleration.
 
-They see fields of particles as they lie (see `layout.py`) and know nothing of clusters. Sums over particles are taken
-in a fixed order, so that runs repeat bit for bit. Every candidate goes its own way: what has ended gets steps of 0, and a
-group in which all have ended is skipped.
+They see fields of particles as they lie (see `layout.py`) and know nothing of clusters. Sums over particles are
+taken in a fixed order, so that runs repeat bit for bit. Every candidate goes its own way: what has ended gets steps of
+0, and a group in which all have ended is skipped.
 
 Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
 """
@@ -13,8 +13,8 @@ from typing import Any
 
 import warp as wp
 
-from deformscope.stages.msm.lattice_kernels import FAR
 from deformscope.stages.msm.lanes import lanes_for, module_options, rows_for
+from deformscope.stages.msm.lattice_kernels import FAR
 
 MEMORY = 8
 """Earlier iterates that Anderson's acceleration combines."""
@@ -25,7 +25,7 @@ REACH = 1.0
 """Spacings that no particle ever goes beyond in one Newton step: rotations are not straight."""
 
 PATIENCE = 20
-"""Newton steps without a residual half of the best before, after which a candidate has stalled (numbers have no more)."""
+"""Newton steps near rounding without half the best residual so far, after which a candidate has stalled."""
 
 SHARP = 1e-2
 """To what share a solve reduces its residual before the smallest curvature that it met counts as the smallest."""
@@ -88,15 +88,12 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
     sums = wp.types.vector(length=width, dtype=wp.float64)
     sums_c = f"wp::vec_t<{width}, wp::float64>"
     each = f"for (int l = 0; l < {width}; ++l)"
-    history = wp.types.matrix(shape=(MEMORY, MEMORY), dtype=wp.float64)
-    history_vec = wp.types.vector(length=MEMORY, dtype=wp.float64)
     one = scalar(1.0)
     nought, unity, half, tenth = wp.float64(0.0), wp.float64(1.0), wp.float64(0.5), wp.float64(0.1)
-    far, growth, reach = wp.float64(FAR), wp.float64(1e2), wp.float64(REACH)
+    far, reach = wp.float64(FAR), wp.float64(REACH)
     double = scalar is wp.float64
     flat = wp.float64(1e-12 if double else 1e-7)
     sharp = wp.float64(SHARP)
-    ridge = wp.float64(1e-14 if double else 1e-8)
 
     @wp.struct
     class Span:
@@ -249,9 +246,10 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
         """After a Newton step: has it gone too far, is this the static state, and how well to solve for the next step.
 
         The energy falls along the step as long as its slope <residual, step> is positive; where the slope at the end is
-        clearly negative, the step is shortened to where the slope would vanish, and the next goes no farther. The distance that is left is (at
-        most five times) the residual over the smallest curvature that the last solves met, if they went far enough to meet it: a mode that pulls back by 2e-4 of its
-        displacement has a residual 5000 times smaller than its error.
+        clearly negative, the step is shortened to where the slope would vanish, and the next goes no farther. The
+        distance that is left is (at most five times) the residual over the smallest curvature that the last solves
+        met, if they went far enough to meet it: a mode that pulls back by 2e-4 of its displacement has a residual 5000
+        times smaller than its error.
         """
         any_outer = int(0)
         any_inner = int(0)
@@ -406,7 +404,10 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
 
     @wp.func
     def conjugate(span: Span, newton: Newton, parts: wp.array(dtype=wp.float64), groups: int, most: int, group: int):
-        """Ends the solve, or mixes the next direction. No particle goes farther in one step than steps have proved good."""
+        """Ends the solve, or mixes the next direction.
+
+        No particle goes farther in one step than steps have proved good.
+        """
         any_inner = int(0)
         for member in range(span.abreast):
             i = group * span.abreast + member
@@ -687,7 +688,7 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
         # Out:
         parts_out: wp.array(dtype=wp.float64),
     ):
-        """Parts of the newest residual change with each, and of each with the residual; last the residual and the step."""
+        """Parts of the newest residual change with each, of each with the residual; last the residual and the step."""
         group, what, part = wp.tid()
         if anderson.groups[group] == 0:
             return
@@ -717,8 +718,8 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
         """Anderson's weights of the remembered changes: least squares of the residual over them, slightly damped.
 
         The distance still to go is judged by the path over the last quarter of all iterations, since accelerated steps
-        are as long as the error that they remove, and by the residual over the smallest pull back that they met. When the residual has grown far above its best,
-        the memory is dropped and a plain step follows.
+        are as long as the error that they remove, and by the residual over the smallest pull back that they met. When
+        the residual has grown far above its best, the memory is dropped and a plain step follows.
         """
         group = wp.tid()
         if anderson.groups[group] == 0:

@@ -15,15 +15,16 @@ from typing import Any
 
 import warp as wp
 
-
 CPU_FLAGS = "-march=native -mllvm=-inline-threshold=9000 -mllvm=-inline-cold-callsite-threshold=3000"
 """For modules of lanes. Warp's own flags also cap the recursion of the search for vector instructions, which leaves
 most of the lanes to plain ones; without the high threshold matrices of lanes go through memory at every call."""
 
 
 def module_options(scalar: Any) -> dict[str, Any]:
-    """Options of a module of lanes. A GPU divides and takes roots of float32 to the last digit but one: far quicker, and
-    Newton's steps do not notice."""
+    """Options of a module of lanes.
+
+    A GPU divides and takes roots of float32 to the last digit but one: far quicker, and Newton's steps do not notice.
+    """
     return {
         "enable_backward": False,
         "max_unroll": 3,
@@ -37,13 +38,8 @@ class Lanes:
     """The lane type of one width and precision, and its functions."""
 
     lane: Any
-    load: Any
-    store: Any
     own: Any
     times: Any
-    over: Any
-    root: Any
-    choose: Any
     least: Any
     below: Any
 
@@ -70,19 +66,6 @@ def lanes_for(width: int, scalar: Any) -> Lanes:
     vec = f"wp::vec_t<{width}, wp::{scalar.__name__}>"
     each = f"for (int l = 0; l < {width}; ++l)"
 
-    @wp.func_native(f"{vec} r; {each} r.c[l] = a.data[i + l]; return r;")
-    def load(a: wp.array(dtype=scalar), i: int) -> lane:
-        """Numbers i to i + width - 1."""
-        ...
-
-    @wp.func_native(
-        f"if (count >= {width}) {{ {each} a.data[i + l] = v.c[l]; }}"
-        " else { for (int l = 0; l < count; ++l) a.data[i + l] = v.c[l]; }"
-    )
-    def store(a: wp.array(dtype=scalar), i: int, v: lane, count: int):
-        """Puts the first `count` lanes (all, if there are fewer) at i and after."""
-        ...
-
     @wp.func_native(
         f"{vec} r; if (step == 0) {{ {each} r.c[l] = a.data[i]; }} else {{ {each} r.c[l] = a.data[i + l]; }} return r;"
     )
@@ -93,17 +76,6 @@ def lanes_for(width: int, scalar: Any) -> Lanes:
     @wp.func_native(f"{vec} r; {each} r.c[l] = a.c[l] * b.c[l]; return r;")
     def times(a: lane, b: lane) -> lane: ...
 
-    @wp.func_native(f"{vec} r; {each} r.c[l] = a.c[l] / b.c[l]; return r;")
-    def over(a: lane, b: lane) -> lane: ...
-
-    @wp.func_native(f"{vec} r; {each} r.c[l] = wp::sqrt(a.c[l]); return r;")
-    def root(a: lane) -> lane: ...
-
-    @wp.func_native(f"{vec} r; {each} r.c[l] = when.c[l] > 0 ? a.c[l] : b.c[l]; return r;")
-    def choose(when: lane, a: lane, b: lane) -> lane:
-        """a where `when` is positive, else b."""
-        ...
-
     @wp.func_native(f"wp::{scalar.__name__} r = a.c[0]; {each} r = a.c[l] < r ? a.c[l] : r; return r;")
     def least(a: lane) -> scalar: ...
 
@@ -112,7 +84,7 @@ def lanes_for(width: int, scalar: Any) -> Lanes:
         """1 if every lane is below the limit (a lane that is not a number is not)."""
         ...
 
-    return Lanes(lane, load, store, own, times, over, root, choose, least, below)
+    return Lanes(lane, own, times, least, below)
 
 
 @functools.cache
@@ -131,7 +103,8 @@ def rows_for(count: int, width: int, scalar: Any) -> Rows:
 
     @sized.func_native(
         f"if (count >= {width}) {{ {each} a.data[i + k * stride + l] = v.data[k][l]; }} else {{"
-        f" for (int k = 0; k < {count}; ++k) for (int l = 0; l < count; ++l) a.data[i + k * stride + l] = v.data[k][l]; }}"
+        f" for (int k = 0; k < {count}; ++k) for (int l = 0; l < count; ++l)"
+        " a.data[i + k * stride + l] = v.data[k][l]; }"
     )
     def store(a: wp.array(dtype=scalar), i: int, stride: int, v: rows, count: int): ...
 

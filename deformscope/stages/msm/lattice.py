@@ -28,7 +28,7 @@ FIELDS = ("mass", "free", "pull", "sums_fast", "sums_middle", "maps", "maps_slow
 
 
 def lattice_edges(rest: FloatArray, clusters: LatticeClusters) -> FloatArray | None:
-    """(axes, d) from one cell to the next along each axis, where the rest shape (K, d) is an even lattice, else None."""
+    """(axes, d) from one cell to the next along each axis, if the rest shape (K, d) is an even lattice, else None."""
     index = np.column_stack(np.unravel_index(clusters.cell, clusters.shape)).astype(np.float64)
     used = [axis for axis, count in enumerate(clusters.shape) if count > 1]
     centred = index[:, used] - index[:, used].mean(axis=0)
@@ -135,7 +135,7 @@ class LatticeBody:
         return total, mean, np.einsum("ai,nab,bj->nij", self.edges, second, self.edges)
 
 
-def _window_sums(values: FloatArray, window: tuple[int, int, int], moment: int | None) -> FloatArray:
+def _window_sums(values: FloatArray, window: tuple[int, ...], moment: int | None) -> FloatArray:
     """(B, cells, d) sums over windows from each cell on, 0 where none fits; weighted with the offset along an axis."""
     for axis, width in enumerate(window):
         weight = np.arange(width) - (width - 1) / 2 if axis == moment else np.ones(width)
@@ -184,7 +184,7 @@ class _Arrays:
         lift[full] = np.einsum("nik,nkj->nij", ordered[full], lift[full])
         spare = 2 * width
         site = self.functions.site()
-        site.valid = upload(body.corner, scalar, device, spare)
+        site.valid = upload(body.corner.astype(np.float64), scalar, device, spare)
         site.stride = n + (spare if n > 1 else 0)
         site.step = int(n > 1)
 
@@ -352,7 +352,7 @@ class LatticeOperator:
 
     @property
     def threads(self) -> int:
-        """Threads that keep to one group of candidates in a kernel that stays; 0 where passes are launched one by one."""
+        """Threads that keep to a group of candidates in a kernel that stays; 0 where passes are launched one by one."""
         if self.layout.device.startswith("cpu"):
             return 1
         return THREADS[self.layout.scalar] if self.body.count <= RESIDENT_CELLS else 0
@@ -376,7 +376,10 @@ class LatticeOperator:
     def stay_relaxing(
         self, parameters: Parameters, kept: Any, span: Any, state: Any, most: int, limit: int, arrays: list[Any]
     ) -> Any:
-        """The command for up to `limit` evaluations of Newton's steps in one launch; arrays as its kernel lists them."""
+        """The command for up to `limit` evaluations of Newton's steps in one launch.
+
+        arrays: as its kernel lists them
+        """
         a, layout = self.arrays, self.layout
         return wp.launch(
             a.resident.relax,

@@ -27,7 +27,10 @@ FAR = 1e4
 
 @dataclass(frozen=True, slots=True)
 class LatticeFunctions:
-    """What one thread does in each pass, and the struct types. Passes follow each other; each has its count of items."""
+    """What one thread does in each pass, and the struct types.
+
+    Passes follow each other; each has its count of items.
+    """
 
     grid: Any
     site: Any
@@ -205,7 +208,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         row_moment: int,
         count: int,
     ):
-        """Sums (and first moments, where row_moment >= 0) of a vector over windows that start at `first`, `run` of them."""
+        """Sums of a vector over `run` windows, from the one at `first` on; with row_moment >= 0 also first moments."""
         total = vecs.rows()
         moment = vecs.rows()
         h = middle(cells_of(window_here))
@@ -241,7 +244,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         row_sum: int,
         count: int,
     ):
-        """Sums over the clusters that a place belongs to, of a vector and (row_slope >= 0) of a slope times its offset."""
+        """Sums over the clusters of a place, of a vector and (if row_slope >= 0) of a slope times its offset."""
         total = vecs.rows()
         slopes = vecs.rows()
         h = middle(cells_of(window_here))
@@ -435,7 +438,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
     @wp.func
     def rest_place(grid: Grid, site: Site, cell: int):
-        """Where a cluster's rest data are, where its `valid` is, and 1 if the lanes are clusters (each with its own)."""
+        """Where a cluster's rest data are, where its `valid` is; 1 if the lanes are clusters (each with its own)."""
         if wp.static(width == 1) or grid.abreast == 1:
             return cell * site.step, cell, 1
         return (cell / grid.abreast) * site.step, cell / grid.abreast, 0
@@ -517,7 +520,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
     @wp.func
     def spread_slow(grid: Grid, fields: Fields, group: int, item: int):
-        """Along the slow axis, what the clusters of a particle add up: the shift with its slope, and the other slopes."""
+        """What the clusters of a particle add up along the slow axis: the shift with its slope, the other slopes."""
         segment = item / grid.blocks_clusters
         in_plane = (item - segment * grid.blocks_clusters) * wp.static(width)
         first = segment * grid.run_0
@@ -581,9 +584,9 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
     ):
         """Along the fast axis, and with it the mean goal of each particle (eq. 3.15), less where it is; 0 if held.
 
-        Stepping, eq. 3.11: the new position, which may take the place of the one before. offset: from the first number of
-        `u_in` to that of the field meant, and the same in `out`; before_offset: the same of `before_in`, and of `out` when
-        stepping.
+        Stepping, eq. 3.11: the new position, which may take the place of the one before. offset: from the first number
+        of `u_in` to that of the field meant, and the same in `out`; before_offset: the same of `before_in`, and of
+        `out` when stepping.
         """
         plane = item / grid.blocks_plane
         in_plane = (item - plane * grid.blocks_plane) * wp.static(width)

@@ -1,8 +1,8 @@
 """Warp kernels that stay: all passes of a step, and all steps, or a whole relaxation, in one launch.
 
-A block of threads keeps to one group of candidates and goes through its passes, meeting at a barrier after each. On a GPU
-that saves the launches between passes, which cost more than a small body's work, and what a pass leaves is still near
-when the next reads it; on a CPU a block is one thread, and there are no launches left to pay for at any size.
+A block of threads keeps to one group of candidates and goes through its passes, meeting at a barrier after each. On a
+GPU that saves the launches between passes, which cost more than a small body's work, and what a pass leaves is still
+near when the next reads it; on a CPU a block is one thread, and there are no launches left to pay for at any size.
 
 Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
 """
@@ -109,7 +109,7 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         thread: int,
         threads: int,
     ):
-        """All passes over a group: goals (or with `changing` their derivative) of what is at `offset` of u, into out."""
+        """All passes over a group: goals (with `changing` their derivative) of what is at `offset` of u, into out."""
         for item in range(thread, grid.items_plane, threads):
             windows_fast(grid, fields, motion, u, offset, before, before_offset, group, item)
         meet()
@@ -151,8 +151,11 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         pair: wp.array(dtype=scalar),
         ran_away: wp.array(dtype=int),
     ):
-        """`count` time steps. The displacement is in the first half of the pair, the one before in the second; each step
-        they change places, and with `swapped` they begin so."""
+        """`count` time steps.
+
+        The displacement is in the first half of the pair, the one before in the second; each step they change places,
+        and with `swapped` they begin so.
+        """
         index = wp.tid()
         group = index / threads
         thread = index - group * threads
@@ -225,8 +228,8 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
                     move(span, state, step, u, group, block)
             meet()
             operate(
-                grid, site, rest, kept, fields, still, pair, offset, pair, 0, pair_out, nothing, changing, group, thread,
-                threads,
+                grid, site, rest, kept, fields, still, pair, offset, pair, 0, pair_out, nothing, changing, group,
+                thread, threads,
             )  # fmt: skip
             if changing != 0:
                 stiff, square = inner_products(span, direction, changed, direction, direction, group, thread, threads)

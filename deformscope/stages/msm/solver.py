@@ -220,7 +220,8 @@ class Msm:
 
         With theta = 0, and with the volume conserved by projection, they are minima of an energy, found by Newton's
         steps (conjugate gradients); eq. 3.17 has no energy, so there the goal map is accelerated (Anderson), in float64
-        always. Both stop on an estimate of the distance to go. One cluster of all particles is solved in its own few unknowns.
+        always. Both stop on an estimate of the distance to go. One cluster of all particles is
+        solved in its own few unknowns.
 
         A start that is symmetric stays so, as it does in time stepping: a strut pressed along its axis stays straight
         where it would rather buckle. With eq. 3.17 and strong compression a static state can have clusters turned
@@ -389,7 +390,7 @@ class Msm:
         theta: FloatArray | float,
         volume: Volume,
     ) -> None:
-        """Derivative of the goals into the way's residual; by theta also where theta is 0 and nothing is conserved yet."""
+        """Derivative of the goals into the way's residual; by theta also where it is 0 and nothing is conserved yet."""
         if by == BY_THETA and way.volume == NONE:
             conserving = self._at(position, beta, theta, volume, way_kind=Newton, conserving=True)
             conserving.derive(by)
@@ -407,8 +408,10 @@ class Msm:
         conserving: bool = False,
         way_kind: type[Newton] | None = None,
     ) -> Any:
-        """A way to run, evaluated at `position`; `conserving`: with volume conservation though theta is 0; way_kind: which,
-        where it only is to be evaluated."""
+        """A way to run, evaluated at `position`.
+
+        conserving: with volume conservation though theta is 0; way_kind: which, where it only is to be evaluated
+        """
         _, beta_b, theta_b = self._candidates(position[:, self.held], beta, theta)
         size = max(len(position), len(beta_b))
         kind, size, how = self._kind(theta_b, size, volume)
@@ -475,7 +478,7 @@ class Msm:
         """goals(x) - x at the given positions (K, d) or (B, K, d), 0 at held particles: (B, K, d)."""
         position = np.asarray(position, dtype=np.float64).reshape(-1, *self.rest.shape)
         way = self._at(position, beta, theta, volume, way_kind=Newton)
-        return way.layout.get(way.residual, self.dim) * self.scale
+        return np.asarray(way.layout.get(way.residual, self.dim) * self.scale)
 
 
 class _Stepping:
@@ -516,9 +519,14 @@ class _Stepping:
         layout, state = self.state.layout, self.state
         kernels = iteration_kernels_for(self.state.operator.dim, layout.scalar, layout.width)
         places = np.concatenate(
-            [layout.front + layout.group * (c // layout.abreast) + layout.place[held] * layout.abreast + c % layout.abreast
-             for c in range(layout.candidates)]
-        )  # fmt: skip
+            [
+                layout.front
+                + layout.group * (c // layout.abreast)
+                + layout.place[held] * layout.abreast
+                + c % layout.abreast
+                for c in range(layout.candidates)
+            ]
+        )
         wp.launch(
             kernels.put_at,
             dim=len(places),

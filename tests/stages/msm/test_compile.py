@@ -16,6 +16,7 @@ from deformscope.stages.msm.general_kernels import general_kernels_for
 from deformscope.stages.msm.iteration_kernels import iteration_kernels_for
 from deformscope.stages.msm.lattice_kernels import lattice_kernels_for
 from deformscope.stages.msm.reduced_kernels import reduced_kernels_for
+from deformscope.stages.msm.resident_kernels import resident_kernels_for
 
 ARCH = 90
 """sm_90, an H100 or H200."""
@@ -24,53 +25,67 @@ GPU_WIDTH = 1
 """Lanes on a GPU: see `layout.widths`."""
 
 
-def _kernels(kind: str, dim: int, terms: int, scalar: Any) -> Any:
+GPU_WINDOWS = (3, 0)
+"""Cells of a cluster along every axis that kernels are made for; 0, any: see `lattice_functions_for`."""
+
+
+def _kernels(kind: str, dim: int, terms: int, scalar: Any, window: int) -> list[wp.Kernel]:
+    if kind in ("steps", "relax"):  # a module each
+        return [getattr(resident_kernels_for(dim, scalar, GPU_WIDTH, window), kind)]
     if kind == "lattice":
-        return lattice_kernels_for(dim, scalar, GPU_WIDTH)
-    if kind == "general":
-        return general_kernels_for(dim, terms, scalar, GPU_WIDTH)
-    if kind == "iteration":
-        return iteration_kernels_for(dim, scalar, GPU_WIDTH)
-    return reduced_kernels_for(dim, terms)
+        made: Any = lattice_kernels_for(dim, scalar, GPU_WIDTH, window)
+    elif kind == "general":
+        made = general_kernels_for(dim, terms, scalar, GPU_WIDTH)
+    elif kind == "iteration":
+        made = iteration_kernels_for(dim, scalar, GPU_WIDTH)
+    else:
+        made = reduced_kernels_for(dim, terms)
+    members = [getattr(made, field.name) for field in dataclasses.fields(made)]
+    return [member for member in members if isinstance(member, wp.Kernel)]
 
 
-def _modules(kernels: Any) -> dict[Any, list[str]]:
-    """The modules that a set's kernels are in, and the names of those."""
+def _modules(kernels: list[wp.Kernel]) -> dict[Any, list[str]]:
+    """The modules that kernels are in, and the names of those."""
     found: dict[Any, list[str]] = {}
-    for field in dataclasses.fields(kernels):
-        member = getattr(kernels, field.name)
-        if isinstance(member, wp.Kernel):
-            found.setdefault(member.module, []).append(member.key)
+    for kernel in kernels:
+        found.setdefault(kernel.module, []).append(kernel.key)
     return found
 
 
-def _case(kind: str, dim: int, terms: int, scalar: Any, *, slow: bool) -> Any:
-    marks = [pytest.mark.slow] if slow else []
-    return pytest.param(kind, dim, terms, scalar, marks=marks, id=f"{kind}-{dim}d-{terms}-{scalar.__name__}")
+def _case(kind: str, dim: int, terms: int, scalar: Any, window: int = 0, *, slow: bool = True) -> Any:
+    name = f"{kind}-{dim}d-{terms}-{scalar.__name__}-{window}"
+    return pytest.param(kind, dim, terms, scalar, window, marks=[pytest.mark.slow] if slow else [], id=name)
 
 
-REST = [(2, wp.float32), (2, wp.float64), (3, wp.float64)]
-"""What a quick run leaves out."""
+QUICK = ("lattice", "steps")
+"""What a quick run compiles, in space, in float32 and for the windows of most bodies."""
+
+SCALARS = (wp.float32, wp.float64)
+TERMS = {2: (2, 5), 3: (3, 9)}
 
 CASES = [
-    _case("lattice", 3, 3, wp.float32, slow=False),
-    _case("general", 3, 9, wp.float32, slow=False),
-    _case("iteration", 3, 3, wp.float32, slow=False),
-    _case("general", 3, 3, wp.float32, slow=True),
-    *(_case("lattice", dim, dim, scalar, slow=True) for dim, scalar in REST),
-    *(_case("iteration", dim, dim, scalar, slow=True) for dim, scalar in REST),
-    *(_case("general", dim, terms, scalar, slow=True) for dim, scalar in REST for terms in ((2, 5), (3, 9))[dim - 2]),
-    *(_case("reduced", dim, terms, wp.float64, slow=True) for dim in (2, 3) for terms in ((2, 5), (3, 9))[dim - 2]),
+    *(
+        _case(kind, dim, dim, scalar, window, slow=(kind not in QUICK or (dim, scalar, window) != (3, wp.float32, 3)))
+        for kind in ("lattice", "steps", "relax")
+        for dim in (2, 3)
+        for scalar in SCALARS
+        for window in GPU_WINDOWS
+    ),
+    *(_case("iteration", dim, dim, scalar) for dim in (2, 3) for scalar in SCALARS),
+    *(_case("general", dim, terms, scalar) for dim in (2, 3) for terms in TERMS[dim] for scalar in SCALARS),
+    *(_case("reduced", dim, terms, wp.float64) for dim in (2, 3) for terms in TERMS[dim]),
 ]
 
 
-@pytest.mark.parametrize(("kind", "dim", "terms", "scalar"), CASES)
-def test_every_kernel_compiles_for_a_gpu(tmp_path: Path, kind: str, dim: int, terms: int, scalar: Any) -> None:
+@pytest.mark.parametrize(("kind", "dim", "terms", "scalar", "window"), CASES)
+def test_every_kernel_compiles_for_a_gpu(
+    tmp_path: Path, kind: str, dim: int, terms: int, scalar: Any, window: int
+) -> None:
     wp.config.quiet = True
     wp.init()
     if ARCH not in wp.get_cuda_supported_archs():
         pytest.skip(f"this warp has no NVRTC that compiles for sm_{ARCH}")
-    modules = _modules(_kernels(kind, dim, terms, scalar))
+    modules = _modules(_kernels(kind, dim, terms, scalar, window))
     assert modules
     for module, names in modules.items():
         compiled = wp.compile_aot_module(module, arch=ARCH, module_dir=tmp_path, use_ptx=True)
