@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deformscope.arrays import FloatArray
+from deformscope.arrays import BoolArray, FloatArray
 from deformscope.stages.msm.cluster_functions import BY_BETA
 from deformscope.stages.msm.iteration import Newton
 from deformscope.stages.msm.iteration_kernels import CONVERGED
@@ -54,7 +54,7 @@ def fit_beta(
     held_position: (n, d); observed: (K, d), nan where a particle was not seen [m]; tolerance: on beta
     """
     way: Newton = body._way(Newton, 1, 0)
-    seen = np.isfinite(observed).all(axis=1)
+    seen: BoolArray = np.asarray(np.isfinite(observed).all(axis=1))
     target = np.where(seen[:, None], (observed - body.rest) / body.scale, 0.0)
     u = np.zeros_like(target)
     u[body.held] = (held_position - body.rest[body.held]) / body.scale
@@ -88,7 +88,7 @@ def fit_beta(
 
 
 def _downhill(
-    way: Newton, body: Msm, beta: float, target: FloatArray, seen: FloatArray, tolerance: float
+    way: Newton, body: Msm, beta: float, target: FloatArray, seen: BoolArray, tolerance: float
 ) -> tuple[float, float, FloatArray]:
     """Slope of the summed distance at beta, a curvature that never overshoots, and d state / d beta (1, K, d)."""
     way.set(np.array([beta]), np.zeros(1))

@@ -155,6 +155,7 @@ class _Arrays:
         limit, _ = SLIDE["cpu" if device.startswith("cpu") else "cuda"]
         wide = set(body.window[3 - axes_of(d) :])
         window = 0 if device.startswith("cpu") or len(wide) > 1 or max(wide) > limit else max(wide)
+        self.window = window  # passes along two axes at once
         self.kernels = k.lattice_kernels_for(d, scalar, width, window)
         self.functions = k.lattice_functions_for(d, scalar, width, window)
         self.resident = resident_kernels_for(d, scalar, width, window)
@@ -232,8 +233,6 @@ class LatticeOperator:
         grid.plane_end = grid.plane
         grid.cluster_end = ((grid.clusters_1 - 1) * n[2] + n[2] - w[2] + 1) * many
         limit, run = SLIDE["cpu" if layout.device.startswith("cpu") else "cuda"]
-        if many > 1:
-            limit = 1
         grid.run_0 = 1 if w[0] <= limit else run
         grid.run_1 = 1 if w[1] <= limit else run
         blocks = self._blocks
@@ -410,8 +409,10 @@ class LatticeOperator:
 
     def _windows(self, fields: Any, motion: Any, running: Any, u: Any, before: Any) -> None:
         kk, grid = self.arrays.kernels, self.grid
-        self._pass(kk.windows_fast, grid.items_plane, [fields, motion, running, u, before])
-        self._pass(kk.windows_middle, grid.items_windows, [fields, running])
+        first = grid.items_windows if self.arrays.window else grid.items_plane
+        self._pass(kk.windows_fast, first, [fields, motion, running, u, before])
+        if not self.arrays.window:
+            self._pass(kk.windows_middle, grid.items_windows, [fields, running])
 
     def _fit(self, kernel: Any, fields: Any, running: Any, kept: Any) -> None:
         self._pass(kernel, self.grid.items_fit, [self.arrays.site, self.arrays.rest, kept, fields, running])
@@ -420,5 +421,6 @@ class LatticeOperator:
         kk, grid = self.arrays.kernels, self.grid
         if self.dim == 3:
             self._pass(kk.spread_slow, grid.items_slow, [fields, running])
-        self._pass(kk.spread_middle, grid.items_spread, [fields, running])
+        if not self.arrays.window:
+            self._pass(kk.spread_middle, grid.items_spread, [fields, running])
         self._pass(kk.finish, grid.items_plane, [fields, motion, running, u, before], [out, ran_away])

@@ -62,8 +62,8 @@ class LatticeKernels:
 def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) -> LatticeFunctions:
     """The functions for `dim` = 2 or 3, scalar = wp.float32 or wp.float64, and lanes of `width`.
 
-    window: cells of a cluster along every axis, each summed up anew: a GPU then has all its numbers on the way at once;
-    0: any windows and runs, as the grid says
+    window: cells of a cluster along every axis, each summed up anew, two axes at once: a GPU then has all its numbers
+    on the way at once, and fewer passes to wait for; 0: any windows and runs, as the grid says
     """
     axes = dim
     lanes = lanes_for(width, scalar)
@@ -300,6 +300,45 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
             moment = add(moment, scalar(k) - h, v)
         store(fields.sums_fast, at, grid.stride, total, count)
         store(fields.sums_fast, at + wp.static(dim) * grid.stride, grid.stride, moment, count)
+
+    @wp.func
+    def windows_both(
+        grid: Grid,
+        fields: Fields,
+        motion: Motion,
+        u_in: wp.array(dtype=scalar),
+        offset: int,
+        before_in: wp.array(dtype=scalar),
+        before_offset: int,
+        group: int,
+        item: int,
+    ):
+        """`windows_fast` and `windows_middle` at once, for windows that are summed up anew at each cell."""
+        plane = item / grid.blocks_windows
+        in_plane = (item - plane * grid.blocks_windows) * wp.static(width)
+        cell = plane * grid.plane + in_plane
+        at = grid.front + group * grid.group + cell
+        count = grid.clusters_1 * grid.line - in_plane
+        h = middle(wp.static(window))
+        total = vecs.rows()
+        mid = vecs.rows()
+        fast = vecs.rows()
+        for j in range(wp.static(window)):
+            along_line = vecs.rows()
+            for k in range(wp.static(window)):
+                away = j * grid.line + k * grid.abreast
+                v = load(u_in, offset + at + away, grid.stride)
+                if motion.stepping != 0:
+                    v = ahead(grid, v, before_in, motion, fields.free, before_offset + at + away, cell + away)
+                v = scale(v, particle_own(fields.mass, cell + away, grid.abreast))
+                along_line = add(along_line, one, v)
+                fast = add(fast, scalar(k) - h, v)
+            total = add(total, one, along_line)
+            mid = add(mid, scalar(j) - h, along_line)
+        d = wp.static(dim)
+        store(fields.sums_middle, at, grid.stride, total, count)
+        store(fields.sums_middle, at + d * grid.stride, grid.stride, mid, count)
+        store(fields.sums_middle, at + 2 * d * grid.stride, grid.stride, fast, count)
 
     @wp.func
     def particle_own(values: wp.array(dtype=scalar), cell: int, abreast: int):
@@ -569,6 +608,47 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         return new
 
     @wp.func
+    def ended(
+        grid: Grid,
+        fields: Fields,
+        motion: Motion,
+        total: vecs.rows,
+        u_in: wp.array(dtype=scalar),
+        offset: int,
+        before_in: wp.array(dtype=scalar),
+        before_offset: int,
+        out: wp.array(dtype=scalar),
+        ran_away: wp.array(dtype=int),
+        group: int,
+        at: int,
+        cell: int,
+        count: int,
+    ):
+        """What a particle makes of the sum of its goals: their mean (eq. 3.15), less where it is; 0 if held.
+
+        Stepping, its new position (eq. 3.11).
+        """
+        goal = scale(total, particle_own(fields.pull, cell, grid.abreast))
+        u = load(u_in, offset + at, grid.stride)
+        is_free = particle_own(fields.free, cell, grid.abreast)
+        if motion.stepping == 0:
+            if fields.what == wp.static(GOAL):
+                goal = add(goal, -one, scale(u, is_free))
+            store(out, offset + at, grid.stride, goal, count)
+        else:
+            star = ahead(grid, u, before_in, motion, fields.free, before_offset + at, cell)
+            new = add(star, motion.alpha, add(goal, -one, scale(star, is_free)))
+            length2 = lane()
+            for i in range(wp.static(dim)):
+                length2 += times(row(new, i), row(new, i))
+            if below(length2, far * far) != 0:
+                store(out, before_offset + at, grid.stride, new, count)
+            else:
+                first = group * grid.abreast
+                step = wp.min(grid.abreast - 1, 1)
+                store(out, before_offset + at, grid.stride, hold_back(new, u, ran_away, first, step, count), count)
+
+    @wp.func
     def finish(
         grid: Grid,
         fields: Fields,
@@ -600,38 +680,55 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
             here = at - k * grid.abreast
             total = add(total, one, load(fields.maps_middle, here, grid.stride))
             total = add(total, scalar(k) - h, load(fields.maps_middle, here + d * grid.stride, grid.stride))
-        goal = scale(total, particle_own(fields.pull, cell, grid.abreast))
-        u = load(u_in, offset + at, grid.stride)
-        is_free = particle_own(fields.free, cell, grid.abreast)
-        if motion.stepping == 0:
-            if fields.what == wp.static(GOAL):
-                goal = add(goal, -one, scale(u, is_free))
-            store(out, offset + at, grid.stride, goal, count)
-        else:
-            star = ahead(grid, u, before_in, motion, fields.free, before_offset + at, cell)
-            new = add(star, motion.alpha, add(goal, -one, scale(star, is_free)))
-            length2 = lane()
-            for i in range(d):
-                length2 += times(row(new, i), row(new, i))
-            if below(length2, far * far) != 0:
-                store(out, before_offset + at, grid.stride, new, count)
-            else:
-                first = group * grid.abreast
-                step = wp.min(grid.abreast - 1, 1)
-                store(out, before_offset + at, grid.stride, hold_back(new, u, ran_away, first, step, count), count)
+        ended(
+            grid, fields, motion, total, u_in, offset, before_in, before_offset, out, ran_away, group, at, cell, count
+        )  # fmt: skip
+
+    @wp.func
+    def finish_both(
+        grid: Grid,
+        fields: Fields,
+        motion: Motion,
+        u_in: wp.array(dtype=scalar),
+        offset: int,
+        before_in: wp.array(dtype=scalar),
+        before_offset: int,
+        out: wp.array(dtype=scalar),
+        ran_away: wp.array(dtype=int),
+        group: int,
+        item: int,
+    ):
+        """`spread_middle` and `finish` at once, for windows that are summed up anew at each cell."""
+        plane = item / grid.blocks_plane
+        in_plane = (item - plane * grid.blocks_plane) * wp.static(width)
+        cell = plane * grid.plane + in_plane
+        at = grid.front + group * grid.group + cell
+        count = grid.plane_end - in_plane
+        d = wp.static(dim)
+        h = middle(wp.static(window))
+        total = vecs.rows()
+        for j in range(wp.static(window)):
+            for k in range(wp.static(window)):
+                here = at - j * grid.line - k * grid.abreast
+                total = add(total, one, load(fields.maps_slow, here, grid.stride))
+                total = add(total, scalar(j) - h, load(fields.maps_slow, here + d * grid.stride, grid.stride))
+                total = add(total, scalar(k) - h, load(fields.maps_slow, here + 2 * d * grid.stride, grid.stride))
+        ended(
+            grid, fields, motion, total, u_in, offset, before_in, before_offset, out, ran_away, group, at, cell, count
+        )  # fmt: skip
 
     return LatticeFunctions(
         Grid,
         Site,
         Fields,
         Motion,
-        windows_fast,
+        windows_both if window else windows_fast,
         windows_middle,
         fit_clusters,
         fit_changes,
         spread_slow,
         spread_middle,
-        finish,
+        finish_both if window else finish,
     )
 
 

@@ -110,11 +110,15 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         threads: int,
     ):
         """All passes over a group: goals (with `changing` their derivative) of what is at `offset` of u, into out."""
-        for item in range(thread, grid.items_plane, threads):
-            windows_fast(grid, fields, motion, u, offset, before, before_offset, group, item)
-        meet()
-        for item in range(thread, grid.items_windows, threads):
-            windows_middle(grid, fields, group, item)
+        if wp.static(window == 0):
+            for item in range(thread, grid.items_plane, threads):
+                windows_fast(grid, fields, motion, u, offset, before, before_offset, group, item)
+            meet()
+            for item in range(thread, grid.items_windows, threads):
+                windows_middle(grid, fields, group, item)
+        else:
+            for item in range(thread, grid.items_windows, threads):
+                windows_fast(grid, fields, motion, u, offset, before, before_offset, group, item)
         meet()
         if changing != 0:
             for item in range(thread, grid.items_fit, threads):
@@ -127,9 +131,10 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
             for item in range(thread, grid.items_slow, threads):
                 spread_slow(grid, fields, group, item)
             meet()
-        for item in range(thread, grid.items_spread, threads):
-            spread_middle(grid, fields, group, item)
-        meet()
+        if wp.static(window == 0):
+            for item in range(thread, grid.items_spread, threads):
+                spread_middle(grid, fields, group, item)
+            meet()
         for item in range(thread, grid.items_plane, threads):
             finish(grid, fields, motion, u, offset, before, before_offset, out, ran_away, group, item)
         meet()
