@@ -89,6 +89,7 @@ class Operator(Protocol):
     dim: int
     metric: Any
     beta_stride: int
+    resident: Any
 
     @property
     def threads(self) -> int:
@@ -117,7 +118,7 @@ class Operator(Protocol):
 
     def cluster_values(self, values: FloatArray) -> Any: ...
 
-    def cluster_gradient(self, u: Any, adjoint: Any, parameters: Parameters, running: Any, out: Any) -> FloatArray: ...
+    def cluster_gradient(self, adjoint: Any) -> FloatArray: ...
 
 
 class Body(Protocol):

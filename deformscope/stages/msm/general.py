@@ -11,7 +11,7 @@ from deformscope.arrays import FloatArray
 from deformscope.stages.msm import general_kernels as k
 from deformscope.stages.msm import reference
 from deformscope.stages.msm.body import BodyRest, Parameters, RestArrays, rest_struct
-from deformscope.stages.msm.cluster_functions import BY_BETA, GOAL, cluster_functions_for
+from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
 from deformscope.stages.msm.clusters import Clusters
 from deformscope.stages.msm.layout import Layout, upload, widths
 from deformscope.stages.msm.reference import Basis
@@ -126,6 +126,7 @@ class GeneralOperator:
         self._still = self.motion(1.0, 0.0, np.zeros(self.dim), stepping=False)
         self._kept: dict[int, Any] = {}
         self.threads = 0
+        self.resident: Any = None
 
     def _cluster_field(self, rows: int) -> Any:
         return wp.zeros(rows * self.cluster_stride, dtype=self.layout.scalar, device=self.layout.device)
@@ -185,9 +186,11 @@ class GeneralOperator:
         host = filled.reshape(layout.groups, layout.abreast, -1).transpose(0, 2, 1)
         return upload(host, layout.scalar, layout.device, 2 * layout.width)
 
-    def cluster_gradient(self, u: Any, adjoint: Any, parameters: Parameters, running: Any, out: Any) -> FloatArray:
-        """(B, C) sum over each cluster's particles of m_i <adjoint_i, d goal_i / d beta_c> at the state u."""
-        self.residual(u, out, parameters, running, what=BY_BETA)
+    def cluster_gradient(self, adjoint: Any) -> FloatArray:
+        """(B, C) sum over each cluster's particles of m_i <adjoint_i, d goal_i / d beta_c>.
+
+        The derivative of the goals by beta is what `residual` gave last.
+        """
         body, d = self.body, self.dim
         maps = self._cluster_fields(self._maps, d + d * body.terms)[:, :, d:]
         maps = maps.reshape(*maps.shape[:2], body.terms, d)

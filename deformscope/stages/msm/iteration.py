@@ -85,6 +85,7 @@ class Iteration:
         zero = np.zeros(size)
         self.beta, self.theta = self.layout.each(zero), self.layout.each(zero)
         self.parameters = Parameters(self.beta, self.theta, 0, volume)
+        self._every_group = self.all_groups()
         self.tolerance = wp.zeros(1, dtype=wp.float64, device=self.layout.device)
         self.floor = wp.zeros(1, dtype=wp.float64, device=self.layout.device)
 
@@ -164,7 +165,7 @@ class Newton(Iteration):
     def _parameters_changed(self) -> None:
         device = self.layout.device
         self._outer, self._inner = (Graph(each, device) for each in (self._launch_outer, self._launch_inner))
-        self._aim = Graph(self._launch_aim, device)
+        self._aim, self._evaluate = Graph(self._launch_aim, device), Graph(self._launch_evaluate, device)
         self._derive: dict[int, Graph] = {}
         self._stay: Any = None
 
@@ -217,6 +218,25 @@ class Newton(Iteration):
     def _launch_aim(self) -> None:
         span, kk, layout = self.span, self.kernels, self.layout
         right, groups = self.residual, layout.groups
+        if self.threads:
+            wp.launch(
+                self.operator.resident.aim,
+                dim=groups * self.threads,
+                block_dim=self.threads,
+                inputs=[
+                    span,
+                    self.state,
+                    groups,
+                    self.threads,
+                    right,
+                    self.rho,
+                    self.direction,
+                    self.step,
+                    self._parts,
+                ],
+                device=layout.device,
+            )
+            return
         self.launch(
             kk.inner_products,
             (groups, span.parts),
@@ -228,7 +248,10 @@ class Newton(Iteration):
 
     def evaluate(self) -> None:
         """The residual at `u`, and with it what derivatives there need."""
-        self.operator.residual(self.u, self.residual, self.parameters, self.all_groups(), self._kept)
+        self._evaluate()
+
+    def _launch_evaluate(self) -> None:
+        self.operator.residual(self.u, self.residual, self.parameters, self._every_group, self._kept)
 
     def _descend(self, most: int) -> int:
         done = 0
@@ -248,8 +271,9 @@ class Newton(Iteration):
         set_first(self._relative, relative)
         count = layout.groups * layout.abreast
         reach = k.REACH if outer else np.inf
+        kernels = self.operator.resident if self.threads else self.kernels
         self.launch(
-            self.kernels.reset, count, [self.state, layout.groups, layout.abreast, wp.float64(reach), outer, 1 - outer]
+            kernels.reset, count, [self.state, layout.groups, layout.abreast, wp.float64(reach), outer, 1 - outer]
         )
 
     def _stay_for(self, most: int) -> int:
@@ -419,4 +443,4 @@ def halves(pair: Any) -> tuple[Any, Any]:
 def goal_derivative(iteration: Iteration, by: int, out: Any) -> None:
     """Derivative of every free particle's goal by beta or theta at `u` into `out`."""
     assert by in (BY_BETA, BY_THETA)
-    iteration.operator.residual(iteration.u, out, iteration.parameters, iteration.all_groups(), what=by)
+    iteration.operator.residual(iteration.u, out, iteration.parameters, iteration._every_group, what=by)

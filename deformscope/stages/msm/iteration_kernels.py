@@ -47,6 +47,9 @@ class NewtonFunctions:
     descend: Any
     conjugate: Any
     direct: Any
+    aim: Any
+    reset: Any
+    put_at: Any
     metric_of: Any
     of_candidate: Any
     add_product: Any
@@ -457,6 +460,54 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
         p = add(load(rho_in, at, span.stride), one, scale(load(direction, at, span.stride), mix))
         store(direction, at, span.stride, p, count)
 
+    @wp.func
+    def aim(span: Span, newton: Newton, parts: wp.array(dtype=wp.float64), groups: int, group: int):
+        """A linear solve ends at `relative` of its right-hand side."""
+        for member in range(span.abreast):
+            i = group * span.abreast + member
+            square = wp.max(collected(span, parts, 0, groups, group, member), wp.float64(1e-300))
+            newton.square[i] = square
+            newton.target[i] = square * newton.relative[0] * newton.relative[0]
+
+    @wp.func
+    def reset(newton: Newton, groups: int, abreast: int, reach: wp.float64, outer: int, inner: int, i: int):
+        """Every candidate runs, from Newton's first step or (with `inner`) from a linear solve."""
+        if i < groups:
+            newton.outer_groups[i] = outer
+            newton.inner_groups[i] = inner
+        if i < groups * abreast:
+            newton.state[i] = wp.static(RUNNING)
+            newton.inner[i] = inner
+            newton.outers[i] = 0
+            newton.inners[i] = 0
+            newton.backs[i] = 0
+            newton.stalls[i] = 0
+            newton.total[i] = 0
+            newton.last[i] = 0
+            newton.sharp[i] = 0
+            newton.by[i] = scalar(0.0)
+            newton.slope[i] = nought
+            newton.taken[i] = nought
+            newton.error[i] = wp.float64(wp.inf)
+            newton.least[i] = unity
+            newton.least_before[i] = unity
+            newton.reach[i] = reach
+
+    @wp.func
+    def put_at(
+        places: wp.array(dtype=int),
+        values: wp.array(dtype=scalar),
+        stride: int,
+        first_out: wp.array(dtype=scalar),
+        second_out: wp.array(dtype=scalar),
+        i: int,
+    ):
+        """Puts vectors (component by component) at the places of two fields."""
+        for k in range(wp.static(dim)):
+            value = values[k * places.shape[0] + i]
+            first_out[places[i] + k * stride] = value
+            second_out[places[i] + k * stride] = value
+
     return NewtonFunctions(
         Span,
         Newton,
@@ -470,6 +521,9 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
         descend,
         conjugate,
         direct,
+        aim,
+        reset,
+        put_at,
         metric_of,
         of_candidate,
         add_product,
@@ -507,6 +561,7 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
         functions.conjugate,
         functions.direct,
     )
+    aim_of, reset_of, put_one = functions.aim, functions.reset, functions.put_at
     metric_of, of_candidate, add_product, collected = (
         functions.metric_of,
         functions.of_candidate,
@@ -614,38 +669,11 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
 
     @kernel
     def aim(span: Span, newton: Newton, parts: wp.array(dtype=wp.float64), groups: int):
-        """A linear solve ends at `relative` of its right-hand side."""
-        group = wp.tid()
-        for member in range(span.abreast):
-            i = group * span.abreast + member
-            square = wp.max(collected(span, parts, 0, groups, group, member), wp.float64(1e-300))
-            newton.square[i] = square
-            newton.target[i] = square * newton.relative[0] * newton.relative[0]
+        aim_of(span, newton, parts, groups, wp.tid())
 
     @kernel
     def reset(newton: Newton, groups: int, abreast: int, reach: wp.float64, outer: int, inner: int):
-        """Every candidate runs, from Newton's first step or (with `inner`) from a linear solve."""
-        i = wp.tid()
-        if i < groups:
-            newton.outer_groups[i] = outer
-            newton.inner_groups[i] = inner
-        if i < groups * abreast:
-            newton.state[i] = wp.static(RUNNING)
-            newton.inner[i] = inner
-            newton.outers[i] = 0
-            newton.inners[i] = 0
-            newton.backs[i] = 0
-            newton.stalls[i] = 0
-            newton.total[i] = 0
-            newton.last[i] = 0
-            newton.sharp[i] = 0
-            newton.by[i] = scalar(0.0)
-            newton.slope[i] = nought
-            newton.taken[i] = nought
-            newton.error[i] = wp.float64(wp.inf)
-            newton.least[i] = unity
-            newton.least_before[i] = unity
-            newton.reach[i] = reach
+        reset_of(newton, groups, abreast, reach, outer, inner, wp.tid())
 
     @kernel
     def remember(
@@ -866,20 +894,13 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
 
     @kernel
     def put_at(
-        # In:
         places: wp.array(dtype=int),
         values: wp.array(dtype=scalar),
         stride: int,
-        # Out:
         first_out: wp.array(dtype=scalar),
         second_out: wp.array(dtype=scalar),
     ):
-        """Puts vectors (component by component) at the places of two fields."""
-        i = wp.tid()
-        for k in range(wp.static(dim)):
-            value = values[k * places.shape[0] + i]
-            first_out[places[i] + k * stride] = value
-            second_out[places[i] + k * stride] = value
+        put_one(places, values, stride, first_out, second_out, wp.tid())
 
     return IterationKernels(
         Span,

@@ -10,7 +10,7 @@ import warp as wp
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.msm import lattice_kernels as k
 from deformscope.stages.msm.body import BodyRest, Parameters, RestArrays, rest_struct
-from deformscope.stages.msm.cluster_functions import BY_BETA, GOAL, cluster_functions_for
+from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
 from deformscope.stages.msm.clusters import FLAT_MOMENT_RATIO, LatticeClusters
 from deformscope.stages.msm.layout import Layout, upload, widths
 from deformscope.stages.msm.resident_kernels import THREADS, resident_kernels_for
@@ -262,6 +262,7 @@ class LatticeOperator:
         self._kept: dict[int, Any] = {}
         self.beta_stride = layout.group
         self.metric = arrays.metric
+        self.resident = arrays.resident
 
     def motion(self, alpha: float, going_on: float, push: FloatArray, *, stepping: bool = True) -> Any:
         """What a time step needs: see `lattice_kernels`."""
@@ -327,9 +328,11 @@ class LatticeOperator:
         host[:, self.body.clusters_at, :] = filled.reshape(layout.groups, layout.abreast, -1).transpose(0, 2, 1)
         return upload(host, layout.scalar, layout.device, 2 * layout.width)
 
-    def cluster_gradient(self, u: Any, adjoint: Any, parameters: Parameters, running: Any, out: Any) -> FloatArray:
-        """(B, C) sum over each cluster's particles of m_i <adjoint_i, d goal_i / d beta_c> at the state u."""
-        self.residual(u, out, parameters, running, what=BY_BETA)
+    def cluster_gradient(self, adjoint: Any) -> FloatArray:
+        """(B, C) sum over each cluster's particles of m_i <adjoint_i, d goal_i / d beta_c>.
+
+        The derivative of the goals by beta is what `residual` gave last.
+        """
         axes = axes_of(self.dim)
         maps = self._cluster_fields(self._fields.maps, self.dim * (1 + axes))
         body = self.body

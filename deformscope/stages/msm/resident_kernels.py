@@ -24,10 +24,13 @@ THREADS = {wp.float32: 512, wp.float64: 256}
 
 @dataclass(frozen=True, slots=True)
 class ResidentKernels:
-    """The kernels; one module each, since not all who step relax."""
+    """The kernels: those of stepping and those of relaxing in a module each, since not all who step relax."""
 
     steps: Any
+    put_at: Any
     relax: Any
+    aim: Any
+    reset: Any
 
 
 @functools.cache
@@ -48,6 +51,7 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
     spread_slow, spread_middle = lattice.spread_slow, lattice.spread_middle
     Span, Newton, sums, put = newton.span, newton.newton, newton.sums, newton.put
     inner_products, move, judge, begin = newton.inner_products, newton.move, newton.judge, newton.begin
+    aim_at, reset_one, put_one = newton.aim, newton.reset, newton.put_at
     curvature, descend, conjugate, direct = newton.curvature, newton.descend, newton.conjugate, newton.direct
 
     @wp.func_native(
@@ -264,4 +268,44 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
             meet()
             done += int(1)
 
-    return ResidentKernels(steps, relax)
+    @relax_kernel
+    def aim(
+        span: Span,
+        state: Newton,
+        groups: int,
+        threads: int,
+        # In:
+        right: wp.array(dtype=scalar),
+        # Out:
+        rho: wp.array(dtype=scalar),
+        direction: wp.array(dtype=scalar),
+        step: wp.array(dtype=scalar),
+        parts: wp.array(dtype=wp.float64),
+    ):
+        """A linear solve begins, with its right-hand side as the residual."""
+        index = wp.tid()
+        group = index / threads
+        thread = index - group * threads
+        square, _same = inner_products(span, right, right, right, right, group, thread, threads)
+        keep(span, parts, 0, groups, group, thread, joined(square))
+        if thread == 0:
+            aim_at(span, state, parts, groups, group)
+        meet()
+        for block in range(thread, span.blocks, threads):
+            begin(span, state, right, rho, direction, step, group, block)
+
+    @relax_kernel
+    def reset(state: Newton, groups: int, abreast: int, reach: wp.float64, outer: int, inner: int):
+        reset_one(state, groups, abreast, reach, outer, inner, wp.tid())
+
+    @steps_kernel
+    def put_at(
+        places: wp.array(dtype=int),
+        values: wp.array(dtype=scalar),
+        stride: int,
+        first_out: wp.array(dtype=scalar),
+        second_out: wp.array(dtype=scalar),
+    ):
+        put_one(places, values, stride, first_out, second_out, wp.tid())
+
+    return ResidentKernels(steps, put_at, relax, aim, reset)

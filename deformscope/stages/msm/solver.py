@@ -373,10 +373,8 @@ class Msm:
         way.layout.put(right * self.scale, way.residual)
         good = way.solve(LINEAR_TOLERANCE[self.precision])
         adjoint = way.layout.get(way.step, self.dim)
-        by_cluster = (
-            way.operator.cluster_gradient(way.u, way.step, way.parameters, way.all_groups(), way.changed)
-            / self._particles.mass.mean()
-        )
+        way.derive(BY_BETA)
+        by_cluster = way.operator.cluster_gradient(way.step) / self._particles.mass.mean()
         self._derive(way, BY_THETA, position, beta, theta, volume)
         by_theta = np.sum(metric * adjoint * way.layout.get(way.residual, self.dim), axis=(1, 2))
         return Gradient(by_cluster.sum(axis=1), by_theta, by_cluster, good)
@@ -517,7 +515,8 @@ class _Stepping:
 
     def _hold(self, held_u: FloatArray, held: IntArray) -> None:
         layout, state = self.state.layout, self.state
-        kernels = iteration_kernels_for(self.state.operator.dim, layout.scalar, layout.width)
+        operator = state.operator
+        kernels = operator.resident or iteration_kernels_for(operator.dim, layout.scalar, layout.width)
         places = np.concatenate(
             [
                 layout.front
