@@ -319,13 +319,13 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         cell = plane * grid.plane + in_plane
         at = grid.front + group * grid.group + cell
         count = grid.clusters_1 * grid.line - in_plane
-        h = middle(wp.static(window))
+        h = middle(cells_of(grid.window_1))
         total = vecs.rows()
         mid = vecs.rows()
         fast = vecs.rows()
-        for j in range(wp.static(window)):
+        for j in range(cells_of(grid.window_1)):
             along_line = vecs.rows()
-            for k in range(wp.static(window)):
+            for k in range(cells_of(grid.window_2)):
                 away = j * grid.line + k * grid.abreast
                 v = load(u_in, offset + at + away, grid.stride)
                 if motion.stepping != 0:
@@ -705,10 +705,10 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         at = grid.front + group * grid.group + cell
         count = grid.plane_end - in_plane
         d = wp.static(dim)
-        h = middle(wp.static(window))
+        h = middle(cells_of(grid.window_1))
         total = vecs.rows()
-        for j in range(wp.static(window)):
-            for k in range(wp.static(window)):
+        for j in range(cells_of(grid.window_1)):
+            for k in range(cells_of(grid.window_2)):
                 here = at - j * grid.line - k * grid.abreast
                 total = add(total, one, load(fields.maps_slow, here, grid.stride))
                 total = add(total, scalar(j) - h, load(fields.maps_slow, here + d * grid.stride, grid.stride))
