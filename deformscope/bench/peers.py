@@ -51,6 +51,7 @@ class Peer:
             stdout=subprocess.PIPE,
             stderr=self._said,
             text=True,
+            cwd=tempfile.gettempdir(),  # some leave their logs where they run
             start_new_session=True,  # Ctrl-C is for us; we end it
             env=os.environ | ONE_THREAD | {"PYTHONPATH": search_path()},
         )

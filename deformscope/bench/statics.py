@@ -21,7 +21,7 @@ SWEPT = np.arange(100) * 0.01
 THETA_BETA, THETA = 0.99, 0.9
 ONE_CLUSTER_SIDES = (6, 11, 32, 64)
 ALL_PARTICLES_MOST = 1331
-"""Particles up to which the single cluster is relaxed particle by particle too."""
+"""Particles up to which the single cluster is also relaxed by `Msm`, which says where every particle is."""
 
 
 def relax(plan: Plan, tell: Tell) -> Iterator[Row]:
@@ -94,7 +94,7 @@ def theta(plan: Plan, tell: Tell) -> Iterator[Row]:
         if body.particles <= ALL_PARTICLES_MOST:
             engine = Msm(body.rest, single(body.particles), body.held, basis="quadratic", device=plan.device)
             turn = plan.turn(partial(engine.relax, body.held_position, THETA_BETA, THETA))
-            contestants.append(Contestant(what, f"{OURS}, particle by particle", turn, beside=contestants[-1]))
+            contestants.append(Contestant(what, f"{OURS}, and where every particle is", turn, beside=contestants[-1]))
     yield from compare("theta", contestants, plan.rounds_of_steps)
 
 

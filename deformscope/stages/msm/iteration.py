@@ -363,6 +363,7 @@ class Anderson(Iteration):
 
     def solve(self, tolerance: float, max_iterations: int) -> Ended:
         """y of y = J y + right (`linear_right`), where `evaluate` was last called, into `u`."""
+        set_first(self.floor, 0.0)
         self.u.zero_()
         return self._iterate(self._linear, tolerance, max_iterations, None)
 

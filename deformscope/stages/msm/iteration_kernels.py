@@ -370,6 +370,8 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
                     newton.length[i] = scalar(length)
                     newton.slope[i] = newton.slope[i] + length * newton.square[i]
                     newton.least[i] = wp.min(newton.least[i], stiff / own_square)
+                elif own_square <= nought:  # nothing is asked for
+                    newton.last[i] = 1
                 else:
                     newton.last[i] = 1
                     length = reach / wp.sqrt(own_square / span.metric_total)
@@ -438,7 +440,8 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
                     if fresh > newton.target[i]:
                         newton.sharp[i] = 0
                     newton.taken[i] = taken
-                    newton.by[i] = scalar(taken)
+                    if newton.state[i] == wp.static(RUNNING):
+                        newton.by[i] = scalar(taken)
                     newton.slope[i] = newton.slope[i] * taken
                 else:
                     any_inner = int(1)

@@ -209,6 +209,7 @@ class _Arrays:
             device,
         )
         self.kept_type = functions.kept
+        spare += body.window[2]  # a window reaches over the last cell, too
         self.mass = upload(
             body.mass.reshape(-1)[:1] if body.alike else body.mass, scalar, device, 0 if body.alike else spare
         )

@@ -480,8 +480,8 @@ class Msm:
 
 
 class _Stepping:
-    """Time steps of one state with fixed parameters, recorded two at a time: each step's result takes the place of the
-    displacements before, and two steps bring both home."""
+    """Time steps of one state with fixed parameters. Each step's result takes the place of the displacements before, so
+    that where steps are recorded they are so two at a time."""
 
     def __init__(
         self,
@@ -501,7 +501,7 @@ class _Stepping:
         push = np.zeros(body.dim) if acceleration is None else np.asarray(acceleration) / body.scale
         self.first = operator.motion(alpha, dt / state.last_dt if state.last_dt else 1.0, push * dt**2)
         self.motion = operator.motion(alpha, 1.0, push * dt**2)
-        state.last_dt = dt
+        self.dt = dt
         stride = operator.beta_stride if beta.ndim == 2 else 0
         values = (
             operator.cluster_values(np.broadcast_to(beta, (size, beta.shape[1])))
@@ -516,7 +516,9 @@ class _Stepping:
     def _hold(self, held_u: FloatArray, held: IntArray) -> None:
         layout, state = self.state.layout, self.state
         operator = state.operator
-        kernels = operator.resident or iteration_kernels_for(operator.dim, layout.scalar, layout.width)
+        kernels = (
+            operator.resident if operator.threads else iteration_kernels_for(operator.dim, layout.scalar, layout.width)
+        )
         places = np.concatenate(
             [
                 layout.front
@@ -541,6 +543,8 @@ class _Stepping:
     def run(self, steps: int) -> None:
         """The next `steps` steps."""
         state, operator = self.state, self.state.operator
+        if steps > 0:
+            state.last_dt = self.dt
         if operator.threads:
             for motion, count in ((self.first, min(steps, 1)), (self.motion, max(steps - 1, 0))):
                 if count:

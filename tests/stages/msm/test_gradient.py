@@ -18,7 +18,7 @@ from deformscope.stages.msm.general import GeneralBody
 from deformscope.stages.msm.lattice import LatticeBody
 from deformscope.stages.msm.reference import Basis, Volume
 from deformscope.stages.msm.solver import Msm
-from tests.stages.bodies import lattice
+from tests.stages.bodies import lattice, pushed
 
 STEP = 2e-4
 """Of the differences. They are Richardson's (two central ones), whose own error is of the order STEP^4: below 1e-8 of
@@ -253,3 +253,16 @@ def test_derivatives_leave_nothing_behind_for_later_calls(device: str) -> None:
         made.engine.gradient(position, 0.2, theta, cotangent=-cotangent, volume=volume)
         made.engine.residual(position + 0.001, 0.9)
         np.testing.assert_array_equal(ask(), first)
+
+
+def test_where_nothing_changes_the_derivatives_are_zero(device: str) -> None:
+    """At rest no beta moves anything, and a function that does not change has no gradient."""
+    body = pushed((6, 7), np.random.default_rng(30))
+    engine = Msm(body.rest, body.clusters(3), body.held, device=device)
+    still = engine.sensitivity(body.rest, [0.2, 0.7])
+    assert still.converged
+    np.testing.assert_array_equal(still.beta, 0.0)
+    static = engine.relax(body.held_position, 0.7)
+    found = engine.gradient(static.position, 0.7, cotangent=np.zeros_like(static.position))
+    assert found.converged
+    np.testing.assert_array_equal(found.beta_by_cluster, 0.0)
