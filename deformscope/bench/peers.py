@@ -30,7 +30,7 @@ def require_peers() -> None:
 
 def search_path() -> str:
     """Where a child process finds what this one found."""
-    return os.pathsep.join(folder or os.curdir for folder in sys.path)
+    return os.pathsep.join(os.path.abspath(folder) for folder in sys.path)
 
 
 class Peer:
