@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tempfile
 from importlib.util import find_spec
+from pathlib import Path
 from types import TracebackType
 
 from deformscope.bench.timing import Timing
@@ -30,7 +31,7 @@ def require_peers() -> None:
 
 def search_path() -> str:
     """Where a child process finds what this one found."""
-    return os.pathsep.join(os.path.abspath(folder) for folder in sys.path)
+    return os.pathsep.join(str(Path(folder).resolve()) for folder in sys.path)
 
 
 class Peer:
