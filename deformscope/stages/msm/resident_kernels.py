@@ -1,4 +1,4 @@
-"""Warp kernels that stay: all passes of a step, and all steps, or a whole relaxation, in one launch.
+"""Warp kernels that stay: all passes of a step, and all steps, or many evaluations of a relaxation, in one launch.
 
 A block of threads keeps to one group of candidates and goes through its passes, meeting at a barrier after each. On a
 GPU that saves the launches between passes, which cost more than a small body's work, and what a pass leaves is still

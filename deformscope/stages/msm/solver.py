@@ -105,7 +105,7 @@ class Moving:
 
 
 class Msm:
-    """A body of particles in overlapping clusters, ready to be simulated for many candidates in one launch.
+    """A body of particles in overlapping clusters, ready to be simulated for many candidates at once.
 
     rest: (K, d) positions at rest, d = 2 or 3; clusters: which particles belong together; held: (n,) indices of the
     particles whose position is prescribed; mass: (K,), default 1 each; basis: "linear" (also rigid, with beta = 0) or
