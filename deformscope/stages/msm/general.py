@@ -237,6 +237,6 @@ class GeneralOperator:
         self._launch(
             self.arrays.kernels.finish,
             (self.layout.groups, self.body.particle_count),
-            [self.lists, self._maps, u, star, motion, self.arrays.pull, self.arrays.free, running],
+            [self.lists, self._maps, u, star, motion, self.arrays.pull, running],
             [out, ran_away],
         )

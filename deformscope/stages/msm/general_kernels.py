@@ -233,7 +233,6 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Genera
         star_in: wp.array(dtype=scalar),
         motion: Motion,
         pull: wp.array(dtype=scalar),
-        free: wp.array(dtype=scalar),
         running: wp.array(dtype=int),
         # Out:
         out: wp.array(dtype=scalar),

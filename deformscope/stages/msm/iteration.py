@@ -15,7 +15,6 @@ import warp as wp
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.msm import iteration_kernels as k
 from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters
-from deformscope.stages.msm.cluster_functions import BY_BETA, BY_THETA
 from deformscope.stages.msm.layout import upload
 
 Progress = Callable[[int], None]
@@ -113,6 +112,10 @@ class Iteration:
 
     def _parameters_changed(self) -> None:
         """The recorded launches hold other arrays than those in use."""
+
+    def derive_goals(self, by: int, out: Any) -> None:
+        """Derivative of every free particle's goal by beta or theta at `u` into `out`."""
+        self.operator.residual(self.u, out, self.parameters, self._every_group, what=by)
 
     def launch(
         self, kernel: Any, dim: tuple[int, ...] | int, inputs: list[Any], outputs: list[Any] | None = None
@@ -212,7 +215,7 @@ class Newton(Iteration):
     def derive(self, by: int) -> None:
         """Derivative of every free particle's goal by beta or theta at `u` into `residual`."""
         if by not in self._derive:
-            self._derive[by] = Graph(lambda: goal_derivative(self, by, self.residual), self.layout.device)
+            self._derive[by] = Graph(lambda: self.derive_goals(by, self.residual), self.layout.device)
         self._derive[by]()
 
     def _launch_aim(self) -> None:
@@ -439,9 +442,3 @@ def halves(pair: Any) -> tuple[Any, Any]:
     """The two fields of a field of twice the rows."""
     rows = pair.shape[0] // 2
     return pair[:rows], pair[rows:]
-
-
-def goal_derivative(iteration: Iteration, by: int, out: Any) -> None:
-    """Derivative of every free particle's goal by beta or theta at `u` into `out`."""
-    assert by in (BY_BETA, BY_THETA)
-    iteration.operator.residual(iteration.u, out, iteration.parameters, iteration._every_group, what=by)

@@ -38,11 +38,6 @@ def lattice_edges(rest: FloatArray, clusters: LatticeClusters) -> FloatArray | N
     return edges if np.abs(off).max(initial=0.0) <= REGULAR else None
 
 
-def axes_of(dim: int) -> int:
-    """Axes along which the passes take moments."""
-    return dim
-
-
 class LatticeBody:
     """A body whose clusters are windows of an even lattice; linear basis. Lengths in particle spacings."""
 
@@ -153,7 +148,7 @@ class _Arrays:
     def __init__(self, body: LatticeBody, width: int) -> None:
         d, scalar, device = body.dim, body.scalar, body.device
         limit, _ = SLIDE["cpu" if device.startswith("cpu") else "cuda"]
-        wide = set(body.window[3 - axes_of(d) :])
+        wide = set(body.window[3 - d :])
         window = 0 if device.startswith("cpu") or len(wide) > 1 or max(wide) > limit else max(wide)
         self.window = window  # passes along two axes at once
         self.kernels = k.lattice_kernels_for(d, scalar, width, window)
@@ -162,7 +157,7 @@ class _Arrays:
         functions = cluster_functions_for(d, d, scalar, width)
         total, mean, gram = body.moments()
         n = len(total)
-        axes = axes_of(d)
+        axes = d  # along which the passes take moments
         edges = body.edges[3 - axes :]
         values, vectors = np.linalg.eigh(gram)
         told = values > FLAT_MOMENT_RATIO * np.maximum(values[:, -1:], np.finfo(float).tiny)
@@ -231,13 +226,12 @@ class LatticeOperator:
         grid.window_0, grid.window_1, grid.window_2 = w
         grid.line, grid.plane, grid.abreast = n[2] * many, n[1] * n[2] * many, many
         grid.front, grid.group, grid.stride = layout.front, layout.group, layout.stride
-        grid.plane_end = grid.plane
         grid.cluster_end = ((grid.clusters_1 - 1) * n[2] + n[2] - w[2] + 1) * many
         limit, run = SLIDE["cpu" if layout.device.startswith("cpu") else "cuda"]
         grid.run_0 = 1 if w[0] <= limit else run
         grid.run_1 = 1 if w[1] <= limit else run
         blocks = self._blocks
-        grid.blocks_plane, grid.blocks_clusters = blocks(grid.plane_end), blocks(grid.cluster_end)
+        grid.blocks_plane, grid.blocks_clusters = blocks(grid.plane), blocks(grid.cluster_end)
         grid.items_plane = n[0] * grid.blocks_plane
         grid.items_fit = -(-grid.clusters_0 // grid.run_0) * grid.blocks_clusters
         grid.items_slow = -(-n[0] // grid.run_0) * grid.blocks_clusters
@@ -254,7 +248,7 @@ class LatticeOperator:
         fields = kk.fields()
         fields.mass, fields.free, fields.pull = arrays.mass, arrays.free, arrays.pull
         fields.sums_fast, fields.sums_middle = layout.field(2 * d), layout.field(3 * d)
-        fields.maps = layout.field(d + d * axes_of(d))
+        fields.maps = layout.field(d + d * d)
         fields.maps_slow = layout.field(3 * d) if d == 3 else fields.maps
         fields.maps_middle = layout.field(2 * d)
         self._fields = fields
@@ -334,7 +328,7 @@ class LatticeOperator:
 
         The derivative of the goals by beta is what `residual` gave last.
         """
-        axes = axes_of(self.dim)
+        axes = self.dim
         maps = self._cluster_fields(self._fields.maps, self.dim * (1 + axes))
         body = self.body
         weighted = np.zeros((self.layout.candidates, body.count, self.dim))

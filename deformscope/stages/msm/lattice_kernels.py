@@ -94,8 +94,8 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         cells: along axes 0 and 1; clusters: along axes 0 and 1; plane, line: cells of one step along axis 0 and 1, each
         times `abreast`; abreast: candidates side by side in the lanes (1: cells side by side); front: numbers before
         the first place of a field; group: numbers from one group of candidates to the next; stride: from one row of a
-        field to the next; window_0...: cells of a cluster along the axis; plane_end, cluster_end: numbers that a plane
-        and the clusters of a plane fill; run_0, run_1: cells that a sum slides over along an axis; items_*: of a pass,
+        field to the next; window_0...: cells of a cluster along the axis; cluster_end: numbers that the clusters of a
+        plane fill; run_0, run_1: cells that a sum slides over along an axis; items_*: of a pass,
         in a group; blocks_*: of these, in a plane (or a line)
         """
 
@@ -112,7 +112,6 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         front: int
         group: int
         stride: int
-        plane_end: int
         cluster_end: int
         run_0: int
         run_1: int
@@ -286,7 +285,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         in_plane = (item - plane * grid.blocks_plane) * wp.static(width)
         cell = plane * grid.plane + in_plane
         at = grid.front + group * grid.group + cell
-        count = grid.plane_end - in_plane
+        count = grid.plane - in_plane
         h = middle(cells_of(grid.window_2))
         total = vecs.rows()
         moment = vecs.rows()
@@ -585,7 +584,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         steps = wp.min(grid.run_1, grid.cells_1 - first_line)
         count = grid.line - in_line
         if grid.run_1 == 1:
-            count = grid.plane_end - in_line
+            count = grid.plane - in_line
             first_line = 0
         at = grid.front + group * grid.group + plane * grid.plane + first_line * grid.line + in_line
         d = wp.static(dim)
@@ -672,7 +671,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         in_plane = (item - plane * grid.blocks_plane) * wp.static(width)
         cell = plane * grid.plane + in_plane
         at = grid.front + group * grid.group + cell
-        count = grid.plane_end - in_plane
+        count = grid.plane - in_plane
         d = wp.static(dim)
         h = middle(cells_of(grid.window_2))
         total = vecs.rows()
@@ -703,7 +702,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         in_plane = (item - plane * grid.blocks_plane) * wp.static(width)
         cell = plane * grid.plane + in_plane
         at = grid.front + group * grid.group + cell
-        count = grid.plane_end - in_plane
+        count = grid.plane - in_plane
         d = wp.static(dim)
         h = middle(cells_of(grid.window_1))
         total = vecs.rows()

@@ -17,7 +17,7 @@ from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters
 from deformscope.stages.msm.cluster_functions import BY_BETA, BY_THETA, NONE, PROJECT, SCALE
 from deformscope.stages.msm.clusters import Clusters, LatticeClusters, held_mask, spacing
 from deformscope.stages.msm.general import GeneralBody
-from deformscope.stages.msm.iteration import Anderson, Ended, Newton, goal_derivative, halves
+from deformscope.stages.msm.iteration import Anderson, Ended, Newton, halves
 from deformscope.stages.msm.iteration_kernels import CONVERGED, DIVERGED, iteration_kernels_for
 from deformscope.stages.msm.lattice import LatticeBody, lattice_edges
 from deformscope.stages.msm.layout import Layout, upload
@@ -335,7 +335,7 @@ class Msm:
                 good &= way.solve(LINEAR_TOLERANCE[self.precision])
                 out.append(way.layout.get(way.step, self.dim) * self.scale)
             else:
-                goal_derivative(way, by, way.linear_right)
+                way.derive_goals(by, way.linear_right)
                 ended = way.solve(1e-12 * self.extent / self.scale, max(4000, 40 * len(self.rest)))
                 good &= bool((ended.state == CONVERGED).all())
                 out.append(way.layout.get(way.u, self.dim) * self.scale)
