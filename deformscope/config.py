@@ -325,6 +325,8 @@ class SearchOptions:
     """Standard deviation of a measured position [m]; default: what the pair file says."""
     joint: bool = False
     """Fit one value to all pairs together."""
+    volume: Literal["scale", "project"] = "scale"
+    """How theta conserves volume: as Thesis eq. 3.17, or by a projection that stays stable in overlapping clusters."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where the simulation runs; auto: on the GPU where there is one."""
 

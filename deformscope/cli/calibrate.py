@@ -36,7 +36,15 @@ def beta(config: BetaConfig) -> None:
     from deformscope.stages.calibrate import Model
 
     quiet_warp()
-    model = Model("beta", config.mode, config.cluster_size, config.alpha, theta=config.theta, device=_device(config))
+    model = Model(
+        "beta",
+        config.mode,
+        config.cluster_size,
+        config.alpha,
+        theta=config.theta,
+        volume=config.search.volume,
+        device=_device(config),
+    )
     _calibrate(config, model, config.beta_range)
 
 
@@ -45,7 +53,15 @@ def theta(config: ThetaConfig) -> None:
     from deformscope.stages.calibrate import Model
 
     quiet_warp()
-    model = Model("theta", config.mode, config.cluster_size, config.alpha, beta=config.beta, device=_device(config))
+    model = Model(
+        "theta",
+        config.mode,
+        config.cluster_size,
+        config.alpha,
+        beta=config.beta,
+        volume=config.search.volume,
+        device=_device(config),
+    )
     _calibrate(config, model, config.theta_range)
 
 

@@ -19,7 +19,7 @@ from deformscope.stages import interval
 from deformscope.stages.distance import distances, nearest_error
 from deformscope.stages.estimate import Comparison, Curve, Estimate, LengthUnit, Parameter, Verdict
 from deformscope.stages.msm import clusters, reference
-from deformscope.stages.msm.reference import Basis
+from deformscope.stages.msm.reference import Basis, Volume
 from deformscope.stages.msm.solver import TOLERANCE, Msm, Precision, Relaxed
 
 Method = Literal["sweep", "gradient"]
@@ -98,6 +98,8 @@ class Model:
 
     cluster_size: particles a side of the overlapping clusters; None = one cluster of all particles
     beta, theta: the value of the one that is not fitted; alpha does not change a static state and is recorded only
+    volume: how theta conserves it: "scale" as eq. 3.17 does, or "project", which has an energy and stays stable in
+    overlapping clusters
     """
 
     parameter: Parameter = "beta"
@@ -106,6 +108,7 @@ class Model:
     alpha: float = 1.0
     beta: float = 0.99
     theta: float = 0.0
+    volume: Volume = "scale"
     precision: Precision = "float64"
     device: str = "cpu"
 
@@ -218,7 +221,8 @@ class _Fit:
         progress: Callable[[int, int], None] | None = None,
     ) -> Relaxed:
         beta, theta = (parameter, self.model.theta) if self.model.parameter == "beta" else (self.model.beta, parameter)
-        return body.relax(held_position, beta, theta, start=start, progress=progress)
+        volume = self.model.volume
+        return body.relax(held_position, beta, theta, volume=volume, start=start, progress=progress)
 
     def error(self) -> FloatArray:
         """AEE of every candidate tried over all observed particles of all observations; NaN where not usable."""
@@ -507,6 +511,7 @@ def calibrate(
         "alpha": model.alpha,
         "beta": None if model.parameter == "beta" else model.beta,
         "theta": None if model.parameter == "theta" else model.theta,
+        "volume": model.volume,
         "method": options.method,
         "bounds": list(bounds),
         "seed": options.seed,
@@ -571,10 +576,11 @@ def stiffness(
     """The energy's stiffness k [N/m] at each parameter (g,), from the measured forces; None where there is none.
 
     positions: for each observation (g, K, d). k minimises the squared difference of measured and simulated net force
-    over the observations. Without an energy (theta > 0) there is no force to compare.
+    over the observations. Eq. 3.17 has no energy, so with theta in that form there is no force to compare.
     """
     told = [row for row, s in enumerate(seen) if s.force_n is not None and s.metres_per_unit is not None]
-    if not told or model.parameter != "beta" or model.theta != 0.0:
+    no_energy = model.volume == "scale" and (model.parameter == "theta" or model.theta != 0.0)
+    if not told or no_energy:
         return None
     simulated = np.zeros((len(parameter), len(told)))
     measured = np.array([float(seen[row].force_n or 0.0) for row in told])
@@ -582,8 +588,9 @@ def stiffness(
         s = seen[row]
         rest = reference.build_rest(s.rest, model.grouping(s), s.held, basis=model.basis)
         contact = s.held if s.contact is None else s.contact
-        for g, beta in enumerate(parameter):
-            net = reference.reaction(positions[row][g], rest, float(beta))[contact].sum(axis=0)
+        for g, value in enumerate(parameter):
+            beta, theta = (value, model.theta) if model.parameter == "beta" else (model.beta, value)
+            net = reference.reaction(positions[row][g], rest, float(beta), float(theta))[contact].sum(axis=0)
             simulated[g, column] = float(np.linalg.norm(net)) * float(s.metres_per_unit or 1.0)
     size = np.sum(simulated**2, axis=1)
     return np.asarray(np.where(size > 0.0, simulated @ measured / np.where(size > 0.0, size, 1.0), np.nan))
