@@ -170,6 +170,11 @@ class Msm:
         mass = self._particles.mass
         return OneCluster(self.rest, self.held, mass=mass, basis=self._basis, device=self.device)
 
+    @property
+    def counts(self) -> IntArray:
+        """(K,) clusters that each particle belongs to, N_i of Thesis eq. 3.15."""
+        return self._particles.counts
+
     # -- candidates ------------------------------------------------------------------------------------------------
 
     def _candidates(
@@ -477,6 +482,29 @@ class Msm:
         position = np.asarray(position, dtype=np.float64).reshape(-1, *self.rest.shape)
         way = self._at(position, beta, theta, volume, way_kind=Newton)
         return np.asarray(way.layout.get(way.residual, self.dim) * self.scale)
+
+
+    def reaction(
+        self, position: FloatArray, beta: FloatArray | float, theta: FloatArray | float = 0.0
+    ) -> FloatArray:
+        """Force that each particle asks of what holds it, per unit of the body's stiffness k [m]: (B, K, d).
+
+        The gradient of the energy (`reference.reaction`), with volume conserved by projection since eq. 3.17 has none;
+        at a static state 0 at the free particles. position: (K, d) or (B, K, d)
+        """
+        pull = self._unheld.residual(position, beta, theta, volume="project")
+        return -pull * (self._particles.counts * self._particles.mass)[:, None]
+
+    @functools.cached_property
+    def _unheld(self) -> Msm:
+        """The same body with nothing held: there the goals of held particles are computed too."""
+        if not len(self.held):
+            return self
+        mass = self._particles.mass
+        free: list[int] = []
+        return Msm(
+            self.rest, self._clusters, free, mass=mass, basis=self._basis, precision=self.precision, device=self.device
+        )
 
 
 class _Stepping:
