@@ -1,0 +1,186 @@
+"""The search for the parameter of the lowest error: simulate candidates, all at once, and close in on the best.
+
+The sweep is the thesis's Algorithm 3, the descent serves Algorithm 2's purpose. The error is eq. 3.18, 3.19.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from deformscope.arrays import BoolArray, FloatArray
+from deformscope.errors import InputError
+from deformscope.stages.distance import distances
+from deformscope.stages.model import Model, Observation
+from deformscope.stages.msm.solver import Msm, Relaxed
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass
+class Tried:
+    """Every candidate simulated so far, in rising order.
+
+    parameter: (g,); positions: for each observation (g, K, d); converged, usable (not diverged): (g,)
+    """
+
+    parameter: FloatArray = field(default_factory=lambda: np.empty(0))
+    positions: list[FloatArray] = field(default_factory=list)
+    converged: BoolArray = field(default_factory=lambda: np.empty(0, dtype=bool))
+    usable: BoolArray = field(default_factory=lambda: np.empty(0, dtype=bool))
+
+
+class Search:
+    """One parameter against one or more observations that share it."""
+
+    def __init__(self, seen: Sequence[Observation], model: Model, bounds: tuple[float, float]) -> None:
+        self.seen = list(seen)
+        self.model = model
+        self.bounds = bounds
+        self.bodies = [model.body(s) for s in self.seen]
+        self.tried = Tried(positions=[np.empty((0, *s.rest.shape)) for s in self.seen])
+
+    def simulate(self, parameter: FloatArray, progress: Progress | None = None, what: str = "simulating") -> None:
+        """Relax every candidate for every observation, starting from the nearest one known."""
+        parameter = np.atleast_1d(np.asarray(parameter, dtype=np.float64))
+        converged = np.ones(len(parameter), dtype=bool)
+        usable = np.ones(len(parameter), dtype=bool)
+        for row, (seen, body) in enumerate(zip(self.seen, self.bodies, strict=True)):
+            start = None
+            known = np.flatnonzero(self.tried.usable)
+            if known.size:
+                nearest = known[np.abs(self.tried.parameter[known, None] - parameter).argmin(axis=0)]
+                start = self.tried.positions[row][nearest]
+            note = None if progress is None else lambda done, all_: progress(what, done, all_)
+            state = self.relax(body, seen.deformed[seen.held], parameter, start, note)
+            self.tried.positions[row] = np.concatenate([self.tried.positions[row], state.position])
+            converged &= state.converged
+            usable &= ~state.diverged
+        self.tried.parameter = np.concatenate([self.tried.parameter, parameter])
+        self.tried.converged = np.concatenate([self.tried.converged, converged])
+        self.tried.usable = np.concatenate([self.tried.usable, usable])
+        order = np.argsort(self.tried.parameter, kind="stable")
+        self.tried = Tried(
+            self.tried.parameter[order],
+            [p[order] for p in self.tried.positions],
+            self.tried.converged[order],
+            self.tried.usable[order],
+        )
+
+    def relax(
+        self,
+        body: Msm,
+        held_position: FloatArray,
+        parameter: FloatArray | float,
+        start: FloatArray | None,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> Relaxed:
+        beta, theta = (parameter, self.model.theta) if self.model.parameter == "beta" else (self.model.beta, parameter)
+        volume = self.model.volume
+        return body.relax(held_position, beta, theta, volume=volume, start=start, progress=progress)
+
+    def error(self) -> FloatArray:
+        """AEE of every candidate tried over all observed particles of all observations; NaN where not usable."""
+        total = np.zeros(len(self.tried.parameter))
+        count = 0
+        for seen, position in zip(self.seen, self.tried.positions, strict=True):
+            total += distances(position[:, seen.observed], seen.deformed[seen.observed]).sum(axis=1)
+            count += int(seen.observed.sum())
+        return np.where(self.tried.usable, total / count, np.nan)
+
+    # -- the best value --------------------------------------------------------------------------------------------
+
+    def best(self) -> int:
+        error = self.error()
+        if np.isnan(error).all():
+            raise InputError(
+                "a simulation that stays finite",
+                "every candidate diverged (eq. 3.17 with overlapping clusters does at high theta)",
+                "a lower --theta, or one cluster",
+            )
+        return int(np.nanargmin(error))
+
+    def sweep(self, count: int, progress: Progress | None) -> None:
+        """Algorithm 3: all candidates of the range in one run."""
+        self.simulate(np.linspace(*self.bounds, count), progress, "sweeping")
+
+    def refine(self, tolerance: float = 1e-4, rounds: int = 6) -> None:
+        """Narrow the bracket around the lowest error, eight candidates at a time, spaced evenly in `stretch`."""
+        for _ in range(rounds):
+            i = self.best()
+            low = self.tried.parameter[max(i - 1, 0)]
+            high = self.tried.parameter[min(i + 1, len(self.tried.parameter) - 1)]
+            if high - low <= tolerance:
+                return
+            inner = self.shrink(np.linspace(self.stretch(low), self.stretch(high), 10)[1:-1])
+            new = inner[np.abs(inner[:, None] - self.tried.parameter).min(axis=1) > 0.02 * tolerance]
+            if new.size == 0:
+                return
+            self.simulate(new)
+
+    def descend(self, progress: Progress | None, tolerance: float = 1e-4) -> str:
+        """Algorithm 2's purpose: follow the slope of the error to its minimum. Returns why it stopped.
+
+        The thesis takes fixed steps of 0.01 times the slope and stops when the error changes little, often before the
+        minimum. Here the slope comes from two neighbours simulated beside each point, the step from the slope's own
+        change (secant), kept inside the bracket in which the slope changes sign; it stops when that bracket is
+        narrower than `tolerance`, or at a bound that the slope pushes against.
+        """
+        low, high = (self.stretch(b) for b in self.bounds)
+        h = 1e-3 * (high - low)
+        # a few values in between, so that neither a bound nor the nearest valley is taken for the lowest
+        inner = np.linspace(low, high, 7)
+        self.simulate(self.shrink(inner[1:-1]))
+        ends = {low: self._slope(low, h), high: self._slope(high, h)}
+        deepest = int(np.nanargmin([self._error_at(float(self.shrink(x))) for x in inner]))
+        if deepest == 0 and ends[low] >= 0.0:
+            return "at the lower bound: the error rises from there"
+        if deepest == len(inner) - 1 and ends[high] <= 0.0:
+            return "at the upper bound: the error still falls there"
+        a, b = float(inner[max(deepest - 1, 0)]), float(inner[min(deepest + 1, len(inner) - 1)])
+        ends |= {x: self._slope(x, h) for x in (a, b) if x not in ends}
+        if ends[a] >= 0.0 or ends[b] <= 0.0:
+            self.refine()
+            return "the slope does not change sign around the lowest value; refined there instead"
+        point = 0.5 * (a + b)
+        for step in range(60):
+            if progress is not None:
+                progress("descending", step, 60)
+            slope = self._slope(point, h)
+            if slope == 0.0:
+                return "the slope is zero"
+            if slope < 0.0:
+                a = point
+            else:
+                b = point
+            ends[point] = slope
+            if abs(float(self.shrink(b)) - float(self.shrink(a))) <= tolerance:
+                return f"the slope changes sign within {tolerance:g}"
+            secant = a - ends[a] * (b - a) / (ends[b] - ends[a])
+            # a secant that creeps along one side of the bracket is replaced by its middle
+            inside = a + 0.1 * (b - a) < secant < b - 0.1 * (b - a)
+            point = secant if inside and step % 3 != 2 else 0.5 * (a + b)
+            h = min(h, 0.05 * (b - a))
+        return "60 steps were taken"
+
+    def _slope(self, point: float, h: float) -> float:
+        low, high = (self.stretch(b) for b in self.bounds)
+        ends = self.shrink(np.array([max(point - h, low), min(point + h, high)]))
+        self.simulate(ends)
+        pair = [self._error_at(float(e)) for e in ends]
+        return (pair[1] - pair[0]) / (self.stretch(ends[1]) - self.stretch(ends[0]))
+
+    def _error_at(self, parameter: float) -> float:
+        """The AEE of a candidate that was tried (the nearest one)."""
+        return float(self.error()[np.abs(self.tried.parameter - parameter).argmin()])
+
+    def stretch(self, parameter: float) -> float:
+        """-log(1 - beta) resolves beta near 1, where the shape still changes; theta stays as it is."""
+        return float(-np.log1p(-parameter)) if self.model.parameter == "beta" else float(parameter)
+
+    def shrink(self, stretched: FloatArray | float) -> FloatArray:
+        value = np.asarray(stretched, dtype=np.float64)
+        value = -np.expm1(-value) if self.model.parameter == "beta" else value
+        return np.clip(value, *self.bounds)
