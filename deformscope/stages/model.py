@@ -13,6 +13,7 @@ from deformscope.stages.estimate import LengthUnit, Parameter
 from deformscope.stages.msm import clusters
 from deformscope.stages.msm.reference import Basis, Volume
 from deformscope.stages.msm.solver import Msm, Precision
+from deformscope.stages.poke import Tip
 
 Method = Literal["sweep", "gradient"]
 
@@ -28,6 +29,7 @@ class Observation:
     metres_per_unit: size of the unit, None for pixels of unknown size
     force_n: net force [N] on the held particles `contact`; None if it was not measured
     held_measured: whether the held positions were measured, with the noise of the others, or are exact; None = unknown
+    tip: what pressed the particles of `contact`, if it is known
     """
 
     rest: FloatArray
@@ -42,6 +44,7 @@ class Observation:
     force_n: float | None = None
     contact: IntArray | None = None
     held_measured: bool | None = None
+    tip: Tip | None = None
 
     def __post_init__(self) -> None:
         count, d = self.rest.shape
