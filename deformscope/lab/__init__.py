@@ -1,1 +1,1 @@
-"""The simulated laboratory: things that deform by continuum mechanics, sharing nothing with the model that is fitted."""
+"""The simulated laboratory: things that deform by continuum mechanics alone, unlike the model that is fitted to them."""

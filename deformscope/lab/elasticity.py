@@ -10,8 +10,8 @@
     found.force[punch].sum(axis=0)                                 # what the punch exerts on the foam [N]
     slab.sample(found.displacement, points)                        # (n, 3) displacement anywhere inside [m]
 
-scikit-fem gives mesh, shape functions and quadrature. Its assembly visits every pair of an element's unknowns by itself;
-here one matrix product an element does (0.2 s instead of 10 s for 2000 elements).
+scikit-fem gives mesh, shape functions and quadrature. Its assembly visits every pair of an element's unknowns by
+itself; here one matrix product an element does (0.2 s instead of 20 s for 2000 elements).
 """
 
 from __future__ import annotations
@@ -133,7 +133,8 @@ class ElasticBox:
 
     def _whole(self, points: FloatArray) -> IntArray:
         """Coordinates (n, 3) as whole numbers, so that rounding does not sort them."""
-        return np.rint((points - [axis[0] for axis in self.axes]) / self.tolerance).astype(np.int64)
+        whole: IntArray = np.rint((points - [axis[0] for axis in self.axes]) / self.tolerance).astype(np.int64)
+        return whole
 
     def _per_element(self, value: PerElement) -> FloatArray:
         given = np.asarray(value(self.centres) if callable(value) else value, dtype=np.float64)
