@@ -1,1 +1,1 @@
-"""The simulated laboratory: things that deform by continuum mechanics alone, unlike the model that is fitted to them."""
+"""The simulated laboratory: things that deform by continuum mechanics alone, unlike the model fitted to them."""
