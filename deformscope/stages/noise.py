@@ -4,11 +4,11 @@ What is left at a parameter's true value, observed - simulated at the free parti
 prescribed positions that are off do to the simulation. The errors (e, e_held) of all particles are
 
     white noise, of the stated size times a scale that the residuals correct, and
-    a smooth random field (Matern 3/2, the same in each coordinate): an error of measurement that neighbours share, as
+    a smooth random field (the same in each coordinate): an error of measurement that neighbours share, as
     that of optical flow, in free and prescribed particles alike; or misfit of the model, in the free ones alone.
 
-Each combination of field, its length and its size is one hypothesis with a Gaussian likelihood; whether the prescribed
-positions were measured too is another choice where it was not told. The scale is integrated (Laplace) with a
+Each combination of a field's roughness, length and size is one hypothesis with a Gaussian likelihood; whether the
+prescribed positions were measured too is another choice where it was not told. The scale is integrated (Laplace) with a
 log-normal prior about 1, or a flat one where no noise was stated.
 
 With G the covariance of (e, e_held), r has P G P^T, P = [I, -J]. It is never formed: that is the marginal of a flat
@@ -20,6 +20,8 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from itertools import product
+from typing import Literal
 
 import numpy as np
 from scipy.linalg import eigh
@@ -27,8 +29,16 @@ from scipy.spatial.distance import cdist
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 
-FIELD_LENGTHS = (0.6, 1.0, 1.7, 3.0, 6.0)
-"""Correlation lengths of the smooth field, in particle spacings."""
+Roughness = Literal["exponential", "matern", "gaussian"]
+
+FIELDS: tuple[tuple[Roughness, tuple[float, ...]], ...] = (
+    ("exponential", (1.0, 3.0)),
+    ("matern", (0.6, 1.0, 1.7, 3.0, 6.0)),
+    ("gaussian", (0.7, 1.0, 1.5, 2.5)),
+)
+"""Correlations of the smooth field, from rough to smooth, and their lengths in particle spacings."""
+
+CORRELATIONS = tuple(rough for rough, _ in FIELDS)
 
 FIELD_SIZES = tuple(float(size) for size in 10.0 ** np.arange(-1.0, 5.1, 0.5))
 """Variances of the smooth field, in units of the white noise."""
@@ -82,11 +92,12 @@ class Hypotheses:
     """Explanations of residuals, (h,) each.
 
     held: the prescribed positions carry noise; shared: they carry the smooth field too
-    length: of the field [spacings]; size: its variance in units of the white noise, 0 = none; log_prior
+    field: which of `CORRELATIONS`; length: its own [spacings]; size: its variance in units of the white noise, 0 = none
     """
 
     held: BoolArray
     shared: BoolArray
+    field: IntArray
     length: FloatArray
     size: FloatArray
     log_prior: FloatArray
@@ -110,6 +121,10 @@ class _Basis:
     moment: FloatArray
 
 
+Field = tuple[int, float, bool, bool]
+"""Which correlation and its length; whether prescribed positions are noisy; whether they have the field too."""
+
+
 class ErrorModel:
     """The hypotheses about one observation's errors."""
 
@@ -128,26 +143,27 @@ class ErrorModel:
         self.noise, self.held_noise = noise, held_noise
         self.log_noise = float(d * np.log(noise).sum())
         self.hypotheses = self._enumerate(unknown)
-        self._bases: dict[tuple[float, bool, bool], _Basis] = {}
+        self._bases: dict[Field, _Basis] = {}
 
     def _enumerate(self, unknown: bool) -> Hypotheses:
         told = self.measured.held_measured
         ways = {True: {True: 1.0}, False: {False: 1.0}, None: {False: PRIOR_HELD_EXACT, True: 1.0 - PRIOR_HELD_EXACT}}
         sizes = [size for size in FIELD_SIZES if not unknown or size <= MISFIT_MOST_UNKNOWN]
+        fields = [(CORRELATIONS.index(rough), length) for rough, lengths in FIELDS for length in lengths]
         rows: list[tuple[float, ...]] = []
         for held, prior in ways[told].items():
+            rows.append((held, False, 0, 1.0, 0.0, np.log(prior * PRIOR_NO_FIELD)))
             kinds = (False, True) if held and self.measured.held_rest is not None else (False,)
-            fields = [(k, at, s) for k in kinds for at in FIELD_LENGTHS for s in sizes if not k or s <= SHARED_MOST]
-            rows.append((held, False, 1.0, 0.0, np.log(prior * PRIOR_NO_FIELD)))
-            share = (1.0 - PRIOR_NO_FIELD) / len(kinds) / len(FIELD_LENGTHS)
-            for shared, length, size in fields:
-                count = sum(1 for k, at, _ in fields if k == shared and at == length)
-                rows.append((held, shared, length, size, np.log(prior * share / count)))
+            for shared, (field, length) in product(kinds, fields):
+                some = [size for size in sizes if not shared or size <= SHARED_MOST]
+                share = prior * (1.0 - PRIOR_NO_FIELD) / (len(kinds) * len(fields) * len(some))
+                rows.extend((held, shared, field, length, size, np.log(share)) for size in some)
         table = np.array(rows, dtype=np.float64)
-        return Hypotheses(table[:, 0] > 0.0, table[:, 1] > 0.0, table[:, 2], table[:, 3], table[:, 4])
+        held_, shared_, field_, length_, size_, log_prior = table.T
+        return Hypotheses(held_ > 0.0, shared_ > 0.0, field_.astype(np.int64), length_, size_, log_prior)
 
-    def _basis(self, length: float, held: bool, shared: bool) -> _Basis:
-        key = (length, held, shared)
+    def _basis(self, key: Field) -> _Basis:
+        field_of, length, held, shared = key
         if key not in self._bases:
             place = self.measured.rest
             noise = self.noise
@@ -155,7 +171,8 @@ class ErrorModel:
                 noise = np.concatenate([noise, self.held_noise])
             if shared and self.measured.held_rest is not None:
                 place = np.concatenate([place, self.measured.held_rest])
-            field = matern(cdist(place, place) / (self.measured.spacing * length)) * float(np.mean(self.noise**2))
+            field = correlation(field_of, cdist(place, place) / (self.measured.spacing * length))
+            field *= float(np.mean(self.noise**2))
             count = len(place)
             whitened = field / noise[:count, None] / noise[:count]
             moment, vectors = eigh(whitened, check_finite=False, driver="evd")
@@ -176,22 +193,23 @@ class ErrorModel:
         count = residual.shape[1] * self.dim
         chi2 = np.empty((len(rows), len(residual)))
         log_det = np.empty(len(rows))
-        groups: dict[tuple[float, bool, bool], list[int]] = {}
+        groups: dict[Field, list[int]] = {}
         for at, row in enumerate(rows):
-            key = (float(every.length[row]), bool(every.held[row]), bool(every.shared[row]))
+            key = (int(every.field[row]), float(every.length[row]), bool(every.held[row]), bool(every.shared[row]))
             groups.setdefault(key, []).append(at)
-        for (length, held, shared), places in groups.items():
+        for key, places in groups.items():
             sizes = every.size[rows[places]]
-            chi2[places], log_det[places] = self._quadratic(residual, response, length, held, shared, sizes)
+            chi2[places], log_det[places] = self._quadratic(residual, response, key, sizes)
         plain = float(np.min(np.sum((residual / self.noise[:, None]) ** 2, axis=(1, 2)), initial=np.inf)) / count
         trusted = self.measured.noise is not None and plain < SCALE_LEAST**2
         return self._scaled(chi2, log_det[:, None] + 2.0 * self.log_noise, count, every.log_prior[rows], trusted)
 
     def _quadratic(
-        self, residual: FloatArray, response: FloatArray, length: float, held: bool, shared: bool, sizes: FloatArray
+        self, residual: FloatArray, response: FloatArray, key: Field, sizes: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """chi2 (f, g) and log determinant (f,), less that of the noise, for each size of one field."""
-        basis = self._basis(length, held, shared)
+        basis = self._basis(key)
+        held = key[2]
         n, d = residual.shape[1:]
         g, m = len(residual), response.shape[2]
         spread = 1.0 + sizes[:, None] * basis.moment
@@ -246,7 +264,11 @@ class ErrorModel:
         return Evidence(value + log_prior[:, None], t, bend**-0.5)
 
 
-def matern(scaled_distance: FloatArray) -> FloatArray:
-    """Matern 3/2 correlation at distances in units of its length."""
+def correlation(field: int, scaled_distance: FloatArray) -> FloatArray:
+    """Of one of `CORRELATIONS` at distances in units of its length."""
+    if CORRELATIONS[field] == "exponential":
+        return np.asarray(np.exp(-scaled_distance))
+    if CORRELATIONS[field] == "gaussian":
+        return np.asarray(np.exp(-0.5 * scaled_distance**2))
     s = np.sqrt(3.0) * scaled_distance
     return np.asarray((1.0 + s) * np.exp(-s))
