@@ -52,6 +52,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "replay": Command("the same stages on recorded inputs, compared", "ReplayConfig", "deformscope.cli.replay"),
     "flow": Command("dense optical flow of two images", "FlowConfig", "deformscope.cli.flow"),
+    "coverage": Command("how often the intervals hold the truth", "CoverageConfig", "deformscope.cli.coverage"),
     "bench": Command("what MSM costs on this machine", "BenchConfig", "deformscope.cli.bench"),
 }
 """By name; a name of two words (`calibrate beta`) makes a group."""

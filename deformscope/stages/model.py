@@ -27,7 +27,8 @@ class Observation:
     noise: (K,) standard deviation per coordinate, None if unknown
     shape, cell: the lattice that the particles stand on (last axis fastest, may have holes), None if they stand on none
     metres_per_unit: size of the unit, None for pixels of unknown size
-    force_n: net force [N] on the held particles `contact`; None if it was not measured
+    force_n: net force [N] on the held particles `contact`, None if it was not measured; force_noise_n: its standard
+    deviation [N], None if unknown
     held_measured: whether the held positions were measured, with the noise of the others, or are exact; None = unknown
     tip: what pressed the particles of `contact`, if it is known
     """
@@ -45,6 +46,7 @@ class Observation:
     contact: IntArray | None = None
     held_measured: bool | None = None
     tip: Tip | None = None
+    force_noise_n: float | None = None
 
     def __post_init__(self) -> None:
         count, d = self.rest.shape
@@ -112,7 +114,7 @@ class Model:
 
 @dataclass(frozen=True, slots=True)
 class FitOptions:
-    """How the parameter of `model` is found within `bounds`, and how sure of it to be.
+    """How the parameter of `model` is found within `bounds`, and how sure of it one can be.
 
     method: "sweep" tries `candidates` values over `bounds` and refines around the lowest error (Algorithm 3);
     "gradient" follows the slope (Algorithm 2's purpose) and draws the curve only where it went
