@@ -50,6 +50,7 @@ COMMANDS: dict[str, Command] = {
     "calibrate theta": Command(
         "find theta from images or pair files", "ThetaConfig", "deformscope.cli.calibrate", "theta"
     ),
+    "predict": Command("poke a fitted model where it was not poked", "PredictConfig", "deformscope.cli.predict"),
     "replay": Command("the same stages on recorded inputs, compared", "ReplayConfig", "deformscope.cli.replay"),
     "flow": Command("dense optical flow of two images", "FlowConfig", "deformscope.cli.flow"),
     "coverage": Command("how often the intervals hold the truth", "CoverageConfig", "deformscope.cli.coverage"),
