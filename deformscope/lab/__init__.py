@@ -1,0 +1,1 @@
+"""The simulated laboratory: what the model is fitted to, made without the model."""
