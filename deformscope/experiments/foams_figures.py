@@ -17,6 +17,9 @@ from deformscope.stages.estimate import Estimate
 COLOURS = ("#d55e00", "#e69f00", "#009e73", "#0072b2", "#aa3377")
 """Of the foams in their order; told apart by colour-blind readers too (Okabe and Ito 2008)."""
 
+SIZE_COLOURS = ("#7f3b08", "#2d8fbd", "#8073ac", "#5a5a5a")
+"""Of the cluster sizes."""
+
 HOLDING: dict[Held, str] = {
     "one": "one particle below the clamp held, as in the thesis",
     "clamp": "all particles below the clamp held",
@@ -66,7 +69,7 @@ def stiffness(results: Sequence[FoamResult], path: Path) -> None:
     figure, axes = _figure(1, 2, 11.0, 4.6)
     hardness = np.array([result.foam.hardness for result in results])
     order = np.argsort(hardness)
-    for size, marker, shift, colour in zip(sizes, "osD^v", (-2.0, 0.0, 2.0), COLOURS[1::1], strict=False):
+    for size, marker, shift, colour in zip(sizes, "osD^v", (-2.0, 0.0, 2.0), SIZE_COLOURS, strict=False):
         told = [result.fit("flow", "clamp", size).estimate.stiffness for result in results]
         if any(one is None for one in told):
             continue
@@ -125,7 +128,7 @@ def one_change(found: Sequence[Control], path: Path) -> None:
     figure, axes = _figure(1, len(HELD), 13.0, 5.2)
     labels = [f"{_change(one)}\n{one.moved_mm:.2f} mm, {one.force_n:.0f} N" for one in found]
     for axis, held in zip(axes.flat, HELD, strict=True):
-        for size, marker, shift, colour in zip(sizes, "osD^v", (-0.2, 0.0, 0.2), COLOURS[1::1], strict=False):
+        for size, marker, shift, colour in zip(sizes, "osD^v", (-0.2, 0.0, 0.2), SIZE_COLOURS, strict=False):
             told = [
                 next(f.calibration.estimate for f in one.fits if (f.held, f.cluster_size) == (held, size))
                 for one in found

@@ -19,7 +19,10 @@ put in by hand.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+
+from scipy.optimize import brentq
 
 from deformscope.lab.ogden import OgdenFoam
 
@@ -53,14 +56,21 @@ class Foam:
 
     def law(self) -> OgdenFoam:
         """Its law [Pa]."""
-        yielding, densifying = (OgdenFoam((1.0,), (a,), self.poisson) for a in (self.plateau, DENSIFYING_EXPONENT))
         most = 1.0 - 1.4 * self.density / SOLID_KG_M3
-        more = (1.0 - DENSIFIED_STRAIN) / (most - DENSIFIED_STRAIN) - 1.0
+        stiffer = (1.0 - DENSIFIED_STRAIN) / (most - DENSIFIED_STRAIN)
         pressed = 1.0 - DENSIFIED_STRAIN
-        weight = more * yielding.uniaxial(pressed)[0] / densifying.uniaxial(pressed)[0]
-        shape = OgdenFoam((1.0, weight), (self.plateau, DENSIFYING_EXPONENT), self.poisson)
+        weightless = OgdenFoam((1.0,), (self.plateau,), self.poisson).uniaxial(pressed)[0]
+
+        def excess(log_weight: float) -> float:
+            return self._shape(log_weight).uniaxial(pressed)[0] / weightless - stiffer
+
+        shape = self._shape(float(brentq(excess, -30.0, 0.0, xtol=1e-12)))
         scale = -self.hardness / PLATE_M2 / shape.uniaxial(1.0 - HARDNESS_STRAIN)[0]
         return OgdenFoam(tuple(scale * mu for mu in shape.shear), shape.exponent, shape.poisson)
+
+    def _shape(self, log_weight: float) -> OgdenFoam:
+        """The law up to its scale, with the second term's shear modulus so many times the first's."""
+        return OgdenFoam((1.0, math.exp(log_weight)), (self.plateau, DENSIFYING_EXPONENT), self.poisson)
 
 
 FOAMS = (

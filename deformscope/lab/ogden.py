@@ -6,7 +6,8 @@ the principal Kirchhoff stresses are those of linear elasticity:
     tau_k = sum_i 2 mu_i [ e_i(l_k) + b e_i(J) ],   b = nu / (1 - 2 nu)
     W = sum_i 2 mu_i / a_i^2 [ sum_k (l_k^a_i - 1 - a_i ln l_k) + b (J^a_i - 1 - a_i ln J) ]
 
-- A term with a > 0 yields: pressed to l, its nominal stress tends to -E / (a l), a plateau that rises as it thins.
+- A term with a > 0 yields: pressed to l, its nominal stress tends to -2 mu (1 + b) / (a l), a plateau that rises as it
+  thins.
 - A term with a < 0 stiffens: densification, where cell walls meet.
 - nu is Poisson's ratio of small strains. With a > 0 it falls towards 0 as the foam is pressed, as in real foam (Gibson
   and Ashby 1997, chapter 5). The law of Ogden and Hill as commonly used for foam (Storåkers 1986) keeps it the same at
@@ -95,7 +96,7 @@ class OgdenFoam:
 
 
 def stress_and_tangent(law: OgdenFoam, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """First Piola-Kirchhoff stress (n, d, d) and its derivative (n, d, d, d, d) [Pa] at deformation gradients (n, d, d).
+    """First Piola-Kirchhoff stress (n, d, d) and its derivative (n, d, d, d, d) [Pa] at gradients (n, d, d).
 
     With d = 2 the strain is plane. From principal stretches: a change of the gradient that is symmetric, or skew, in
     the axes of two of them meets its own stiffness (Bonet and Wood 2008, section 6.6).
