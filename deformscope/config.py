@@ -510,6 +510,8 @@ class FoamsConfig(CommandOptions):
     """Folder of the figures and of foams.csv; made where it is not there. What it holds of these is replaced."""
     quick: bool = False
     """The softest and the firmest foam alone, fewer images, in some 30 s."""
+    keep_images: bool = False
+    """Keep the images in DIR/images, a folder a foam, as `calibrate beta` takes them."""
     seed: int = 0
     """Seed of the speckles, of the camera's noise and of the intervals."""
     json: JsonFlag = None

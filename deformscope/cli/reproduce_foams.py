@@ -2,7 +2,8 @@
 
 deformscope reproduce foams
 deformscope reproduce foams --quick --json -
-deformscope reproduce foams --out runs/foams --json foams.json --seed 1
+deformscope reproduce foams --out runs/foams --json foams.json --seed 1 --keep-images
+deformscope calibrate beta runs/foams/images/24-80 --roi 30,50,750,350 --grid 7x15 --contact 330,50,150,50
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import csv
 import io
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,7 @@ from deformscope.errors import InputError
 
 if TYPE_CHECKING:
     from deformscope.experiments.foams import Control, Fit, FoamResult, Setup, Trend
+    from deformscope.frames import ColorFrame
     from deformscope.lab.foam import Foam
 
 
@@ -47,7 +49,10 @@ def run(config: FoamsConfig) -> None:
     if config.quick:
         setup = Setup(foams=(setup.foams[0], setup.foams[-1]), images=4, element_m=0.007)
     with fit_progress() as progress, threadpool_limits(1):  # small matrices: more threads cost time
-        results = [measure(foam, setup, config.seed, progress) for foam in setup.foams]
+        results = [
+            measure(foam, setup, config.seed, progress, _keeper(config.out, foam) if config.keep_images else None)
+            for foam in setup.foams
+        ]
         tried = [] if config.quick else controls(setup, config.seed, progress)
     trends = [trend(results, source, held, size) for held in HELD for source in SOURCES for size in setup.cluster_sizes]
 
@@ -69,6 +74,21 @@ def run(config: FoamsConfig) -> None:
     told = as_json(setup, results, trends, tried)
     told |= {"seed": config.seed, "quick": config.quick, "seconds": seconds}
     write_json(told | {"figures": [config.out / name for name in drawn], "table": table}, config.json)
+
+
+def _keeper(out: Path, foam: Foam) -> Callable[[ColorFrame], None]:
+    """Writes a foam's images into a folder of its own, which holds nothing of an earlier run."""
+    from deformscope.images import encode_png
+
+    folder = out / "images" / foam.name.replace("/", "-")
+    folder.mkdir(parents=True, exist_ok=True)
+    for earlier in folder.glob("frame-*.png"):
+        earlier.unlink()
+
+    def keep(frame: ColorFrame) -> None:
+        (folder / f"frame-{frame.index:02d}.png").write_bytes(encode_png(frame.image))
+
+    return keep
 
 
 def tell(results: Sequence[FoamResult], trends: Sequence[Trend], seconds: float, files: Sequence[Path]) -> None:

@@ -9,7 +9,7 @@ middle held, as in the thesis, and with all those below the clamp held. The forc
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -123,8 +123,14 @@ class FoamResult:
 # One foam ------------------------------------------------------------------------------------------------------------
 
 
-def measure(foam: Foam, setup: Setup, seed: int = 0, progress: Progress | None = None) -> FoamResult:
-    """Push one foam, film it, follow its particles, and fit them in all ways."""
+def measure(
+    foam: Foam,
+    setup: Setup,
+    seed: int = 0,
+    progress: Progress | None = None,
+    keep: Callable[[ColorFrame], None] | None = None,
+) -> FoamResult:
+    """Push one foam, film it, follow its particles, and fit them in all ways; `keep` is shown every image."""
     poses = _push(foam, setup, setup.images - 1, progress)
     shot = film(poses, setup.block, setup.clamp_m, setup.view, noise=setup.noise, seed=seed)
     shown: list[npt.NDArray[np.uint8]] = []
@@ -132,7 +138,10 @@ def measure(foam: Foam, setup: Setup, seed: int = 0, progress: Progress | None =
     def frames() -> Iterator[ColorFrame]:
         for index, image in enumerate(shot.images()):
             shown[:] = [image]
-            yield ColorFrame(Stamp(index * FRAME_NS), index, image)
+            frame = ColorFrame(Stamp(index * FRAME_NS), index, image)
+            if keep is not None:
+                keep(frame)
+            yield frame
             if progress is not None:
                 progress(f"{foam.name}: images", index + 1, setup.images)
 
@@ -202,7 +211,7 @@ class Trend:
     """How beta goes with hardness over the foams, in one way of fitting.
 
     drop: beta of the softest less that of the firmest foam (Thesis: .04, .16, .21 at cluster sizes 2, 4, 5)
-    rank_correlation: of beta with hardness (Spearman), None where all are one
+    rank_correlation: of beta with hardness (Spearman), None where all are one or there are only two foams
     common: the betas that lie in every foam's interval; None where there are none, so that beta does differ
     told: in words
     """
@@ -237,7 +246,9 @@ def trend(results: Sequence[FoamResult], source: Source, held: Held, cluster_siz
 
 
 def rank_correlation(a: FloatArray, b: FloatArray) -> float | None:
-    """Spearman's, None where either does not vary."""
+    """Spearman's; None where either does not vary, or of fewer than three."""
+    if len(a) < 3:
+        return None
     ranks = [rankdata(np.round(x, 6)) for x in (a, b)]
     if min(float(np.ptp(r)) for r in ranks) == 0.0:
         return None

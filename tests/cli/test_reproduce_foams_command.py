@@ -35,7 +35,7 @@ def run(tmp_path: Path, *flags: str) -> dict:
     out, target = tmp_path / "new" / "foams", tmp_path / "foams.json"
     assert main(["reproduce", "foams", "--out", str(out), "--json", str(target), *flags]) == 0
     told = json.loads(target.read_text())
-    rows = list(csv.DictReader((out / "foams.csv").open()))
+    rows = list(csv.DictReader((out / "foams.csv").read_text().splitlines()))
     fits = [(foam["name"], fit) for foam in told["foams"] for fit in foam["fits"]]
     assert len(rows) == len(fits)
     for row, (name, fit) in zip(rows, fits, strict=True):
@@ -52,10 +52,19 @@ def run(tmp_path: Path, *flags: str) -> dict:
 
 @pytest.mark.slow
 def test_quick_run_draws_and_tells_two_foams(tmp_path: Path) -> None:
-    told = run(tmp_path, "--quick")
+    told = run(tmp_path, "--quick", "--keep-images")
 
     assert [foam["name"] for foam in told["foams"]] == ["24/80", "50/230"]
     assert {Path(path).name for path in told["figures"]} == set(FIGURES)
+
+    # what a user gets from the images with the ordinary command
+    images, target = tmp_path / "new" / "foams" / "images" / "50-230", tmp_path / "again.json"
+    flags = "--roi 30,50,750,350 --grid 7x15 --contact 330,50,150,50 --px-per-cm 50 --cluster-size 2 --viewer none"
+    assert main(["calibrate", "beta", str(images), *flags.split(), "--json", str(target)]) == 0
+    again = json.loads(target.read_text())
+    wanted = ("flow", "clamp", 2)
+    fit = next(f for f in told["foams"][1]["fits"] if (f["source"], f["held"], f["cluster_size"]) == wanted)
+    assert (again["value"], again["interval"]) == (fit["value"], fit["interval"])
 
 
 @pytest.mark.slow

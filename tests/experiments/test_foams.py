@@ -105,3 +105,4 @@ def test_rank_correlation_is_spearmans() -> None:
 
     assert rank_correlation(a, b) == pytest.approx(spearmanr(a, b).statistic)
     assert rank_correlation(a, np.ones(9)) is None
+    assert rank_correlation(a[:2], b[:2]) is None
