@@ -684,3 +684,33 @@ class CoverageConfig(CommandOptions):
 
     def json_target(self) -> str | None:
         return self.json
+
+
+# deformscope reproduce foams -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class FoamsConfig(CommandOptions):
+    """Experiment 3.B: beta of five virtual foams from images of a push, with figure 3.14 and the force. Some 3 minutes
+    on one core."""
+
+    out: Annotated[Path, arg(metavar="DIR")] = Path("runs/foams")
+    """Folder of the figures and of foams.csv; made where it is not there. What it holds of these is replaced."""
+    quick: bool = False
+    """The softest and the firmest foam alone, fewer images, in some 30 s."""
+    keep_images: bool = False
+    """Keep the images in DIR/images, a folder a foam, as `calibrate beta` takes them."""
+    seed: int = 0
+    """Seed of the speckles, of the camera's noise and of the intervals."""
+    json: JsonFlag = None
+    """Write all of it as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise InputError("a --seed of 0 or more", str(self.seed))
+
+    def writes(self) -> tuple[Written, ...]:
+        return _written_json(self.json)
+
+    def json_target(self) -> str | None:
+        return self.json

@@ -54,6 +54,9 @@ COMMANDS: dict[str, Command] = {
     "replay": Command("the same stages on recorded inputs, compared", "ReplayConfig", "deformscope.cli.replay"),
     "flow": Command("dense optical flow of two images", "FlowConfig", "deformscope.cli.flow"),
     "coverage": Command("how often the intervals hold the truth", "CoverageConfig", "deformscope.cli.coverage"),
+    "reproduce foams": Command(
+        "experiment 3.B: beta of five virtual foams", "FoamsConfig", "deformscope.cli.reproduce_foams"
+    ),
     "bench": Command("what MSM costs on this machine", "BenchConfig", "deformscope.cli.bench"),
 }
 """By name; a name of two words (`calibrate beta`) makes a group."""
