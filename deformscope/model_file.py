@@ -41,7 +41,10 @@ def save_model(model: FittedModel, path: Path) -> None:
         "provenance": dict(model.provenance),
     }
     arrays: dict[str, Any] = {name: getattr(model, name) for name in ARRAYS}
-    arrays["rival_stiffness"] = np.array([one.stiffness for one in model.rivals]).reshape(len(model.rivals), -1)
+    rivals = [one.stiffness for one in model.rivals]
+    arrays["rival_stiffness"] = np.reshape(rivals, (len(rivals), len(model.stiffness)))
+        [one.stiffness for one in model.rivals], (len(model.rivals), len(model.stiffness))
+    )
     if model.shape is not None and model.cell is not None:
         arrays["shape"], arrays["cell"] = np.array(model.shape), model.cell
     part = path.with_name(f".{path.name}.{os.getpid()}.part")

@@ -130,7 +130,7 @@ class Prediction:
         return np.asarray(points + np.where(inside[:, None], moved, 0.0))
 
 
-def predict(model: FittedModel, poke: Poke, *, precision: Precision = "float64", device: str = "cpu") -> Prediction:
+def predict(model: FittedModel, poke: Poke, *, precision: Precision = "float32", device: str = "cpu") -> Prediction:
     """The static state under a poke that need not have been seen.
 
     poke.at: (d,) [m]; its component along the direction of the poke does not count

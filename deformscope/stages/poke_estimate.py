@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 from scipy.special import logsumexp
 
 from deformscope.arrays import FloatArray
@@ -24,8 +25,6 @@ from deformscope.stages.estimate import (
     verdict,
 )
 from deformscope.stages.fitted import FittedModel, Rival
-from deformscope.stages.msm.clusters import spacing as median_spacing
-from deformscope.stages.noise import ErrorModel, Measured
 from deformscope.stages.poke import Law, Tip
 from deformscope.stages.poke_fit import DOWN, PokesFit, PosedPoke
 from deformscope.stages.stiffness_field import fit_field
@@ -37,8 +36,8 @@ FINE, THETAS = 161, 21
 """Values of -log(1 - beta) and of theta at which the posterior is taken."""
 
 THETA_STEP = 0.05
-MOST_POINTS = 250
-"""Points of a surface that the likelihood is taken from; more add cost, not insight."""
+NUMERICS = 1e-3
+"""Error that contact and lattice are solved to, as a share of the depth."""
 
 RIVAL = 1.5
 """A cluster size whose error is within this factor of the best one's is a rival."""
@@ -246,31 +245,37 @@ class _Profile:
         return (there - here) * one.poke.depth / step
 
     def posterior(self) -> tuple[Posterior, float]:
-        """Of beta, theta integrated, and by how many deviations the data tell its likeliest value from the least."""
+        """Of beta, theta integrated, and by how many deviations the data tell its likeliest value from the least.
+
+        What is left at the best law is misfit more than noise, and points of a surface share it: as many count as
+        independent as there are patches of the size of the tip. Several pokes share it too: they count as one.
+        """
         fine = np.linspace(self.stretched[0], self.stretched[-1], FINE)
         beta, law = -np.expm1(-fine), self.fit.best.law
         thetas = np.linspace(0.0, 1.0, THETAS) if self.by_theta is not None else np.array([law.theta])
-        total = np.zeros((len(thetas), FINE))
-        rng = np.random.default_rng(0)
+        squares = np.zeros((len(thetas), FINE))
+        independent = 0.0
         for place, one in enumerate(self.fit.posed):
             points = one.poke.points[one.near]
-            some = np.sort(rng.permutation(len(points))[:MOST_POINTS])
-            along = CubicSpline(self.stretched, self.residual[place][:, some], axis=0)(fine)
-            noise = None if one.poke.noise is None else one.poke.noise[one.near][some]
-            floor = 1e-4 * one.poke.depth
-            error = ErrorModel(Measured(points[some], None, noise, None, False, median_spacing(points), floor))
-            empty = np.zeros((len(some), 3, 0))
+            along = CubicSpline(self.stretched, self.residual[place], axis=0)(fine)
+            independent += _independent(points, one.poke.tip.width) / len(self.fit.posed)
             for row, theta in enumerate(thetas):
                 shifted = along
-                if self.by_theta is not None:
-                    share = (beta / max(law.beta, 1e-3))[:, None, None] if law.beta > 0.0 else 0.0
-                    shifted = along + share * (theta - law.theta) * self.by_theta[place][some]
-                total[row] += logsumexp(error.evidence(shifted, empty).log_likelihood, axis=0)
-        total /= len(self.fit.posed)
-        value = logsumexp(total, axis=0)
+                if self.by_theta is not None and law.beta > 0.0:
+                    share = (beta / law.beta)[:, None, None]  # at beta = 0 theta does nothing
+                    shifted = along + share * (theta - law.theta) * self.by_theta[place]
+                squares[row] += np.mean(np.sum(shifted**2, axis=2), axis=1) / one.poke.depth**2
+        squares += NUMERICS**2
+        # Gaussian errors of unknown size: its integral leaves a power of the sum of squares
+        value = logsumexp(-0.5 * 3.0 * independent * np.log(squares), axis=0)
         density = np.exp(value - value.max())
         density /= np.trapezoid(density, beta)
         return Posterior(beta, density), float(np.sqrt(2.0 * (value.max() - value.min())))
+
+
+def _independent(points: FloatArray, length: float) -> float:
+    """How many independent values points (n, d) hold that share errors over a length (exponential correlation)."""
+    return float(len(points) ** 2 / np.exp(-cdist(points, points) / length).sum())
 
 
 def _stiffness(
@@ -288,7 +293,8 @@ def _stiffness(
     scatter = float(np.std(np.log(k), ddof=1)) if len(k) > 1 else 0.0
     misfit = float(np.sqrt(np.mean(fit.best.surface_error**2)))
     wide = 1.645 * float(np.hypot(scatter, max(misfit, LEAST_MISFIT)))
-    return value, (value * float(ratio.min()) * np.exp(-wide), value * float(ratio.max()) * np.exp(wide))
+    low, high = min(1.0, float(ratio.min())), max(1.0, float(ratio.max()))
+    return value, (value * low * float(np.exp(-wide)), value * high * float(np.exp(wide)))
 
 
 def _comparison(one: PosedPoke, law: Law) -> Comparison:

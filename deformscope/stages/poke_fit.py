@@ -226,7 +226,7 @@ def _between(place: FloatArray, value: FloatArray, wanted: FloatArray) -> FloatA
         inner = LinearNDInterpolator(place, value)(wanted)
     except (QhullError, ValueError):
         return np.asarray(nearest)
-    return np.where(np.isnan(inner), nearest, inner)
+    return np.asarray(np.where(np.isnan(inner), nearest, inner))
 
 
 # All pokes together ---------------------------------------------------------------------------------------------------
