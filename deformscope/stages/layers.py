@@ -42,7 +42,9 @@ class Surface:
         if not np.isfinite(self.points).all():
             raise InputError("finite surface points", "NaN or infinity", "drop those points")
         if not (np.isfinite(self.thickness) and self.thickness > 0.0):
-            raise InputError("a thickness above 0", f"{self.thickness:g}", "the depth of material below the surface [m]")
+            raise InputError(
+                "a thickness above 0", f"{self.thickness:g}", "the depth of material below the surface [m]"
+            )
         flat = np.sort(np.linalg.svd(self.points[:, :2] - self.points[:, :2].mean(axis=0), compute_uv=False))
         if flat[0] <= 1e-3 * flat[-1]:
             raise InputError("surface points that cover an area seen from above", "points above one line")
@@ -129,9 +131,7 @@ class Layers:
         return csr_array(entries, shape=(len(low), len(self.rest))), inside
 
 
-def below(
-    surface: Surface, *, spacing: float, centre: FloatArray | None = None, reach: float | None = None
-) -> Layers:
+def below(surface: Surface, *, spacing: float, centre: FloatArray | None = None, reach: float | None = None) -> Layers:
     """The lattice of material below a surface, `spacing` [m] apart along x and y.
 
     centre: (2,) a place that a column stands at, default the lowest corner of the surface

@@ -240,9 +240,7 @@ class _Contact:
     def _hold(self, touched: IntArray) -> Msm:
         scene = self.scene
         held = np.concatenate([scene.fixed, touched])
-        return Msm(
-            scene.rest, scene.clusters, held, basis=self.law.basis, precision=self.precision, device=self.device
-        )
+        return Msm(scene.rest, scene.clusters, held, basis=self.law.basis, precision=self.precision, device=self.device)
 
     def _touching(self, touched: BoolArray, along: FloatArray, position: FloatArray, depth: float) -> bool:
         """Update which particles touch a round tip: it pulls at none, and none is within it. Whether that changed."""

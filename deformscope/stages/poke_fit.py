@@ -8,7 +8,7 @@ cluster size is the one whose errors are smallest on pokes left out, or, with a 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -110,9 +110,7 @@ def seen_poke(seen: Observation) -> SeenPoke:
     )
 
 
-def scene_below(
-    surface: Surface, at: FloatArray, tip: Tip, spacing: float, cluster_size: int
-) -> tuple[Scene, Layers]:
+def scene_below(surface: Surface, at: FloatArray, tip: Tip, spacing: float, cluster_size: int) -> tuple[Scene, Layers]:
     """The layers around a place (2,) or (3,), so spaced that the tip spans a whole number of cells, ready to be poked.
 
     spacing: wished for [m]

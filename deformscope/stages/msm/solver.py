@@ -483,10 +483,7 @@ class Msm:
         way = self._at(position, beta, theta, volume, way_kind=Newton)
         return np.asarray(way.layout.get(way.residual, self.dim) * self.scale)
 
-
-    def reaction(
-        self, position: FloatArray, beta: FloatArray | float, theta: FloatArray | float = 0.0
-    ) -> FloatArray:
+    def reaction(self, position: FloatArray, beta: FloatArray | float, theta: FloatArray | float = 0.0) -> FloatArray:
         """Force that each particle asks of what holds it, per unit of the body's stiffness k [m]: (B, K, d).
 
         The gradient of the energy (`reference.reaction`), with volume conserved by projection since eq. 3.17 has none;
