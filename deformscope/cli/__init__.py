@@ -51,6 +51,9 @@ COMMANDS: dict[str, Command] = {
         "find theta from images or pair files", "ThetaConfig", "deformscope.cli.calibrate", "theta"
     ),
     "replay": Command("the same stages on recorded inputs, compared", "ReplayConfig", "deformscope.cli.replay"),
+    "reproduce cubes": Command(
+        "theta of cubes of known Poisson's ratio (Thesis 3.A)", "CubesConfig", "deformscope.cli.cubes"
+    ),
     "flow": Command("dense optical flow of two images", "FlowConfig", "deformscope.cli.flow"),
     "bench": Command("what MSM costs on this machine", "BenchConfig", "deformscope.cli.bench"),
 }
