@@ -51,7 +51,7 @@ def _make(quick: bool) -> tuple[list[Cube], list[ElementTime]]:
 
     sides = SIDES[:1] if quick else SIDES
     with progress("finite elements", total=len(sides) * len(POISSON)) as advance:
-        return thesis_cubes(sides=sides, progress=lambda done, total: advance(1))
+        return thesis_cubes(POISSON, sides, progress=lambda done, total: advance(1))
 
 
 def _read(paths: Sequence[Path]) -> tuple[list[Cube], list[ElementTime]]:
@@ -111,6 +111,8 @@ def _draw(
 
     figures.draw_theta(out / "figure-3.10.png", found)
     figures.draw_errors(out / "figure-3.11.png", found)
+    if len({one.cube.resolution for one in found}) > 1:
+        figures.draw_resolution(out / "resolution.png", found)
     if options.compare != "none":
         figures.draw_clusters(out / "clusters.png", found, options.cluster_size)
     figures.write_cubes(out / "cubes.csv", found)

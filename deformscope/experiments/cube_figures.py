@@ -92,6 +92,36 @@ def draw_errors(path: Path, found: Sequence[Found]) -> None:
         axes.flat[0].legend(handles=handles, fontsize="small", ncols=2)
 
 
+def draw_resolution(path: Path, found: Sequence[Found]) -> None:
+    """Why theta drifts with resolution: with equal masses, and where the held particles weigh the same share."""
+    depths = depths_of([one.cube for one in found])
+    deepest = [one for one in found if depth_of(one.cube, depths) == depths[-1]]
+    ratios = sorted({one.cube.poisson for one in deepest})
+    with figure(path, 1) as axes:
+        (panel,) = axes[0]
+        for number, ratio in enumerate(ratios):
+            group = sorted(
+                (one for one in deepest if one.cube.poisson == ratio), key=lambda one: len(one.cube.seen.rest)
+            )
+            share = [100.0 * len(one.cube.seen.held) / len(one.cube.seen.rest) for one in group]
+            colour = COLOURS[number % len(COLOURS)]
+            panel.plot(share, [one.theta.value for one in group], "o-", color=colour, markersize=4)
+            panel.plot(share, [one.equal_share_theta for one in group], "s:", color=colour, markersize=4)
+        handles = [
+            _line("-", COLOURS[n % len(COLOURS)], f"Poisson's ratio {ratio:g}") for n, ratio in enumerate(ratios)
+        ]
+        handles += [
+            _line("-", "0.3", "equal masses", marker="o"),
+            _line(":", "0.3", "held particles weigh a third", marker="s"),
+        ]
+        panel.set(
+            title=f"theta and resolution, pressed {depth_name(depths[-1])}",
+            xlabel="share of particles that is held [%]",
+            ylabel="theta",
+        )
+        panel.legend(handles=handles, fontsize="x-small")
+
+
 def draw_clusters(path: Path, found: Sequence[Found], cluster_size: int) -> None:
     """Errors of one cluster and of overlapping ones, and the side of the cube that tells them apart the most."""
     some = [one for one in found if one.overlapping is not None and one.one_cluster is not None]
@@ -146,7 +176,7 @@ def _draw_side(panel: Any, one: Found, many: str) -> None:
 
 
 def side_line(cube: Cube) -> tuple[IntArray, int, int]:
-    """Particles (n,) of a lattice along the middle of a side, the axis of the pressing, and that of the side's normal."""
+    """Particles (n,) along the middle of a lattice's side, the axis of the pressing, and that of the side's normal."""
     shape, cell = cube.seen.shape, cube.seen.cell
     assert shape is not None
     assert cell is not None

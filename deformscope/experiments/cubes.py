@@ -43,6 +43,9 @@ DENSE_GRID = 2001
 SAME_DEPTH = 1e-3
 """Depths that differ by less than this share are one depth in the tables."""
 
+STEPS = 200
+"""Time steps that are timed together."""
+
 HELD_SHARE = 1.0 / 3.0
 """Share of the body's mass that `equal_share` gives to the held particles: what they have in a lattice of 6^3."""
 
@@ -266,7 +269,8 @@ def equal_share(seen: Observation, beta: float) -> float:
     mass[seen.held] = HELD_SHARE / (1.0 - HELD_SHARE) * (count - held) / held
     body = Msm(seen.rest, clusters.single(count), seen.held, mass=mass, basis="quadratic")
     curve = dense_curve(seen, body, beta, 401)
-    return float(curve.parameter[np.nanargmin(curve.aee)])
+    usable = np.flatnonzero(np.isfinite(curve.aee))
+    return float(curve.parameter[usable[curve.aee[usable].argmin()]]) if usable.size else float("nan")
 
 
 # All of them ---------------------------------------------------------------------------------------------------------
@@ -354,7 +358,9 @@ def model_times(found: Sequence[Found], repeats: int = 15) -> list[ModelTime]:
         seen, theta = group[-1].cube.seen, group[-1].theta.value
         model = Model("theta", "quadratic", None)
         body, held = model.body(seen), seen.deformed[seen.held]
-        step = _median(functools.partial(body.step, body.start(), held, model.beta, theta, steps=10), repeats) / 10.0
+        step = (
+            _median(functools.partial(body.step, body.start(), held, model.beta, theta, steps=STEPS), repeats) / STEPS
+        )
         static = _median(functools.partial(body.relax, held, model.beta, theta), repeats)
         times.append(ModelTime(name, step, static, float(np.mean([one.seconds for one in group]))))
     return times
