@@ -165,13 +165,15 @@ def report(
 
 
 def _tell(told: dict[str, Any], found: Sequence[Found], options: Options, out: Path) -> None:
-    groups = [row for row in told["sem"] if row["by"] == "settings"]
     rows = [
-        (f"theta at nu {row['poisson']:g}", f"{row['theta']:.4f}, SEM {row['sem']:.4f}{_thesis(row['sem_thesis'])}")
-        for row in groups
+        (f"theta at nu {row['poisson']:g}", f"{row['theta']:.4f}{_spread(row)}")
+        for row in told["sem"]
+        if row["by"] == "settings"
     ]
+    rows += _drift(told["sem"], found)
     rows.append(("theta rises with nu", "at every resolution and depth" if told["theta_rises"] else "NOT everywhere"))
-    rows.append(("largest error, one cluster", f"{100 * told['aee_m_most']:.3f} cm{_thesis('< 0.2 cm')}"))
+    most = 100 * told["aee_m_most"]
+    rows.append(("largest error, one cluster", f"{most:.3f} cm (thesis: at most 0.2 cm for its cubes)"))
     rows.append(("error over a dense grid's lowest", f"{100 * told['over_grid_most']:+.1e} % at most"))
     verdicts = [one.theta.verdict for one in found]
     rows.append(("verdicts", ", ".join(f"{verdicts.count(name)} {name}" for name in dict.fromkeys(verdicts))))
@@ -179,19 +181,46 @@ def _tell(told: dict[str, Any], found: Sequence[Found], options: Options, out: P
         name = f"clusters of {options.cluster_size} a side"
         rows.append((name, f"at most {told['ratio_most']:.2f} of one cluster's error at nu >= 0.25, beta fitted too"))
     for row in told["table_3_2"]:
-        elements = "" if row["elements_ms"] is None else f", finite elements {row['elements_ms']:.0f} ms"
-        rows.append(
-            (row["resolution"], f"step {row['msm_step_ms']:.3g} ms, static {row['msm_static_ms']:.3g} ms{elements}")
-        )
+        step = f"step {row['msm_step_ms']:.3g} ms{_beside(row['thesis_msm_frame_ms'], 'thesis')}"
+        took = f"{step}, static state {row['msm_static_ms']:.2g} ms"
+        if row["elements_ms"] is not None:
+            took += f", finite elements {row['elements_ms']:.0f} ms"
+            took += _beside(row["thesis_comsol_ms"], "thesis's COMSOL")
+        rows.append((row["resolution"], took))
     unsettled = [one.cube.name for one in found if not one.theta.converged]
     if unsettled:
         rows.append(("NOT converged", ", ".join(unsettled)))
-    rows.append(
-        ("seconds", ", ".join(f"{name.replace('_', ' ')} {value:.1f}" for name, value in told["seconds"].items()))
-    )
+    seconds = told["seconds"]
+    rows.append(("took", f"{seconds['cubes']:.1f} s for the cubes, {seconds['fits_and_figures']:.1f} s for the rest"))
     rows.append(("figures and tables", str(out)))
     show_table(f"{len(found)} cubes", rows)
 
 
-def _thesis(words: str | None) -> str:
-    return f" (thesis: {words})" if words else ""
+def _spread(row: dict[str, Any]) -> str:
+    if row["cubes"] == 1:
+        return ""
+    return f", SEM {row['sem']:.4f} over {row['cubes']} cubes{_beside(row['sem_thesis'], 'thesis')}"
+
+
+def _drift(sems: Sequence[dict[str, Any]], found: Sequence[Found]) -> list[tuple[str, str]]:
+    """SEM over resolutions at the largest depth, also where the held particles' share of mass is the same."""
+    from deformscope.experiments.cube_figures import depth_name
+    from deformscope.experiments.cubes import depths_of
+
+    depth = depth_name(depths_of([one.cube for one in found])[-1])
+    deepest = [row for row in sems if row["by"] == "depth" and row["of"] == depth and row["cubes"] > 1]
+    if not deepest:
+        return []
+    ratios = ", ".join(f"{row['poisson']:g}" for row in deepest)
+    thesis = next((row["sem_thesis"] for row in deepest if row["sem_thesis"]), None)
+    as_is, equal = (", ".join(f"{row[name]:.3f}" for row in deepest) for name in ("sem", "sem_equal_share"))
+    return [
+        (f"SEM over resolutions, {depth}", f"{as_is} at nu {ratios}{_beside(thesis, 'thesis')}"),
+        ("  held particles weigh a third", equal),
+    ]
+
+
+def _beside(value: float | str | None, whose: str) -> str:
+    if value is None:
+        return ""
+    return f" ({whose}: {value if isinstance(value, str) else f'{value:g}'})"

@@ -31,10 +31,12 @@ def depth_name(depth: float) -> str:
 def grouped_spreads(found: Sequence[Found]) -> dict[str, list[Spread]]:
     """Figure 3.10's three groupings: over all settings, over depths, over resolutions."""
     depths = depths_of([one.cube for one in found])
+    finer = sorted(found, key=lambda one: len(one.cube.seen.rest))
+    deeper = sorted(found, key=lambda one: one.cube.depth)
     return {
         "settings": spreads(found),
-        "resolution": spreads(found, lambda cube: cube.resolution),
-        "depth": spreads(found, lambda cube: depth_name(depth_of(cube, depths))),
+        "resolution": spreads(finer, lambda cube: cube.resolution),
+        "depth": spreads(deeper, lambda cube: depth_name(depth_of(cube, depths))),
     }
 
 
@@ -64,7 +66,7 @@ def draw_theta(path: Path, found: Sequence[Found]) -> None:
                     capsize=3,
                     linewidth=1.2,
                     color=COLOURS[number % len(COLOURS)],
-                    label=name or f"{max(spread.count for spread in some)} cubes a point",
+                    label=name or " to ".join(map(str, sorted({spread.count for spread in some}))) + " cubes a point",
                 )
             panel.set(title=title, xlabel="Poisson's ratio", ylim=(-0.05, 1.08))
             panel.legend(title="mean and SEM")
@@ -107,19 +109,18 @@ def draw_resolution(path: Path, found: Sequence[Found]) -> None:
             colour = COLOURS[number % len(COLOURS)]
             panel.plot(share, [one.theta.value for one in group], "o-", color=colour, markersize=4)
             panel.plot(share, [one.equal_share_theta for one in group], "s:", color=colour, markersize=4)
-        handles = [
-            _line("-", COLOURS[n % len(COLOURS)], f"Poisson's ratio {ratio:g}") for n, ratio in enumerate(ratios)
-        ]
-        handles += [
-            _line("-", "0.3", "equal masses", marker="o"),
-            _line(":", "0.3", "held particles weigh a third", marker="s"),
-        ]
+            at = share[-1], group[-1].theta.value
+            panel.annotate(f"nu = {ratio:g}", at, (4, -11), textcoords="offset points", color=colour)
         panel.set(
             title=f"theta and resolution, pressed {depth_name(depths[-1])}",
             xlabel="share of particles that is held [%]",
             ylabel="theta",
         )
-        panel.legend(handles=handles, fontsize="x-small")
+        handles = [
+            _line("-", "0.3", "equal masses", marker="o"),
+            _line(":", "0.3", "held particles weigh a third", marker="s"),
+        ]
+        panel.figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize="small")
 
 
 def draw_clusters(path: Path, found: Sequence[Found], cluster_size: int) -> None:
