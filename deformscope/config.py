@@ -547,3 +547,45 @@ class BenchConfig(CommandOptions):
 
     def json_target(self) -> str | None:
         return self.json
+
+
+# deformscope coverage ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class CoverageConfig(CommandOptions):
+    """Count how often the intervals hold the truth: random objects under each kind of noise, data that tell nothing,
+    and unseen pokes of finite element bodies."""
+
+    objects: int = 1000
+    """Random objects for each kind of noise; a fifth as many with beta = 0, near 1, and of finite elements."""
+    quick: bool = False
+    """20 objects each: what it looks like, in a minute."""
+    level: float = 0.9
+    """Confidence level of the intervals."""
+    jobs: int = 2
+    """Processes that share the work."""
+    seed: int = 0
+    """Seed of every random number."""
+    out: Annotated[Path | None, _value("DIR", Path), _unset] = None
+    """Folder for the rank histogram (coverage.png); made where there is none."""
+    json: JsonFlag = None
+    """Write the tables as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+
+    def __post_init__(self) -> None:
+        if self.objects < 5:
+            raise InputError("5 --objects or more", str(self.objects))
+        if not 0 < self.level < 1:
+            raise InputError("a --level between 0 and 1", str(self.level), "--level 0.9")
+        if self.jobs < 1:
+            raise InputError("--jobs of 1 or more", str(self.jobs))
+        if self.seed < 0:
+            raise InputError("a --seed of 0 or more", str(self.seed))
+        if self.out is not None and self.out.exists() and not self.out.is_dir():
+            raise InputError("a folder after --out", "a file", where=self.out)
+
+    def writes(self) -> tuple[Written, ...]:
+        return _written_json(self.json)
+
+    def json_target(self) -> str | None:
+        return self.json

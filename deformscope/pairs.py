@@ -24,7 +24,7 @@ def parse_pair(raw: bytes, where: object = "", *, noise_m: float | None = None) 
     Needed: `rest (K, d)`, `deformed (K, d)` in metres, d = 2 or 3, `held (n,)` indices whose deformed position is
     prescribed. Optional: `shape` (lattice, last axis fastest), `cell (K,)` flat lattice index where it has holes,
     `observed (K,)` bool, `noise_m` (a number, or (K,)), `held_noise_m` (a number; 0 = exact), `force_n` with
-    `contact (m,)`, a subset of `held`.
+    `contact (m,)`, a subset of `held`, and `force_noise_n`, the standard deviation of that force.
     Without `shape`, a rest shape that is regular within 1 % is taken as a lattice. noise_m: instead of the file's.
     Raises InputError for what is missing, does not fit together, or is not finite.
     """
@@ -86,6 +86,7 @@ def _observation(found: Mapping[str, npt.NDArray[Any]], noise_m: float | None) -
         cell=cell,
         force_n=force,
         contact=contact,
+        force_noise_n=_force_noise(found),
         held_measured=None if exact is None else not exact,
     )
 
@@ -122,6 +123,15 @@ def _force(
         return force, contact
     moved = np.linalg.norm((deformed - rest)[held], axis=1)
     return force, held[moved > CONTACT_SHARE * moved.max(initial=0.0)]
+
+
+def _force_noise(found: Mapping[str, npt.NDArray[Any]]) -> float | None:
+    if "force_noise_n" not in found:
+        return None
+    noise = _numbers(found, "force_noise_n").reshape(-1)
+    if noise.size != 1 or not (np.isfinite(noise).all() and noise[0] >= 0.0):
+        raise InputError("one force_noise_n of 0 or more", "something else", "leave it out if it is not known")
+    return float(noise[0])
 
 
 def _numbers(found: Mapping[str, npt.NDArray[Any]], name: str) -> npt.NDArray[np.float64]:

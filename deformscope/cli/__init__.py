@@ -55,6 +55,7 @@ COMMANDS: dict[str, Command] = {
         "theta of cubes of known Poisson's ratio (Thesis 3.A)", "CubesConfig", "deformscope.cli.cubes"
     ),
     "flow": Command("dense optical flow of two images", "FlowConfig", "deformscope.cli.flow"),
+    "coverage": Command("how often the intervals hold the truth", "CoverageConfig", "deformscope.cli.coverage"),
     "bench": Command("what MSM costs on this machine", "BenchConfig", "deformscope.cli.bench"),
 }
 """By name; a name of two words (`calibrate beta`) makes a group."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from deformscope.arrays import FloatArray
+from deformscope.arrays import BoolArray, FloatArray
 
 
 def distances(simulated: FloatArray, observed: FloatArray) -> FloatArray:
@@ -23,3 +23,13 @@ def nearest_error(simulated: FloatArray, observed: FloatArray) -> float:
     """
     distance, _ = cKDTree(observed).query(simulated)
     return float(np.mean(distance))
+
+
+def rigid_positions(rest: FloatArray, deformed: FloatArray, fitted: BoolArray) -> FloatArray:
+    """Where the best rigid motion takes all of rest (K, d): it fits deformed (K, d) where `fitted` (K,) is True, in
+    least squares (Kabsch 1976)."""
+    a, b = rest[fitted], deformed[fitted]
+    u, _, vt = np.linalg.svd((b - b.mean(axis=0)).T @ (a - a.mean(axis=0)))
+    sign = np.ones(rest.shape[1])
+    sign[-1] = np.sign(np.linalg.det(u @ vt))
+    return np.asarray((rest - a.mean(axis=0)) @ (u * sign @ vt).T + b.mean(axis=0))

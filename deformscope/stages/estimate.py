@@ -6,11 +6,25 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 
 Parameter = Literal["beta", "theta"]
 Verdict = Literal["identified", "weak", "at-bound", "unidentified"]
 LengthUnit = Literal["m", "px"]
+
+IDENTIFIED_WIDTH, WEAK_WIDTH = 0.2, 0.7
+"""An interval narrower than the first is identified, narrower than the second weak."""
+
+RISE_LEAST = 2.0
+"""Standard deviations by which the data must tell the likeliest value from the least likely, to tell anything."""
+
+EXPLAINED_LEAST = 0.3
+"""Share of the non-rigid motion that a model must explain before its parameter means anything."""
+
+SHOWN = 121
+"""Values of a posterior in the JSON."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +40,78 @@ class Curve:
 
 
 @dataclass(frozen=True, slots=True)
+class Posterior:
+    """Probability of a quantity, given the data.
+
+    parameter: (g,) rising; density: (g,), whose integral by trapezoids is 1
+    """
+
+    parameter: FloatArray
+    density: FloatArray
+
+    def cumulative(self) -> FloatArray:
+        """(g,) from 0 to 1."""
+        steps = 0.5 * (self.density[1:] + self.density[:-1]) * np.diff(self.parameter)
+        mass = np.concatenate([[0.0], np.cumsum(steps)])
+        return np.asarray(mass / mass[-1])
+
+    def thinned(self, count: int) -> Posterior:
+        """At most so many of its values, evenly chosen."""
+        rows = np.unique(np.linspace(0, len(self.parameter) - 1, count).round().astype(int))
+        return Posterior(self.parameter[rows], self.density[rows])
+
+    def rank(self, value: float) -> float:
+        """Share of the mass below a value: even over 0 to 1 for truths, if the posterior is right."""
+        return float(np.interp(value, self.parameter, self.cumulative()))
+
+    def quantile(self, share: FloatArray | float) -> FloatArray:
+        """Values below which these shares of the mass lie."""
+        mass = self.cumulative()
+        rising = np.concatenate([[True], np.diff(mass) > 0.0])
+        return np.asarray(np.interp(share, mass[rising], self.parameter[rising]))
+
+    def deviation(self) -> float:
+        """Standard deviation."""
+        mean = np.trapezoid(self.density * self.parameter, self.parameter)
+        return float(np.sqrt(max(np.trapezoid(self.density * (self.parameter - mean) ** 2, self.parameter), 0.0)))
+
+    def shortest(self, level: float, holding: float) -> tuple[float, float]:
+        """The shortest interval of the mass `level` that holds a value, the estimate.
+
+        It is the highest-density set wherever that set holds the estimate, and one-sided where the density is highest
+        at a bound: equal tails cannot cover there.
+        """
+        start = np.linspace(0.0, 1.0 - level, 401)
+        at = self.rank(holding)
+        # one of the starts makes the interval end exactly at the value, another begin there
+        start = np.unique(np.clip(np.concatenate([start, [at, at - level]]), 0.0, 1.0 - level))
+        low, high = self.quantile(start), self.quantile(start + level)
+        low[start == 0.0], high[start == 1.0 - level] = self.parameter[0], self.parameter[-1]
+        slack = 1e-9 * (self.parameter[-1] - self.parameter[0])
+        holds = (low <= holding + slack) & (holding - slack <= high)
+        if not holds.any():
+            return min(float(low[0]), holding), max(float(high[-1]), holding)
+        best = int(np.argmin(np.where(holds, high - low, np.inf)))
+        return min(float(low[best]), holding), max(float(high[best]), holding)
+
+
+@dataclass(frozen=True, slots=True)
+class Identifiability:
+    """Whether the data can tell the parameter at all.
+
+    rise: by how many standard deviations the data tell the likeliest value of the range from the least likely one
+    explained: share of the motion, less the best rigid one, that the model explains (sums of squares; free particles);
+    0 or less where misfit or noise are as large as the motion itself
+    deviation: of the posterior; misfit: root mean square of what the model cannot do, a coordinate [unit]
+    """
+
+    rise: float
+    explained: float
+    deviation: float
+    misfit: float
+
+
+@dataclass(frozen=True, slots=True)
 class Estimate:
     """One calibrated parameter with everything needed to judge it (Thesis eq. 3.18, 3.19, Algorithms 2 and 3).
 
@@ -34,6 +120,7 @@ class Estimate:
     verdict: on the parameter; stiffness_verdict: on stiffness, which position alone cannot tell
     stiffness: the energy's stiffness k and its interval over `interval` [N/m], where a force was given
     metres_per_unit: the scale of the lengths; None where pixels have no known size
+    posterior, identifiability: what the interval and the verdict rest on
     aee: mean error over all observed particles, held ones included (eq. 3.18); aee_free: over the free ones alone
     nearest: one-sided nearest-neighbour error (eq. 4.6); unit: of every length here
     converged: every simulation that the value and the interval rest on reached its static state
@@ -55,6 +142,42 @@ class Estimate:
     settings: dict[str, object]
     stiffness: tuple[float, tuple[float, float]] | None = None
     metres_per_unit: float | None = 1.0
+    posterior: Posterior | None = None
+    identifiability: Identifiability | None = None
+
+    def verdict_text(self) -> str:
+        """The verdict in plain words."""
+        low, high = self.interval
+        name = self.parameter
+        if self.verdict == "identified":
+            return f"identified: {name} is {low:.3g} to {high:.3g}"
+        if self.verdict == "unidentified":
+            return f"unidentified: {self._why_not()}"
+        if self.verdict == "weak":
+            return f"weak: any {name} from {low:.2g} to {high:.2g} fits"
+        bound = "the lower" if low <= self.bounds[0] else "the upper"
+        side = f"below {high:.3g}" if low <= self.bounds[0] else f"above {low:.3g}"
+        weak = "" if high - low < IDENTIFIED_WIDTH else "weak, "
+        return f"{weak}at {bound} bound: any {name} {side} fits"
+
+    def _why_not(self) -> str:
+        found = self.identifiability
+        if not self.converged:
+            return "a simulation did not settle"
+        if found is not None and found.explained < EXPLAINED_LEAST:
+            return (
+                f"the model explains {max(found.explained, 0.0):.0%} of the motion; misfit or noise are as large as "
+                "the motion itself"
+            )
+        low, high = self.interval
+        return f"any {self.parameter} from {low:.2g} to {high:.2g} fits; the data do not tell it"
+
+    def stiffness_text(self) -> str:
+        """What can be said of stiffness, in plain words."""
+        if self.stiffness is None:
+            return "position alone cannot tell stiffness here: give a force"
+        value, (low, high) = self.stiffness
+        return f"{self.stiffness_verdict}: {value:.4g} N/m ({low:.4g} to {high:.4g})"
 
     def as_json(self) -> dict[str, object]:
         """The public form of an estimate. Lengths are in metres where the scale is known, and in pixels too where
@@ -75,7 +198,9 @@ class Estimate:
             "level": self.level,
             "bounds": list(self.bounds),
             "verdict": self.verdict,
+            "verdict_text": self.verdict_text(),
             "stiffness_verdict": self.stiffness_verdict,
+            "stiffness_text": self.stiffness_text(),
             "aee_m": in_metres(self.aee),
             "aee_free_m": in_metres(self.aee_free),
             "nearest_m": in_metres(self.nearest),
@@ -90,9 +215,40 @@ class Estimate:
             "converged": self.converged,
             "settings": self.settings,
         }
+        if self.posterior is not None:
+            thin = self.posterior.thinned(SHOWN)
+            found["posterior"] = {"parameter": thin.parameter.tolist(), "density": thin.density.tolist()}
+        if self.identifiability is not None:
+            told = self.identifiability
+            found["identifiability"] = {
+                "rise_sd": told.rise,
+                "explained": told.explained,
+                "deviation": told.deviation,
+                "misfit_m": in_metres(told.misfit),
+                "misfit_px": in_pixels(told.misfit),
+            }
         if self.stiffness is not None:
             found["stiffness_n_per_m"] = {"value": self.stiffness[0], "interval": list(self.stiffness[1])}
         return found
+
+
+def verdict(
+    ends: tuple[float, float], bounds: tuple[float, float], identifiability: Identifiability | None = None
+) -> Verdict:
+    """What an interval within its bounds, and the data behind it, allow to say."""
+    width = ends[1] - ends[0]
+    told = identifiability
+    if width >= WEAK_WIDTH or (told is not None and (told.rise < RISE_LEAST or told.explained < EXPLAINED_LEAST)):
+        return "unidentified"
+    if ends[0] <= bounds[0] or ends[1] >= bounds[1]:
+        return "at-bound"
+    return "identified" if width < IDENTIFIED_WIDTH else "weak"
+
+
+def relative_verdict(value: float, ends: tuple[float, float]) -> Verdict:
+    """The verdict on a positive quantity without bounds: its interval's width against its value."""
+    width = (ends[1] - ends[0]) / value
+    return "identified" if width < IDENTIFIED_WIDTH else "weak" if width < WEAK_WIDTH else "unidentified"
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,21 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from deformscope.arrays import FloatArray
+from deformscope.stages.estimate import Posterior
 from deformscope.stages.model import Model, Observation
 from deformscope.stages.msm import reference
 
+FORCE_SHARE = 0.05
+"""Standard deviation of a force whose noise was not stated, as a share of it."""
+
+CERTAIN = 1e-6
+"""Least relative deviation of a stiffness: what the arithmetic resolves."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stiffness:
+    """The energy's stiffness k [N/m] at each value of the parameter, (g,), and its standard deviation there."""
+
+    value: FloatArray
+    deviation: FloatArray
+
 
 def stiffness(
-    seen: Sequence[Observation], model: Model, positions: Sequence[FloatArray], parameter: FloatArray
-) -> FloatArray | None:
-    """The energy's stiffness k [N/m] at each parameter (g,), from the measured forces; None where there is none.
+    seen: Sequence[Observation],
+    model: Model,
+    positions: Sequence[FloatArray],
+    parameter: FloatArray,
+    misfit: Sequence[float] | None = None,
+) -> Stiffness | None:
+    """k at each parameter (g,), from the measured forces of all observations; None where there is none to compare.
 
-    positions: for each observation (g, K, d). k minimises the squared difference of measured and simulated net force
-    over the observations. Eq. 3.17 has no energy, so with theta in that form there is no force to compare.
+    positions: for each observation (g, K, d); misfit: of each, as a share of its motion, taken to be the share by which
+    the model misses its force as well. k fits measured = k simulated net force with weights 1 / variance; where several
+    forces scatter more than their noise, its deviation grows as much (Birge's ratio). Eq. 3.17 has no energy, so with
+    theta in that form there is no force to compare.
     """
     told = [row for row, s in enumerate(seen) if s.force_n is not None and s.metres_per_unit is not None]
     no_energy = model.volume == "scale" and (model.parameter == "theta" or model.theta != 0.0)
@@ -33,5 +55,26 @@ def stiffness(
             beta, theta = (value, model.theta) if model.parameter == "beta" else (model.beta, value)
             net = reference.reaction(positions[row][g], rest, float(beta), float(theta))[contact].sum(axis=0)
             simulated[g, column] = float(np.linalg.norm(net)) * float(s.metres_per_unit or 1.0)
-    size = np.sum(simulated**2, axis=1)
-    return np.asarray(np.where(size > 0.0, simulated @ measured / np.where(size > 0.0, size, 1.0), np.nan))
+    given = [seen[row].force_noise_n for row in told]
+    noise = np.array([FORCE_SHARE * f if n is None else n for n, f in zip(given, measured, strict=True)])
+    missed = np.zeros(len(told)) if misfit is None else np.array([misfit[row] for row in told])
+    deviation = np.maximum(np.hypot(noise, missed * measured), CERTAIN * measured.max(initial=0.0))
+    deviation = np.where(deviation > 0.0, deviation, 1.0)
+    a, b = simulated / deviation, measured / deviation
+    size = np.sum(a**2, axis=1)
+    felt = np.where(size > 0.0, size, 1.0)
+    k = np.where(size > 0.0, a @ b / felt, np.nan)
+    scatter = np.sum((b - k[:, None] * a) ** 2, axis=1) / max(len(told) - 1, 1)
+    return Stiffness(k, np.sqrt(np.maximum(scatter, 1.0) / felt))
+
+
+def stiffness_posterior(found: Stiffness, share: FloatArray) -> Posterior | None:
+    """Of k [N/m], with the parameter's probability (g,) at each value; None where no finite force was simulated."""
+    told = np.isfinite(found.value) & (share > 0.0)
+    if not told.any():
+        return None
+    value, deviation, share = found.value[told], found.deviation[told], share[told]
+    grid = np.linspace(max((value - 6.0 * deviation).min(), 0.0), (value + 6.0 * deviation).max(), 2001)
+    z = (grid[:, None] - value) / deviation
+    density = np.exp(-0.5 * z**2) / deviation @ share
+    return Posterior(grid, density / np.trapezoid(density, grid))

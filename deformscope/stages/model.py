@@ -13,6 +13,7 @@ from deformscope.stages.estimate import LengthUnit, Parameter
 from deformscope.stages.msm import clusters
 from deformscope.stages.msm.reference import Basis, Volume
 from deformscope.stages.msm.solver import Msm, Precision
+from deformscope.stages.poke import Tip
 
 Method = Literal["sweep", "gradient"]
 
@@ -26,8 +27,10 @@ class Observation:
     noise: (K,) standard deviation per coordinate, None if unknown
     shape, cell: the lattice that the particles stand on (last axis fastest, may have holes), None if they stand on none
     metres_per_unit: size of the unit, None for pixels of unknown size
-    force_n: net force [N] on the held particles `contact`; None if it was not measured
+    force_n: net force [N] on the held particles `contact`, None if it was not measured; force_noise_n: its standard
+    deviation [N], None if unknown
     held_measured: whether the held positions were measured, with the noise of the others, or are exact; None = unknown
+    tip: what pressed the particles of `contact`, if it is known
     """
 
     rest: FloatArray
@@ -42,6 +45,8 @@ class Observation:
     force_n: float | None = None
     contact: IntArray | None = None
     held_measured: bool | None = None
+    tip: Tip | None = None
+    force_noise_n: float | None = None
 
     def __post_init__(self) -> None:
         count, d = self.rest.shape
@@ -109,7 +114,7 @@ class Model:
 
 @dataclass(frozen=True, slots=True)
 class FitOptions:
-    """How the parameter of `model` is found within `bounds`, and how sure of it to be.
+    """How the parameter of `model` is found within `bounds`, and how sure of it one can be.
 
     method: "sweep" tries `candidates` values over `bounds` and refines around the lowest error (Algorithm 3);
     "gradient" follows the slope (Algorithm 2's purpose) and draws the curve only where it went

@@ -1,8 +1,8 @@
 """A poke: where, with what tip, how deep or how hard; which particles it touches; and the static state under it.
 
-A rigid tip presses the particles under it. They follow it along its direction; sideways they stick to it or slip. A flat
-tip touches its whole footprint, a round one as much as it has sunk in. Force is that of the model's energy: stiffness
-times the reaction at the touched particles.
+A rigid tip presses the particles under it. They follow it along its direction; sideways they stick to it or slip. A
+flat tip touches its whole footprint, a round one as much as it has sunk in. Force is that of the model's energy:
+stiffness times the reaction at the touched particles.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ TipShape = Literal["flat", "disc", "sphere"]
 SETTLED = 1e-3
 """Share of the depth, or of the force asked for, to which contact is solved."""
 
-MOST_ROUNDS = 40
+MOST_ROUNDS, MOST_SLIDES = 40, 60
 
 SLIDE = 1.6
 """How far a touched particle slides, in units of what separates it from its goals: over-relaxation."""
@@ -181,6 +181,46 @@ def press(
     return solve.run(depth)
 
 
+@dataclass(frozen=True, slots=True)
+class Held:
+    """A body whose touched particles are held: position (K, d); pull: (m, d) reaction at each of them per unit of k;
+    hold: (m, d) where they came to be; converged"""
+
+    position: FloatArray
+    pull: FloatArray
+    hold: FloatArray
+    converged: bool
+
+
+def hold(scene: Scene, touched: IntArray, law: Law, precision: Precision, device: str) -> Msm:
+    """The scene's body with the fixed and the touched particles held, in this order."""
+    held = np.concatenate([scene.fixed, touched])
+    return Msm(scene.rest, scene.clusters, held, basis=law.basis, precision=precision, device=device)
+
+
+def settle(
+    scene: Scene, body: Msm, law: Law, touched: IntArray, at: FloatArray, *, slips: bool, start: FloatArray | None
+) -> Held:
+    """The static state with the touched particles at `at` (m, d); those that slip go on until nothing pulls them
+    sideways, the way along the tip's direction kept. start: (K, d)"""
+    fixed, toward = scene.rest[scene.fixed], scene.toward
+    depth = float(np.abs((at - scene.rest[touched]) @ toward).max()) or scene.spacing
+    position, pull = start, np.zeros_like(at)
+    for _ in range(MOST_SLIDES):
+        state = body.relax(np.concatenate([fixed, at]), law.beta, law.theta, volume="project", start=position)
+        position = state.position[0]
+        pull = body.reaction(position, law.beta, law.theta)[0, touched]
+        converged = bool(state.converged[0])
+        if not slips:
+            return Held(position, pull, at, converged)
+        side = (pull - np.outer(pull @ toward, toward)) / body.counts[touched, None]
+        if float(np.abs(side).max()) <= SETTLED * depth:
+            return Held(position, pull, at, converged)
+        at = at - SLIDE * side
+    assert position is not None
+    return Held(position, pull, at, False)
+
+
 class _Contact:
     """The rounds of `press`. gap: (m,) distance of each open particle from the tip at first touch."""
 
@@ -196,39 +236,33 @@ class _Contact:
     ) -> None:
         self.scene, self.law, self.poke, self.gap = scene, law, poke, gap
         self.stiffness, self.precision, self.device = stiffness, precision, device
-        self.round_tip = poke.tip.shape == "sphere" or bool((gap[np.isfinite(gap)] > 1e-6 * scene.spacing).any())
+        self.round_tip = bool((gap[np.isfinite(gap)] > 1e-6 * scene.spacing).any())
 
     def run(self, depth: float) -> Pressed:
         scene, k = self.scene, self.stiffness
         slide = np.zeros((len(scene.open), len(scene.toward)))
         touched = self.gap < depth if self.round_tip else np.isfinite(self.gap)
-        if not touched.any():
-            touched = self.gap == 0.0
         position: FloatArray | None = None
         body: Msm | None = None
         found = Pressed(scene.rest, scene.open[touched], depth, 0.0, False)
         for _ in range(MOST_ROUNDS):
             here = scene.open[touched]
-            if body is None:
-                body = self._hold(here)
-            hold = scene.rest[here] + slide[touched] + (depth - self.gap[touched])[:, None] * scene.toward
-            target = np.concatenate([scene.rest[scene.fixed], hold])
-            state = body.relax(target, self.law.beta, self.law.theta, volume="project", start=position)
-            position = state.position[0]
-            pull = body.reaction(position, self.law.beta, self.law.theta)[0, here]
-            along = pull @ scene.toward
-            side = (pull - along[:, None] * scene.toward) / body.counts[here, None]
+            body = body or hold(scene, here, self.law, self.precision, self.device)
+            pushed = scene.rest[here] + (depth - self.gap[touched])[:, None] * scene.toward
+            state = settle(
+                scene, body, self.law, here, pushed + slide[touched], slips=self.poke.tip.slips, start=position
+            )
+            position = state.position
+            slide[touched] = state.hold - pushed
+            along = state.pull @ scene.toward
             total = float(along.sum())
-            settled = bool(state.converged[0])
-            if self.poke.tip.slips:
-                slide[touched] -= SLIDE * side
-                settled &= bool(np.abs(side).max() <= SETTLED * depth)
+            settled = state.converged
             if self._touching(touched, along, position, depth):
                 body, settled = None, False
             share = 1.0 if self.poke.force is None or k is None else self.poke.force / max(k * total, 1e-300)
             settled &= abs(share - 1.0) <= SETTLED
             found = Pressed(position, here, depth, total, settled)
-            if settled:
+            if settled or (share == 1.0 and body is not None):
                 break
             if abs(share - 1.0) > SETTLED:
                 factor = float(np.clip(share, 0.02, 50.0)) ** (2.0 / 3.0 if self.round_tip else 1.0)
@@ -236,11 +270,6 @@ class _Contact:
                 slide *= factor
                 position = scene.rest + factor * (position - scene.rest)
         return found
-
-    def _hold(self, touched: IntArray) -> Msm:
-        scene = self.scene
-        held = np.concatenate([scene.fixed, touched])
-        return Msm(scene.rest, scene.clusters, held, basis=self.law.basis, precision=self.precision, device=self.device)
 
     def _touching(self, touched: BoolArray, along: FloatArray, position: FloatArray, depth: float) -> bool:
         """Update which particles touch a round tip: it pulls at none, and none is within it. Whether that changed."""

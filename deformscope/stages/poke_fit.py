@@ -8,7 +8,7 @@ cluster size is the one whose errors are smallest on pokes left out, or, with a 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,14 +20,16 @@ from scipy.spatial import ConvexHull, QhullError
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.layers import Layers, Surface, below
+from deformscope.stages.model import Observation
 from deformscope.stages.msm import clusters
 from deformscope.stages.msm.clusters import spacing as median_spacing
-from deformscope.stages.msm.solver import Msm, Precision
-from deformscope.stages.observation import Observation
-from deformscope.stages.poke import Law, Scene, Tip
+from deformscope.stages.msm.solver import Precision
+from deformscope.stages.poke import Held, Law, Scene, Tip, hold, settle
 
-CLUSTER_SIZES = (2, 3, 4, 5)
-"""Tried, where none is asked for."""
+FIRST_SIZES, SIZES = (3, 4), (2, 7)
+"""Cluster sizes tried first, and the smallest and largest that are tried at all, where none is asked for."""
+
+Progress = Callable[[str, int, int], None]
 
 CELLS_ACROSS_TIP = 4
 """Lattice cells across the tip by default: with fewer, the force of a wider or narrower tip is off (2 cm to 4 cm on a
@@ -48,13 +50,16 @@ SLIPPED = 0.02
 DOWN = np.array([0.0, 0.0, -1.0])
 BETA_MOST = 0.99
 
+SLOPE_STEP = 0.03
+"""Step, as a share of a parameter, over which the fit takes slopes: well above what contact is solved to."""
+
 
 @dataclass(frozen=True, slots=True)
 class SeenPoke:
     """One poke of a surface as it was measured.
 
     at: (3,) the middle of what was touched, at rest [m]; depth: mean displacement of what was touched, downwards [m]
-    touched, touched_by: (m, 3) rest and displacement of the touched points; points, moved: (n, 3) of the others seen
+    touched, touched_by: (m, 3) rest and displacement of the touched points; points, moved: (n, 3) of all points seen
     noise: (n,) [m] or None; force: [N] or None
     """
 
@@ -89,14 +94,14 @@ def seen_poke(seen: Observation) -> SeenPoke:
     if depth <= 0.0:
         raise InputError("a poke that presses the surface down (-z)", f"one that moves it by {-depth:g} m along z")
     rest = seen.rest[touched]
-    free = seen.free_observed
+    free = seen.observed
     sideways = move[touched, :2] - move[touched, :2].mean(axis=0)
     slips = bool(np.abs(sideways).max() > SLIPPED * depth)
     low, high = rest[:, :2].min(axis=0), rest[:, :2].max(axis=0)
     size = np.maximum(high - low, 1e-3 * median_spacing(seen.rest))
     if (high - low).min() <= 0.0:
         size = np.maximum(high - low, median_spacing(seen.rest))
-    tip = seen.tip or Tip("flat", (float(size[0]), float(size[1])), slips)
+    tip = seen.tip or Tip("flat", (float(size[0]), float(size[1])))
     return SeenPoke(
         at=np.array([*(0.5 * (low + high)), rest[:, 2].mean()]),
         tip=dataclasses.replace(tip, slips=slips),
@@ -129,109 +134,66 @@ def default_spacing(surface: Surface, tip: Tip) -> float:
     return max(tip.width / CELLS_ACROSS_TIP, surface.thickness / 30.0)
 
 
-@dataclass(frozen=True, slots=True)
-class Shape:
-    """How well a law follows the surface.
-
-    law; spacing: of the lattice [m]; error: root mean square distance over the surface near each poke, as a share of
-    the depth, (p,); held_out: the same with beta and theta fitted to the other pokes, nan with one poke
-    covariance: (2, 2) of (-log(1 - beta), theta) by the residuals' own correlation; converged
-    """
-
-    law: Law
-    spacing: float
-    error: FloatArray
-    held_out: FloatArray
-    covariance: FloatArray
-    converged: bool
-
-
 class PosedPoke:
     """A measured poke on its lattice: what is held where, and where the surface was seen."""
 
     def __init__(self, surface: Surface, poke: SeenPoke, spacing: float, size: int, precision: Precision, device: str):
-        self.poke = poke
+        self.poke, self.size = poke, size
         self.scene, layers = scene_below(surface, poke.at, poke.tip, spacing, size)
-        here = self.scene.open[_covered(poke.touched[:, :2], layers.rest[layers.top][:, :2], self.scene.spacing)]
-        held = np.concatenate([layers.bottom, here])
-        self.body = Msm(layers.rest, self.scene.clusters, held, precision=precision, device=device)
-        self.touched = here
-        self.target = layers.rest[held].copy()
-        self.target[len(layers.bottom) :] += _between(poke.touched[:, :2], poke.touched_by, layers.rest[here, :2])
+        upper = layers.rest[layers.top][:, :2]
+        self.touched = self.scene.open[_covered(poke.touched[:, :2], upper, self.scene.spacing)]
+        self.body = hold(self.scene, self.touched, Law(0.0, cluster_size=size), precision, device)
+        rest = self.scene.rest[self.touched]
+        self.at = rest + _between(poke.touched[:, :2], poke.touched_by, rest[:, :2])
         weights, inside = layers.interpolation(poke.points[:, :2])
         away = np.abs(poke.points[:, :2] - poke.at[:2]).max(axis=1) - 0.5 * max(poke.tip.size)
         self.near = np.flatnonzero(inside & (away <= NEAR_SHARE * surface.thickness))
         self.weights: csr_array = weights[self.near]
-        self.position: FloatArray | None = None
+        self.state: Held | None = None
 
-    def settle(self, beta: float, theta: float) -> bool:
-        """Relax to the static state; whether it converged."""
-        state = self.body.relax(self.target, beta, theta, volume="project", start=self.position)
-        if not bool(state.diverged[0]):
-            self.position = state.position[0]
-        return bool(state.converged[0])
+    def settle(self, law: Law) -> Held:
+        """The static state with this law, started from the last one."""
+        start, at = (None, self.at) if self.state is None else (self.state.position, self.state.hold)
+        slips = self.poke.tip.slips
+        self.state = settle(self.scene, self.body, law, self.touched, at, slips=slips, start=start)
+        return self.state
 
-    def residual(self) -> FloatArray:
+    def residual(self, state: Held) -> FloatArray:
         """Simulated less seen displacement near the poke, in units of its depth, (n, 3)."""
-        assert self.position is not None
-        moved = self.weights @ (self.position - self.scene.rest)
-        return (moved - self.poke.moved[self.near]) / self.poke.depth
+        moved = self.weights @ (state.position - self.scene.rest)
+        return np.asarray((moved - self.poke.moved[self.near]) / self.poke.depth)
 
-    def slopes(self, beta: float, theta: float) -> FloatArray:
-        """Derivatives of `residual` by beta and theta, (2, n, 3)."""
-        assert self.position is not None
-        by = self.body.sensitivity(self.position, beta, theta, volume="project")
-        return np.stack([self.weights @ by.beta[0], self.weights @ by.theta[0]]) / self.poke.depth
-
-    def reaction(self, beta: float, theta: float) -> float:
+    def reaction(self, state: Held) -> float:
         """Net force on the tip along its direction per unit of stiffness k [m]."""
-        assert self.position is not None
-        return float((self.body.reaction(self.position, beta, theta)[0, self.touched] @ DOWN).sum())
+        return float((state.pull @ DOWN).sum())
 
 
 def fit_shape(
     posed: Sequence[PosedPoke], *, theta: float | None = None, start: tuple[float, float] = (0.3, 0.5)
-) -> tuple[float, float, bool]:
-    """Beta and theta of least squared error over pokes; theta: kept where given. Whether all states converged."""
-    good = True
-    at: list[tuple[float, float]] = [(np.nan, np.nan)]
+) -> tuple[Law, bool]:
+    """The law of least squared error over pokes, and whether all its states converged. theta: kept where given.
 
-    def parameters(x: FloatArray) -> tuple[float, float]:
-        return float(-np.expm1(-x[0])), float(x[1]) if theta is None else theta
+    All pokes count the same, however many points were seen of each.
+    """
+    size = posed[0].size
 
-    def settle(x: FloatArray) -> tuple[float, float]:
-        nonlocal good
-        here = parameters(x)
-        if here != at[0]:
-            good = all([one.settle(*here) for one in posed])
-            at[0] = here
-        return here
+    def law(x: FloatArray) -> Law:
+        return Law(float(-np.expm1(-x[0])), float(x[1]) if theta is None else theta, size)
 
     def residual(x: FloatArray) -> FloatArray:
-        settle(x)
-        return np.concatenate([one.residual().ravel() / np.sqrt(max(len(one.near), 1)) for one in posed])
+        here = law(x)
+        every = [one.residual(one.settle(here)).ravel() / np.sqrt(max(len(one.near), 1)) for one in posed]
+        return np.concatenate(every)
 
-    def slope(x: FloatArray) -> FloatArray:
-        beta, known = settle(x)
-        by = [one.slopes(beta, known).reshape(2, -1) / np.sqrt(max(len(one.near), 1)) for one in posed]
-        every = np.concatenate(by, axis=1).T * np.array([1.0 - beta, 1.0])
-        return every if theta is None else every[:, :1]
-
-    first = np.array([-np.log1p(-start[0]), start[1]])
-    high = np.array([-np.log1p(-BETA_MOST), 1.0])
     keep = slice(None) if theta is None else slice(1)
+    first = np.array([-np.log1p(-start[0]), start[1]])[keep]
+    high = np.array([-np.log1p(-BETA_MOST), 1.0])[keep]
     found = least_squares(
-        residual,
-        first[keep],
-        slope,
-        bounds=(np.zeros(2)[keep], high[keep]),
-        xtol=1e-4,
-        ftol=1e-4,
-        gtol=1e-8,
-        max_nfev=20,
+        residual, first, bounds=(np.zeros(len(first)), high), diff_step=SLOPE_STEP, xtol=1e-3, ftol=1e-3, max_nfev=15
     )
-    beta, known = settle(found.x)
-    return (0.0 if beta < 1e-3 else beta), known, good and found.status > 0
+    best = law(found.x)
+    settled = [one.settle(best) for one in posed]
+    return best, all(state.converged for state in settled)
 
 
 def _covered(touched: FloatArray, places: FloatArray, spacing: float) -> IntArray:
@@ -259,3 +221,127 @@ def _between(place: FloatArray, value: FloatArray, wanted: FloatArray) -> FloatA
     except (QhullError, ValueError):
         return np.asarray(nearest)
     return np.where(np.isnan(inner), nearest, inner)
+
+
+# All pokes together ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeFit:
+    """How well clusters of one size follow the pokes.
+
+    law; surface_error: (q,) root mean square distance near each poke used, as a share of its depth; held_out: (q,) the
+    same with beta and theta fitted to the others, nan with one poke; reaction: (p,) of every poke, per unit of k [m]
+    """
+
+    law: Law
+    surface_error: FloatArray
+    held_out: FloatArray
+    reaction: FloatArray
+    converged: bool
+
+    @property
+    def score(self) -> float:
+        """What cluster sizes are compared by: the error on pokes left out, with one poke that on its own surface."""
+        told = self.held_out if np.isfinite(self.held_out).all() else self.surface_error
+        return float(np.sqrt(np.mean(told**2)))
+
+
+@dataclass(frozen=True, slots=True)
+class PokesFit:
+    """Layers fitted to pokes. spacing: of the lattice [m]; tried: every cluster size, the best first; shaped: (q,) the
+    pokes whose surface beta and theta were fitted to"""
+
+    pokes: tuple[SeenPoke, ...]
+    spacing: float
+    tried: tuple[ShapeFit, ...]
+    shaped: IntArray
+
+    @property
+    def best(self) -> ShapeFit:
+        return self.tried[0]
+
+    def stiffness(self, one: ShapeFit) -> tuple[IntArray, FloatArray]:
+        """The pokes whose force was measured (f,), and k [N/m] at each."""
+        told = np.flatnonzero([poke.force is not None and poke.force > 0.0 for poke in self.pokes])
+        force = np.array([float(self.pokes[i].force or 0.0) for i in told])
+        return told, force / one.reaction[told]
+
+
+def fit_pokes(
+    surface: Surface,
+    pokes: Sequence[SeenPoke],
+    *,
+    spacing: float | None = None,
+    cluster_sizes: Sequence[int] | None = None,
+    theta: float | None = None,
+    precision: Precision = "float32",
+    device: str = "cpu",
+    progress: Progress | None = None,
+) -> PokesFit:
+    """Fit the layers below a surface to one or several pokes of it.
+
+    spacing: of the lattice [m], default `default_spacing` of the narrowest tip; cluster_sizes: tried, default 3 and 4
+    and then on in the direction that is better; theta: kept where given; progress: called with (what, done, all)
+    """
+    narrow = min(pokes, key=lambda poke: poke.tip.width)
+    fine = default_spacing(surface, narrow.tip) if spacing is None else spacing
+    shaped = _spread(pokes)
+    tried: dict[int, ShapeFit] = {}
+    waiting = list(cluster_sizes or FIRST_SIZES)
+    while waiting:
+        size = waiting.pop(0)
+        if progress is not None:
+            progress("cluster sizes", len(tried), len(tried) + 1 + len(waiting))
+        tried[size] = _fit_size(surface, pokes, shaped, fine, size, theta, precision, device)
+        if not waiting and cluster_sizes is None:
+            best = min(tried, key=lambda one: tried[one].score)
+            beyond = best + 1 if best == max(tried) else best - 1 if best == min(tried) else best
+            if beyond not in tried and SIZES[0] <= beyond <= SIZES[1]:
+                waiting.append(beyond)
+    return PokesFit(tuple(pokes), fine, tuple(sorted(tried.values(), key=lambda one: one.score)), shaped)
+
+
+def _fit_size(
+    surface: Surface,
+    pokes: Sequence[SeenPoke],
+    shaped: IntArray,
+    spacing: float,
+    size: int,
+    theta: float | None,
+    precision: Precision,
+    device: str,
+) -> ShapeFit:
+    posed = [PosedPoke(surface, pokes[i], spacing, size, precision, device) for i in shaped]
+    law, good = fit_shape(posed, theta=theta)
+    start = law.beta, law.theta
+    error = np.array([_rms(one.residual(one.settle(law))) for one in posed])
+    held_out = np.full(len(posed), np.nan)
+    if len(posed) > 1:
+        for place, left in enumerate(posed):
+            others = [one for one in posed if one is not left]
+            elsewhere, _ = fit_shape(others, theta=theta, start=start)
+            held_out[place] = _rms(left.residual(left.settle(elsewhere)))
+    reaction = np.empty(len(pokes))
+    for place, poke in enumerate(pokes):
+        seen_at = np.flatnonzero(shaped == place)
+        one = posed[int(seen_at[0])] if seen_at.size else PosedPoke(surface, poke, spacing, size, precision, device)
+        state = one.settle(law)
+        good &= state.converged
+        reaction[place] = one.reaction(state) * (one.scene.spacing / spacing)
+    return ShapeFit(law, error, held_out, reaction, good)
+
+
+def _rms(residual: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.sum(residual**2, axis=1)))) if len(residual) else float("nan")
+
+
+def _spread(pokes: Sequence[SeenPoke]) -> IntArray:
+    """At most `MOST_SHAPES` pokes, each as far from those before as can be; the deepest first."""
+    chosen = [int(np.argmax([poke.depth for poke in pokes]))]
+    place = np.array([poke.at for poke in pokes])
+    while len(chosen) < min(MOST_SHAPES, len(pokes)):
+        away = np.linalg.norm(place[:, None] - place[chosen], axis=2).min(axis=1)
+        away[chosen] = -1.0
+        chosen.append(int(np.argmax(away)))
+    return np.array(sorted(chosen))

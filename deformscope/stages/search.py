@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from deformscope.arrays import BoolArray, FloatArray
+from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.distance import distances
 from deformscope.stages.model import Model, Observation
@@ -68,6 +68,13 @@ class Search:
             self.tried.converged[order],
             self.tried.usable[order],
         )
+
+    def rows_of(self, parameter: FloatArray, progress: Progress | None = None) -> IntArray:
+        """Where these candidates stand among those tried; what has not been simulated yet is."""
+        known = np.abs(parameter[:, None] - self.tried.parameter).min(axis=1) <= 1e-13
+        if not known.all():
+            self.simulate(parameter[~known], progress, "interval")
+        return np.asarray(np.abs(parameter[:, None] - self.tried.parameter).argmin(axis=1))
 
     def relax(
         self,

@@ -13,7 +13,8 @@ pytest.importorskip("warp")
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.calibrate import FitOptions, Model, Observation, calibrate, verdict
+from deformscope.stages.calibrate import FitOptions, Model, Observation, calibrate
+from deformscope.stages.estimate import verdict
 from deformscope.stages.msm import clusters, reference
 from tests.stages.bodies import Pushed, lattice, pushed
 

@@ -1,0 +1,220 @@
+"""`deformscope coverage`: how often the intervals hold the truth, counted on random objects.
+
+deformscope coverage --quick
+deformscope coverage --objects 1000 --jobs 2 --out runs/coverage --json coverage.json
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from deformscope.cli.common import console, progress, quiet_warp, write_json
+from deformscope.config import CoverageConfig
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from deformscope.experiments.coverage import Rate, Row
+    from deformscope.experiments.unseen_pokes import Prediction
+    from deformscope.stages.estimate import Verdict
+
+SAY_EVERY_S = 20.0
+WIDTH = 150
+
+
+def run(config: CoverageConfig) -> None:
+    """Try all objects, tell the tables, draw the ranks."""
+    quiet_warp()
+    from deformscope.experiments.coverage import (
+        NOTHING,
+        PART_APART,
+        QUICK_OBJECTS,
+        Rate,
+        coverage_rows,
+        plan,
+        spread,
+        try_nothing,
+        try_object,
+    )
+    from deformscope.experiments.rank_histogram import draw_ranks, rank_counts
+    from deformscope.experiments.unseen_pokes import PokeCase, try_unseen_poke
+
+    begun = time.monotonic()
+    cases, nothing = plan(config.objects, config.seed, config.level, quick=config.quick)
+    bodies = -(-(QUICK_OBJECTS if config.quick else config.objects) // PART_APART)
+    pokes = [PokeCase(number, config.seed, config.level) for number in range(bodies)]
+    with counting("random objects", len(cases)) as done:
+        outcomes = spread(try_object, cases, config.jobs, done)
+    with counting("data without information", len(nothing)) as done:
+        verdicts = spread(try_nothing, nothing, config.jobs, done)
+    with counting("unseen pokes", len(pokes)) as done:
+        predictions = spread(try_unseen_poke, pokes, config.jobs, done)
+
+    rows = coverage_rows(outcomes)
+    told = {
+        kind: [verdict for case, verdict in zip(nothing, verdicts, strict=True) if case.kind == kind]
+        for kind in NOTHING
+    }
+    unidentified = {kind: Rate(len(some), some.count("unidentified")) for kind, some in told.items()}
+    ranks = rank_counts([one for one, case in zip(outcomes, cases, strict=True) if case.truth == "prior"])
+    groups = prediction_groups(predictions)
+    seconds = time.monotonic() - begun
+    show(config, rows, told, unidentified, groups)
+    picture = None
+    if config.out is not None:
+        config.out.mkdir(parents=True, exist_ok=True)
+        picture = config.out / "coverage.png"
+        draw_ranks(ranks, picture)
+    from statistics import median
+
+    fit_s = {f"{dim}D": median([one.seconds for one in outcomes if one.dim == dim]) for dim in (2, 3)}
+    print(f"a fit: {fit_s['2D']:.2g} s in the plane, {fit_s['3D']:.2g} s in space; all: {seconds:.0f} s")
+    if picture is not None:
+        print(f"ranks: {picture}")
+    write_json(
+        {
+            "level": config.level,
+            "seed": config.seed,
+            "coverage": [
+                {
+                    "condition": row.condition,
+                    "group": row.group,
+                    **told_rate(row.covered),
+                    "width": row.width,
+                    "confident_wrong": row.confident_wrong.hits,
+                }
+                for row in rows
+            ],
+            "ranks": ranks,
+            "no_information": [{"kind": kind, **told_rate(rate)} for kind, rate in unidentified.items()],
+            "unseen_pokes": [
+                {
+                    "group": name,
+                    "pokes": len(some),
+                    **told_rate(pooled(some)),
+                    "width_m": middle(some, lambda one: one.width),
+                    "error_m": middle(some, lambda one: one.error),
+                    "motion_m": middle(some, lambda one: one.motion),
+                }
+                for name, some in groups.items()
+            ],
+            "fit_seconds": fit_s,
+            "seconds": seconds,
+            "picture": picture,
+        },
+        config.json,
+    )
+
+
+@contextmanager
+def counting(what: str, total: int) -> Iterator[Callable[[int], None]]:
+    """A bar; where stderr is no terminal, a line now and then."""
+    where = console()
+    count, said = 0, time.monotonic()
+    with progress(what, total) as advance:
+
+        def done(more: int) -> None:
+            nonlocal count, said
+            count += more
+            advance(more)
+            if not where.is_terminal and time.monotonic() - said > SAY_EVERY_S:
+                said = time.monotonic()
+                where.print(f"{what}: {count} of {total}", markup=False)
+
+        yield done
+
+
+def told_rate(rate: Rate) -> dict[str, Any]:
+    return {"cases": rate.cases, "hits": rate.hits, "rate": rate.rate, "band": list(rate.band)}
+
+
+def prediction_groups(predictions: Sequence[Prediction]) -> dict[str, list[Prediction]]:
+    """All, and by dimension and cluster size."""
+    groups = {"all": list(predictions)}
+    groups |= {f"{dim}D": [one for one in predictions if one.dim == dim] for dim in (2, 3)}
+    groups |= {f"clusters of {s}": [one for one in predictions if one.cluster_size == s] for s in (2, 3, 4)}
+    return {name: some for name, some in groups.items() if some}
+
+
+def pooled(some: Sequence[Prediction]) -> Rate:
+    from deformscope.experiments.coverage import Rate
+
+    return Rate(sum(one.coordinates for one in some), sum(one.covered for one in some))
+
+
+def middle(some: Sequence[Prediction], of: Callable[[Prediction], float]) -> float:
+    from statistics import median
+
+    return median(of(one) for one in some)
+
+
+# Telling -------------------------------------------------------------------------------------------------------------
+
+
+def show(
+    config: CoverageConfig,
+    rows: Sequence[Row],
+    told: dict[Any, list[Verdict]],
+    unidentified: dict[Any, Rate],
+    groups: dict[str, list[Prediction]],
+) -> None:
+    """Three tables; on stderr where `--json -` has taken stdout."""
+    from rich.console import Console
+
+    out = Console(file=sys.stdout, highlight=False, width=None if sys.stdout.isatty() else WIDTH)
+    level = f"{config.level:.0%}"
+    out.print(coverage_table(f"{level} intervals for beta: how many hold the truth", rows))
+    table = _table("Data that tell nothing: how many verdicts are unidentified")
+    for name in ("data", "cases", "unidentified", "95 % band", "other verdicts"):
+        table.add_column(name, justify="left" if name in ("data", "other verdicts") else "right")
+    for kind, rate in unidentified.items():
+        others = sorted(set(told[kind]) - {"unidentified"})
+        text = ", ".join(f"{told[kind].count(one)} {one}" for one in others)
+        table.add_row(kind, str(rate.cases), f"{rate.rate:.3f}", _band(rate), text)
+    out.print(table)
+    table = _table(f"Finite element bodies: coordinates of an unseen poke within their {level} predictive intervals")
+    for name in ("bodies", "pokes", "coordinates", "within", "width [mm]", "error [mm]", "motion [mm]"):
+        table.add_column(name, justify="left" if name == "bodies" else "right")
+    for name, some in groups.items():
+        rate = pooled(some)
+        lengths = [middle(some, of) for of in (lambda o: o.width, lambda o: o.error, lambda o: o.motion)]
+        numbers = (f"{1e3 * length:.2f}" for length in lengths)
+        table.add_row(name, str(len(some)), str(rate.cases), f"{rate.rate:.3f}", *numbers)
+    out.print(table)
+
+
+def coverage_table(title: str, rows: Sequence[Row]) -> Table:
+    table = _table(title)
+    for name in ("noise", "objects", "cases", "held", "95 % band", "median width", "confidently wrong"):
+        table.add_column(name, justify="left" if name in ("noise", "objects") else "right")
+    last = ""
+    for row in rows:
+        if last and row.condition != last:
+            table.add_section()
+        table.add_row(
+            "" if row.condition == last else row.condition,
+            row.group,
+            str(row.covered.cases),
+            f"{row.covered.rate:.3f}",
+            _band(row.covered),
+            f"{row.width:.3f}",
+            str(row.confident_wrong.hits),
+        )
+        last = row.condition
+    return table
+
+
+def _table(title: str) -> Table:
+    from rich.box import SIMPLE
+    from rich.table import Table
+
+    return Table(title=title, box=SIMPLE, title_justify="left")
+
+
+def _band(rate: Rate) -> str:
+    low, high = rate.band
+    return f"{low:.3f} to {high:.3f}"

@@ -1,0 +1,206 @@
+"""What a calibration leaves behind: a body, the law that it follows and its stiffness, enough to predict a poke.
+
+Two kinds of body: `layers`, material below a surface, whose lattice is laid out anew around each poke; and `particles`,
+the very particles that were fitted.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.stages.layers import Layers, Surface
+from deformscope.stages.msm import clusters
+from deformscope.stages.msm.clusters import spacing as median_spacing
+from deformscope.stages.msm.solver import Precision
+from deformscope.stages.poke import Law, Poke, Pressed, Scene, Tip, press
+from deformscope.stages.poke_fit import CELLS_ACROSS_TIP, scene_below
+from deformscope.stages.stiffness_field import FieldKind, StiffnessField
+
+BodyKind = Literal["layers", "particles"]
+
+FORCE_SHARE = 0.05
+"""Relative standard deviation of a predicted force that lattice and tip are always good for: on finite element slabs,
+tips of 1 to 4 cm were off by 1 to 6 % after a fit to one of 2 cm (`deformscope predict --against`)."""
+
+TWO_SIDED_90 = 1.645
+
+
+@dataclass(frozen=True, slots=True)
+class Rival:
+    """A law that follows the pokes about as well. stiffness: (p,) [N/m] that goes with it at the pokes with force;
+    surface_error: share of the depth"""
+
+    law: Law
+    stiffness: FloatArray
+    surface_error: float
+
+
+@dataclass(frozen=True)
+class FittedModel:
+    """A model that can be poked.
+
+    body; rest: (n, 3) points of the surface, or (K, d) particles [m]; thickness: below a surface [m]
+    shape, cell: lattice of the particles, if they stand on one; fixed: particles that do not move
+    toward: (d,) direction of a poke; spacing: of the lattice to which `stiffness` belongs [m]
+    tip: what the model was fitted with, and whether it slips
+    law; places: (p, d) of the pokes whose force was measured; stiffness: (p,) k there [N/m]; field: between them
+    left_out: (p,) relative error of each stiffness predicted from the other pokes
+    surface_error: root mean square distance from the surface near the pokes, as a share of their depth; held_out: the
+    same on pokes left out of the fit, nan with one poke; rivals: other laws that do about as well
+    provenance: where it comes from
+    """
+
+    body: BodyKind
+    rest: FloatArray
+    law: Law
+    spacing: float
+    toward: FloatArray
+    tip: Tip | None = None
+    thickness: float | None = None
+    shape: tuple[int, ...] | None = None
+    cell: IntArray | None = None
+    fixed: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    places: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    stiffness: FloatArray = field(default_factory=lambda: np.zeros(0))
+    field_kind: FieldKind = "uniform"
+    left_out: FloatArray = field(default_factory=lambda: np.zeros(0))
+    surface_error: float = float("nan")
+    held_out: float = float("nan")
+    rivals: tuple[Rival, ...] = ()
+    provenance: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def dim(self) -> int:
+        return int(self.rest.shape[1])
+
+    def stiffness_at(self, at: FloatArray, spacing: float, values: FloatArray | None = None) -> float | None:
+        """k [N/m] of a lattice of this spacing at a place (d,); None where no force was measured.
+
+        A finer lattice of the same material has a k that is smaller in proportion (in the plane: the same).
+        """
+        known = self.stiffness if values is None else values
+        if not len(known):
+            return None
+        across = [0, 1] if self.dim == 3 else [0]
+        place = StiffnessField(self.places[:, across], known, self.field_kind, self.left_out)
+        return float(place.at(np.asarray(at)[across])[0]) * float(spacing / self.spacing) ** (self.dim - 2)
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """What a poke will do.
+
+    rest, position: (K, d) [m]; surface: (s,) indices of the particles that a tip could touch; touched: (m,)
+    depth [m]; force [N] and its 90 % interval, None without a measured force; stiffness: k [N/m] there
+    surface_error: how far particles of the surface near the tip may be off, root mean square [m]
+    layers: the lattice, for a body of layers; converged
+    """
+
+    poke: Poke
+    rest: FloatArray
+    position: FloatArray
+    surface: IntArray
+    touched: IntArray
+    depth: float
+    force: float | None
+    force_interval: tuple[float, float] | None
+    stiffness: float | None
+    surface_error: float
+    layers: Layers | None
+    converged: bool
+
+    def at(self, points: FloatArray) -> FloatArray:
+        """Where points (n, 3) of the surface go, between the lattice's columns; those beyond the lattice stay."""
+        if self.layers is None:
+            raise InputError("a model of layers below a surface", "one of particles", "leave out the points")
+        weights, inside = self.layers.interpolation(points[:, :2])
+        moved = weights @ (self.position - self.rest)
+        return np.asarray(points + np.where(inside[:, None], moved, 0.0))
+
+
+def predict(model: FittedModel, poke: Poke, *, precision: Precision = "float64", device: str = "cpu") -> Prediction:
+    """The static state under a poke that need not have been seen.
+
+    poke.at: (d,) [m]; its component along the direction of the poke does not count
+    The interval of the force spans the rival laws and the scatter of the stiffness among the pokes.
+    """
+    scene, layers = scene_of(model, model.law, poke)
+    k = model.stiffness_at(poke.at, scene.spacing)
+    if poke.force is not None and k is None:
+        raise InputError("a depth", "a force, but the model knows no stiffness", "fit it with force_n in a pair file")
+    found = press(scene, model.law, poke, stiffness=k, precision=precision, device=device)
+    force = None if k is None else k * found.reaction
+    interval = None if force is None else _force_interval(model, poke, found, force, precision, device)
+    error = model.held_out if np.isfinite(model.held_out) else model.surface_error
+    return Prediction(
+        poke=poke,
+        rest=scene.rest,
+        position=found.position,
+        surface=scene.open,
+        touched=found.touched,
+        depth=found.depth,
+        force=force,
+        force_interval=interval,
+        stiffness=k,
+        surface_error=error * found.depth,
+        layers=layers,
+        converged=found.converged,
+    )
+
+
+def _force_interval(
+    model: FittedModel, poke: Poke, found: Pressed, force: float, precision: Precision, device: str
+) -> tuple[float, float]:
+    every = [force]
+    for rival in model.rivals:
+        scene, _ = scene_of(model, rival.law, poke)
+        k = model.stiffness_at(poke.at, scene.spacing, rival.stiffness)
+        same = dataclasses.replace(poke, depth=found.depth, force=None)
+        other = press(scene, rival.law, same, precision=precision, device=device)
+        if k is not None and other.converged:
+            every.append(k * other.reaction)
+    scatter = float(np.sqrt(np.nanmean(model.left_out**2))) if np.isfinite(model.left_out).any() else 0.0
+    wide = TWO_SIDED_90 * max(scatter, FORCE_SHARE)
+    return min(every) * max(0.0, 1.0 - wide), max(every) * (1.0 + wide)
+
+
+def scene_of(model: FittedModel, law: Law, poke: Poke) -> tuple[Scene, Layers | None]:
+    """The model's body, ready for this poke. A tip narrower than the fitted one gets a finer lattice."""
+    if model.body == "layers":
+        assert model.thickness is not None
+        assert law.cluster_size is not None
+        fine = min(model.spacing, poke.tip.width / CELLS_ACROSS_TIP)
+        if poke.tip.shape == "sphere":
+            fine = min(model.spacing, poke.tip.width / (2 * CELLS_ACROSS_TIP))
+        scene, layers = scene_below(Surface(model.rest, model.thickness), poke.at, poke.tip, fine, law.cluster_size)
+        return scene, layers
+    return particle_scene(model, law), None
+
+
+def particle_scene(model: FittedModel, law: Law) -> Scene:
+    """The fitted particles; a tip can touch those that no other stands in front of."""
+    rest, gap = model.rest, median_spacing(model.rest)
+    if law.cluster_size is None:
+        grouped = clusters.single(len(rest))
+    elif model.shape is not None and model.cell is not None:
+        grouped = clusters.lattice(rest, model.shape, model.cell, law.cluster_size)
+    else:
+        grouped = clusters.nearest(rest, law.cluster_size**model.dim)
+    covered = np.zeros(len(rest), dtype=bool)
+    pairs = cKDTree(rest).query_pairs(1.7 * gap, output_type="ndarray")
+    between = rest[pairs[:, 1]] - rest[pairs[:, 0]]
+    along = between @ model.toward
+    aside = np.linalg.norm(between - along[:, None] * model.toward, axis=1)
+    stacked = aside < 0.6 * gap
+    covered[pairs[stacked & (along > 0.3 * gap), 1]] = True
+    covered[pairs[stacked & (along < -0.3 * gap), 0]] = True
+    covered[model.fixed] = True
+    return Scene(rest, grouped, model.fixed, np.flatnonzero(~covered), model.toward, gap)

@@ -1,0 +1,132 @@
+"""Stiffness over a surface, from what a few pokes met: one value, a few materials with borders, or a gradual field.
+
+Which of the three describes the pokes is decided by leaving each poke out and predicting it from the others; the
+simpler one stands unless the next is clearly better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import ConstantKernel, Matern
+from sklearn.svm import SVC
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.errors import InputError
+
+FieldKind = Literal["uniform", "materials", "gradual"]
+
+MATERIALS_APART = float(np.log(1.22))
+"""Materials differ by at least 22 % in stiffness: nearer ones cannot be told from noise of 8 % a touch."""
+
+BETTER = 0.8
+"""A richer field must bring the error on pokes left out below this share of the simpler one's."""
+
+POKE_NOISE = 0.05
+"""Scatter of log stiffness from poke to poke that a gradual field need not follow."""
+
+
+@dataclass(frozen=True)
+class StiffnessField:
+    """Stiffness [N/m] over places (n, 2) [m].
+
+    places: (p, 2); stiffness: (p,) [N/m], above 0, of the pokes; kind: how it goes on between them
+    left_out: (p,) relative error of each poke's stiffness predicted from the others; nan with one poke
+    """
+
+    places: FloatArray
+    stiffness: FloatArray
+    kind: FieldKind
+    left_out: FloatArray
+
+    def at(self, place: FloatArray) -> FloatArray:
+        """Stiffness (n,) [N/m] at places (n, 2)."""
+        return np.exp(FITS[self.kind](self.places, np.log(self.stiffness))(np.atleast_2d(place)))
+
+
+def fit_field(places: FloatArray, stiffness: FloatArray) -> StiffnessField:
+    """The field that predicts each poke from the others best.
+
+    Raises InputError for stiffness that is not above 0.
+    """
+    if not (np.isfinite(stiffness).all() and (stiffness > 0.0).all()):
+        raise InputError("stiffness above 0 at every poke", f"{float(np.min(stiffness)):g} N/m")
+    count = len(stiffness)
+    value = np.log(stiffness)
+    if count == 1:
+        return StiffnessField(places, stiffness, "uniform", np.full(1, np.nan))
+    best: FieldKind = "uniform"
+    errors = {kind: _left_out(fit, places, value) for kind, fit in FITS.items() if count > FEWEST[kind]}
+    for kind in errors:
+        if np.mean(np.abs(errors[kind])) < BETTER * np.mean(np.abs(errors[best])):
+            best = kind
+    return StiffnessField(places, stiffness, best, np.expm1(errors[best]))
+
+
+Fitted = Callable[[FloatArray], FloatArray]
+
+
+def _left_out(fit: Callable[[FloatArray, FloatArray], Fitted], places: FloatArray, value: FloatArray) -> FloatArray:
+    """Error of each value predicted from the others, (p,)."""
+    error = np.empty(len(value))
+    for one in range(len(value)):
+        others = np.arange(len(value)) != one
+        error[one] = fit(places[others], value[others])(places[one : one + 1])[0] - value[one]
+    return error
+
+
+def _uniform(places: FloatArray, value: FloatArray) -> Fitted:
+    middle = float(np.median(value))
+    return lambda place: np.full(len(place), middle)
+
+
+def _materials(places: FloatArray, value: FloatArray) -> Fitted:
+    """One value for each material, their borders as far from the pokes as can be."""
+    label = _levels(value)
+    levels = np.array([np.median(value[label == one]) for one in range(label.max() + 1)])
+    if len(levels) == 1:
+        return _uniform(places, value)
+    middle, size = places.mean(axis=0), float(np.ptp(places, axis=0).max()) or 1.0
+    classifier: Any = SVC(kernel="linear", C=1e4)
+    scaled = (places - middle) / size
+    if (classifier.fit(scaled, label).predict(scaled) != label).any():
+        classifier = SVC(kernel="rbf", gamma=4.0, C=1e4).fit(scaled, label)
+    return lambda place: levels[np.asarray(classifier.predict((place - middle) / size))]
+
+
+def _levels(value: FloatArray) -> IntArray:
+    """Which material each value belongs to (p,), numbered upwards: values are parted where the gap is wide enough."""
+    order = np.argsort(value)
+    label = np.empty(len(value), dtype=np.int64)
+    label[order] = np.concatenate([[0], np.cumsum(np.diff(value[order]) > MATERIALS_APART)])
+    return label
+
+
+def _gradual(places: FloatArray, value: FloatArray) -> Fitted:
+    """A Gaussian process (Matern 3/2) whose length explains the pokes best."""
+    size = float(np.ptp(places, axis=0).max()) or 1.0
+    spread = max(float(np.var(value)), POKE_NOISE**2)
+    found: list[tuple[float, Any]] = []
+    for share in (0.25, 0.5, 1.0, 2.0):
+        kernel = ConstantKernel(spread) * Matern(share * size, nu=1.5)
+        process = GaussianProcessRegressor(kernel, alpha=POKE_NOISE**2, optimizer=None)
+        process.fit(places, value - value.mean())
+        found.append((float(process.log_marginal_likelihood_value_), process))
+    best = max(found, key=lambda one: one[0])[1]
+    mean = float(value.mean())
+    return lambda place: np.asarray(best.predict(place)) + mean
+
+
+FITS: dict[FieldKind, Callable[[FloatArray, FloatArray], Fitted]] = {
+    "uniform": _uniform,
+    "materials": _materials,
+    "gradual": _gradual,
+}
+"""From the simplest to the richest."""
+
+FEWEST: dict[FieldKind, int] = {"uniform": 1, "materials": 3, "gradual": 4}
+"""More pokes than this are needed."""
