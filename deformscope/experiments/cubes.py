@@ -327,14 +327,20 @@ def spreads(found: Sequence[Found], of: Callable[[Cube], str] = lambda _: "") ->
     ]
 
 
-def rises(found: Sequence[Found]) -> bool:
-    """Whether theta rises strictly with Poisson's ratio at every resolution and depth."""
+def rises(found: Sequence[Found], *, to_bound: bool = False) -> bool:
+    """Whether theta rises strictly with Poisson's ratio at every resolution and depth.
+
+    to_bound: where theta has reached the end of its range it need not rise any more
+    """
     depths = depths_of([one.cube for one in found])
     series: dict[tuple[str, float], list[tuple[float, float]]] = {}
     for one in found:
         key = one.cube.resolution, depth_of(one.cube, depths)
-        series.setdefault(key, []).append((one.cube.poisson, one.theta.value))
-    return all((np.diff([theta for _, theta in sorted(pairs)]) > 0.0).all() for pairs in series.values())
+        value = one.theta.value
+        if to_bound and value >= one.theta.bounds[1]:
+            value += one.cube.poisson  # any further ratio counts as a rise
+        series.setdefault(key, []).append((one.cube.poisson, value))
+    return all(bool((np.diff([theta for _, theta in sorted(pairs)]) > 0.0).all()) for pairs in series.values())
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 from pathlib import Path
 
@@ -197,20 +198,33 @@ def test_spreads_group_by_ratio_and_by_what_is_asked(found: list[Found]) -> None
     assert {row["of"] for row in rows[9:]} == {"1 cm", "3 cm"}
 
 
-def test_a_fall_of_theta_at_one_resolution_is_noticed(found: list[Found]) -> None:
-    swapped = [one for one in found if one.cube.resolution == "4^3" and one.cube.depth == 0.03]
-    turned = [
-        Found(
-            Cube(one.cube.seen, 0.5 - one.cube.poisson, one.cube.depth, ""),
-            *(one.theta, one.simulated, one.curve, one.grid_theta, one.grid_aee, one.equal_share_theta),
-            *(one.one_cluster, one.overlapping, one.seconds),
+@pytest.mark.parametrize(
+    ("values", "strictly", "to_bound"),
+    [
+        ([0.1, 0.2, 0.3], True, True),
+        ([0.1, 1.0, 1.0], False, True),
+        ([0.1, 0.2, 0.2], False, False),
+        ([0.1, 1.0, 0.9], False, False),
+        ([0.2, 0.1, 1.0], False, False),
+    ],
+)
+def test_a_theta_that_does_not_rise_is_noticed(
+    found: list[Found], values: list[float], strictly: bool, to_bound: bool
+) -> None:
+    """At one resolution alone, in any order; at the end of the range it need not rise if that is allowed."""
+    fine = [one for one in found if one.cube.resolution == "5^3"]
+    coarse = next(one for one in found if one.cube.resolution == "4^3")
+    told = [
+        dataclasses.replace(
+            coarse,
+            cube=dataclasses.replace(coarse.cube, poisson=0.1 * number),
+            theta=dataclasses.replace(coarse.theta, value=value),
         )
-        for one in swapped
+        for number, value in enumerate(values)
     ]
 
-    assert rises(swapped)
-    assert not rises(turned)
-    assert not rises([*(one for one in found if one.cube.resolution == "5^3"), *turned])
+    assert rises([*told[::-1], *fine]) is strictly
+    assert rises([*told[::-1], *fine], to_bound=True) is to_bound
 
 
 def test_overlapping_clusters_are_fitted_to_the_deepest_of_each_kind() -> None:
