@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar, cast
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 from tyro.constructors import PrimitiveConstructorSpec
@@ -27,6 +27,8 @@ GridShape = tuple[int, int]
 Span = tuple[float, float]
 """Lowest, highest."""
 HeldPart = Literal["top", "bottom", "left", "right", "border", "contact"]
+
+TipName = Literal["flat", "disc", "sphere"]
 
 HELD_PARTS: tuple[HeldPart, ...] = ("top", "bottom", "left", "right", "border", "contact")
 
@@ -93,6 +95,61 @@ def parse_cases(text: str) -> tuple[Case, ...]:
     return tuple(case for case in CASES if case in named)
 
 
+@dataclass(frozen=True, slots=True)
+class PokeText:
+    """A poke as it is typed: at (2,) or (3,) [m]; tip and its size [m], None = the model's; depth [m] or force [N]."""
+
+    at: tuple[float, ...]
+    tip: TipName | None = None
+    size: tuple[float, ...] = ()
+    depth: float | None = None
+    force: float | None = None
+
+    def __str__(self) -> str:
+        parts = [f"at={','.join(f'{v:g}' for v in self.at)}"]
+        if self.tip is not None:
+            parts.append(f"tip={self.tip}")
+        if self.size:
+            parts.append(f"size={'x'.join(f'{v:g}' for v in self.size)}")
+        parts.append(f"depth={self.depth:g}" if self.depth is not None else f"force={self.force:g}")
+        return " ".join(parts)
+
+
+POKE_EXAMPLE = "'at=0.28,0.2 tip=flat size=0.03x0.03 force=5'"
+
+
+def parse_poke(text: str) -> PokeText:
+    """`at=X,Y tip=flat|disc|sphere size=WIDTHxDEPTH depth=D` or `force=F`, in metres and newtons."""
+    told: dict[str, str] = {}
+    for part in text.split():
+        name, equals, value = part.partition("=")
+        if not equals or name not in ("at", "tip", "size", "depth", "force") or name in told:
+            raise ValueError(f"expected a poke such as {POKE_EXAMPLE} (metres, newtons); got {part!r} in {text!r}")
+        told[name] = value
+    if "at" not in told or ("depth" in told) == ("force" in told):
+        raise ValueError(f"expected at=X,Y and one of depth= and force=, such as {POKE_EXAMPLE}; got {text!r}")
+    tip = told.get("tip")
+    if tip not in (None, "flat", "disc", "sphere"):
+        raise ValueError(f"expected tip=flat, tip=disc or tip=sphere; got {tip!r} in {text!r}")
+    if tip is not None and "size" not in told:
+        raise ValueError(f"expected size= with tip={tip}, its sides or its diameter in metres; got {text!r}")
+    try:
+        return PokeText(
+            at=tuple(_finite(value) for value in told["at"].split(",")),
+            tip=cast("TipName | None", tip),
+            size=tuple(_positive(value) for value in told["size"].split("x")) if "size" in told else (),
+            depth=_positive(told["depth"]) if "depth" in told else None,
+            force=_positive(told["force"]) if "force" in told else None,
+        )
+    except ValueError as error:
+        raise ValueError(f"{error} in {text!r}; for example {POKE_EXAMPLE}") from None
+
+
+def parse_pokes(text: str) -> tuple[PokeText, ...]:
+    """Pokes with `;` between them."""
+    return tuple(parse_poke(part) for part in text.split(";") if part.strip())
+
+
 def _finite(text: str) -> float:
     value = float(text)
     if value - value != 0.0:  # inf and nan
@@ -137,6 +194,9 @@ SizesFlag = Annotated[tuple[int, ...] | None, _value("N,N...", parse_sizes, _joi
 CasesFlag = Annotated[tuple[Case, ...] | None, _value("CASE,CASE...", parse_cases, _joined(",")), _unset]
 CountFlag = Annotated[int | None, _value("INT", int), _unset]
 FileFlag = Annotated[Path | None, _value("FILE", Path), _unset]
+ModelFlag = Annotated[Path | None, _value("MODEL.npz", Path), _unset]
+ShareFlag = Annotated[float | None, _value("NUMBER", float), _unset]
+PokesFlag = Annotated[tuple["PokeText", ...], _value("POKE", lambda text: parse_pokes(text), _joined("; "))]
 PictureFlag = Annotated[Path | None, _value("FILE.png", Path), _unset]
 JsonFlag = Annotated[str | None, _value("FILE|-", str), _unset]
 Sources = Annotated[tuple[str, ...], Positional, arg(metavar="SOURCE...", help_behavior_hint="")]
@@ -366,12 +426,45 @@ def _check_alpha(alpha: float) -> None:
         raise InputError("an --alpha above 0 and at most 1", str(alpha))
 
 
+@dataclass(frozen=True, slots=True)
+class ModelOptions:
+    """What is left for predictions."""
+
+    save: ModelFlag = None
+    """Write the fitted model, which `deformscope predict` can poke (.npz, no pickle)."""
+
+    def __post_init__(self) -> None:
+        if self.save is not None and self.save.suffix != ".npz":
+            raise InputError("a file that ends in .npz after --save", repr(str(self.save)))
+
+
+@dataclass(frozen=True, slots=True)
+class LayersFlags:
+    """Pokes of a surface: pair files of surface points, z up, whose held points were pressed down."""
+
+    thickness_m: PositiveFlag = None
+    """Thickness of the material below the surface, which rests on the ground [m]. With it a lattice of layers is fitted
+    to all pokes together; without, the points themselves are the particles."""
+    spacing_m: PositiveFlag = None
+    """Spacing of that lattice [m]; default: a quarter of the tip's width."""
+
+    def __post_init__(self) -> None:
+        if self.spacing_m is not None and self.thickness_m is None:
+            raise InputError("--thickness-m with --spacing-m", "none", "--thickness-m 0.05")
+
+
 class CalibrateOptions(RecordedOptions):
-    """What `calibrate beta` and `calibrate theta` read."""
+    """What `calibrate beta` and `calibrate theta` read and write."""
 
     __slots__ = ()
     sources: tuple[str, ...]
     images: ImageOptions
+    model: ModelOptions
+
+    def writes(self) -> tuple[Written, ...]:
+        save = self.model.save
+        model = () if save is None else (Written("--save", save, replace=self.output.overwrite),)
+        return (*model, *self.output.writes())
 
     def reads(self) -> tuple[str, ...]:
         return self.sources if self.images.mask is None else (*self.sources, str(self.images.mask))
@@ -383,26 +476,32 @@ class BetaConfig(CalibrateOptions):
 
     sources: Sources
     """A video, a folder of frames, images in the order given, pair files (.npz), or a recording (.rrd)."""
-    cluster_size: int = 3
-    """Particles along each side of a cluster."""
+    cluster_size: CountFlag = None
+    """Particles along each side of a cluster; default: 3, and with --thickness-m the one with the least error on pokes
+    left out."""
     mode: Literal["linear", "quadratic"] = "linear"
     """How a cluster may deform."""
     alpha: float = 1.0
     """Stiffness of the pull to the goal positions."""
-    theta: float = 0.0
-    """Volume conservation, which stays as it is."""
+    theta: ShareFlag = None
+    """Volume conservation, which stays as it is; default: 0, and with --thickness-m it is fitted too."""
     beta_range: SpanFlag = (0.0, 0.99)
     """Range in which beta is searched."""
     search: OmitArgPrefixes[SearchOptions] = field(default_factory=SearchOptions)
+    layers: OmitArgPrefixes[LayersFlags] = field(default_factory=LayersFlags)
     images: OmitArgPrefixes[ImageOptions] = field(default_factory=ImageOptions)
+    model: OmitArgPrefixes[ModelOptions] = field(default_factory=ModelOptions)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def __post_init__(self) -> None:
         _check_sources(self.sources)
-        if self.cluster_size < 2:
+        if self.cluster_size is not None and self.cluster_size < 2:
             raise InputError("a --cluster-size of 2 or more", str(self.cluster_size))
         _check_alpha(self.alpha)
-        _check_unit("--theta", self.theta)
+        if self.theta is not None:
+            _check_unit("--theta", self.theta)
+        if self.layers.thickness_m is not None and self.mode != "linear":
+            raise InputError("--mode linear with --thickness-m", self.mode)
         _check_span("--beta-range", self.beta_range, BETA_LIMIT)
 
 
@@ -424,6 +523,7 @@ class ThetaConfig(CalibrateOptions):
     """Range in which theta is searched."""
     search: OmitArgPrefixes[SearchOptions] = field(default_factory=SearchOptions)
     images: OmitArgPrefixes[ImageOptions] = field(default_factory=ImageOptions)
+    model: OmitArgPrefixes[ModelOptions] = field(default_factory=ModelOptions)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def __post_init__(self) -> None:
@@ -438,6 +538,52 @@ class ThetaConfig(CalibrateOptions):
     def single_cluster(self) -> bool:
         """Whether one cluster holds all particles."""
         return self.cluster_size is None
+
+
+# deformscope predict -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class PredictConfig(CommandOptions):
+    """Poke a fitted model where, how hard and with what it was not poked: deformed particles, depth and force."""
+
+    source: Annotated[Path, Positional, arg(metavar="MODEL.npz")]
+    """A model that `deformscope calibrate ... --save` has written."""
+    poke: PokesFlag = ()
+    """What to do, such as 'at=0.28,0.2 tip=flat size=0.03x0.03 force=5' in metres and newtons; several with ; between
+    them. tip is flat (sides), disc or sphere (diameter), by default the one of the fit; give a depth or a force."""
+    against: Annotated[tuple[Path, ...], arg(metavar="PAIR.npz...")] = ()
+    """Pokes that were measured but not fitted: each is predicted from its place, tip and depth, and compared, beside a
+    rigid body, a half-space in closed form and linear finite elements."""
+    points: FileFlag = None
+    """Points of the surface (.npz with `points (n, 3)`) whose deformed positions are wanted too."""
+    out: Annotated[Path | None, _value("FILE.npz", Path), _unset] = None
+    """Every particle of every poke: rest_0, deformed_0, rest_1... An existing file is replaced."""
+    picture: PictureFlag = None
+    """Draw the dents and, with --against, measured beside predicted. An existing file is replaced."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where the simulation runs; auto: on the GPU where there is one."""
+    json: JsonFlag = None
+    """Write the predictions as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+
+    def __post_init__(self) -> None:
+        if not self.poke and not self.against:
+            raise InputError("a --poke or pokes to compare with --against", "neither", f"--poke {POKE_EXAMPLE}")
+        if self.out is not None and self.out.suffix != ".npz":
+            raise InputError("a file that ends in .npz after --out", repr(str(self.out)))
+        if self.picture is not None and self.picture.suffix != ".png":
+            raise InputError("a file that ends in .png after --picture", repr(str(self.picture)))
+
+    def reads(self) -> tuple[str, ...]:
+        return (str(self.source), *(str(path) for path in self.against))
+
+    def writes(self) -> tuple[Written, ...]:
+        out = () if self.out is None else (Written("--out", self.out),)
+        picture = () if self.picture is None else (Written("--picture", self.picture),)
+        return (*out, *picture, *_written_json(self.json))
+
+    def json_target(self) -> str | None:
+        return self.json
 
 
 # deformscope demo and replay -----------------------------------------------------------------------------------------
@@ -583,6 +729,36 @@ class CoverageConfig(CommandOptions):
             raise InputError("a --seed of 0 or more", str(self.seed))
         if self.out is not None and self.out.exists() and not self.out.is_dir():
             raise InputError("a folder after --out", "a file", where=self.out)
+
+    def writes(self) -> tuple[Written, ...]:
+        return _written_json(self.json)
+
+    def json_target(self) -> str | None:
+        return self.json
+
+
+# deformscope reproduce foams -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class FoamsConfig(CommandOptions):
+    """Experiment 3.B: beta of five virtual foams from images of a push, with figure 3.14 and the force. Some 3 minutes
+    on one core."""
+
+    out: Annotated[Path, arg(metavar="DIR")] = Path("runs/foams")
+    """Folder of the figures and of foams.csv; made where it is not there. What it holds of these is replaced."""
+    quick: bool = False
+    """The softest and the firmest foam alone, fewer images, in some 30 s."""
+    keep_images: bool = False
+    """Keep the images in DIR/images, a folder a foam, as `calibrate beta` takes them."""
+    seed: int = 0
+    """Seed of the speckles, of the camera's noise and of the intervals."""
+    json: JsonFlag = None
+    """Write all of it as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise InputError("a --seed of 0 or more", str(self.seed))
 
     def writes(self) -> tuple[Written, ...]:
         return _written_json(self.json)

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from deformscope.errors import InputError
 from deformscope.stages.calibrate import Observation
 from deformscope.stages.msm.clusters import find_lattice
+from deformscope.stages.poke import TIP_SHAPES, Tip
 
 CONTACT_SHARE = 0.5
 """Without `contact`, the force acts on the held particles that moved more than this share of the largest motion."""
@@ -25,6 +26,7 @@ def parse_pair(raw: bytes, where: object = "", *, noise_m: float | None = None) 
     prescribed. Optional: `shape` (lattice, last axis fastest), `cell (K,)` flat lattice index where it has holes,
     `observed (K,)` bool, `noise_m` (a number, or (K,)), `held_noise_m` (a number; 0 = exact), `force_n` with
     `contact (m,)`, a subset of `held`, and `force_noise_n`, the standard deviation of that force.
+    `tip` (flat, disc, sphere) with `tip_size_m`: what pressed `contact`, where particles do not tell its size.
     Without `shape`, a rest shape that is regular within 1 % is taken as a lattice. noise_m: instead of the file's.
     Raises InputError for what is missing, does not fit together, or is not finite.
     """
@@ -87,6 +89,7 @@ def _observation(found: Mapping[str, npt.NDArray[Any]], noise_m: float | None) -
         force_n=force,
         contact=contact,
         force_noise_n=_force_noise(found),
+        tip=_tip(found),
         held_measured=None if exact is None else not exact,
     )
 
@@ -123,6 +126,17 @@ def _force(
         return force, contact
     moved = np.linalg.norm((deformed - rest)[held], axis=1)
     return force, held[moved > CONTACT_SHARE * moved.max(initial=0.0)]
+
+
+def _tip(found: Mapping[str, npt.NDArray[Any]]) -> Tip | None:
+    if "tip" not in found:
+        return None
+    shape = next((one for one in TIP_SHAPES if one == str(found["tip"])), None)
+    if shape is None:
+        raise InputError(f"a tip out of {', '.join(TIP_SHAPES)}", repr(str(found["tip"])))
+    if "tip_size_m" not in found:
+        raise InputError("tip_size_m with tip", "none", "its sides or its diameter [m]")
+    return Tip(shape, tuple(float(side) for side in _numbers(found, "tip_size_m").reshape(-1)))
 
 
 def _force_noise(found: Mapping[str, npt.NDArray[Any]]) -> float | None:

@@ -50,12 +50,16 @@ COMMANDS: dict[str, Command] = {
     "calibrate theta": Command(
         "find theta from images or pair files", "ThetaConfig", "deformscope.cli.calibrate", "theta"
     ),
+    "predict": Command("poke a fitted model where it was not poked", "PredictConfig", "deformscope.cli.predict"),
     "replay": Command("the same stages on recorded inputs, compared", "ReplayConfig", "deformscope.cli.replay"),
     "reproduce cubes": Command(
         "theta of cubes of known Poisson's ratio (Thesis 3.A)", "CubesConfig", "deformscope.cli.cubes"
     ),
     "flow": Command("dense optical flow of two images", "FlowConfig", "deformscope.cli.flow"),
     "coverage": Command("how often the intervals hold the truth", "CoverageConfig", "deformscope.cli.coverage"),
+    "reproduce foams": Command(
+        "experiment 3.B: beta of five virtual foams", "FoamsConfig", "deformscope.cli.reproduce_foams"
+    ),
     "bench": Command("what MSM costs on this machine", "BenchConfig", "deformscope.cli.bench"),
 }
 """By name; a name of two words (`calibrate beta`) makes a group."""

@@ -18,16 +18,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deformscope.cli.common import console, progress, quiet_warp, resolve_viewer, show_table, write_json
+from deformscope.cli.pokes import fit_layers, save_pair_model
 from deformscope.config import BetaConfig, ImageOptions, OutputOptions, SearchOptions, ThetaConfig
 from deformscope.errors import InputError
+
+DEFAULT_CLUSTER_SIZE = 3
 
 if TYPE_CHECKING:
     from deformscope.arrays import ImageArray
     from deformscope.experiments.foam_video import ParticleOptions
+    from deformscope.experiments.poke_files import LayersOptions
     from deformscope.log.blueprint import Layout
     from deformscope.recorder import RecordingSummary
     from deformscope.sources import Source
-    from deformscope.stages.calibrate import Calibration, FitOptions, Model, Progress
+    from deformscope.stages.calibrate import FitOptions, Model, Progress
     from deformscope.stages.estimate import Estimate
 
 
@@ -39,9 +43,9 @@ def beta(config: BetaConfig) -> None:
     model = Model(
         "beta",
         config.mode,
-        config.cluster_size,
+        config.cluster_size or DEFAULT_CLUSTER_SIZE,
         config.alpha,
-        theta=config.theta,
+        theta=config.theta or 0.0,
         volume=config.search.volume,
         device=_device(config),
     )
@@ -80,12 +84,17 @@ def _calibrate(config: BetaConfig | ThetaConfig, model: Model, bounds: tuple[flo
     if pairs and len(pairs) != len(sources):
         other = next(source for source in sources if source not in pairs)
         raise InputError("either pair files or images", "both", "name them in two commands", other)
+    save, layers = config.model.save, _layers(config)
     if pairs:
-        calibrate_pairs([Path(source) for source in pairs], fit, search, images, output)
+        calibrate_pairs([Path(source) for source in pairs], fit, search, images, output, layers=layers, save=save)
         return
     if len(sources) == 1 and (raws := _recorded_pairs(sources[0])):
-        calibrate_pair_bytes(raws, fit, output, noise_m=search.noise_m, joint=search.joint)
+        calibrate_pair_bytes(raws, fit, output, noise_m=search.noise_m, joint=search.joint, layers=layers, save=save)
         return
+    if layers is not None:
+        raise InputError("pair files with --thickness-m", "images", "leave out --thickness-m")
+    if save is not None:
+        raise InputError("pair files with --save", "images", "leave out --save")
     if search.joint:
         raise InputError("pair files with --joint", "images", "leave out --joint")
     if search.noise_m is not None:
@@ -93,6 +102,14 @@ def _calibrate(config: BetaConfig | ThetaConfig, model: Model, bounds: tuple[flo
     if len(sources) == 1 and sources[0].startswith("sample:"):
         images = for_sample(sources[0].removeprefix("sample:"), images)
     calibrate_images(sources, fit, particle_options(images, search), images, output)
+
+
+def _layers(config: BetaConfig | ThetaConfig) -> LayersOptions | None:
+    if not isinstance(config, BetaConfig) or config.layers.thickness_m is None:
+        return None
+    from deformscope.experiments.poke_files import LayersOptions
+
+    return LayersOptions(config.layers.thickness_m, config.layers.spacing_m, config.cluster_size, config.theta)
 
 
 def _recorded_pairs(source: str) -> list[tuple[str, bytes]]:
@@ -211,7 +228,14 @@ def run_images(
 
 
 def calibrate_pairs(
-    paths: Sequence[Path], fit: FitOptions, search: SearchOptions, images: ImageOptions, output: OutputOptions
+    paths: Sequence[Path],
+    fit: FitOptions,
+    search: SearchOptions,
+    images: ImageOptions,
+    output: OutputOptions,
+    *,
+    layers: LayersOptions | None = None,
+    save: Path | None = None,
 ) -> None:
     """Fit pair files."""
     if images != ImageOptions():
@@ -224,7 +248,7 @@ def calibrate_pairs(
             raws.append((str(path), path.read_bytes()))
         except OSError as error:
             raise InputError("a pair file (.npz)", (error.strerror or str(error)).lower(), where=path) from error
-    calibrate_pair_bytes(raws, fit, output, noise_m=search.noise_m, joint=search.joint)
+    calibrate_pair_bytes(raws, fit, output, noise_m=search.noise_m, joint=search.joint, layers=layers, save=save)
 
 
 def calibrate_pair_bytes(
@@ -234,13 +258,20 @@ def calibrate_pair_bytes(
     *,
     noise_m: float | None = None,
     joint: bool = False,
-) -> list[Calibration]:
-    """Fit pairs given by name and content: the same for files and recordings."""
+    layers: LayersOptions | None = None,
+    save: Path | None = None,
+) -> list[Estimate]:
+    """Fit pairs given by name and content: the same for files and recordings.
+
+    layers: all are pokes of one surface, fitted together with the material below it
+    """
     from deformscope.experiments.pair_files import pair_files
     from deformscope.pairs import parse_pair
     from deformscope.recorder import Recorder
     from deformscope.session import run
 
+    if save is not None and layers is None and len(raws) > 1:
+        raise InputError("one pair file with --save, or --thickness-m with several pokes of a surface", str(len(raws)))
     seen = [parse_pair(raw, name, noise_m=noise_m) for name, raw in raws]
     settings = {
         "sources": [name for name, _ in raws],
@@ -248,6 +279,8 @@ def calibrate_pair_bytes(
         "joint": joint,
         "fit": dataclasses.asdict(fit),
     }
+    if layers is not None:
+        settings["layers"] = dataclasses.asdict(layers)
     layout: Layout = "pair" if all(one.rest.shape[1] == 2 for one in seen) else "pair-3d"
     with Recorder(
         output.record, resolve_viewer(output.viewer), settings, layout=layout, overwrite=output.overwrite
@@ -255,13 +288,18 @@ def calibrate_pair_bytes(
         _tell_viewer(recorder)
         for index, (_, raw) in enumerate(raws):
             recorder.write_input(f"pair/{index}", raw)
+        if layers is not None:
+            names = [name for name, _ in raws]
+            return [fit_layers(seen, names, fit, layers, recorder, output, save)]
         with fit_progress() as fitting:
             found = run((), pair_files(seen, fit, joint=joint, progress=fitting), recorder)
     for name, one in zip([name for name, _ in raws], found, strict=False):
         tell(one.estimate, recorder.summary(), "all pairs" if joint else name)
+    if save is not None:
+        save_pair_model(seen[0], raws[0][0], fit.model, found[0].estimate, save)
     every = [one.estimate.as_json() for one in found]
     write_json(every[0] if len(every) == 1 else every, output.json)
-    return found
+    return [one.estimate for one in found]
 
 
 # Telling -------------------------------------------------------------------------------------------------------------

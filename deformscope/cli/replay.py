@@ -34,6 +34,7 @@ def run(config: ReplayConfig) -> None:
     import msgspec
 
     from deformscope.experiments.foam_video import ParticleOptions
+    from deformscope.experiments.poke_files import LayersOptions
     from deformscope.replay import Replay
     from deformscope.sources import Source
     from deformscope.stages.calibrate import FitOptions
@@ -60,8 +61,9 @@ def run(config: ReplayConfig) -> None:
             config.output,
             noise_m=settings.get("noise_m"),
             joint=bool(settings.get("joint")),
+            layers=msgspec.convert(settings["layers"], LayersOptions) if "layers" in settings else None,
         )
-        estimates = [one.estimate.as_json() for one in found]
+        estimates = [one.as_json() for one in found]
     else:
         with Source(
             str(config.recording), lambda: recording.frames(config.pace, _wait), recording.frame_count

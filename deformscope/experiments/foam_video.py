@@ -36,6 +36,16 @@ class ParticleOptions:
     px_per_cm: float | None = None
     noise_px: float | None = None
 
+    @property
+    def roi_rect(self) -> Rect | None:
+        """The region that holds the thing."""
+        return None if self.roi is None else Rect(*self.roi)
+
+    @property
+    def contact_rect(self) -> Rect | None:
+        """The tool's footprint."""
+        return None if self.contact is None else Rect(*self.contact)
+
 
 def foam_video(
     particles: ParticleOptions, fit: FitOptions, mask: BoolArray | None = None, progress: Progress | None = None
@@ -44,23 +54,8 @@ def foam_video(
 
     mask: (H, W) True where the thing is in the first frame
     """
-    frame = yield Step()
-    if frame is None:
-        raise InputError("at least two frames", "none")
-    roi, contact = (None if box is None else Rect(*box) for box in (particles.roi, particles.contact))
-    grid = seed_grid(frame.image.shape[:2], roi, particles.grid, particles.spacing_px, mask)
-    select_held(grid, particles.held, contact)  # refuses at once what cannot be held
-    history = [start(grid)]
-    step = Step((grid, history[0]))
-    while True:
-        following = yield step
-        if following is None:
-            break
-        forward = dense_flow(frame.image, following.image, particles.flow)
-        backward = dense_flow(following.image, frame.image, particles.flow)
-        history.append(advance(history[-1], forward, backward))
-        step = Step((forward, history[-1]))
-        frame = following
+    grid, history = yield from track(particles, mask)
+    contact = particles.contact_rect
     if len(history) < 2:
         raise InputError("at least two frames", "one", "a longer sequence, or a smaller --stride")
 
@@ -81,6 +76,29 @@ def foam_video(
         yield Step((comparison,), frame=index)
     yield Step((found.estimate,))
     return found
+
+
+def track(particles: ParticleOptions, mask: BoolArray | None = None) -> Experiment[tuple[ParticleGrid, list[Tracked]]]:
+    """Follow particles through the frames that are sent: where they stood at rest, and where at every frame.
+
+    mask: (H, W) True where the thing is in the first frame
+    """
+    frame = yield Step()
+    if frame is None:
+        raise InputError("at least two frames", "none")
+    grid = seed_grid(frame.image.shape[:2], particles.roi_rect, particles.grid, particles.spacing_px, mask)
+    select_held(grid, particles.held, particles.contact_rect)  # refuses at once what cannot be held
+    history = [start(grid)]
+    step = Step((grid, history[0]))
+    while True:
+        following = yield step
+        if following is None:
+            return grid, history
+        forward = dense_flow(frame.image, following.image, particles.flow)
+        backward = dense_flow(following.image, frame.image, particles.flow)
+        history.append(advance(history[-1], forward, backward))
+        step = Step((forward, history[-1]))
+        frame = following
 
 
 def hold_what_is_seen(

@@ -1,6 +1,7 @@
-"""A rigid tip on an elastic half-space: the closed forms that a user would reach for first (Boussinesq, Hertz, Sneddon).
+"""A rigid tip on an elastic half-space: the closed forms that one would reach for first.
 
-No thickness, no friction, small strain. E* = E / (1 - nu^2) is all that force tells; nu enters the sideways motion.
+Boussinesq, Hertz, Sneddon: no thickness, no friction, small strain. E* = E / (1 - nu^2) is all that force tells; nu
+enters the sideways motion.
 """
 
 from __future__ import annotations
@@ -36,8 +37,8 @@ class HalfSpace:
     def surface(self, tip: Tip, depth: float, aside: FloatArray) -> FloatArray:
         """Displacement (n, 3) of points of the surface at (n, 2) from the tip's axis [m], up is +z.
 
-        Below a flat tip the depth itself; beyond it u_z = 2 d / pi asin(a / r), for a ball Hertz's profile. Sideways
-        -(1 - 2 nu) / (1 - nu) F(r) / (2 pi r E*) (1 - nu^2) ..., F(r) the load within r.
+        Below a flat tip the depth itself; beyond it u_z = 2 d / pi asin(a / r), for a ball Hertz's profile. Inwards
+        (1 - 2 nu) / (1 - nu) F(r) / (2 pi r E*), F(r) the load within r: exact for round tips.
         """
         radius = np.maximum(np.linalg.norm(aside, axis=1), 1e-12)
         if tip.shape == "sphere":

@@ -17,11 +17,12 @@ from scipy.spatial import cKDTree
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.layers import Layers, Surface
+from deformscope.stages.model import Observation
 from deformscope.stages.msm import clusters
 from deformscope.stages.msm.clusters import spacing as median_spacing
 from deformscope.stages.msm.solver import Precision
 from deformscope.stages.poke import Law, Poke, Pressed, Scene, Tip, press
-from deformscope.stages.poke_fit import CELLS_ACROSS_TIP, scene_below
+from deformscope.stages.poke_fit import CELLS_ACROSS_TIP, SLIPPED, scene_below
 from deformscope.stages.stiffness_field import FieldKind, StiffnessField
 
 BodyKind = Literal["layers", "particles"]
@@ -31,6 +32,9 @@ FORCE_SHARE = 0.05
 tips of 1 to 4 cm were off by 1 to 6 % after a fit to one of 2 cm (`deformscope predict --against`)."""
 
 TWO_SIDED_90 = 1.645
+
+ALONG_AXIS = float(np.cos(np.radians(10.0)))
+"""A push within 10 degrees of an axis is taken as along it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,6 +187,51 @@ def scene_of(model: FittedModel, law: Law, poke: Poke) -> tuple[Scene, Layers | 
         scene, layers = scene_below(Surface(model.rest, model.thickness), poke.at, poke.tip, fine, law.cluster_size)
         return scene, layers
     return particle_scene(model, law), None
+
+
+def from_pair(
+    seen: Observation, law: Law, stiffness: float | None, error: float, provenance: Mapping[str, object]
+) -> FittedModel:
+    """A model of the very particles of one observation. stiffness: k [N/m], None if unknown; error: average distance
+    of the free particles [m].
+
+    Raises InputError where the scale is not known, or nothing was pushed.
+    """
+    scale = seen.metres_per_unit
+    if scale is None:
+        raise InputError("positions in metres for a model that is saved", "pixels of unknown size", "--px-per-cm")
+    move = seen.deformed - seen.rest
+    size = np.linalg.norm(move[seen.held], axis=1)
+    touched = seen.held[size > 0.5 * size.max(initial=0.0)] if seen.contact is None else seen.contact
+    push = move[touched].mean(axis=0) if len(touched) else np.zeros(seen.rest.shape[1])
+    depth = float(np.linalg.norm(push))
+    if depth <= 0.0:
+        raise InputError("held particles that were pushed", "none that moved", "name what pushed in `held`")
+    toward = push / depth
+    axis = int(np.abs(toward).argmax())
+    if abs(toward[axis]) > ALONG_AXIS:
+        toward = np.sign(toward[axis]) * np.eye(len(toward))[axis]
+    gap = median_spacing(seen.rest)
+    across = np.ptp(np.delete(seen.rest[touched], axis, axis=1), axis=0)
+    sideways = move[touched] - np.outer(move[touched] @ toward, toward)
+    slips = bool(np.abs(sideways - sideways.mean(axis=0)).max() > SLIPPED * depth)
+    place = seen.rest[touched].mean(axis=0) * scale
+    return FittedModel(
+        body="particles",
+        rest=seen.rest * scale,
+        law=law,
+        spacing=gap * scale,
+        toward=toward,
+        tip=seen.tip or Tip("flat", tuple(float(max(side, gap)) * scale for side in across), slips),
+        shape=seen.shape,
+        cell=seen.cell,
+        fixed=np.setdiff1d(seen.held, touched),
+        places=place[None] if stiffness is not None else np.zeros((0, len(place))),
+        stiffness=np.array([]) if stiffness is None else np.array([stiffness]),
+        left_out=np.array([]) if stiffness is None else np.array([np.nan]),
+        surface_error=error / depth,
+        provenance=provenance,
+    )
 
 
 def particle_scene(model: FittedModel, law: Law) -> Scene:

@@ -15,10 +15,11 @@ import numpy as np
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.msm.clusters import Clusters
-from deformscope.stages.msm.reference import Basis
+from deformscope.stages.msm.reference import Basis, Volume
 from deformscope.stages.msm.solver import Msm, Precision
 
 TipShape = Literal["flat", "disc", "sphere"]
+TIP_SHAPES: tuple[TipShape, ...] = ("flat", "disc", "sphere")
 
 SETTLED = 1e-3
 """Share of the depth, or of the force asked for, to which contact is solved."""
@@ -96,13 +97,14 @@ class Poke:
 
 @dataclass(frozen=True, slots=True)
 class Law:
-    """The simulation's parameters. cluster_size: particles a side; None = one cluster of all; theta conserves volume by
-    projection, which has an energy."""
+    """The simulation's parameters. cluster_size: particles a side; None = one cluster of all; volume: how theta
+    conserves it; eq. 3.17 ("scale") has no energy, so there forces are those of the projection."""
 
     beta: float
     theta: float = 0.0
     cluster_size: int | None = 3
     basis: Basis = "linear"
+    volume: Volume = "project"
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,7 +209,7 @@ def settle(
     depth = float(np.abs((at - scene.rest[touched]) @ toward).max()) or scene.spacing
     position, pull = start, np.zeros_like(at)
     for _ in range(MOST_SLIDES):
-        state = body.relax(np.concatenate([fixed, at]), law.beta, law.theta, volume="project", start=position)
+        state = body.relax(np.concatenate([fixed, at]), law.beta, law.theta, volume=law.volume, start=position)
         position = state.position[0]
         pull = body.reaction(position, law.beta, law.theta)[0, touched]
         converged = bool(state.converged[0])

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 from scipy.optimize import least_squares
-from scipy.sparse import csr_array
 from scipy.spatial import ConvexHull, QhullError
 
 from deformscope.arrays import FloatArray, IntArray
@@ -148,7 +147,9 @@ class PosedPoke:
         weights, inside = layers.interpolation(poke.points[:, :2])
         away = np.abs(poke.points[:, :2] - poke.at[:2]).max(axis=1) - 0.5 * max(poke.tip.size)
         self.near = np.flatnonzero(inside & (away <= NEAR_SHARE * surface.thickness))
-        self.weights: csr_array = weights[self.near]
+        self.inside, self.weights = inside, weights
+        if not len(self.near):
+            raise InputError("surface points near the poke", "none within the lattice", "points around the contact")
         self.state: Held | None = None
 
     def settle(self, law: Law) -> Held:
@@ -160,8 +161,13 @@ class PosedPoke:
 
     def residual(self, state: Held) -> FloatArray:
         """Simulated less seen displacement near the poke, in units of its depth, (n, 3)."""
-        moved = self.weights @ (state.position - self.scene.rest)
-        return np.asarray((moved - self.poke.moved[self.near]) / self.poke.depth)
+        left = self.moved(state) - self.poke.moved
+        return np.asarray(left[self.near] / self.poke.depth)
+
+    def moved(self, state: Held) -> FloatArray:
+        """Simulated displacement of every point of the surface, (n, 3) [m]; beyond the lattice it is still."""
+        found = np.asarray(self.weights @ (state.position - self.scene.rest))
+        return np.where(self.inside[:, None], found, 0.0)
 
     def reaction(self, state: Held) -> float:
         """Net force on the tip along its direction per unit of stiffness k [m]."""
@@ -250,12 +256,15 @@ class ShapeFit:
 @dataclass(frozen=True, slots=True)
 class PokesFit:
     """Layers fitted to pokes. spacing: of the lattice [m]; tried: every cluster size, the best first; shaped: (q,) the
-    pokes whose surface beta and theta were fitted to"""
+    pokes whose surface beta and theta were fitted to; posed: these on the lattice of the best; theta_fitted: or kept"""
 
+    surface: Surface
     pokes: tuple[SeenPoke, ...]
     spacing: float
     tried: tuple[ShapeFit, ...]
     shaped: IntArray
+    posed: tuple[PosedPoke, ...]
+    theta_fitted: bool
 
     @property
     def best(self) -> ShapeFit:
@@ -288,31 +297,37 @@ def fit_pokes(
     fine = default_spacing(surface, narrow.tip) if spacing is None else spacing
     shaped = _spread(pokes)
     tried: dict[int, ShapeFit] = {}
+    posed: dict[int, list[PosedPoke]] = {}
     waiting = list(cluster_sizes or FIRST_SIZES)
     while waiting:
         size = waiting.pop(0)
         if progress is not None:
             progress("cluster sizes", len(tried), len(tried) + 1 + len(waiting))
-        tried[size] = _fit_size(surface, pokes, shaped, fine, size, theta, precision, device)
+        posed[size] = [PosedPoke(surface, pokes[i], fine, size, precision, device) for i in shaped]
+        tried[size] = _fit_size(surface, pokes, posed[size], shaped, fine, theta, precision, device)
+        for other in [one for one in posed if tried[one].score > min(each.score for each in tried.values())]:
+            del posed[other]
         if not waiting and cluster_sizes is None:
             best = min(tried, key=lambda one: tried[one].score)
             beyond = best + 1 if best == max(tried) else best - 1 if best == min(tried) else best
             if beyond not in tried and SIZES[0] <= beyond <= SIZES[1]:
                 waiting.append(beyond)
-    return PokesFit(tuple(pokes), fine, tuple(sorted(tried.values(), key=lambda one: one.score)), shaped)
+    ranked = tuple(sorted(tried.values(), key=lambda one: one.score))
+    best_posed = next(iter(posed.values()))
+    return PokesFit(surface, tuple(pokes), fine, ranked, shaped, tuple(best_posed), theta is None)
 
 
 def _fit_size(
     surface: Surface,
     pokes: Sequence[SeenPoke],
+    posed: Sequence[PosedPoke],
     shaped: IntArray,
     spacing: float,
-    size: int,
     theta: float | None,
     precision: Precision,
     device: str,
 ) -> ShapeFit:
-    posed = [PosedPoke(surface, pokes[i], spacing, size, precision, device) for i in shaped]
+    size = posed[0].size
     law, good = fit_shape(posed, theta=theta)
     start = law.beta, law.theta
     error = np.array([_rms(one.residual(one.settle(law))) for one in posed])

@@ -1,0 +1,192 @@
+"""`deformscope reproduce foams`: experiment 3.B of the thesis, with figure 3.14, on five virtual foams.
+
+deformscope reproduce foams
+deformscope reproduce foams --quick --json -
+deformscope reproduce foams --out runs/foams --json foams.json --seed 1 --keep-images
+deformscope calibrate beta runs/foams/images/24-80 --roi 30,50,750,350 --grid 7x15 --contact 330,50,150,50
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deformscope.cli.calibrate import fit_progress
+from deformscope.cli.common import quiet_warp, replacing, show_table, write_json
+from deformscope.config import FoamsConfig
+from deformscope.errors import InputError
+
+if TYPE_CHECKING:
+    from deformscope.experiments.foams import Control, Fit, FoamResult, Setup, Trend
+    from deformscope.frames import ColorFrame
+    from deformscope.lab.foam import Foam
+
+
+COLUMNS = (
+    *("density_kg_m3", "hardness_n", "plateau_exponent", "poisson", "force_n", "source", "held", "cluster_size"),
+    *("converged", "verdict", "aee_mm", "beta", "beta_low", "beta_high", "k_n_per_m", "k_low", "k_high"),
+)
+
+
+def run(config: FoamsConfig) -> None:
+    """Push, film and fit the foams; draw, tell and write what was found."""
+    began = time.monotonic()
+    quiet_warp()
+    from threadpoolctl import threadpool_limits
+
+    from deformscope.experiments import foams_figures as figures
+    from deformscope.experiments.foams import HELD, SOURCES, Setup, controls, measure, trend
+
+    try:
+        config.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError("a folder after --out", (error.strerror or str(error)).lower(), where=config.out) from error
+    setup = Setup()
+    if config.quick:
+        setup = Setup(foams=(setup.foams[0], setup.foams[-1]), images=4, element_m=0.007)
+    with fit_progress() as progress, threadpool_limits(1):  # small matrices: more threads cost time
+        results = [
+            measure(foam, setup, config.seed, progress, _keeper(config.out, foam) if config.keep_images else None)
+            for foam in setup.foams
+        ]
+        tried = [] if config.quick else controls(setup, config.seed, progress)
+    trends = [trend(results, source, held, size) for held in HELD for source in SOURCES for size in setup.cluster_sizes]
+
+    drawn = []
+    for held in HELD:
+        drawn.append("figure-3.14.png" if held == "one" else f"figure-3.14-{held}-held.png")
+        figures.figure_3_14(results, trends, held, config.out / drawn[-1])
+    figures.stiffness(results, config.out / "stiffness.png")
+    figures.particles(results, "clamp", min(setup.cluster_sizes), config.out / "particles.png")
+    drawn += ["stiffness.png", "particles.png"]
+    if tried:
+        figures.one_change(tried, config.out / "one-change.png")
+        drawn.append("one-change.png")
+    table = config.out / "foams.csv"
+    with replacing(table) as file:
+        file.write(as_csv(results).encode())
+    seconds = time.monotonic() - began
+    tell(results, trends, seconds, [*(config.out / name for name in drawn), table])
+    told = as_json(setup, results, trends, tried)
+    told |= {"seed": config.seed, "quick": config.quick, "seconds": seconds}
+    write_json(told | {"figures": [config.out / name for name in drawn], "table": table}, config.json)
+
+
+def _keeper(out: Path, foam: Foam) -> Callable[[ColorFrame], None]:
+    """Writes a foam's images into a folder of its own, which holds nothing of an earlier run."""
+    from deformscope.images import encode_png
+
+    folder = out / "images" / foam.name.replace("/", "-")
+    folder.mkdir(parents=True, exist_ok=True)
+    for earlier in folder.glob("frame-*.png"):
+        earlier.unlink()
+
+    def keep(frame: ColorFrame) -> None:
+        (folder / f"frame-{frame.index:02d}.png").write_bytes(encode_png(frame.image))
+
+    return keep
+
+
+def tell(results: Sequence[FoamResult], trends: Sequence[Trend], seconds: float, files: Sequence[Path]) -> None:
+    """The result as short tables."""
+    import numpy as np
+
+    for result in results:
+        rows = [
+            ("law", _law(result.foam)),
+            ("force", f"{result.force_n[-1]:.1f} N at {1e3 * result.depth_m[-1]:g} mm: {result.stiffness:.0f} N/m"),
+            ("flow", f"rms error {np.sqrt(np.nanmean(result.error_px**2)):.2f} px; {result.lost} particles lost"),
+        ]
+        for fit in result.fits:
+            one = fit.calibration.estimate
+            k = "" if one.stiffness is None else f"; k {one.stiffness[0]:.0f} N/m"
+            low, high = one.interval
+            warning = "" if one.converged else "; NOT converged"
+            rows.append((name(fit), f"{one.value:.3f} ({low:.3f} to {high:.3f}), {one.verdict}{k}{warning}"))
+        show_table(f"Foam {result.foam.name}", rows)
+    rows = [
+        (name(one), f"softest - firmest {one.drop:+.2f}; rank correlation {_signed(one.rank_correlation)}; {one.told}")
+        for one in trends
+    ]
+    show_table("Beta against hardness", rows)
+    show_table(f"Written in {seconds:.0f} s", [("", str(path)) for path in files])
+
+
+def name(one: Fit | Trend) -> str:
+    """How a fit was made."""
+    held = {"one": "one particle held", "clamp": "clamp held"}[one.held]
+    source = {"flow": "flow", "true": "true positions"}[one.source]
+    return f"beta, {held}, {source}, {one.cluster_size}x{one.cluster_size}"
+
+
+def _law(foam: Foam) -> str:
+    young = 1e-3 * foam.law().young
+    return f"Young {young:.1f} kPa, Poisson {foam.poisson:g}, plateau exponent {foam.plateau:g}"
+
+
+def _signed(value: float | None) -> str:
+    return "none" if value is None else f"{value:+.2f}"
+
+
+def as_json(
+    setup: Setup, results: Sequence[FoamResult], trends: Sequence[Trend], tried: Sequence[Control]
+) -> dict[str, Any]:
+    """All of it but the images."""
+    return {
+        "setup": setup,
+        "foams": [
+            {
+                "name": result.foam.name,
+                "foam": result.foam,
+                "law": result.foam.law(),
+                "young_pa": result.foam.law().young,
+                "depth_m": result.depth_m,
+                "force_n": result.force_n,
+                "stiffness_n_per_m": result.stiffness,
+                "lost": result.lost,
+                "error_px": result.error_px,
+                "noise_px": result.noise_px,
+                "fits": [fit_json(fit) for fit in result.fits],
+            }
+            for result in results
+        ],
+        "trends": trends,
+        "one_change": [
+            {
+                "changed": one.changed,
+                "foam": one.foam,
+                "force_n": one.force_n,
+                "moved_mm": one.moved_mm,
+                "fits": [fit_json(fit) for fit in one.fits],
+            }
+            for one in tried
+        ],
+    }
+
+
+def fit_json(fit: Fit) -> dict[str, Any]:
+    """One fit: how it was made, and its estimate."""
+    how = {"source": fit.source, "held": fit.held, "cluster_size": fit.cluster_size}
+    return how | fit.calibration.estimate.as_json()
+
+
+def as_csv(results: Sequence[FoamResult]) -> str:
+    """One line a fit."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for result in results:
+        foam = result.foam
+        for fit in result.fits:
+            one = fit.calibration.estimate
+            k = [] if one.stiffness is None else [one.stiffness[0], *one.stiffness[1]]
+            aee = 1e3 * one.aee * (one.metres_per_unit or float("nan"))
+            row = [foam.density, foam.hardness, foam.plateau, foam.poisson, f"{result.force_n[-1]:.4g}"]
+            row += [fit.source, fit.held, fit.cluster_size, one.converged, one.verdict, f"{aee:.4f}"]
+            row += [f"{beta:.5f}" for beta in (one.value, *one.interval)]
+            writer.writerow([*row, *(f"{value:.5g}" for value in k)])
+    return text.getvalue()

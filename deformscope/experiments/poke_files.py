@@ -1,0 +1,59 @@
+"""Pokes of one surface, from pair files: a body of layers below it that can be poked elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.errors import InputError
+from deformscope.session import Experiment, Step
+from deformscope.stages.layers import Surface
+from deformscope.stages.model import FitOptions, Observation
+from deformscope.stages.poke_estimate import PokesFound, conclude
+from deformscope.stages.poke_fit import Progress, fit_pokes, seen_poke
+
+
+@dataclass(frozen=True, slots=True)
+class LayersOptions:
+    """The material below the surface: its thickness [m], and what is to be found unless it is given: spacing of the
+    lattice [m], cluster size, theta."""
+
+    thickness_m: float
+    spacing_m: float | None = None
+    cluster_size: int | None = None
+    theta: float | None = None
+
+
+def poke_files(
+    seen: Sequence[Observation],
+    fit: FitOptions,
+    layers: LayersOptions,
+    *,
+    provenance: Mapping[str, object],
+    progress: Progress | None = None,
+) -> Experiment[PokesFound]:
+    """Fit all pokes of one surface together. Each poke is one place on the `frame` timeline."""
+    yield Step()
+    surface = Surface(seen[0].rest, layers.thickness_m)
+    pokes = [seen_poke(one) for one in seen]
+    for poke in pokes:
+        if not surface.covers(poke.at[None, :2])[0]:
+            raise InputError(
+                "pokes of one surface", f"one at ({poke.at[0]:.3g}, {poke.at[1]:.3g}) m, beside the first file's points"
+            )
+    found = fit_pokes(
+        surface,
+        pokes,
+        spacing=layers.spacing_m,
+        cluster_sizes=None if layers.cluster_size is None else [layers.cluster_size],
+        theta=layers.theta,
+        device=fit.model.device,
+        progress=progress,
+    )
+    told = conclude(found, bounds=fit.bounds, level=fit.level, settings={"pairs": len(seen)}, provenance=provenance)
+    for index, comparison in enumerate(told.comparisons):
+        yield Step((comparison,), frame=int(np.asarray(found.shaped)[index]))
+    yield Step((told.estimate,), frame=len(seen) - 1)
+    return told

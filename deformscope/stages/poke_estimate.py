@@ -1,0 +1,336 @@
+"""What a fit of layers to pokes says: beta with its interval and verdict, stiffness, and a model that can be poked."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial import cKDTree
+from scipy.special import logsumexp
+
+from deformscope.arrays import FloatArray
+from deformscope.stages.closed_form import half_space
+from deformscope.stages.distance import distances, nearest_error
+from deformscope.stages.estimate import (
+    Comparison,
+    Curve,
+    Estimate,
+    Identifiability,
+    Posterior,
+    relative_verdict,
+    verdict,
+)
+from deformscope.stages.fitted import FittedModel, Rival
+from deformscope.stages.msm.clusters import spacing as median_spacing
+from deformscope.stages.noise import ErrorModel, Measured
+from deformscope.stages.poke import Law, Tip
+from deformscope.stages.poke_fit import DOWN, PokesFit, PosedPoke
+from deformscope.stages.stiffness_field import fit_field
+
+CURVE = 7
+"""Values of beta over the range at which the error curve is taken, besides those next to the estimate."""
+
+FINE, THETAS = 161, 21
+"""Values of -log(1 - beta) and of theta at which the posterior is taken."""
+
+THETA_STEP = 0.05
+MOST_POINTS = 250
+"""Points of a surface that the likelihood is taken from; more add cost, not insight."""
+
+RIVAL = 1.5
+"""A cluster size whose error is within this factor of the best one's is a rival."""
+
+LEAST_MISFIT = 0.02
+"""Relative deviation that a stiffness has at least: of the force's lattice and tip, seen with finite elements."""
+
+
+@dataclass(frozen=True, slots=True)
+class ApparentModulus:
+    """What Young's modulus would make the same force [Pa]: of a half-space with this tip (E*, no thickness), and of an
+    even strain in the middle of the lattice (`continuum`). Neither is a material's."""
+
+    half_space: float
+    continuum: float
+
+
+@dataclass(frozen=True, slots=True)
+class PokeRow:
+    """One poke as it goes into the JSON. left_out_error: relative error of its stiffness predicted from the others;
+    surface_error: root mean square distance near it, as a share of its depth, held out: with beta and theta fitted to
+    the others. None where it is not known."""
+
+    xy_m: tuple[float, float]
+    tip: Tip
+    depth_m: float
+    force_n: float | None
+    stiffness_n_per_m: float | None
+    apparent_modulus_pa: ApparentModulus | None
+    left_out_error: float | None
+    surface_error: float | None
+    surface_error_held_out: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class PokesFound:
+    """The estimate, a comparison of the surface for each poke that beta was fitted to, the fit, and the model."""
+
+    estimate: Estimate
+    comparisons: tuple[Comparison, ...]
+    fit: PokesFit
+    model: FittedModel
+
+    def rows(self) -> list[PokeRow]:
+        """Each poke: place, depth, force, stiffness there and how well it is followed."""
+        told, k = self.fit.stiffness(self.fit.best)
+        by_poke = dict(zip(told.tolist(), k.tolist(), strict=True))
+        left_out = dict(zip(told.tolist(), self.model.left_out.tolist(), strict=True))
+        error = dict(zip(self.fit.shaped.tolist(), self.fit.best.surface_error.tolist(), strict=True))
+        held_out = dict(zip(self.fit.shaped.tolist(), self.fit.best.held_out.tolist(), strict=True))
+        rows = []
+        for index, poke in enumerate(self.fit.pokes):
+            k_here = by_poke.get(index)
+            modulus = None
+            if k_here is not None and poke.force is not None:
+                modulus = ApparentModulus(
+                    half_space(poke.tip, poke.depth, poke.force).modulus,
+                    continuum(self.fit.best.law, k_here, self.fit.spacing)[0],
+                )
+            rows.append(
+                PokeRow(
+                    xy_m=(float(poke.at[0]), float(poke.at[1])),
+                    tip=poke.tip,
+                    depth_m=poke.depth,
+                    force_n=poke.force,
+                    stiffness_n_per_m=k_here,
+                    apparent_modulus_pa=modulus,
+                    left_out_error=_known(left_out.get(index)),
+                    surface_error=_known(error.get(index)),
+                    surface_error_held_out=_known(held_out.get(index)),
+                )
+            )
+        return rows
+
+    def tried_json(self) -> list[dict[str, object]]:
+        """Every cluster size that was tried, the best first."""
+        return [
+            {
+                "cluster_size": one.law.cluster_size,
+                "beta": one.law.beta,
+                "theta": one.law.theta,
+                "error": one.score,
+                "surface_error": float(np.sqrt(np.mean(one.surface_error**2))),
+                "converged": one.converged,
+            }
+            for one in self.fit.tried
+        ]
+
+
+def _known(value: float | None) -> float | None:
+    return value if value is not None and np.isfinite(value) else None
+
+
+def continuum(law: Law, stiffness: float, spacing: float) -> tuple[float, float]:
+    """Young's modulus [Pa] and Poisson's ratio of an even strain in the middle of a 3D lattice of these clusters.
+
+    A window of s^3 particles at spacing h has second moments s^3 (s^2 - 1) h^2 / 12, and one window starts at each
+    particle; its energy is (1 - beta) |e|^2, and with volume conserved beta theta tr(e)^2 / 3, times half of these
+    moments and k. So mu = k m (1 - beta) / 2 h and lambda = k m beta theta / 3 h with m = s^3 (s^2 - 1) / 12. Near a
+    free face fewer windows overlap and the lattice is softer: an apparent modulus, not a material's.
+    """
+    s = law.cluster_size or 1
+    m = stiffness * s**3 * (s**2 - 1) / 12.0 / spacing
+    mu, lame = 0.5 * m * (1.0 - law.beta), m * law.beta * law.theta / 3.0
+    if mu <= 0.0:
+        return 0.0, 0.5
+    return mu * (3.0 * lame + 2.0 * mu) / (lame + mu), 0.5 * lame / (lame + mu)
+
+
+def conclude(
+    fit: PokesFit,
+    *,
+    bounds: tuple[float, float],
+    level: float,
+    settings: Mapping[str, object],
+    provenance: Mapping[str, object],
+) -> PokesFound:
+    """The estimate of beta, whose interval allows for theta, noise and misfit, and the model.
+
+    The misfit of several pokes is of one kind and does not average out: their likelihoods are averaged, not multiplied.
+    """
+    best = fit.best
+    profile = _Profile(fit, bounds)
+    posterior, rise = profile.posterior()
+    ends = posterior.shortest(level, best.law.beta)
+    comparisons = tuple(_comparison(one, best.law) for one in fit.posed)
+    free = [np.setdiff1d(np.flatnonzero(c.seen), c.held) for c in comparisons]
+    every = np.concatenate([distances(c.simulated, c.observed)[c.seen] for c in comparisons])
+    apart = np.concatenate(
+        [distances(c.simulated, c.observed)[some] for c, some in zip(comparisons, free, strict=True)]
+    )
+    left = float(sum(np.sum(one.residual(one.settle(best.law)) ** 2) for one in fit.posed))
+    moved = float(sum(np.sum((one.poke.moved[one.near] / one.poke.depth) ** 2) for one in fit.posed))
+    misfit = float(np.sqrt(np.mean(best.surface_error**2)))
+    told = Identifiability(rise, 1.0 - left / moved, posterior.deviation(), misfit)
+    k = _stiffness(fit, profile, posterior, level)
+    model = _model(fit, provenance)
+    estimate = Estimate(
+        parameter="beta",
+        value=best.law.beta,
+        interval=ends,
+        level=level,
+        bounds=bounds,
+        verdict=verdict(ends, bounds, told) if best.converged else "unidentified",
+        stiffness_verdict="unidentified" if k is None else relative_verdict(*k),
+        aee=float(every.mean()),
+        aee_free=float(apart.mean()),
+        nearest=float(np.mean([nearest_error(c.simulated[c.seen], c.observed[c.seen]) for c in comparisons])),
+        unit="m",
+        curve=Curve(profile.beta, profile.aee),
+        converged=best.converged,
+        settings={
+            "cluster_size": best.law.cluster_size,
+            "mode": best.law.basis,
+            "theta": best.law.theta,
+            "theta_fitted": fit.theta_fitted,
+            "volume": "project",
+            "spacing_m": fit.spacing,
+            "thickness_m": fit.surface.thickness,
+            "tip_slips": fit.pokes[0].tip.slips,
+            "noise": misfit * float(np.mean([poke.depth for poke in fit.pokes])),
+            **settings,
+        },
+        stiffness=k,
+        metres_per_unit=1.0,
+        posterior=posterior,
+        identifiability=told,
+    )
+    return PokesFound(estimate, comparisons, fit, model)
+
+
+class _Profile:
+    """Residuals, errors and reactions over beta, theta as fitted.
+
+    beta: (g,) rising; residual: for each poke (g, n, 3) near it [m]; aee: (g,); reaction: (g, q) per unit of k [m]
+    """
+
+    def __init__(self, fit: PokesFit, bounds: tuple[float, float]) -> None:
+        self.fit, self.bounds = fit, bounds
+        law = fit.best.law
+        high = float(-np.log1p(-bounds[1]))
+        at = float(-np.log1p(-law.beta))
+        low = float(-np.log1p(-bounds[0]))
+        beside = np.clip(at + np.array([-0.2, 0.0, 0.2]), low, high)
+        self.stretched = np.unique(np.concatenate([np.linspace(low, high, CURVE), beside]))
+        self.beta = -np.expm1(-self.stretched)
+        self.residual: list[FloatArray] = [np.empty((len(self.beta), len(one.near), 3)) for one in fit.posed]
+        self.reaction = np.empty((len(self.beta), len(fit.posed)))
+        errors = np.empty((len(self.beta), len(fit.posed)))
+        for row, beta in enumerate(self.beta):
+            here = dataclasses.replace(law, beta=float(beta))
+            for column, one in enumerate(fit.posed):
+                state = one.settle(here)
+                self.residual[column][row] = one.residual(state) * one.poke.depth
+                self.reaction[row, column] = one.reaction(state)
+                errors[row, column] = float(distances(one.moved(state), one.poke.moved).mean())
+        self.aee = errors.mean(axis=1)
+        self.by_theta = [self._slope(one, law) for one in fit.posed] if fit.theta_fitted else None
+
+    def _slope(self, one: PosedPoke, law: Law) -> FloatArray:
+        """Change of the residual near a poke by theta, (n, 3) [m]."""
+        step = THETA_STEP if law.theta < 0.5 else -THETA_STEP
+        there = one.residual(one.settle(dataclasses.replace(law, theta=law.theta + step)))
+        here = one.residual(one.settle(law))
+        return (there - here) * one.poke.depth / step
+
+    def posterior(self) -> tuple[Posterior, float]:
+        """Of beta, theta integrated, and by how many deviations the data tell its likeliest value from the least."""
+        fine = np.linspace(self.stretched[0], self.stretched[-1], FINE)
+        beta, law = -np.expm1(-fine), self.fit.best.law
+        thetas = np.linspace(0.0, 1.0, THETAS) if self.by_theta is not None else np.array([law.theta])
+        total = np.zeros((len(thetas), FINE))
+        rng = np.random.default_rng(0)
+        for place, one in enumerate(self.fit.posed):
+            points = one.poke.points[one.near]
+            some = np.sort(rng.permutation(len(points))[:MOST_POINTS])
+            along = CubicSpline(self.stretched, self.residual[place][:, some], axis=0)(fine)
+            noise = None if one.poke.noise is None else one.poke.noise[one.near][some]
+            floor = 1e-4 * one.poke.depth
+            error = ErrorModel(Measured(points[some], None, noise, None, False, median_spacing(points), floor))
+            empty = np.zeros((len(some), 3, 0))
+            for row, theta in enumerate(thetas):
+                shifted = along
+                if self.by_theta is not None:
+                    share = (beta / max(law.beta, 1e-3))[:, None, None] if law.beta > 0.0 else 0.0
+                    shifted = along + share * (theta - law.theta) * self.by_theta[place][some]
+                total[row] += logsumexp(error.evidence(shifted, empty).log_likelihood, axis=0)
+        total /= len(self.fit.posed)
+        value = logsumexp(total, axis=0)
+        density = np.exp(value - value.max())
+        density /= np.trapezoid(density, beta)
+        return Posterior(beta, density), float(np.sqrt(2.0 * (value.max() - value.min())))
+
+
+def _stiffness(
+    fit: PokesFit, profile: _Profile, posterior: Posterior, level: float
+) -> tuple[float, tuple[float, float]] | None:
+    """k and its interval over what beta may be, the misfit of the surface and the scatter among the pokes."""
+    told, k = fit.stiffness(fit.best)
+    if not told.size:
+        return None
+    value = float(np.median(k))
+    tail = 0.5 * (1.0 - level)
+    betas = posterior.quantile(np.linspace(tail, 1.0 - tail, 15))
+    mean = profile.reaction.mean(axis=1)
+    ratio = np.interp(fit.best.law.beta, profile.beta, mean) / np.interp(betas, profile.beta, mean)
+    scatter = float(np.std(np.log(k), ddof=1)) if len(k) > 1 else 0.0
+    misfit = float(np.sqrt(np.mean(fit.best.surface_error**2)))
+    wide = 1.645 * float(np.hypot(scatter, max(misfit, LEAST_MISFIT)))
+    return value, (value * float(ratio.min()) * np.exp(-wide), value * float(ratio.max()) * np.exp(wide))
+
+
+def _comparison(one: PosedPoke, law: Law) -> Comparison:
+    """The surface as it was seen and as it is simulated."""
+    state = one.settle(law)
+    poke = one.poke
+    away, _ = cKDTree(poke.touched).query(poke.points)
+    held = np.flatnonzero(away <= 1e-12)
+    return Comparison(
+        poke.points,
+        poke.points + poke.moved,
+        poke.points + one.moved(state),
+        np.ones(len(poke.points), dtype=bool),
+        held,
+        "m",
+    )
+
+
+def _model(fit: PokesFit, provenance: Mapping[str, object]) -> FittedModel:
+    told, k = fit.stiffness(fit.best)
+    places = np.array([fit.pokes[i].at for i in told]).reshape(-1, 3)
+    field = fit_field(places[:, :2], k) if told.size else None
+    rivals = [
+        Rival(one.law, fit.stiffness(one)[1], one.score)
+        for one in fit.tried[1:]
+        if one.converged and one.score <= RIVAL * fit.best.score
+    ]
+    held_out = fit.best.held_out
+    return FittedModel(
+        body="layers",
+        rest=fit.surface.points,
+        law=fit.best.law,
+        spacing=fit.spacing,
+        toward=DOWN,
+        tip=fit.pokes[0].tip,
+        thickness=fit.surface.thickness,
+        places=places,
+        stiffness=k,
+        field_kind=field.kind if field is not None else "uniform",
+        left_out=field.left_out if field is not None else np.zeros(0),
+        surface_error=float(np.sqrt(np.mean(fit.best.surface_error**2))),
+        held_out=float(np.sqrt(np.mean(held_out**2))) if np.isfinite(held_out).all() else float("nan"),
+        rivals=tuple(rivals),
+        provenance=provenance,
+    )
