@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("warp")
 
 from deformscope.errors import InputError
-from deformscope.experiments import cube_figures
+from deformscope.experiments import cubes_figures
 from deformscope.experiments.cubes import (
     SIDE_M,
     Cube,
@@ -101,7 +101,7 @@ def test_overlapping_clusters_barrel_and_one_cluster_cannot(poisson: float) -> N
     assert one.ratio is not None
     assert one.ratio <= 0.5
     assert one.one_cluster.aee >= 0.8 * one.theta.aee
-    row, along, out = cube_figures.side_line(cube)
+    row, along, out = cubes_figures.side_line(cube)
     observed, single, clustered = (
         position[row[3], out] - position[row[1], out]
         for position in (cube.seen.deformed, one.simulated, one.overlapping.position)
@@ -193,7 +193,7 @@ def test_spreads_group_by_ratio_and_by_what_is_asked(found: list[Found]) -> None
     assert of_all[1].mean == pytest.approx(np.mean(values))
     assert of_all[1].sem == pytest.approx(np.std(values, ddof=1) / 2.0)
     assert [s.of for s in of_each[:2]] == ["4^3", "5^3"]
-    rows = cube_figures.sem_rows(found)
+    rows = cubes_figures.sem_rows(found)
     assert [row["by"] for row in rows] == ["settings"] * 3 + ["resolution"] * 6 + ["depth"] * 6
     assert {row["of"] for row in rows[9:]} == {"1 cm", "3 cm"}
 
@@ -248,11 +248,11 @@ def test_the_dense_curve_is_the_error_in_any_number_of_parts() -> None:
 
 
 def test_figures_and_tables_are_drawn(found: list[Found], tmp_path: Path) -> None:
-    cube_figures.draw_theta(tmp_path / "a.png", found)
-    cube_figures.draw_errors(tmp_path / "b.png", found)
-    cube_figures.draw_clusters(tmp_path / "c.png", found, 2)
-    cube_figures.draw_resolution(tmp_path / "d.png", found)
-    cube_figures.write_cubes(tmp_path / "cubes.csv", found)
+    cubes_figures.draw_theta(tmp_path / "a.png", found)
+    cubes_figures.draw_errors(tmp_path / "b.png", found)
+    cubes_figures.draw_clusters(tmp_path / "c.png", found, 2)
+    cubes_figures.draw_resolution(tmp_path / "d.png", found)
+    cubes_figures.write_cubes(tmp_path / "cubes.csv", found)
 
     for name in "abcd":
         image = cv2.imread(str(tmp_path / f"{name}.png"))
@@ -267,7 +267,7 @@ def test_figures_and_tables_are_drawn(found: list[Found], tmp_path: Path) -> Non
 
 
 def test_the_table_of_times_sets_ours_beside_the_thesis_s() -> None:
-    rows = cube_figures.time_rows([ModelTime("6^3", 1e-5, 2e-5, 0.5), ModelTime("5^3", 1e-5, 2e-5, 0.5)], [])
+    rows = cubes_figures.time_rows([ModelTime("6^3", 1e-5, 2e-5, 0.5), ModelTime("5^3", 1e-5, 2e-5, 0.5)], [])
 
     assert (rows[0]["msm_step_ms"], rows[0]["thesis_msm_frame_ms"], rows[0]["thesis_comsol_ms"]) == (0.01, 6.1, 3000.0)
     assert (rows[1]["thesis_msm_frame_ms"], rows[1]["elements_ms"]) == (None, None)

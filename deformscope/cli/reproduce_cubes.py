@@ -25,8 +25,8 @@ def run(config: CubesConfig) -> None:
     """Make or read the cubes, fit each in some process, then draw, write and tell."""
     _make_folder(config.out)
     quiet_warp()
-    from deformscope.experiments.cube_figures import sem_rows, time_rows
     from deformscope.experiments.cubes import Options, model_times
+    from deformscope.experiments.cubes_figures import sem_rows, time_rows
 
     began = time.perf_counter()
     cubes, elements = _read(config.pairs) if config.pairs else _make(config.quick)
@@ -107,7 +107,7 @@ def _draw(
     sems: Sequence[dict[str, object]],
     times: Sequence[dict[str, object]],
 ) -> None:
-    from deformscope.experiments import cube_figures as figures
+    from deformscope.experiments import cubes_figures as figures
 
     figures.draw_theta(out / "figure-3.10.png", found)
     figures.draw_errors(out / "figure-3.11.png", found)
@@ -208,8 +208,8 @@ def _spread(row: dict[str, Any]) -> str:
 
 def _drift(sems: Sequence[dict[str, Any]], found: Sequence[Found]) -> list[tuple[str, str]]:
     """SEM over resolutions at the largest depth, also where the held particles' share of mass is the same."""
-    from deformscope.experiments.cube_figures import depth_name
     from deformscope.experiments.cubes import depths_of
+    from deformscope.experiments.cubes_figures import depth_name
 
     depth = depth_name(depths_of([one.cube for one in found])[-1])
     deepest = [row for row in sems if row["by"] == "depth" and row["of"] == depth and row["cubes"] > 1]
