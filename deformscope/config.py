@@ -611,6 +611,57 @@ class ReplayConfig(RecordedOptions):
         return (str(self.recording),)
 
 
+# deformscope reproduce -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class CubesConfig(CommandOptions):
+    """The thesis's experiment 3.A: theta of cubes of known Poisson's ratio, with figures 3.10 and 3.11, table 3.2, and
+    overlapping clusters beside one cluster."""
+
+    pairs: Annotated[tuple[Path, ...], arg(metavar="FILE...", help_behavior_hint="")] = ()
+    """Cubes from pair files (.npz) with `nu`, instead of the thesis's 45 made with finite elements."""
+    out: Annotated[Path, arg(metavar="DIR")] = Path("runs/cubes")
+    """Folder for the figures (PNG), tables (CSV) and cubes.json; files there are replaced."""
+    quick: bool = False
+    """The 15 cubes of 6^3 particles alone."""
+    method: Literal["sweep", "gradient"] = "sweep"
+    """How theta is searched: all values at once (Thesis Algorithm 3), or downhill (Algorithm 2)."""
+    cluster_size: int = 2
+    """Particles along each side of the overlapping clusters."""
+    compare: Literal["deepest", "all", "none"] = "deepest"
+    """Cubes that overlapping clusters are fitted to: the deepest pressed of each kind, all, or none."""
+    level: float = 0.9
+    """Confidence level of the intervals."""
+    workers: CountFlag = None
+    """Processes; default: one a core."""
+    seed: int = 0
+    """Seed of every random number."""
+    json: JsonFlag = None
+    """Write cubes.json here too; with -, stdout is the JSON alone. An existing file is replaced."""
+
+    def __post_init__(self) -> None:
+        if self.pairs and self.quick:
+            raise InputError("--pairs or --quick", "both", "leave one out")
+        if self.cluster_size < 2:
+            raise InputError("a --cluster-size of 2 or more", str(self.cluster_size))
+        if not 0 < self.level < 1:
+            raise InputError("a --level between 0 and 1", str(self.level), "--level 0.9")
+        if self.workers is not None and self.workers < 1:
+            raise InputError("--workers of 1 or more", str(self.workers))
+        if self.seed < 0:
+            raise InputError("a --seed of 0 or more", str(self.seed))
+
+    def reads(self) -> tuple[str, ...]:
+        return tuple(str(path) for path in self.pairs)
+
+    def writes(self) -> tuple[Written, ...]:
+        return _written_json(self.json)
+
+    def json_target(self) -> str | None:
+        return self.json
+
+
 # deformscope bench ---------------------------------------------------------------------------------------------------
 
 

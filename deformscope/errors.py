@@ -18,8 +18,12 @@ class InputError(Exception):
         super().__init__(" | ".join(parts))
 
     @classmethod
-    def about(cls, error: InputError, where: object) -> InputError:
+    def about(cls, error: Exception, where: object) -> InputError:
         """The same error, with the file that it is about."""
         told = cls.__new__(cls)
         Exception.__init__(told, f"{error} | {where}" if str(where) else str(error))
         return told
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Between processes the message goes as it is."""
+        return type(self).about, (Exception(str(self)), "")

@@ -52,6 +52,9 @@ COMMANDS: dict[str, Command] = {
     ),
     "predict": Command("poke a fitted model where it was not poked", "PredictConfig", "deformscope.cli.predict"),
     "replay": Command("the same stages on recorded inputs, compared", "ReplayConfig", "deformscope.cli.replay"),
+    "reproduce cubes": Command(
+        "theta of cubes of known Poisson's ratio (Thesis 3.A)", "CubesConfig", "deformscope.cli.reproduce_cubes"
+    ),
     "flow": Command("dense optical flow of two images", "FlowConfig", "deformscope.cli.flow"),
     "coverage": Command("how often the intervals hold the truth", "CoverageConfig", "deformscope.cli.coverage"),
     "reproduce foams": Command(

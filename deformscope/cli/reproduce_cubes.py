@@ -1,0 +1,230 @@
+"""`deformscope reproduce cubes`: the thesis's experiment 3.A, its figures and its table.
+
+deformscope reproduce cubes
+deformscope reproduce cubes --quick --out figures --json -
+deformscope reproduce cubes --pairs cube_nu0.25.npz cube_nu0.4.npz
+"""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deformscope.cli.common import progress, quiet_warp, show_table, write_json
+from deformscope.config import CubesConfig
+from deformscope.errors import InputError
+
+if TYPE_CHECKING:
+    from deformscope.experiments.cubes import Cube, ElementTime, Found, Options
+
+
+def run(config: CubesConfig) -> None:
+    """Make or read the cubes, fit each in some process, then draw, write and tell."""
+    _make_folder(config.out)
+    quiet_warp()
+    from deformscope.experiments.cubes import Options, model_times
+    from deformscope.experiments.cubes_figures import sem_rows, time_rows
+
+    began = time.perf_counter()
+    cubes, elements = _read(config.pairs) if config.pairs else _make(config.quick)
+    made = time.perf_counter()
+    options = Options(config.method, config.level, config.seed, config.cluster_size, config.compare)
+    found = _examine(cubes, options, config.workers)
+    times = time_rows(model_times(found), elements)
+    sems = sem_rows(found)
+    _draw(config.out, found, options, sems, times)
+    seconds = {"cubes": made - began, "fits_and_figures": time.perf_counter() - made}
+    told = report(found, sems, times, seconds)
+    write_json(told, str(config.out / "cubes.json"))
+    write_json(told, config.json)
+    _tell(told, found, options, config.out)
+
+
+# Cubes ---------------------------------------------------------------------------------------------------------------
+
+
+def _make(quick: bool) -> tuple[list[Cube], list[ElementTime]]:
+    from deformscope.experiments.cubes import POISSON, SIDES, thesis_cubes
+
+    sides = SIDES[:1] if quick else SIDES
+    with progress("finite elements", total=len(sides) * len(POISSON)) as advance:
+        return thesis_cubes(POISSON, sides, progress=lambda done, total: advance(1))
+
+
+def _read(paths: Sequence[Path]) -> tuple[list[Cube], list[ElementTime]]:
+    from deformscope.experiments.cubes import cube_from_pair
+
+    cubes = []
+    for path in paths:
+        try:
+            raw = path.read_bytes()
+        except OSError as error:
+            raise InputError("a pair file (.npz)", (error.strerror or str(error)).lower(), where=path) from error
+        cubes.append(cube_from_pair(raw, str(path)))
+    return sorted(cubes, key=lambda cube: (len(cube.seen.rest), cube.poisson, cube.depth)), []
+
+
+def _examine(cubes: Sequence[Cube], options: Options, workers: int | None) -> list[Found]:
+    from deformscope.cli.workers import in_processes
+    from deformscope.experiments.cubes import compared
+
+    jobs = list(zip(range(len(cubes)), cubes, compared(cubes, options), strict=True))
+    jobs.sort(key=lambda job: -len(job[1].seen.rest))  # the long ones first, so that none is left alone at the end
+    found: dict[int, Found] = {}
+    with progress("cubes", total=len(jobs)) as advance:
+        for index, one in in_processes(functools.partial(_one, options), jobs, workers):
+            found[jobs[index][0]] = one
+            advance(1)
+    return [found[index] for index in range(len(cubes))]
+
+
+def _one(options: Options, job: tuple[int, Cube, bool]) -> Found:
+    from deformscope.experiments.cubes import examine
+
+    return examine(job[1], options, job[2])
+
+
+# Results -------------------------------------------------------------------------------------------------------------
+
+
+def _make_folder(out: Path) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        probe = out / ".part"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise InputError("a folder after --out that can be written to", str(error.strerror), where=out) from error
+
+
+def _draw(
+    out: Path,
+    found: Sequence[Found],
+    options: Options,
+    sems: Sequence[dict[str, object]],
+    times: Sequence[dict[str, object]],
+) -> None:
+    from deformscope.experiments import cubes_figures as figures
+
+    figures.draw_theta(out / "figure-3.10.png", found)
+    figures.draw_errors(out / "figure-3.11.png", found)
+    if len({one.cube.resolution for one in found}) > 1:
+        figures.draw_resolution(out / "resolution.png", found)
+    if options.compare != "none":
+        figures.draw_clusters(out / "clusters.png", found, options.cluster_size)
+    figures.write_cubes(out / "cubes.csv", found)
+    figures.write_rows(out / "sem.csv", sems)
+    figures.write_rows(out / "table-3.2.csv", times)
+
+
+def report(
+    found: Sequence[Found],
+    sems: Sequence[dict[str, object]],
+    times: Sequence[dict[str, object]],
+    seconds: dict[str, float],
+) -> dict[str, Any]:
+    """What `cubes.json` holds; lengths in metres."""
+    from deformscope.experiments.cubes import rises
+
+    def both(fit: Any) -> dict[str, object] | None:
+        if fit is None:
+            return None
+        return {"beta": fit.beta, "theta": fit.theta, "aee_m": fit.aee, "converged": fit.converged}
+
+    return {
+        "cubes": [
+            {
+                "poisson": one.cube.poisson,
+                "resolution": one.cube.resolution,
+                "particles": len(one.cube.seen.rest),
+                "depth_m": one.cube.depth,
+                "source": one.cube.name,
+                "theta": one.theta.as_json(),
+                "dense_grid": {"theta": one.grid_theta, "aee_m": one.grid_aee, "over_grid": one.over_grid},
+                "equal_share_theta": one.equal_share_theta,
+                "one_cluster": both(one.one_cluster),
+                "overlapping_clusters": both(one.overlapping),
+                "ratio": one.ratio,
+                "seconds": one.seconds,
+            }
+            for one in found
+        ],
+        "theta_rises": rises(found),
+        "theta_rises_to_bound": rises(found, to_bound=True),
+        "aee_m_most": max(one.theta.aee for one in found),
+        "over_grid_most": max(one.over_grid for one in found),
+        "ratio_most": max(
+            (one.ratio for one in found if one.ratio is not None and one.cube.poisson >= 0.25), default=None
+        ),
+        "sem": sems,
+        "table_3_2": times,
+        "seconds": seconds,
+    }
+
+
+def _tell(told: dict[str, Any], found: Sequence[Found], options: Options, out: Path) -> None:
+    rows = [
+        (f"theta at nu {row['poisson']:g}", f"{row['theta']:.4f}{_spread(row)}")
+        for row in told["sem"]
+        if row["by"] == "settings"
+    ]
+    rows += _drift(told["sem"], found)
+    everywhere = "at every resolution and depth"
+    to_bound = f"{everywhere}, up to the end of its range, where several are"
+    rises_to_bound = to_bound if told["theta_rises_to_bound"] else "NOT everywhere"
+    rows.append(("theta rises with nu", everywhere if told["theta_rises"] else rises_to_bound))
+    most = 100 * told["aee_m_most"]
+    rows.append(("largest error, one cluster", f"{most:.3f} cm (thesis: at most 0.2 cm for its cubes)"))
+    rows.append(("error over a dense grid's lowest", f"{100 * told['over_grid_most']:+.1e} % at most"))
+    verdicts = [one.theta.verdict for one in found]
+    rows.append(("verdicts", ", ".join(f"{verdicts.count(name)} {name}" for name in dict.fromkeys(verdicts))))
+    if told["ratio_most"] is not None:
+        name = f"clusters of {options.cluster_size} a side"
+        rows.append((name, f"at most {told['ratio_most']:.2f} of one cluster's error at nu >= 0.25, beta fitted too"))
+    for row in told["table_3_2"]:
+        step = f"step {row['msm_step_ms']:.3g} ms{_beside(row['thesis_msm_frame_ms'], 'thesis')}"
+        took = f"{step}, static state {row['msm_static_ms']:.2g} ms"
+        if row["elements_ms"] is not None:
+            took += f", finite elements {row['elements_ms']:.0f} ms"
+            took += _beside(row["thesis_comsol_ms"], "thesis's COMSOL")
+        rows.append((row["resolution"], took))
+    unsettled = [one.cube.name for one in found if not one.theta.converged]
+    if unsettled:
+        rows.append(("NOT converged", ", ".join(unsettled)))
+    seconds = told["seconds"]
+    rows.append(("took", f"{seconds['cubes']:.1f} s for the cubes, {seconds['fits_and_figures']:.1f} s for the rest"))
+    rows.append(("figures and tables", str(out)))
+    show_table(f"{len(found)} cubes", rows)
+
+
+def _spread(row: dict[str, Any]) -> str:
+    if row["cubes"] == 1:
+        return ""
+    return f", SEM {row['sem']:.4f} over {row['cubes']} cubes{_beside(row['sem_thesis'], 'thesis')}"
+
+
+def _drift(sems: Sequence[dict[str, Any]], found: Sequence[Found]) -> list[tuple[str, str]]:
+    """SEM over resolutions at the largest depth, also where the held particles' share of mass is the same."""
+    from deformscope.experiments.cubes import depths_of
+    from deformscope.experiments.cubes_figures import depth_name
+
+    depth = depth_name(depths_of([one.cube for one in found])[-1])
+    deepest = [row for row in sems if row["by"] == "depth" and row["of"] == depth and row["cubes"] > 1]
+    if not deepest:
+        return []
+    ratios = ", ".join(f"{row['poisson']:g}" for row in deepest)
+    thesis = next((row["sem_thesis"] for row in deepest if row["sem_thesis"]), None)
+    as_is, equal = (", ".join(f"{row[name]:.3f}" for row in deepest) for name in ("sem", "sem_equal_share"))
+    return [
+        (f"SEM over resolutions, {depth}", f"{as_is} at nu {ratios}{_beside(thesis, 'thesis')}"),
+        ("  held particles weigh a third", equal),
+    ]
+
+
+def _beside(value: float | str | None, whose: str) -> str:
+    if value is None:
+        return ""
+    return f" ({whose}: {value if isinstance(value, str) else f'{value:g}'})"

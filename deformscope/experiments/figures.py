@@ -1,0 +1,39 @@
+"""Figures and tables of experiments, as files: PNG by matplotlib without a display, and CSV."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+"""Told apart by colour-blind readers too (Okabe and Ito 2008)."""
+
+LINES = ("-", "--", ":", "-.")
+
+
+@contextmanager
+def figure(path: Path, columns: int, rows: int = 1, *, share_y: bool = False) -> Iterator[Any]:
+    """Axes (rows, columns) to draw on; written to `path` as PNG at the end. Unused axes (without a title) vanish."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    drawn = Figure(figsize=(4.6 * columns, 3.9 * rows), layout="constrained")
+    FigureCanvasAgg(drawn)
+    axes = drawn.subplots(rows, columns, squeeze=False, sharey=share_y)
+    yield axes
+    for one in axes.flat:
+        one.set_visible(bool(one.get_title()))
+        one.grid(alpha=0.25)
+    drawn.savefig(path, dpi=140)
+
+
+def write_table(path: Path, names: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    """A CSV table; floats with six digits that count, None as an empty field."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        out = csv.writer(file)
+        out.writerow(names)
+        for row in rows:
+            out.writerow([f"{value:.6g}" if isinstance(value, float) else value for value in row])
