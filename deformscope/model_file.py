@@ -43,8 +43,6 @@ def save_model(model: FittedModel, path: Path) -> None:
     arrays: dict[str, Any] = {name: getattr(model, name) for name in ARRAYS}
     rivals = [one.stiffness for one in model.rivals]
     arrays["rival_stiffness"] = np.reshape(rivals, (len(rivals), len(model.stiffness)))
-        [one.stiffness for one in model.rivals], (len(model.rivals), len(model.stiffness))
-    )
     if model.shape is not None and model.cell is not None:
         arrays["shape"], arrays["cell"] = np.array(model.shape), model.cell
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
