@@ -509,7 +509,7 @@ class CoverageConfig(CommandOptions):
     objects: int = 1000
     """Random objects for each kind of noise; a fifth as many with beta = 0, near 1, and of finite elements."""
     quick: bool = False
-    """20 objects each: what it looks like, in a minute."""
+    """15 objects each: what it looks like, in a minute."""
     level: float = 0.9
     """Confidence level of the intervals."""
     jobs: int = 2

@@ -2,7 +2,8 @@
 one poke, do the 90 % predictive intervals hold the particles of a poke that was not seen?
 
 Bodies: a sheet in plane stress (a thin box, one of whose faces is a plane of symmetry) or a block, of a random
-Poisson's ratio and a Young's modulus that varies by up to a factor of 7; a patch of the far side is pushed, pulled or sheared.
+Poisson's ratio and a Young's modulus that varies by up to a factor of 7; a patch of the far side is pushed, pulled or
+sheared.
 """
 
 from __future__ import annotations
