@@ -50,6 +50,9 @@ COMMANDS: dict[str, Command] = {
     "calibrate theta": Command(
         "find theta from images or pair files", "ThetaConfig", "deformscope.cli.calibrate", "theta"
     ),
+    "calibrate both": Command(
+        "find beta and theta together from pair files", "BothConfig", "deformscope.cli.calibrate_both"
+    ),
     "replay": Command("the same stages on recorded inputs, compared", "ReplayConfig", "deformscope.cli.replay"),
     "flow": Command("dense optical flow of two images", "FlowConfig", "deformscope.cli.flow"),
     "coverage": Command("how often the intervals hold the truth", "CoverageConfig", "deformscope.cli.coverage"),
