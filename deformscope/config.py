@@ -540,6 +540,62 @@ class ThetaConfig(CalibrateOptions):
         return self.cluster_size is None
 
 
+@dataclass(frozen=True, slots=True)
+class BothConfig(CommandOptions):
+    """Find beta and theta together from pairs of rest and deformed positions: their joint posterior. Volume is
+    conserved by projection, which stays stable in overlapping clusters."""
+
+    sources: Annotated[tuple[str, ...], Positional, arg(metavar="PAIR.npz...", help_behavior_hint="")]
+    """Pair files."""
+    cluster_size: CountFlag = 3
+    """Particles along each side of a cluster; 0: one cluster holds all particles."""
+    mode: Literal["linear", "quadratic"] = "linear"
+    """How a cluster may deform."""
+    beta_range: SpanFlag = (0.0, 0.99)
+    """Range in which beta is searched."""
+    theta_range: SpanFlag = (0.0, 1.0)
+    """Range in which theta is searched."""
+    level: float = 0.9
+    """Confidence level of the intervals."""
+    noise_m: PositiveFlag = None
+    """Standard deviation of a measured position [m]; default: what the pair file says."""
+    joint: bool = False
+    """Fit one beta and one theta to all pairs together."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where the simulation runs; auto: on the GPU where there is one."""
+    seed: int = 0
+    """Seed of every random number."""
+    picture: PictureFlag = None
+    """Draw the joint posterior (of several pairs, that of the first). An existing file is replaced."""
+    json: JsonFlag = None
+    """Write the result as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+
+    def __post_init__(self) -> None:
+        _check_sources(self.sources)
+        if other := next((source for source in self.sources if Path(source).suffix.lower() != ".npz"), None):
+            raise InputError("pair files (.npz)", repr(other), "calibrate beta or theta for images")
+        if self.cluster_size not in (0, None) and (self.cluster_size or 0) < 2:
+            raise InputError("a --cluster-size of 2 or more, or 0", str(self.cluster_size))
+        if not 0 < self.level < 1:
+            raise InputError("a --level between 0 and 1", str(self.level), "--level 0.9")
+        if self.seed < 0:
+            raise InputError("a --seed of 0 or more", str(self.seed))
+        if self.picture is not None and self.picture.suffix != ".png":
+            raise InputError("a file that ends in .png after --picture", repr(str(self.picture)))
+        _check_span("--beta-range", self.beta_range, BETA_LIMIT)
+        _check_span("--theta-range", self.theta_range)
+
+    def reads(self) -> tuple[str, ...]:
+        return self.sources
+
+    def writes(self) -> tuple[Written, ...]:
+        picture = () if self.picture is None else (Written("--picture", self.picture),)
+        return (*picture, *_written_json(self.json))
+
+    def json_target(self) -> str | None:
+        return self.json
+
+
 # deformscope predict -------------------------------------------------------------------------------------------------
 
 
@@ -706,7 +762,7 @@ class CoverageConfig(CommandOptions):
     objects: int = 1000
     """Random objects for each kind of noise; a fifth as many with beta = 0, near 1, and of finite elements."""
     quick: bool = False
-    """20 objects each: what it looks like, in a minute."""
+    """15 objects each: what it looks like, in a minute."""
     level: float = 0.9
     """Confidence level of the intervals."""
     jobs: int = 2

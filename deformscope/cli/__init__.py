@@ -51,6 +51,9 @@ COMMANDS: dict[str, Command] = {
         "find theta from images or pair files", "ThetaConfig", "deformscope.cli.calibrate", "theta"
     ),
     "predict": Command("poke a fitted model where it was not poked", "PredictConfig", "deformscope.cli.predict"),
+    "calibrate both": Command(
+        "find beta and theta together from pair files", "BothConfig", "deformscope.cli.calibrate_both"
+    ),
     "replay": Command("the same stages on recorded inputs, compared", "ReplayConfig", "deformscope.cli.replay"),
     "reproduce cubes": Command(
         "theta of cubes of known Poisson's ratio (Thesis 3.A)", "CubesConfig", "deformscope.cli.reproduce_cubes"

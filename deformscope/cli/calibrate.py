@@ -346,8 +346,8 @@ def tell(estimate: Estimate, recording: RecordingSummary, name: str = "") -> Non
     rows = [
         (estimate.parameter, f"{estimate.value:.4g}"),
         (f"{estimate.level:.0%} interval", f"{low:.4g} to {high:.4g}"),
-        ("verdict", f"{estimate.verdict}: {MEANING[estimate.verdict]}"),
-        ("stiffness", _stiffness(estimate)),
+        ("verdict", estimate.verdict_text()),
+        ("stiffness", estimate.stiffness_text()),
         ("error, all particles", _length(estimate, estimate.aee)),
         ("error, free particles", _length(estimate, estimate.aee_free)),
         ("noise of a position", _length(estimate, estimate.settings.get("noise"))),
@@ -380,21 +380,6 @@ def _rerun() -> str:
         return str(beside.relative_to(Path.cwd()))
     except ValueError:
         return str(beside)
-
-
-MEANING = {
-    "identified": "the data tell it well",
-    "weak": "the data tell it roughly",
-    "at-bound": "the interval reaches the end of the range",
-    "unidentified": "the data do not tell it",
-}
-
-
-def _stiffness(estimate: Estimate) -> str:
-    if estimate.stiffness is None:
-        return f"{estimate.stiffness_verdict}: positions alone cannot tell it; a force can (force_n in a pair file)"
-    value, (low, high) = estimate.stiffness
-    return f"{value:.4g} N/m ({low:.4g} to {high:.4g}): {estimate.stiffness_verdict}"
 
 
 def _length(estimate: Estimate, value: object) -> str:

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from deformscope.stages.estimate import Verdict
 
 SAY_EVERY_S = 20.0
-WIDTH = 150
+WIDTH = 190
+"""Columns of the tables where there is no terminal to fit them to."""
 
 
 def run(config: CoverageConfig) -> None:
@@ -48,11 +49,11 @@ def run(config: CoverageConfig) -> None:
     bodies = -(-(QUICK_OBJECTS if config.quick else config.objects) // PART_APART)
     pokes = [PokeCase(number, config.seed, config.level) for number in range(bodies)]
     with counting("random objects", len(cases)) as done:
-        outcomes = spread(try_object, cases, config.jobs, done)
+        outcomes = spread(try_object, cases, config.jobs, done, quiet_warp)
     with counting("data without information", len(nothing)) as done:
-        verdicts = spread(try_nothing, nothing, config.jobs, done)
+        verdicts = spread(try_nothing, nothing, config.jobs, done, quiet_warp)
     with counting("unseen pokes", len(pokes)) as done:
-        predictions = spread(try_unseen_poke, pokes, config.jobs, done)
+        predictions = spread(try_unseen_poke, pokes, config.jobs, done, quiet_warp)
 
     rows = coverage_rows(outcomes)
     told = {
@@ -188,23 +189,31 @@ def show(
 
 
 def coverage_table(title: str, rows: Sequence[Row]) -> Table:
+    """A line a condition: all truths in between, parts of them, and apart those where the range ends."""
+    from deformscope.experiments.coverage import GROUPS
+
     table = _table(title)
-    for name in ("noise", "objects", "cases", "held", "95 % band", "median width", "confidently wrong"):
-        table.add_column(name, justify="left" if name in ("noise", "objects") else "right")
-    last = ""
-    for row in rows:
-        if last and row.condition != last:
-            table.add_section()
+    found = {row.group for row in rows}
+    groups = [group for group in GROUPS if group in found]
+    table.add_column("noise")
+    for name in ("cases", "held", "95 % band", "width"):
+        table.add_column(name, justify="right")
+    for group in groups[1:]:
+        table.add_column(group, justify="right")
+    table.add_column("confidently wrong", justify="right")
+    for condition in dict.fromkeys(row.condition for row in rows):
+        mine = {row.group: row for row in rows if row.condition == condition}
+        every = mine["all"]
+        wrong = sum(row.confident_wrong.hits for name, row in mine.items() if name == "all" or name.startswith("beta"))
         table.add_row(
-            "" if row.condition == last else row.condition,
-            row.group,
-            str(row.covered.cases),
-            f"{row.covered.rate:.3f}",
-            _band(row.covered),
-            f"{row.width:.3f}",
-            str(row.confident_wrong.hits),
+            condition,
+            str(every.covered.cases),
+            f"{every.covered.rate:.3f}",
+            _band(every.covered),
+            f"{every.width:.3f}",
+            *(f"{mine[name].covered.rate:.3f}" if name in mine else "" for name in groups[1:]),
+            str(wrong),
         )
-        last = row.condition
     return table
 
 

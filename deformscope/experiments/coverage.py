@@ -266,7 +266,8 @@ class Rate:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A line of the coverage table. group: the part of the objects that it counts; width: median of the intervals"""
+    """A line of the coverage table. group: the part of the objects that it counts, such as those in clusters of so many
+    particles a side; width: median of the intervals"""
 
     condition: str
     group: str
@@ -275,30 +276,40 @@ class Row:
     confident_wrong: Rate
 
 
+def _between(one: Outcome) -> bool:
+    return 0.0 < one.beta <= NEAR_ONE
+
+
+GROUPS: dict[str, Callable[[Outcome], bool]] = {
+    "all": _between,
+    "2D": lambda one: _between(one) and one.dim == 2,
+    "3D": lambda one: _between(one) and one.dim == 3,
+    "2 a side": lambda one: _between(one) and one.cluster_size == 2,
+    "3 a side": lambda one: _between(one) and one.cluster_size == 3,
+    "4 a side": lambda one: _between(one) and one.cluster_size == 4,
+    "5 a side": lambda one: _between(one) and one.cluster_size == 5,
+    "beta = 0": lambda one: one.beta == 0.0,
+    f"beta > {NEAR_ONE}": lambda one: one.beta > NEAR_ONE,
+}
+"""Parts of the objects: all truths in between, by dimension and by cluster size; apart those where the range ends."""
+
+
 def coverage_rows(outcomes: Sequence[Outcome]) -> list[Row]:
-    """The coverage table: of each condition all truths in between, by dimension and by cluster size, then apart those
-    at 0 and those near 1."""
+    """The coverage table, of each condition the `GROUPS` that have objects."""
     rows: list[Row] = []
     for name in dict.fromkeys(outcome.condition for outcome in outcomes):
         mine = [outcome for outcome in outcomes if outcome.condition == name]
-        between = [one for one in mine if 0.0 < one.beta <= NEAR_ONE]
-        groups = {"all": between}
-        groups |= {f"{dim}D": [one for one in between if one.dim == dim] for dim in (2, 3)}
-        groups |= {f"clusters of {s}": [one for one in between if one.cluster_size == s] for s in (2, 3, 4, 5)}
-        groups["beta = 0"] = [one for one in mine if one.beta == 0.0]
-        groups[f"beta > {NEAR_ONE}"] = [one for one in mine if one.beta > NEAR_ONE]
-        for group, some in groups.items():
-            if some:
-                widths = [one.interval[1] - one.interval[0] for one in some]
+        for group, belongs in GROUPS.items():
+            if some := [one for one in mine if belongs(one)]:
+                width = float(np.median([one.interval[1] - one.interval[0] for one in some]))
                 covered = Rate(len(some), sum(one.covered for one in some))
-                wrong = Rate(len(some), sum(one.confident_wrong for one in some))
-                rows.append(Row(name, group, covered, float(np.median(widths)), wrong))
+                rows.append(Row(name, group, covered, width, Rate(len(some), sum(one.confident_wrong for one in some))))
     return rows
 
 
 # All of it -----------------------------------------------------------------------------------------------------------
 
-QUICK_OBJECTS = 20
+QUICK_OBJECTS = 15
 PART_APART = 5
 """One object at 0 and one near 1 for so many in between; and so many finite element bodies."""
 
@@ -321,9 +332,16 @@ def plan(objects: int, seed: int, level: float, *, quick: bool) -> tuple[list[Ca
 
 
 def spread(
-    work: Callable[[T], R], cases: Sequence[T], jobs: int, done: Callable[[int], None] = lambda count: None
+    work: Callable[[T], R],
+    cases: Sequence[T],
+    jobs: int,
+    done: Callable[[int], None] = lambda count: None,
+    begin: Callable[[], None] | None = None,
 ) -> list[R]:
-    """Every case's result in order; `jobs` processes share them, each on one core. done: called with how many more."""
+    """Every case's result in order; `jobs` processes share them, each on one core.
+
+    done: called with how many more; begin: called first in each process
+    """
     if jobs == 1:
         results = []
         with threadpool_limits(1):
@@ -332,7 +350,7 @@ def spread(
                 done(1)
         return results
     # processes that begin anew: a fork would take warp's threads along as they are
-    with ProcessPoolExecutor(jobs, get_context("spawn"), _start_quietly) as pool:
+    with ProcessPoolExecutor(jobs, get_context("spawn"), _begin, (begin,)) as pool:
         results = []
         for result in pool.map(work, cases, chunksize=max(1, min(16, len(cases) // (8 * jobs)))):
             results.append(result)
@@ -340,8 +358,7 @@ def spread(
         return results
 
 
-def _start_quietly() -> None:
-    import warp as wp
-
-    wp.config.log_level = wp.LOG_ERROR
+def _begin(also: Callable[[], None] | None) -> None:
     threadpool_limits(1)
+    if also is not None:
+        also()

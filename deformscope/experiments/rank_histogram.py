@@ -45,6 +45,5 @@ def draw_ranks(counts: dict[str, list[int]], path: Path) -> None:
             axis.set_ylabel("truths in the bin")
         if place >= len(counts) - columns:
             axis.set_xlabel("posterior mass below the truth")
-        if place == 0:
-            axis.legend(fontsize=7, loc="lower center")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=2, fontsize=8)
     figure.savefig(path, dpi=130)

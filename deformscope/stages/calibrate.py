@@ -14,14 +14,22 @@ from threadpoolctl import threadpool_limits
 from deformscope.arrays import BoolArray
 from deformscope.errors import InputError
 from deformscope.stages.distance import distances, nearest_error, rigid_positions
-from deformscope.stages.estimate import Comparison, Curve, Estimate, Identifiability, relative_verdict, verdict
-from deformscope.stages.force import stiffness, stiffness_posterior
+from deformscope.stages.estimate import (
+    Comparison,
+    Curve,
+    Estimate,
+    Identifiability,
+    Parameter,
+    relative_verdict,
+    verdict,
+)
+from deformscope.stages.force import stiffness_interval
 from deformscope.stages.inference import Inference, Inferred
 from deformscope.stages.model import FitOptions, Model, Observation
 from deformscope.stages.msm import clusters
 from deformscope.stages.search import Progress, Search
 
-__all__ = ["Calibration", "FitOptions", "Model", "Observation", "Progress", "calibrate", "stiffness", "verdict"]
+__all__ = ["Calibration", "FitOptions", "Model", "Observation", "Progress", "calibrate"]
 
 BETA_LIMIT = 0.9999
 """Highest beta that is searched: at 1 a cluster resists nothing but rigid motion of the whole."""
@@ -48,11 +56,8 @@ def calibrate(
     settings: recorded with the estimate; progress: called with (what, done, all)
     """
     model, bounds = options.model, options.bounds
-    if len({(s.unit, s.metres_per_unit) for s in seen}) != 1:
-        raise InputError("observations in one unit", "pixels and metres mixed, or several scales", "fit them apart")
-    highest = BETA_LIMIT if model.parameter == "beta" else 1.0
-    if not 0.0 <= bounds[0] < bounds[1] <= highest:
-        raise InputError(f"a range that rises within 0 to {highest:g}", f"{bounds[0]:g} to {bounds[1]:g}")
+    check_observations(seen)
+    check_range(model.parameter, bounds)
     if options.candidates < 3:
         raise InputError("at least 3 candidates", str(options.candidates))
     fit = Search(seen, model, bounds)
@@ -119,6 +124,19 @@ def calibrate(
     return Calibration(estimate, comparisons, inferred)
 
 
+def check_observations(seen: Sequence[Observation]) -> None:
+    """Refuses observations that cannot be fitted together."""
+    if len({(s.unit, s.metres_per_unit) for s in seen}) != 1:
+        raise InputError("observations in one unit", "pixels and metres mixed, or several scales", "fit them apart")
+
+
+def check_range(parameter: Parameter, bounds: tuple[float, float]) -> None:
+    """Refuses a range that cannot be searched."""
+    highest = BETA_LIMIT if parameter == "beta" else 1.0
+    if not 0.0 <= bounds[0] < bounds[1] <= highest:
+        raise InputError(f"a range that rises within 0 to {highest:g}", f"{bounds[0]:g} to {bounds[1]:g}")
+
+
 def identifiability(
     seen: Sequence[Observation], comparisons: Sequence[Comparison], inferred: Inferred
 ) -> Identifiability:
@@ -144,18 +162,15 @@ def _stiffness(
 ) -> tuple[float, tuple[float, float]] | None:
     """k and its interval over all that the parameter may be, with the force's noise and the model's misfit."""
     inside = np.flatnonzero(supported)
-    inside = np.unique([*inside[:: max(1, inside.size // 12)], *inside[-1:], best])
+    inside = np.unique([*inside[:: max(1, inside.size // 12)], *inside[-1:]]).astype(np.int64)
     parameter = fit.tried.parameter[inside]
-    misfit = []
-    for s, one in zip(fit.seen, inferred.explanations, strict=True):
-        motion = float(np.sqrt(np.mean((s.deformed - s.rest)[s.free_observed] ** 2)))
-        misfit.append(one.misfit() / motion if motion > 0.0 else 0.0)
-    found = stiffness(fit.seen, fit.model, [p[inside] for p in fit.tried.positions], parameter, misfit)
-    if found is None or not np.isfinite(found.value).all():
-        return None
     share = np.interp(parameter, inferred.posterior.parameter, inferred.posterior.density, left=0.0, right=0.0)
-    share = share * np.gradient(parameter) if len(parameter) > 1 else np.ones(1)
-    share[inside == best] += 1e-12 + 1e-6 * share.sum()  # the estimate counts wherever it lies
-    k = float(found.value[inside == best][0])
-    posterior = stiffness_posterior(found, share)
-    return None if posterior is None else (k, posterior.shortest(level, k))
+    share = share * np.gradient(parameter) if len(parameter) > 1 else share
+    share = np.append(share, 1e-9 + 1e-3 * share.sum())  # the estimate counts wherever it lies
+    inside = np.append(inside, best)
+    parameter, other = fit.tried.parameter[inside], np.ones(len(inside))
+    beta, theta = (
+        (parameter, fit.model.theta * other) if fit.model.parameter == "beta" else (fit.model.beta * other, parameter)
+    )
+    positions = [p[inside] for p in fit.tried.positions]
+    return stiffness_interval(fit.seen, fit.model, positions, beta, theta, share, inferred.explanations, level)

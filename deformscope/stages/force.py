@@ -11,6 +11,7 @@ from deformscope.arrays import FloatArray
 from deformscope.stages.estimate import Posterior
 from deformscope.stages.model import Model, Observation
 from deformscope.stages.msm import reference
+from deformscope.stages.residuals import Explanation
 
 FORCE_SHARE = 0.05
 """Standard deviation of a force whose noise was not stated, as a share of it."""
@@ -31,10 +32,11 @@ def stiffness(
     seen: Sequence[Observation],
     model: Model,
     positions: Sequence[FloatArray],
-    parameter: FloatArray,
+    beta: FloatArray,
+    theta: FloatArray,
     misfit: Sequence[float] | None = None,
 ) -> Stiffness | None:
-    """k at each parameter (g,), from the measured forces of all observations; None where there is none to compare.
+    """k at each beta and theta (g,), from the measured forces of all observations; None where there is none to compare.
 
     positions: for each observation (g, K, d); misfit: of each, as a share of its motion, taken to be the share by which
     the model misses its force as well. k fits measured = k simulated net force with weights 1 / variance; where several
@@ -42,18 +44,16 @@ def stiffness(
     theta in that form there is no force to compare.
     """
     told = [row for row, s in enumerate(seen) if s.force_n is not None and s.metres_per_unit is not None]
-    no_energy = model.volume == "scale" and (model.parameter == "theta" or model.theta != 0.0)
-    if not told or no_energy:
+    if not told or (model.volume == "scale" and theta.any()):
         return None
-    simulated = np.zeros((len(parameter), len(told)))
+    simulated = np.zeros((len(beta), len(told)))
     measured = np.array([float(seen[row].force_n or 0.0) for row in told])
     for column, row in enumerate(told):
         s = seen[row]
         rest = reference.build_rest(s.rest, model.grouping(s), s.held, basis=model.basis)
         contact = s.held if s.contact is None else s.contact
-        for g, value in enumerate(parameter):
-            beta, theta = (value, model.theta) if model.parameter == "beta" else (model.beta, value)
-            net = reference.reaction(positions[row][g], rest, float(beta), float(theta))[contact].sum(axis=0)
+        for g, (b, th) in enumerate(zip(beta, theta, strict=True)):
+            net = reference.reaction(positions[row][g], rest, float(b), float(th))[contact].sum(axis=0)
             simulated[g, column] = float(np.linalg.norm(net)) * float(s.metres_per_unit or 1.0)
     given = [seen[row].force_noise_n for row in told]
     noise = np.array([FORCE_SHARE * f if n is None else n for n, f in zip(given, measured, strict=True)])
@@ -66,6 +66,30 @@ def stiffness(
     k = np.where(size > 0.0, a @ b / felt, np.nan)
     scatter = np.sum((b - k[:, None] * a) ** 2, axis=1) / max(len(told) - 1, 1)
     return Stiffness(k, np.sqrt(np.maximum(scatter, 1.0) / felt))
+
+
+def stiffness_interval(
+    seen: Sequence[Observation],
+    model: Model,
+    positions: Sequence[FloatArray],
+    beta: FloatArray,
+    theta: FloatArray,
+    share: FloatArray,
+    explanations: Sequence[Explanation],
+    level: float,
+) -> tuple[float, tuple[float, float]] | None:
+    """k at the last of some values (g,), the estimate's, and its interval over all of them with weights `share` (g,);
+    None where no force can be compared. It holds the force's noise and the model's misfit."""
+    misfit = []
+    for s, one in zip(seen, explanations, strict=True):
+        motion = float(np.sqrt(np.mean((s.deformed - s.rest)[s.free_observed] ** 2)))
+        misfit.append(one.misfit() / motion if motion > 0.0 else 0.0)
+    found = stiffness(seen, model, positions, beta, theta, misfit)
+    if found is None or not np.isfinite(found.value).all():
+        return None
+    posterior = stiffness_posterior(found, share)
+    k = float(found.value[-1])
+    return None if posterior is None else (k, posterior.shortest(level, k))
 
 
 def stiffness_posterior(found: Stiffness, share: FloatArray) -> Posterior | None:

@@ -15,9 +15,9 @@ from scipy.special import ndtr
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.stages.calibrate import Calibration
-from deformscope.stages.inference import Explanation
 from deformscope.stages.model import Model, Observation
 from deformscope.stages.msm.solver import Msm
+from deformscope.stages.residuals import Explanation
 
 VALUES = 15
 """Values of the parameter that stand for its posterior, each of equal probability."""

@@ -1,0 +1,141 @@
+"""What an observation leaves unexplained: which of its particles count, how their errors are modelled, and what
+prescribed positions that are off would do to them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.stages.model import Observation
+from deformscope.stages.msm.solver import TOLERANCE, Msm, Relaxed
+from deformscope.stages.noise import ErrorModel, Hypotheses, Measured
+
+Relax = Callable[[FloatArray, FloatArray], Relaxed]
+"""Static states for held positions (B, n, d), from a start (K, d)."""
+
+AT_ONCE = 64
+"""Steps of held positions that are simulated side by side."""
+
+DROP = 14.0
+"""Values whose log density is this far below the highest do not count."""
+
+WEIGHT_LEAST = 1e-3
+"""Hypotheses of less weight than this are left out once the data have been seen."""
+
+MOST_PARTICLES, MOST_FOR_CHOICE = 1500, 150
+"""Particles that the likelihood is taken from (of more, a random part), and those that hypotheses are chosen by."""
+
+MOST_HELD, SKETCHED = 450, 100
+"""Held coordinates whose effect is computed one by one; beyond, this many random combinations stand for them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """What the errors of one observation were like, each with its weight, (h,).
+
+    white: deviation of the white noise, as a multiple of the stated one (or in the unit of the rest shape)
+    field: deviation of the smooth field [unit]; length: its correlation length [spacings]; shared: by prescribed
+    particles, hence measurement and not misfit; held: the prescribed positions were noisy
+    """
+
+    weight: FloatArray
+    white: FloatArray
+    field: FloatArray
+    length: FloatArray
+    shared: BoolArray
+    held: BoolArray
+
+    def misfit(self) -> float:
+        """Root mean square of what the model cannot do, a coordinate [unit]."""
+        return float(np.sqrt(self.weight @ np.where(self.shared, 0.0, self.field**2)))
+
+
+class Residuals:
+    """One observation: its free particles that count, its errors, and what its held ones do."""
+
+    def __init__(self, seen: Observation, body: Msm, rng: np.random.Generator) -> None:
+        self.seen, self.body = seen, body
+        judged: IntArray = np.flatnonzero(seen.free_observed)
+        if judged.size > MOST_PARTICLES:
+            judged = np.sort(rng.permutation(judged)[:MOST_PARTICLES])
+        self.judged = judged
+        self.observed = seen.deformed[judged]
+        floor = 10.0 * TOLERANCE[body.precision] * body.extent
+        floor += 4.0 * float(np.finfo(np.float64).eps * np.abs(seen.deformed[seen.observed]).max())
+        count, d = len(seen.held), seen.rest.shape[1]
+        sketched = count * d > MOST_HELD
+        if sketched:
+            deviation = np.ones(count) if seen.noise is None else seen.noise[seen.held]
+            self.steps = rng.standard_normal((SKETCHED, count, d)) * deviation[:, None] / np.sqrt(SKETCHED)
+        else:
+            self.steps = np.eye(count * d).reshape(-1, count, d)
+        self.measured = Measured(
+            rest=seen.rest[judged],
+            held_rest=None if sketched else seen.rest[seen.held],
+            noise=None if seen.noise is None else seen.noise[judged],
+            held_noise=None if seen.noise is None else seen.noise[seen.held],
+            held_measured=seen.held_measured,
+            spacing=body.scale,
+            floor=floor,
+        )
+        self.errors = ErrorModel(self.measured)
+        self.chosen: IntArray = np.arange(len(self.errors.hypotheses.size))
+        self.log_scale: FloatArray = np.zeros((0, 0))
+        self._responses: dict[Hashable, FloatArray] = {}
+        self._some = np.sort(rng.permutation(len(judged))[:MOST_FOR_CHOICE]) if len(judged) > MOST_FOR_CHOICE else None
+
+    def left(self, position: FloatArray) -> FloatArray:
+        """Observed - simulated (..., K, d) at the particles that count, (..., n, d)."""
+        return np.asarray(self.observed - position[..., self.judged, :])
+
+    def choose(self, position: FloatArray, response: FloatArray) -> None:
+        """Keep the hypotheses that may matter, by states (g, K, d) of values good and bad."""
+        residual, errors = self.left(position), self.errors
+        if self._some is not None:
+            errors = ErrorModel(self.measured.some(self._some))
+            residual, response = residual[:, self._some], response[self._some]
+        value = errors.evidence(residual, response).log_likelihood
+        # a value of the parameter that fits badly asks for explanations that no good one needs
+        total = logsumexp(value, axis=0)
+        good = total > total.max() - DROP
+        weight = np.exp(value[:, good] - total[good]).max(axis=1)
+        self.chosen = np.flatnonzero(weight >= WEIGHT_LEAST)
+
+    def response(self, parameter: Hashable, base: FloatArray, relax: Relax) -> FloatArray:
+        """How a unit step along each direction of the held positions moves the particles that count, (n, d, m).
+
+        base: (K, d) static state at `parameter`, by which responses are kept; relax: states for held positions
+        """
+        if self.measured.held_measured is False:
+            return np.zeros((len(self.judged), self.observed.shape[1], 0))
+        if parameter not in self._responses:
+            small = 1e-3 * self.body.scale / (float(np.abs(self.steps).max()) or 1.0)
+            moves = np.empty((len(self.steps), len(self.judged), base.shape[1]))
+            for first in range(0, len(self.steps), AT_ONCE):
+                held = base[self.seen.held] + small * self.steps[first : first + AT_ONCE]
+                moves[first : first + AT_ONCE] = (relax(held, base).position - base)[:, self.judged] / small
+            self._responses[parameter] = np.moveaxis(moves, 0, -1)
+        return self._responses[parameter]
+
+    def explain(self, log_share: FloatArray, over: FloatArray) -> Explanation:
+        """Weights of the hypotheses, (h, f) at each value, averaged over the posterior (f,)."""
+        every: Hypotheses = self.errors.hypotheses
+        share = np.exp(np.where(np.isfinite(log_share), log_share, -np.inf)) * over
+        weight = share.sum(axis=1)
+        keep = weight > WEIGHT_LEAST * weight.max()
+        scale = np.exp(2.0 * self.log_scale)
+        white = np.sqrt((share * scale).sum(axis=1)[keep] / weight[keep])
+        rows = self.chosen[keep]
+        unit = float(np.sqrt(np.mean(self.errors.noise**2)))
+        return Explanation(
+            weight=weight[keep] / weight[keep].sum(),
+            white=white,
+            field=white * unit * np.sqrt(every.size[rows]),
+            length=every.length[rows],
+            shared=every.shared[rows],
+            held=every.held[rows],
+        )
