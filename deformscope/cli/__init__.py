@@ -50,6 +50,15 @@ COMMANDS: dict[str, Command] = {
     "calibrate theta": Command(
         "find theta from images or pair files", "ThetaConfig", "deformscope.cli.calibrate", "theta"
     ),
+    "calibrate axes": Command(
+        "find a beta along each axis from pair files", "AxesConfig", "deformscope.cli.materials", "axes"
+    ),
+    "calibrate yield": Command(
+        "find the strain at which a thing yields, from its motion",
+        "YieldConfig",
+        "deformscope.cli.materials",
+        "yielding",
+    ),
     "replay": Command("the same stages on recorded inputs, compared", "ReplayConfig", "deformscope.cli.replay"),
     "flow": Command("dense optical flow of two images", "FlowConfig", "deformscope.cli.flow"),
     "bench": Command("what MSM costs on this machine", "BenchConfig", "deformscope.cli.bench"),
