@@ -18,6 +18,7 @@ from deformscope.config import AxesConfig, YieldConfig
 from deformscope.errors import InputError
 
 if TYPE_CHECKING:
+    from deformscope.arrays import FloatArray
     from deformscope.stages.anisotropy import AxisEstimate
     from deformscope.stages.plasticity import Motion, Parameter, YieldEstimate
 
@@ -158,12 +159,16 @@ def draw(found: YieldEstimate, motion: Motion, path: Path) -> None:
         left.axvline(found.yield_strain.value, color="tab:orange", label=f"{found.yield_strain.value:.3g}")
     left.set(xscale="log", yscale="log", xlabel="yield strain |S - I|", ylabel="residual of a coordinate, rms [mm]")
     left.legend()
-    error = np.where(motion.judged, np.sum((found.simulated - motion.position) ** 2, axis=2), np.nan)
-    moved = np.where(motion.judged, np.sum((motion.position - motion.rest) ** 2, axis=2), np.nan)
-    frames = np.arange(len(motion.position))
-    right.plot(frames, 1e3 * np.sqrt(np.nanmean(moved, axis=1)), "o-", color="tab:blue", label="observed, from rest")
-    right.plot(frames, 1e3 * np.sqrt(np.nanmean(error, axis=1)), "s-", color="tab:red", label="left by the model")
-    right.set(xlabel="frame", ylabel="distance of free particles, rms [mm]", ylim=(0.0, None))
+    frames = np.flatnonzero(motion.judged.any(axis=1))
+
+    def apart(states: FloatArray) -> FloatArray:
+        square = np.where(motion.judged, np.sum((states - motion.position) ** 2, axis=2), np.nan)[frames]
+        return np.asarray(1e3 * np.sqrt(np.nanmean(square, axis=1)))
+
+    right.plot(frames, apart(motion.rest[None]), "o-", color="tab:blue", label="observed to rest")
+    right.plot(frames, apart(found.elastic), "^--", color="tab:gray", label="observed to elastic")
+    right.plot(frames, apart(found.simulated), "s-", color="tab:red", label="observed to yielding")
+    right.set(xlabel="frame", ylabel="distance of free particles, rms [mm]", ylim=(0.0, 1.3 * right.get_ylim()[1]))
     right.legend()
     figure.suptitle(f"Yield strain: {found.verdict}")
     with replacing(path) as file:

@@ -19,7 +19,6 @@ from deformscope.stages import least_squares
 from deformscope.stages.calibrate import BETA_LIMIT, IDENTIFIED_WIDTH, WEAK_WIDTH, Model, Observation
 from deformscope.stages.estimate import Verdict
 from deformscope.stages.least_squares import Minimum, Noise
-from deformscope.stages.msm.clusters import held_mask
 from deformscope.stages.msm.materials import Plasticity
 from deformscope.stages.msm.plastic import PlasticMsm
 
@@ -142,6 +141,7 @@ class YieldEstimate:
     deviation, elastic_deviation: root mean square of a coordinate's residual, at the best and without yielding
     aee, elastic_aee: average Euclidean error over all observed particles and frames
     curve: (n,) yield strains and (n,) root mean squares of a coordinate's residual there, the others at their best
+    simulated, elastic: (T, K, d) the motion at the best, and without yielding
     """
 
     yield_strain: Parameter
@@ -157,6 +157,7 @@ class YieldEstimate:
     elastic_aee: float
     curve: tuple[FloatArray, FloatArray]
     simulated: FloatArray
+    elastic: FloatArray
     converged: bool
     settings: dict[str, object]
 
@@ -203,7 +204,7 @@ def fit_yield(motion: Motion, options: YieldOptions | None = None, progress: Pro
     note("elastic", 0, 4)
     elastic = fit.elastic()
     elastic_beta = fit.shrink(elastic.at[0]) if options.beta is None else options.beta
-    largest = fit.largest_strain(elastic_beta)
+    unyielded, largest = fit.unyielded(elastic_beta)
     note("search", 1, 4)
     starts = fit.search(largest)
     note("descent", 2, 4)
@@ -232,6 +233,7 @@ def fit_yield(motion: Motion, options: YieldOptions | None = None, progress: Pro
         verdict = "at-bound"
     covariance = noise.covariance(best.jacobian)
     half = least_squares.half_width(covariance, options.level, observed.size - len(best.at))
+    simulated = fit.history(best.at)
     return YieldEstimate(
         yield_strain=Parameter(value, (low, high_end)),
         verdict=verdict if converged else "unidentified",
@@ -239,13 +241,14 @@ def fit_yield(motion: Motion, options: YieldOptions | None = None, progress: Pro
         creep=fit.creep(best, half),
         level=options.level,
         largest_strain=largest,
-        set=fit.permanent_set(best, elastic_beta),
+        set=fit.apart(simulated[-1], unyielded[-1]),
         deviation=float(np.sqrt(best.squares / observed.size)),
         elastic_deviation=float(np.sqrt(elastic.squares / observed.size)),
         aee=fit.aee(best.simulated),
         elastic_aee=fit.aee(elastic.simulated),
         curve=(curve.grid, np.sqrt(curve.squares / observed.size)),
-        simulated=fit.history(best.at),
+        simulated=simulated,
+        elastic=unyielded,
         converged=converged,
         settings={
             "cluster_size": options.cluster_size,
@@ -385,9 +388,11 @@ class _YieldFit:
         start = every[int(np.nanargmin(squares))]
         return least_squares.minimise(simulate, self.observed, start, limits, np.array([DIFFERENCE]))
 
-    def largest_strain(self, beta: FloatArray | float) -> float:
+    def unyielded(self, beta: FloatArray | float) -> tuple[FloatArray, float]:
+        """(T, K, d) the motion without yielding, and the largest strain in it."""
         never = np.array([np.inf])
-        return float(self.run(never, np.array([float(beta)]), never)[1][0])
+        states, largest = self.run(never, np.array([float(beta)]), never)
+        return states[0], float(largest[0])
 
     def bounds(self, largest: float) -> FloatArray:
         rows = [np.log([LEAST_SHARE * largest, 1.5 * largest])]
@@ -445,7 +450,7 @@ class _YieldFit:
         reach = float(np.clip(5.0 * error, 0.02, 3.0))
         low, high = np.log(LEAST_SHARE * largest), np.log(1.05 * largest)
         near = np.linspace(max(best.at[0] - reach, low), min(best.at[0] + reach, high), PROFILE)
-        return np.unique(np.exp([*near, *np.linspace(low, high, 9), best.at[0]]))
+        return np.unique(np.exp([*near, *np.linspace(low, high, 15), best.at[0]]))
 
     def profile(self, best: Minimum, noise: Noise, grid: FloatArray) -> _Profile:
         at = np.repeat(best.at[None], len(grid), axis=0)
@@ -491,12 +496,10 @@ class _YieldFit:
         low, value, high = np.exp(best.at[-1] + np.array([-1.0, 0.0, 1.0]) * half[-1])
         return Parameter(float(value), (float(low), float(high)))
 
-    def permanent_set(self, best: Minimum, beta: FloatArray | float) -> float:
-        """Root mean square distance of the last frame's free particles from what an elastic body would show."""
-        never = np.array([np.inf])
-        elastic = self.run(never, np.array([float(beta)]), never)[0][0, -1]
-        free = ~held_mask(len(self.motion.rest), self.frames[-1])
-        return float(np.sqrt(np.mean(np.sum((self.history(best.at)[-1] - elastic)[free] ** 2, axis=1))))
+    def apart(self, one: FloatArray, other: FloatArray) -> float:
+        """Root mean square distance of two states (K, d) of the last frame, at its free particles."""
+        free = ~self.motion.held[-1]
+        return float(np.sqrt(np.mean(np.sum((one - other)[free] ** 2, axis=1))))
 
     def aee(self, simulated: FloatArray) -> float:
         """Average Euclidean error over all observed particles of all frames, held ones included."""
