@@ -15,7 +15,7 @@ from deformscope.stages.calibrate import BETA_LIMIT, Model, Observation, verdict
 from deformscope.stages.estimate import Verdict
 from deformscope.stages.least_squares import Noise
 from deformscope.stages.msm.materials import AxisBeta
-from deformscope.stages.msm.solver import Msm
+from deformscope.stages.msm.solver import TOLERANCE, Msm
 
 Progress = Callable[[str, int, int], None]
 
@@ -185,21 +185,18 @@ class _AxisFit:
     def noise(self, best: least_squares.Minimum, rng: np.random.Generator) -> Noise:
         """Noise of the observed numbers: what was stated, else what the fit left; and of the held ones alike."""
         told = [s.noise[j] for s, j in zip(self.seen, self.judged, strict=True) if s.noise is not None]
-        stated = float(np.sqrt(np.mean(np.concatenate(told) ** 2))) if len(told) == len(self.seen) else None
-        tried = stated or least_squares.deviation_of(best.residual, len(best.at))
-        if all(s.held_measured is False for s in self.seen):
-            return least_squares.shared_noise(
-                best.residual, len(best.at), np.zeros((0, best.residual.size)), 0.0, stated
-            )
+        least = max(10.0 * TOLERANCE[body.precision] * body.extent for body in self.bodies)
+        if len(told) == len(self.seen):
+            least = max(least, float(np.sqrt(np.mean(np.concatenate(told) ** 2))))
+        tried = max(least, least_squares.deviation_of(best.residual, len(best.at)))
         shaken = []
         for s in self.seen:
-            held = s.deformed[s.held]
-            size = 0.0 if s.held_measured is False else tried
+            held, size = s.deformed[s.held], 0.0 if s.held_measured is False else tried
             shaken.append(held + size * rng.standard_normal((HELD_REPEATS, *held.shape)))
         beta = AxisBeta(-np.expm1(-best.at), self.axes)
         moved = self._relax(beta, shaken, HELD_REPEATS) - best.simulated
         moved = moved[np.isfinite(moved).all(axis=1)]
-        return least_squares.shared_noise(best.residual, len(best.at), moved, tried, stated)
+        return least_squares.shared_noise(best.residual, len(best.at), moved, tried, least)
 
     def aee(self, simulated: FloatArray) -> float:
         """Average Euclidean error over all observed particles, the held ones, which have none, included."""

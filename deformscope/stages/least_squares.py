@@ -116,17 +116,16 @@ class Noise:
         return np.asarray(self.deviation**2 * inverse + held)
 
 
-def shared_noise(residual: FloatArray, parameters: int, held: FloatArray, tried: float, stated: float | None) -> Noise:
-    """The noise that observed and prescribed positions share, as large as the residuals (n,) ask for, or as stated.
+def shared_noise(residual: FloatArray, parameters: int, held: FloatArray, tried: float, least: float) -> Noise:
+    """The noise that observed and prescribed positions share, as large as the residuals (n,) ask for, but not below
+    `least`: what was stated, or what numbers can resolve.
 
     held: (r, n) what prescribed positions with noise of the size `tried` made of the simulation: part of the residuals
     is theirs, so that the noise is smaller than those
     """
-    share = float(np.mean(held**2)) / tried**2 if len(held) and tried > 0.0 else 0.0
-    deviation = deviation_of(residual, parameters) / float(np.sqrt(1.0 + share))
-    if stated is not None:
-        deviation = max(deviation, stated)
-    return Noise(deviation, held * (deviation / tried) if tried > 0.0 else held)
+    share = float(np.mean(held**2)) / tried**2 if len(held) else 0.0
+    deviation = max(deviation_of(residual, parameters) / float(np.sqrt(1.0 + share)), least)
+    return Noise(deviation, held * (deviation / tried))
 
 
 def deviation_of(residual: FloatArray, parameters: int) -> float:

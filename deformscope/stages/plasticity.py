@@ -21,6 +21,7 @@ from deformscope.stages.estimate import Verdict
 from deformscope.stages.least_squares import Minimum, Noise
 from deformscope.stages.msm.materials import Plasticity
 from deformscope.stages.msm.plastic import PlasticMsm
+from deformscope.stages.msm.solver import TOLERANCE
 
 Progress = Callable[[str, int, int], None]
 
@@ -436,13 +437,14 @@ class _YieldFit:
 
     def noise(self, best: Minimum, rng: np.random.Generator) -> Noise:
         """Noise of a coordinate, stated or left by the fit, and what it does through the prescribed positions."""
-        tried = self.motion.noise or least_squares.deviation_of(best.residual, len(best.at))
+        least = max(self.motion.noise or 0.0, 10.0 * TOLERANCE[self.body.precision] * self.body.extent)
+        tried = max(least, least_squares.deviation_of(best.residual, len(best.at)))
         seen = [self.motion.position[frame, index] for frame, index in enumerate(self.frames)]
         held = [each + tried * rng.standard_normal((HELD_REPEATS, *each.shape)) for each in seen]
         strain, beta, creep = self.numbers(np.repeat(best.at[None], HELD_REPEATS, axis=0))
         moved = self.compared(self.run(strain, beta, creep, held)[0]) - best.simulated
         moved = moved[np.isfinite(moved).all(axis=1)]
-        return least_squares.shared_noise(best.residual, len(best.at), moved, tried, self.motion.noise)
+        return least_squares.shared_noise(best.residual, len(best.at), moved, tried, least)
 
     def grid(self, best: Minimum, noise: Noise, largest: float) -> FloatArray:
         """Yield strains around the best, some standard errors wide, and some beyond, up to what never yields."""

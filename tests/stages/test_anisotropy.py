@@ -54,6 +54,7 @@ def test_known_betas_are_found_again(shape: tuple[int, ...], beta: list[float]) 
     np.testing.assert_allclose(found.value, beta, rtol=0.0, atol=1e-4)
     assert found.converged
     assert found.anisotropic
+    assert np.all((found.interval[:, 0] <= beta) & (beta <= found.interval[:, 1]))
     assert found.aee < 1e-9
     assert found.aee < 1e-3 * found.aee_isotropic
 

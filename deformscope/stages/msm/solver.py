@@ -103,7 +103,7 @@ class Moving:
         self._settle_in(operator)
         self.layout.put(now, self.u)
         self.layout.put(last, self.before)
-        self.layout.refill(self.ran_away, ran_away.astype(np.float64))
+        self.ran_away = self.layout.each(ran_away.astype(np.float64), int)
 
     @property
     def u(self) -> Any:
@@ -206,7 +206,10 @@ class Msm:
             raise ValueError("expected theta = 0 with a beta along each axis")
         if self._axes is not None or self._plastic:
             raise ValueError("expected a body without a material of its own")
-        return self._variants.setdefault(axes.tobytes(), self.variant(axes=axes))
+        key = axes.tobytes()
+        if key not in self._variants:
+            self._variants[key] = self.variant(axes=axes)
+        return self._variants[key]
 
     def _build(self, scalar: Any) -> Body:
         if self._axes is not None or self._plastic:
@@ -241,6 +244,10 @@ class Msm:
         self, held_position: FloatArray, beta: FloatArray | float, theta: FloatArray | float
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Held displacements (B or 1, n, d) in spacings, beta (B,) or (B, C), theta (B,)."""
+        if isinstance(beta, AxisBeta):
+            raise ValueError(
+                "expected one beta, or one for each cluster: relax, step and residual alone take an AxisBeta"
+            )
         shape = (-1 if len(self.held) else 1, len(self.held), self.dim)
         held_position = np.asarray(held_position, dtype=np.float64).reshape(shape)
         held_u = (held_position - self.rest[self.held]) / self.scale

@@ -131,6 +131,18 @@ def test_goals_agree_with_the_reference(device: str, precision: Precision, shape
         assert np.abs(row - expected).max() < GOAL_TOLERANCE[precision] * engine.scale * 10
 
 
+@pytest.mark.parametrize("values", [(1.0, 0.0), (1.0, 1.0), (1.0, 0.3, 0.0), (1.0, 1.0, 0.3), (1.0, 1.0, 1.0)])
+def test_free_axes_are_the_limit_of_soft_ones(device: str, values: tuple[float, ...]) -> None:
+    rng = np.random.default_rng(11)
+    body = pushed((4,) * len(values), rng)
+    engine = Msm(body.rest, body.clusters(3), body.held, device=device)
+    x, axes = body.rest + rng.normal(0, 0.002, body.rest.shape), _turn(rng, len(values))
+    free, soft = (
+        engine.residual(x, AxisBeta(np.minimum(values, most), axes)) / engine.scale for most in (1.0, 1.0 - 1e-9)
+    )
+    np.testing.assert_allclose(free, soft, rtol=0.0, atol=1e-8)
+
+
 @pytest.mark.parametrize("shape", [(5, 6), (4, 3, 4)])
 def test_static_states_agree_with_the_reference(device: str, shape: tuple[int, ...]) -> None:
     rng = np.random.default_rng(5)
@@ -213,6 +225,8 @@ def test_what_it_does_not_do_is_refused(device: str) -> None:
         linear.relax(body.held_position, AxisBeta(np.array([0.2, 0.8, 0.5])))
     with pytest.raises(ValueError, match="linear basis"):
         Msm(body.rest, body.clusters(3), body.held, basis="quadratic", device=device).relax(body.held_position, beta)
+    with pytest.raises(ValueError, match="relax, step and residual alone"):
+        linear.sensitivity(body.rest, beta)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="between 0 and 1"):
         AxisBeta(np.array([0.2, 1.2]))
     with pytest.raises(ValueError, match="orthonormal"):

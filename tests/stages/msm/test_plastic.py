@@ -142,26 +142,36 @@ def test_candidates_side_by_side_are_those_alone(device: str) -> None:
 # When it yields, and what is kept ------------------------------------------------------------------------------------
 
 
+def _same(device: str, found: FloatArray, expected: FloatArray, limit: float) -> None:
+    """To the last bit; a GPU's compiler fuses products and sums as it sees fit, so there within a limit."""
+    if device == "cpu":
+        np.testing.assert_array_equal(found, expected)
+    else:
+        np.testing.assert_allclose(found, expected, rtol=0.0, atol=limit)
+
+
+@pytest.mark.parametrize("size", [1, 9])
 @pytest.mark.parametrize("shape", SHAPES)
-def test_below_the_yield_strain_nothing_differs_to_the_last_bit(device: str, shape: tuple[int, ...]) -> None:
+def test_below_the_yield_strain_nothing_differs_to_the_last_bit(device: str, shape: tuple[int, ...], size: int) -> None:
     body = pushed(shape, np.random.default_rng(6))
     elastic = _engine(body, device)
-    engine = PlasticMsm(elastic, Plasticity(3.0, creep=30.0))
+    engine = PlasticMsm(elastic, Plasticity(3.0, creep=30.0), size)
+    beta = np.linspace(0.6, 0.2, size)
     for theta in (0.0, 0.5):
-        found = engine.load(body.held_position, 0.6, theta, volume="project")
-        engine.load(body.rest[body.held], 0.6, theta, volume="project")
+        found = engine.load(body.held_position, beta, theta)
+        engine.load(body.rest[body.held], beta, theta)
         assert not found.flowed.any()
         assert 0.05 < found.strain.max() < 3.0
-        expected = elastic.relax(body.held_position, 0.6, theta, volume="project", start=body.rest)
+        expected = elastic.relax(body.held_position, beta, theta, volume="project", start=body.rest)
         engine.start(body.rest)
-        again = engine.load(body.held_position, 0.6, theta, volume="project")
-        np.testing.assert_array_equal(again.position, expected.position)
-    np.testing.assert_array_equal(engine.plastic[0], _identities(body))
-    state = elastic.start()
+        again = engine.load(body.held_position, beta, theta)
+        _same(device, again.position, expected.position, 2e-9 * elastic.extent)  # twice the default tolerance
+    assert np.all(engine.plastic == np.eye(len(shape)))
+    state = elastic.start(size)
     engine.start(body.rest)
-    moved = engine.step(body.held_position, 0.6, steps=12)
-    np.testing.assert_array_equal(moved, elastic.step(state, body.held_position, 0.6, steps=12))
-    np.testing.assert_array_equal(engine.plastic[0], _identities(body))
+    moved = engine.step(body.held_position, beta, steps=12)
+    _same(device, moved, elastic.step(state, body.held_position, beta, steps=12), 1e-11 * elastic.extent)
+    assert np.all(engine.plastic == np.eye(len(shape)))
 
 
 def _bar(device: str, dim: int = 2) -> tuple[Msm, FloatArray]:
