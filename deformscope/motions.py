@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from deformscope.errors import InputError
 from deformscope.pairs import _indices, _lattice, _numbers
-from deformscope.stages.plasticity import Motion
+from deformscope.stages.motion import Motion
 
 NEEDED = ("rest", "motion", "held")
 

@@ -20,7 +20,8 @@ from deformscope.errors import InputError
 if TYPE_CHECKING:
     from deformscope.arrays import FloatArray
     from deformscope.stages.anisotropy import AxisEstimate
-    from deformscope.stages.plasticity import Motion, Parameter, YieldEstimate
+    from deformscope.stages.motion import Motion
+    from deformscope.stages.yield_estimate import Parameter, YieldEstimate
 
 
 def axes(config: AxesConfig) -> None:

@@ -9,11 +9,12 @@ pytest.importorskip("warp")
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
+from deformscope.stages.motion import Motion
 from deformscope.stages.msm import clusters
 from deformscope.stages.msm.materials import Plasticity
 from deformscope.stages.msm.plastic import PlasticMsm
 from deformscope.stages.msm.solver import Msm
-from deformscope.stages.plasticity import Motion, YieldOptions, fit_yield
+from deformscope.stages.plasticity import YieldOptions, fit_yield
 from tests.stages.bodies import SPACING_M, lattice
 
 BETA = 0.7
