@@ -242,7 +242,7 @@ class _Profile:
         step = THETA_STEP if law.theta < 0.5 else -THETA_STEP
         one.settle([law])
         here, there = one.residual(one.settle([law, dataclasses.replace(law, theta=law.theta + step)]))
-        return (there - here) * one.poke.depth / step
+        return np.asarray((there - here) * one.poke.depth / step)
 
     def posterior(self) -> tuple[Posterior, float]:
         """Of beta, theta integrated, and by how many deviations the data tell its likeliest value from the least.

@@ -253,7 +253,8 @@ class ShapeFit:
     """How well clusters of one size follow the pokes.
 
     law; surface_error: (q,) root mean square distance near each poke used, as a share of its depth; held_out: (q,) the
-    same with beta and theta fitted to the others, nan with one poke and for all sizes but the best; reaction: (p,) of every poke, per unit of k [m]
+    same with beta and theta fitted to the others, nan with one poke and for all sizes but the best
+    reaction: (p,) of every poke, per unit of k [m]
     """
 
     law: Law

@@ -107,7 +107,7 @@ def test_a_disc_has_the_force_between_its_inner_and_its_outer_square(scene: Scen
 
 
 def test_a_tip_between_the_particles_touches_the_nearest(scene: Scene) -> None:
-    found = press(scene, LAW, Poke(AT + [0.004, 0.003, 0.0], Tip("flat", (0.001,)), depth=0.001))
+    found = press(scene, LAW, Poke(AT + np.array([0.004, 0.003, 0.0]), Tip("flat", (0.001,)), depth=0.001))
     assert len(found.touched) == 1
     np.testing.assert_allclose(scene.rest[found.touched[0]], AT)
 

@@ -41,8 +41,8 @@ def test_two_halves_are_two_materials_with_the_border_between_the_pokes() -> Non
         field = fit_field(at, truth * np.exp(rng.normal(0.0, 0.03, 8)))
         assert field.kind == "materials"
         nearest = np.array([[at[:, 0][truth == 20.0].max(), 0.2], [at[:, 0][truth == 50.0].min(), 0.2]])
-        assert field.at(nearest[:1] - [0.05, 0.0])[0] == pytest.approx(20.0, rel=0.1)
-        assert field.at(nearest[1:] + [0.05, 0.0])[0] == pytest.approx(50.0, rel=0.1)
+        assert field.at(nearest[:1] - np.array([0.05, 0.0]))[0] == pytest.approx(20.0, rel=0.1)
+        assert field.at(nearest[1:] + np.array([0.05, 0.0]))[0] == pytest.approx(50.0, rel=0.1)
 
 
 def test_an_inclusion_within_is_found_though_no_line_parts_it() -> None:
