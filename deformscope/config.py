@@ -902,6 +902,28 @@ class CoverageConfig(CommandOptions):
         return self.json
 
 
+# deformscope reproduce pokes -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class PokesConfig(CommandOptions):
+    """Pokes of finite element slabs that were not fitted, predicted and compared with a rigid body, a half-space and
+    linear finite elements."""
+
+    out: Annotated[Path, arg(metavar="DIR")] = Path("runs/pokes")
+    """Folder of dents.png and pokes.csv; made where it is not there. What it holds of these is replaced."""
+    quick: bool = False
+    """The slab of one modulus alone."""
+    json: JsonFlag = None
+    """Write all of it as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+
+    def writes(self) -> tuple[Written, ...]:
+        return _written_json(self.json)
+
+    def json_target(self) -> str | None:
+        return self.json
+
+
 # deformscope reproduce foams -----------------------------------------------------------------------------------------
 
 

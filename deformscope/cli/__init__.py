@@ -71,6 +71,11 @@ COMMANDS: dict[str, Command] = {
     "reproduce foams": Command(
         "experiment 3.B: beta of five virtual foams", "FoamsConfig", "deformscope.cli.reproduce_foams"
     ),
+    "reproduce pokes": Command(
+        "pokes that were not fitted, predicted, on slabs of known truth",
+        "PokesConfig",
+        "deformscope.cli.reproduce_pokes",
+    ),
     "coverage": Command("how often the intervals hold the truth", "CoverageConfig", "deformscope.cli.coverage"),
     "bench": Command("what MSM costs on this machine", "BenchConfig", "deformscope.cli.bench"),
 }
