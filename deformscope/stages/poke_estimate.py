@@ -29,8 +29,12 @@ from deformscope.stages.poke import Law, Tip
 from deformscope.stages.poke_fit import DOWN, PokesFit, PosedPoke
 from deformscope.stages.stiffness_field import fit_field
 
-CURVE = 7
-"""Values of beta over the range at which the error curve is taken, besides those next to the estimate."""
+BESIDE = (-1.0, -0.6, -0.3, -0.15, 0.0, 0.15, 0.3, 0.6, 1.0)
+"""Values of -log(1 - beta) beside the estimate at which the error curve is taken."""
+
+BEYOND, CLEAR = 5, 2.5
+"""Values taken from there to the end of the range, where the error has not risen to this many times the lowest: high
+betas take long to settle."""
 
 FINE, THETAS = 161, 21
 """Values of -log(1 - beta) and of theta at which the posterior is taken."""
@@ -212,7 +216,8 @@ def conclude(
 class _Profile:
     """Residuals, errors and reactions over beta, theta as fitted.
 
-    beta: (g,) rising; residual: for each poke (g, n, 3) near it [m]; aee: (g,); reaction: (g, q) per unit of k [m]
+    beta: (g,) rising, over what may be likely; residual: for each poke (g, n, 3) near it [m]; aee: (g,)
+    reaction: (g, q) per unit of k [m]
     """
 
     def __init__(self, fit: PokesFit, bounds: tuple[float, float]) -> None:
@@ -221,21 +226,43 @@ class _Profile:
         high = float(-np.log1p(-bounds[1]))
         at = float(-np.log1p(-law.beta))
         low = float(-np.log1p(-bounds[0]))
-        beside = np.clip(at + np.array([-0.2, 0.0, 0.2]), low, high)
-        self.stretched = np.unique(np.concatenate([np.linspace(low, high, CURVE), beside]))
-        self.beta = -np.expm1(-self.stretched)
-        laws = [dataclasses.replace(law, beta=float(beta)) for beta in self.beta]
-        self.residual: list[FloatArray] = []
-        self.reaction = np.empty((len(self.beta), len(fit.posed)))
-        errors = np.empty((len(self.beta), len(fit.posed)))
-        for column, one in enumerate(fit.posed):
+        self.stretched = np.unique(np.clip(at + np.array(BESIDE), low, high))
+        self.residual: list[FloatArray] = [np.empty((0, len(one.near), 3)) for one in fit.posed]
+        self.reaction, self.errors = np.empty((0, len(fit.posed))), np.empty((0, len(fit.posed)))
+        self._take(self.stretched)
+        for end in (low, high):
+            if (end < self.stretched[0] or end > self.stretched[-1]) and self._tells_little(end < at):
+                beyond = np.linspace(self.stretched[0 if end < at else -1], end, BEYOND + 1)[1:]
+                self._take(beyond)
+                self.stretched = np.concatenate([self.stretched, beyond])
+        order = np.argsort(self.stretched)
+        self.stretched, self.reaction, self.errors = (
+            each[order] for each in (self.stretched, self.reaction, self.errors)
+        )
+        self.residual = [one[order] for one in self.residual]
+        self.beta, self.aee = -np.expm1(-self.stretched), self.errors.mean(axis=1)
+        self.by_theta = [self._slope(one, law) for one in fit.posed] if fit.theta_fitted else None
+
+    def _take(self, stretched: FloatArray) -> None:
+        """Simulate these values of -log(1 - beta)."""
+        law = self.fit.best.law
+        laws = [dataclasses.replace(law, beta=float(-np.expm1(-t))) for t in stretched]
+        reaction, errors = [], []
+        for column, one in enumerate(self.fit.posed):
             one.settle([law])
             state = one.settle(laws)
-            self.residual.append(one.residual(state) * one.poke.depth)
-            self.reaction[:, column] = one.reaction(state)
-            errors[:, column] = distances(one.moved(state), one.poke.moved).mean(axis=1)
-        self.aee = errors.mean(axis=1)
-        self.by_theta = [self._slope(one, law) for one in fit.posed] if fit.theta_fitted else None
+            self.residual[column] = np.concatenate([self.residual[column], one.residual(state) * one.poke.depth])
+            reaction.append(one.reaction(state))
+            errors.append(distances(one.moved(state), one.poke.moved).mean(axis=1))
+        one.settle([law])
+        self.reaction = np.concatenate([self.reaction, np.stack(reaction, axis=1)])
+        self.errors = np.concatenate([self.errors, np.stack(errors, axis=1)])
+
+    def _tells_little(self, below: bool) -> bool:
+        """Whether the error at the end of what was taken is still so low that values beyond it may be likely."""
+        error = self.errors.mean(axis=1)
+        end = int(np.argmin(self.stretched) if below else np.argmax(self.stretched))
+        return bool(error[end] < CLEAR * error.min())
 
     def _slope(self, one: PosedPoke, law: Law) -> FloatArray:
         """Change of the residual near a poke by theta, (n, 3) [m]."""

@@ -34,14 +34,14 @@ CELLS_ACROSS_TIP = 4
 """Lattice cells across the tip by default: with fewer, the force of a wider or narrower tip is off (2 cm to 4 cm on a
 layer of 5 cm: 11 % with two cells, 3 % with four)."""
 
-REACH_SHARE, REACH_TIPS = 1.4, 1.0
+REACH_SHARE, REACH_TIPS = 1.1, 0.5
 """The lattice goes this many thicknesses, and tip widths, beyond the tip on each side: there the surface is quiet."""
 
 NEAR_SHARE = 0.6
 """The surface within this many thicknesses of the tip is compared: beyond, it hardly moves."""
 
-MOST_SHAPES = 4
-"""Pokes that beta and theta are fitted to, spread over the surface; the stiffness is found at all."""
+MOST_SHAPES = 2
+"""Pokes that beta and theta are fitted to, far apart; the stiffness is found at all."""
 
 SLIPPED = 0.02
 """A tip slips if the particles under it moved sideways among each other by more than this share of the depth."""
