@@ -14,11 +14,14 @@ import rerun as rr
 from rerun.chunk import RrdReader
 
 from deformscope.log.blueprint import blueprint
-from deformscope.log.canvas import Canvas, colors, readable, round_up, spacing_of
-from deformscope.log.estimate import as_json, chart_png, summary
+from deformscope.log.canvas import Canvas
+from deformscope.log.estimate import as_json, summary
+from deformscope.palette import colors, readable, round_up
+from deformscope.pictures import evidence_png
 from deformscope.recorder import Recorder
 from deformscope.session import Step, run
 from deformscope.sources import open_source
+from deformscope.stages.triangulation import spacing_of
 from tests.log import synthetic
 
 
@@ -98,9 +101,10 @@ def test_estimate(recording: Path) -> None:
     assert found["interval"] == [0.56, 0.69]
     png = bytes(values(recording, "/calibration/chart", "EncodedImage:blob")[0])
     chart = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
-    assert chart.shape == (650, 1040, 3)
+    assert chart.shape == (728, 1040, 3)
     text = values(recording, "/calibration/summary", "TextDocument:text")[0]
-    assert "beta = 0.62: identified" in text
+    assert "# beta = 0.62" in text
+    assert "identified: beta is 0.56 to 0.69" in text
     assert "0.56 to 0.69" in text
     assert "| cluster_size | 3 |" in text
 
@@ -144,21 +148,21 @@ def test_chart_of_every_verdict() -> None:
 
     for verdict in ("identified", "weak", "at-bound", "unidentified"):
         estimate = dataclasses.replace(synthetic.estimate(verdict), converged=verdict != "weak")
-        assert chart_png(estimate).startswith(b"\x89PNG")
-        assert verdict in summary(estimate)
+        assert evidence_png(estimate).startswith(b"\x89PNG")
+        assert estimate.verdict_text() in summary(estimate)
     scaled = dataclasses.replace(synthetic.estimate(), metres_per_unit=1e-4, stiffness=(12.0, (11.0, 13.5)))
     assert "| 0.35 px = 0.035 mm |" in summary(scaled)
-    assert "k = 12 N/m (11 to 13.5)" in summary(scaled)
+    assert "12 N/m (11 to 13.5)" in summary(scaled)
     gaps = synthetic.estimate()
     gaps.curve.aee[[0, 1, 5]] = np.nan
-    assert chart_png(gaps).startswith(b"\x89PNG")
+    assert evidence_png(gaps).startswith(b"\x89PNG")
     assert as_json(gaps)["curve"]["aee"][0] is None
     gaps.curve.aee[:] = np.nan
-    assert chart_png(gaps).startswith(b"\x89PNG")
+    assert evidence_png(gaps).startswith(b"\x89PNG")
 
 
 def test_one_chart_is_one_picture() -> None:
-    assert chart_png(synthetic.estimate()) == chart_png(synthetic.estimate())
+    assert evidence_png(synthetic.estimate()) == evidence_png(synthetic.estimate())
 
 
 @pytest.mark.parametrize("size", [(100.0, 900.0), (200.0, 500.0), (640.0, 480.0), (1000.0, 200.0)])
@@ -171,6 +175,8 @@ def test_blueprints(size: tuple[float, float], layout: Any) -> None:
 def test_scales() -> None:
     assert [round_up(value) for value in (0.0, 0.3, 1.0, 1.1, 4.9, 7.0, 1234.0)] == [1, 0.5, 1, 2, 5, 10, 2000]
     assert readable("m", 0.002) == (1e3, "mm")
+    assert readable("m", 0.00002) == (1e6, "µm")
+    assert readable("m", 0.0) == (1e3, "mm")
     assert readable("px", 0.002) == (1.0, "px")
     assert colors(np.array([0.0, 1.0, 7.0, np.nan])).shape == (4, 3)
 
