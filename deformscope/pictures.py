@@ -156,7 +156,7 @@ def _rows(results: Sequence[Result]) -> list[tuple[int, int]]:
 
 
 def _one(result: Result, index: int, draw: Any) -> bytes:
-    figure = _figure(7.2, 4.8)
+    figure = _figure(6.2, 4.6)
     draw(figure, figure.add_gridspec(1, 1)[0, 0], result, index)
     return _png(figure, DPI)
 

@@ -23,7 +23,7 @@ th, td { text-align: left; padding: .3rem .9rem .3rem 0; border-bottom: 1px soli
   font-variant-numeric: tabular-nums; }
 th { font-weight: 600; }
 figure { margin: 1rem 0; }
-img { max-width: 100%; height: auto; }
+img { max-width: min(100%, 46rem); height: auto; }
 .pair { display: grid; grid-template-columns: repeat(auto-fit, minmax(22rem, 1fr)); gap: 0 1.2rem; }
 pre { background: #f5f7fa; padding: .7rem .9rem; overflow-x: auto; font-size: .9rem; }
 @media print { body { max-width: none; } h2 { break-after: avoid; } figure, table { break-inside: avoid; } }

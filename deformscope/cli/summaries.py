@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import shlex
 from collections.abc import Mapping, Sequence
+from pathlib import PurePath
 from typing import TYPE_CHECKING
 
 from deformscope.cli.common import console, replacing
@@ -43,7 +44,7 @@ def write_summaries(
 
         sections = calibration_sections(results, seed=seed, settings=settings, pokes=pokes)
         with replacing(files.report) as file:
-            file.write(html_report(f"Calibration of {results[0].estimate.parameter}", sections).encode())
+            file.write(html_report(_title(results), sections).encode())
         console().print(f"report: {files.report}", markup=False, soft_wrap=True)
 
 
@@ -60,9 +61,9 @@ def calibration_sections(
     left = MOST_SHOWN
     for one in results:
         if count := min(len(one.comparisons), left):
-            title = f"{_name(one)}: " if several else ""
-            sections.append(Section(f"{title}numbers and evidence", _evidence(one)))
-            sections.append(Section(f"{title}where the model is wrong", _pictures(one, count)))
+            of = f" of {_name(one)}" if several else ""
+            sections.append(Section(f"Numbers and evidence{of}", _evidence(one)))
+            sections.append(Section(f"Where the model{of} is wrong", _pictures(one, count)))
             left -= count
     if missing := sum(len(one.comparisons) for one in results) - (MOST_SHOWN - left):
         sections.append(Section("Left out", [f"Pictures of {missing} more, which would make this page too large."]))
@@ -185,7 +186,7 @@ def _pictures(result: Result, count: int) -> list[Part]:
 
     parts: list[Part] = []
     for index in range(count):
-        name = f"{result.names[index]}: " if result.names[index] else ""
+        name = f"{PurePath(result.names[index]).name}: " if result.names[index] else ""
         parts.append(f"{name}{where_wrong(result.comparisons[index])}")
         left = Figure(
             particles_png(result, index), f"{name}observed particles and the simulated ones, with error lines."
@@ -245,5 +246,13 @@ def _cell(value: object) -> str:
     return ", ".join(str(item) for item in shown) if isinstance(shown, list) else str(shown)
 
 
+def _title(results: Sequence[Result]) -> str:
+    found = f"Calibration of {results[0].estimate.parameter}"
+    if len(results) > 1:
+        return f"{found}: {len(results)} pairs"
+    return f"{found}: {name}" if (name := _name(results[0])) else found
+
+
 def _name(result: Result) -> str:
-    return result.names[0] if len(result.names) == 1 else "all pairs"
+    """Of a file without its folder, which stands among the sources."""
+    return PurePath(result.names[0]).name if len(result.names) == 1 else f"{len(result.names)} pairs together"

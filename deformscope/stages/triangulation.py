@@ -9,8 +9,11 @@ from scipy.spatial import Delaunay, QhullError, cKDTree
 
 from deformscope.arrays import FloatArray, IntArray
 
-REACH = 1.6
+REACH = 1.5
 """Triangles whose longest edge is this many times the typical one bridge a hole or a notch; they are left out."""
+
+SLIVER = 0.05
+"""Triangles of less area at rest than this share of the typical one lie along an edge, and span no part of the body."""
 
 FLAT = 0.25
 """Neighbours of a particle on a surface lie in a plane, to this share of how far they spread in it."""
@@ -94,7 +97,13 @@ def _kept(simplices: IntArray, rest: FloatArray) -> IntArray:
     corners = rest[simplices]
     pairs = list(combinations(range(simplices.shape[1]), 2))
     edge = np.max([np.linalg.norm(corners[:, a] - corners[:, b], axis=1) for a, b in pairs], axis=0)
-    return np.flatnonzero(edge <= REACH * np.median(edge))
+    whole = edge <= REACH * np.median(edge)
+    if simplices.shape[1] == 3:
+        one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        squares = np.sum(one**2, axis=1) * np.sum(other**2, axis=1) - np.sum(one * other, axis=1) ** 2
+        area = np.sqrt(np.maximum(squares, 0.0))
+        whole &= area > SLIVER * np.median(area)
+    return np.flatnonzero(whole)
 
 
 def _from_above(rest: FloatArray) -> FloatArray | None:

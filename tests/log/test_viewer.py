@@ -52,7 +52,7 @@ def test_calibration_of_images(tmp_path: Path, viewer: ViewerClient) -> None:
         run(source, synthetic.calibration(), made)
     assert shoot(viewer, path, tmp_path) == []
     pictures = {shot.stem: cv2.imread(str(shot)) for shot in tmp_path.glob("*.png")}
-    assert len(pictures) == 7
+    assert len(pictures) == 8
     particles = pictures["Particles"].astype(int)
     blue, green, red = (
         (np.abs(particles - color).max(axis=2) < 40).sum() for color in ((255, 110, 40), (80, 190, 30), (45, 45, 235))
