@@ -24,6 +24,8 @@ HELD: Rgb = (255, 200, 0)
 def colors(share: FloatArray) -> ColorArray:
     """(n, 3) RGB for (n,) shares of the scale, 0 to 1, dark violet to yellow."""
     level = np.clip(np.nan_to_num(share) * 255, 0, 255).astype(np.uint8).reshape(-1, 1)
+    if not level.size:
+        return np.zeros((0, 3), dtype=np.uint8)
     found: ColorArray = cv2.applyColorMap(level, cv2.COLORMAP_PLASMA).reshape(-1, 3)[:, ::-1]  # type: ignore[assignment]
     return found
 

@@ -16,7 +16,7 @@ HEAT = "Where the model is wrong: error over the body"
 
 PAPER = [232, 235, 240]
 """Behind particles without an image: every colour of theirs is seen on it."""
-FLAT_CLOSER = 0.8
+FLAT_CLOSER = 0.82
 """A flat body fills a view from nearer by."""
 WIDE_FROM = 3.0
 """Width over height from which pictures are stacked rather than put side by side."""
@@ -115,7 +115,7 @@ def _bounds(canvas: Canvas) -> rrb.VisualBounds2D:
 def _deep_view(name: str, contents: list[str], canvas: Canvas) -> rrb.View:
     """A view whose eye stands far enough away to have the whole in sight, above and to the side."""
     low, high = list(canvas.low), list(canvas.high)
-    low[1] -= 0.2 * max(canvas.width, canvas.height)  # the legend
+    low[1] -= 0.32 * max(canvas.width, canvas.height)  # the legend
     middle = [(first + last) / 2 for first, last in zip(low, high, strict=True)]
     size = sum((last - first) ** 2 for first, last in zip(low, high, strict=True)) ** 0.5 or 1.0
     size *= FLAT_CLOSER if high[2] - low[2] < 0.5 * max(canvas.width, canvas.height) else 1.0

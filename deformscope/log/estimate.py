@@ -26,7 +26,7 @@ RESIDUAL_RADIUS, DEEP_RADIUS, DEEP_OBSERVED_RADIUS = 0.15, 0.13, 0.16
 NET = 1.2
 """Particles of a surface that are at most so many spacings apart are joined by a net."""
 
-CELLS, OVER_IMAGE = 256, 0.75
+CELLS, OVER_IMAGE = 192, 0.75
 """Of the heat map in the plane: cells along its longer side, and how much of it covers an image."""
 
 BANDS = 32
@@ -122,7 +122,7 @@ def _log_flat_heat(
 
 def _png(picture: npt.NDArray[np.uint8]) -> bytes:
     """(rows, columns, 4) red, green, blue, cover."""
-    return cv2.imencode(".png", picture[..., [2, 1, 0, 3]])[1].tobytes()
+    return cv2.imencode(".png", picture[..., [2, 1, 0, 3]], [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes()
 
 
 def _worst(comparison: Comparison, length: FloatArray) -> str:
