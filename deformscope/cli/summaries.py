@@ -234,7 +234,7 @@ def _sizes(found: PokesFound) -> Table:
 
 
 def _number(value: float | None, form: str) -> str:
-    return "" if value is None else form.format(value)
+    return "–" if value is None else form.format(value)
 
 
 def _cell(value: object) -> str:

@@ -98,6 +98,7 @@ def _log_flat_heat(
     """The error between the particles, as an image over their area, and a ring around the largest."""
     known = np.isfinite(length)
     if not known.any():
+        rec.log("heat", rr.Clear(recursive=True))
         return
     value, low, side = raster(comparison.rest[known], comparison.observed[known], length[known], CELLS)
     band = (np.floor(value / end * BANDS).clip(0, BANDS - 1) + 0.5) / BANDS
@@ -192,6 +193,7 @@ def _log_deep_heat(
     """The error over the surface or the skin; where there is none, the particles alone."""
     known = np.flatnonzero(np.isfinite(length) & _inside(comparison, canvas))
     if not known.size:
+        rec.log("heat", rr.Clear(recursive=True))
         return
     log_place(rec, canvas, "heat/map")
     place, tints = comparison.observed[known], colors(length[known] / end)

@@ -110,7 +110,12 @@ def test_pokes_have_their_table(tmp_path: Path, capsys: pytest.CaptureFixture[st
         np.savez(pokes[-1], rest=rest, deformed=deformed, held=contact, contact=contact, force_n=2.0)
     record = tmp_path / "run.rrd"
     arguments = ["calibrate", "beta", *pokes, "--thickness-m", "0.03", "--spacing-m", "0.01", "--cluster-size", "2"]
-    _, page, _ = summaries([*arguments, "--theta", "0.3", "--record", str(record)], tmp_path)
+    told = tmp_path / "found.json"
+    arguments += ["--theta", "0.3", "--record", str(record), "--json", str(told)]
+    _, page, _ = summaries(arguments, tmp_path)
+    found = json.loads(told.read_text())
+    share = np.sqrt(np.mean([one["surface_error"] ** 2 for one in found["pokes"]]))
+    assert found["identifiability"]["misfit_m"] == pytest.approx(share * 0.002 / np.sqrt(3))  # in metres, as it says
     assert record.exists()
     assert f"{record} (" in capsys.readouterr().out  # and not the name that it had while it was written
     for said in ("place x, y [m]", "0.05, 0.06", "0.07, 0.06", "Cluster sizes tried", "N/m", "poke1.npz"):
