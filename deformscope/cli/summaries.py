@@ -171,8 +171,6 @@ def _evidence(result: Result) -> list[Part]:
     found = result.estimate
     rows = estimate_rows(found)
     rows.insert(-1, ("error, nearest particle", _length(found, found.nearest)))
-    if found.identifiability is not None:
-        rows.insert(-1, ("misfit of the model", _length(found, found.identifiability.misfit)))
     caption = (
         f"Above: mean distance between observed and simulated particles over {found.parameter}, with the estimate. "
         f"Below: the posterior on the same axis; shaded the {found.level:.0%} interval."
@@ -189,9 +187,9 @@ def _pictures(result: Result, count: int) -> list[Part]:
         name = f"{PurePath(result.names[index]).name}: " if result.names[index] else ""
         parts.append(f"{name}{where_wrong(result.comparisons[index])}")
         left = Figure(
-            particles_png(result, index), f"{name}observed particles and the simulated ones, with error lines."
+            particles_png(result, index), f"{name}Observed particles and the simulated ones, with error lines."
         )
-        right = Figure(errors_png(result, index), f"{name}distance from observed to simulated over the body.")
+        right = Figure(errors_png(result, index), f"{name}Distance from observed to simulated over the body.")
         parts.append((left, right))
     return parts
 

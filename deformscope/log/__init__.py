@@ -75,19 +75,18 @@ def _(result: Comparison, canvas: Canvas) -> Canvas:
     """A pair brings its own picture: in the plane with y upwards, in space the part where something moved."""
     import numpy as np
 
-    spacing = canvas.spacing or spacing_of(result.rest)
     if canvas.image:
-        return dataclasses.replace(canvas, spacing=spacing)
+        return canvas if canvas.spacing else dataclasses.replace(canvas, spacing=spacing_of(result.rest))
+    spacing = spacing_of(result.rest)
     if result.rest.shape[1] == 2:
         upwards = np.array([1.0, -1.0])
         every = np.concatenate([result.rest, result.observed[result.seen], result.simulated]) * upwards
-        return dataclasses.replace(canvas.around(every), spacing=spacing, origin=(0.0, 0.0), scale=(1.0, -1.0))
+        return dataclasses.replace(Canvas().around(every), spacing=spacing, origin=(0.0, 0.0), scale=(1.0, -1.0))
     shown = close_up(result)
     if not shown.surface:
-        return dataclasses.replace(canvas, low=_tuple(shown.low), high=_tuple(shown.high), spacing=spacing)
+        return Canvas(low=_tuple(shown.low), high=_tuple(shown.high), spacing=spacing)
     origin, scale = shown.middle, np.array([1.0, 1.0, shown.heights])
-    return dataclasses.replace(
-        canvas,
+    return Canvas(
         low=_tuple((shown.low - origin) * scale),
         high=_tuple((shown.high - origin) * scale),
         spacing=spacing,

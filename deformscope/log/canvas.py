@@ -86,11 +86,12 @@ class Canvas:
 
 def log_place(rec: rr.RecordingStream, canvas: Canvas, *paths: str) -> None:
     """Have the positions at these paths, which stay true in the recording, drawn where the canvas wants them."""
-    if canvas.scale:
-        scale = np.array([*canvas.scale, 1.0][:3])
-        origin = np.array([*canvas.origin, 0.0][:3])
-        for path in paths:
-            rec.log(path, rr.Transform3D(translation=-origin * scale, scale=scale))
+    if canvas.image:
+        return
+    scale = np.array([*canvas.scale, 1.0, 1.0, 1.0][:3])
+    origin = np.array([*canvas.origin, 0.0, 0.0, 0.0][:3])
+    for path in paths:
+        rec.log(path, rr.Transform3D(translation=-origin * scale, scale=scale))
 
 
 def log_legend(

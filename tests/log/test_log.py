@@ -286,6 +286,19 @@ def test_a_poke_is_shown_close_and_recorded_whole(tmp_path: Path) -> None:
         assert sorted(which) == list(range(len(pair.rest)))
 
 
+def test_each_pair_of_a_recording_is_drawn_its_own_way(tmp_path: Path) -> None:
+    path = tmp_path / "run.rrd"
+    pairs = (synthetic.pair_in_plane(), poked(), synthetic.pair_in_space())
+    with Recorder(path, layout="pair-3d") as made:
+        for frame, pair in enumerate(pairs):
+            made.write(Step((pair, synthetic.estimate(unit="m")), frame=frame))
+    scales = [values(path, "/particles/observed", "Transform3D:scale", frame)[0] for frame in range(3)]
+    assert scales[0] == [1.0, -1.0, 1.0]
+    assert scales[1][2] > 1.0
+    assert scales[2] == [1.0, 1.0, 1.0]
+    assert values(path, "/particles/observed", "Transform3D:translation", 2)[0] == [0.0, 0.0, 0.0]
+
+
 def test_nothing_to_compare_is_no_error(tmp_path: Path) -> None:
     pair = synthetic.pair_in_plane()
     blind = dataclasses.replace(pair, seen=np.zeros(len(pair.rest), dtype=bool))
