@@ -125,7 +125,7 @@ def results_png(results: Sequence[Result]) -> bytes:
             done.append(place)
             taken = sum(1 for other, _ in rows if other == place)
             inner = grid[row : row + min(taken, 2), 2].subgridspec(5, 1)
-            _draw_evidence(figure, inner, result.estimate, titled=len(results) > 1)
+            _draw_evidence(figure, inner, result.estimate, titled=len(results) > 1, size=10, width=38)
     first = results[0].estimate
     if len(results) == 1:
         words = f"{headline(first)}\n{_wrapped(first.verdict_text(), 130)}\nstiffness: {first.stiffness_text()}"
@@ -179,7 +179,9 @@ def _png(figure: Figure, dpi: int) -> bytes:
 # Error curve and posterior -------------------------------------------------------------------------------------------
 
 
-def _draw_evidence(figure: Figure, grid: Any, estimate: Estimate, *, titled: bool = True, size: int = 11) -> None:
+def _draw_evidence(
+    figure: Figure, grid: Any, estimate: Estimate, *, titled: bool = True, size: int = 11, width: int = 62
+) -> None:
     """The curve in the upper three of five rows, the posterior below it; all for the curve where there is none."""
     if estimate.posterior is None:
         above = figure.add_subplot(grid[:, 0])
@@ -191,7 +193,7 @@ def _draw_evidence(figure: Figure, grid: Any, estimate: Estimate, *, titled: boo
         _draw_posterior(below, estimate, size)
     _draw_curve(above, estimate, size)
     if titled:
-        words = f"{headline(estimate)}\n{_wrapped(estimate.verdict_text(), 62)}"
+        words = f"{_wrapped(headline(estimate), width)}\n{_wrapped(estimate.verdict_text(), width)}"
         above.set_title(words, fontsize=size + 1, color=verdict_color(estimate), fontweight="bold")
 
 

@@ -308,6 +308,8 @@ def calibrate_pair_bytes(
     with Recorder(
         output.record, resolve_viewer(output.viewer), settings, layout=layout, overwrite=output.overwrite
     ) as recorder:
+        if recorder.active and len({one.rest.shape[1] for one in seen}) > 1:
+            raise InputError("pairs all in the plane, or all in space, in one recording", "both", "two commands")
         _tell_viewer(recorder)
         for index, (_, raw) in enumerate(raws):
             recorder.write_input(f"pair/{index}", raw)

@@ -137,6 +137,17 @@ def test_what_cannot_be_written_is_refused_at_once(
     assert expected in capsys.readouterr().err
 
 
+def test_plane_and_space_do_not_fit_into_one_recording(
+    pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    body = pushed((3, 3, 3), np.random.default_rng(0))
+    other = tmp_path / "c.npz"
+    np.savez(other, rest=body.rest, deformed=1.02 * body.rest, held=body.held)
+    assert main(["calibrate", "beta", str(pair), str(other), *FAST, "--record", str(tmp_path / "r.rrd")]) == 2
+    assert "all in the plane, or all in space" in capsys.readouterr().err
+    assert not list(tmp_path.glob("*.rrd"))
+
+
 def test_a_source_is_not_written_over(pair: Path, capsys: pytest.CaptureFixture[str]) -> None:
     copy = pair.with_suffix(".html")
     shutil.copy(pair, copy)
