@@ -115,7 +115,7 @@ def results_png(results: Sequence[Result]) -> bytes:
     rows = _rows(results)
     height = sum(_height(results[place].comparisons[index]) for place, index in rows)
     figure = _figure(17.0, max(height, 4.4) + 1.0)
-    grid = figure.add_gridspec(len(rows), 3, width_ratios=[1.0, 1.1, 1.0])
+    grid = figure.add_gridspec(len(rows), 3, width_ratios=[1.0, 1.1, 1.15])
     done: list[int] = []
     for row, (place, index) in enumerate(rows):
         result = results[place]
@@ -125,7 +125,7 @@ def results_png(results: Sequence[Result]) -> bytes:
             done.append(place)
             taken = sum(1 for other, _ in rows if other == place)
             inner = grid[row : row + min(taken, 2), 2].subgridspec(5, 1)
-            _draw_evidence(figure, inner, result.estimate, titled=len(results) > 1, size=10, width=38)
+            _draw_evidence(figure, inner, result.estimate, titled=len(results) > 1, size=10, width=44)
     first = results[0].estimate
     if len(results) == 1:
         words = f"{headline(first)}\n{_wrapped(first.verdict_text(), 130)}\nstiffness: {first.stiffness_text()}"
