@@ -673,6 +673,115 @@ class PredictConfig(CommandOptions):
         return self.json
 
 
+# deformscope calibrate axes and yield --------------------------------------------------------------------------------
+
+
+def parse_creep(text: str) -> float | str:
+    """`none`, `fit`, or a rate above 0 [1/s]."""
+    if text in ("none", "fit"):
+        return text
+    try:
+        return _positive(text)
+    except ValueError:
+        raise ValueError(f"expected none, fit or a rate above 0 in 1/s; got {text!r}") from None
+
+
+CreepFlag = Annotated[float | str, _value("none|fit|RATE", parse_creep)]
+
+
+@dataclass(frozen=True, slots=True)
+class AxesConfig(CommandOptions):
+    """Find a beta along each axis of a material from pairs of rest and deformed positions: one fit to all of them."""
+
+    sources: Annotated[tuple[str, ...], Positional, arg(metavar="PAIR.npz...", help_behavior_hint="")]
+    """Pair files."""
+    turn_deg: float = 0.0
+    """Angle of the material's first axis to x, in the plane of x and y [degrees]."""
+    cluster_size: int = 3
+    """Particles along each side of a cluster."""
+    level: float = 0.9
+    """Confidence level of the intervals."""
+    noise_m: PositiveFlag = None
+    """Standard deviation of a measured position [m]; default: what the pair files say."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where the simulation runs; auto: on the GPU where there is one."""
+    seed: int = 0
+    """Seed of every random number."""
+    json: JsonFlag = None
+    """Write the result as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+
+    def __post_init__(self) -> None:
+        if not self.sources:
+            raise InputError("at least one PAIR.npz", "none", "a pair file with rest, deformed and held")
+        _check_fit(self.cluster_size, self.level, self.seed)
+
+    def reads(self) -> tuple[str, ...]:
+        return self.sources
+
+    def writes(self) -> tuple[Written, ...]:
+        return _written_json(self.json)
+
+    def json_target(self) -> str | None:
+        return self.json
+
+
+@dataclass(frozen=True, slots=True)
+class YieldConfig(CommandOptions):
+    """Find the strain at which a thing yields from its motion: loaded, and let go."""
+
+    source: Annotated[Path, Positional, arg(metavar="MOTION.npz")]
+    """rest (K, d), motion (T, K, d) [m], held (n,) or (T, K), and dt [s] for creep."""
+    beta: PositiveFlag = None
+    """Share of linear deformation; default: found along with the yield strain."""
+    creep: CreepFlag = "none"
+    """How fast it flows [1/s]: none, as long as it takes in every frame; fit, found too; or a rate."""
+    maximum: PositiveFlag = None
+    """Largest plastic strain; default: no bound."""
+    theta: float = 0.0
+    """Volume conservation (by projection), which stays as it is."""
+    cluster_size: int = 3
+    """Particles along each side of a cluster."""
+    level: float = 0.9
+    """Confidence level of the intervals."""
+    noise_m: PositiveFlag = None
+    """Standard deviation of a measured position [m]; default: what the file says, else the residuals."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where the simulation runs; auto: on the GPU where there is one."""
+    seed: int = 0
+    """Seed of every random number."""
+    picture: PictureFlag = None
+    """Draw the error over the yield strain, and the residuals of the frames. An existing file is replaced."""
+    json: JsonFlag = None
+    """Write the result as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+
+    def __post_init__(self) -> None:
+        if self.beta is not None and self.beta > BETA_LIMIT:
+            raise InputError(f"a --beta of at most {BETA_LIMIT:g}", str(self.beta))
+        if self.picture is not None and self.picture.suffix != ".png":
+            raise InputError("a file that ends in .png after --picture", repr(str(self.picture)))
+        _check_unit("--theta", self.theta)
+        _check_fit(self.cluster_size, self.level, self.seed)
+
+    def reads(self) -> tuple[str, ...]:
+        return (str(self.source),)
+
+    def writes(self) -> tuple[Written, ...]:
+        picture = () if self.picture is None else (Written("--picture", self.picture),)
+        return (*picture, *_written_json(self.json))
+
+    def json_target(self) -> str | None:
+        return self.json
+
+
+def _check_fit(cluster_size: int, level: float, seed: int) -> None:
+    if cluster_size < 2:
+        raise InputError("a --cluster-size of 2 or more", str(cluster_size))
+    if not 0 < level < 1:
+        raise InputError("a --level between 0 and 1", str(level), "--level 0.9")
+    if seed < 0:
+        raise InputError("a --seed of 0 or more", str(seed))
+
+
 # deformscope demo and replay -----------------------------------------------------------------------------------------
 
 
@@ -816,6 +925,28 @@ class CoverageConfig(CommandOptions):
             raise InputError("a --seed of 0 or more", str(self.seed))
         if self.out is not None and self.out.exists() and not self.out.is_dir():
             raise InputError("a folder after --out", "a file", where=self.out)
+
+    def writes(self) -> tuple[Written, ...]:
+        return _written_json(self.json)
+
+    def json_target(self) -> str | None:
+        return self.json
+
+
+# deformscope reproduce pokes -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class PokesConfig(CommandOptions):
+    """Pokes of finite element slabs that were not fitted, predicted and compared with a rigid body, a half-space and
+    linear finite elements."""
+
+    out: Annotated[Path, arg(metavar="DIR")] = Path("runs/pokes")
+    """Folder of dents.png and pokes.csv; made where it is not there. What it holds of these is replaced."""
+    quick: bool = False
+    """The slab of one modulus alone."""
+    json: JsonFlag = None
+    """Write all of it as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
 
     def writes(self) -> tuple[Written, ...]:
         return _written_json(self.json)

@@ -10,6 +10,7 @@ Nothing in it is executed when it is read (no pickle).
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
 import os
 import zipfile
@@ -57,10 +58,13 @@ def save_model(model: FittedModel, path: Path) -> None:
 def load_model(path: Path) -> FittedModel:
     """Read a model. Raises InputError for what is none, damaged, or of another format."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        raw = path.read_bytes()
+    except OSError as error:
+        came = "no file" if isinstance(error, FileNotFoundError) else (error.strerror or str(error)).lower()
+        raise InputError("a model file", came, "deformscope calibrate beta ... --save FILE.npz", path) from error
+    try:
+        with np.load(io.BytesIO(raw), allow_pickle=False) as file:
             found = {name: file[name] for name in file.files}
-    except FileNotFoundError as error:
-        raise InputError("a model file", "no file", "deformscope calibrate beta ... --save FILE.npz", path) from error
     except (ValueError, OSError, zipfile.BadZipFile, EOFError, KeyError) as error:
         raise InputError("a model file (.npz)", "a file that is none, or damaged", where=path) from error
     if "format" not in found or "told" not in found:

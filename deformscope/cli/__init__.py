@@ -50,19 +50,33 @@ COMMANDS: dict[str, Command] = {
     "calibrate theta": Command(
         "find theta from images or pair files", "ThetaConfig", "deformscope.cli.calibrate", "theta"
     ),
-    "predict": Command("poke a fitted model where it was not poked", "PredictConfig", "deformscope.cli.predict"),
     "calibrate both": Command(
         "find beta and theta together from pair files", "BothConfig", "deformscope.cli.calibrate_both"
     ),
+    "calibrate axes": Command(
+        "find a beta along each axis from pair files", "AxesConfig", "deformscope.cli.materials", "axes"
+    ),
+    "calibrate yield": Command(
+        "find the strain at which a thing yields, from its motion",
+        "YieldConfig",
+        "deformscope.cli.materials",
+        "yielding",
+    ),
+    "predict": Command("poke a fitted model where it was not poked", "PredictConfig", "deformscope.cli.predict"),
     "replay": Command("the same stages on recorded inputs, compared", "ReplayConfig", "deformscope.cli.replay"),
+    "flow": Command("dense optical flow of two images", "FlowConfig", "deformscope.cli.flow"),
     "reproduce cubes": Command(
         "theta of cubes of known Poisson's ratio (Thesis 3.A)", "CubesConfig", "deformscope.cli.reproduce_cubes"
     ),
-    "flow": Command("dense optical flow of two images", "FlowConfig", "deformscope.cli.flow"),
-    "coverage": Command("how often the intervals hold the truth", "CoverageConfig", "deformscope.cli.coverage"),
     "reproduce foams": Command(
         "experiment 3.B: beta of five virtual foams", "FoamsConfig", "deformscope.cli.reproduce_foams"
     ),
+    "reproduce pokes": Command(
+        "pokes that were not fitted, predicted, on slabs of known truth",
+        "PokesConfig",
+        "deformscope.cli.reproduce_pokes",
+    ),
+    "coverage": Command("how often the intervals hold the truth", "CoverageConfig", "deformscope.cli.coverage"),
     "bench": Command("what MSM costs on this machine", "BenchConfig", "deformscope.cli.bench"),
 }
 """By name; a name of two words (`calibrate beta`) makes a group."""

@@ -6,6 +6,7 @@ and linear finite elements of the very slab.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -25,6 +26,9 @@ NEAR_M = 0.03
 
 POISSON = 0.3
 """Poisson's ratio that the half-space and the finite elements are given: nothing tells it to them."""
+
+FITTED_DEPTH = 1e-3
+"""At which the elastic bodies are given their modulus [m]: there the model is linear."""
 
 Progress = Callable[[str, int, int], None]
 
@@ -60,6 +64,7 @@ def compare(
     if model.body != "layers" or model.thickness is None:
         raise InputError("a model of layers below a surface", "one of particles", "fit it with --thickness-m")
     found = []
+    elastic = _Elastic(model)
     for index, one in enumerate(seen):
         if progress is not None:
             progress("predicting", index, len(seen))
@@ -69,7 +74,7 @@ def compare(
         moved = prediction.at(poke.points) - poke.points
         scores = [_score("MSM", poke, moved, prediction.force)]
         scores += [_score("rigid", poke, np.zeros_like(poke.moved), None)]
-        scores += _elastic(model, poke)
+        scores += elastic.scores(poke)
         found.append(Comparison(poke, prediction, poke.points + moved, tuple(scores)))
     return found
 
@@ -87,37 +92,45 @@ def _score(method: str, poke: SeenPoke, moved: FloatArray, force: float | None) 
     return Score(method, error, force, off)
 
 
-def _elastic(model: FittedModel, poke: SeenPoke) -> list[Score]:
-    """Half-space and finite elements, each with the modulus that its own fit to the model's poke gives."""
-    aside = poke.points[:, :2] - poke.at[:2]
-    fitted = _fitted_poke(model)
-    solid = half_space(fitted[0], fitted[1], fitted[2], POISSON) if fitted is not None else None
-    shape = half_space(poke.tip, poke.depth, 1.0, POISSON)
-    force = None if solid is None else solid.force(poke.tip, poke.depth)
-    scores = [_score("half-space", poke, shape.surface(poke.tip, poke.depth, aside), force)]
-    slab, corner = _slab(model)
+class _Elastic:
+    """Half-space and finite elements, each with the modulus that the force at the model's first poke gives it."""
 
-    def dent(at: FloatArray, tip: Tip, depth: float) -> Dent:
-        place = (float(at[0] - corner[0]), float(at[1] - corner[1]))
-        return press(slab, place, _rigid(tip), poke.points - corner, depth=depth)
+    def __init__(self, model: FittedModel) -> None:
+        self.model = model
+        self.slab, self.corner = _slab(model)
 
-    found = dent(poke.at, poke.tip, poke.depth)
-    force = None
-    if fitted is not None:
-        force = found.force * fitted[2] / dent(fitted[3], fitted[0], fitted[1]).force
-    return [*scores, _score("finite elements", poke, found.displaced, force)]
+    @functools.cached_property
+    def _fitted(self) -> tuple[Tip, FloatArray, float] | None:
+        """Tip and place of the model's first poke with force, and its force at `FITTED_DEPTH`."""
+        model = self.model
+        if not len(model.stiffness) or model.tip is None:
+            return None
+        found = predict(model, Poke(model.places[0], model.tip, depth=FITTED_DEPTH))
+        return None if found.force is None else (model.tip, model.places[0], found.force)
 
+    @functools.cached_property
+    def _fitted_unit(self) -> float:
+        """Force of the finite elements at that poke with a modulus of 1 Pa."""
+        assert self._fitted is not None
+        tip, at, _ = self._fitted
+        return self._dent(at, tip, FITTED_DEPTH, self.model.rest[:1]).force
 
-def _fitted_poke(model: FittedModel) -> tuple[Tip, float, float, FloatArray] | None:
-    """Tip, depth, force and place of the model's first poke with force."""
-    if not len(model.stiffness) or model.tip is None:
-        return None
-    depth = 1e-3
-    place = model.places[0]
-    found = predict(model, Poke(place, model.tip, depth=depth))
-    if found.force is None:
-        return None
-    return model.tip, depth, found.force, place
+    def _dent(self, at: FloatArray, tip: Tip, depth: float, points: FloatArray) -> Dent:
+        place = (float(at[0] - self.corner[0]), float(at[1] - self.corner[1]))
+        return press(self.slab, place, _rigid(tip), points - self.corner, depth=depth)
+
+    def scores(self, poke: SeenPoke) -> list[Score]:
+        """Both, on one measured poke."""
+        fitted = self._fitted
+        shape = half_space(poke.tip, poke.depth, 1.0, POISSON)
+        surface = shape.surface(poke.tip, poke.depth, poke.points[:, :2] - poke.at[:2])
+        force = None
+        if fitted is not None:
+            force = half_space(fitted[0], FITTED_DEPTH, fitted[2], POISSON).force(poke.tip, poke.depth)
+        found = [_score("half-space", poke, surface, force)]
+        dent = self._dent(poke.at, poke.tip, poke.depth, poke.points)
+        force = None if fitted is None else dent.force * fitted[2] / self._fitted_unit
+        return [*found, _score("finite elements", poke, dent.displaced, force)]
 
 
 def _slab(model: FittedModel) -> tuple[Slab, FloatArray]:

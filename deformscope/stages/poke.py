@@ -7,6 +7,7 @@ stiffness times the reaction at the touched particles.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -185,13 +186,13 @@ def press(
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """A body whose touched particles are held: position (K, d); pull: (m, d) reaction at each of them per unit of k;
-    hold: (m, d) where they came to be; converged"""
+    """A body whose touched particles are held, under B laws: position (B, K, d); pull: (B, m, d) reaction at each of
+    them per unit of k; hold: (B, m, d) where they came to be; converged: (B,)"""
 
     position: FloatArray
     pull: FloatArray
     hold: FloatArray
-    converged: bool
+    converged: BoolArray
 
 
 def hold(scene: Scene, touched: IntArray, law: Law, precision: Precision, device: str) -> Msm:
@@ -201,26 +202,36 @@ def hold(scene: Scene, touched: IntArray, law: Law, precision: Precision, device
 
 
 def settle(
-    scene: Scene, body: Msm, law: Law, touched: IntArray, at: FloatArray, *, slips: bool, start: FloatArray | None
+    scene: Scene,
+    body: Msm,
+    laws: Sequence[Law],
+    touched: IntArray,
+    at: FloatArray,
+    *,
+    slips: bool,
+    start: FloatArray | None,
 ) -> Held:
-    """The static state with the touched particles at `at` (m, d); those that slip go on until nothing pulls them
-    sideways, the way along the tip's direction kept. start: (K, d)"""
-    fixed, toward = scene.rest[scene.fixed], scene.toward
+    """The static states with the touched particles at `at` (m, d) or (B, m, d), one for each law; those that slip go on
+    until nothing pulls them sideways, the way along the tip's direction kept. start: (K, d) or (B, K, d)"""
+    toward = scene.toward
+    beta, theta = (np.array([getattr(law, name) for law in laws]) for name in ("beta", "theta"))
+    at = np.array(np.broadcast_to(at, (len(laws), *at.shape[-2:])))
+    fixed = np.broadcast_to(scene.rest[scene.fixed], (len(laws), len(scene.fixed), len(toward)))
     depth = float(np.abs((at - scene.rest[touched]) @ toward).max()) or scene.spacing
-    position, pull = start, np.zeros_like(at)
-    for _ in range(MOST_SLIDES):
-        state = body.relax(np.concatenate([fixed, at]), law.beta, law.theta, volume=law.volume, start=position)
-        position = state.position[0]
-        pull = body.reaction(position, law.beta, law.theta)[0, touched]
-        converged = bool(state.converged[0])
-        if not slips:
-            return Held(position, pull, at, converged)
-        side = (pull - np.outer(pull @ toward, toward)) / body.counts[touched, None]
-        if float(np.abs(side).max()) <= SETTLED * depth:
-            return Held(position, pull, at, converged)
+    position = start
+    for last in range(MOST_SLIDES):
+        held = np.concatenate([fixed, at], axis=1)
+        state = body.relax(held, beta, theta, volume=laws[0].volume, start=position)
+        position = state.position
+        pull = body.reaction(position, beta, theta)[:, touched]
+        side = (pull - (pull @ toward)[:, :, None] * toward) / body.counts[touched, None]
+        off = np.abs(side).max(axis=(1, 2)) > SETTLED * depth
+        if not slips or not off.any():
+            return Held(position, pull, at, state.converged)
+        if last == MOST_SLIDES - 1:
+            return Held(position, pull, at, state.converged & ~off)
         at = at - SLIDE * side
-    assert position is not None
-    return Held(position, pull, at, False)
+    raise AssertionError("MOST_SLIDES is above 0")
 
 
 class _Contact:
@@ -252,13 +263,13 @@ class _Contact:
             body = body or hold(scene, here, self.law, self.precision, self.device)
             pushed = scene.rest[here] + (depth - self.gap[touched])[:, None] * scene.toward
             state = settle(
-                scene, body, self.law, here, pushed + slide[touched], slips=self.poke.tip.slips, start=position
+                scene, body, [self.law], here, pushed + slide[touched], slips=self.poke.tip.slips, start=position
             )
-            position = state.position
-            slide[touched] = state.hold - pushed
-            along = state.pull @ scene.toward
+            position = state.position[0]
+            slide[touched] = state.hold[0] - pushed
+            along = state.pull[0] @ scene.toward
             total = float(along.sum())
-            settled = state.converged
+            settled = bool(state.converged[0])
             if self._touching(touched, along, position, depth):
                 body, settled = None, False
             share = 1.0 if self.poke.force is None or k is None else self.poke.force / max(k * total, 1e-300)

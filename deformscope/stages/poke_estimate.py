@@ -169,7 +169,7 @@ def conclude(
     apart = np.concatenate(
         [distances(c.simulated, c.observed)[some] for c, some in zip(comparisons, free, strict=True)]
     )
-    left = float(sum(np.sum(one.residual(one.settle(best.law)) ** 2) for one in fit.posed))
+    left = float(sum(np.sum(one.residual(one.settle([best.law])) ** 2) for one in fit.posed))
     moved = float(sum(np.sum((one.poke.moved[one.near] / one.poke.depth) ** 2) for one in fit.posed))
     misfit = float(np.sqrt(np.mean(best.surface_error**2))) * float(np.mean([poke.depth for poke in fit.pokes]))
     told = Identifiability(rise, 1.0 - left / moved, posterior.deviation(), misfit / np.sqrt(3.0))
@@ -224,25 +224,25 @@ class _Profile:
         beside = np.clip(at + np.array([-0.2, 0.0, 0.2]), low, high)
         self.stretched = np.unique(np.concatenate([np.linspace(low, high, CURVE), beside]))
         self.beta = -np.expm1(-self.stretched)
-        self.residual: list[FloatArray] = [np.empty((len(self.beta), len(one.near), 3)) for one in fit.posed]
+        laws = [dataclasses.replace(law, beta=float(beta)) for beta in self.beta]
+        self.residual: list[FloatArray] = []
         self.reaction = np.empty((len(self.beta), len(fit.posed)))
         errors = np.empty((len(self.beta), len(fit.posed)))
-        for row, beta in enumerate(self.beta):
-            here = dataclasses.replace(law, beta=float(beta))
-            for column, one in enumerate(fit.posed):
-                state = one.settle(here)
-                self.residual[column][row] = one.residual(state) * one.poke.depth
-                self.reaction[row, column] = one.reaction(state)
-                errors[row, column] = float(distances(one.moved(state), one.poke.moved).mean())
+        for column, one in enumerate(fit.posed):
+            one.settle([law])
+            state = one.settle(laws)
+            self.residual.append(one.residual(state) * one.poke.depth)
+            self.reaction[:, column] = one.reaction(state)
+            errors[:, column] = distances(one.moved(state), one.poke.moved).mean(axis=1)
         self.aee = errors.mean(axis=1)
         self.by_theta = [self._slope(one, law) for one in fit.posed] if fit.theta_fitted else None
 
     def _slope(self, one: PosedPoke, law: Law) -> FloatArray:
         """Change of the residual near a poke by theta, (n, 3) [m]."""
         step = THETA_STEP if law.theta < 0.5 else -THETA_STEP
-        there = one.residual(one.settle(dataclasses.replace(law, theta=law.theta + step)))
-        here = one.residual(one.settle(law))
-        return (there - here) * one.poke.depth / step
+        one.settle([law])
+        here, there = one.residual(one.settle([law, dataclasses.replace(law, theta=law.theta + step)]))
+        return np.asarray((there - here) * one.poke.depth / step)
 
     def posterior(self) -> tuple[Posterior, float]:
         """Of beta, theta integrated, and by how many deviations the data tell its likeliest value from the least.
@@ -299,14 +299,14 @@ def _stiffness(
 
 def _comparison(one: PosedPoke, law: Law) -> Comparison:
     """The surface as it was seen and as it is simulated."""
-    state = one.settle(law)
+    state = one.settle([law])
     poke = one.poke
     away, _ = cKDTree(poke.touched).query(poke.points)
     held = np.flatnonzero(away <= 1e-12)
     return Comparison(
         poke.points,
         poke.points + poke.moved,
-        poke.points + one.moved(state),
+        poke.points + one.moved(state)[0],
         np.ones(len(poke.points), dtype=bool),
         held,
         "m",

@@ -1,8 +1,8 @@
 """Fit a volume lattice to pokes of a surface: cluster size, beta, theta, and where force was measured the stiffness.
 
 The static state under each poke is compared with the surface around it, between the lattice's columns. Beta and theta
-follow the exact sensitivities of the static state to the least squared error (`scipy.optimize.least_squares`); the
-cluster size is the one whose errors are smallest on pokes left out, or, with a single poke, on its own surface.
+are those of the least squared error (`scipy.optimize.least_squares`); the
+cluster size is the one whose error is smallest; how well it does on pokes left out is told.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ DOWN = np.array([0.0, 0.0, -1.0])
 BETA_MOST = 0.99
 
 SLOPE_STEP = 0.03
-"""Step, as a share of a parameter, over which the fit takes slopes: well above what contact is solved to."""
+"""Step of -log(1 - beta) and of theta over which the fit takes slopes: well above what contact is solved to."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,26 +152,26 @@ class PosedPoke:
             raise InputError("surface points near the poke", "none within the lattice", "points around the contact")
         self.state: Held | None = None
 
-    def settle(self, law: Law) -> Held:
-        """The static state with this law, started from the last one."""
-        start, at = (None, self.at) if self.state is None else (self.state.position, self.state.hold)
+    def settle(self, laws: Sequence[Law]) -> Held:
+        """The static states with these laws, at once, started from the last one's first."""
+        start, at = (None, self.at) if self.state is None else (self.state.position[:1], self.state.hold[0])
         slips = self.poke.tip.slips
-        self.state = settle(self.scene, self.body, law, self.touched, at, slips=slips, start=start)
+        self.state = settle(self.scene, self.body, laws, self.touched, at, slips=slips, start=start)
         return self.state
 
     def residual(self, state: Held) -> FloatArray:
-        """Simulated less seen displacement near the poke, in units of its depth, (n, 3)."""
+        """Simulated less seen displacement near the poke, in units of its depth, (B, n, 3)."""
         left = self.moved(state) - self.poke.moved
-        return np.asarray(left[self.near] / self.poke.depth)
+        return np.asarray(left[:, self.near] / self.poke.depth)
 
     def moved(self, state: Held) -> FloatArray:
-        """Simulated displacement of every point of the surface, (n, 3) [m]; beyond the lattice it is still."""
-        found = np.asarray(self.weights @ (state.position - self.scene.rest))
-        return np.where(self.inside[:, None], found, 0.0)
+        """Simulated displacement of every point of the surface, (B, n, 3) [m]; beyond the lattice it is still."""
+        every = [np.asarray(self.weights @ (one - self.scene.rest)) for one in state.position]
+        return np.where(self.inside[:, None], np.stack(every), 0.0)
 
-    def reaction(self, state: Held) -> float:
-        """Net force on the tip along its direction per unit of stiffness k [m]."""
-        return float((state.pull @ DOWN).sum())
+    def reaction(self, state: Held) -> FloatArray:
+        """Net force on the tip along its direction per unit of stiffness k, (B,) [m]."""
+        return np.asarray((state.pull @ DOWN).sum(axis=1))
 
 
 def fit_shape(
@@ -179,27 +179,43 @@ def fit_shape(
 ) -> tuple[Law, bool]:
     """The law of least squared error over pokes, and whether all its states converged. theta: kept where given.
 
-    All pokes count the same, however many points were seen of each.
+    All pokes count the same, however many points were seen of each. Slopes are differences, since what slips moves with
+    the law; a law and its neighbours settle at once, side by side.
     """
     size = posed[0].size
+    seen: dict[bytes, tuple[FloatArray, FloatArray, bool]] = {}
 
     def law(x: FloatArray) -> Law:
         return Law(float(-np.expm1(-x[0])), float(x[1]) if theta is None else theta, size)
 
-    def residual(x: FloatArray) -> FloatArray:
-        here = law(x)
-        every = [one.residual(one.settle(here)).ravel() / np.sqrt(max(len(one.near), 1)) for one in posed]
-        return np.concatenate(every)
+    def around(x: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
+        """Residuals (n,), their slopes (n, parameters), and whether the state itself converged."""
+        if (key := x.tobytes()) not in seen:
+            steps = np.where(x > 0.5 * high, -SLOPE_STEP, SLOPE_STEP)
+            laws = [law(x), *(law(x + step) for step in np.diag(steps))]
+            states = [one.settle(laws) for one in posed]
+            every = [
+                one.residual(state).reshape(len(laws), -1) / np.sqrt(len(one.near))
+                for one, state in zip(posed, states, strict=True)
+            ]
+            value = np.concatenate(every, axis=1)
+            good = all(bool(state.converged[0]) for state in states)
+            seen[key] = value[0], ((value[1:] - value[0]) / steps[:, None]).T, good
+        return seen[key]
 
-    keep = slice(None) if theta is None else slice(1)
-    first = np.array([-np.log1p(-start[0]), start[1]])[keep]
-    high = np.array([-np.log1p(-BETA_MOST), 1.0])[keep]
+    free = 2 if theta is None else 1
+    high = np.array([-np.log1p(-BETA_MOST), 1.0])[:free]
+    first = np.clip(np.array([-np.log1p(-start[0]), start[1]])[:free], 1e-3, high - 1e-3)
     found = least_squares(
-        residual, first, bounds=(np.zeros(len(first)), high), diff_step=SLOPE_STEP, xtol=1e-3, ftol=1e-3, max_nfev=15
+        lambda x: around(x)[0],
+        first,
+        lambda x: around(x)[1],
+        bounds=(np.zeros(free), high),
+        xtol=1e-3,
+        ftol=1e-4,
+        max_nfev=15,
     )
-    best = law(found.x)
-    settled = [one.settle(best) for one in posed]
-    return best, all(state.converged for state in settled)
+    return law(found.x), around(found.x)[2]
 
 
 def _covered(touched: FloatArray, places: FloatArray, spacing: float) -> IntArray:
@@ -237,7 +253,8 @@ class ShapeFit:
     """How well clusters of one size follow the pokes.
 
     law; surface_error: (q,) root mean square distance near each poke used, as a share of its depth; held_out: (q,) the
-    same with beta and theta fitted to the others, nan with one poke; reaction: (p,) of every poke, per unit of k [m]
+    same with beta and theta fitted to the others, nan with one poke and for all sizes but the best
+    reaction: (p,) of every poke, per unit of k [m]
     """
 
     law: Law
@@ -248,9 +265,9 @@ class ShapeFit:
 
     @property
     def score(self) -> float:
-        """What cluster sizes are compared by: the error on pokes left out, with one poke that on its own surface."""
-        told = self.held_out if np.isfinite(self.held_out).all() else self.surface_error
-        return float(np.sqrt(np.mean(told**2)))
+        """What cluster sizes are compared by: the error over all pokes. All sizes have the same two parameters, so that
+        none can win by following noise."""
+        return float(np.sqrt(np.mean(self.surface_error**2)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -312,9 +329,10 @@ def fit_pokes(
             beyond = best + 1 if best == max(tried) else best - 1 if best == min(tried) else best
             if beyond not in tried and SIZES[0] <= beyond <= SIZES[1]:
                 waiting.append(beyond)
-    ranked = tuple(sorted(tried.values(), key=lambda one: one.score))
+    ranked = sorted(tried.values(), key=lambda one: one.score)
     best_posed = next(iter(posed.values()))
-    return PokesFit(surface, tuple(pokes), fine, ranked, shaped, tuple(best_posed), theta is None)
+    ranked[0] = dataclasses.replace(ranked[0], held_out=_hold_out(best_posed, ranked[0].law, theta))
+    return PokesFit(surface, tuple(pokes), fine, tuple(ranked), shaped, tuple(best_posed), theta is None)
 
 
 def _fit_size(
@@ -329,22 +347,27 @@ def _fit_size(
 ) -> ShapeFit:
     size = posed[0].size
     law, good = fit_shape(posed, theta=theta)
-    start = law.beta, law.theta
-    error = np.array([_rms(one.residual(one.settle(law))) for one in posed])
-    held_out = np.full(len(posed), np.nan)
-    if len(posed) > 1:
-        for place, left in enumerate(posed):
-            others = [one for one in posed if one is not left]
-            elsewhere, _ = fit_shape(others, theta=theta, start=start)
-            held_out[place] = _rms(left.residual(left.settle(elsewhere)))
+    states = [one.settle([law]) for one in posed]
+    error = np.array([_rms(one.residual(state)[0]) for one, state in zip(posed, states, strict=True)])
     reaction = np.empty(len(pokes))
     for place, poke in enumerate(pokes):
         seen_at = np.flatnonzero(shaped == place)
         one = posed[int(seen_at[0])] if seen_at.size else PosedPoke(surface, poke, spacing, size, precision, device)
-        state = one.settle(law)
-        good &= state.converged
-        reaction[place] = one.reaction(state) * (one.scene.spacing / spacing)
-    return ShapeFit(law, error, held_out, reaction, good)
+        state = one.settle([law])
+        good &= bool(state.converged[0])
+        reaction[place] = one.reaction(state)[0] * (one.scene.spacing / spacing)
+    return ShapeFit(law, error, np.full(len(posed), np.nan), reaction, good)
+
+
+def _hold_out(posed: Sequence[PosedPoke], law: Law, theta: float | None) -> FloatArray:
+    """Surface error of each poke with beta and theta fitted to the others."""
+    error = np.full(len(posed), np.nan)
+    if len(posed) > 1:
+        for place, left in enumerate(posed):
+            others = [one for one in posed if one is not left]
+            elsewhere, _ = fit_shape(others, theta=theta, start=(law.beta, law.theta))
+            error[place] = _rms(left.residual(left.settle([elsewhere]))[0])
+    return error
 
 
 def _rms(residual: FloatArray) -> float:

@@ -85,6 +85,7 @@ def rest_struct(functions: Any, arrays: RestArrays, stride: int, scalar: Any, de
 class Operator(Protocol):
     """Goals of a body's clusters for the candidates of one layout."""
 
+    body: Any
     layout: Layout
     dim: int
     metric: Any

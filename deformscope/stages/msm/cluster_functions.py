@@ -30,12 +30,21 @@ class ClusterFunctions:
     """For one dimension, basis, precision and width.
 
     rest, kept: the struct types of what a cluster is at rest, and of what a fit leaves for its derivative
+    the others: the parts of a fit and of its derivative, for fits that are put together in another way
     """
 
     rest: Any
     kept: Any
     fit: Any
     fit_change: Any
+    turn: Any
+    turned_part: Any
+    compliance_part: Any
+    turn_change: Any
+    mixed: Any
+    conserve: Any
+    conserve_change: Any
+    square_part: Any
 
 
 @functools.cache
@@ -443,4 +452,17 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Clus
             affine_t = conserve_change(rest, cluster, step, before, affine_t, theta, volume)
         return mixed(affine_t, beta, change, lane(one) - beta)
 
-    return ClusterFunctions(Rest, Kept, fit, fit_change)
+    return ClusterFunctions(
+        Rest,
+        Kept,
+        fit,
+        fit_change,
+        turn,
+        turned_part,
+        compliance_part,
+        turn_change,
+        mixed,
+        conserve,
+        conserve_change,
+        square_part,
+    )

@@ -24,6 +24,7 @@ class Functions:
     denominator_change: Any
     project: Any
     project_change: Any
+    singular_values: Any
 
 
 @functools.cache
@@ -500,4 +501,14 @@ def functions_for(dim: int, scalar: Any) -> Functions:
                 x[2, 2] = stretch[2] * (z20 - z12)
         return u * x * wp.transpose(v) - change
 
-    return Functions(vec, square, turn, turn_change, volume_denominator, denominator_change, project, project_change)
+    return Functions(
+        vec,
+        square,
+        turn,
+        turn_change,
+        volume_denominator,
+        denominator_change,
+        project,
+        project_change,
+        singular_values,
+    )

@@ -82,9 +82,12 @@ class GeneralBody:
         )
 
     def operator(self, layout: Layout) -> GeneralOperator:
-        if layout.width not in self._arrays:
-            self._arrays[layout.width] = _Arrays(self, layout.width)
-        return GeneralOperator(self, layout, self._arrays[layout.width])
+        return GeneralOperator(self, layout, self.arrays(layout.width))
+
+    def arrays(self, width: int) -> _Arrays:
+        if width not in self._arrays:
+            self._arrays[width] = _Arrays(self, width)
+        return self._arrays[width]
 
     def lists(self, struct: Any) -> Any:
         for name, value in self._lists.items():

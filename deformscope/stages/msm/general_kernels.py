@@ -16,7 +16,7 @@ from deformscope.stages.msm.lattice_kernels import FAR
 
 @dataclass(frozen=True, slots=True)
 class GeneralKernels:
-    """The compiled set and its struct types."""
+    """The compiled set, its struct types, and functions of theirs that other fits share."""
 
     lists: Any
     motion: Any
@@ -24,6 +24,8 @@ class GeneralKernels:
     fit_changes: Any
     predict: Any
     finish: Any
+    gathered: Any
+    parameter: Any
 
 
 @functools.cache
@@ -272,4 +274,4 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Genera
                             new[i, l] = u[i, l]
             store(out, at, lists.particle_stride, new, wp.static(width))
 
-    return GeneralKernels(Lists, Motion, fit_clusters, fit_changes, predict, finish)
+    return GeneralKernels(Lists, Motion, fit_clusters, fit_changes, predict, finish, gathered, parameter)

@@ -98,9 +98,9 @@ class Iteration:
         return wp.zeros(count, dtype=wp.float64, device=self.layout.device)
 
     def set(self, beta: FloatArray, theta: FloatArray) -> None:
-        """Parameters of the candidates: beta (B,) or (B, C), theta (B,)."""
+        """Parameters of the candidates: beta (B,), (B, C) or along each axis (B, 1, d); theta (B,)."""
         self.layout.refill(self.theta, theta)
-        stride = self.operator.beta_stride if beta.ndim == 2 else 0
+        stride = self.operator.beta_stride if beta.ndim > 1 else 0
         if stride != self.parameters.beta_stride:
             values = self.operator.cluster_values(beta) if stride else self.layout.each(beta)
             self.parameters = Parameters(values, self.theta, stride, self.volume)

@@ -24,7 +24,7 @@ rest volume at theta = 1:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -90,7 +90,11 @@ def _rest_cluster(position: FloatArray, mass: FloatArray, index: IntArray, basis
     t0 = np.average(position[index], axis=0, weights=m)
     q = position[index] - t0
     radius = float(np.sqrt(np.average(np.sum(q**2, axis=1), weights=m))) or 1.0
-    q = q / radius
+    return rest_cluster(index, m, q / radius, radius, basis)
+
+
+def rest_cluster(index: IntArray, m: FloatArray, q: FloatArray, radius: float, basis: Basis) -> RestCluster:
+    """A cluster of particles that stand at q (n, d), from the mass centre, in units of `radius`. m: (n,)."""
     moments, axes = np.linalg.eigh(np.einsum("n,ni,nj->ij", m, q, q))
     span = axes[:, moments > FLAT_MOMENT_RATIO * max(moments[-1], np.finfo(float).tiny)]
     q_basis = q if basis == "linear" else quadratic_basis(q, m)
@@ -308,13 +312,28 @@ def relax(
     """
     x = (rest.position if start is None else start).astype(np.float64).copy()
     x[rest.held] = held_position
+    return fixed_point(
+        lambda at: goals(at, rest, beta, theta, volume=volume), x, rest, tolerance, max_iterations, memory
+    )
+
+
+def fixed_point(
+    goals_at: Callable[[FloatArray], FloatArray],
+    start: FloatArray,
+    rest: Rest,
+    tolerance: float = 1e-11,
+    max_iterations: int = 3000,
+    memory: int = 10,
+) -> tuple[FloatArray, float]:
+    """x = goals_at(x) from `start` (K, d), whose held particles stay: see `relax`."""
+    x = start.copy()
     free = ~held_mask(len(x), rest.held)
     extent = float(np.ptp(rest.position, axis=0).max()) or 1.0
     states: list[FloatArray] = []
     residuals: list[FloatArray] = []
     worst = 0.0
     for _ in range(max_iterations):
-        f = (goals(x, rest, beta, theta, volume=volume) - x)[free].ravel()
+        f = (goals_at(x) - x)[free].ravel()
         worst = float(np.abs(f).max(initial=0.0)) / extent
         if worst <= tolerance or not np.isfinite(worst):
             break

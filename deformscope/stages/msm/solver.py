@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
@@ -21,6 +22,8 @@ from deformscope.stages.msm.iteration import Anderson, Ended, Newton, halves
 from deformscope.stages.msm.iteration_kernels import CONVERGED, DIVERGED, iteration_kernels_for
 from deformscope.stages.msm.lattice import LatticeBody, lattice_edges
 from deformscope.stages.msm.layout import Layout, upload
+from deformscope.stages.msm.material_body import MaterialBody
+from deformscope.stages.msm.materials import AxisBeta
 from deformscope.stages.msm.reduced import OneCluster
 from deformscope.stages.msm.reference import Basis, Volume
 
@@ -83,12 +86,24 @@ class Moving:
     """The state of time stepping, on the device: displacements now and one step before, for B bodies."""
 
     def __init__(self, operator: Operator) -> None:
+        self.last_dt = 0.0
+        self._settle_in(operator)
+
+    def _settle_in(self, operator: Operator) -> None:
         self.operator = operator
         self.layout: Layout = operator.layout
         self.pair = self.layout.field(2 * operator.dim)
         self.swapped = False
-        self.last_dt = 0.0
         self.ran_away = self.layout.each(np.zeros(1), int)
+
+    def move_to(self, operator: Operator) -> None:
+        """The same state, stepped by another operator."""
+        now, last = (self.layout.get(each, operator.dim) for each in (self.u, self.before))
+        ran_away = self.diverged
+        self._settle_in(operator)
+        self.layout.put(now, self.u)
+        self.layout.put(last, self.before)
+        self.ran_away = self.layout.each(ran_away.astype(np.float64), int)
 
     @property
     def u(self) -> Any:
@@ -129,22 +144,21 @@ class Msm:
         device: str = "cpu",
     ) -> None:
         self.rest = np.ascontiguousarray(rest, dtype=np.float64)
-        self.held = np.asarray(held, dtype=np.int64).reshape(-1)
         self.dim = self.rest.shape[1]
         self.precision = precision
         self.device = device
         self.scale = spacing(self.rest)
         self.extent = float(np.ptp(self.rest, axis=0).max())
-        self.free = ~held_mask(len(self.rest), self.held)
         self.cluster_count = clusters.count
         self._scalar = wp.float64 if precision == "float64" else wp.float32
         self._basis = basis
-        mass = np.ones(len(self.rest)) if mass is None else np.asarray(mass, np.float64)
-        counts = clusters.cluster_counts()
-        metric = np.where(self.free, counts * mass / mass.mean(), 0.0)
-        self._particles = BodyRest(self.rest / self.scale, mass, self.free, counts, metric)
+        self.mass = np.ones(len(self.rest)) if mass is None else np.asarray(mass, np.float64)
         self._clusters = clusters
+        self._hold(held)
         self._scratch: dict[Any, Any] = {}
+        self._axes: FloatArray | None = None
+        self._plastic = False
+        self._variants: dict[bytes, Msm] = {}
 
     @functools.cached_property
     def _body(self) -> Body:
@@ -155,7 +169,59 @@ class Msm:
         """The body in float64: for eq. 3.17, which has no energy, and whose error float32 cannot judge."""
         return self._body if self._scalar is wp.float64 else self._build(wp.float64)
 
+    def variant(self, *, axes: FloatArray | None = None, plastic: bool = False) -> Msm:
+        """This body, by index lists, for what `materials` adds: betas along `axes` (d, d), clusters that yield."""
+        if axes is not None and self._basis != "linear":
+            raise ValueError("expected a linear basis with a beta along each axis; got a quadratic one")
+        made = self._alike()
+        made._axes, made._plastic = axes, plastic
+        return made
+
+    def holding(self, held: IntArray | Sequence[int]) -> Msm:
+        """This body with the positions of other particles prescribed, (n,)."""
+        made = self._alike()
+        made._hold(held)
+        return made
+
+    def _alike(self) -> Msm:
+        made = copy.copy(self)
+        for name in ("_body", "_double", "_one"):
+            made.__dict__.pop(name, None)
+        made._scratch, made._variants = {}, {}
+        return made
+
+    def _hold(self, held: IntArray | Sequence[int]) -> None:
+        self.held = np.asarray(held, dtype=np.int64).reshape(-1)
+        self.free = ~held_mask(len(self.rest), self.held)
+        counts = self._clusters.cluster_counts()
+        metric = np.where(self.free, counts * self.mass / self.mass.mean(), 0.0)
+        self._particles = BodyRest(self.rest / self.scale, self.mass, self.free, counts, metric)
+
+    def _along(self, beta: AxisBeta, theta: FloatArray | float) -> Msm:
+        """The variant for betas along these axes, kept for the next call."""
+        axes = np.asarray(beta.axes)
+        if len(axes) != self.dim:
+            raise ValueError(f"expected betas along {self.dim} axes; got {len(axes)}")
+        if np.any(theta):
+            raise ValueError("expected theta = 0 with a beta along each axis")
+        if self._axes is not None or self._plastic:
+            raise ValueError("expected a body without a material of its own")
+        key = axes.tobytes()
+        if key not in self._variants:
+            self._variants[key] = self.variant(axes=axes)
+        return self._variants[key]
+
     def _build(self, scalar: Any) -> Body:
+        if self._axes is not None or self._plastic:
+            return MaterialBody(
+                self._particles,
+                self._clusters,
+                self._basis,
+                scalar,
+                self.device,
+                axes=self._axes,
+                plastic=self._plastic,
+            )
         if self._basis == "linear" and isinstance(self._clusters, LatticeClusters):
             edges = lattice_edges(self._particles.position, self._clusters)
             if edges is not None and (self.dim == 3 or len(self._clusters.shape) == 2):
@@ -165,6 +231,8 @@ class Msm:
     @functools.cached_property
     def _one(self) -> OneCluster | None:
         """The body as one cluster, if it is one."""
+        if self._axes is not None or self._plastic:
+            return None
         if self._clusters.count != 1 or len(self._clusters.members) != len(self.rest):
             return None
         mass = self._particles.mass
@@ -181,11 +249,15 @@ class Msm:
         self, held_position: FloatArray, beta: FloatArray | float, theta: FloatArray | float
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Held displacements (B or 1, n, d) in spacings, beta (B,) or (B, C), theta (B,)."""
+        if isinstance(beta, AxisBeta):
+            raise ValueError(
+                "expected one beta, or one for each cluster: relax, step and residual alone take an AxisBeta"
+            )
         shape = (-1 if len(self.held) else 1, len(self.held), self.dim)
         held_position = np.asarray(held_position, dtype=np.float64).reshape(shape)
         held_u = (held_position - self.rest[self.held]) / self.scale
         beta, theta = np.atleast_1d(np.asarray(beta, np.float64)), np.atleast_1d(np.asarray(theta, np.float64))
-        if beta.ndim == 2 and beta.shape[1] != self.cluster_count:
+        if beta.ndim == 2 and self._axes is None and beta.shape[1] != self.cluster_count:
             raise ValueError(f"expected a beta for each of {self.cluster_count} clusters; got {beta.shape[1]}")
         (size,) = np.broadcast_shapes(beta.shape[:1], theta.shape, held_u.shape[:1])
         return held_u, np.broadcast_to(beta, (size, *beta.shape[1:])), np.broadcast_to(theta, (size,))
@@ -212,7 +284,7 @@ class Msm:
     def relax(
         self,
         held_position: FloatArray,
-        beta: FloatArray | float,
+        beta: FloatArray | float | AxisBeta,
         theta: FloatArray | float = 0.0,
         *,
         volume: Volume = "scale",
@@ -232,13 +304,24 @@ class Msm:
         where it would rather buckle. With eq. 3.17 and strong compression a static state can have clusters turned
         inside out: look at the picture, or use volume="project".
 
-        held_position: (n, d) or (B, n, d); theta: a number or (B,); beta: a number, (B,), or (B, C) for each cluster
+        held_position: (n, d) or (B, n, d); theta: a number or (B,)
+        beta: a number, (B,), (B, C) for each cluster, or `AxisBeta` (linear basis, theta = 0)
         volume: "scale" (eq. 3.17) or "project" (stable): see `reference`
         start: (K, d) or (B, K, d), default rest
         tolerance: on the estimated distance from the static state, as a share of the body's extent
         max_iterations: default 4000, or 40 a particle where that is more (long thin bodies bend slowly)
         progress: called with (candidates done, candidates) now and then
         """
+        if isinstance(beta, AxisBeta):
+            found: Relaxed = self._along(beta, theta).relax(
+                held_position,
+                beta.value[:, None, :],
+                start=start,
+                tolerance=tolerance,
+                max_iterations=max_iterations,
+                progress=progress,
+            )
+            return found
         held_u, beta_b, theta_b = self._candidates(held_position, beta, theta)
         origin = self._displacements(start)
         size = max(len(beta_b), len(origin))
@@ -450,7 +533,7 @@ class Msm:
         self,
         state: Moving,
         held_position: FloatArray,
-        beta: FloatArray | float,
+        beta: FloatArray | float | AxisBeta,
         theta: FloatArray | float = 0.0,
         *,
         volume: Volume = "scale",
@@ -463,6 +546,18 @@ class Msm:
 
         dt [s]; acceleration: f_ext / m, (d,) [m/s^2]. Without it, dt does not change the motion (alpha = 1).
         """
+        if isinstance(beta, AxisBeta):
+            return self._along(beta, theta).step(
+                state,
+                held_position,
+                beta.value[:, None, :],
+                alpha=alpha,
+                dt=dt,
+                acceleration=acceleration,
+                steps=steps,
+            )
+        if state.operator.body is not self._body:
+            state.move_to(self._body.operator(self._body.layout(state.layout.candidates)))
         held_u, beta_b, theta_b = self._candidates(held_position, beta, theta)
         if len(beta_b) not in (1, state.layout.candidates):
             raise ValueError(f"expected candidates for {state.layout.candidates} bodies or for one; got {len(beta_b)}")
@@ -473,12 +568,14 @@ class Msm:
     def residual(
         self,
         position: FloatArray,
-        beta: FloatArray | float,
+        beta: FloatArray | float | AxisBeta,
         theta: FloatArray | float = 0.0,
         *,
         volume: Volume = "scale",
     ) -> FloatArray:
         """goals(x) - x at the given positions (K, d) or (B, K, d), 0 at held particles: (B, K, d)."""
+        if isinstance(beta, AxisBeta):
+            return self._along(beta, theta).residual(position, beta.value[:, None, :])
         position = np.asarray(position, dtype=np.float64).reshape(-1, *self.rest.shape)
         way = self._at(position, beta, theta, volume, way_kind=Newton)
         return np.asarray(way.layout.get(way.residual, self.dim) * self.scale)
@@ -527,9 +624,9 @@ class _Stepping:
         self.first = operator.motion(alpha, dt / state.last_dt if state.last_dt else 1.0, push * dt**2)
         self.motion = operator.motion(alpha, 1.0, push * dt**2)
         self.dt = dt
-        stride = operator.beta_stride if beta.ndim == 2 else 0
+        stride = operator.beta_stride if beta.ndim > 1 else 0
         values = (
-            operator.cluster_values(np.broadcast_to(beta, (size, beta.shape[1])))
+            operator.cluster_values(np.broadcast_to(beta, (size, *beta.shape[1:])))
             if stride
             else layout.each(np.broadcast_to(beta, (size,)))
         )

@@ -15,6 +15,7 @@ import warp as wp
 from deformscope.stages.msm.general_kernels import general_kernels_for
 from deformscope.stages.msm.iteration_kernels import iteration_kernels_for
 from deformscope.stages.msm.lattice_kernels import lattice_kernels_for
+from deformscope.stages.msm.material_kernels import material_kernels_for
 from deformscope.stages.msm.reduced_kernels import reduced_kernels_for
 from deformscope.stages.msm.resident_kernels import resident_kernels_for
 
@@ -36,6 +37,8 @@ def _kernels(kind: str, dim: int, terms: int, scalar: Any, window: int) -> list[
         made: Any = lattice_kernels_for(dim, scalar, GPU_WIDTH, window)
     elif kind == "general":
         made = general_kernels_for(dim, terms, scalar, GPU_WIDTH)
+    elif kind == "material":
+        made = material_kernels_for(dim, terms, scalar, GPU_WIDTH)
     elif kind == "iteration":
         made = iteration_kernels_for(dim, scalar, GPU_WIDTH)
     else:
@@ -72,7 +75,13 @@ CASES = [
         for window in GPU_WINDOWS
     ),
     *(_case("iteration", dim, dim, scalar) for dim in (2, 3) for scalar in SCALARS),
-    *(_case("general", dim, terms, scalar) for dim in (2, 3) for terms in TERMS[dim] for scalar in SCALARS),
+    *(
+        _case(kind, dim, terms, scalar)
+        for kind in ("general", "material")
+        for dim in (2, 3)
+        for terms in TERMS[dim]
+        for scalar in SCALARS
+    ),
     *(_case("reduced", dim, terms, wp.float64) for dim in (2, 3) for terms in TERMS[dim]),
 ]
 

@@ -311,3 +311,15 @@ def test_warm_start_saves_iterations_and_changes_nothing(device: str) -> None:
     warm = engine.relax(body.held_position, 0.70, start=engine.relax(body.held_position, 0.71).position)
     assert warm.iterations[0] < cold.iterations[0]
     np.testing.assert_allclose(warm.position, cold.position, atol=1e-7 * engine.extent)
+
+
+def test_reaction_is_the_references_gradient_of_the_energy(device: str) -> None:
+    rng = np.random.default_rng(11)
+    body = pushed((5, 4, 4), rng)
+    grouped = body.clusters(3)
+    engine = Msm(body.rest, grouped, body.held, device=device)
+    position = body.rest + rng.normal(0.0, 2e-4, body.rest.shape)
+    rest = reference.build_rest(body.rest, grouped, body.held)
+    for beta, theta in ((0.4, 0.0), (0.8, 0.6)):
+        found = engine.reaction(position, beta, theta)[0]
+        np.testing.assert_allclose(found, reference.reaction(position, rest, beta, theta), atol=1e-12)

@@ -1,0 +1,144 @@
+"""Several parameters at once by least squares, over simulations that run many candidates side by side.
+
+Gauss-Newton steps with finite differences, damped (Levenberg, Marquardt): each round is two batches, one for the
+derivatives and one for steps of several lengths, of which the best is taken. For even noise the least sum of squares is
+the likeliest; it is smooth where the average distance (Thesis eq. 3.18) is not, so that its curvature tells how sure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2, t
+
+from deformscope.arrays import BoolArray, FloatArray
+
+Simulate = Callable[[FloatArray], FloatArray]
+"""From parameters (B, m) to what is compared (B, n); NaN where a candidate has no simulation to rely on."""
+
+DAMPINGS = (0.0, 1e-3, 1e-1, 1e1)
+"""Tried in every round, as shares of the derivatives' squares."""
+
+ROUNDS = 25
+SETTLED = 1e-4
+"""A step shorter than this, in every parameter, is the last."""
+
+
+@dataclass(frozen=True, slots=True)
+class Minimum:
+    """Where the sum of squares is least.
+
+    at: (m,) parameters; simulated: (n,) there; jacobian: (n, m); residual: (n,) observed - simulated
+    inside: (m,) whether it is away from both bounds; converged: the steps ended by themselves
+    """
+
+    at: FloatArray
+    simulated: FloatArray
+    jacobian: FloatArray
+    residual: FloatArray
+    inside: BoolArray
+    converged: bool
+
+    @property
+    def squares(self) -> float:
+        return float(self.residual @ self.residual)
+
+
+def minimise(
+    simulate: Simulate, observed: FloatArray, start: FloatArray, bounds: FloatArray, difference: FloatArray
+) -> Minimum:
+    """The minimum downhill from `start` (m,).
+
+    bounds: (m, 2) within which it is searched; difference: (m,) steps of the finite differences; observed: (n,)
+    """
+    low, high = bounds.T
+    at = np.clip(np.asarray(start, dtype=np.float64), low, high)
+    m = len(at)
+    here = jacobian = np.zeros(0)
+    converged = False
+    for _ in range(ROUNDS):
+        ahead, behind = np.minimum(at + difference, high), np.maximum(at - difference, low)
+        tried = np.repeat(at[None], 2 * m + 1, axis=0)
+        tried[np.arange(m), np.arange(m)], tried[np.arange(m, 2 * m), np.arange(m)] = ahead, behind
+        found = simulate(tried)
+        here = found[-1]
+        jacobian = ((found[:m] - found[m : 2 * m]) / (ahead - behind)[:, None]).T
+        residual = observed - here
+        if converged or not np.isfinite(jacobian).all():
+            break
+        uphill = jacobian.T @ residual
+        # a parameter that pushes against its bound stays there
+        open_ = ~(((at <= low) & (uphill <= 0.0)) | ((at >= high) & (uphill >= 0.0)))
+        square = jacobian.T @ jacobian
+        steps = np.zeros((len(DAMPINGS), m))
+        for row, damping in enumerate(DAMPINGS):
+            part = square[np.ix_(open_, open_)]
+            damped = part + damping * np.diag(np.diag(part))
+            steps[row, open_] = np.linalg.lstsq(damped, uphill[open_], rcond=1e-12)[0]
+        trials = np.clip(at + steps, low, high)
+        squares = np.sum((observed - simulate(trials)) ** 2, axis=1)
+        best = int(np.nanargmin(squares)) if np.isfinite(squares).any() else 0
+        if not squares[best] < residual @ residual:
+            converged = bool(np.abs(trials[best] - at).max() <= 10.0 * SETTLED + difference.max())
+            break
+        converged = bool(np.abs(trials[best] - at).max() <= SETTLED)
+        at = trials[best]
+    inside = (at > low) & (at < high)
+    return Minimum(at, here, jacobian, observed - here, inside, converged)
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """What repeats of an observation would differ by.
+
+    deviation: of one observed number; held: (r, n) what the simulation would differ by in repeats of the prescribed
+    positions' noise; none (0, n) where they are exact
+    """
+
+    deviation: float
+    held: FloatArray
+
+    def variance_along(self, direction: FloatArray) -> float:
+        """Variance of the noise along a direction (n,) of any length."""
+        size = float(direction @ direction)
+        if size <= 0.0:
+            return self.deviation**2
+        held = float(np.mean((self.held @ direction) ** 2)) / size if len(self.held) else 0.0
+        return self.deviation**2 + held
+
+    def covariance(self, jacobian: FloatArray) -> FloatArray:
+        """Covariance (m, m) of a least squares estimate with these derivatives (n, m)."""
+        inverse = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+        moved = self.held @ jacobian @ inverse
+        held = moved.T @ moved / len(moved) if len(moved) else np.zeros_like(inverse)
+        return np.asarray(self.deviation**2 * inverse + held)
+
+
+def shared_noise(residual: FloatArray, parameters: int, held: FloatArray, tried: float, least: float) -> Noise:
+    """The noise that observed and prescribed positions share, as large as the residuals (n,) ask for, but not below
+    `least`: what was stated, or what numbers can resolve.
+
+    held: (r, n) what prescribed positions with noise of the size `tried` made of the simulation: part of the residuals
+    is theirs, so that the noise is smaller than those
+    """
+    share = float(np.mean(held**2)) / tried**2 if len(held) else 0.0
+    deviation = max(deviation_of(residual, parameters) / float(np.sqrt(1.0 + share)), least)
+    return Noise(deviation, held * (deviation / tried))
+
+
+def deviation_of(residual: FloatArray, parameters: int) -> float:
+    """Noise of one number, from what a fit left."""
+    return float(np.sqrt(residual @ residual / max(residual.size - parameters, 1)))
+
+
+def half_width(covariance: FloatArray, level: float, freedom: int) -> FloatArray:
+    """(m,) of the intervals at `level`."""
+    wide = t.ppf(0.5 + 0.5 * level, max(freedom, 1))
+    return np.asarray(wide * np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+
+
+def worse_than(level: float, parameters: int = 1) -> float:
+    """By how many noise variances a sum of squares may exceed the least one, in `level` of all repeats."""
+    return float(chi2.ppf(level, parameters))

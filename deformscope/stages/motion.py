@@ -1,0 +1,53 @@
+"""A recorded motion: where particles were, frame by frame, and which of them were prescribed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """A recorded motion.
+
+    rest: (K, d) before any load; position: (T, K, d) at each frame [unit of rest]; NaN where a particle was not seen
+    held: (T, K) particles whose position is prescribed in a frame
+    duration: (T,) [s] from each frame to the next (the last: as long as the one before); None: not known
+    shape, cell: the lattice that the particles stand on, None if they stand on none
+    noise: standard deviation of a coordinate; None: from the residuals
+    """
+
+    rest: FloatArray
+    position: FloatArray
+    held: BoolArray
+    duration: FloatArray | None = None
+    shape: tuple[int, ...] | None = None
+    cell: IntArray | None = None
+    noise: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.position.ndim != 3 or self.position.shape[1:] != self.rest.shape or not len(self.position):
+            raise InputError(
+                f"positions of shape (T, {', '.join(map(str, self.rest.shape))})", str(self.position.shape)
+            )
+        if self.held.shape != self.position.shape[:2]:
+            raise InputError(f"held of shape {self.position.shape[:2]}", str(self.held.shape))
+        if not np.isfinite(self.position[self.held]).all():
+            raise InputError("finite positions of the held particles", "NaN or infinity", "hold fewer particles")
+        if not self.held.any(axis=1).all():
+            raise InputError("held particles in every frame", "a frame without", "hold what stands still")
+        if not self.judged.any():
+            raise InputError("free particles that were observed", "none", "hold fewer particles")
+        if self.duration is not None and not (
+            self.duration.shape == (len(self.position),) and (self.duration > 0.0).all()
+        ):
+            raise InputError("a positive duration for each frame", str(self.duration))
+
+    @property
+    def judged(self) -> BoolArray:
+        """(T, K) particles that the fit is judged by."""
+        return np.asarray(~self.held & np.isfinite(self.position).all(axis=2))
