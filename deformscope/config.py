@@ -198,6 +198,7 @@ ModelFlag = Annotated[Path | None, _value("MODEL.npz", Path), _unset]
 ShareFlag = Annotated[float | None, _value("NUMBER", float), _unset]
 PokesFlag = Annotated[tuple["PokeText", ...], _value("POKE", lambda text: parse_pokes(text), _joined("; "))]
 PictureFlag = Annotated[Path | None, _value("FILE.png", Path), _unset]
+ReportFlag = Annotated[Path | None, _value("FILE.html", Path), _unset]
 JsonFlag = Annotated[str | None, _value("FILE|-", str), _unset]
 Sources = Annotated[tuple[str, ...], Positional, arg(metavar="SOURCE...", help_behavior_hint="")]
 
@@ -439,6 +440,33 @@ class ModelOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class SummaryOptions:
+    """The result to look at and to pass on, without a viewer."""
+
+    picture: PictureFlag = None
+    """Draw particles, where the model is wrong, error curve and posterior in one picture. An existing file is
+    replaced."""
+    report: ReportFlag = None
+    """Write all that was found, with pictures, settings and provenance, as one HTML page that needs nothing else. An
+    existing file is replaced."""
+
+    def __post_init__(self) -> None:
+        if self.picture is not None and self.picture.suffix != ".png":
+            raise InputError("a file that ends in .png after --picture", repr(str(self.picture)))
+        if self.report is not None and self.report.suffix != ".html":
+            raise InputError("a file that ends in .html after --report", repr(str(self.report)))
+
+    @property
+    def wanted(self) -> bool:
+        """Whether there is anything to write."""
+        return self.picture is not None or self.report is not None
+
+    def writes(self) -> tuple[Written, ...]:
+        named = (("--picture", self.picture), ("--report", self.report))
+        return tuple(Written(flag, path) for flag, path in named if path is not None)
+
+
+@dataclass(frozen=True, slots=True)
 class LayersFlags:
     """Pokes of a surface: pair files of surface points, z up, whose held points were pressed down."""
 
@@ -460,11 +488,12 @@ class CalibrateOptions(RecordedOptions):
     sources: tuple[str, ...]
     images: ImageOptions
     model: ModelOptions
+    summary: SummaryOptions
 
     def writes(self) -> tuple[Written, ...]:
         save = self.model.save
         model = () if save is None else (Written("--save", save, replace=self.output.overwrite),)
-        return (*model, *self.output.writes())
+        return (*model, *self.summary.writes(), *self.output.writes())
 
     def reads(self) -> tuple[str, ...]:
         return self.sources if self.images.mask is None else (*self.sources, str(self.images.mask))
@@ -491,6 +520,7 @@ class BetaConfig(CalibrateOptions):
     layers: OmitArgPrefixes[LayersFlags] = field(default_factory=LayersFlags)
     images: OmitArgPrefixes[ImageOptions] = field(default_factory=ImageOptions)
     model: OmitArgPrefixes[ModelOptions] = field(default_factory=ModelOptions)
+    summary: OmitArgPrefixes[SummaryOptions] = field(default_factory=SummaryOptions)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def __post_init__(self) -> None:
@@ -524,6 +554,7 @@ class ThetaConfig(CalibrateOptions):
     search: OmitArgPrefixes[SearchOptions] = field(default_factory=SearchOptions)
     images: OmitArgPrefixes[ImageOptions] = field(default_factory=ImageOptions)
     model: OmitArgPrefixes[ModelOptions] = field(default_factory=ModelOptions)
+    summary: OmitArgPrefixes[SummaryOptions] = field(default_factory=SummaryOptions)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def __post_init__(self) -> None:

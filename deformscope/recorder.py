@@ -8,14 +8,10 @@ moments), and whatever `NAME.rrd` was before is untouched. An unfinished recordi
 from __future__ import annotations
 
 import dataclasses
-import importlib.metadata
 import json
 import logging
 import os
-import platform
 import shutil
-import subprocess
-import sys
 import threading
 import time
 import uuid
@@ -27,6 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from deformscope import provenance
 from deformscope.arrays import ImageArray
 from deformscope.errors import InputError
 from deformscope.frames import Frame
@@ -55,7 +52,6 @@ BEAT_FRAMES = 32
 FLUSH_TIMEOUT_S = 20.0
 CLOSE_TIMEOUT_S = 60.0
 LIVE_TIMEOUT_S = 5.0
-VERSIONED = ("deformscope", "rerun-sdk", "numpy", "opencv-python-headless", "warp-lang")
 
 _logger = logging.getLogger(__name__)
 
@@ -223,16 +219,16 @@ class Recorder:
     def _open(self) -> None:
         os.environ.setdefault("RUST_LOG", "off")  # what rerun would print, this recorder notices and says itself
         recording_id = "deterministic" if self._deterministic else uuid.uuid4().hex
-        provenance = _provenance(self._settings, brief=self._deterministic)
+        told = _provenance(self._settings, brief=self._deterministic)
         if self._viewer_kind != "none":
             viewer = start_viewer(self._viewer_kind)
             self._viewer = viewer
             application = APPLICATIONS[self._layout]
-            self._feed = LiveFeed(lambda closing: _live_stream(application, recording_id, viewer, provenance, closing))
+            self._feed = LiveFeed(lambda closing: _live_stream(application, recording_id, viewer, told, closing))
             self._feed.start()
         if self._part is not None:
             self._file = _file_stream(APPLICATIONS[self._layout], recording_id, self._part, self._deterministic)
-            self._file.send_property("session", _any_values(provenance))
+            self._file.send_property("session", _any_values(told))
             if not self._deterministic and self._target is not None:
                 self._file.send_recording_name(self._target.stem)
             self._flush()
@@ -399,7 +395,7 @@ def _file_stream(application: str, recording_id: str, path: Path, deterministic:
 
 
 def _live_stream(
-    application: str, recording_id: str, viewer: Viewer, provenance: Mapping[str, object], closing: threading.Event
+    application: str, recording_id: str, viewer: Viewer, told: Mapping[str, object], closing: threading.Event
 ) -> rr.RecordingStream:
     """Connected to the viewer; blocks until it is there."""
     import rerun as rr
@@ -407,7 +403,7 @@ def _live_stream(
     wait_for_viewer(viewer, closing)
     rec = rr.RecordingStream(application, recording_id=recording_id)
     rec.set_sinks(rr.GrpcSink(viewer.url))
-    rec.send_property("session", _any_values(provenance))
+    rec.send_property("session", _any_values(told))
     return rec
 
 
@@ -475,37 +471,11 @@ def _provenance(settings: Mapping[str, object], *, brief: bool) -> dict[str, obj
     if isinstance(seed, int):
         found["seed"] = seed
     if not brief:
-        found["versions"] = json.dumps({"python": platform.python_version(), **_versions()})
-        found["git"] = json.dumps(_git_state())
-        found["command"] = json.dumps(sys.argv)
-        found["platform"] = platform.platform()
+        found["versions"] = json.dumps(provenance.versions())
+        found["git"] = json.dumps(provenance.git_state())
+        found["command"] = json.dumps(provenance.command())
+        found["platform"] = provenance.machine()
     return found
-
-
-def _versions() -> dict[str, str]:
-    versions = {}
-    for name in VERSIONED:
-        try:
-            versions[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            versions[name] = "not installed"
-    return versions
-
-
-def _git_state() -> dict[str, object]:
-    """Commit and cleanliness of the checkout that the package runs from; empty when installed elsewhere."""
-    root = Path(__file__).resolve().parent.parent
-    if not (root / ".git").exists():
-        return {}
-
-    def git(*arguments: str) -> str:
-        command = ["git", "-C", str(root), *arguments]
-        return subprocess.run(command, capture_output=True, text=True, timeout=5, check=True).stdout.strip()
-
-    try:
-        return {"commit": git("rev-parse", "HEAD"), "dirty": bool(git("status", "--porcelain", "-uno"))}
-    except (OSError, subprocess.SubprocessError):
-        return {}
 
 
 def _within(action: Callable[[], object], timeout_s: float) -> bool:

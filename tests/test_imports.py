@@ -18,7 +18,10 @@ PACKAGES = {"deformscope": ROOT / "deformscope", "deformscope_drivers": ROOT / "
 
 ABOVE_FRAMES = tuple(
     f"deformscope.{name}"
-    for name in ("sources", "replay", "log", "recorder", "session", "experiments", "cli", "config", "lab", "bench")
+    for name in (
+        *("sources", "replay", "log", "recorder", "session", "experiments", "cli", "config", "lab", "bench"),
+        *("closeup", "pictures", "report"),
+    )
 )
 FORBIDDEN = {
     # Drivers can be split out one day by moving a folder.
@@ -28,6 +31,12 @@ FORBIDDEN = {
     "deformscope.frames": ("deformscope.stages", *ABOVE_FRAMES, "rerun", "tyro", "rich"),
     "deformscope.sources": ("deformscope.lab", "deformscope.stages", "deformscope.log", "deformscope.experiments"),
     "deformscope.log": ("deformscope.session", "deformscope.experiments", "deformscope.cli", "deformscope.lab"),
+    # Pictures go into recordings and reports alike.
+    "deformscope.pictures": (
+        *("deformscope.log", "deformscope.session", "deformscope.recorder", "deformscope.experiments"),
+        *("deformscope.cli", "deformscope.lab", "rerun"),
+    ),
+    "deformscope.report": ("deformscope.stages", "deformscope.cli", "deformscope.pictures", "numpy", "rerun"),
     "deformscope.recorder": ("deformscope.experiments", "deformscope.cli", "deformscope.lab"),
     "deformscope.session": ("deformscope.experiments", "deformscope.cli", "deformscope.lab", "rerun"),
     "deformscope.experiments": ("deformscope.cli", "rerun", "tyro"),

@@ -3,7 +3,7 @@
 deformscope calibrate beta my_video.mp4 --roi 400,200,750,350 --grid 7x15 --held bottom,contact --contact 740,180,60,40
 deformscope calibrate beta frames/ --mask mask.tif --grid 24x12 --held top,bottom --record out.rrd --viewer native
 deformscope calibrate beta pair.npz --cluster-size 3 --json -
-deformscope calibrate theta cube.npz --json -
+deformscope calibrate theta cube.npz --picture cube.png --report cube.html
 """
 
 from __future__ import annotations
@@ -18,11 +18,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deformscope.cli.common import console, progress, quiet_warp, resolve_viewer, show_table, write_json
-from deformscope.cli.pokes import fit_layers, save_pair_model
-from deformscope.config import BetaConfig, ImageOptions, OutputOptions, SearchOptions, ThetaConfig
+from deformscope.cli.pokes import fit_layers, save_pair_model, tell_layers
+from deformscope.cli.summaries import estimate_rows, write_summaries
+from deformscope.config import BetaConfig, ImageOptions, OutputOptions, SearchOptions, SummaryOptions, ThetaConfig
 from deformscope.errors import InputError
 
 DEFAULT_CLUSTER_SIZE = 3
+NO_SUMMARY = SummaryOptions()
 
 if TYPE_CHECKING:
     from deformscope.arrays import ImageArray
@@ -31,8 +33,9 @@ if TYPE_CHECKING:
     from deformscope.log.blueprint import Layout
     from deformscope.recorder import RecordingSummary
     from deformscope.sources import Source
-    from deformscope.stages.calibrate import FitOptions, Model, Progress
+    from deformscope.stages.calibrate import Calibration, FitOptions, Model, Progress
     from deformscope.stages.estimate import Estimate
+    from deformscope.stages.poke_estimate import PokesFound
 
 
 def beta(config: BetaConfig) -> None:
@@ -84,12 +87,15 @@ def _calibrate(config: BetaConfig | ThetaConfig, model: Model, bounds: tuple[flo
     if pairs and len(pairs) != len(sources):
         other = next(source for source in sources if source not in pairs)
         raise InputError("either pair files or images", "both", "name them in two commands", other)
-    save, layers = config.model.save, _layers(config)
+    save, layers, summary = config.model.save, _layers(config), config.summary
     if pairs:
-        calibrate_pairs([Path(source) for source in pairs], fit, search, images, output, layers=layers, save=save)
+        paths = [Path(source) for source in pairs]
+        calibrate_pairs(paths, fit, search, images, output, layers=layers, save=save, summary=summary)
         return
     if len(sources) == 1 and (raws := _recorded_pairs(sources[0])):
-        calibrate_pair_bytes(raws, fit, output, noise_m=search.noise_m, joint=search.joint, layers=layers, save=save)
+        calibrate_pair_bytes(
+            raws, fit, output, noise_m=search.noise_m, joint=search.joint, layers=layers, save=save, summary=summary
+        )
         return
     if layers is not None:
         raise InputError("pair files with --thickness-m", "images", "leave out --thickness-m")
@@ -101,7 +107,7 @@ def _calibrate(config: BetaConfig | ThetaConfig, model: Model, bounds: tuple[flo
         raise InputError("--noise-px for images", "--noise-m", "give the noise in pixels")
     if len(sources) == 1 and sources[0].startswith("sample:"):
         images = for_sample(sources[0].removeprefix("sample:"), images)
-    calibrate_images(sources, fit, particle_options(images, search), images, output)
+    calibrate_images(sources, fit, particle_options(images, search), images, output, summary)
 
 
 def _layers(config: BetaConfig | ThetaConfig) -> LayersOptions | None:
@@ -173,6 +179,7 @@ def calibrate_images(
     particles: ParticleOptions,
     images: ImageOptions,
     output: OutputOptions,
+    summary: SummaryOptions = NO_SUMMARY,
 ) -> Estimate:
     """Fit a sequence, record it where asked, tell and write the result."""
     from deformscope.images import read_image
@@ -186,7 +193,7 @@ def calibrate_images(
         mask = Replay(Path(sources[0]), trust=True).mask  # its ledger was compared when it was looked at for pairs
     settings = {"sources": list(sources), "stride": images.stride, "fps": images.fps, "mask": images.mask is not None}
     with open_source(sources, stride=images.stride, fps=images.fps, mask=images.mask) as source:
-        return run_images(source, mask, fit, particles, settings, output)
+        return run_images(source, mask, fit, particles, settings, output, summary)
 
 
 def run_images(
@@ -196,6 +203,7 @@ def run_images(
     particles: ParticleOptions,
     settings: dict[str, Any],
     output: OutputOptions,
+    summary: SummaryOptions = NO_SUMMARY,
 ) -> Estimate:
     """One sequence through the loop: the same for files, samples and recordings."""
     from deformscope.experiments.foam_video import foam_video
@@ -205,6 +213,7 @@ def run_images(
 
     used = settings | {"particles": dataclasses.asdict(particles), "fit": dataclasses.asdict(fit)}
     region = None if mask is None else clean_mask(mask)
+    last: list[ImageArray] = []
     with Recorder(
         output.record, resolve_viewer(output.viewer), used, layout="images", overwrite=output.overwrite
     ) as recorder:
@@ -215,11 +224,17 @@ def run_images(
 
             def frames() -> Iterator[Any]:
                 for frame in source:
+                    last[:] = [frame.image]
                     yield frame
                     advance(1)
 
             found = run(frames(), foam_video(particles, fit, region, fitting), recorder)
     tell(found.estimate, recorder.summary())
+    if summary.wanted:
+        from deformscope.pictures import Result
+
+        shown = Result(found.estimate, found.comparisons[-1:], ("",), last[0])
+        write_summaries(summary, [shown], seed=output.seed, settings=used)
     write_json(found.estimate.as_json(), output.json)
     return found.estimate
 
@@ -236,6 +251,7 @@ def calibrate_pairs(
     *,
     layers: LayersOptions | None = None,
     save: Path | None = None,
+    summary: SummaryOptions = NO_SUMMARY,
 ) -> None:
     """Fit pair files."""
     if images != ImageOptions():
@@ -248,7 +264,9 @@ def calibrate_pairs(
             raws.append((str(path), path.read_bytes()))
         except OSError as error:
             raise InputError("a pair file (.npz)", (error.strerror or str(error)).lower(), where=path) from error
-    calibrate_pair_bytes(raws, fit, output, noise_m=search.noise_m, joint=search.joint, layers=layers, save=save)
+    calibrate_pair_bytes(
+        raws, fit, output, noise_m=search.noise_m, joint=search.joint, layers=layers, save=save, summary=summary
+    )
 
 
 def calibrate_pair_bytes(
@@ -260,6 +278,7 @@ def calibrate_pair_bytes(
     joint: bool = False,
     layers: LayersOptions | None = None,
     save: Path | None = None,
+    summary: SummaryOptions = NO_SUMMARY,
 ) -> list[Estimate]:
     """Fit pairs given by name and content: the same for files and recordings.
 
@@ -267,14 +286,18 @@ def calibrate_pair_bytes(
     """
     from deformscope.experiments.pair_files import pair_files
     from deformscope.pairs import parse_pair
+    from deformscope.pictures import Result
     from deformscope.recorder import Recorder
     from deformscope.session import run
 
     if save is not None and layers is None and len(raws) > 1:
         raise InputError("one pair file with --save, or --thickness-m with several pokes of a surface", str(len(raws)))
     seen = [parse_pair(raw, name, noise_m=noise_m) for name, raw in raws]
+    names = [name for name, _ in raws]
+    found: list[Calibration] = []
+    pokes: PokesFound | None = None
     settings = {
-        "sources": [name for name, _ in raws],
+        "sources": names,
         "noise_m": noise_m,
         "joint": joint,
         "fit": dataclasses.asdict(fit),
@@ -285,16 +308,28 @@ def calibrate_pair_bytes(
     with Recorder(
         output.record, resolve_viewer(output.viewer), settings, layout=layout, overwrite=output.overwrite
     ) as recorder:
+        if recorder.active and len({one.rest.shape[1] for one in seen}) > 1:
+            raise InputError("pairs all in the plane, or all in space, in one recording", "both", "two commands")
         _tell_viewer(recorder)
         for index, (_, raw) in enumerate(raws):
             recorder.write_input(f"pair/{index}", raw)
         if layers is not None:
-            names = [name for name, _ in raws]
-            return [fit_layers(seen, names, fit, layers, recorder, output, save)]
-        with fit_progress() as fitting:
-            found = run((), pair_files(seen, fit, joint=joint, progress=fitting), recorder)
-    for name, one in zip([name for name, _ in raws], found, strict=False):
+            pokes = fit_layers(seen, names, fit, layers, recorder)
+        else:
+            with fit_progress() as fitting:
+                found = run((), pair_files(seen, fit, joint=joint, progress=fitting), recorder)
+    if pokes is not None:
+        tell_layers(pokes, names, recorder.summary(), output, save)
+        if summary.wanted:
+            shown = Result(pokes.estimate, pokes.comparisons, tuple(names[i] for i in pokes.fit.shaped))
+            write_summaries(summary, [shown], seed=output.seed, settings=settings, pokes=pokes)
+        return [pokes.estimate]
+    for name, one in zip(names, found, strict=False):
         tell(one.estimate, recorder.summary(), "all pairs" if joint else name)
+    if summary.wanted:
+        called = [tuple(names)] if joint else [(name,) for name in names]
+        results = [Result(one.estimate, one.comparisons, some) for one, some in zip(found, called, strict=True)]
+        write_summaries(summary, results, seed=output.seed, settings=settings)
     if save is not None:
         save_pair_model(seen[0], raws[0][0], fit.model, found[0].estimate, save)
     every = [one.estimate.as_json() for one in found]
@@ -342,26 +377,7 @@ def _tell_viewer(recorder: Any) -> None:
 
 def tell(estimate: Estimate, recording: RecordingSummary, name: str = "") -> None:
     """The result as a short table."""
-    low, high = estimate.interval
-    rows = [
-        (estimate.parameter, f"{estimate.value:.4g}"),
-        (f"{estimate.level:.0%} interval", f"{low:.4g} to {high:.4g}"),
-        ("verdict", estimate.verdict_text()),
-        ("stiffness", estimate.stiffness_text()),
-        ("error, all particles", _length(estimate, estimate.aee)),
-        ("error, free particles", _length(estimate, estimate.aee_free)),
-        ("noise of a position", _length(estimate, estimate.settings.get("noise"))),
-        ("converged", "yes" if estimate.converged else "NO: do not rely on the value"),
-    ]
-    if not estimate.settings.get("pose_held", True):
-        rows.insert(-1, ("pose", "the held particles leave the body free to turn: hold more for a value to rely on"))
-    if lost := estimate.settings.get("lost"):
-        every = int(str(estimate.settings["particles"]))
-        many = "; so many that the tracking may have failed: look at the picture" if int(str(lost)) * 3 > every else ""
-        rows.insert(-1, ("lost particles", f"{lost} of {every}: left out of the fit{many}"))
-    if moved := estimate.settings.get("held_moved"):
-        parts = ", ".join(moved) if isinstance(moved, list) else str(moved)
-        rows.insert(-1, ("held elsewhere", f"{parts}: lost there; the outermost row or column still seen is held"))
+    rows = estimate_rows(estimate)
     if recording.path is not None:
         rows.append(("recording", f"{recording.path} ({recording.bytes / 1e6:.1f} MB)"))
         rows.append(("to look at it", f"{_rerun()} {recording.path}"))
@@ -380,12 +396,3 @@ def _rerun() -> str:
         return str(beside.relative_to(Path.cwd()))
     except ValueError:
         return str(beside)
-
-
-def _length(estimate: Estimate, value: object) -> str:
-    if not isinstance(value, float):
-        return "not known"
-    parts = [f"{value:.3g} px"] if estimate.unit == "px" else []
-    if estimate.metres_per_unit is not None:
-        parts.append(f"{1e3 * value * estimate.metres_per_unit:.3g} mm")
-    return ", ".join(parts)

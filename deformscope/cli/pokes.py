@@ -13,31 +13,33 @@ from deformscope.cli.common import console, show_table, write_json
 if TYPE_CHECKING:
     from deformscope.config import OutputOptions
     from deformscope.experiments.poke_files import LayersOptions
-    from deformscope.recorder import Recorder
+    from deformscope.recorder import Recorder, RecordingSummary
     from deformscope.stages.calibrate import FitOptions, Model, Observation
     from deformscope.stages.estimate import Estimate
     from deformscope.stages.poke_estimate import PokesFound
 
 
 def fit_layers(
-    seen: Sequence[Observation],
-    names: Sequence[str],
-    fit: FitOptions,
-    layers: LayersOptions,
-    recorder: Recorder,
-    output: OutputOptions,
-    save: Path | None,
-) -> Estimate:
-    """Fit, record, tell, save and write."""
-    from deformscope.cli.calibrate import fit_progress, tell
+    seen: Sequence[Observation], names: Sequence[str], fit: FitOptions, layers: LayersOptions, recorder: Recorder
+) -> PokesFound:
+    """Fit and record."""
+    from deformscope.cli.calibrate import fit_progress
     from deformscope.experiments.poke_files import poke_files
-    from deformscope.model_file import save_model
     from deformscope.session import run
 
     provenance = {"deformscope": __version__, "sources": list(names), "layers": dataclasses.asdict(layers)}
     with fit_progress() as fitting:
-        found = run((), poke_files(seen, fit, layers, provenance=provenance, progress=fitting), recorder)
-    tell(found.estimate, recorder.summary(), names[0] if len(names) == 1 else f"{len(names)} pokes")
+        return run((), poke_files(seen, fit, layers, provenance=provenance, progress=fitting), recorder)
+
+
+def tell_layers(
+    found: PokesFound, names: Sequence[str], recording: RecordingSummary, output: OutputOptions, save: Path | None
+) -> None:
+    """Tell, save and write, once the recording is whole."""
+    from deformscope.cli.calibrate import tell
+    from deformscope.model_file import save_model
+
+    tell(found.estimate, recording, names[0] if len(names) == 1 else f"{len(names)} pokes")
     _tell_pokes(found)
     if save is not None:
         save_model(found.model, save)
@@ -48,7 +50,6 @@ def fit_layers(
     told["field"] = found.model.field_kind
     told["model"] = None if save is None else str(save)
     write_json(told, output.json)
-    return found.estimate
 
 
 def save_pair_model(seen: Observation, name: str, model: Model, estimate: Estimate, path: Path) -> None:

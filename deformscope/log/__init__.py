@@ -7,13 +7,16 @@ import functools
 
 import rerun as rr
 
-from deformscope.log.canvas import Canvas, spacing_of
+from deformscope.arrays import FloatArray
+from deformscope.closeup import close_up
+from deformscope.log.canvas import Canvas
 from deformscope.log.estimate import log_comparison, log_estimate
 from deformscope.log.flow import log_flow
 from deformscope.log.particles import log_grid, log_tracked
 from deformscope.stages.estimate import Comparison, Estimate
 from deformscope.stages.flow import FlowField
 from deformscope.stages.particles import ParticleGrid, Tracked
+from deformscope.stages.triangulation import spacing_of
 
 
 def log_result(rec: rr.RecordingStream, result: object, canvas: Canvas) -> None:
@@ -69,9 +72,28 @@ def _(result: Tracked, canvas: Canvas) -> Canvas:
 
 @canvas_with.register
 def _(result: Comparison, canvas: Canvas) -> Canvas:
+    """A pair brings its own picture: in the plane with y upwards, in space the part where something moved."""
     import numpy as np
 
     if canvas.image:
         return canvas if canvas.spacing else dataclasses.replace(canvas, spacing=spacing_of(result.rest))
-    every = np.concatenate([result.rest, result.observed[result.seen], result.simulated])
-    return dataclasses.replace(canvas.around(every), spacing=spacing_of(result.rest))
+    spacing = spacing_of(result.rest)
+    if result.rest.shape[1] == 2:
+        upwards = np.array([1.0, -1.0])
+        every = np.concatenate([result.rest, result.observed[result.seen], result.simulated]) * upwards
+        return dataclasses.replace(Canvas().around(every), spacing=spacing, origin=(0.0, 0.0), scale=(1.0, -1.0))
+    shown = close_up(result)
+    if not shown.surface:
+        return Canvas(low=_tuple(shown.low), high=_tuple(shown.high), spacing=spacing)
+    origin, scale = shown.middle, np.array([1.0, 1.0, shown.heights])
+    return Canvas(
+        low=_tuple((shown.low - origin) * scale),
+        high=_tuple((shown.high - origin) * scale),
+        spacing=spacing,
+        origin=_tuple(origin),
+        scale=_tuple(scale),
+    )
+
+
+def _tuple(values: FloatArray) -> tuple[float, ...]:
+    return tuple(float(value) for value in values)

@@ -11,8 +11,13 @@ from deformscope.log.canvas import COLUMN_SHARE, ROW_SHARE, Canvas
 Layout = Literal["images", "flow", "pair", "pair-3d"]
 """A calibrated sequence of images; optical flow alone; pairs of particle sets in the plane; in space."""
 
+RESIDUALS = "Residuals: from simulated to observed"
+HEAT = "Where the model is wrong: error over the body"
+
 PAPER = [232, 235, 240]
 """Behind particles without an image: every colour of theirs is seen on it."""
+FLAT_CLOSER = 0.82
+"""A flat body fills a view from nearer by."""
 WIDE_FROM = 3.0
 """Width over height from which pictures are stacked rather than put side by side."""
 
@@ -30,10 +35,10 @@ def blueprint(layout: Layout, canvas: Canvas) -> rrb.Blueprint:
 
 
 def _images(canvas: Canvas) -> rrb.Container:
-    pictures = [_particles_view(canvas), _flow_view(canvas), _residual_view(canvas)]
+    pictures = [_particles_view(canvas), _flow_view(canvas), _residual_view(canvas), _heat_view(canvas)]
     numbers = [_chart_view(), _error_view(), _summary_view()]
     if canvas.height > canvas.width:
-        return rrb.Horizontal(*pictures, rrb.Vertical(*numbers, row_shares=[5, 3, 5]), column_shares=[3, 3, 3, 4])
+        return rrb.Horizontal(*pictures, rrb.Vertical(*numbers, row_shares=[5, 3, 5]), column_shares=[3, 3, 3, 3, 5])
     if canvas.width > WIDE_FROM * canvas.height:
         return rrb.Horizontal(
             rrb.Vertical(*pictures), rrb.Vertical(*numbers, row_shares=[5, 3, 5]), column_shares=[3, 2]
@@ -43,22 +48,19 @@ def _images(canvas: Canvas) -> rrb.Container:
 
 def _pair(canvas: Canvas) -> rrb.Container:
     if canvas.flat:
-        pictures: list[rrb.View] = [_particles_view(canvas), _residual_view(canvas)]
-        return rrb.Vertical(
-            rrb.Horizontal(*pictures), rrb.Horizontal(_chart_view(), _summary_view(), column_shares=[4, 3])
+        pictures = [_particles_view(canvas), _residual_view(canvas), _heat_view(canvas)]
+    else:
+        pictures = [
+            _deep_view("Particles: rest, observed, simulated", ["+ /particles/**", "+ /residual/lines"], canvas),
+            _deep_view(RESIDUALS, ["+ /residual/**"], canvas),
+            _deep_view(HEAT, ["+ /heat/**"], canvas),
+        ]
+    numbers = rrb.Horizontal(_chart_view(), _summary_view(), column_shares=[4, 3])
+    if canvas.flat and canvas.width > WIDE_FROM * canvas.height:
+        return rrb.Horizontal(
+            rrb.Vertical(*pictures), rrb.Vertical(_chart_view(), _summary_view()), column_shares=[3, 2]
         )
-    pictures = [
-        _deep_view(
-            "Particles: rest green, observed blue, simulated red", ["+ /particles/**", "+ /residual/lines"], canvas
-        ),
-        _deep_view("Residuals: observed minus simulated", ["+ /residual/lines", "+ /residual/points"], canvas),
-    ]
-    legend = rrb.TextDocumentView(origin="/residual/legend", name="Colours")
-    return rrb.Vertical(
-        rrb.Horizontal(*pictures),
-        rrb.Horizontal(_chart_view(), rrb.Vertical(_summary_view(), legend, row_shares=[3, 1]), column_shares=[4, 3]),
-        row_shares=[4, 3],
-    )
+    return rrb.Vertical(rrb.Horizontal(*pictures), numbers)
 
 
 def _particles_view(canvas: Canvas) -> rrb.View:
@@ -70,7 +72,11 @@ def _flow_view(canvas: Canvas) -> rrb.View:
 
 
 def _residual_view(canvas: Canvas) -> rrb.View:
-    return _flat_view("Residuals: from simulated to observed", "+ /residual/**", canvas)
+    return _flat_view(RESIDUALS, "+ /residual/**", canvas)
+
+
+def _heat_view(canvas: Canvas) -> rrb.View:
+    return _flat_view(HEAT, "+ /heat/**", canvas)
 
 
 def _flat_view(name: str, results: str, canvas: Canvas) -> rrb.View:
@@ -80,7 +86,9 @@ def _flat_view(name: str, results: str, canvas: Canvas) -> rrb.View:
 
 
 def _chart_view() -> rrb.View:
-    return rrb.Spatial2DView(origin="/calibration/chart", name="Error over the parameter", background=[255, 255, 255])
+    return rrb.Spatial2DView(
+        origin="/calibration/chart", name="Error and posterior over the parameter", background=[255, 255, 255]
+    )
 
 
 def _error_view() -> rrb.View:
@@ -106,9 +114,12 @@ def _bounds(canvas: Canvas) -> rrb.VisualBounds2D:
 
 def _deep_view(name: str, contents: list[str], canvas: Canvas) -> rrb.View:
     """A view whose eye stands far enough away to have the whole in sight, above and to the side."""
-    middle = [(low + high) / 2 for low, high in zip(canvas.low, canvas.high, strict=True)]
-    size = sum((high - low) ** 2 for low, high in zip(canvas.low, canvas.high, strict=True)) ** 0.5 or 1.0
-    away = [middle[0] + 0.65 * size, middle[1] - 0.95 * size, middle[2] + 0.5 * size]
+    low, high = list(canvas.low), list(canvas.high)
+    low[1] -= 0.32 * max(canvas.width, canvas.height)  # the legend
+    middle = [(first + last) / 2 for first, last in zip(low, high, strict=True)]
+    size = sum((last - first) ** 2 for first, last in zip(low, high, strict=True)) ** 0.5 or 1.0
+    size *= FLAT_CLOSER if high[2] - low[2] < 0.5 * max(canvas.width, canvas.height) else 1.0
+    away = [middle[0] + 0.5 * size, middle[1] - 0.85 * size, middle[2] + 0.55 * size]
     return rrb.Spatial3DView(
         name=name,
         contents=contents,

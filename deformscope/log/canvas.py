@@ -2,26 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-import cv2
 import numpy as np
-import numpy.typing as npt
 import rerun as rr
 
 from deformscope.arrays import FloatArray
-
-Rgb = tuple[int, int, int]
-ColorArray = npt.NDArray[np.uint8]
-
-# Thesis fig. 3.12: observed blue, simulated red; rest green.
-OBSERVED: Rgb = (40, 110, 255)
-SIMULATED: Rgb = (235, 45, 45)
-REST: Rgb = (30, 190, 80)
-LOST: Rgb = (245, 245, 245)
-HELD: Rgb = (255, 200, 0)
+from deformscope.palette import Rgb, colors, readable
 
 TEXT: Rgb = (225, 225, 225)
 
@@ -39,6 +27,8 @@ class Canvas:
     spacing: between neighbouring particles, in the same unit; 0 = not known yet
     particles: (K, 2) where the particles are now [px], so that nothing is drawn where the thing is not; None = anywhere
     image: the path of the image under the results; empty = none
+    origin, scale: (d,) positions are drawn at (position - origin) * scale; empty = as they are. Corners are of what is
+    drawn
     """
 
     low: tuple[float, ...] = (0.0, 0.0)
@@ -46,6 +36,8 @@ class Canvas:
     spacing: float = 0.0
     particles: FloatArray | None = field(default=None, compare=False)
     image: str = ""
+    origin: tuple[float, ...] = ()
+    scale: tuple[float, ...] = ()
 
     @property
     def flat(self) -> bool:
@@ -92,37 +84,14 @@ class Canvas:
         return 0.011 * max(self.width, self.height)
 
 
-def spacing_of(position: FloatArray) -> float:
-    """The typical distance between neighbours among (K, d) positions; 0 for fewer than two."""
-    from scipy.spatial import cKDTree
-
-    finite = np.asarray(position[np.isfinite(position).all(axis=1)], dtype=np.float64)
-    if len(finite) < 2:
-        return 0.0
-    distance, _ = cKDTree(finite).query(finite, k=2)
-    return float(np.median(distance[:, 1]))
-
-
-def colors(share: FloatArray) -> ColorArray:
-    """(n, 3) RGB for (n,) shares of the scale, 0 to 1, dark violet to yellow."""
-    level = np.clip(np.nan_to_num(share) * 255, 0, 255).astype(np.uint8).reshape(-1, 1)
-    found: ColorArray = cv2.applyColorMap(level, cv2.COLORMAP_PLASMA).reshape(-1, 3)[:, ::-1]  # type: ignore[assignment]
-    return found
-
-
-def round_up(value: float) -> float:
-    """The next of 1, 2, 5, 10... times a power of ten: the end of a scale that a reader can divide."""
-    if not (math.isfinite(value) and value > 0):
-        return 1.0
-    power = 10.0 ** math.floor(math.log10(value))
-    return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if value <= step * power * (1 + 1e-9))
-
-
-def readable(unit: str, largest: float) -> tuple[float, str]:
-    """The factor and the unit that show lengths up to `largest` [unit] without a row of zeros."""
-    if unit == "m" and largest < 0.1:
-        return 1e3, "mm"
-    return 1.0, unit
+def log_place(rec: rr.RecordingStream, canvas: Canvas, *paths: str) -> None:
+    """Have the positions at these paths, which stay true in the recording, drawn where the canvas wants them."""
+    if canvas.image:
+        return
+    scale = np.array([*canvas.scale, 1.0, 1.0, 1.0][:3])
+    origin = np.array([*canvas.origin, 0.0, 0.0, 0.0][:3])
+    for path in paths:
+        rec.log(path, rr.Transform3D(translation=-origin * scale, scale=scale))
 
 
 def log_legend(
@@ -162,3 +131,25 @@ def log_color_bar(rec: rr.RecordingStream, path: str, canvas: Canvas, end: float
         x, y = canvas.slot(4 * (1 - at if canvas.legend_beside else at))
         numbers.append((x, y, f"{end * at * factor:g} {shown}"))
     log_labels(rec, f"{path}/number", canvas, numbers)
+
+
+def log_deep_legend(
+    rec: rr.RecordingStream, path: str, canvas: Canvas, entries: Sequence[tuple[float, str, Rgb]], row: int = 0
+) -> None:
+    """Marks with names on the ground before a body in space. entries: (share along x, label or "", colour)."""
+    (x0, y0, z0), (x1, y1, _) = canvas.low, canvas.high
+    size = max(x1 - x0, y1 - y0)
+    away = y0 - (0.12 + 0.19 * row) * size
+    points = [(x0 + share * (x1 - x0), away, z0) for share, _, _ in entries]
+    rec.log(path, rr.Points3D(points, radii=0.018 * size, colors=[tint for _, _, tint in entries]))
+    named = [(point, label) for point, (_, label, _) in zip(points, entries, strict=True) if label]
+    rec.log(
+        f"{path}/label",
+        rr.Points3D(
+            [point for point, _ in named],
+            radii=0.001 * size,
+            colors=TEXT,
+            labels=[label for _, label in named],
+            show_labels=True,
+        ),
+    )

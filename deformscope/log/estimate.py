@@ -1,55 +1,57 @@
-"""What a calibration found: simulated against observed particles, their residuals, the error curve, the verdict."""
+"""What a calibration found: simulated against observed particles, their residuals, where the model is wrong, the error
+curve with the posterior, the verdict."""
 
 from __future__ import annotations
 
-import io
 import json
-import math
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
+import cv2
 import numpy as np
+import numpy.typing as npt
 import rerun as rr
 
-from deformscope.arrays import FloatArray
-from deformscope.log.canvas import (
-    HELD,
-    OBSERVED,
-    REST,
-    SIMULATED,
-    Canvas,
-    colors,
-    log_color_bar,
-    log_legend,
-    readable,
-    round_up,
-)
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.log.canvas import Canvas, log_color_bar, log_deep_legend, log_legend, log_place
 from deformscope.log.particles import REST_RADIUS, SIMULATED_RADIUS, log_observed, log_rest
+from deformscope.palette import HELD, OBSERVED, REST, SIMULATED, Rgb, colors, readable, round_up
+from deformscope.pictures import errors, evidence_png
 from deformscope.plain import plain
 from deformscope.stages.estimate import Comparison, Estimate
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from deformscope.stages.triangulation import raster, triangulate
 
 RESIDUAL_RADIUS, DEEP_RADIUS, DEEP_OBSERVED_RADIUS = 0.15, 0.13, 0.16
 """Shares of the spacing. In space observed spheres are larger, so that red is what departs from them."""
-ERROR, INTERVAL, MINIMUM = "#1f5fd0", "#9db8e8", "#d92b2b"
-"""Of the chart: the curve, the shaded interval, the marked minimum."""
+
+NET = 1.2
+"""Particles of a surface that are at most so many spacings apart are joined by a net."""
+
+CELLS, OVER_IMAGE = 192, 0.75
+"""Of the heat map in the plane: cells along its longer side, and how much of it covers an image."""
+
+BANDS = 32
+"""Colours of the heat map: steps that the eye can follow, and that are stored small."""
+
+RING: Rgb = (20, 20, 20)
 
 
 def log_comparison(rec: rr.RecordingStream, comparison: Comparison, canvas: Canvas) -> None:
-    """Simulated particles in red beside the observed ones, and what separates them."""
-    residual = comparison.observed - comparison.simulated
-    length = np.where(comparison.seen, np.linalg.norm(residual, axis=1), np.nan)
+    """Simulated particles in red beside the observed ones, what separates them, and where the model is wrong."""
+    length = errors(comparison)
     free = np.ones(len(length), dtype=np.bool_)
     free[comparison.held] = False
     _log_error(rec, length, free, comparison.unit)
+    known = np.isfinite(length)
+    end = round_up(float(np.max(length[known], initial=0.0)))
     if canvas.flat:
-        _log_flat(rec, comparison, length, canvas)
+        _log_flat(rec, comparison, length, canvas, end)
+        _log_flat_heat(rec, comparison, length, canvas, end)
     else:
-        _log_deep(rec, comparison, length, canvas)
+        _log_deep(rec, comparison, length, canvas, end)
+        _log_deep_heat(rec, comparison, length, canvas, end)
 
 
-def _log_error(rec: rr.RecordingStream, length: FloatArray, free: np.typing.NDArray[np.bool_], unit: str) -> None:
+def _log_error(rec: rr.RecordingStream, length: FloatArray, free: BoolArray, unit: str) -> None:
     """The average Euclidean error of this moment, over all seen particles (Thesis eq. 3.18) and over the free ones."""
     known = np.isfinite(length)
     for name, label, color, chosen in (
@@ -61,20 +63,20 @@ def _log_error(rec: rr.RecordingStream, length: FloatArray, free: np.typing.NDAr
             rec.log(f"error/{name}", rr.Scalars(float(length[chosen].mean())))
 
 
-def _log_flat(rec: rr.RecordingStream, comparison: Comparison, length: FloatArray, canvas: Canvas) -> None:
+def _log_flat(rec: rr.RecordingStream, comparison: Comparison, length: FloatArray, canvas: Canvas, end: float) -> None:
     radius = canvas.spacing
     finite = np.isfinite(comparison.simulated).all(axis=1)
     if not canvas.image:  # a sequence has logged both already, frame by frame
         log_rest(rec, comparison.rest, canvas)
         log_observed(rec, comparison.observed, comparison.seen, canvas, "particles")
+    log_place(rec, canvas, "particles/simulated", "residual/lines", "residual/points", "residual/held")
     rec.log(
         "particles/simulated",
         rr.Points2D(comparison.simulated[finite], radii=radius * SIMULATED_RADIUS, colors=SIMULATED, draw_order=50.0),
     )
     log_legend(rec, "particles/legend/simulated", canvas, [(2.0, "simulated", SIMULATED)])
 
-    known = np.isfinite(length) & finite
-    end = round_up(float(np.max(length[known], initial=0.0)))
+    known = np.isfinite(length)
     tints = colors(length[known] / end)
     lines = np.stack([comparison.simulated[known], comparison.observed[known]], axis=1)
     rec.log("residual/lines", rr.LineStrips2D(lines, radii=radius * 0.06, colors=tints, draw_order=40.0))
@@ -90,17 +92,69 @@ def _log_flat(rec: rr.RecordingStream, comparison: Comparison, length: FloatArra
     log_legend(rec, "residual/legend/held", canvas, [(2.0, "held", HELD)], row=1)
 
 
-def _log_deep(rec: rr.RecordingStream, comparison: Comparison, length: FloatArray, canvas: Canvas) -> None:
-    radius = canvas.spacing
-    known = np.isfinite(length) & np.isfinite(comparison.simulated).all(axis=1)
+def _log_flat_heat(
+    rec: rr.RecordingStream, comparison: Comparison, length: FloatArray, canvas: Canvas, end: float
+) -> None:
+    """The error between the particles, as an image over their area, and a ring around the largest."""
+    known = np.isfinite(length)
+    if not known.any():
+        rec.log("heat", rr.Clear(recursive=True))
+        return
+    value, low, side = raster(comparison.rest[known], comparison.observed[known], length[known], CELLS)
+    band = (np.floor(value / end * BANDS).clip(0, BANDS - 1) + 0.5) / BANDS
+    cover = np.where(np.isfinite(value), round(255 * OVER_IMAGE) if canvas.image else 255, 0)
+    picture = np.dstack([colors(band.ravel()).reshape(*value.shape, 3), cover.astype(np.uint8)])
+    picture[cover == 0] = 0
+    picture = np.pad(picture, [(0, CELLS - value.shape[0]), (0, CELLS - value.shape[1]), (0, 0)])
+    scale, origin = np.array(canvas.scale or (1.0, 1.0)), np.array(canvas.origin or (0.0, 0.0))
+    corner = (low - origin) * scale
+    rec.log("heat/map", rr.Transform3D(translation=[*corner, 0.0], scale=[*(side * scale), 1.0]))
+    # An opacity below 1 is what makes the viewer blend at all; pictures of one path must all be of one size.
+    png = rr.EncodedImage(contents=_png(picture), media_type="image/png", opacity=0.99, draw_order=30.0)
+    rec.log("heat/map", png, rr.AnyValues(particle=np.flatnonzero(known), error=length[known]))
+    log_color_bar(rec, "heat/legend", canvas, end, comparison.unit)
+    worst = int(np.nanargmax(length))
+    angle = np.linspace(0.0, 2.0 * np.pi, 33)
+    ring = comparison.observed[worst] + 0.45 * canvas.spacing * np.column_stack([np.cos(angle), np.sin(angle)])
+    log_place(rec, canvas, "heat/worst")
+    rec.log("heat/worst", rr.LineStrips2D([ring], radii=0.06 * canvas.spacing, colors=RING, draw_order=45.0))
+    log_legend(rec, "heat/legend/worst", canvas, [(2.0, _worst(comparison, length), RING)], row=1)
+
+
+def _png(picture: npt.NDArray[np.uint8]) -> bytes:
+    """(rows, columns, 4) red, green, blue, cover."""
+    return cv2.imencode(".png", picture[..., [2, 1, 0, 3]], [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes()
+
+
+def _worst(comparison: Comparison, length: FloatArray) -> str:
+    largest = float(np.nanmax(length))
+    factor, unit = readable(comparison.unit, largest)
+    return f"largest error: {largest * factor:.3g} {unit}"
+
+
+def _log_deep(rec: rr.RecordingStream, comparison: Comparison, length: FloatArray, canvas: Canvas, end: float) -> None:
+    """Of a surface, what the picture holds; what lies beyond goes into the recording alone, where no view shows it."""
+    radius, surface = canvas.spacing, bool(canvas.scale)
+    inside = _inside(comparison, canvas)
+    log_place(rec, canvas, *(f"particles/{name}" for name in ("rest", "observed", "simulated", "net")))
+    log_place(rec, canvas, "residual/lines", "residual/points")
     for name, position, share, color in (
-        ("rest", comparison.rest, REST_RADIUS, REST),
-        ("observed", comparison.observed[comparison.seen], DEEP_OBSERVED_RADIUS, OBSERVED),
-        ("simulated", comparison.simulated, DEEP_RADIUS, SIMULATED),
+        ("rest", comparison.rest, 0.05 if surface else REST_RADIUS, REST),
+        ("observed", np.where(comparison.seen[:, None], comparison.observed, np.nan), DEEP_OBSERVED_RADIUS, OBSERVED),
+        ("simulated", comparison.simulated, REST_RADIUS if surface else DEEP_RADIUS, SIMULATED),
     ):
-        finite = position[np.isfinite(position).all(axis=1)]
-        rec.log(f"particles/{name}", rr.Points3D(finite, radii=radius * share, colors=color))
-    end = round_up(float(np.max(length[known], initial=0.0)))
+        finite = np.isfinite(position).all(axis=1)
+        rec.log(f"particles/{name}", rr.Points3D(position[finite & inside], radii=radius * share, colors=color))
+        if not inside.all():
+            rec.log(f"beyond/{name}", rr.Points3D(position[finite & ~inside], colors=color))
+    if surface:
+        net = comparison.simulated[_net(comparison, inside, NET * radius)]
+        rec.log("particles/net", rr.LineStrips3D(net, radii=radius * 0.03, colors=SIMULATED))
+    marks = [(0.0, "rest", REST), (0.5, "observed", OBSERVED), (1.0, "simulated", SIMULATED)]
+    log_deep_legend(rec, "particles/legend", canvas, marks)
+    if drawn := _heights(canvas):
+        log_deep_legend(rec, "particles/legend/heights", canvas, [(0.5, drawn.strip(", "), RING)], row=1)
+    known = np.isfinite(length) & inside
     tints = colors(length[known] / end)
     lines = np.stack([comparison.simulated[known], comparison.observed[known]], axis=1)
     rec.log("residual/lines", rr.LineStrips3D(lines, radii=radius * 0.05, colors=tints))
@@ -108,12 +162,79 @@ def _log_deep(rec: rr.RecordingStream, comparison: Comparison, length: FloatArra
         "residual/points", rr.Points3D(comparison.observed[known], radii=radius * DEEP_OBSERVED_RADIUS, colors=tints)
     )
     rec.log("residual/points", rr.AnyValues(particle=np.flatnonzero(known), residual=length[known]))
-    factor, unit = readable(comparison.unit, end)
-    legend = (
-        "**green** rest, **blue** observed, **red** simulated (seen where it departs from blue)\n\n"
-        f"residuals: dark blue 0 {unit}, red {end * factor / 2:g} {unit}, yellow {end * factor:g} {unit}"
+    log_deep_legend(rec, "residual/legend", canvas, _deep_bar(comparison, end))
+
+
+def _inside(comparison: Comparison, canvas: Canvas) -> BoolArray:
+    """(K,) whether a particle belongs into the picture, seen from above."""
+    if not canvas.scale:
+        return np.ones(len(comparison.rest), dtype=np.bool_)
+    shown = comparison.rest[:, :2] - np.array(canvas.origin[:2])
+    low, high = np.array(canvas.low[:2]), np.array(canvas.high[:2])
+    grace = 0.1 * canvas.spacing
+    return np.asarray(((shown >= low - grace) & (shown <= high + grace)).all(axis=1))
+
+
+def _net(comparison: Comparison, inside: BoolArray, longest: float) -> IntArray:
+    """(n, 2) neighbours on a surface, to be joined by lines."""
+    rows = np.flatnonzero(inside & np.isfinite(comparison.simulated).all(axis=1))
+    triangles = triangulate(comparison.rest[rows])
+    pairs = np.unique(
+        np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])), axis=0
     )
-    rec.log("residual/legend", rr.TextDocument(legend, media_type=rr.MediaType.MARKDOWN))
+    joined = rows[pairs]
+    apart = np.linalg.norm(comparison.rest[joined[:, 0]] - comparison.rest[joined[:, 1]], axis=1)
+    return np.asarray(joined[apart <= longest])
+
+
+def _log_deep_heat(
+    rec: rr.RecordingStream, comparison: Comparison, length: FloatArray, canvas: Canvas, end: float
+) -> None:
+    """The error over the surface or the skin; where there is none, the particles alone."""
+    known = np.flatnonzero(np.isfinite(length) & _inside(comparison, canvas))
+    if not known.size:
+        rec.log("heat", rr.Clear(recursive=True))
+        return
+    log_place(rec, canvas, "heat/map")
+    place, tints = comparison.observed[known], colors(length[known] / end)
+    triangles = triangulate(comparison.rest[known])
+    if len(triangles):
+        rec.log("heat/map", rr.Mesh3D(vertex_positions=place, triangle_indices=triangles, vertex_colors=tints))
+    else:
+        rec.log("heat/map", rr.Points3D(place, radii=canvas.spacing * 0.3, colors=tints))
+    rec.log("heat/map", rr.AnyValues(particle=known, error=length[known]))
+    rec.log("heat/worst", _pin(comparison, int(known[np.argmax(length[known])]), canvas))
+    log_deep_legend(rec, "heat/legend", canvas, _deep_bar(comparison, end))
+    log_deep_legend(
+        rec, "heat/legend/worst", canvas, [(0.5, f"{_worst(comparison, length[known])}{_heights(canvas)}", RING)], row=1
+    )
+
+
+def _pin(comparison: Comparison, particle: int, canvas: Canvas) -> rr.LineStrips3D:
+    """A line that sticks out of the body at a particle: upwards from a surface, else away from the middle."""
+    origin, scale = np.array(canvas.origin or (0.0,) * 3), np.array(canvas.scale or (1.0,) * 3)
+    low, high = np.array(canvas.low), np.array(canvas.high)
+    at = (comparison.observed[particle] - origin) * scale
+    out = np.array([0.0, 0.0, 1.0]) if canvas.scale else at - 0.5 * (low + high)
+    out = out / (float(np.linalg.norm(out)) or 1.0) * 0.15 * float((high - low).max())
+    return rr.LineStrips3D([[at, at + out]], radii=0.06 * canvas.spacing, colors=RING)
+
+
+def _deep_bar(comparison: Comparison, end: float) -> list[tuple[float, str, Rgb]]:
+    """The scale's marks, of which three have numbers."""
+    factor, unit = readable(comparison.unit, end)
+    share = np.linspace(0.0, 1.0, 21)
+    named = {0: "0", 10: f"{0.5 * end * factor:g}", 20: f"{end * factor:g}"}
+    return [
+        (float(at), f"{named[row]} {unit}" if row in named else "", (int(tint[0]), int(tint[1]), int(tint[2])))
+        for row, (at, tint) in enumerate(zip(share, colors(share), strict=True))
+    ]
+
+
+def _heights(canvas: Canvas) -> str:
+    """That heights are drawn out, where they are."""
+    times = canvas.scale[2] if canvas.scale else 1.0
+    return f", heights drawn {times:g} times" if times > 1.0 else ""
 
 
 def log_estimate(rec: rr.RecordingStream, estimate: Estimate, canvas: Canvas) -> None:
@@ -123,7 +244,7 @@ def log_estimate(rec: rr.RecordingStream, estimate: Estimate, canvas: Canvas) ->
     """
     whole = bool(canvas.image)
     curve = estimate.curve
-    chart = rr.EncodedImage(contents=chart_png(estimate), media_type="image/png")
+    chart = rr.EncodedImage(contents=evidence_png(estimate), media_type="image/png")
     rec.log("calibration/chart", chart, static=whole)
     # No BarChart: its tensor keeps a viewer from opening a second recording of this kind beside the first.
     known = np.isfinite(curve.aee)
@@ -139,15 +260,17 @@ def as_json(estimate: Estimate) -> dict[str, Any]:
 
 
 def summary(estimate: Estimate) -> str:
-    """The estimate in a page of Markdown."""
+    """The estimate in a page of Markdown, the verdict in plain words first."""
     low, high = estimate.interval
     lines = [
-        f"# {estimate.parameter} = {estimate.value:.3g}: {estimate.verdict}",
+        f"# {estimate.parameter} = {estimate.value:.3g}",
+        "",
+        f"**{estimate.verdict_text()}**",
         "",
         f"{estimate.level:.0%} interval **{low:.3g} to {high:.3g}** (searched {estimate.bounds[0]:g} to "
         f"{estimate.bounds[1]:g})",
         "",
-        _stiffness(estimate),
+        f"Stiffness: {estimate.stiffness_text()}",
         "",
         "| error at the best value | |",
         "| --- | --- |",
@@ -159,16 +282,14 @@ def summary(estimate: Estimate) -> str:
         "| setting | |",
         "| --- | --- |",
     ]
-    lines += [f"| {name} | {value} |" for name, value in estimate.settings.items()]
+    lines += [f"| {name} | {_shown(value)} |" for name, value in estimate.settings.items() if value is not None]
     return "\n".join(lines)
 
 
-def _stiffness(estimate: Estimate) -> str:
-    said = f"Stiffness: **{estimate.stiffness_verdict}**"
-    if estimate.stiffness is not None:
-        value, (low, high) = estimate.stiffness
-        return f"{said}, k = {value:.4g} N/m ({low:.4g} to {high:.4g})"
-    return said + (" (positions alone cannot tell it)" if estimate.stiffness_verdict == "unidentified" else "")
+def _shown(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return ", ".join(str(one) for one in value) if isinstance(value, list | tuple) else str(value)
 
 
 def _length(estimate: Estimate, length: float) -> str:
@@ -178,59 +299,3 @@ def _length(estimate: Estimate, length: float) -> str:
     if estimate.unit == "px" and estimate.metres_per_unit is not None:
         said += f" = {length * estimate.metres_per_unit * 1e3:.3g} mm"
     return said
-
-
-def chart_png(estimate: Estimate) -> bytes:
-    """The error over the parameter, drawn to be read at a glance, as PNG."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8, 5), dpi=130, layout="constrained")
-    FigureCanvasAgg(figure)
-    _draw(figure.add_subplot(), estimate)
-    encoded = io.BytesIO()
-    figure.savefig(encoded, format="png", metadata={"Software": None})
-    return encoded.getvalue()
-
-
-def _draw(axes: Axes, estimate: Estimate) -> None:
-    curve, (low, high) = estimate.curve, estimate.interval
-    factor, unit = readable(estimate.unit, float(np.nanmax(curve.aee, initial=0.0)))
-    best = _error_at(estimate) * factor
-    axes.axvspan(low, high, color=INTERVAL, alpha=0.45, lw=0, label=f"{estimate.level:.0%} interval")
-    axes.plot(
-        curve.parameter,
-        curve.aee * factor,
-        "o-",
-        color=ERROR,
-        lw=2,
-        ms=4 if len(curve.aee) < 40 else 2.5,
-        label="error, all particles",
-    )
-    axes.axvline(estimate.value, color=MINIMUM, lw=1.2, ls="--")
-    if math.isfinite(best):
-        axes.plot([estimate.value], [best], "D", color=MINIMUM, ms=9, label=f"lowest at {estimate.value:.3g}")
-    lowest, highest = estimate.bounds
-    room = 0.03 * (highest - lowest)  # a mark at a bound is seen whole
-    axes.set_xlim(lowest - room, highest + room)
-    axes.set_xlabel(f"{estimate.parameter} [-]", fontsize=14)
-    axes.set_ylabel(f"average Euclidean error [{unit}]", fontsize=14)
-    color = {"identified": "#177a2b", "weak": "#a86400"}.get(estimate.verdict, "#b01818")
-    axes.set_title(
-        f"{estimate.parameter} = {estimate.value:.3g}  [{low:.3g}, {high:.3g}]: {estimate.verdict}"
-        + ("" if estimate.converged else ", NOT CONVERGED"),
-        fontsize=16,
-        color=color,
-        fontweight="bold",
-    )
-    axes.tick_params(labelsize=12)
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize=12)
-
-
-def _error_at(estimate: Estimate) -> float:
-    """The curve's height at the best value, so that the mark lies on the curve."""
-    known = np.isfinite(estimate.curve.aee)
-    if not known.any():
-        return estimate.aee
-    return float(np.interp(estimate.value, estimate.curve.parameter[known], estimate.curve.aee[known]))

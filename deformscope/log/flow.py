@@ -6,7 +6,8 @@ import numpy as np
 import rerun as rr
 
 from deformscope.arrays import FloatArray
-from deformscope.log.canvas import TEXT, Canvas, colors, log_color_bar, log_legend, round_up
+from deformscope.log.canvas import TEXT, Canvas, log_color_bar, log_legend
+from deformscope.palette import colors, round_up
 from deformscope.stages.flow import FlowField
 
 ARROWS_ALONG = 34

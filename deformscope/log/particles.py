@@ -6,7 +6,8 @@ import numpy as np
 import rerun as rr
 
 from deformscope.arrays import FloatArray
-from deformscope.log.canvas import LOST, OBSERVED, REST, Canvas, log_labels, log_legend
+from deformscope.log.canvas import Canvas, log_labels, log_legend, log_place
+from deformscope.palette import LOST, OBSERVED, REST
 from deformscope.stages.particles import ParticleGrid, Tracked
 
 EDGE = (30, 30, 30)
@@ -22,6 +23,7 @@ def log_grid(rec: rr.RecordingStream, grid: ParticleGrid, canvas: Canvas, path: 
 def log_rest(rec: rr.RecordingStream, rest: FloatArray, canvas: Canvas, path: str = "particles") -> None:
     """(K, 2) rest positions in green."""
     radius = canvas.spacing * REST_RADIUS
+    log_place(rec, canvas, f"{path}/rest")
     rec.log(f"{path}/rest", rr.Points2D(rest, radii=radius, colors=REST, draw_order=30.0))
     log_legend(rec, f"{path}/legend/rest", canvas, [(0, "rest", REST)])
 
@@ -39,6 +41,7 @@ def log_observed(
     """(K, 2) positions: blue discs where seen, pale crosses elsewhere."""
     lost = ~seen & np.isfinite(position).all(axis=1)
     radius = canvas.spacing * OBSERVED_RADIUS
+    log_place(rec, canvas, f"{path}/observed", f"{path}/lost")
     rec.log(f"{path}/observed", rr.Points2D(position[seen], radii=radius, colors=OBSERVED, draw_order=40.0))
     rec.log(f"{path}/lost", crosses(position[lost], canvas.spacing * CROSS))
     log_legend(rec, f"{path}/legend/observed", canvas, [(1.0, "observed", OBSERVED)])

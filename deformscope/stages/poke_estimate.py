@@ -175,8 +175,8 @@ def conclude(
     )
     left = float(sum(np.sum(one.residual(one.settle([best.law])) ** 2) for one in fit.posed))
     moved = float(sum(np.sum((one.poke.moved[one.near] / one.poke.depth) ** 2) for one in fit.posed))
-    misfit = float(np.sqrt(np.mean(best.surface_error**2)))
-    told = Identifiability(rise, 1.0 - left / moved, posterior.deviation(), misfit)
+    misfit = float(np.sqrt(np.mean(best.surface_error**2))) * float(np.mean([poke.depth for poke in fit.pokes]))
+    told = Identifiability(rise, 1.0 - left / moved, posterior.deviation(), misfit / np.sqrt(3.0))
     k = _stiffness(fit, profile, posterior, level)
     model = _model(fit, provenance)
     estimate = Estimate(
@@ -202,7 +202,7 @@ def conclude(
             "spacing_m": fit.spacing,
             "thickness_m": fit.surface.thickness,
             "tip_slips": fit.pokes[0].tip.slips,
-            "noise": misfit * float(np.mean([poke.depth for poke in fit.pokes])),
+            "noise": misfit,
             **settings,
         },
         stiffness=k,

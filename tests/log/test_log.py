@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,14 +13,19 @@ import numpy as np
 import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
+from scipy.spatial import cKDTree
 
 from deformscope.log.blueprint import blueprint
-from deformscope.log.canvas import Canvas, colors, readable, round_up, spacing_of
-from deformscope.log.estimate import as_json, chart_png, summary
+from deformscope.log.canvas import Canvas
+from deformscope.log.estimate import as_json, summary
+from deformscope.palette import colors, readable, round_up
+from deformscope.pictures import evidence_png
 from deformscope.recorder import Recorder
 from deformscope.session import Step, run
 from deformscope.sources import open_source
+from deformscope.stages.triangulation import spacing_of
 from tests.log import synthetic
+from tests.test_closeup import poked
 
 
 @pytest.fixture(autouse=True)
@@ -98,9 +104,10 @@ def test_estimate(recording: Path) -> None:
     assert found["interval"] == [0.56, 0.69]
     png = bytes(values(recording, "/calibration/chart", "EncodedImage:blob")[0])
     chart = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
-    assert chart.shape == (650, 1040, 3)
+    assert chart.shape == (728, 1040, 3)
     text = values(recording, "/calibration/summary", "TextDocument:text")[0]
-    assert "beta = 0.62: identified" in text
+    assert "# beta = 0.62" in text
+    assert "identified: beta is 0.56 to 0.69" in text
     assert "0.56 to 0.69" in text
     assert "| cluster_size | 3 |" in text
 
@@ -140,25 +147,23 @@ def test_pairs(tmp_path: Path, dimensions: int) -> None:
 
 
 def test_chart_of_every_verdict() -> None:
-    import dataclasses
-
     for verdict in ("identified", "weak", "at-bound", "unidentified"):
         estimate = dataclasses.replace(synthetic.estimate(verdict), converged=verdict != "weak")
-        assert chart_png(estimate).startswith(b"\x89PNG")
-        assert verdict in summary(estimate)
+        assert evidence_png(estimate).startswith(b"\x89PNG")
+        assert estimate.verdict_text() in summary(estimate)
     scaled = dataclasses.replace(synthetic.estimate(), metres_per_unit=1e-4, stiffness=(12.0, (11.0, 13.5)))
     assert "| 0.35 px = 0.035 mm |" in summary(scaled)
-    assert "k = 12 N/m (11 to 13.5)" in summary(scaled)
+    assert "12 N/m (11 to 13.5)" in summary(scaled)
     gaps = synthetic.estimate()
     gaps.curve.aee[[0, 1, 5]] = np.nan
-    assert chart_png(gaps).startswith(b"\x89PNG")
+    assert evidence_png(gaps).startswith(b"\x89PNG")
     assert as_json(gaps)["curve"]["aee"][0] is None
     gaps.curve.aee[:] = np.nan
-    assert chart_png(gaps).startswith(b"\x89PNG")
+    assert evidence_png(gaps).startswith(b"\x89PNG")
 
 
 def test_one_chart_is_one_picture() -> None:
-    assert chart_png(synthetic.estimate()) == chart_png(synthetic.estimate())
+    assert evidence_png(synthetic.estimate()) == evidence_png(synthetic.estimate())
 
 
 @pytest.mark.parametrize("size", [(100.0, 900.0), (200.0, 500.0), (640.0, 480.0), (1000.0, 200.0)])
@@ -171,8 +176,11 @@ def test_blueprints(size: tuple[float, float], layout: Any) -> None:
 def test_scales() -> None:
     assert [round_up(value) for value in (0.0, 0.3, 1.0, 1.1, 4.9, 7.0, 1234.0)] == [1, 0.5, 1, 2, 5, 10, 2000]
     assert readable("m", 0.002) == (1e3, "mm")
+    assert readable("m", 0.00002) == (1e6, "µm")
+    assert readable("m", 0.0) == (1e3, "mm")
     assert readable("px", 0.002) == (1.0, "px")
     assert colors(np.array([0.0, 1.0, 7.0, np.nan])).shape == (4, 3)
+    assert colors(np.zeros(0)).shape == (0, 3)
 
 
 def test_spacing() -> None:
@@ -188,3 +196,119 @@ def test_the_canvas_follows_the_particles() -> None:
     assert moved.particles is not None
     assert moved.particles.tolist() == [[10.0, 20.0], [30.0, 60.0]]
     assert canvas.around(np.full((3, 2), np.nan)) == canvas
+
+
+# Where the model is wrong --------------------------------------------------------------------------------------------
+
+
+def decoded(path: Path, frame: int) -> tuple[np.ndarray, np.ndarray]:
+    """(rows, columns, 4) the heat map as it is stored, and (2, 2) its corner and its cells' sides."""
+    png = bytes(values(path, "/heat/map", "EncodedImage:blob", frame)[0])
+    picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED)
+    corner = values(path, "/heat/map", "Transform3D:translation", frame)[0][:2]
+    return picture, np.array([corner, values(path, "/heat/map", "Transform3D:scale", frame)[0][:2]])
+
+
+def test_the_heat_map_lies_over_the_body(recording: Path) -> None:
+    error = np.array(values(recording, "/heat/map", "error", 6))
+    particle = np.array(values(recording, "/heat/map", "particle", 6))
+    assert len(error) == 151
+    picture, (corner, side) = decoded(recording, 6)
+    assert picture.shape == decoded(recording, 2)[0].shape  # a viewer takes pictures of one size alone
+    observed = np.array(values(recording, "/residual/points", "Points2D:positions", 6))
+    inner = (particle % 7 > 0) & (particle % 7 < 6) & (particle > 7) & (particle < 147)
+    column, row = ((observed[inner] - corner) / side).astype(int).T
+    found = picture[row, column]
+    assert (found[:, 3] > 150).mean() > 0.9  # over the body, but for the surroundings of three lost particles
+    end = round_up(float(error.max()))
+    expected = colors(error[inner] / end)[:, ::-1].astype(int)
+    shown = found[:, 3] > 150
+    assert np.abs(found[shown, :3] - expected[shown]).max(axis=1).mean() < 12
+    assert (picture[..., 3] == 0).mean() > 0.3  # beside the body
+    assert values(recording, "/heat/legend/worst/label", "Points2D:labels", 6) == [
+        f"largest error: {error.max():.3g} px"
+    ]
+    ring = np.array(values(recording, "/heat/worst", "LineStrips2D:strips", 6)[0])
+    np.testing.assert_allclose(ring[:-1].mean(axis=0), observed[np.argmax(error)], atol=1e-3)
+
+
+def test_a_pair_in_the_plane_stands_upright(tmp_path: Path) -> None:
+    pair = synthetic.pair_in_plane()
+    with Recorder(tmp_path / "run.rrd", layout="pair") as made:
+        made.write(Step((pair, synthetic.estimate(unit="m")), frame=0))
+    for path in ("particles/rest", "particles/observed", "particles/simulated", "residual/lines", "heat/worst"):
+        assert values(tmp_path / "run.rrd", f"/{path}", "Transform3D:scale", 0)[0] == [1.0, -1.0, 1.0]
+    _, (corner, side) = decoded(tmp_path / "run.rrd", 0)
+    assert side[0] == -side[1] > 0
+    np.testing.assert_allclose(corner, pair.observed.min(axis=0) * [1, -1], atol=1e-7)
+
+
+def test_a_volume_is_covered_by_its_skin(tmp_path: Path) -> None:
+    pair = synthetic.pair_in_space()
+    with Recorder(tmp_path / "run.rrd", layout="pair-3d") as made:
+        made.write(Step((pair, synthetic.estimate(unit="m")), frame=0))
+    path = tmp_path / "run.rrd"
+    place = np.array(values(path, "/heat/map", "Mesh3D:vertex_positions", 0))
+    np.testing.assert_allclose(place, pair.observed[pair.seen], atol=1e-7)
+    error = np.linalg.norm(pair.observed - pair.simulated, axis=1)[pair.seen]
+    np.testing.assert_allclose(values(path, "/heat/map", "error", 0), error)
+    triangles = np.array(values(path, "/heat/map", "Mesh3D:triangle_indices", 0))
+    assert triangles.max() < len(place)
+    assert np.unique(triangles).size == 9 * 9 + 9 * 9 + 32  # two faces, and the rim of the layer between
+    labels = values(path, "/heat/legend/label", "Points3D:labels", 0)
+    assert labels == ["0 mm", "2.5 mm", "5 mm"]
+    first = values(path, "/heat/worst", "LineStrips3D:strips", 0)[0][0]
+    np.testing.assert_allclose(first, place[np.argmax(error)], atol=1e-7)
+
+
+def test_a_poke_is_shown_close_and_recorded_whole(tmp_path: Path) -> None:
+    first, second = poked(), poked(at=(0.4, 0.25))
+    with Recorder(tmp_path / "run.rrd", layout="pair-3d") as made:
+        for frame, pair in enumerate((first, second)):
+            made.write(Step((pair,), frame=frame))
+        made.write(Step((synthetic.estimate(unit="m"),), frame=1))
+    path = tmp_path / "run.rrd"
+    for frame, pair in enumerate((first, second)):
+        deepest = pair.rest[np.argmin(pair.observed[:, 2])]
+        scale = np.array(values(path, "/particles/observed", "Transform3D:scale", frame)[0])
+        moved = np.array(values(path, "/particles/observed", "Transform3D:translation", frame)[0])
+        assert scale[2] > 1.0
+        assert scale[:2].tolist() == [1.0, 1.0]
+        np.testing.assert_allclose((deepest * scale + moved)[:2], 0.0, atol=1e-6)  # every poke under one eye
+        assert values(path, "/particles/legend/heights/label", "Points3D:labels", frame) == [
+            f"heights drawn {scale[2]:g} times"
+        ]
+        near = np.array(values(path, "/particles/simulated", "Points3D:positions", frame))
+        beyond = np.array(values(path, "/beyond/simulated", "Points3D:positions", frame))
+        assert 50 < len(near) < 400
+        away, which = cKDTree(pair.simulated).query(np.concatenate([near, beyond]))
+        assert away.max() < 1e-6
+        assert sorted(which) == list(range(len(pair.rest)))
+
+
+def test_each_pair_of_a_recording_is_drawn_its_own_way(tmp_path: Path) -> None:
+    path = tmp_path / "run.rrd"
+    pairs = (synthetic.pair_in_plane(), poked(), synthetic.pair_in_space())
+    with Recorder(path, layout="pair-3d") as made:
+        for frame, pair in enumerate(pairs):
+            made.write(Step((pair, synthetic.estimate(unit="m")), frame=frame))
+    scales = [values(path, "/particles/observed", "Transform3D:scale", frame)[0] for frame in range(3)]
+    assert scales[0] == [1.0, -1.0, 1.0]
+    assert scales[1][2] > 1.0
+    assert scales[2] == [1.0, 1.0, 1.0]
+    assert values(path, "/particles/observed", "Transform3D:translation", 2)[0] == [0.0, 0.0, 0.0]
+
+
+def test_nothing_to_compare_is_no_error(tmp_path: Path) -> None:
+    pair = synthetic.pair_in_plane()
+    blind = dataclasses.replace(pair, seen=np.zeros(len(pair.rest), dtype=bool))
+    exact = dataclasses.replace(pair, simulated=pair.observed)
+    with Recorder(tmp_path / "run.rrd", layout="pair") as made:
+        made.write(Step((blind,), frame=0))
+        made.write(Step((exact,), frame=1))
+    assert values(tmp_path / "run.rrd", "/heat/legend/worst/label", "Points2D:labels", 1) == ["largest error: 0 mm"]
+
+
+def test_a_long_recording_stays_small(recording: Path) -> None:
+    sizes = [len(values(recording, "/heat/map", "EncodedImage:blob", frame)[0]) for frame in range(1, 7)]
+    assert max(sizes) < 16_000

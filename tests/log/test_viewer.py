@@ -19,6 +19,7 @@ from deformscope.recorder import Recorder
 from deformscope.session import Step, run
 from deformscope.sources import open_source
 from tests.log import synthetic
+from tests.test_closeup import poked
 from tools import screenshot
 from tools.screenshot import LAVAPIPE, headless_viewer, shoot
 
@@ -52,7 +53,7 @@ def test_calibration_of_images(tmp_path: Path, viewer: ViewerClient) -> None:
         run(source, synthetic.calibration(), made)
     assert shoot(viewer, path, tmp_path) == []
     pictures = {shot.stem: cv2.imread(str(shot)) for shot in tmp_path.glob("*.png")}
-    assert len(pictures) == 7
+    assert len(pictures) == 8
     particles = pictures["Particles"].astype(int)
     blue, green, red = (
         (np.abs(particles - color).max(axis=2) < 40).sum() for color in ((255, 110, 40), (80, 190, 30), (45, 45, 235))
@@ -77,6 +78,17 @@ def test_calibration_of_a_pair(tmp_path: Path, viewer: ViewerClient, dimensions:
     pair = synthetic.pair_in_plane() if dimensions == 2 else synthetic.pair_in_space()
     with Recorder(path, layout="pair") as made:
         made.write(Step((pair, synthetic.estimate(unit="m")), frame=0))
+    assert shoot(viewer, path, tmp_path) == []
+    for shot in tmp_path.glob("*.png"):
+        assert cv2.imread(str(shot)).std() > 8, shot.name
+
+
+def test_pokes_of_a_surface(tmp_path: Path, viewer: ViewerClient) -> None:
+    path = tmp_path / "run.rrd"
+    with Recorder(path, layout="pair-3d") as made:
+        for frame, pair in enumerate((poked(), poked(at=(0.4, 0.25)))):
+            made.write(Step((pair,), frame=frame))
+        made.write(Step((synthetic.estimate(unit="m"),), frame=1))
     assert shoot(viewer, path, tmp_path) == []
     for shot in tmp_path.glob("*.png"):
         assert cv2.imread(str(shot)).std() > 8, shot.name

@@ -1,0 +1,256 @@
+"""What a calibration says, outside a recording: the numbers as rows, one picture, and one HTML page."""
+
+from __future__ import annotations
+
+import datetime
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import PurePath
+from typing import TYPE_CHECKING
+
+from deformscope.cli.common import console, replacing
+from deformscope.plain import plain
+
+if TYPE_CHECKING:
+    from deformscope.config import SummaryOptions
+    from deformscope.pictures import Result
+    from deformscope.report import Part, Section, Table
+    from deformscope.stages.estimate import Estimate
+    from deformscope.stages.poke_estimate import PokesFound
+
+Rows = list[tuple[str, str]]
+
+MOST_SHOWN = 24
+"""Comparisons whose pictures go into a report."""
+
+
+def write_summaries(
+    files: SummaryOptions,
+    results: Sequence[Result],
+    *,
+    seed: int,
+    settings: Mapping[str, object],
+    pokes: PokesFound | None = None,
+) -> None:
+    """Write the picture and the report that were asked for. settings: of the command, beside those of the estimates"""
+    if files.picture is not None:
+        from deformscope.pictures import results_png
+
+        with replacing(files.picture) as file:
+            file.write(results_png(results))
+        console().print(f"picture: {files.picture}", markup=False, soft_wrap=True)
+    if files.report is not None:
+        from deformscope.report import html_report
+
+        sections = calibration_sections(results, seed=seed, settings=settings, pokes=pokes)
+        with replacing(files.report) as file:
+            file.write(html_report(_title(results), sections).encode())
+        console().print(f"report: {files.report}", markup=False, soft_wrap=True)
+
+
+def calibration_sections(
+    results: Sequence[Result], *, seed: int, settings: Mapping[str, object], pokes: PokesFound | None = None
+) -> list[Section]:
+    """The parts of a report on calibrations: verdicts first, then numbers, pictures, and how it was done."""
+    from deformscope.report import Section, Table
+
+    several = len(results) > 1
+    sections = [Section("", [part for one in results for part in _verdict(one, named=several)])]
+    if several:
+        sections.append(Section("All pairs", [_overview(results)]))
+    left = MOST_SHOWN
+    for one in results:
+        if count := min(len(one.comparisons), left):
+            of = f" of {_name(one)}" if several else ""
+            sections.append(Section(f"Numbers and evidence{of}", _evidence(one)))
+            sections.append(Section(f"Where the model{of} is wrong", _pictures(one, count)))
+            left -= count
+    if missing := sum(len(one.comparisons) for one in results) - (MOST_SHOWN - left):
+        sections.append(Section("Left out", [f"Pictures of {missing} more, which would make this page too large."]))
+    if pokes is not None:
+        sections.append(Section("Pokes", [_pokes(pokes), _sizes(pokes)]))
+    fitted = [(name, _cell(value)) for name, value in results[0].estimate.settings.items() if value is not None]
+    sections.append(Section("Settings", [Table(fitted, caption="Of the fit")]))
+    return [*sections, *provenance_sections(seed=seed, settings=settings)]
+
+
+def provenance_sections(*, seed: int, settings: Mapping[str, object]) -> list[Section]:
+    """What made a result, and how to make it again."""
+    from deformscope import provenance
+    from deformscope.report import Code, Section, Table
+
+    rows: list[tuple[str, str]] = [
+        ("made", datetime.datetime.now().astimezone().isoformat(sep=" ", timespec="seconds"))
+    ]
+    sources = settings.get("sources")
+    for number, source in enumerate(sources if isinstance(sources, list) else [], start=1):
+        rows.append((f"source {number}", str(source)))
+    rows.append(("seed", str(seed)))
+    rows += [(f"version of {name}", version) for name, version in provenance.versions().items()]
+    if git := provenance.git_state():
+        rows.append(("git commit", f"{git['commit']}{' with changes that are not committed' if git['dirty'] else ''}"))
+    rows.append(("machine", provenance.machine()))
+    command = shlex.join(["deformscope", *provenance.command()[1:]])
+    again = "The same command on the same sources gives the same numbers, on one machine to the last digit."
+    return [Section("Provenance", [Table(rows)]), Section("To reproduce it", [Code(command), again])]
+
+
+def estimate_rows(estimate: Estimate) -> Rows:
+    """An estimate as names and values."""
+    low, high = estimate.interval
+    rows = [
+        (estimate.parameter, f"{estimate.value:.4g}"),
+        (f"{estimate.level:.0%} interval", f"{low:.4g} to {high:.4g}"),
+        ("verdict", estimate.verdict_text()),
+        ("stiffness", estimate.stiffness_text()),
+        ("error, all particles", _length(estimate, estimate.aee)),
+        ("error, free particles", _length(estimate, estimate.aee_free)),
+        ("noise of a position", _length(estimate, estimate.settings.get("noise"))),
+        ("converged", "yes" if estimate.converged else "NO: do not rely on the value"),
+    ]
+    if not estimate.settings.get("pose_held", True):
+        rows.insert(-1, ("pose", "the held particles leave the body free to turn: hold more for a value to rely on"))
+    if lost := estimate.settings.get("lost"):
+        every = int(str(estimate.settings["particles"]))
+        many = "; so many that the tracking may have failed: look at the picture" if int(str(lost)) * 3 > every else ""
+        rows.insert(-1, ("lost particles", f"{lost} of {every}: left out of the fit{many}"))
+    if moved := estimate.settings.get("held_moved"):
+        parts = ", ".join(moved) if isinstance(moved, list) else str(moved)
+        rows.insert(-1, ("held elsewhere", f"{parts}: lost there; the outermost row or column still seen is held"))
+    return rows
+
+
+def _length(estimate: Estimate, value: object) -> str:
+    if not isinstance(value, float):
+        return "not known"
+    parts = [f"{value:.3g} px"] if estimate.unit == "px" else []
+    if estimate.metres_per_unit is not None:
+        parts.append(f"{1e3 * value * estimate.metres_per_unit:.3g} mm")
+    return ", ".join(parts)
+
+
+def _verdict(result: Result, *, named: bool) -> list[Part]:
+    from deformscope.pictures import headline, verdict_color
+    from deformscope.report import Verdict
+
+    found = result.estimate
+    name = f"{_name(result)}: " if named else ""
+    words = (f"Stiffness: {found.stiffness_text()}.", *([] if named else [_explained(found)]))
+    return [
+        Verdict(f"{name}{found.verdict_text()}", (f"{headline(found)}.", *words), verdict_color(found)),
+    ]
+
+
+def _explained(found: Estimate) -> str:
+    told = found.identifiability
+    if told is None:
+        return ""
+    return (
+        f"The model explains {max(told.explained, 0.0):.1%} of the motion (sums of squares), and the data tell the "
+        f"likeliest value from the least likely one by {told.rise:.3g} standard deviations."
+    )
+
+
+def _overview(results: Sequence[Result]) -> Table:
+    from deformscope.report import Table
+
+    rows = []
+    for one in results:
+        found = one.estimate
+        low, high = found.interval
+        interval, error = f"{low:.4g} to {high:.4g}", _length(found, found.aee_free)
+        rows.append((_name(one), f"{found.value:.4g}", interval, found.verdict_text(), error))
+    first = results[0].estimate
+    return Table(rows, ("pair", first.parameter, f"{first.level:.0%} interval", "verdict", "error, free particles"))
+
+
+def _evidence(result: Result) -> list[Part]:
+    from deformscope.pictures import evidence_png
+    from deformscope.report import Figure, Table
+
+    found = result.estimate
+    rows = estimate_rows(found)
+    rows.insert(-1, ("error, nearest particle", _length(found, found.nearest)))
+    caption = (
+        f"Above: mean distance between observed and simulated particles over {found.parameter}, with the estimate. "
+        f"Below: the posterior on the same axis; shaded the {found.level:.0%} interval."
+    )
+    return [Table(rows), Figure(evidence_png(found), caption)]
+
+
+def _pictures(result: Result, count: int) -> list[Part]:
+    from deformscope.pictures import errors_png, particles_png, where_wrong
+    from deformscope.report import Figure
+
+    parts: list[Part] = []
+    for index in range(count):
+        name = f"{PurePath(result.names[index]).name}: " if result.names[index] else ""
+        parts.append(f"{name}{where_wrong(result.comparisons[index])}")
+        left = Figure(
+            particles_png(result, index), f"{name}Observed particles and the simulated ones, with error lines."
+        )
+        right = Figure(errors_png(result, index), f"{name}Distance from observed to simulated over the body.")
+        parts.append((left, right))
+    return parts
+
+
+def _pokes(found: PokesFound) -> Table:
+    from deformscope.report import Table
+
+    rows = []
+    for one in found.rows():
+        size = " x ".join(f"{1e3 * side:.3g}" for side in one.tip.size)
+        modulus = one.apparent_modulus_pa
+        rows.append(
+            (
+                ", ".join(f"{v:.3g}" for v in one.xy_m),
+                f"{one.tip.shape} {size}",
+                f"{1e3 * one.depth_m:.3g}",
+                _number(one.force_n, "{:.3g}"),
+                _number(one.stiffness_n_per_m, "{:.4g}"),
+                _number(None if modulus is None else 1e-3 * modulus.half_space, "{:.3g}"),
+                _number(one.surface_error, "{:.1%}"),
+                _number(one.surface_error_held_out, "{:.1%}"),
+                _number(one.left_out_error, "{:+.1%}"),
+            )
+        )
+    names = (
+        *("place x, y [m]", "tip [mm]", "depth [mm]", "force [N]", "k [N/m]", "apparent E* [kPa]"),
+        *("surface error [of the depth]", "the same, left out of the fit", "force predicted from the others"),
+    )
+    return Table(rows, names, f"Stiffness over the surface: {found.model.field_kind}. E* is of a half-space: apparent.")
+
+
+def _sizes(found: PokesFound) -> Table:
+    from deformscope.report import Table
+
+    rows = [
+        (str(one["cluster_size"]), f"{one['error']:.1%}", f"{one['beta']:.3g}", f"{one['theta']:.3g}")
+        for one in found.tried_json()
+    ]
+    return Table(rows, ("particles a side", "error [of the depth]", "beta", "theta"), "Cluster sizes tried, best first")
+
+
+def _number(value: float | None, form: str) -> str:
+    return "–" if value is None else form.format(value)
+
+
+def _cell(value: object) -> str:
+    shown = plain(value)
+    if isinstance(shown, float):
+        return f"{shown:.6g}"
+    if isinstance(shown, bool):
+        return "yes" if shown else "no"
+    return ", ".join(str(item) for item in shown) if isinstance(shown, list) else str(shown)
+
+
+def _title(results: Sequence[Result]) -> str:
+    found = f"Calibration of {results[0].estimate.parameter}"
+    if len(results) > 1:
+        return f"{found}: {len(results)} pairs"
+    return f"{found}: {name}" if (name := _name(results[0])) else found
+
+
+def _name(result: Result) -> str:
+    """Of a file without its folder, which stands among the sources."""
+    return PurePath(result.names[0]).name if len(result.names) == 1 else f"{len(result.names)} pairs together"

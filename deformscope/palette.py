@@ -1,0 +1,50 @@
+"""Colours, scales and units that every view of a result shares: recordings, pictures and reports."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from deformscope.arrays import FloatArray
+
+Rgb = tuple[int, int, int]
+ColorArray = npt.NDArray[np.uint8]
+
+# Thesis fig. 3.12: observed blue, simulated red; rest green.
+OBSERVED: Rgb = (40, 110, 255)
+SIMULATED: Rgb = (235, 45, 45)
+REST: Rgb = (30, 190, 80)
+LOST: Rgb = (245, 245, 245)
+HELD: Rgb = (255, 200, 0)
+
+
+def colors(share: FloatArray) -> ColorArray:
+    """(n, 3) RGB for (n,) shares of the scale, 0 to 1, dark violet to yellow."""
+    level = np.clip(np.nan_to_num(share) * 255, 0, 255).astype(np.uint8).reshape(-1, 1)
+    if not level.size:
+        return np.zeros((0, 3), dtype=np.uint8)
+    found: ColorArray = cv2.applyColorMap(level, cv2.COLORMAP_PLASMA).reshape(-1, 3)[:, ::-1]  # type: ignore[assignment]
+    return found
+
+
+def hexadecimal(color: Rgb) -> str:
+    """`#rrggbb`, as matplotlib and HTML write a colour."""
+    return "#{:02x}{:02x}{:02x}".format(*color)
+
+
+def round_up(value: float) -> float:
+    """The next of 1, 2, 5, 10... times a power of ten: the end of a scale that a reader can divide."""
+    if not (math.isfinite(value) and value > 0):
+        return 1.0
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if value <= step * power * (1 + 1e-9))
+
+
+def readable(unit: str, largest: float) -> tuple[float, str]:
+    """The factor and the unit that show lengths up to `largest` [unit] without a row of zeros."""
+    if unit == "m" and largest < 0.1:
+        return (1e3, "mm") if largest >= 1e-4 or largest == 0.0 else (1e6, "µm")
+    return 1.0, unit

@@ -1,0 +1,121 @@
+"""Triangles between particles, to show a value over a body: its area in the plane, its skin in space."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from scipy.spatial import Delaunay, QhullError, cKDTree
+
+from deformscope.arrays import FloatArray, IntArray
+
+REACH = 1.5
+"""Triangles whose longest edge is this many times the typical one bridge a hole or a notch; they are left out."""
+
+SLIVER = 0.05
+"""Triangles of less area at rest than this share of the typical one lie along an edge, and span no part of the body."""
+
+FLAT = 0.25
+"""Neighbours of a particle on a surface lie in a plane, to this share of how far they spread in it."""
+
+FOLDED = 0.2
+"""A surface whose points come closer than this share of their spacing when seen from above is folded."""
+
+AROUND = 13
+
+
+def spacing_of(position: FloatArray) -> float:
+    """The typical distance between neighbours among (K, d) positions; 0 for fewer than two."""
+    finite = np.asarray(position[np.isfinite(position).all(axis=1)], dtype=np.float64)
+    if len(finite) < 2:
+        return 0.0
+    distance, _ = cKDTree(finite).query(finite, k=2)
+    return float(np.median(distance[:, 1]))
+
+
+def is_surface(rest: FloatArray) -> bool:
+    """Whether particles (K, 3) are one layer: a sheet, or the measured skin of something."""
+    if len(rest) <= AROUND:
+        return bool(np.linalg.svd(rest - rest.mean(axis=0), compute_uv=False)[-1] < 1e-6)
+    _, near = cKDTree(rest).query(rest[:: max(1, len(rest) // 400)], k=AROUND)
+    spread = np.linalg.svd(rest[near] - rest[near].mean(axis=1, keepdims=True), compute_uv=False)
+    return bool(np.median(spread[:, 2] / spread[:, 1]) < FLAT)
+
+
+def triangulate(rest: FloatArray) -> IntArray:
+    """(t, 3) indices of triangles between particles (K, d): over the area in the plane; in space over a surface, or
+    over the skin of a volume. Holes stay open. Empty where there are none: too few particles, or a folded surface."""
+    nothing: IntArray = np.zeros((0, 3), dtype=np.int64)
+    if len(rest) < 3:
+        return nothing
+    try:
+        if rest.shape[1] == 2:
+            return _short(Delaunay(rest).simplices, rest)
+        if is_surface(rest):
+            seen = _from_above(rest)
+            return nothing if seen is None else _short(Delaunay(seen).simplices, rest)
+        return _skin(_short(Delaunay(rest).simplices, rest))
+    except (QhullError, ValueError):  # all on a line
+        return nothing
+
+
+def raster(rest: FloatArray, place: FloatArray, value: FloatArray, cells: int) -> tuple[FloatArray, FloatArray, float]:
+    """Values (K,) between particles that rest at (K, 2) and now stand at `place` (K, 2), on square cells.
+
+    Returns values (rows, columns), NaN beside the body and in its holes, the corner (2,) of the first cell, and the
+    cells' side. cells: along the longer side
+    """
+    low, high = place.min(axis=0), place.max(axis=0)
+    side = float((high - low).max()) / cells or 1.0
+    columns, rows = np.maximum(np.ceil((high - low) / side - 1e-9).astype(int), 1)
+    grid = np.full((rows, columns), np.nan)
+    if len(place) < 3:
+        return grid, low, side
+    try:
+        cut = Delaunay(place)
+    except (QhullError, ValueError):
+        return grid, low, side
+    x, y = (low[axis] + (np.arange(count) + 0.5) * side for axis, count in ((0, columns), (1, rows)))
+    at = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    inside = cut.find_simplex(at)
+    whole = np.zeros(len(cut.simplices), dtype=bool)
+    whole[_kept(cut.simplices, rest)] = True
+    hit = np.flatnonzero((inside >= 0) & whole[inside])
+    transform = cut.transform[inside[hit]]
+    two = np.einsum("nij,nj->ni", transform[:, :2], at[hit] - transform[:, 2])
+    weight = np.column_stack([two, 1.0 - two.sum(axis=1)])
+    grid.ravel()[hit] = np.sum(weight * value[cut.simplices[inside[hit]]], axis=1)
+    return grid, low, side
+
+
+def _short(simplices: IntArray, rest: FloatArray) -> IntArray:
+    return np.asarray(simplices[_kept(simplices, rest)])
+
+
+def _kept(simplices: IntArray, rest: FloatArray) -> IntArray:
+    """Rows of the simplices that bridge nothing, by their edges at rest."""
+    corners = rest[simplices]
+    pairs = list(combinations(range(simplices.shape[1]), 2))
+    edge = np.max([np.linalg.norm(corners[:, a] - corners[:, b], axis=1) for a, b in pairs], axis=0)
+    whole = edge <= REACH * np.median(edge)
+    if simplices.shape[1] == 3:
+        one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        squares = np.sum(one**2, axis=1) * np.sum(other**2, axis=1) - np.sum(one * other, axis=1) ** 2
+        area = np.sqrt(np.maximum(squares, 0.0))
+        whole &= area > SLIVER * np.median(area)
+    return np.flatnonzero(whole)
+
+
+def _from_above(rest: FloatArray) -> FloatArray | None:
+    """A surface (K, 3) in its best plane (K, 2); None where it is folded there."""
+    middle = rest - rest.mean(axis=0)
+    _, _, axes = np.linalg.svd(middle, full_matrices=False)
+    seen = middle @ axes[:2].T
+    return None if spacing_of(seen) < FOLDED * spacing_of(rest) else np.asarray(seen)
+
+
+def _skin(tetrahedra: IntArray) -> IntArray:
+    """Faces (t, 3) that belong to one tetrahedron alone."""
+    faces = np.concatenate([np.delete(tetrahedra, corner, axis=1) for corner in range(4)])
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    return np.asarray(faces[first[count == 1]])
