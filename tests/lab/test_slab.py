@@ -14,7 +14,7 @@ MIDDLE = (0.1, 0.1)
 
 
 def test_a_deep_slab_is_nearly_a_half_space() -> None:
-    """F = 2 * 1.012 * sqrt(A / pi) E* d (King 1987); a slab 20 half widths thick and a coarse mesh are stiffer by a few per cent."""
+    """F = 2 * 1.012 * sqrt(A / pi) E* d (King 1987); 20 half widths of thickness and a coarse mesh stiffen a little."""
     found = press(DEEP, (0.25, 0.25), RigidTip((0.01, 0.01)), DEEP.grid(0.1), depth=0.001, finest=0.005)
     half_space = 2 * 1.012 * np.sqrt(4e-4 / np.pi) * 50e3 / (1 - 0.09) * 0.001
     assert half_space < found.force < 1.15 * half_space
