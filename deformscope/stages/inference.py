@@ -15,7 +15,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.special import logsumexp
 
-from deformscope.arrays import FloatArray
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.estimate import Posterior
 from deformscope.stages.residuals import DROP, Explanation, Residuals
 from deformscope.stages.search import Progress, Search
@@ -24,6 +24,9 @@ KNOTS, BETWEEN = 25, 8
 """Candidates over the range, and steps of the grid from one to the next."""
 
 ZOOMS = 10
+
+NODES_FROM = (0.15, 0.5)
+"""Widths of the range from which on the effect of held positions is found at two and at three places in it."""
 
 RESOLVED = 0.3
 """The posterior is resolved where it fills this share of the range."""
@@ -96,7 +99,7 @@ class Inference:
         standing = np.flatnonzero(usable)
         nearest = standing[np.abs(np.arange(len(knots))[:, None] - standing).argmin(axis=1)]
         out = np.interp(fine, knots, usable.astype(float)) < 1.0
-        nodes = np.unique(nearest[np.array([0, len(knots) // 2, len(knots) - 1])])
+        nodes = np.unique(nearest[_nodes(high - low)])
         found = []
         for row, part in enumerate(self.parts):
             left = part.left(search.tried.positions[row][rows[nearest]])
@@ -116,8 +119,15 @@ class Inference:
         return part.response(
             parameter,
             search.tried.positions[row][place],
-            lambda held, base: search.relax(part.body, held, parameter, base),
+            lambda held, base, tolerance: search.relax(part.body, held, parameter, base, tolerance=tolerance),
         )
+
+
+def _nodes(width: float) -> IntArray:
+    """The knots at which what held positions do is found anew: few over a (stretched) range in which it changes
+    little."""
+    count = 1 + int(np.searchsorted(NODES_FROM, width))
+    return np.array([[KNOTS // 2], [0, KNOTS - 1], [0, KNOTS // 2, KNOTS - 1]][count - 1])
 
 
 def white_noise(explanations: Sequence[Explanation], parts: Sequence[Residuals]) -> float:

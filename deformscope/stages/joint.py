@@ -209,8 +209,8 @@ class _Joint:
         return np.clip(-np.expm1(-stretched), *self.options.beta_bounds)
 
     def _response(self, part: Residuals, beta: float, theta: float, base: FloatArray) -> FloatArray:
-        def relax(held: FloatArray, start: FloatArray) -> Relaxed:
-            return part.body.relax(held, beta, theta, volume="project", start=start)
+        def relax(held: FloatArray, start: FloatArray, tolerance: float) -> Relaxed:
+            return part.body.relax(held, beta, theta, volume="project", start=start, tolerance=tolerance)
 
         return part.response((beta, theta), base, relax)
 

@@ -24,7 +24,7 @@ from itertools import product
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import eigh
+from scipy.linalg import block_diag, eigh
 from scipy.spatial.distance import cdist
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
@@ -163,25 +163,23 @@ class ErrorModel:
         return Hypotheses(held_ > 0.0, shared_ > 0.0, field_.astype(np.int64), length_, size_, log_prior)
 
     def _basis(self, key: Field) -> _Basis:
-        field_of, length, held, shared = key
         if key not in self._bases:
-            place = self.measured.rest
-            noise = self.noise
-            if held:
-                noise = np.concatenate([noise, self.held_noise])
-            if shared and self.measured.held_rest is not None:
-                place = np.concatenate([place, self.measured.held_rest])
-            field = correlation(field_of, cdist(place, place) / (self.measured.spacing * length))
-            field *= float(np.mean(self.noise**2))
-            count = len(place)
-            whitened = field / noise[:count, None] / noise[:count]
-            moment, vectors = eigh(whitened, check_finite=False, driver="evd")
-            rotate = np.eye(len(noise)) if count < len(noise) else np.empty((count, count))
-            rotate[:count, :count] = vectors.T
-            all_moments = np.zeros(len(noise))
-            all_moments[:count] = np.maximum(moment, 0.0)
-            self._bases[key] = _Basis(rotate / noise, all_moments)
+            self._bases[key] = self._find_basis(*key)
         return self._bases[key]
+
+    def _find_basis(self, which: int, length: float, held: bool, shared: bool) -> _Basis:
+        place, noise = self.measured.rest, self.noise
+        if held and not shared:  # what the free particles alone have, and white noise beside it
+            free = self._basis((which, length, False, False))
+            rotate = block_diag(free.rotate, np.diag(1.0 / self.held_noise))
+            return _Basis(rotate, np.concatenate([free.moment, np.zeros(len(self.held_noise))]))
+        if shared and self.measured.held_rest is not None:
+            place = np.concatenate([place, self.measured.held_rest])
+            noise = np.concatenate([noise, self.held_noise])
+        field = correlation(which, cdist(place, place) / (self.measured.spacing * length))
+        field *= float(np.mean(self.noise**2))
+        moment, vectors = eigh(field / noise[:, None] / noise, check_finite=False, driver="evd")
+        return _Basis(vectors.T / noise, np.maximum(moment, 0.0))
 
     def evidence(self, residual: FloatArray, response: FloatArray, chosen: IntArray | None = None) -> Evidence:
         """How likely residuals (g, n, d) are, where prescribed positions act by `response` (n, d, m).

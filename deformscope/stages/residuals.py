@@ -14,8 +14,11 @@ from deformscope.stages.model import Observation
 from deformscope.stages.msm.solver import TOLERANCE, Msm, Relaxed
 from deformscope.stages.noise import ErrorModel, Hypotheses, Measured
 
-Relax = Callable[[FloatArray, FloatArray], Relaxed]
-"""Static states for held positions (B, n, d), from a start (K, d)."""
+Relax = Callable[[FloatArray, FloatArray, float], Relaxed]
+"""Static states for held positions (B, n, d), from a start (K, d), to a tolerance (see `Msm.relax`)."""
+
+STEP, STEP_TOLERANCE = 3e-3, 1e-3
+"""Step of a held coordinate, in spacings, by which its effect is found, and how well, as a share of the step."""
 
 AT_ONCE = 64
 """Steps of held positions that are simulated side by side."""
@@ -23,13 +26,13 @@ AT_ONCE = 64
 DROP = 14.0
 """Values whose log density is this far below the highest do not count."""
 
-WEIGHT_LEAST = 1e-3
+WEIGHT_LEAST, WEIGHT_LEAST_OF_SOME = 1e-3, 2e-2
 """Hypotheses of less weight than this are left out once the data have been seen."""
 
 MOST_PARTICLES, MOST_FOR_CHOICE = 1500, 150
 """Particles that the likelihood is taken from (of more, a random part), and those that hypotheses are chosen by."""
 
-MOST_HELD, SKETCHED = 450, 100
+MOST_HELD, SKETCHED = 200, 100
 """Held coordinates whose effect is computed one by one; beyond, this many random combinations stand for them."""
 
 
@@ -103,7 +106,9 @@ class Residuals:
         total = logsumexp(value, axis=0)
         good = total > total.max() - DROP
         weight = np.exp(value[:, good] - total[good]).max(axis=1)
-        self.chosen = np.flatnonzero(weight >= WEIGHT_LEAST)
+        # what is unlikely for some of the particles is more so for all
+        least = WEIGHT_LEAST if self._some is None else WEIGHT_LEAST_OF_SOME
+        self.chosen = np.flatnonzero(weight >= least)
 
     def response(self, parameter: Hashable, base: FloatArray, relax: Relax) -> FloatArray:
         """How a unit step along each direction of the held positions moves the particles that count, (n, d, m).
@@ -113,11 +118,12 @@ class Residuals:
         if self.measured.held_measured is False:
             return np.zeros((len(self.judged), self.observed.shape[1], 0))
         if parameter not in self._responses:
-            small = 1e-3 * self.body.scale / (float(np.abs(self.steps).max()) or 1.0)
+            small = STEP * self.body.scale / (float(np.abs(self.steps).max()) or 1.0)
+            tolerance = max(STEP * STEP_TOLERANCE * self.body.scale / self.body.extent, TOLERANCE[self.body.precision])
             moves = np.empty((len(self.steps), len(self.judged), base.shape[1]))
             for first in range(0, len(self.steps), AT_ONCE):
                 held = base[self.seen.held] + small * self.steps[first : first + AT_ONCE]
-                moves[first : first + AT_ONCE] = (relax(held, base).position - base)[:, self.judged] / small
+                moves[first : first + AT_ONCE] = (relax(held, base, tolerance).position - base)[:, self.judged] / small
             self._responses[parameter] = np.moveaxis(moves, 0, -1)
         return self._responses[parameter]
 
