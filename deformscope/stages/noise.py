@@ -200,7 +200,7 @@ class ErrorModel:
             chi2[places], log_det[places] = self._quadratic(residual, response, key, sizes)
         plain = float(np.min(np.sum((residual / self.noise[:, None]) ** 2, axis=(1, 2)), initial=np.inf)) / count
         trusted = self.measured.noise is not None and plain < SCALE_LEAST**2
-        return self._scaled(chi2, log_det[:, None] + 2.0 * self.log_noise, count, every.log_prior[rows], trusted)
+        return self._scaled(chi2, log_det[:, None] + 2.0 * self.log_noise, count, rows, trusted)
 
     def _quadratic(
         self, residual: FloatArray, response: FloatArray, key: Field, sizes: FloatArray
@@ -242,24 +242,32 @@ class ErrorModel:
             log_det[some] += np.linalg.slogdet(normal)[1] + log_held
         return np.maximum(chi2, 0.0), log_det
 
-    def _scaled(
-        self, chi2: FloatArray, log_det: FloatArray, count: int, log_prior: FloatArray, trusted: bool
-    ) -> Evidence:
-        """Laplace's integral over t, the logarithm of the noise's scale; 0 where the statement is trusted."""
+    def _scaled(self, chi2: FloatArray, log_det: FloatArray, count: int, rows: IntArray, trusted: bool) -> Evidence:
+        """Laplace's integral over t, the logarithm of the noise's scale; 0 where the statement is trusted.
+
+        Where there is a field, the statement may mean the white noise alone or all of the noise: its prior is level
+        from the one to the other.
+        """
+        log_prior = self.hypotheses.log_prior[rows][:, None]
         floor = self.measured.floor if self.measured.noise is None else 1e-9
         c = chi2 + count * floor**2
         if trusted:
             t = np.zeros_like(c)
-            return Evidence(log_prior[:, None] - 0.5 * (log_det + c), t, t)
+            return Evidence(log_prior - 0.5 * (log_det + c), t, t)
         pull = 0.0 if self.measured.noise is None else SCALE_SPREAD**-2
+        level = -0.5 * np.log1p(self.hypotheses.size[rows])[:, None]
         t = 0.5 * np.log(c / count)
         for _ in range(12 if pull else 0):
             up = c * np.exp(-2.0 * t)
-            t = t + np.clip((up - count - pull * t) / (2.0 * up + pull), -1.0, 1.0)
+            away = t - np.clip(t, level, 0.0)
+            t = t + np.clip((up - count - pull * away) / (2.0 * up + pull), -1.0, 1.0)
         up = c * np.exp(-2.0 * t)
-        bend = 2.0 * up + pull
-        value = -count * t - 0.5 * up - 0.5 * pull * t**2 - 0.5 * np.log(bend) - 0.5 * log_det
-        return Evidence(value + log_prior[:, None], t, bend**-0.5)
+        away = t - np.clip(t, level, 0.0)
+        bend = 2.0 * up + pull * (away != 0.0)
+        value = -count * t - 0.5 * up - 0.5 * pull * away**2 - 0.5 * np.log(bend) - 0.5 * log_det
+        if pull:
+            value -= np.log1p(-level / (np.sqrt(2.0 * np.pi) * SCALE_SPREAD))
+        return Evidence(value + log_prior, t, bend**-0.5)
 
 
 def correlation(field: int, scaled_distance: FloatArray) -> FloatArray:

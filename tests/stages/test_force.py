@@ -55,12 +55,12 @@ def test_stated_noise_is_that_of_k() -> None:
         assert found.deviation[0] / found.value[0] == pytest.approx(share)
 
 
-def test_misfit_adds_to_the_noise() -> None:
+def test_the_square_of_the_misfit_adds_to_the_noise() -> None:
     body = pushed((5, 6), np.random.default_rng(0))
     shape = static(body, 0.5)
-    found = stiffness([seen_with(body, shape, 3.0, 0.3)], Model(), [shape[None]], 0.5 * ONE, NONE, misfit=[0.1])
+    found = stiffness([seen_with(body, shape, 3.0, 0.3)], Model(), [shape[None]], 0.5 * ONE, NONE, misfit=[0.5])
     assert found is not None
-    assert found.deviation[0] / found.value[0] == pytest.approx(np.hypot(0.1, 0.1))
+    assert found.deviation[0] / found.value[0] == pytest.approx(np.hypot(0.1, 0.25))
 
 
 def test_several_forces_fit_one_k_and_their_scatter_widens_it() -> None:

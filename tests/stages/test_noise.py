@@ -68,7 +68,10 @@ def test_the_likelihood_is_that_of_the_covariance_written_out(uneven: bool) -> N
         one = multivariate_normal(cov=covariance)
         chi2 = value.ravel() @ np.linalg.solve(covariance, value.ravel())
         values = one.logpdf(value.ravel()) + 0.5 * chi2 * (1.0 - np.exp(-2.0 * t)) - 18.0 * t
-        expected.append(logsumexp(values - 0.5 * (t / SCALE_SPREAD) ** 2) + every.log_prior[h])
+        level = -0.5 * np.log1p(every.size[h])  # where the statement means all of the noise, not the white alone
+        prior = np.exp(-0.5 * ((t - np.clip(t, level, 0.0)) / SCALE_SPREAD) ** 2)
+        prior /= np.trapezoid(prior, t)
+        expected.append(logsumexp(values + np.log(prior)) + every.log_prior[h])
     got = found.log_likelihood[rows, 0]
     # Laplace's integral is good to some percent for 18 numbers; both lack the same constants
     np.testing.assert_allclose(got - got[0], np.array(expected) - expected[0], atol=0.05)
