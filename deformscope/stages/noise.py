@@ -49,6 +49,10 @@ SHARED_MOST = 100.0
 MISFIT_MOST_UNKNOWN = 100.0
 """As `FIELD_SIZES`, where no noise was stated: beyond, white noise would be read off the smallest of residuals."""
 
+MISFIT_ROUGH = 0.05
+"""Share of a misfit's variance that no field describes: a model's errors are not as smooth as a random field, and where
+they are large their finest part must not pass for knowledge."""
+
 PRIOR_NO_FIELD = 0.5
 PRIOR_HELD_EXACT = 0.5
 """Prior weight of exact prescribed positions where it is not told whether they were measured."""
@@ -177,6 +181,8 @@ class ErrorModel:
             place = np.concatenate([place, self.measured.held_rest])
             noise = np.concatenate([noise, self.held_noise])
         field = correlation(which, cdist(place, place) / (self.measured.spacing * length))
+        if not shared:
+            field = (1.0 - MISFIT_ROUGH) * field + MISFIT_ROUGH * np.eye(len(field))
         field *= float(np.mean(self.noise**2))
         moment, vectors = eigh(field / noise[:, None] / noise, check_finite=False, driver="evd")
         return _Basis(vectors.T / noise, np.maximum(moment, 0.0))
@@ -241,6 +247,27 @@ class ErrorModel:
             chi2[some] -= np.sum(right * np.linalg.solve(normal, right), axis=1)
             log_det[some] += np.linalg.slogdet(normal)[1] + log_held
         return np.maximum(chi2, 0.0), log_det
+
+    def projected(self, onto: FloatArray, response: FloatArray, chosen: IntArray) -> FloatArray:
+        """Covariance (h, q, q) of projections of the residuals onto (n, d, q), at noise of the scale 1."""
+        every = self.hypotheses
+        n, d, q = onto.shape
+        m = response.shape[2]
+        through = response.reshape(n * d, m).T @ onto.reshape(n * d, q)  # of each held direction
+        found = np.empty((len(chosen), q, q))
+        for at, row in enumerate(chosen):
+            held = bool(every.held[row])
+            basis = self._basis((int(every.field[row]), float(every.length[row]), held, bool(every.shared[row])))
+            variance, parts = self.noise[:, None, None] ** 2, [onto]
+            if held and self.measured.held_rest is not None:
+                variance = np.concatenate([variance, self.held_noise[:, None, None] ** 2])
+                parts.append(-through.reshape(-1, d, q))
+            turned = np.tensordot(basis.rotate, np.concatenate(parts) * variance, 1)
+            spread = 1.0 + every.size[row] * basis.moment
+            found[at] = np.einsum("n,ndi,ndj->ij", spread, turned, turned)
+            if held and self.measured.held_rest is None:
+                found[at] += through.T @ through
+        return found
 
     def _scaled(self, chi2: FloatArray, log_det: FloatArray, count: int, rows: IntArray, trusted: bool) -> Evidence:
         """Laplace's integral over t, the logarithm of the noise's scale; 0 where the statement is trusted.

@@ -7,6 +7,7 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import eigh
 from scipy.special import logsumexp
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
@@ -28,6 +29,9 @@ DROP = 14.0
 
 WEIGHT_LEAST, WEIGHT_LEAST_OF_SOME = 1e-3, 2e-2
 """Hypotheses of less weight than this are left out once the data have been seen."""
+
+SUMMARIES, SUMMARY_LEAST = 3, 0.02
+"""Directions that stand for what the parameter does to the particles: as many at most, and down to this share."""
 
 MOST_PARTICLES, MOST_FOR_CHOICE = 1500, 150
 """Particles that the likelihood is taken from (of more, a random part), and those that hypotheses are chosen by."""
@@ -87,7 +91,8 @@ class Residuals:
         )
         self.errors = ErrorModel(self.measured)
         self.chosen: IntArray = np.arange(len(self.errors.hypotheses.size))
-        self.log_scale: FloatArray = np.zeros((0, 0))
+        self.kept: IntArray = self.chosen
+        self.explanation: Explanation
         self._responses: dict[Hashable, FloatArray] = {}
         self._some = np.sort(rng.permutation(len(judged))[:MOST_FOR_CHOICE]) if len(judged) > MOST_FOR_CHOICE else None
 
@@ -127,21 +132,49 @@ class Residuals:
             self._responses[parameter] = np.moveaxis(moves, 0, -1)
         return self._responses[parameter]
 
-    def explain(self, log_share: FloatArray, over: FloatArray) -> Explanation:
-        """Weights of the hypotheses, (h, f) at each value, averaged over the posterior (f,)."""
-        every: Hypotheses = self.errors.hypotheses
-        share = np.exp(np.where(np.isfinite(log_share), log_share, -np.inf)) * over
+    def weigh(self, log_likelihood: FloatArray, log_scale: FloatArray, over: FloatArray) -> Explanation:
+        """Weights and scales of the hypotheses, from log likelihoods (h, f) averaged over a posterior (f,)."""
+        total = logsumexp(log_likelihood, axis=0)
+        share = np.exp(log_likelihood - np.where(np.isfinite(total), total, 0.0)) * over
         weight = share.sum(axis=1)
         keep = weight > WEIGHT_LEAST * weight.max()
-        scale = np.exp(2.0 * self.log_scale)
-        white = np.sqrt((share * scale).sum(axis=1)[keep] / weight[keep])
-        rows = self.chosen[keep]
+        white2 = (share * np.exp(2.0 * log_scale)).sum(axis=1)[keep] / weight[keep]
+        self.kept = self.chosen[keep]
+        every: Hypotheses = self.errors.hypotheses
         unit = float(np.sqrt(np.mean(self.errors.noise**2)))
-        return Explanation(
+        self.explanation = Explanation(
             weight=weight[keep] / weight[keep].sum(),
-            white=white,
-            field=white * unit * np.sqrt(every.size[rows]),
-            length=every.length[rows],
-            shared=every.shared[rows],
-            held=every.held[rows],
+            white=np.sqrt(white2),
+            field=np.sqrt(white2 * every.size[self.kept]) * unit,
+            length=every.length[self.kept],
+            shared=every.shared[self.kept],
+            held=every.held[self.kept],
         )
+        return self.explanation
+
+    def summary(self, residual: FloatArray, most: int = SUMMARIES) -> FloatArray:
+        """What the parameter does to the residuals (f, n, d), as few directions (n, d, q), weighed by each particle's
+        noise and misfit."""
+        one = self.explanation
+        variance = one.weight @ one.white**2 * self.errors.noise**2 + one.weight @ one.field**2
+        weight = np.repeat(variance**-0.5, residual.shape[2])
+        moved = (residual - residual.mean(axis=0)).reshape(len(residual), -1) * weight
+        size, axes = eigh(moved @ moved.T)
+        size, axes = size[::-1], axes[:, ::-1]
+        if size[0] <= 0.0:  # it does nothing: any direction will do
+            return np.asarray(weight.reshape(*residual.shape[1:], 1))
+        count = max(1, min(most, int(np.count_nonzero(size > SUMMARY_LEAST**2 * size[0]))))
+        onto = (moved.T @ axes[:, :count]) / np.sqrt(size[:count]) * weight[:, None]
+        return np.asarray(onto.reshape(*residual.shape[1:], count))
+
+    def log_summary(self, residual: FloatArray, onto: FloatArray, response: FloatArray) -> FloatArray:
+        """Log likelihood (f,) of the projections of residuals (f, n, d) onto directions (n, d, q): Student's t, as wide
+        as the noise's scale is uncertain."""
+        one = self.explanation
+        z = np.tensordot(residual, onto, 2)
+        freedom, q = float(residual.shape[1] * residual.shape[2]), onto.shape[2]
+        covariance = self.errors.projected(onto, response, self.kept) * one.white[:, None, None] ** 2
+        chi2 = np.einsum("fi,hij,fj->hf", z, np.linalg.inv(covariance), z)
+        log_det = np.linalg.slogdet(covariance)[1][:, None]
+        each = -0.5 * log_det - 0.5 * (freedom + q) * np.log1p(chi2 / freedom)
+        return np.asarray(logsumexp(each + np.log(one.weight)[:, None], axis=0))
