@@ -12,7 +12,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from deformscope.arrays import BoolArray, FloatArray
-from deformscope.stages.noise import SCALE_SPREAD, ErrorModel, Evidence, Measured, correlation
+from deformscope.stages.noise import MISFIT_ROUGH, SCALE_SPREAD, ErrorModel, Evidence, Measured, correlation
 from tests.stages.bodies import lattice
 
 SPACING = 0.01
@@ -40,6 +40,23 @@ def share(model: ErrorModel, value: FloatArray, act: FloatArray, which: BoolArra
     return float(weights(model.evidence(value[None], act))[which].sum())
 
 
+def written_out(model: ErrorModel, act: FloatArray, h: int) -> FloatArray:
+    """P G P^T of one hypothesis, (n d, n d)."""
+    some, every = model.measured, model.hypotheses
+    assert some.noise is not None
+    assert some.held_noise is not None
+    n = len(some.rest)
+    place = np.concatenate([some.rest, HELD])
+    project = np.concatenate([np.eye(2 * n), -act.reshape(2 * n, 4)], axis=1)
+    field = correlation(int(every.field[h]), cdist(place, place) / (SPACING * every.length[h]))
+    if not every.shared[h]:
+        own = (1.0 - MISFIT_ROUGH) * field[:n, :n] + MISFIT_ROUGH * np.eye(n)
+        field = block_diag(own, np.zeros((2, 2)))
+    field = field * every.size[h] * np.mean(some.noise**2)
+    white = np.concatenate([some.noise**2, some.held_noise**2 if every.held[h] else np.zeros(2)])
+    return np.asarray(project @ np.kron(np.diag(white) + field, np.eye(2)) @ project.T)
+
+
 @pytest.mark.parametrize("uneven", [False, True])
 def test_the_likelihood_is_that_of_the_covariance_written_out(uneven: bool) -> None:
     """For every hypothesis and at several scales, against scipy on P G P^T; the scale's integral by quadrature."""
@@ -51,20 +68,11 @@ def test_the_likelihood_is_that_of_the_covariance_written_out(uneven: bool) -> N
     act, value = response(9), rng.normal(0.0, 1e-4, (9, 2))
     found = model.evidence(value[None], act)
     every = model.hypotheses
-    assert some.noise is not None
-    assert some.held_noise is not None
-    place = np.concatenate([some.rest, HELD])
-    project = np.concatenate([np.eye(18), -act.reshape(18, 4)], axis=1)
     t = np.linspace(-9.0, 3.0, 1201)
     rows = rng.choice(len(every.size), 12, replace=False)
     expected = []
     for h in rows:
-        field = correlation(int(every.field[h]), cdist(place, place) / (SPACING * every.length[h]))
-        field *= every.size[h] * np.mean(some.noise**2)
-        if not every.shared[h]:
-            field = block_diag(field[:9, :9], np.zeros((2, 2)))
-        white = np.concatenate([some.noise**2, some.held_noise**2 if every.held[h] else np.zeros(2)])
-        covariance = project @ np.kron(np.diag(white) + field, np.eye(2)) @ project.T
+        covariance = written_out(model, act, h)
         one = multivariate_normal(cov=covariance)
         chi2 = value.ravel() @ np.linalg.solve(covariance, value.ravel())
         values = one.logpdf(value.ravel()) + 0.5 * chi2 * (1.0 - np.exp(-2.0 * t)) - 18.0 * t
@@ -75,6 +83,21 @@ def test_the_likelihood_is_that_of_the_covariance_written_out(uneven: bool) -> N
     got = found.log_likelihood[rows, 0]
     # Laplace's integral is good to some percent for 18 numbers; both lack the same constants
     np.testing.assert_allclose(got - got[0], np.array(expected) - expected[0], atol=0.05)
+
+
+def test_projections_have_the_covariance_written_out() -> None:
+    some = measured((3, 3), held=None)
+    assert some.noise is not None
+    assert some.held_noise is not None
+    model, act = ErrorModel(some), response(9)
+    onto = np.random.default_rng(8).normal(0.0, 1.0, (9, 2, 3))
+    every = model.hypotheses
+    rows = np.random.default_rng(9).choice(len(every.size), 20, replace=False)
+    found = model.projected(onto, act, rows)
+    for got, h in zip(found, rows, strict=True):
+        s = onto.reshape(18, 3)
+        expected = s.T @ written_out(model, act, h) @ s
+        np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
 
 
 def test_white_residuals_of_the_stated_size_need_no_field() -> None:
