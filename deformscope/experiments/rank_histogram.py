@@ -35,9 +35,9 @@ def draw_ranks(counts: dict[str, list[int]], path: Path) -> None:
     for place, (axis, (name, count)) in enumerate(zip(axes, counts.items(), strict=False)):
         total = sum(count)
         low, high = binom.ppf([0.005, 0.995], total, 1.0 / BINS)
-        axis.axhspan(low, high, color="0.88", label="99 % of bins, if right")
-        axis.axhline(total / BINS, color="0.5", linewidth=0.8)
-        axis.stairs(count, edges, fill=True, color="tab:blue", alpha=0.8, label="truths")
+        axis.stairs(count, edges, fill=True, color="tab:blue", label="truths")
+        axis.axhspan(low, high, color="0.2", alpha=0.2, label="99 % of bins, if right")
+        axis.axhline(total / BINS, color="0.2", linewidth=0.8)
         axis.set_title(name, fontsize=9)
         axis.set_xlim(0.0, 1.0)
         axis.set_ylim(0.0, 1.15 * max(*count, high))

@@ -38,10 +38,11 @@ def stiffness(
 ) -> Stiffness | None:
     """k at each beta and theta (g,), from the measured forces of all observations; None where there is none to compare.
 
-    positions: for each observation (g, K, d); misfit: of each, as a share of its motion, taken to be the share by which
-    the model misses its force as well. k fits measured = k simulated net force with weights 1 / variance; where several
-    forces scatter more than their noise, its deviation grows as much (Birge's ratio). Eq. 3.17 has no energy, so with
-    theta in that form there is no force to compare.
+    positions: for each observation (g, K, d); misfit: of each, as a share of its motion. A static state's energy is
+    stationary, so that what is wrong with its positions is wrong with its force to the second order: the square of that
+    share adds to the force's relative noise. k fits measured = k simulated net force with weights 1 / variance; where
+    several forces scatter more than their noise, its deviation grows as much (Birge's ratio). Eq. 3.17 has no energy,
+    so with theta in that form there is no force to compare.
     """
     told = [row for row, s in enumerate(seen) if s.force_n is not None and s.metres_per_unit is not None]
     if not told or (model.volume == "scale" and theta.any()):
@@ -57,7 +58,7 @@ def stiffness(
             simulated[g, column] = float(np.linalg.norm(net)) * float(s.metres_per_unit or 1.0)
     given = [seen[row].force_noise_n for row in told]
     noise = np.array([FORCE_SHARE * f if n is None else n for n, f in zip(given, measured, strict=True)])
-    missed = np.zeros(len(told)) if misfit is None else np.array([misfit[row] for row in told])
+    missed = np.zeros(len(told)) if misfit is None else np.array([misfit[row] ** 2 for row in told])
     deviation = np.maximum(np.hypot(noise, missed * measured), CERTAIN * measured.max(initial=0.0))
     deviation = np.where(deviation > 0.0, deviation, 1.0)
     a, b = simulated / deviation, measured / deviation

@@ -33,6 +33,9 @@ BETWEEN = 3
 RESOLVED, NARROWEST, ZOOMS = 0.3, 1e-7, 8
 """The grid is narrowed until the posterior fills this share of it, or to this range, at most so often."""
 
+SUMMARIES = 5
+"""Directions that stand for what beta and theta do to the particles, at most."""
+
 DRAWN = 24
 """Draws of the posterior that stand for it in the stiffness."""
 
@@ -107,6 +110,7 @@ class _Joint:
         self.parts = [Residuals(one, body, rng) for one, body in zip(self.seen, self.bodies, strict=True)]
         self.converged = True
         self.tried = np.empty((0, 3))  # beta, theta, error
+        self.evidence: list[tuple[FloatArray, FloatArray]] = []
 
     def simulate(self, beta: FloatArray, theta: FloatArray) -> list[FloatArray]:
         """States (g, K, d) of every observation; their errors are remembered."""
@@ -120,14 +124,20 @@ class _Joint:
         self.tried = np.concatenate([self.tried, np.column_stack([beta, theta, total / count])])
         return states
 
-    def over(self, b: tuple[float, float], t: tuple[float, float]) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
-        """Grids of stretched beta and of theta, and each observation's log likelihoods (h, b, t) there."""
+    def over(
+        self, b: tuple[float, float], t: tuple[float, float], *, explain: bool
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Grids of stretched beta and of theta, and the log likelihood (b, t) there: of all that the residuals are, by
+        which they are explained, or of what of them the parameters can change."""
         knots = [np.linspace(*ends, count) for ends, count in zip((b, t), KNOTS, strict=True)]
         fine = [np.linspace(*ends, (count - 1) * BETWEEN + 1) for ends, count in zip((b, t), KNOTS, strict=True)]
         beta, theta = (each.ravel() for each in np.meshgrid(self.shrink(knots[0]), knots[1], indexing="ij"))
-        found = []
+        corners = np.array([0, KNOTS[1] - 1, (KNOTS[0] - 1) * KNOTS[1], KNOTS[0] * KNOTS[1] - 1])
+        u, v = (np.linspace(0.0, 1.0, len(each)) for each in fine)
+        share = np.stack([np.outer(x, y).ravel() for x in (1.0 - u, u) for y in (1.0 - v, v)])
+        total = np.zeros(share.shape[1])
+        self.evidence = []
         for part, state in zip(self.parts, self.simulate(beta, theta), strict=True):
-            corners = np.array([0, KNOTS[1] - 1, (KNOTS[0] - 1) * KNOTS[1], KNOTS[0] * KNOTS[1] - 1])
             responses = [self._response(part, float(beta[at]), float(theta[at]), state[at]) for at in corners]
             if len(part.chosen) == len(part.errors.hypotheses.size):
                 best = int(self.tried[-len(beta) :, 2].argmin())
@@ -136,18 +146,24 @@ class _Joint:
             left = part.left(state).reshape(*KNOTS, len(part.judged), -1)
             residual = CubicSpline(knots[1], CubicSpline(knots[0], left, axis=0)(fine[0]), axis=1)(fine[1])
             residual = residual.reshape(-1, *residual.shape[2:])
-            evidence = [part.errors.evidence(residual, response, part.chosen) for response in responses]
-            u, v = (np.linspace(0.0, 1.0, len(each)) for each in fine)
-            share = [np.outer(x, y).ravel() for x in (1.0 - u, u) for y in (1.0 - v, v)]
-            part.log_scale = np.asarray(sum(w * e.log_scale for w, e in zip(share, evidence, strict=True)))
-            value = np.asarray(sum(w * e.log_likelihood for w, e in zip(share, evidence, strict=True)))
-            found.append(value.reshape(len(value), len(fine[0]), len(fine[1])))
-        return fine[0], fine[1], found
+            if explain:
+                found = [part.errors.evidence(residual, response, part.chosen) for response in responses]
+                likelihood = np.sum(share[:, None] * np.stack([one.log_likelihood for one in found]), axis=0)
+                scale = np.sum(share[:, None] * np.stack([one.log_scale for one in found]), axis=0)
+                self.evidence.append((likelihood, scale))
+                total += logsumexp(likelihood, axis=0)
+            else:
+                onto = part.summary(residual, SUMMARIES)
+                total += np.sum(share * np.stack([part.log_summary(residual, onto, one) for one in responses]), axis=0)
+        return fine[0], fine[1], total.reshape(len(fine[0]), len(fine[1]))
 
-    def run(self, progress: Progress | None) -> tuple[JointEstimate, tuple[Comparison, ...]]:
+    def narrowed(
+        self, progress: Progress | None, *, explain: bool
+    ) -> tuple[FloatArray, FloatArray, FloatArray, list[float]]:
+        """The grid that resolves the posterior, its logarithm, and for each parameter by how many standard deviations
+        it tells the likeliest value of the whole range from the least likely."""
         low, high = (float(-np.log1p(-bound)) for bound in self.options.beta_bounds)
-        b, t, each = self.over((low, high), self.options.theta_bounds)
-        total = np.sum([logsumexp(one, axis=0) for one in each], axis=0)
+        b, t, total = self.over((low, high), self.options.theta_bounds, explain=explain)
         rise = [float(np.sqrt(2.0 * np.ptp(total.max(axis=axis)))) for axis in (1, 0)]
         for zoom in range(ZOOMS):
             if progress is not None:
@@ -157,8 +173,15 @@ class _Joint:
             share = [(e[1] - e[0]) / (g[-1] - g[0]) for e, g in zip(ends, (b, t), strict=True)]
             if min(share) >= RESOLVED or max(e[1] - e[0] for e in ends) < NARROWEST:
                 break
-            b, t, each = self.over(*ends)
-            total = np.sum([logsumexp(one, axis=0) for one in each], axis=0)
+            b, t, total = self.over(*ends, explain=explain)
+        return b, t, total, rise
+
+    def run(self, progress: Progress | None) -> tuple[JointEstimate, tuple[Comparison, ...]]:
+        b, t, total, _ = self.narrowed(progress, explain=True)
+        over = (np.exp(total - total.max()) * np.gradient(self.shrink(b))[:, None] * np.gradient(t)).ravel()
+        for part, (likelihood, scale) in zip(self.parts, self.evidence, strict=True):
+            part.weigh(likelihood, scale, over / over.sum())
+        b, t, total, rise = self.narrowed(progress, explain=False)
         beta, theta, aee = self.best()
         grid = self.shrink(b)
         density = np.exp(total - total.max())
@@ -168,10 +191,7 @@ class _Joint:
             Posterior(t, np.trapezoid(density, grid, axis=0)),
         ]
         over = (density * np.gradient(grid)[:, None] * np.gradient(t)).ravel()
-        explanations = tuple(
-            part.explain((one - logsumexp(one, axis=0)).reshape(len(one), -1), over / over.sum())
-            for part, one in zip(self.parts, each, strict=True)
-        )
+        explanations = tuple(part.explanation for part in self.parts)
         states = self.simulate(np.array([beta]), np.array([theta]))
         comparisons = tuple(
             Comparison(s.rest, s.deformed, state[0], s.observed, s.held, s.unit)
@@ -209,8 +229,8 @@ class _Joint:
         return np.clip(-np.expm1(-stretched), *self.options.beta_bounds)
 
     def _response(self, part: Residuals, beta: float, theta: float, base: FloatArray) -> FloatArray:
-        def relax(held: FloatArray, start: FloatArray) -> Relaxed:
-            return part.body.relax(held, beta, theta, volume="project", start=start)
+        def relax(held: FloatArray, start: FloatArray, tolerance: float) -> Relaxed:
+            return part.body.relax(held, beta, theta, volume="project", start=start, tolerance=tolerance)
 
         return part.response((beta, theta), base, relax)
 

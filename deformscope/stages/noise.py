@@ -24,7 +24,7 @@ from itertools import product
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import eigh
+from scipy.linalg import block_diag, eigh
 from scipy.spatial.distance import cdist
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
@@ -48,6 +48,10 @@ SHARED_MOST = 100.0
 
 MISFIT_MOST_UNKNOWN = 100.0
 """As `FIELD_SIZES`, where no noise was stated: beyond, white noise would be read off the smallest of residuals."""
+
+MISFIT_ROUGH = 0.05
+"""Share of a misfit's variance that no field describes: a model's errors are not as smooth as a random field, and where
+they are large their finest part must not pass for knowledge."""
 
 PRIOR_NO_FIELD = 0.5
 PRIOR_HELD_EXACT = 0.5
@@ -163,25 +167,25 @@ class ErrorModel:
         return Hypotheses(held_ > 0.0, shared_ > 0.0, field_.astype(np.int64), length_, size_, log_prior)
 
     def _basis(self, key: Field) -> _Basis:
-        field_of, length, held, shared = key
         if key not in self._bases:
-            place = self.measured.rest
-            noise = self.noise
-            if held:
-                noise = np.concatenate([noise, self.held_noise])
-            if shared and self.measured.held_rest is not None:
-                place = np.concatenate([place, self.measured.held_rest])
-            field = correlation(field_of, cdist(place, place) / (self.measured.spacing * length))
-            field *= float(np.mean(self.noise**2))
-            count = len(place)
-            whitened = field / noise[:count, None] / noise[:count]
-            moment, vectors = eigh(whitened, check_finite=False, driver="evd")
-            rotate = np.eye(len(noise)) if count < len(noise) else np.empty((count, count))
-            rotate[:count, :count] = vectors.T
-            all_moments = np.zeros(len(noise))
-            all_moments[:count] = np.maximum(moment, 0.0)
-            self._bases[key] = _Basis(rotate / noise, all_moments)
+            self._bases[key] = self._find_basis(*key)
         return self._bases[key]
+
+    def _find_basis(self, which: int, length: float, held: bool, shared: bool) -> _Basis:
+        place, noise = self.measured.rest, self.noise
+        if held and not shared:  # what the free particles alone have, and white noise beside it
+            free = self._basis((which, length, False, False))
+            rotate = block_diag(free.rotate, np.diag(1.0 / self.held_noise))
+            return _Basis(rotate, np.concatenate([free.moment, np.zeros(len(self.held_noise))]))
+        if shared and self.measured.held_rest is not None:
+            place = np.concatenate([place, self.measured.held_rest])
+            noise = np.concatenate([noise, self.held_noise])
+        field = correlation(which, cdist(place, place) / (self.measured.spacing * length))
+        if not shared:
+            field = (1.0 - MISFIT_ROUGH) * field + MISFIT_ROUGH * np.eye(len(field))
+        field *= float(np.mean(self.noise**2))
+        moment, vectors = eigh(field / noise[:, None] / noise, check_finite=False, driver="evd")
+        return _Basis(vectors.T / noise, np.maximum(moment, 0.0))
 
     def evidence(self, residual: FloatArray, response: FloatArray, chosen: IntArray | None = None) -> Evidence:
         """How likely residuals (g, n, d) are, where prescribed positions act by `response` (n, d, m).
@@ -202,7 +206,7 @@ class ErrorModel:
             chi2[places], log_det[places] = self._quadratic(residual, response, key, sizes)
         plain = float(np.min(np.sum((residual / self.noise[:, None]) ** 2, axis=(1, 2)), initial=np.inf)) / count
         trusted = self.measured.noise is not None and plain < SCALE_LEAST**2
-        return self._scaled(chi2, log_det[:, None] + 2.0 * self.log_noise, count, every.log_prior[rows], trusted)
+        return self._scaled(chi2, log_det[:, None] + 2.0 * self.log_noise, count, rows, trusted)
 
     def _quadratic(
         self, residual: FloatArray, response: FloatArray, key: Field, sizes: FloatArray
@@ -244,24 +248,53 @@ class ErrorModel:
             log_det[some] += np.linalg.slogdet(normal)[1] + log_held
         return np.maximum(chi2, 0.0), log_det
 
-    def _scaled(
-        self, chi2: FloatArray, log_det: FloatArray, count: int, log_prior: FloatArray, trusted: bool
-    ) -> Evidence:
-        """Laplace's integral over t, the logarithm of the noise's scale; 0 where the statement is trusted."""
+    def projected(self, onto: FloatArray, response: FloatArray, chosen: IntArray) -> FloatArray:
+        """Covariance (h, q, q) of projections of the residuals onto (n, d, q), at noise of the scale 1."""
+        every = self.hypotheses
+        n, d, q = onto.shape
+        m = response.shape[2]
+        through = response.reshape(n * d, m).T @ onto.reshape(n * d, q)  # of each held direction
+        found = np.empty((len(chosen), q, q))
+        for at, row in enumerate(chosen):
+            held = bool(every.held[row])
+            basis = self._basis((int(every.field[row]), float(every.length[row]), held, bool(every.shared[row])))
+            variance, parts = self.noise[:, None, None] ** 2, [onto]
+            if held and self.measured.held_rest is not None:
+                variance = np.concatenate([variance, self.held_noise[:, None, None] ** 2])
+                parts.append(-through.reshape(-1, d, q))
+            turned = np.tensordot(basis.rotate, np.concatenate(parts) * variance, 1)
+            spread = 1.0 + every.size[row] * basis.moment
+            found[at] = np.einsum("n,ndi,ndj->ij", spread, turned, turned)
+            if held and self.measured.held_rest is None:
+                found[at] += through.T @ through
+        return found
+
+    def _scaled(self, chi2: FloatArray, log_det: FloatArray, count: int, rows: IntArray, trusted: bool) -> Evidence:
+        """Laplace's integral over t, the logarithm of the noise's scale; 0 where the statement is trusted.
+
+        Where there is a field, the statement may mean the white noise alone or all of the noise: its prior is level
+        from the one to the other.
+        """
+        log_prior = self.hypotheses.log_prior[rows][:, None]
         floor = self.measured.floor if self.measured.noise is None else 1e-9
         c = chi2 + count * floor**2
         if trusted:
             t = np.zeros_like(c)
-            return Evidence(log_prior[:, None] - 0.5 * (log_det + c), t, t)
+            return Evidence(log_prior - 0.5 * (log_det + c), t, t)
         pull = 0.0 if self.measured.noise is None else SCALE_SPREAD**-2
+        level = -0.5 * np.log1p(self.hypotheses.size[rows])[:, None]
         t = 0.5 * np.log(c / count)
         for _ in range(12 if pull else 0):
             up = c * np.exp(-2.0 * t)
-            t = t + np.clip((up - count - pull * t) / (2.0 * up + pull), -1.0, 1.0)
+            away = t - np.clip(t, level, 0.0)
+            t = t + np.clip((up - count - pull * away) / (2.0 * up + pull), -1.0, 1.0)
         up = c * np.exp(-2.0 * t)
-        bend = 2.0 * up + pull
-        value = -count * t - 0.5 * up - 0.5 * pull * t**2 - 0.5 * np.log(bend) - 0.5 * log_det
-        return Evidence(value + log_prior[:, None], t, bend**-0.5)
+        away = t - np.clip(t, level, 0.0)
+        bend = 2.0 * up + pull * (away != 0.0)
+        value = -count * t - 0.5 * up - 0.5 * pull * away**2 - 0.5 * np.log(bend) - 0.5 * log_det
+        if pull:
+            value -= np.log1p(-level / (np.sqrt(2.0 * np.pi) * SCALE_SPREAD))
+        return Evidence(value + log_prior, t, bend**-0.5)
 
 
 def correlation(field: int, scaled_distance: FloatArray) -> FloatArray:

@@ -22,7 +22,10 @@ from deformscope.stages.residuals import Explanation
 VALUES = 15
 """Values of the parameter that stand for its posterior, each of equal probability."""
 
-BISECTIONS = 40
+BISECTIONS = 30
+
+LEAST_WEIGHT = 0.005
+"""Explanations of less weight are left out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,13 +68,14 @@ def predict(
     for one, fitted in zip(found.inferred.explanations, seen, strict=True):
         white = np.full(len(poke.rest), 1.0 if fitted.noise is None else float(np.sqrt(np.mean(fitted.noise**2))))
         grown = motion / max(_motion(fitted.deformed, fitted.rest, fitted.free_observed), 1e-300)
-        for h in range(len(one.weight)):
+        for h in np.flatnonzero(one.weight >= LEAST_WEIGHT):
             variance = _variance(one, h, white, grown, by_held, measured=measured)
             for row in range(VALUES):
                 mean.append(simulated[row])
                 deviation.append(np.sqrt(variance))
                 weight.append(one.weight[h] / VALUES / len(seen))
-    ends = [_quantile(np.array(mean), np.array(deviation), np.array(weight), q) for q in _tails(level)]
+    share = np.array(weight) / np.sum(weight)
+    ends = [_quantile(np.array(mean), np.array(deviation), share, q) for q in _tails(level)]
     for end in ends:
         end[poke.held] = held_position
     return Predicted(ends[1], ends[0], ends[2], level)
@@ -101,7 +105,7 @@ def _response_square(body: Msm, model: Model, base: FloatArray, poke: Observatio
 
 
 def _variance(
-    one: Explanation, h: int, white: FloatArray, grown: float, by_held: FloatArray, *, measured: bool
+    one: Explanation, h: np.intp, white: FloatArray, grown: float, by_held: FloatArray, *, measured: bool
 ) -> FloatArray:
     """(K, d) of observed - simulated under one explanation."""
     noise2 = (one.white[h] * white[:, None]) ** 2

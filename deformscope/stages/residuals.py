@@ -7,6 +7,7 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import eigh
 from scipy.special import logsumexp
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
@@ -14,8 +15,11 @@ from deformscope.stages.model import Observation
 from deformscope.stages.msm.solver import TOLERANCE, Msm, Relaxed
 from deformscope.stages.noise import ErrorModel, Hypotheses, Measured
 
-Relax = Callable[[FloatArray, FloatArray], Relaxed]
-"""Static states for held positions (B, n, d), from a start (K, d)."""
+Relax = Callable[[FloatArray, FloatArray, float], Relaxed]
+"""Static states for held positions (B, n, d), from a start (K, d), to a tolerance (see `Msm.relax`)."""
+
+STEP, STEP_TOLERANCE = 3e-3, 1e-3
+"""Step of a held coordinate, in spacings, by which its effect is found, and how well, as a share of the step."""
 
 AT_ONCE = 64
 """Steps of held positions that are simulated side by side."""
@@ -23,13 +27,16 @@ AT_ONCE = 64
 DROP = 14.0
 """Values whose log density is this far below the highest do not count."""
 
-WEIGHT_LEAST = 1e-3
+WEIGHT_LEAST, WEIGHT_LEAST_OF_SOME = 1e-3, 2e-2
 """Hypotheses of less weight than this are left out once the data have been seen."""
+
+SUMMARIES, SUMMARY_LEAST = 3, 0.02
+"""Directions that stand for what the parameter does to the particles: as many at most, and down to this share."""
 
 MOST_PARTICLES, MOST_FOR_CHOICE = 1500, 150
 """Particles that the likelihood is taken from (of more, a random part), and those that hypotheses are chosen by."""
 
-MOST_HELD, SKETCHED = 450, 100
+MOST_HELD, SKETCHED = 200, 100
 """Held coordinates whose effect is computed one by one; beyond, this many random combinations stand for them."""
 
 
@@ -84,7 +91,8 @@ class Residuals:
         )
         self.errors = ErrorModel(self.measured)
         self.chosen: IntArray = np.arange(len(self.errors.hypotheses.size))
-        self.log_scale: FloatArray = np.zeros((0, 0))
+        self.kept: IntArray = self.chosen
+        self.explanation: Explanation
         self._responses: dict[Hashable, FloatArray] = {}
         self._some = np.sort(rng.permutation(len(judged))[:MOST_FOR_CHOICE]) if len(judged) > MOST_FOR_CHOICE else None
 
@@ -103,7 +111,9 @@ class Residuals:
         total = logsumexp(value, axis=0)
         good = total > total.max() - DROP
         weight = np.exp(value[:, good] - total[good]).max(axis=1)
-        self.chosen = np.flatnonzero(weight >= WEIGHT_LEAST)
+        # what is unlikely for some of the particles is more so for all
+        least = WEIGHT_LEAST if self._some is None else WEIGHT_LEAST_OF_SOME
+        self.chosen = np.flatnonzero(weight >= least)
 
     def response(self, parameter: Hashable, base: FloatArray, relax: Relax) -> FloatArray:
         """How a unit step along each direction of the held positions moves the particles that count, (n, d, m).
@@ -113,29 +123,58 @@ class Residuals:
         if self.measured.held_measured is False:
             return np.zeros((len(self.judged), self.observed.shape[1], 0))
         if parameter not in self._responses:
-            small = 1e-3 * self.body.scale / (float(np.abs(self.steps).max()) or 1.0)
+            small = STEP * self.body.scale / (float(np.abs(self.steps).max()) or 1.0)
+            tolerance = max(STEP * STEP_TOLERANCE * self.body.scale / self.body.extent, TOLERANCE[self.body.precision])
             moves = np.empty((len(self.steps), len(self.judged), base.shape[1]))
             for first in range(0, len(self.steps), AT_ONCE):
                 held = base[self.seen.held] + small * self.steps[first : first + AT_ONCE]
-                moves[first : first + AT_ONCE] = (relax(held, base).position - base)[:, self.judged] / small
+                moves[first : first + AT_ONCE] = (relax(held, base, tolerance).position - base)[:, self.judged] / small
             self._responses[parameter] = np.moveaxis(moves, 0, -1)
         return self._responses[parameter]
 
-    def explain(self, log_share: FloatArray, over: FloatArray) -> Explanation:
-        """Weights of the hypotheses, (h, f) at each value, averaged over the posterior (f,)."""
-        every: Hypotheses = self.errors.hypotheses
-        share = np.exp(np.where(np.isfinite(log_share), log_share, -np.inf)) * over
+    def weigh(self, log_likelihood: FloatArray, log_scale: FloatArray, over: FloatArray) -> Explanation:
+        """Weights and scales of the hypotheses, from log likelihoods (h, f) averaged over a posterior (f,)."""
+        total = logsumexp(log_likelihood, axis=0)
+        share = np.exp(log_likelihood - np.where(np.isfinite(total), total, 0.0)) * over
         weight = share.sum(axis=1)
         keep = weight > WEIGHT_LEAST * weight.max()
-        scale = np.exp(2.0 * self.log_scale)
-        white = np.sqrt((share * scale).sum(axis=1)[keep] / weight[keep])
-        rows = self.chosen[keep]
+        white2 = (share * np.exp(2.0 * log_scale)).sum(axis=1)[keep] / weight[keep]
+        self.kept = self.chosen[keep]
+        every: Hypotheses = self.errors.hypotheses
         unit = float(np.sqrt(np.mean(self.errors.noise**2)))
-        return Explanation(
+        self.explanation = Explanation(
             weight=weight[keep] / weight[keep].sum(),
-            white=white,
-            field=white * unit * np.sqrt(every.size[rows]),
-            length=every.length[rows],
-            shared=every.shared[rows],
-            held=every.held[rows],
+            white=np.sqrt(white2),
+            field=np.sqrt(white2 * every.size[self.kept]) * unit,
+            length=every.length[self.kept],
+            shared=every.shared[self.kept],
+            held=every.held[self.kept],
         )
+        return self.explanation
+
+    def summary(self, residual: FloatArray, most: int = SUMMARIES) -> FloatArray:
+        """What the parameter does to the residuals (f, n, d), as few directions (n, d, q), weighed by each particle's
+        noise and misfit."""
+        one = self.explanation
+        variance = one.weight @ one.white**2 * self.errors.noise**2 + one.weight @ one.field**2
+        weight = np.repeat(variance**-0.5, residual.shape[2])
+        moved = (residual - residual.mean(axis=0)).reshape(len(residual), -1) * weight
+        size, axes = eigh(moved @ moved.T)
+        size, axes = size[::-1], axes[:, ::-1]
+        if size[0] <= 0.0:  # it does nothing: any direction will do
+            return np.asarray(weight.reshape(*residual.shape[1:], 1))
+        count = max(1, min(most, int(np.count_nonzero(size > SUMMARY_LEAST**2 * size[0]))))
+        onto = (moved.T @ axes[:, :count]) / np.sqrt(size[:count]) * weight[:, None]
+        return np.asarray(onto.reshape(*residual.shape[1:], count))
+
+    def log_summary(self, residual: FloatArray, onto: FloatArray, response: FloatArray) -> FloatArray:
+        """Log likelihood (f,) of the projections of residuals (f, n, d) onto directions (n, d, q): Student's t, as wide
+        as the noise's scale is uncertain."""
+        one = self.explanation
+        z = np.tensordot(residual, onto, 2)
+        freedom, q = float(residual.shape[1] * residual.shape[2]), onto.shape[2]
+        covariance = self.errors.projected(onto, response, self.kept) * one.white[:, None, None] ** 2
+        chi2 = np.einsum("fi,hij,fj->hf", z, np.linalg.inv(covariance), z)
+        log_det = np.linalg.slogdet(covariance)[1][:, None]
+        each = -0.5 * log_det - 0.5 * (freedom + q) * np.log1p(chi2 / freedom)
+        return np.asarray(logsumexp(each + np.log(one.weight)[:, None], axis=0))

@@ -83,10 +83,14 @@ class Search:
         parameter: FloatArray | float,
         start: FloatArray | None,
         progress: Callable[[int, int], None] | None = None,
+        tolerance: float | None = None,
     ) -> Relaxed:
+        """Static states of one body for held positions (n, d) or (B, n, d) and parameters, one or (B,)."""
         beta, theta = (parameter, self.model.theta) if self.model.parameter == "beta" else (self.model.beta, parameter)
         volume = self.model.volume
-        return body.relax(held_position, beta, theta, volume=volume, start=start, progress=progress)
+        return body.relax(
+            held_position, beta, theta, volume=volume, start=start, progress=progress, tolerance=tolerance
+        )
 
     def error(self) -> FloatArray:
         """AEE of every candidate tried over all observed particles of all observations; NaN where not usable."""

@@ -1,0 +1,71 @@
+"""`deformscope coverage` and `calibrate both` as a user runs them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("warp")
+pytest.importorskip("tyro")
+
+from deformscope.cli import main
+from deformscope.experiments import coverage
+from deformscope.stages.calibrate import Model, Observation
+from tests.stages.bodies import pushed
+
+
+def test_coverage_tells_three_tables(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(coverage, "CONDITIONS", coverage.CONDITIONS[-1:])
+    monkeypatch.setattr(coverage, "NOTHING_CASES", 2)
+    target = tmp_path / "found.json"
+    flags = ["--objects", "5", "--jobs", "1", "--json", str(target), "--out", str(tmp_path / "new")]
+    assert main(["coverage", *flags]) == 0
+    said = capsys.readouterr().out
+    for words in ("hold the truth", "tell nothing", "unseen poke", "wrong noise level", "shuffled labels"):
+        assert words in said
+    found = json.loads(target.read_text())
+    assert {row["group"] for row in found["coverage"]} >= {"all", "2D", "beta = 0", "beta > 0.97"}
+    assert all(row["cases"] == 2 for row in found["no_information"])
+    assert found["unseen_pokes"][0]["pokes"] == 1
+    assert (tmp_path / "new" / "coverage.png").is_file()
+
+
+@pytest.mark.parametrize("flags", [["--objects", "2"], ["--level", "1"], ["--jobs", "0"], ["--seed", "-1"]])
+def test_coverage_refuses_what_cannot_be(flags: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["coverage", *flags]) == 2
+    assert "expected" in capsys.readouterr().err
+
+
+def pair(path: Path) -> Path:
+    rng = np.random.default_rng(1)
+    body = pushed((5, 5), rng)
+    count = len(body.rest)
+    model = Model(volume="project")
+    seen = Observation(body.rest, body.rest, body.held, np.ones(count, dtype=bool), shape=(5, 5), cell=np.arange(count))
+    moved = model.body(seen).relax(body.held_position, 0.5, 0.3, volume="project").position[0]
+    noisy = moved + rng.normal(0.0, 1e-4, moved.shape)
+    np.savez(path, rest=body.rest, deformed=noisy, held=body.held, noise_m=1e-4, force_n=2.0, force_noise_n=0.1)
+    return path
+
+
+def test_both_tells_a_joint_posterior(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = pair(tmp_path / "pair.npz")
+    assert main(["calibrate", "both", str(source), "--picture", str(tmp_path / "both.png"), "--json", "-"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert set(found["parameters"]) == {"beta", "theta"}
+    for one in found["parameters"].values():
+        assert one["interval"][0] <= one["value"] <= one["interval"][1]
+    posterior = found["posterior"]
+    assert np.shape(posterior["density"]) == (len(posterior["beta"]), len(posterior["theta"]))
+    assert found["stiffness_n_per_m"]["interval"][0] > 0.0
+    assert (tmp_path / "both.png").stat().st_size > 5_000
+
+
+def test_both_takes_pair_files_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["calibrate", "both", "video.mp4"]) == 2
+    assert "pair files" in capsys.readouterr().err
