@@ -107,7 +107,8 @@ class Inference:
             part.log_scale = _between(knots[nodes], fine, [one.log_scale for one in at_nodes])
             value[:, out] = -np.inf
             found.append(value)
-        return fine, found, np.sum([logsumexp(one, axis=0) for one in found], axis=0)
+        each = [weight * logsumexp(one, axis=0) for weight, one in zip(search.weight, found, strict=True)]
+        return fine, found, np.sum(each, axis=0)
 
     def _response(self, row: int, place: int) -> FloatArray:
         """What the held positions of one observation do at one of the candidates tried."""
