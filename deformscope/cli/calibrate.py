@@ -408,8 +408,10 @@ def tell(estimate: Estimate, recording: RecordingSummary, name: str = "") -> Non
 
 def _frames_text(estimate: Estimate) -> str:
     found = estimate.settings
-    worth, shared = float(str(found["frames_worth"])), float(str(found["frames_correlation"]))
-    return f"{found['frames_fitted']}, which tell as much as {worth:.2g} (errors shared by {shared:.0%} at most)"
+    rho, worth = found["frames_correlation"], float(str(found["frames_worth"]))
+    shared = f", at most {float(rho[1]):.0%}" if isinstance(rho, list) else ""
+    likely = f"{float(rho[0]):.0%}" if isinstance(rho, list) else "not known"
+    return f"{found['frames_fitted']}, which tell as much as {worth:.2g} of the best one (errors shared: {likely}{shared})"
 
 
 def _choice(one: Choice) -> tuple[str, str]:

@@ -21,7 +21,7 @@ from deformscope.session import Experiment, Step
 from deformscope.stages.calibrate import Calibration, FitOptions, Model, Observation, Progress, calibrate
 from deformscope.stages.dynamics import MovingSearch, Pace
 from deformscope.stages.estimate import Choice, Comparison
-from deformscope.stages.held_out import HeldOut, blocks_of, difference, hold_out, tells
+from deformscope.stages.held_out import TOLD_LEAST, HeldOut, blocks_of, difference, hold_out, tells
 from deformscope.stages.msm.clusters import held_mask, spacing
 from deformscope.stages.particles import ParticleGrid, Tracked
 from deformscope.stages.search import Search
@@ -292,13 +292,12 @@ def _try(
 
 
 def _best(tried: Sequence[Trial]) -> int:
-    """The least held-out error; of those that the data do not tell from it, the one with the fewest particles held."""
+    """The least held-out error; of those within a hundredth of it, the one with the fewest particles held."""
     errors = np.array([out.error if out.usable else np.inf for _, out in tried])
     if not np.isfinite(errors).any():
         raise InputError("a simulation that stays finite", "every one diverged", "a lower --theta")
-    least = tried[int(errors.argmin())][1]
-    near = [i for i, (_, out) in enumerate(tried) if np.isfinite(errors[i]) and not tells(out, least)]
-    return min(near, key=lambda i: (len(tried[i][0].held), errors[i]))
+    near = np.flatnonzero(errors <= (1.0 + TOLD_LEAST) * errors.min())
+    return int(min(near, key=lambda i: (len(tried[i][0].held), errors[i])))
 
 
 def _rows(tried: Sequence[Trial], best: int) -> list[Choice]:

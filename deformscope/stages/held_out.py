@@ -27,6 +27,10 @@ FINE = 10
 """Values looked at from one candidate of the parameter to the next, by a spline of the states."""
 
 
+TOLD_LEAST = 0.01
+"""Share of the held-out error by which two ways must differ to count as different at all."""
+
+
 @dataclass(frozen=True, slots=True)
 class HeldOut:
     """Errors of one way of fitting over all frames [unit].
@@ -101,10 +105,6 @@ def difference(one: HeldOut, other: HeldOut) -> tuple[float, float]:
     if gap.size < 2:
         return one.error - other.error, np.inf
     return one.error - other.error, float(gap.std(ddof=1) / np.sqrt(gap.size))
-
-
-TOLD_LEAST = 0.01
-"""Share of the held-out error by which two ways must differ to count as different at all."""
 
 
 def tells(worse: HeldOut, better: HeldOut) -> bool:

@@ -2,16 +2,17 @@
 
 Frames are not independent. Advected particles carry their errors along, the model's misfit is much the same in
 neighbouring frames, and adding up the frames' log likelihoods as if each were new would shrink the interval as
-1/sqrt(frames). Here the sum is a *composite likelihood* (Varin, Reid and Firth 2011), sum_t w_t log L_t, whose weights
-make its curvature equal the variance of its score, as a true likelihood's is (Chandler and Bate 2007; Pauli, Racugno
-and Ventura 2011):
+1/sqrt(frames). Here the sum is a *composite likelihood* (Varin, Reid and Firth 2011), sum_t w_t log L_t, scaled so that
+its curvature is that of its score's variance, as a true likelihood's is (Chandler and Bate 2007; Pauli, Racugno and
+Ventura 2011). With C_ts = rho for two frames and 1 for one, and a_t, what frame t alone tells of the parameter:
 
-    C_ts = rho for two frames, 1 for one;  a_t = sqrt(I_t), what frame t alone tells;  w = (C^-1 a) / a, none below 0
+    w ~ (C^-1 a) / a, none below 0 (the sharpest sum), times sum_t w_t a_t^2 / ((w a)^T C (w a))
 
 With rho = 1 (errors fully shared) that leaves the one frame that tells most, with weight 1; with rho = 0 every frame
 counts in full. rho is taken from the residuals: the correlation, between frames, of the scores of patches of particles
-larger than what the flow's errors share. It is uncertain, and too low a rho gives false confidence, so its upper
-bound over resampled patches is used, and errors count as fully shared where there are too few patches to tell.
+larger than what the flow's errors share. It is uncertain, and too low a rho gives false confidence: the weights among
+frames use its estimate, their scale its upper bound over resampled patches, and errors count as fully shared where there
+are too few patches to tell.
 """
 
 from __future__ import annotations
@@ -48,12 +49,12 @@ class Together:
     """What frames tell together.
 
     weight: (F,) of each frame's error and log likelihood; 1 = as an observation of its own
-    rho: correlation of two frames' errors that was used (its upper bound); told: (F,) what each frame alone tells of
+    rho: correlation of two frames' errors, as estimated and its upper bound; told: (F,) what each frame alone tells of
     the parameter, in standard deviations over `STEP` of the range
     """
 
     weight: FloatArray
-    rho: float
+    rho: tuple[float, float]
     told: FloatArray
 
     @property
@@ -94,36 +95,42 @@ def patches(rest: FloatArray, side: float) -> IntArray:
     return np.asarray(np.unique(place, axis=0, return_inverse=True)[1].reshape(-1))
 
 
-def shared_part(score: FloatArray, rng: np.random.Generator) -> float:
-    """Upper bound of the correlation between frames of the scores (F, patches)."""
+def shared_part(score: FloatArray, rng: np.random.Generator) -> tuple[float, float]:
+    """Correlation between frames of the scores (F, patches): estimate, and upper bound."""
     used = np.flatnonzero(np.any(score != 0.0, axis=0))
     size = np.sqrt(np.sum(score**2, axis=1))
     moving = size > 1e-12 * size.max()
     if moving.sum() < 2 or used.size < PATCHES_LEAST:
-        return RHO_MOST
+        return RHO_MOST, RHO_MOST
     score = score[moving][:, used] / size[moving, None]
     pick = rng.integers(0, used.size, (RESAMPLED, used.size))
+    pick[0] = np.arange(used.size)
     some = score[:, pick]  # (F, repeats, patches)
-    frames = len(score)
     own = np.sum(some**2, axis=(0, 2))
     every = np.sum(some.sum(axis=0) ** 2, axis=1)
-    rho = (every / np.maximum(own, 1e-300) - 1.0) / (frames - 1)
-    return float(np.clip(np.quantile(rho, RHO_LEVEL), 0.0, RHO_MOST))
+    rho = np.clip((every / np.maximum(own, 1e-300) - 1.0) / (len(score) - 1), 0.0, RHO_MOST)
+    return float(rho[0]), max(float(rho[0]), float(np.quantile(rho, RHO_LEVEL)))
 
 
-def weights(told: FloatArray, rho: float) -> FloatArray:
-    """(F,) weights of frames that alone tell (F,) standard deviations each, and whose errors correlate by rho."""
+def weights(told: FloatArray, rho: tuple[float, float]) -> FloatArray:
+    """(F,) weights of frames that alone tell (F,) standard deviations each.
+
+    rho: correlation of their errors, as estimated and its upper bound
+    """
     weight = np.zeros(len(told))
     kept = np.flatnonzero(told > 0.0)
     if kept.size == 0:
         return np.ones(len(told))
+    likely, most = rho
     while True:
         a = told[kept]
-        share = (a - rho * a.sum() / (1.0 + (len(a) - 1) * rho)) / (1.0 - rho)
+        share = (a - likely * a.sum() / (1.0 + (len(a) - 1) * likely)) / (1.0 - likely)
         if share.min() >= 0.0:
-            weight[kept] = share / a
-            return weight
+            break
         kept = kept[share >= 0.0]
+    variance = (1.0 - most) * np.sum(share**2) + most * share.sum() ** 2
+    weight[kept] = share / a * (share @ a) / variance
+    return weight
 
 
 def for_posterior(found: Together) -> tuple[IntArray, FloatArray]:

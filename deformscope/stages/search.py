@@ -132,6 +132,11 @@ class Search:
             count += float(weight) * int(seen.observed.sum())
         return np.where(self.tried.usable, total / count, np.nan)
 
+    def each_best(self) -> FloatArray:
+        """The value of the lowest error of each observation by itself, out of the candidates tried."""
+        some = [self.only(np.array([row]), np.ones(1)).error() for row in range(len(self.seen))]
+        return np.array([self.tried.parameter[int(np.nanargmin(error))] for error in some])
+
     # -- the best value --------------------------------------------------------------------------------------------
 
     def best(self) -> int:
