@@ -247,7 +247,7 @@ def _judges(motion: Motion, ways: Sequence[Way]) -> BoolArray:
 def _moving_ways(motion: Motion, model: Model, still: Way, choices: Sequence[Selectable]) -> list[Way]:
     """Time stepping with each alpha and dt, the frames' times permitting."""
     alphas = sorted({*ALPHAS, model.alpha}) if "alpha" in choices else [model.alpha]
-    times = tuple(motion.times[1:])
+    times = tuple(float(time) for time in motion.times[1:])
     shortest = float(np.diff(motion.times).min())
     dts = [dt for dt in DTS_S if dt <= shortest] or [shortest] if "dt" in choices else [min(DT_S, shortest)]
     return [

@@ -18,10 +18,6 @@ from deformscope.stages.msm.reference import Volume
 from deformscope.stages.msm.solver import Msm, Relaxed
 from deformscope.stages.search import Search
 
-STAGES = 25
-"""Places at which held particles stop on their way from one frame to the next, where there are more steps than that."""
-
-
 @dataclass(frozen=True, slots=True)
 class Pace:
     """How time runs: alpha, dt [s], and when each frame was taken, (F,) [s] after the rest shape, rising."""
@@ -52,13 +48,17 @@ def step_through(
     before = body.rest[body.held]
     found = np.empty((len(beta), len(held), *body.rest.shape))
     for index, (target, steps) in enumerate(zip(held, pace.steps(), strict=True)):
-        stages = min(steps, STAGES)
-        for stage in range(stages):
-            count = steps * (stage + 1) // stages - steps * stage // stages
-            on_the_way = before + (stage + 1) / stages * (target - before)
-            found[:, index] = body.step(
-                state, on_the_way, beta, theta, volume=volume, alpha=pace.alpha, dt=pace.dt, steps=count
-            )
+        found[:, index] = body.step(
+            state,
+            target,
+            beta,
+            theta,
+            volume=volume,
+            alpha=pace.alpha,
+            dt=pace.dt,
+            steps=steps,
+            held_from=before,
+        )
         before = target
         if progress is not None:
             progress(index + 1, len(held))
