@@ -97,7 +97,7 @@ def calibrate(
         judged = fit.only(*for_posterior(found))
         used["frame_weights"] = [round(float(w), 4) for w in found.weight]
         used["frames_worth"] = found.worth
-        used["frames_correlation"] = list(found.rho)
+        used["frames_correlation"] = [found.shared.mean, found.shared.most]
         used["frame_values"] = [round(float(v), 4) for v in fit.each_best()]
     curve = Curve(drawn, fit.error()[fit.rows_of(drawn)])
     with threadpool_limits(1):  # small matrices: more threads cost time, and change the last digits

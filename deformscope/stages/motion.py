@@ -4,15 +4,16 @@ Frames are not independent. Advected particles carry their errors along, the mod
 neighbouring frames, and adding up the frames' log likelihoods as if each were new would shrink the interval as
 1/sqrt(frames). Here the sum is a *composite likelihood* (Varin, Reid and Firth 2011), sum_t w_t log L_t, scaled so that
 its curvature is that of its score's variance, as a true likelihood's is (Chandler and Bate 2007; Pauli, Racugno and
-Ventura 2011). With C_ts = rho for two frames and 1 for one, and a_t, what frame t alone tells of the parameter:
+Ventura 2011). With C_ts the correlation of two frames' errors and a_t what frame t alone tells of the parameter:
 
-    w ~ (C^-1 a) / a, none below 0 (the sharpest sum), times sum_t w_t a_t^2 / ((w a)^T C (w a))
+    C_ts = far + (1 - far) near^|t - s|      errors that all frames share, and errors that drift from frame to frame
+    w a = v, v >= 0 the sharpest sum: the largest (v'a)^2 / v'C v;  sum_t w_t log L_t scaled by v'a / v'C v
 
-With rho = 1 (errors fully shared) that leaves the one frame that tells most, with weight 1; with rho = 0 every frame
-counts in full. rho is taken from the residuals: the correlation, between frames, of the scores of patches of particles
-larger than what the flow's errors share. It is uncertain, and too low a rho gives false confidence: the weights among
-frames use its estimate, their scale its upper bound over resampled patches, and errors count as fully shared where there
-are too few patches to tell.
+Errors fully shared leave the one frame that tells most, with weight 1; independent ones count every frame in full; those
+of a walk from frame to frame leave mostly the last. C is taken from the residuals: the correlation, between frames, of
+the scores of patches of particles larger than what the flow's errors share. It is uncertain, and too little of it gives
+false confidence: the weights among frames use its estimate, their scale its upper bound over resampled patches, and
+errors count as fully shared where there are too few patches to tell.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import nnls
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.search import Search
@@ -45,17 +47,40 @@ WEIGHT_LEAST = 0.02
 
 
 @dataclass(frozen=True, slots=True)
+class Shared:
+    """Correlation of the errors of two frames: of all pairs on the average, its upper bound, and `far` and `near` of C."""
+
+    mean: float
+    most: float
+    far: float
+    near: float
+
+    def matrix(self, rows: IntArray) -> FloatArray:
+        """C of some frames."""
+        lag = np.abs(rows[:, None] - rows)
+        return np.where(lag == 0, 1.0, self.far + (1.0 - self.far) * self.near ** np.maximum(lag, 1))
+
+    def bound(self, rows: IntArray) -> FloatArray:
+        """C of some frames, as much larger as its mean may be."""
+        likely = self.matrix(rows)
+        return np.asarray(likely + (self.most - self.mean) / (1.0 - self.mean) * (1.0 - likely))
+
+
+FULLY = Shared(RHO_MOST, RHO_MOST, RHO_MOST, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
 class Together:
     """What frames tell together.
 
     weight: (F,) of each frame's error and log likelihood; 1 = as an observation of its own
-    rho: correlation of two frames' errors, as estimated and its upper bound; told: (F,) what each frame alone tells of
-    the parameter, in standard deviations over `STEP` of the range
+    told: (F,) what each frame alone tells of the parameter, in standard deviations over `STEP` of the range
+    shared: how the frames' errors correlate
     """
 
     weight: FloatArray
-    rho: tuple[float, float]
     told: FloatArray
+    shared: Shared
 
     @property
     def worth(self) -> float:
@@ -82,8 +107,8 @@ def together(search: Search, seed: int) -> Together:
         deviation = float(np.sqrt(np.mean(residual**2) + floor**2))
         told[row] = np.sqrt(np.sum(effect**2)) / deviation
         score[row] = np.bincount(patch[free], np.sum(effect * residual, axis=1), count)
-    rho = shared_part(score, np.random.default_rng(seed))
-    return Together(weights(told, rho), rho, told)
+    shared = shared_part(score, np.random.default_rng(seed))
+    return Together(weights(told, np.arange(len(told)), shared), told, shared)
 
 
 def patches(rest: FloatArray, side: float) -> IntArray:
@@ -95,13 +120,13 @@ def patches(rest: FloatArray, side: float) -> IntArray:
     return np.asarray(np.unique(place, axis=0, return_inverse=True)[1].reshape(-1))
 
 
-def shared_part(score: FloatArray, rng: np.random.Generator) -> tuple[float, float]:
-    """Correlation between frames of the scores (F, patches): estimate, and upper bound."""
+def shared_part(score: FloatArray, rng: np.random.Generator) -> Shared:
+    """How the scores (F, patches) of the frames correlate."""
     used = np.flatnonzero(np.any(score != 0.0, axis=0))
     size = np.sqrt(np.sum(score**2, axis=1))
-    moving = size > 1e-12 * size.max()
-    if moving.sum() < 2 or used.size < PATCHES_LEAST:
-        return RHO_MOST, RHO_MOST
+    moving = np.flatnonzero(size > 1e-12 * size.max())
+    if moving.size < 2 or used.size < PATCHES_LEAST:
+        return FULLY
     score = score[moving][:, used] / size[moving, None]
     pick = rng.integers(0, used.size, (RESAMPLED, used.size))
     pick[0] = np.arange(used.size)
@@ -109,26 +134,24 @@ def shared_part(score: FloatArray, rng: np.random.Generator) -> tuple[float, flo
     own = np.sum(some**2, axis=(0, 2))
     every = np.sum(some.sum(axis=0) ** 2, axis=1)
     rho = np.clip((every / np.maximum(own, 1e-300) - 1.0) / (len(score) - 1), 0.0, RHO_MOST)
-    return float(rho[0]), max(float(rho[0]), float(np.quantile(rho, RHO_LEVEL)))
+    mean = float(rho[0])
+    pairs, lag = score @ score.T, np.abs(moving[:, None] - moving)
+    next_ = float(np.clip(pairs[lag == lag[lag > 0].min()].mean(), mean, RHO_MOST))
+    far = float(np.clip(pairs[2 * lag >= lag.max()].mean(), 0.0, mean))
+    near = (next_ - far) / (1.0 - far)
+    return Shared(mean, max(mean, float(np.quantile(rho, RHO_LEVEL))), far, min(near, RHO_MOST))
 
 
-def weights(told: FloatArray, rho: tuple[float, float]) -> FloatArray:
-    """(F,) weights of frames that alone tell (F,) standard deviations each.
-
-    rho: correlation of their errors, as estimated and its upper bound
-    """
+def weights(told: FloatArray, rows: IntArray, shared: Shared) -> FloatArray:
+    """Weights of the frames `rows`, which alone tell (F,) standard deviations each."""
     weight = np.zeros(len(told))
     kept = np.flatnonzero(told > 0.0)
     if kept.size == 0:
         return np.ones(len(told))
-    likely, most = rho
-    while True:
-        a = told[kept]
-        share = (a - likely * a.sum() / (1.0 + (len(a) - 1) * likely)) / (1.0 - likely)
-        if share.min() >= 0.0:
-            break
-        kept = kept[share >= 0.0]
-    variance = (1.0 - most) * np.sum(share**2) + most * share.sum() ** 2
+    a = told[kept]
+    lower = np.linalg.cholesky(shared.matrix(rows[kept]))
+    share, _ = nnls(lower.T, np.linalg.solve(lower, a))
+    variance = share @ shared.bound(rows[kept]) @ share
     weight[kept] = share / a * (share @ a) / variance
     return weight
 
@@ -138,5 +161,5 @@ def for_posterior(found: Together) -> tuple[IntArray, FloatArray]:
     rows = np.flatnonzero(found.weight >= WEIGHT_LEAST * found.weight.max())
     if rows.size > FRAMES_IN_POSTERIOR:
         rows = rows[np.linspace(0, rows.size - 1, FRAMES_IN_POSTERIOR).round().astype(int)]
-    weight = weights(found.told[rows], found.rho)
+    weight = weights(found.told[rows], rows, found.shared)
     return rows[weight > 0.0], weight[weight > 0.0]
