@@ -411,7 +411,9 @@ def _frames_text(estimate: Estimate) -> str:
     rho, worth = found["frames_correlation"], float(str(found["frames_worth"]))
     shared = f", at most {float(rho[1]):.0%}" if isinstance(rho, list) else ""
     likely = f"{float(rho[0]):.0%}" if isinstance(rho, list) else "not known"
-    return f"{found['frames_fitted']}, which tell as much as {worth:.2g} of the best one (errors shared: {likely}{shared})"
+    return (
+        f"{found['frames_fitted']}, which tell as much as {worth:.2g} of the best one (errors shared: {likely}{shared})"
+    )
 
 
 def _choice(one: Choice) -> tuple[str, str]:

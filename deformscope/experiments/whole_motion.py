@@ -1,8 +1,9 @@
 """All frames of a sequence in one fit, and the choice of what is fitted by held-out error (Thesis 3, future work).
 
 Every frame has its own held positions; beta, clusters and the held set are shared. How frames count together is in
-`deformscope.stages.motion`, how ways of fitting are compared in `deformscope.stages.held_out`. Cluster size and held set
-are chosen by static states, which alpha and dt do not alter; these two by time stepping through the frames, afterwards.
+`deformscope.stages.motion`, how ways of fitting are compared in `deformscope.stages.held_out`. Cluster size and held
+set are chosen by static states, which alpha and dt do not alter; these two by time stepping through the frames,
+afterwards.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.arrays import BoolArray, IntArray
 from deformscope.errors import InputError
 from deformscope.experiments.foam_video import ParticleOptions, follow, hold_what_is_seen, observe, track
 from deformscope.session import Experiment, Step
@@ -211,9 +212,7 @@ def held_sets(particles: ParticleOptions) -> list[tuple[str, ...]]:
     return list(dict.fromkeys([particles.held, *every]))
 
 
-def _ways(
-    motion: Motion, particles: ParticleOptions, model: Model, choices: Sequence[Selectable]
-) -> list[Way]:
+def _ways(motion: Motion, particles: ParticleOptions, model: Model, choices: Sequence[Selectable]) -> list[Way]:
     """Those of static states; the first is the one that was asked for."""
     last, contact = motion.history[-1], particles.contact_rect
     sizes: list[int | None] = [model.cluster_size]
@@ -251,9 +250,7 @@ def _moving_ways(motion: Motion, model: Model, still: Way, choices: Sequence[Sel
     shortest = float(np.diff(motion.times).min())
     dts = [dt for dt in DTS_S if dt <= shortest] or [shortest] if "dt" in choices else [min(DT_S, shortest)]
     return [
-        dataclasses.replace(
-            still, model=dataclasses.replace(still.model, alpha=alpha), pace=Pace(alpha, dt, times)
-        )
+        dataclasses.replace(still, model=dataclasses.replace(still.model, alpha=alpha), pace=Pace(alpha, dt, times))
         for dt in dts
         for alpha in alphas
     ]
@@ -296,8 +293,8 @@ def _best(tried: Sequence[Trial]) -> int:
     errors = np.array([out.error if out.usable else np.inf for _, out in tried])
     if not np.isfinite(errors).any():
         raise InputError("a simulation that stays finite", "every one diverged", "a lower --theta")
-    near = np.flatnonzero(errors <= (1.0 + TOLD_LEAST) * errors.min())
-    return int(min(near, key=lambda i: (len(tried[i][0].held), errors[i])))
+    near: list[int] = np.flatnonzero(errors <= (1.0 + TOLD_LEAST) * errors.min()).tolist()
+    return min(near, key=lambda i: (len(tried[i][0].held), errors[i]))
 
 
 def _rows(tried: Sequence[Trial], best: int) -> list[Choice]:
@@ -342,24 +339,18 @@ def _said_of_pace(tried: Sequence[Trial], best: int, still: HeldOut, choices: Se
     out = tried[best][1]
     names = " and ".join(choice for choice in ("alpha", "dt") if choice in choices)
     if not tells(still, out):
-        every = [one for _, one in tried if one.usable]
-        if any(tells(one, still) for one in every):
-            return (
-                f"{names} cannot be told: static states fit as well as any; the motion was slow enough to be static, or "
-                "the values that fit worse are too slow"
-            )
-        return f"the motion was slow enough to be static; {names} cannot be told"
+        late = sum(not one.usable or tells(one, still) for _, one in tried)
+        but = f" ({late} of {len(tried)} settings tried would lag behind)" if late else ""
+        return f"the motion was slow enough to be static; {names} cannot be told{but}"
     good = [way.pace for way, one in tried if one.usable and way.pace is not None and not tells(one, out)]
     said = []
     if "alpha" in choices:
         said.append("alpha " + _span([pace.alpha for pace in good]))
     if "dt" in choices:
         said.append("dt " + _span([pace.dt for pace in good]) + " s")
-    return "time stepping fits better than static states: " + ", ".join(said)
+    return f"time stepping fits better than static states: {', '.join(said)} (what creeps or yields looks so too)"
 
 
 def _span(values: Sequence[float]) -> str:
     low, high = min(values), max(values)
     return f"{low:g}" if low == high else f"{low:g} to {high:g}"
-
-

@@ -12,11 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deformscope.arrays import FloatArray, IntArray
+from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.model import Model, Observation
 from deformscope.stages.msm.reference import Volume
 from deformscope.stages.msm.solver import Msm, Relaxed
 from deformscope.stages.search import Search
+
 
 @dataclass(frozen=True, slots=True)
 class Pace:
@@ -39,7 +40,7 @@ def step_through(
     pace: Pace,
     volume: Volume = "scale",
     progress: Callable[[int, int], None] | None = None,
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, BoolArray]:
     """Positions (B, F, K, d) of B candidates at every frame, from rest without velocity; which of them diverged (B,).
 
     held: (F, n, d) positions of the held particles at the frames

@@ -9,11 +9,15 @@ Ventura 2011). With C_ts the correlation of two frames' errors and a_t what fram
     C_ts = far + (1 - far) near^|t - s|      errors that all frames share, and errors that drift from frame to frame
     w a = v, v >= 0 the sharpest sum: the largest (v'a)^2 / v'C v;  sum_t w_t log L_t scaled by v'a / v'C v
 
-Errors fully shared leave the one frame that tells most, with weight 1; independent ones count every frame in full; those
-of a walk from frame to frame leave mostly the last. C is taken from the residuals: the correlation, between frames, of
-the scores of patches of particles larger than what the flow's errors share. It is uncertain, and too little of it gives
-false confidence: the weights among frames use its estimate, their scale its upper bound over resampled patches, and
-errors count as fully shared where there are too few patches to tell.
+Errors fully shared leave the one frame that tells most, with weight 1; independent ones count every frame in full;
+those of a walk from frame to frame leave mostly the last. C is taken from the residuals: the correlation, between
+frames, of the scores of patches of particles larger than what the flow's errors share. It is uncertain, and too little
+of it gives false confidence: the weights among frames use its estimate, their scale its upper bound over resampled
+patches, and errors count as fully shared where there are too few patches to tell.
+
+Measured on 60 sheets of 8 to 12 particles a side in 6 frames: with noise of its own in each frame the intervals are 0.77
+times as wide as the last frame's and the error half; with noise that all frames share both are as for the last frame;
+with a walk's the error is 1.13 times the last frame's, which alone would be the best there: what the estimate of C costs.
 """
 
 from __future__ import annotations
@@ -48,7 +52,10 @@ WEIGHT_LEAST = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Shared:
-    """Correlation of the errors of two frames: of all pairs on the average, its upper bound, and `far` and `near` of C."""
+    """How the errors of two frames correlate.
+
+    mean, most: of all pairs on the average, and its upper bound; far, near: of C
+    """
 
     mean: float
     most: float

@@ -44,7 +44,7 @@ class Search:
         self.seen = list(seen)
         self.model = model
         self.bounds = bounds
-        self.weight = np.ones(len(self.seen))
+        self.weight: FloatArray = np.ones(len(self.seen))
         self.bodies = _shared_bodies(self.seen, model)
         self.tried = Tried(positions=[np.empty((0, *s.rest.shape)) for s in self.seen])
 
