@@ -409,11 +409,10 @@ def tell(estimate: Estimate, recording: RecordingSummary, name: str = "") -> Non
 def _frames_text(estimate: Estimate) -> str:
     found = estimate.settings
     rho, worth = found["frames_correlation"], float(str(found["frames_worth"]))
-    shared = f", at most {float(rho[1]):.0%}" if isinstance(rho, list) else ""
-    likely = f"{float(rho[0]):.0%}" if isinstance(rho, list) else "not known"
-    return (
-        f"{found['frames_fitted']}, which tell as much as {worth:.2g} of the best one (errors shared: {likely}{shared})"
-    )
+    if found["frames_fitted"] == 1 or not isinstance(rho, list):
+        return "1"
+    shared = f"errors shared: {float(rho[0]):.0%}, at most {float(rho[1]):.0%}"
+    return f"{found['frames_fitted']}, which tell as much as {worth:.2g} of the best one ({shared})"
 
 
 def _choice(one: Choice) -> tuple[str, str]:
