@@ -7,6 +7,7 @@ import pytest
 
 pytest.importorskip("warp")
 pytest.importorskip("cv2")
+pytest.importorskip("rerun")
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
@@ -21,6 +22,7 @@ from deformscope.experiments.whole_motion import (
     select,
     simulated,
 )
+from deformscope.log.estimate import summary
 from deformscope.stages.calibrate import FitOptions, Model
 from deformscope.stages.dynamics import Pace, step_through
 from deformscope.stages.msm import clusters
@@ -134,6 +136,10 @@ def test_a_fast_motion_is_fitted_by_time_stepping() -> None:
     told = estimate.as_json()["selection"]
     assert isinstance(told, list)
     assert {"cluster_size", "held", "alpha", "dt", "held_out_aee", "fit_aee", "beta", "chosen"} <= set(told[0])
+    page = summary(estimate)
+    assert page.count("| static |") == 1
+    assert page.count("| 0.25 | 0.002 |") == 1
+    assert estimate.selection_text in page
     shown = simulated(motion, particles, way, found)
     assert len(shown) == 6
     assert np.abs(shown[-1].simulated - shown[-1].observed).max() < 6.0 * NOISE_PX

@@ -155,7 +155,7 @@ def test_noise_that_frames_share_does_not() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("sharing", SHARINGS)
 def test_intervals_cover_however_noise_is_shared(sharing: Sharing) -> None:
-    cases = 100
+    cases = 40
     covered, whole, last, width = rate(sharing, cases)
     said = f"{sharing}: {covered:.3f}, rms {whole:.4f} (last {last:.4f}), width {width:.3f}"
     assert covered >= 0.9 - 2.6 * np.sqrt(0.09 / cases), said
