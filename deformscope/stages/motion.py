@@ -15,10 +15,10 @@ frames, of the scores of patches of particles larger than what the flow's errors
 of it gives false confidence: the weights among frames use its estimate, their scale its upper bound over resampled
 patches, and errors count as fully shared where there are too few patches to tell.
 
-Measured on 60 sheets of 8 to 12 particles a side in 6 frames: with noise of its own in each frame the intervals are
-0.78 times as wide as the last frame's and the rms error 0.54 of it; with noise that all frames share both are as for
-the last frame; with a walk's the rms error is 1.13 of the last frame's, which alone would be the best there: what the
-estimate of C costs.
+Measured on sheets of 8 to 12 particles a side in 6 frames (40 a kind): with noise of its own in each frame the 90 %
+intervals cover 97 %, are 0.72 times as wide as the last frame's, and the rms error is 0.3 of it; with noise that all
+frames share (87 %) both are those of the last frame; with a walk's (95 %) the rms error is 1.02 of the last frame's
+(1.13 on 60 others), which alone would be the best there: what the estimate of C costs.
 """
 
 from __future__ import annotations
