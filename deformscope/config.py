@@ -30,6 +30,10 @@ HeldPart = Literal["top", "bottom", "left", "right", "border", "contact"]
 
 TipName = Literal["flat", "disc", "sphere"]
 
+Selectable = Literal["cluster-size", "held", "alpha", "dt"]
+
+SELECTABLE: tuple[Selectable, ...] = ("cluster-size", "held", "alpha", "dt")
+
 HELD_PARTS: tuple[HeldPart, ...] = ("top", "bottom", "left", "right", "border", "contact")
 
 
@@ -65,6 +69,14 @@ def parse_held(text: str) -> tuple[HeldPart, ...]:
     if unknown:
         raise ValueError(f"expected a comma list of {', '.join(HELD_PARTS)}; got {', '.join(map(repr, unknown))}")
     return tuple(part for part in HELD_PARTS if part in named)
+
+
+def parse_selectable(text: str) -> tuple[Selectable, ...]:
+    """A comma list of what held-out error can choose, each named once in the result."""
+    named = [part.strip() for part in text.split(",")]
+    if unknown := [part for part in named if part not in SELECTABLE]:
+        raise ValueError(f"expected a comma list of {', '.join(SELECTABLE)}; got {', '.join(map(repr, unknown))}")
+    return tuple(part for part in SELECTABLE if part in named)
 
 
 def parse_span(text: str) -> Span:
@@ -188,6 +200,7 @@ _unset = arg(help_behavior_hint="")
 RectangleFlag = Annotated[Rectangle | None, _value("X,Y,WIDTH,HEIGHT", parse_rectangle, _joined(",")), _unset]
 GridFlag = Annotated[GridShape | None, _value("ROWSxCOLS", parse_grid, _joined("x")), _unset]
 HeldFlag = Annotated[tuple[HeldPart, ...] | None, _value("PART,PART...", parse_held, _joined(",")), _unset]
+SelectFlag = Annotated[tuple[Selectable, ...] | None, _value("WHAT,WHAT...", parse_selectable, _joined(",")), _unset]
 SpanFlag = Annotated[Span, _value("LOWEST,HIGHEST", parse_span, _joined(","))]
 PositiveFlag = Annotated[float | None, _value("NUMBER", _positive), _unset]
 SizesFlag = Annotated[tuple[int, ...] | None, _value("N,N...", parse_sizes, _joined(",")), _unset]
@@ -481,6 +494,21 @@ class LayersFlags:
             raise InputError("--thickness-m with --spacing-m", "none", "--thickness-m 0.05")
 
 
+@dataclass(frozen=True, slots=True)
+class MotionFlags:
+    """All frames of a sequence in one fit."""
+
+    whole_motion: bool = False
+    """Fit all frames together instead of the last one; the interval knows that frames share their errors."""
+    select: SelectFlag = None
+    """What to choose by the error on particles left out, of cluster-size, held, alpha and dt. alpha and dt leave static
+    states as they are: time stepping through the frames tells them, if the motion was fast."""
+
+    def __post_init__(self) -> None:
+        if self.select is not None and not self.whole_motion:
+            raise InputError("--whole-motion with --select", "no --whole-motion", "add --whole-motion")
+
+
 class CalibrateOptions(RecordedOptions):
     """What `calibrate beta` and `calibrate theta` read and write."""
 
@@ -518,6 +546,7 @@ class BetaConfig(CalibrateOptions):
     """Range in which beta is searched."""
     search: OmitArgPrefixes[SearchOptions] = field(default_factory=SearchOptions)
     layers: OmitArgPrefixes[LayersFlags] = field(default_factory=LayersFlags)
+    motion: OmitArgPrefixes[MotionFlags] = field(default_factory=MotionFlags)
     images: OmitArgPrefixes[ImageOptions] = field(default_factory=ImageOptions)
     model: OmitArgPrefixes[ModelOptions] = field(default_factory=ModelOptions)
     summary: OmitArgPrefixes[SummaryOptions] = field(default_factory=SummaryOptions)

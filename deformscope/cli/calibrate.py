@@ -2,6 +2,7 @@
 
 deformscope calibrate beta my_video.mp4 --roi 400,200,750,350 --grid 7x15 --held bottom,contact --contact 740,180,60,40
 deformscope calibrate beta frames/ --mask mask.tif --grid 24x12 --held top,bottom --record out.rrd --viewer native
+deformscope calibrate beta sample:tension --whole-motion --select cluster-size,held --json -
 deformscope calibrate beta pair.npz --cluster-size 3 --json -
 deformscope calibrate theta cube.npz --picture cube.png --report cube.html
 """
@@ -30,11 +31,12 @@ if TYPE_CHECKING:
     from deformscope.arrays import ImageArray
     from deformscope.experiments.foam_video import ParticleOptions
     from deformscope.experiments.poke_files import LayersOptions
+    from deformscope.experiments.whole_motion import MotionOptions
     from deformscope.log.blueprint import Layout
     from deformscope.recorder import RecordingSummary
     from deformscope.sources import Source
     from deformscope.stages.calibrate import Calibration, FitOptions, Model, Progress
-    from deformscope.stages.estimate import Estimate
+    from deformscope.stages.estimate import Choice, Estimate
     from deformscope.stages.poke_estimate import PokesFound
 
 
@@ -87,7 +89,9 @@ def _calibrate(config: BetaConfig | ThetaConfig, model: Model, bounds: tuple[flo
     if pairs and len(pairs) != len(sources):
         other = next(source for source in sources if source not in pairs)
         raise InputError("either pair files or images", "both", "name them in two commands", other)
-    save, layers, summary = config.model.save, _layers(config), config.summary
+    save, layers, summary, motion = config.model.save, _layers(config), config.summary, _motion(config)
+    if motion is not None and (pairs or _recorded_pairs(sources[0])):
+        raise InputError("images with --whole-motion", "pair files", "--joint fits one value to all pairs")
     if pairs:
         paths = [Path(source) for source in pairs]
         calibrate_pairs(paths, fit, search, images, output, layers=layers, save=save, summary=summary)
@@ -107,7 +111,22 @@ def _calibrate(config: BetaConfig | ThetaConfig, model: Model, bounds: tuple[flo
         raise InputError("--noise-px for images", "--noise-m", "give the noise in pixels")
     if len(sources) == 1 and sources[0].startswith("sample:"):
         images = for_sample(sources[0].removeprefix("sample:"), images)
-    calibrate_images(sources, fit, particle_options(images, search), images, output, summary)
+    if motion is not None and {"alpha", "dt"} & set(motion.select) and images.fps is None and _tell_no_rate(sources):
+        raise InputError("--fps with --select alpha or dt", "images that do not tell their rate", "--fps 30")
+    calibrate_images(sources, fit, particle_options(images, search), images, output, summary, motion)
+
+
+def _motion(config: BetaConfig | ThetaConfig) -> MotionOptions | None:
+    if not isinstance(config, BetaConfig) or not config.motion.whole_motion:
+        return None
+    from deformscope.experiments.whole_motion import MotionOptions
+
+    return MotionOptions(config.motion.select or ())
+
+
+def _tell_no_rate(sources: Sequence[str]) -> bool:
+    """Whether the sources are images by themselves, which do not say how fast they were taken."""
+    return len(sources) > 1 or Path(sources[0]).is_dir()
 
 
 def _layers(config: BetaConfig | ThetaConfig) -> LayersOptions | None:
@@ -180,6 +199,7 @@ def calibrate_images(
     images: ImageOptions,
     output: OutputOptions,
     summary: SummaryOptions = NO_SUMMARY,
+    motion: MotionOptions | None = None,
 ) -> Estimate:
     """Fit a sequence, record it where asked, tell and write the result."""
     from deformscope.images import read_image
@@ -193,7 +213,7 @@ def calibrate_images(
         mask = Replay(Path(sources[0]), trust=True).mask  # its ledger was compared when it was looked at for pairs
     settings = {"sources": list(sources), "stride": images.stride, "fps": images.fps, "mask": images.mask is not None}
     with open_source(sources, stride=images.stride, fps=images.fps, mask=images.mask) as source:
-        return run_images(source, mask, fit, particles, settings, output, summary)
+        return run_images(source, mask, fit, particles, settings, output, summary, motion)
 
 
 def run_images(
@@ -204,14 +224,18 @@ def run_images(
     settings: dict[str, Any],
     output: OutputOptions,
     summary: SummaryOptions = NO_SUMMARY,
+    motion: MotionOptions | None = None,
 ) -> Estimate:
-    """One sequence through the loop: the same for files, samples and recordings."""
+    """One sequence through the loop: the same for files, samples and recordings. motion: all frames are fitted."""
     from deformscope.experiments.foam_video import foam_video
+    from deformscope.experiments.whole_motion import whole_motion
     from deformscope.recorder import Recorder
     from deformscope.session import run
     from deformscope.stages.particles import clean_mask
 
     used = settings | {"particles": dataclasses.asdict(particles), "fit": dataclasses.asdict(fit)}
+    if motion is not None:
+        used["motion"] = dataclasses.asdict(motion)
     region = None if mask is None else clean_mask(mask)
     last: list[ImageArray] = []
     with Recorder(
@@ -228,7 +252,12 @@ def run_images(
                     yield frame
                     advance(1)
 
-            found = run(frames(), foam_video(particles, fit, region, fitting), recorder)
+            experiment = (
+                foam_video(particles, fit, region, fitting)
+                if motion is None
+                else whole_motion(particles, fit, motion, region, fitting)
+            )
+            found = run(frames(), experiment, recorder)
     tell(found.estimate, recorder.summary())
     if summary.wanted:
         from deformscope.pictures import Result
@@ -385,6 +414,15 @@ def tell(estimate: Estimate, recording: RecordingSummary, name: str = "") -> Non
         rows.append(("live view", f"{recording.dropped} items dropped; the recording has them all"))
     title = f"{estimate.parameter} of {name}" if name else f"Estimate of {estimate.parameter}"
     show_table(title, rows)
+    if estimate.selection:
+        show_table("Error on particles left out, of each way of fitting", list(map(_choice, estimate.selection)))
+
+
+def _choice(one: Choice) -> tuple[str, str]:
+    pace = "static" if one.alpha is None else f"alpha {one.alpha:g}, dt {one.dt:g} s"
+    name = f"{one.cluster_size} a side, {','.join(one.held)}, {pace}"
+    value = f"{one.held_out:.3g} ± {one.scatter:.2g} (fitted {one.fit:.3g}, at {one.value:.3g})"
+    return name, value + (" <- used" if one.chosen else "")
 
 
 def _rerun() -> str:

@@ -35,6 +35,7 @@ def run(config: ReplayConfig) -> None:
 
     from deformscope.experiments.foam_video import ParticleOptions
     from deformscope.experiments.poke_files import LayersOptions
+    from deformscope.experiments.whole_motion import MotionOptions
     from deformscope.replay import Replay
     from deformscope.sources import Source
     from deformscope.stages.calibrate import FitOptions
@@ -46,6 +47,7 @@ def run(config: ReplayConfig) -> None:
     try:
         fit = msgspec.convert(settings.pop("fit"), FitOptions)
         particles = msgspec.convert(settings.pop("particles", {}), ParticleOptions)
+        motion = msgspec.convert(settings.pop("motion"), MotionOptions) if "motion" in settings else None
     except (KeyError, msgspec.ValidationError) as error:
         raise InputError(
             "a recording of a calibration", f"settings of another kind ({error})", where=config.recording
@@ -68,7 +70,8 @@ def run(config: ReplayConfig) -> None:
         with Source(
             str(config.recording), lambda: recording.frames(config.pace, _wait), recording.frame_count
         ) as source:
-            estimates = [run_images(source, recording.mask, fit, particles, settings, config.output).as_json()]
+            found_here = run_images(source, recording.mask, fit, particles, settings, config.output, motion=motion)
+            estimates = [found_here.as_json()]
     _compare(recording.read_results(), estimates, config)
 
 

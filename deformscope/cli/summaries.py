@@ -117,7 +117,20 @@ def estimate_rows(estimate: Estimate) -> Rows:
     if moved := estimate.settings.get("held_moved"):
         parts = ", ".join(moved) if isinstance(moved, list) else str(moved)
         rows.insert(-1, ("held elsewhere", f"{parts}: lost there; the outermost row or column still seen is held"))
+    if estimate.settings.get("whole_motion"):
+        rows.insert(-1, ("frames fitted", _frames_text(estimate)))
+    if estimate.selection_text:
+        rows.insert(-1, ("chosen", estimate.selection_text))
     return rows
+
+
+def _frames_text(estimate: Estimate) -> str:
+    found = estimate.settings
+    rho, worth = found["frames_correlation"], float(str(found["frames_worth"]))
+    if found["frames_fitted"] == 1 or not isinstance(rho, list):
+        return "1"
+    shared = f"errors shared: {float(rho[0]):.0%}, at most {float(rho[1]):.0%}"
+    return f"{found['frames_fitted']}, which tell as much as {worth:.2g} of the best one ({shared})"
 
 
 def _length(estimate: Estimate, value: object) -> str:

@@ -1,7 +1,7 @@
 """A deforming thing in a sequence of images: flow, particles, and the fit of the last pose (Thesis 3, experiment 5.2).
 
-The sweep fits the last frame, as in the thesis; the best value is then simulated at every frame, so that simulated
-particles follow the observed ones on the `frame` timeline.
+The sweep fits the last frame, as in the thesis (`whole_motion` fits every frame); the best value is then simulated at
+every frame, so that simulated particles follow the observed ones on the `frame` timeline.
 """
 
 from __future__ import annotations
@@ -78,10 +78,13 @@ def foam_video(
     return found
 
 
-def track(particles: ParticleOptions, mask: BoolArray | None = None) -> Experiment[tuple[ParticleGrid, list[Tracked]]]:
+def track(
+    particles: ParticleOptions, mask: BoolArray | None = None, times: list[float] | None = None
+) -> Experiment[tuple[ParticleGrid, list[Tracked]]]:
     """Follow particles through the frames that are sent: where they stood at rest, and where at every frame.
 
-    mask: (H, W) True where the thing is in the first frame
+    mask: (H, W) True where the thing is in the first frame; times: where it is given, each frame's time after the first
+    is added to it [s]
     """
     frame = yield Step()
     if frame is None:
@@ -89,6 +92,9 @@ def track(particles: ParticleOptions, mask: BoolArray | None = None) -> Experime
     grid = seed_grid(frame.image.shape[:2], particles.roi_rect, particles.grid, particles.spacing_px, mask)
     select_held(grid, particles.held, particles.contact_rect)  # refuses at once what cannot be held
     history = [start(grid)]
+    began = frame.stamp
+    if times is not None:
+        times.append(0.0)
     step = Step((grid, history[0]))
     while True:
         following = yield step
@@ -97,6 +103,8 @@ def track(particles: ParticleOptions, mask: BoolArray | None = None) -> Experime
         forward = dense_flow(frame.image, following.image, particles.flow)
         backward = dense_flow(following.image, frame.image, particles.flow)
         history.append(advance(history[-1], forward, backward))
+        if times is not None:
+            times.append(1e-9 * (following.stamp.host_ns - began.host_ns))
         step = Step((forward, history[-1]))
         frame = following
 

@@ -279,6 +279,7 @@ def summary(estimate: Estimate) -> str:
         f"| to the nearest particle (eq. 4.6) | {_length(estimate, estimate.nearest)} |",
         f"| converged | {'yes' if estimate.converged else '**NO**: do not rely on the value'} |",
         "",
+        *_selection(estimate),
         "| setting | |",
         "| --- | --- |",
     ]
@@ -290,6 +291,24 @@ def _shown(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
     return ", ".join(str(one) for one in value) if isinstance(value, list | tuple) else str(value)
+
+
+def _selection(estimate: Estimate) -> list[str]:
+    """The ways of fitting that were tried, with the error on particles left out."""
+    if not estimate.selection:
+        return []
+    lines = [
+        f"Chosen by the error on particles left out: {estimate.selection_text}",
+        "",
+        f"| a side | held | alpha | dt [s] | left out | fitted | {estimate.parameter} |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for one in estimate.selection:
+        pace = ("static", "") if one.alpha is None else (f"{one.alpha:g}", f"{one.dt:g}")
+        error = _length(estimate, one.held_out)
+        told = [str(one.cluster_size), ", ".join(one.held), *pace, f"**{error}**" if one.chosen else error]
+        lines.append(f"| {' | '.join(told)} | {_length(estimate, one.fit)} | {one.value:.3g} |")
+    return [*lines, ""]
 
 
 def _length(estimate: Estimate, length: float) -> str:

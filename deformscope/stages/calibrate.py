@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from deformscope.arrays import BoolArray
 from deformscope.errors import InputError
 from deformscope.stages.distance import distances, nearest_error, rigid_positions
+from deformscope.stages.dynamics import MovingSearch, Pace
 from deformscope.stages.estimate import (
     Comparison,
     Curve,
@@ -28,6 +29,7 @@ from deformscope.stages.inference import Inference, Inferred
 from deformscope.stages.model import FitOptions, Model, Observation
 from deformscope.stages.msm import clusters
 from deformscope.stages.search import Progress, Search
+from deformscope.stages.shared_errors import for_posterior, together
 
 __all__ = ["Calibration", "FitOptions", "Model", "Observation", "Progress", "calibrate"]
 
@@ -48,11 +50,15 @@ def calibrate(
     seen: Sequence[Observation],
     options: FitOptions,
     *,
+    one_motion: bool = False,
+    pace: Pace | None = None,
     settings: Mapping[str, object] | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
     """Fit one parameter to observations that share it, with its interval and verdicts.
 
+    one_motion: the observations are frames of one motion, whose errors are not independent (`motion`); pace: with it
+    they are simulated by time stepping, in order, instead of each as a static state
     settings: recorded with the estimate; progress: called with (what, done, all)
     """
     model, bounds = options.model, options.bounds
@@ -60,7 +66,7 @@ def calibrate(
     check_range(model.parameter, bounds)
     if options.candidates < 3:
         raise InputError("at least 3 candidates", str(options.candidates))
-    fit = Search(seen, model, bounds)
+    fit = Search(seen, model, bounds) if pace is None else MovingSearch(seen, model, bounds, pace)
     used: dict[str, object] = {
         "cluster_size": model.cluster_size,
         "mode": model.basis,
@@ -77,14 +83,25 @@ def calibrate(
     }
     if options.method == "sweep":
         fit.sweep(options.candidates, progress)
-        curve = Curve(fit.tried.parameter.copy(), fit.error())
+        drawn = fit.tried.parameter.copy()
         fit.refine()
         used["candidates"] = options.candidates
     else:
         used["stopped"] = fit.descend(progress)
-        curve = Curve(fit.tried.parameter.copy(), fit.error())
+        drawn = fit.tried.parameter.copy()
+    judged: Search = fit
+    if one_motion:
+        found = together(fit, options.seed)
+        fit.weight = found.weight
+        fit.refine()
+        judged = fit.only(*for_posterior(found))
+        used["frame_weights"] = [round(float(w), 4) for w in found.weight]
+        used["frames_worth"] = found.worth
+        used["frames_correlation"] = [found.shared.mean, found.shared.most]
+        used["frame_values"] = [round(float(v), 4) for v in fit.each_best()]
+    curve = Curve(drawn, fit.error()[fit.rows_of(drawn)])
     with threadpool_limits(1):  # small matrices: more threads cost time, and change the last digits
-        inferred = Inference(fit, options.seed).run(progress)
+        inferred = Inference(judged, options.seed).run(progress)
     best = fit.best()
     ends = inferred.posterior.shortest(options.level, float(fit.tried.parameter[best]))
     used["noise"] = inferred.noise
@@ -100,7 +117,8 @@ def calibrate(
     supported = (fit.tried.parameter >= ends[0]) & (fit.tried.parameter <= ends[1])
     converged = inferred.converged and bool(fit.tried.converged[supported].all())
     told = identifiability(seen, comparisons, inferred)
-    k = _stiffness(fit, best, supported, inferred, options.level)
+    # frames of a motion carry no force
+    k = None if one_motion else _stiffness(fit, best, supported, inferred, options.level)
     estimate = Estimate(
         parameter=model.parameter,
         value=float(fit.tried.parameter[best]),
@@ -109,7 +127,7 @@ def calibrate(
         bounds=bounds,
         verdict=verdict(ends, bounds, told) if converged else "unidentified",
         stiffness_verdict="unidentified" if k is None else relative_verdict(*k),
-        aee=float(fit.error()[best]),
+        aee=float(fit.only(np.arange(len(seen)), np.ones(len(seen))).error()[best]),
         aee_free=float(free.mean()),
         nearest=float(np.mean(near)),
         unit=seen[0].unit,

@@ -112,6 +112,44 @@ class Identifiability:
 
 
 @dataclass(frozen=True, slots=True)
+class Choice:
+    """A way of fitting that was tried on particles that it was not fitted to.
+
+    held: the parts whose motion is prescribed; alpha, dt [s]: of time stepping, None for static states, which neither
+    alters; held_out, fit: mean error on particles left out, and of the same ones when fitted [the estimate's unit];
+    scatter: standard error of the first against that of the best way; value: the parameter then; chosen: it was used
+    """
+
+    cluster_size: int | None
+    held: tuple[str, ...]
+    alpha: float | None
+    dt: float | None
+    held_out: float
+    scatter: float
+    fit: float
+    value: float
+    chosen: bool = False
+
+    def as_json(self, parameter: Parameter, scale: float) -> dict[str, object]:
+        """scale: of the lengths."""
+
+        def length(value: float) -> float | None:
+            return value * scale if math.isfinite(value) else None
+
+        return {
+            "cluster_size": self.cluster_size,
+            "held": list(self.held),
+            "alpha": self.alpha,
+            "dt": self.dt,
+            "held_out_aee": length(self.held_out),
+            "scatter": length(self.scatter),
+            "fit_aee": length(self.fit),
+            parameter: self.value if math.isfinite(self.value) else None,
+            "chosen": self.chosen,
+        }
+
+
+@dataclass(frozen=True, slots=True)
 class Estimate:
     """One calibrated parameter with everything needed to judge it (Thesis eq. 3.18, 3.19, Algorithms 2 and 3).
 
@@ -121,6 +159,7 @@ class Estimate:
     stiffness: the energy's stiffness k and its interval over `interval` [N/m], where a force was given
     metres_per_unit: the scale of the lengths; None where pixels have no known size
     posterior, identifiability: what the interval and the verdict rest on
+    selection: ways of fitting that were tried, where some were to be chosen; selection_text: what can be said of them
     aee: mean error over all observed particles, held ones included (eq. 3.18); aee_free: over the free ones alone
     nearest: one-sided nearest-neighbour error (eq. 4.6); unit: of every length here
     converged: every simulation that the value and the interval rest on reached its static state
@@ -144,6 +183,8 @@ class Estimate:
     metres_per_unit: float | None = 1.0
     posterior: Posterior | None = None
     identifiability: Identifiability | None = None
+    selection: tuple[Choice, ...] = ()
+    selection_text: str = ""
 
     def verdict_text(self) -> str:
         """The verdict in plain words."""
@@ -227,6 +268,11 @@ class Estimate:
                 "misfit_m": in_metres(told.misfit),
                 "misfit_px": in_pixels(told.misfit),
             }
+        if self.selection:
+            scale = 1.0 if metres is None else metres
+            found["selection"] = [one.as_json(self.parameter, scale) for one in self.selection]
+            found["selection_unit"] = "px" if metres is None else "m"
+            found["selection_text"] = self.selection_text
         if self.stiffness is not None:
             found["stiffness_n_per_m"] = {"value": self.stiffness[0], "interval": list(self.stiffness[1])}
         return found

@@ -127,7 +127,7 @@ class Inference:
             left = part.left(search.tried.positions[row][rows[nearest]])
             residual = CubicSpline(knots, left, axis=0)(fine)
             responses = [self._response(row, int(rows[node])) for node in nodes]
-            total += judge(row, residual, responses, _shares(knots[nodes], fine))
+            total += search.weight[row] * judge(row, residual, responses, _shares(knots[nodes], fine))
         total[np.interp(fine, knots, usable.astype(float)) < 1.0] = -np.inf
         return fine, total
 

@@ -5,6 +5,8 @@ The sweep is the thesis's Algorithm 3, the descent serves Algorithm 2's purpose.
 
 from __future__ import annotations
 
+import copy
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -33,13 +35,17 @@ class Tried:
 
 
 class Search:
-    """One parameter against one or more observations that share it."""
+    """One parameter against one or more observations that share it.
+
+    weight: (observations,) how much each counts, in the error and in the posterior
+    """
 
     def __init__(self, seen: Sequence[Observation], model: Model, bounds: tuple[float, float]) -> None:
         self.seen = list(seen)
         self.model = model
         self.bounds = bounds
-        self.bodies = [model.body(s) for s in self.seen]
+        self.weight: FloatArray = np.ones(len(self.seen))
+        self.bodies = _shared_bodies(self.seen, model)
         self.tried = Tried(positions=[np.empty((0, *s.rest.shape)) for s in self.seen])
 
     def simulate(self, parameter: FloatArray, progress: Progress | None = None, what: str = "simulating") -> None:
@@ -47,14 +53,13 @@ class Search:
         parameter = np.atleast_1d(np.asarray(parameter, dtype=np.float64))
         converged = np.ones(len(parameter), dtype=bool)
         usable = np.ones(len(parameter), dtype=bool)
-        for row, (seen, body) in enumerate(zip(self.seen, self.bodies, strict=True)):
-            start = None
-            known = np.flatnonzero(self.tried.usable)
-            if known.size:
-                nearest = known[np.abs(self.tried.parameter[known, None] - parameter).argmin(axis=0)]
-                start = self.tried.positions[row][nearest]
-            note = None if progress is None else lambda done, all_: progress(what, done, all_)
-            state = self.relax(body, seen.deformed[seen.held], parameter, start, note)
+        start = None
+        known = np.flatnonzero(self.tried.usable)
+        if known.size:
+            nearest = known[np.abs(self.tried.parameter[known, None] - parameter).argmin(axis=0)]
+            start = [p[nearest] for p in self.tried.positions]
+        note = None if progress is None else lambda done, all_: progress(what, done, all_)
+        for row, state in enumerate(self.states(parameter, start, note)):
             self.tried.positions[row] = np.concatenate([self.tried.positions[row], state.position])
             converged &= state.converged
             usable &= ~state.diverged
@@ -68,6 +73,35 @@ class Search:
             self.tried.converged[order],
             self.tried.usable[order],
         )
+
+    def states(
+        self,
+        parameter: FloatArray,
+        start: Sequence[FloatArray] | None,
+        progress: Callable[[int, int], None] | None,
+    ) -> list[Relaxed]:
+        """The candidates (g,) in every observation, from starts (g, K, d); observations of one body run at once."""
+        found: dict[int, Relaxed] = {}
+        for body in dict.fromkeys(self.bodies):
+            rows = [row for row, other in enumerate(self.bodies) if other is body]
+            held = [self.seen[row].deformed[self.seen[row].held] for row in rows]
+            begin = None if start is None else np.concatenate([start[row] for row in rows])
+            if len(rows) == 1:
+                found[rows[0]] = self.relax(body, held[0], parameter, begin, progress)
+                continue
+            every = np.tile(parameter, len(rows))
+            state = self.relax(body, np.repeat(np.stack(held), len(parameter), axis=0), every, begin, progress)
+            found |= {row: part_of(state, index, len(parameter)) for index, row in enumerate(rows)}
+        return [found[row] for row in range(len(self.seen))]
+
+    def only(self, rows: IntArray, weight: FloatArray) -> Search:
+        """The same search over some of the observations, with what was tried so far."""
+        some = copy.copy(self)
+        some.seen = [self.seen[row] for row in rows]
+        some.bodies = [self.bodies[row] for row in rows]
+        some.weight = weight
+        some.tried = dataclasses.replace(self.tried, positions=[self.tried.positions[row] for row in rows])
+        return some
 
     def rows_of(self, parameter: FloatArray, progress: Progress | None = None) -> IntArray:
         """Where these candidates stand among those tried; what has not been simulated yet is."""
@@ -93,13 +127,19 @@ class Search:
         )
 
     def error(self) -> FloatArray:
-        """AEE of every candidate tried over all observed particles of all observations; NaN where not usable."""
+        """AEE of every candidate tried over all observed particles of all observations, each with its weight; NaN where
+        not usable."""
         total = np.zeros(len(self.tried.parameter))
-        count = 0
-        for seen, position in zip(self.seen, self.tried.positions, strict=True):
-            total += distances(position[:, seen.observed], seen.deformed[seen.observed]).sum(axis=1)
-            count += int(seen.observed.sum())
+        count = 0.0
+        for seen, position, weight in zip(self.seen, self.tried.positions, self.weight, strict=True):
+            total += weight * distances(position[:, seen.observed], seen.deformed[seen.observed]).sum(axis=1)
+            count += float(weight) * int(seen.observed.sum())
         return np.where(self.tried.usable, total / count, np.nan)
+
+    def each_best(self) -> FloatArray:
+        """The value of the lowest error of each observation by itself, out of the candidates tried."""
+        some = [self.only(np.array([row]), np.ones(1)).error() for row in range(len(self.seen))]
+        return np.array([self.tried.parameter[int(np.nanargmin(error))] for error in some])
 
     # -- the best value --------------------------------------------------------------------------------------------
 
@@ -195,3 +235,21 @@ class Search:
         value = np.asarray(stretched, dtype=np.float64)
         value = -np.expm1(-value) if self.model.parameter == "beta" else value
         return np.clip(value, *self.bounds)
+
+
+def _shared_bodies(seen: Sequence[Observation], model: Model) -> list[Msm]:
+    """The body of each observation; observations of the very same rest shape, lattice and held set share one."""
+    made: dict[tuple[object, ...], Msm] = {}
+    bodies = []
+    for one in seen:
+        key = (id(one.rest), id(one.held), id(one.cell), one.shape)
+        if key not in made:
+            made[key] = model.body(one)
+        bodies.append(made[key])
+    return bodies
+
+
+def part_of(state: Relaxed, index: int, count: int) -> Relaxed:
+    """The `index`-th part of states that ran together, `count` in each."""
+    some = slice(index * count, (index + 1) * count)
+    return Relaxed(**{f.name: getattr(state, f.name)[some] for f in dataclasses.fields(Relaxed)})

@@ -129,6 +129,35 @@ def test_sample_brings_its_own_particles(capsys: pytest.CaptureFixture[str]) -> 
     assert found["settings"]["particles"] == 117
 
 
+def test_the_whole_motion_of_a_sequence_and_what_was_selected(
+    frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = tmp_path / "motion.rrd"
+    asked = ["calibrate", "beta", str(frames), "--grid", "6x5", "--whole-motion", "--select", "held,cluster-size"]
+    found = run_json([*asked, "--record", str(record)], capsys)
+    settings = found["settings"]
+    assert settings["whole_motion"] is True
+    assert settings["frames_fitted"] == len(settings["frame_weights"]) == len(settings["frame_values"]) == 3
+    assert found["interval"][0] <= found["value"] <= found["interval"][1]
+    assert {row["cluster_size"] for row in found["selection"]} == {2, 3, 4, 5}
+    assert sum(row["chosen"] for row in found["selection"]) == 1
+    used = next(row for row in found["selection"] if row["chosen"])
+    assert (used["cluster_size"], used["held"]) == (settings["cluster_size"], settings["held_parts"])
+    assert used["held_out_aee"] <= 1.01 * min(row["held_out_aee"] for row in found["selection"])
+    assert main(["replay", str(record), "--viewer", "none", "--json", "-"]) == 0
+    shown = capsys.readouterr()
+    assert json.loads(shown.out) == found
+    assert "identical" in shown.err
+
+
+def test_flags_of_a_whole_motion_that_cannot_be(frames: Path, pair: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "--whole-motion with --select" in failure(["calibrate", "beta", str(frames), "--select", "held"], capsys)
+    assert "images with --whole-motion" in failure(["calibrate", "beta", str(pair), "--whole-motion"], capsys)
+    moving = ["calibrate", "beta", str(frames), "--whole-motion", "--select", "alpha"]
+    assert "--fps" in failure(moving, capsys)
+    assert "comma list" in failure([*moving[:-1], "colour"], capsys)
+
+
 # Recording and replay ------------------------------------------------------------------------------------------------
 
 

@@ -41,6 +41,9 @@ PARTICLES_AT_ONCE = 2_000_000
 KEPT_NUMBERS = 2_000_000
 """Particles of all candidates up to which the scratch of a way to run is kept for the next call."""
 
+MOVES = 200
+"""Moves that held particles make at most on their way in time stepping; of more steps, several pass at each place."""
+
 VOLUMES: dict[Volume, int] = {"scale": SCALE, "project": PROJECT}
 
 
@@ -541,10 +544,13 @@ class Msm:
         dt: float = 2e-3,
         acceleration: Sequence[float] | None = None,
         steps: int = 1,
+        held_from: FloatArray | None = None,
     ) -> FloatArray:
         """Time stepping as in the thesis (Algorithm 1 with eq. 3.11): moves `state` on and returns (B, K, d).
 
         dt [s]; acceleration: f_ext / m, (d,) [m/s^2]. Without it, dt does not change the motion (alpha = 1).
+        held_from: (n, d) or (B, n, d), whence the held particles go to held_position evenly over the steps; without it
+        they are there from the first step on
         """
         if isinstance(beta, AxisBeta):
             return self._along(beta, theta).step(
@@ -562,7 +568,11 @@ class Msm:
         if len(beta_b) not in (1, state.layout.candidates):
             raise ValueError(f"expected candidates for {state.layout.candidates} bodies or for one; got {len(beta_b)}")
         how = VOLUMES[volume] if theta_b.any() else NONE
-        _Stepping(self, state, held_u, beta_b, theta_b, how, alpha, dt, acceleration).run(steps)
+        stepping = _Stepping(self, state, held_u, beta_b, theta_b, how, alpha, dt, acceleration)
+        if held_from is None:
+            stepping.run(steps)
+        else:
+            stepping.run_moving(steps, self._candidates(held_from, beta, theta)[0], held_u)
         return self.rest + state.layout.get(state.u, self.dim) * self.scale
 
     def residual(
@@ -632,13 +642,15 @@ class _Stepping:
         )
         self.parameters = Parameters(values, layout.each(np.broadcast_to(theta, (size,))), stride, volume)
         self.running = wp.full(layout.groups, 1, dtype=int, device=layout.device)
+        self.places: Any = None
         if len(body.held):
-            self._hold(np.broadcast_to(held_u, (size, *held_u.shape[1:])), body.held)
+            self._find(body.held)
+            self._hold(held_u)
 
-    def _hold(self, held_u: FloatArray, held: IntArray) -> None:
-        layout, state = self.state.layout, self.state
-        operator = state.operator
-        kernels = (
+    def _find(self, held: IntArray) -> None:
+        """Where the held particles of all candidates stand in memory."""
+        layout, operator = self.state.layout, self.state.operator
+        self.kernels = (
             operator.resident if operator.threads else iteration_kernels_for(operator.dim, layout.scalar, layout.width)
         )
         places = np.concatenate(
@@ -650,17 +662,33 @@ class _Stepping:
                 for c in range(layout.candidates)
             ]
         )
+        self.places = upload(places, int, layout.device)
+
+    def _hold(self, held_u: FloatArray) -> None:
+        layout, state = self.state.layout, self.state
+        held_u = np.broadcast_to(held_u, (layout.candidates, *held_u.shape[1:]))
         wp.launch(
-            kernels.put_at,
-            dim=len(places),
+            self.kernels.put_at,
+            dim=len(self.places),
             inputs=[
-                upload(places, int, layout.device),
+                self.places,
                 upload(held_u.reshape(-1, held_u.shape[2]).T, layout.scalar, layout.device),
                 layout.stride,
             ],
             outputs=[state.u, state.before],
             device=layout.device,
         )
+
+    def run_moving(self, steps: int, before: FloatArray, after: FloatArray) -> None:
+        """The next `steps` steps, on which the held displacements go from before to after."""
+        if self.places is None:
+            self.run(steps)
+            return
+        moves = min(steps, MOVES)
+        for move in range(moves):
+            self._hold(before + (move + 1) / moves * (after - before))
+            self.run(steps * (move + 1) // moves - steps * move // moves)
+            self.first = self.motion
 
     def run(self, steps: int) -> None:
         """The next `steps` steps."""

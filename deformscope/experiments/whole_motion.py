@@ -1,0 +1,356 @@
+"""All frames of a sequence in one fit, and the choice of what is fitted by held-out error (Thesis 3, future work).
+
+Every frame has its own held positions; beta, clusters and the held set are shared. How frames count together is in
+`deformscope.stages.shared_errors`, how ways of fitting are compared in `deformscope.stages.held_out`. Cluster size and
+held set are chosen by static states, which alpha and dt do not alter; these two by time stepping through the frames,
+afterwards.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from deformscope.arrays import BoolArray, IntArray
+from deformscope.errors import InputError
+from deformscope.experiments.foam_video import ParticleOptions, follow, hold_what_is_seen, observe, track
+from deformscope.session import Experiment, Step
+from deformscope.stages.calibrate import Calibration, FitOptions, Model, Observation, Progress, calibrate
+from deformscope.stages.dynamics import MovingSearch, Pace
+from deformscope.stages.estimate import Choice, Comparison
+from deformscope.stages.held_out import TOLD_LEAST, HeldOut, blocks_of, difference, hold_out, tells
+from deformscope.stages.msm.clusters import held_mask, spacing
+from deformscope.stages.particles import ParticleGrid, Tracked
+from deformscope.stages.search import Search
+
+Selectable = Literal["cluster-size", "held", "alpha", "dt"]
+
+CLUSTER_SIZES = (2, 3, 4, 5)
+ALPHAS = (0.1, 0.25, 0.5, 0.75, 1.0)
+DTS_S = (1e-3, 2e-3, 5e-3, 1e-2, 2e-2)
+DT_S = 2e-3
+"""Time step where only alpha is chosen (Thesis 3)."""
+
+CANDIDATES = 16
+"""Values of the parameter that a way of fitting is tried with."""
+
+FRAMES_TO_SELECT = 12
+"""Frames that ways of fitting are compared on, spread over all."""
+
+PARTICLES_IN_ALL = 150_000
+"""Particles of all frames together that are fitted at once (some 1 GB); of longer sequences an even part of the frames
+is."""
+
+FLOW_WINDOW_PX = 60.0
+"""Distance over which neighbouring flows share their errors: shorter motion waves are flattened (`stages.flow`)."""
+
+JUDGES_LEAST = 8
+"""Particles that are free in every way of fitting, fewer than which cannot judge it."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotionOptions:
+    """How a whole motion is fitted. select: what is chosen by held-out error; the rest stays as asked for."""
+
+    select: tuple[Selectable, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Particles followed through a sequence: the grid, where they are at each frame, and when that is [s]."""
+
+    grid: ParticleGrid
+    history: list[Tracked]
+    times: list[float]
+
+    def frames(self, most: int) -> IntArray:
+        """Frames after the first, which says nothing: all, or an even part of them that has the last."""
+        count = len(self.history) - 1
+        return np.unique(np.linspace(count, 1, min(count, max(most, 1))).round().astype(int))
+
+    def observations(self, rows: IntArray, held: IntArray, particles: ParticleOptions) -> list[Observation]:
+        """Some frames, as observations of one body."""
+        every = [observe(self.grid, self.history[row], held, particles) for row in rows]
+        return [dataclasses.replace(one, rest=every[0].rest, held=held, cell=every[0].cell) for one in every]
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """A way of fitting: a model, the parts that are held and which particles these are, and for time stepping how."""
+
+    model: Model
+    parts: tuple[str, ...]
+    held: IntArray
+    moved: tuple[str, ...]
+    pace: Pace | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """The way that was chosen, all that were tried, and what can be said of the choice."""
+
+    way: Way
+    table: tuple[Choice, ...]
+    text: str
+
+
+def whole_motion(
+    particles: ParticleOptions,
+    fit: FitOptions,
+    options: MotionOptions,
+    mask: BoolArray | None = None,
+    progress: Progress | None = None,
+) -> Experiment[Calibration]:
+    """Follow particles through the frames that are sent, fit all of them, and simulate every frame.
+
+    mask: (H, W) True where the thing is in the first frame
+    """
+    times: list[float] = []
+    grid, history = yield from track(particles, mask, times)
+    if len(history) < 2:
+        raise InputError("at least two frames", "one", "a longer sequence, or a smaller --stride")
+    motion = Motion(grid, history, times)
+    found, way = fit_motion(motion, particles, fit, options, progress)
+    for index, comparison in enumerate(simulated(motion, particles, way, found)):
+        yield Step((comparison,), frame=index)
+    yield Step((found.estimate,))
+    return found
+
+
+def fit_motion(
+    motion: Motion,
+    particles: ParticleOptions,
+    fit: FitOptions,
+    options: MotionOptions,
+    progress: Progress | None = None,
+) -> tuple[Calibration, Way]:
+    """The fit of all frames, and the way that was chosen for it."""
+    chosen = select(motion, particles, fit, options, progress)
+    way = chosen.way
+    rows = motion.frames(PARTICLES_IN_ALL // len(motion.grid.rest_px) if way.pace is None else len(motion.history))
+    last = motion.history[-1]
+    settings: dict[str, object] = {
+        "frames": len(motion.history),
+        "frames_fitted": len(rows),
+        "whole_motion": True,
+        "select": list(options.select),
+        "particles": len(motion.grid.rest_px),
+        "lost": int(np.count_nonzero(~last.seen)),
+        "held": len(way.held),
+        "flow": particles.flow,
+        "held_parts": list(way.parts),
+        "held_moved": list(way.moved),
+        "noise_source": "flow" if particles.noise_px is None else "given",
+        "dt": None if way.pace is None else way.pace.dt,
+        "dynamic": way.pace is not None,
+    }
+    found = calibrate(
+        motion.observations(rows, way.held, particles),
+        dataclasses.replace(fit, model=way.model),
+        one_motion=True,
+        pace=way.pace,
+        settings=settings,
+        progress=progress,
+    )
+    estimate = dataclasses.replace(found.estimate, selection=chosen.table, selection_text=chosen.text)
+    return dataclasses.replace(found, estimate=estimate), way
+
+
+def simulated(motion: Motion, particles: ParticleOptions, way: Way, found: Calibration) -> list[Comparison]:
+    """The best value simulated at every frame."""
+    if way.pace is None:
+        seen = motion.observations(np.array([len(motion.history) - 1]), way.held, particles)[0]
+        return follow(seen, motion.history, way.model, found)
+    still = motion.observations(np.array([0]), way.held, particles)[0]
+    first = Comparison(still.rest, still.deformed, still.rest, still.observed, still.held, still.unit)
+    return [first, *found.comparisons]
+
+
+# Selection -----------------------------------------------------------------------------------------------------------
+
+
+def select(
+    motion: Motion,
+    particles: ParticleOptions,
+    fit: FitOptions,
+    options: MotionOptions,
+    progress: Progress | None = None,
+) -> Selection:
+    """Choose what is to be chosen by the error on particles left out."""
+    if not options.select:
+        return Selection(_ways(motion, particles, fit.model, ())[0], (), "")
+    ways = _ways(motion, particles, fit.model, options.select)
+    judged = _judges(motion, ways)
+    static = [choice for choice in ("cluster-size", "held") if choice in options.select]
+    tried = _try(motion, particles, fit, ways, judged, "selecting", progress)
+    best = _best(tried)
+    text = _said_of_static(tried, best, static) if static else []
+    table = _rows(tried, best)
+    if "alpha" in options.select or "dt" in options.select:
+        moving = _moving_ways(motion, fit.model, ways[best], options.select)
+        stepped = _try(motion, particles, fit, moving, judged, "time stepping", progress)
+        fastest = _best(stepped)
+        still = tried[best][1]
+        text.append(_said_of_pace(stepped, fastest, still, options.select))
+        table += _rows(stepped, fastest)
+        if tells(still, stepped[fastest][1]):
+            table = [dataclasses.replace(one, chosen=one.chosen and one.alpha is not None) for one in table]
+            return Selection(moving[fastest], tuple(table), "; ".join(text))
+        table = [dataclasses.replace(one, chosen=one.chosen and one.alpha is None) for one in table]
+    return Selection(ways[best], tuple(table), "; ".join(text))
+
+
+def held_sets(particles: ParticleOptions) -> list[tuple[str, ...]]:
+    """The held sets that are tried: what was asked for, and others that the flags make possible."""
+    every: list[tuple[str, ...]] = [("bottom",), ("top", "bottom"), ("border",)]
+    if particles.contact is not None:
+        every = [("bottom", "contact"), ("top", "bottom", "contact"), ("border", "contact")]
+    return list(dict.fromkeys([particles.held, *every]))
+
+
+def _ways(motion: Motion, particles: ParticleOptions, model: Model, choices: Sequence[Selectable]) -> list[Way]:
+    """Those of static states; the first is the one that was asked for."""
+    last, contact = motion.history[-1], particles.contact_rect
+    sizes: list[int | None] = [model.cluster_size]
+    if "cluster-size" in choices:
+        sizes += [size for size in CLUSTER_SIZES if size <= min(motion.grid.shape) and size != model.cluster_size]
+    ways: list[Way] = []
+    for parts in held_sets(particles) if "held" in choices else [particles.held]:
+        try:
+            held, moved = hold_what_is_seen(motion.grid, last, dataclasses.replace(particles, held=parts), contact)
+        except InputError:
+            if not ways:  # what was asked for
+                raise
+            continue  # a part that cannot be followed, or that leaves no particle free
+        some = [dataclasses.replace(model, cluster_size=size) for size in sizes]
+        ways += [Way(one, parts, held, tuple(moved)) for one in some]
+    return ways
+
+
+def _judges(motion: Motion, ways: Sequence[Way]) -> BoolArray:
+    """(K,) particles that are free whatever is held: else holding more would always win."""
+    judged: BoolArray = ~np.any([held_mask(len(motion.grid.rest_px), way.held) for way in ways], axis=0)
+    if np.count_nonzero(judged & motion.history[-1].seen) < JUDGES_LEAST:
+        raise InputError(
+            f"{JUDGES_LEAST} particles that are free whatever is held, to judge by",
+            str(np.count_nonzero(judged & motion.history[-1].seen)),
+            "a finer --grid, or --select without held",
+        )
+    return judged
+
+
+def _moving_ways(motion: Motion, model: Model, still: Way, choices: Sequence[Selectable]) -> list[Way]:
+    """Time stepping with each alpha and dt, the frames' times permitting."""
+    alphas = sorted({*ALPHAS, model.alpha}) if "alpha" in choices else [model.alpha]
+    times = tuple(float(time) for time in motion.times[1:])
+    shortest = float(np.diff(motion.times).min())
+    dts = [dt for dt in DTS_S if dt <= shortest] or [shortest] if "dt" in choices else [min(DT_S, shortest)]
+    return [
+        dataclasses.replace(still, model=dataclasses.replace(still.model, alpha=alpha), pace=Pace(alpha, dt, times))
+        for dt in dts
+        for alpha in alphas
+    ]
+
+
+Trial = tuple[Way, HeldOut]
+
+
+def _try(
+    motion: Motion,
+    particles: ParticleOptions,
+    fit: FitOptions,
+    ways: Sequence[Way],
+    judged: BoolArray,
+    what: str,
+    progress: Progress | None,
+) -> list[Trial]:
+    """The held-out error of every way."""
+    rest = np.asarray(motion.grid.rest_px, dtype=np.float64)
+    block, fold = blocks_of(rest, spacing(rest), FLOW_WINDOW_PX)
+    found = []
+    for number, way in enumerate(ways):
+        if progress is not None:
+            progress(what, number, len(ways))
+        seen = motion.observations(motion.frames(len(motion.history)), way.held, particles)
+        some = motion.frames(FRAMES_TO_SELECT) - 1
+        search: Search
+        if way.pace is None:
+            search = Search([seen[row] for row in some], way.model, fit.bounds)
+        else:
+            search = MovingSearch(seen, way.model, fit.bounds, way.pace).only(some, np.ones(len(some)))
+        low, high = (search.stretch(bound) for bound in fit.bounds)
+        search.simulate(search.shrink(np.linspace(low, high, CANDIDATES)))
+        found.append((way, hold_out(search, judged, block, fold)))
+    return found
+
+
+def _best(tried: Sequence[Trial]) -> int:
+    """The least held-out error; of those within a hundredth of it, the one with the fewest particles held."""
+    errors = np.array([out.error if out.usable else np.inf for _, out in tried])
+    if not np.isfinite(errors).any():
+        raise InputError("a simulation that stays finite", "every one diverged", "a lower --theta")
+    near: list[int] = np.flatnonzero(errors <= (1.0 + TOLD_LEAST) * errors.min()).tolist()
+    return min(near, key=lambda i: (len(tried[i][0].held), errors[i]))
+
+
+def _rows(tried: Sequence[Trial], best: int) -> list[Choice]:
+    rows = []
+    for index, (way, out) in enumerate(tried):
+        pace = way.pace
+        rows.append(
+            Choice(
+                cluster_size=way.model.cluster_size,
+                held=way.parts,
+                alpha=None if pace is None else pace.alpha,
+                dt=None if pace is None else pace.dt,
+                held_out=out.error,
+                scatter=difference(out, tried[best][1])[1],
+                fit=out.fit,
+                value=out.value,
+                chosen=index == best,
+            )
+        )
+    return rows
+
+
+def _said_of_static(tried: Sequence[Trial], best: int, choices: Sequence[str]) -> list[str]:
+    """Whether the data tell each choice."""
+    way, out = tried[best]
+    said = []
+    for choice in choices:
+
+        def value(one: Way, choice: str = choice) -> str:
+            return f"{one.model.cluster_size} a side" if choice == "cluster-size" else ",".join(one.parts)
+
+        others = [one for one in tried if value(one[0]) != value(way) and one[1].usable]
+        same = list(dict.fromkeys(value(one[0]) for one in others if not tells(one[1], out)))
+        name = "clusters" if choice == "cluster-size" else "held"
+        also = f" ({' and '.join(same)} cannot be told from it)" if same else ""
+        said.append(f"{name}: {value(way)}{also}")
+    return said
+
+
+def _said_of_pace(tried: Sequence[Trial], best: int, still: HeldOut, choices: Sequence[Selectable]) -> str:
+    """Whether the data tell alpha and dt at all, and which values fit as well as the best."""
+    out = tried[best][1]
+    names = " and ".join(choice for choice in ("alpha", "dt") if choice in choices)
+    if not tells(still, out):
+        late = sum(not one.usable or tells(one, still) for _, one in tried)
+        but = f" ({late} of {len(tried)} settings tried would lag behind)" if late else ""
+        return f"the motion was slow enough to be static; {names} cannot be told{but}"
+    good = [way.pace for way, one in tried if one.usable and way.pace is not None and not tells(one, out)]
+    said = []
+    if "alpha" in choices:
+        said.append("alpha " + _span([pace.alpha for pace in good]))
+    if "dt" in choices:
+        said.append("dt " + _span([pace.dt for pace in good]) + " s")
+    return f"time stepping fits better than static states: {', '.join(said)} (what creeps or yields looks so too)"
+
+
+def _span(values: Sequence[float]) -> str:
+    low, high = min(values), max(values)
+    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
