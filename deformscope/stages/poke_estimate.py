@@ -29,7 +29,7 @@ from deformscope.stages.poke import Law, Tip
 from deformscope.stages.poke_fit import DOWN, PokesFit, PosedPoke
 from deformscope.stages.stiffness_field import fit_field
 
-BESIDE = (-1.0, -0.6, -0.3, -0.15, 0.0, 0.15, 0.3, 0.6, 1.0)
+BESIDE = (-0.9, -0.45, -0.2, 0.0, 0.2, 0.45, 0.9)
 """Values of -log(1 - beta) beside the estimate at which the error curve is taken."""
 
 BEYOND, CLEAR = 5, 2.5
