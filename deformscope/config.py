@@ -563,6 +563,16 @@ class BetaConfig(CalibrateOptions):
             raise InputError("--mode linear with --thickness-m", self.mode)
         _check_span("--beta-range", self.beta_range, BETA_LIMIT)
 
+    @property
+    def fitted_cluster_size(self) -> int:
+        """Particles along each side of a cluster where no layers are fitted."""
+        return 3 if self.cluster_size is None else self.cluster_size
+
+    @property
+    def fitted_theta(self) -> float:
+        """Volume conservation where no layers are fitted."""
+        return 0.0 if self.theta is None else self.theta
+
 
 @dataclass(frozen=True, slots=True)
 class ThetaConfig(CalibrateOptions):

@@ -48,9 +48,9 @@ def beta(config: BetaConfig) -> None:
     model = Model(
         "beta",
         config.mode,
-        config.cluster_size or DEFAULT_CLUSTER_SIZE,
+        config.fitted_cluster_size,
         config.alpha,
-        theta=config.theta or 0.0,
+        theta=config.fitted_theta,
         volume=config.search.volume,
         device=_device(config),
     )

@@ -181,7 +181,8 @@ def test_defaults_are_the_thesis() -> None:
     beta = cli.parse(config.BetaConfig, ["v.mp4"])
     theta = cli.parse(config.ThetaConfig, ["v.mp4"])
 
-    assert (beta.mode, beta.cluster_size, beta.alpha, beta.theta, beta.beta_range) == ("linear", 3, 1, 0, (0, 0.99))
+    assert (beta.mode, beta.alpha, beta.beta_range) == ("linear", 1, (0, 0.99))
+    assert (beta.fitted_cluster_size, beta.fitted_theta) == (3, 0.0)
     assert (theta.mode, theta.single_cluster, theta.alpha, theta.beta, theta.theta_range) == (
         "quadratic",
         True,
