@@ -24,6 +24,8 @@ from deformscope.cli.summaries import estimate_rows, write_summaries
 from deformscope.config import BetaConfig, ImageOptions, OutputOptions, SearchOptions, SummaryOptions, ThetaConfig
 from deformscope.errors import InputError
 
+NO_SUMMARY = SummaryOptions()
+
 if TYPE_CHECKING:
     from deformscope.arrays import ImageArray
     from deformscope.experiments.foam_video import ParticleOptions
