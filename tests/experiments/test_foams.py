@@ -14,7 +14,6 @@ pytest.importorskip("cv2")
 from deformscope.experiments import foams
 from deformscope.experiments.foams import FoamResult, Setup, controls, measure, rank_correlation, trend
 from deformscope.lab.foam import FOAMS
-from deformscope.stages.calibrate import Calibration
 
 COARSE = Setup(foams=FOAMS[:1], depth_m=0.008, images=2, element_m=0.014, cluster_sizes=(2,))
 
@@ -75,7 +74,8 @@ def made(seen: FoamResult, betas: list[tuple[float, float, float]]) -> list[Foam
     results = []
     for foam, (value, low, high) in zip(sorted(FOAMS, key=lambda foam: foam.hardness), betas, strict=True):
         estimate = dataclasses.replace(seen.fit("flow", "one", 2).estimate, value=value, interval=(low, high))
-        fit = dataclasses.replace(seen.fits[0], calibration=Calibration(estimate, ()))
+        found = dataclasses.replace(seen.fits[0].calibration, estimate=estimate, comparisons=())
+        fit = dataclasses.replace(seen.fits[0], calibration=found)
         results.append(dataclasses.replace(seen, foam=foam, fits=(fit,)))
     return results
 
