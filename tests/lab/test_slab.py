@@ -38,6 +38,7 @@ def test_it_is_linear_and_force_and_depth_belong_together() -> None:
     assert one.touched.sum() == 9
 
 
+@pytest.mark.slow
 def test_a_finer_mesh_changes_little() -> None:
     points = THIN.grid(0.01)
     coarse, fine = (
@@ -57,6 +58,7 @@ def test_a_bonded_tip_is_stiffer_and_holds_the_surface_still_sideways() -> None:
     assert np.abs(free.displaced[free.touched, :2]).max() > 1e-5
 
 
+@pytest.mark.slow
 def test_a_ball_follows_hertz_on_a_deep_slab_and_pulls_at_nothing() -> None:
     found = press(DEEP, (0.25, 0.25), RigidTip(radius=0.03), DEEP.grid(0.1), depth=0.004, finest=0.003)
     hertz = 4 / 3 * 50e3 / 0.91 * np.sqrt(0.03) * 0.004**1.5
