@@ -317,10 +317,13 @@ def calibrate_pair_bytes(
     from deformscope.pictures import Result
     from deformscope.recorder import Recorder
     from deformscope.session import run
+    from deformscope.stages.msm.clusters import rank
 
     if save is not None and layers is None and len(raws) > 1:
         raise InputError("one pair file with --save, or --thickness-m with several pokes of a surface", str(len(raws)))
     seen = [parse_pair(raw, name, noise_m=noise_m) for name, raw in raws]
+    if layers is None and any(one.rest.shape[1] == 3 and rank(one.rest) == 2 for one in seen):
+        console().print("note: a flat surface by itself hardly feels beta; --thickness-m fits the material below it")
     names = [name for name, _ in raws]
     found: list[Calibration] = []
     pokes: PokesFound | None = None
