@@ -116,7 +116,7 @@ def _poke(text: PokeText, model: FittedModel) -> Poke:
     if model.dim == 3 and at.size == 2:
         at = np.append(at, model.rest[:, 2].max())
     if at.size != model.dim:
-        raise InputError(f"at= with {model.dim} coordinates", f"{at.size}", "at=0.28,0.2")
+        raise InputError(f"at= with {2 if model.dim == 2 else '2 or 3'} coordinates", f"{at.size}", "at=0.28,0.2")
     return Poke(at, tip, text.depth, text.force)
 
 

@@ -141,6 +141,12 @@ def below(surface: Surface, *, spacing: float, centre: FloatArray | None = None,
     low, high = surface.points[:, :2].min(axis=0), surface.points[:, :2].max(axis=0)
     at = low if centre is None else np.asarray(centre, dtype=np.float64)
     far = np.inf if reach is None else reach
+    if ((at < low - spacing) | (at > high + spacing)).any():
+        raise InputError(
+            f"a place within ({low[0]:.3g}, {low[1]:.3g}) to ({high[0]:.3g}, {high[1]:.3g}) m",
+            f"({at[0]:.3g}, {at[1]:.3g})",
+            "a place on the surface",
+        )
     first = np.ceil((np.maximum(low, at - far) - at) / spacing - 1e-6).astype(np.int64)
     last = np.floor((np.minimum(high, at + far) - at) / spacing + 1e-6).astype(np.int64)
     count = last - first + 1

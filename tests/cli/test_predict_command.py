@@ -130,8 +130,8 @@ def test_several_pokes_stand_behind_one_flag() -> None:
     ("args", "said"),
     [
         (["MODEL"], "a --poke or pokes"),
-        (["MODEL", "--poke", "at=0.1 depth=0.1"], "at= with 3 coordinates"),
-        (["MODEL", "--poke", "at=5,5 depth=0.001"], "surface"),
+        (["MODEL", "--poke", "at=0.1 depth=0.1"], "at= with 2 or 3 coordinates"),
+        (["MODEL", "--poke", "at=5,5 depth=0.001"], "a place within"),
         (["PAIR", "--poke", "at=0.1,0.1 depth=0.001"], "a pair file"),
         (["MODEL", "--against", "NOTHING"], "a pair file (.npz)"),
     ],

@@ -97,5 +97,5 @@ def test_what_is_no_surface_is_refused(points: FloatArray, thickness: float, sai
 
 
 def test_a_place_beside_the_surface_is_refused() -> None:
-    with pytest.raises(InputError, match="lattice spacings"):
+    with pytest.raises(InputError, match="a place within"):
         below(Surface(surface_points(), 0.03), spacing=0.01, centre=np.array([0.9, 0.9]), reach=0.02)
