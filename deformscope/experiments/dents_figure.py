@@ -60,7 +60,7 @@ def _draw(axes: Axes, found: Prediction, measured: Comparison | None) -> None:
     axes.plot([-half, half], [low, low], color=TIP, lw=3, alpha=0.5, label="tip")
     place = ", ".join(f"{v:.3g}" for v in at[:2])
     size = " x ".join(f"{1e3 * side:.3g}" for side in found.poke.tip.size)
-    force = "" if found.force is None else f", {found.force:.3g} N predicted"
+    force = "" if found.force is None else f"\n{found.force:.3g} N predicted"
     if measured is not None and measured.poke.force is not None:
         force += f", {measured.poke.force:.3g} N measured"
     axes.set_title(f"{found.poke.tip.shape} {size} mm at ({place}) m{force}", fontsize=9)

@@ -54,7 +54,7 @@ MISFIT_ROUGH = 0.05
 they are large their finest part must not pass for knowledge."""
 
 PRIOR_NO_FIELD = 0.5
-PRIOR_HELD_EXACT = 0.5
+PRIOR_HELD_EXACT = 0.15
 """Prior weight of exact prescribed positions where it is not told whether they were measured."""
 
 SCALE_SPREAD = 1.0

@@ -31,8 +31,8 @@ FIRST_SIZES, SIZES = (3, 4), (2, 7)
 Progress = Callable[[str, int, int], None]
 
 CELLS_ACROSS_TIP = 4
-"""Lattice cells across the tip by default: with fewer, the force of a wider or narrower tip is off (2 cm to 4 cm on a
-layer of 5 cm: 11 % with two cells, 3 % with four)."""
+"""Lattice cells across the tip by default, and at least where a narrower tip is predicted: with fewer, the force of a
+wider or narrower tip is off (2 cm to 4 cm on a layer of 5 cm: 11 % with two cells, 5 % with four)."""
 
 REACH_SHARE, REACH_TIPS = 1.1, 0.5
 """The lattice goes this many thicknesses, and tip widths, beyond the tip on each side: there the surface is quiet."""
