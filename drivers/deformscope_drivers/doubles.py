@@ -1,0 +1,74 @@
+"""What simulated devices are made of: a state machine that is fed bytes and time, and a line that sends at its pace.
+
+A double is pure: it opens no port, starts no thread and reads no clock. `deformscope_drivers.wires` puts it behind a
+pseudo terminal, a CAN bus or a socket; a simulated laboratory drives it by its own clock.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Protocol
+
+
+class Double(Protocol):
+    """A byte-exact simulated device, seen from its end of the wire. Times are on one clock that never jumps."""
+
+    def receive(self, data: bytes, now_ns: int) -> None:
+        """Take bytes that the host sent, in pieces of any size."""
+
+    def due(self, now_ns: int) -> bytes:
+        """What has left the device by now and was not handed out before."""
+
+    def next_ns(self, now_ns: int) -> int | None:
+        """When `due` has something next, without any bytes from the host; None = only bytes from the host matter."""
+
+    def power_up(self, now_ns: int) -> None:
+        """Start as after switching on: settings that are not kept are gone, and nothing is left to send."""
+
+
+class Line:
+    """A transmitter that sends whole messages, one after the other, at a line's rate.
+
+    bytes_per_s: 11 520 for 115 200 baud 8N1; None = at once (USB and TCP, beside 1 kHz of 16 bytes)
+    """
+
+    def __init__(self, bytes_per_s: float | None = None) -> None:
+        self._ns_per_byte = 0.0 if bytes_per_s is None else 1e9 / bytes_per_s
+        self._messages: deque[tuple[int, bytes]] = deque()
+        self._sent = 0  # bytes of the first message that were handed out
+        self.free_ns = 0
+
+    def send(self, message: bytes, now_ns: int) -> None:
+        """Send behind what is being sent."""
+        start = max(now_ns, self.free_ns)
+        self._messages.append((start, message))
+        self.free_ns = start + round(len(message) * self._ns_per_byte)
+
+    def due(self, now_ns: int) -> bytes:
+        """The bytes that have left by now and were not handed out before."""
+        out = bytearray()
+        while self._messages:
+            start, message = self._messages[0]
+            if start > now_ns:
+                break
+            left = len(message) if not self._ns_per_byte else int((now_ns - start) / self._ns_per_byte)
+            out += message[self._sent : left]
+            self._sent = max(self._sent, min(left, len(message)))
+            if self._sent < len(message):
+                break
+            self._messages.popleft()
+            self._sent = 0
+        return bytes(out)
+
+    def next_ns(self) -> int | None:
+        """When the next byte has left; None = the line is idle."""
+        if not self._messages:
+            return None
+        start, _ = self._messages[0]
+        return start + round((self._sent + 1) * self._ns_per_byte)
+
+    def clear(self) -> None:
+        """Forget what was not sent."""
+        self._messages.clear()
+        self._sent = 0
+        self.free_ns = 0

@@ -1,0 +1,76 @@
+"""What can go wrong with a device. Each message says what was expected, what came, what to try; the port comes last.
+
+DeviceError
+ +- NotConnected       it is not there, or cannot be opened
+ |   +- Busy           another program, or another session, has it
+ +- LinkLost           it was there, and is gone (a reconnect may follow)
+ +- NoReply            it is there, and did not answer in time
+ +- ProtocolViolation  it answered what its protocol does not allow
+ +- CommandRefused     it answered with an error code
+ +- SettingsRefused    it runs with other settings than those asked for
+ +- OutOfLimits        a command that would leave the limits; nothing was sent
+ +- Stale              there is no reading as fresh as was asked for
+ +- LibraryMissing     software of the vendor's, or an optional package, is not installed
+"""
+
+from __future__ import annotations
+
+
+class DeviceError(Exception):
+    """Something is wrong with a device."""
+
+    def __init__(self, expected: str, came: str, try_this: str = "", where: object = "") -> None:
+        parts = [f"expected {expected}; got {came}"]
+        if try_this:
+            parts.append(f"try: {try_this}")
+        if str(where):
+            parts.append(str(where))
+        super().__init__(" | ".join(parts))
+
+
+class NotConnected(DeviceError):
+    """The device is not there, cannot be opened, or was closed."""
+
+
+class Busy(NotConnected):
+    """The port is in another's hands."""
+
+
+class LinkLost(DeviceError):
+    """The device was there, and is gone."""
+
+
+class NoReply(DeviceError):
+    """The device did not answer in time."""
+
+
+class ProtocolViolation(DeviceError):
+    """The device said what its protocol does not allow."""
+
+
+class CommandRefused(DeviceError):
+    """The device answered with an error code.
+
+    code: the device's number; name: what its documents call it
+    """
+
+    def __init__(self, code: int, name: str, doing: str, try_this: str = "", where: object = "") -> None:
+        super().__init__(f"success of {doing}", f"error {code} ({name})", try_this, where)
+        self.code = code
+        self.name = name
+
+
+class SettingsRefused(DeviceError):
+    """The device runs with other settings than those asked for."""
+
+
+class OutOfLimits(DeviceError):
+    """A command that would leave the limits; nothing was sent."""
+
+
+class Stale(DeviceError):
+    """There is no reading as fresh as was asked for."""
+
+
+class LibraryMissing(DeviceError):
+    """Software of the vendor's, or an optional package, is not installed."""

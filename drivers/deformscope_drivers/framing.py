@@ -1,0 +1,115 @@
+"""Finding frames in a byte stream that may hold anything: what every byte-stream decoder is made of.
+
+No port, no clock, no thread. Bad bytes are events, never exceptions: they are counted and recorded like good ones.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+NOISE = "noise"
+CUT_OFF = "cut off"
+
+EventT = TypeVar("EventT")
+
+
+@dataclass(frozen=True, slots=True)
+class Skipped:
+    """Bytes that belong to no good frame.
+
+    count: how many, 1 or more
+    reason: `noise` where nothing looked like a frame; else why the frame that seemed to start there was refused
+    ("checksum", "length"...). However the bytes were cut into pieces, there is one event with a reason other than
+    `noise` for every refused frame, and the counts of all events sum up to the refused bytes.
+    """
+
+    count: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Found(Generic[EventT]):
+    """A good frame: what it says, and its length in bytes."""
+
+    event: EventT
+    length: int
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """What seemed to start a frame, and does not; `reason` is one word or two."""
+
+    reason: str
+
+
+class FrameDecoder(ABC, Generic[EventT]):
+    """Feed any slice of a stream; get every whole frame in it, and the bytes that fit none.
+
+    After a frame that is refused the search goes on one byte behind its start, so that a good frame that lies within
+    a bad one is found. What is kept between calls is shorter than the longest frame.
+    """
+
+    def __init__(self) -> None:
+        self._kept = b""
+
+    @property
+    def pending(self) -> int:
+        """Bytes that wait for the rest of their frame."""
+        return len(self._kept)
+
+    def feed(self, data: bytes) -> Iterator[EventT | Skipped]:
+        """The events that these bytes complete, in the order of the stream. All of `data` is taken at once."""
+        buffer = self._kept + bytes(data)
+        events, kept_from = self._scan(buffer, ended=False)
+        self._kept = buffer[kept_from:]
+        return iter(events)
+
+    def finish(self) -> Iterator[EventT | Skipped]:
+        """The stream has ended: what waited for more is refused as `cut off`, and good frames behind it come out."""
+        events, _ = self._scan(self._kept, ended=True)
+        self._kept = b""
+        return iter(events)
+
+    @abstractmethod
+    def _find(self, buffer: bytes, start: int) -> int:
+        """The first place at or behind `start` where a frame may start, perhaps cut off by the end of the buffer; the
+        buffer's length where there is none."""
+
+    @abstractmethod
+    def _parse(self, buffer: bytes, start: int) -> Found[EventT] | Refused | None:
+        """The frame that starts there; None = more bytes are needed, of which there is a bound."""
+
+    def _scan(self, buffer: bytes, *, ended: bool) -> tuple[list[EventT | Skipped], int]:
+        events: list[EventT | Skipped] = []
+        refused_from, reason = 0, NOISE
+        at = 0
+        while (start := self._find(buffer, at)) < len(buffer):
+            frame = self._parse(buffer, start)
+            if frame is None and not ended:
+                break
+            if start > refused_from:
+                events.append(Skipped(start - refused_from, reason))
+            if isinstance(frame, Found):
+                events.append(frame.event)
+                at = refused_from = start + frame.length
+                reason = NOISE
+            else:
+                refused_from, reason = start, frame.reason if frame else CUT_OFF
+                at = start + 1
+        if start > refused_from:
+            events.append(Skipped(start - refused_from, reason))
+        return events, start
+
+
+def find_start(buffer: bytes, start: int, header: bytes) -> int:
+    """Where `header`, or as much of it as the buffer's end has room for, first stands at or behind `start`."""
+    found = buffer.find(header, start)
+    if found >= 0:
+        return found
+    for length in range(min(len(header) - 1, len(buffer) - start), 0, -1):
+        if buffer.endswith(header[:length]):
+            return len(buffer) - length
+    return len(buffer)
