@@ -1,0 +1,148 @@
+r"""The ASCII protocol, which every firmware speaks: lines of text, both ways.
+
+The host ends a command by \r\n; the hand ends a line by \n, with \r at either end or without.
+
+    p=0.000000,-10.000000,...      set all           P=0.000,-10.000,...
+    p(3)=       1.500              set one           P(3)=1.500
+    pos                            ask               POS=0.00,-10.00,...
+    m                              move              M=4.51
+    (any)                          refused           E24
+                                   not an answer     @max distance=45.06, T=4.51s, num_points: 451
+
+Source: ipab-slmc/SDHLibrary-CPP, sdh/sdhserial.cpp.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+
+from deformscope_drivers.sdh.codes import AXIS_COUNT, CODES, ERRORS, INTEGER_COMMANDS, MEASURED_COUNT, TEXT_COMMANDS
+from deformscope_drivers.sdh.events import Command, DebugLine, ErrorReply, Event, Reading, TextReply, ValueReply
+
+LINE_MAX = 256  # of a line's text; the longest known is 85 bytes
+
+BARE_REPLIES = ("m", "stop")
+"""Answers without `=`. Firmware before 0.0.3.1 ends the answer to `m` by a bare, small `m`; `STOP` is an assumption."""
+
+_LINE = re.compile(r"(?P<name>[A-Za-z]\w*)(?:\(\s*(?P<axis>\d)\s*\))?(?:\s*=\s*(?P<values>.*\S)?)?\s*")
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
+_ERROR = re.compile(r"E(\d{1,3})")
+
+
+class BadLine(ValueError):
+    """A line that the protocol does not know; `reason` is a word or two."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        self.reason = reason
+
+
+def encode_command(command: Command) -> bytes:
+    """The line of a command. Raises ValueError for what the protocol has no words for; limits are not looked at."""
+    name, values, axis = command.name, command.values, command.axis
+    if name not in CODES:
+        raise ValueError(f"the hand has no command {name!r}")
+    if axis is not None and not 0 <= axis < AXIS_COUNT:
+        raise ValueError(f"axes are 0 to {AXIS_COUNT - 1}, not {axis}")
+    if not all(math.isfinite(value) for value in values):
+        raise ValueError(f"values must be finite: {values}")
+    head = name if axis is None else f"{name}({axis})"
+    if not values:
+        return f"{head}\r\n".encode()
+    if axis is not None and len(values) == 1:
+        return f"{head}={values[0]:12.3f}\r\n".encode()
+    if name in INTEGER_COMMANDS:
+        if len(values) != 1 or not float(values[0]).is_integer():
+            raise ValueError(f"{name} takes one whole number, not {values}")
+        return f"{head}={int(values[0])}\r\n".encode()
+    return f"{head}={','.join(f'{value:f}' for value in values)}\r\n".encode()
+
+
+def decode_command(line: str) -> Command:
+    """What the host asks, seen by the hand. Raises BadLine."""
+    name, axis, text = _parts(line)
+    return Command(name, _numbers(text), axis)
+
+
+def encode_reply(event: Event, decimals: int = 2) -> bytes:
+    """The hand's line. `decimals` of measured and set values are not documented; whole numbers are sent as such."""
+    match event:
+        case ErrorReply(code=code):
+            return f"E{code}\r\n".encode()
+        case DebugLine(text=text):
+            return f"@{text}\r\n".encode()
+        case TextReply(name=name, text=text):
+            return f"{name.upper()}={text}\r\n".encode()
+    name = event.quantity if isinstance(event, Reading) else event.name
+    head = name.upper() if event.axis is None else f"{name.upper()}({event.axis})"
+    if not event.values:
+        return f"{head}\r\n".encode()
+    shown = (_shown(name, index, value, decimals) for index, value in enumerate(event.values))
+    return f"{head}={','.join(shown)}\r\n".encode()
+
+
+def _shown(name: str, index: int, value: float, decimals: int) -> str:
+    """As in the examples that Schunk gives: M=4.51, SELGRIP=0.0,1, GRIP=0.42,0.1, POWER=0,0,0,0,0,0,0."""
+    if name in ("m", "get_duration", "grip") or (name == "selgrip" and index == 0):
+        return str(round(value, 2))
+    if name in INTEGER_COMMANDS or name in ("state", "power", "ref", "pos_save", "numaxis"):
+        return f"{value:.0f}"
+    return f"{value:.{decimals}f}"
+
+
+def decode_reply(line: str) -> Event:
+    r"""What a line of the hand's says; without \r and \n. Raises BadLine."""
+    if line.startswith("@"):
+        return DebugLine(line[1:])
+    if error := _ERROR.fullmatch(line):
+        if int(error[1]) >= len(ERRORS):
+            raise BadLine("status")
+        return ErrorReply(int(error[1]))
+    name, axis, text = _parts(line)
+    bare = "=" not in line
+    if not line.startswith(name.upper()) and not (bare and name == "m"):
+        raise BadLine("name")
+    if bare and (name not in BARE_REPLIES or axis is not None):
+        raise BadLine("line")
+    if name in TEXT_COMMANDS:
+        if axis is not None:
+            raise BadLine("axis")
+        return TextReply(name, text)
+    values = _numbers(text)
+    if not bare and not values:
+        raise BadLine("number")
+    expected = MEASURED_COUNT.get(name)
+    if expected is None:
+        return ValueReply(name, values, axis)
+    if len(values) != (expected if axis is None else 1):
+        raise BadLine("count")
+    return Reading(name, values, axis)
+
+
+def _parts(line: str) -> tuple[str, int | None, str]:
+    match = _LINE.fullmatch(line)
+    if match is None:
+        raise BadLine("line")
+    name = match["name"].lower()
+    if name not in CODES or match["name"] not in (name, name.upper()):
+        raise BadLine("name")
+    axis = None if match["axis"] is None else int(match["axis"])
+    if axis is not None and axis >= AXIS_COUNT:
+        raise BadLine("axis")
+    return name, axis, match["values"] or ""
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    if not text:
+        return ()
+    values = []
+    for part in text.split(","):
+        number = part.strip().removesuffix("s")  # one of Schunk's examples has a duration as `4.51s`
+        if not _NUMBER.fullmatch(number):
+            raise BadLine("number")
+        value = float(number)
+        if not math.isfinite(value):
+            raise BadLine("number")
+        values.append(value)
+    return tuple(values)

@@ -1,0 +1,111 @@
+"""The binary protocol of firmware 0.0.2.15 and later: one request, one reply, always for all seven axes.
+
+    request  code u8, length u8, count u8 (0 or 7),            count x f32, [crc u16]
+    reply    code u8, length u8, count u8,         status u8,      7 x f32, [crc u16]
+
+Little-endian. `length` counts every byte behind itself, with the checksum; so it tells whether there is one. There is
+one on RS-232, over all bytes before it, and none on CAN and TCP. Source: ipab-slmc/SDHLibrary-CPP, sdh/sdhserial.cpp.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+
+from deformscope_drivers.framing import Found, Refused
+from deformscope_drivers.sdh.codes import AXIS_COUNT, CODES, ERRORS, MEASURED_COUNT, NAMES
+from deformscope_drivers.sdh.events import Command, ErrorReply, Event, Reading, ValueReply
+from deformscope_drivers.weiss_crc import crc16
+
+FIRST_CODE, LAST_CODE = min(NAMES), max(NAMES)
+CHECKSUM_SIZE = 2
+_VALUES = struct.Struct(f"<{AXIS_COUNT}f")
+_REPLY_LENGTH = 2 + _VALUES.size
+_REQUEST_LENGTHS = {1: 0, 1 + _VALUES.size: AXIS_COUNT}
+
+
+def encode_request(command: Command, *, checksummed: bool) -> bytes:
+    """Raises ValueError for what the protocol has no bytes for; limits are not looked at."""
+    values = command.values
+    if command.name not in CODES:
+        raise ValueError(f"the hand has no command {command.name!r}")
+    if command.axis is not None or len(values) not in (0, AXIS_COUNT):
+        raise ValueError(f"a binary request is for all {AXIS_COUNT} axes: {command}")
+    if not all(math.isfinite(value) for value in values):
+        raise ValueError(f"values must be finite: {values}")
+    payload = _VALUES.pack(*values) if values else b""
+    length = 1 + len(payload) + CHECKSUM_SIZE * checksummed
+    return _sealed(bytes([CODES[command.name], length, len(values)]) + payload, checksummed)
+
+
+def encode_reply(event: Reading | ValueReply | ErrorReply, *, checksummed: bool) -> bytes:
+    """The hand's reply. A refused command is answered with zeros; that its count is 7 too is an assumption."""
+    values: tuple[float, ...]
+    if isinstance(event, ErrorReply):
+        name, status, values = event.name or "", event.code, (0.0,) * AXIS_COUNT
+    else:
+        name = event.quantity if isinstance(event, Reading) else event.name
+        status, values = 0, event.values
+    length = _REPLY_LENGTH + CHECKSUM_SIZE * checksummed
+    head = bytes([CODES[name], length, AXIS_COUNT, status])
+    return _sealed(head + _VALUES.pack(*values), checksummed)
+
+
+def parse_reply(buffer: bytes, start: int, checksummed: bool | None) -> Found[Event] | Refused | None:
+    """The reply whose code stands at `start`; checksummed: None = as its length says."""
+    body = _body(buffer, start, {_REPLY_LENGTH: AXIS_COUNT}, checksummed)
+    if not isinstance(body, bytes):
+        return body
+    code, length, count, status = body[:4]
+    if count not in (0, AXIS_COUNT):
+        return Refused("count")
+    if status >= len(ERRORS):
+        return Refused("status")
+    values = _VALUES.unpack_from(body, 4)
+    if not all(math.isfinite(value) for value in values):
+        return Refused("value")
+    name = NAMES[code]
+    event: Event
+    if status:
+        event = ErrorReply(status, name)
+    elif name in MEASURED_COUNT:
+        if count != MEASURED_COUNT[name]:
+            return Refused("count")
+        event = Reading(name, values)
+    else:
+        event = ValueReply(name, values[:count])
+    return Found(event, 2 + length)
+
+
+def parse_request(buffer: bytes, start: int, checksummed: bool | None) -> Found[Command] | Refused | None:
+    """The request whose code stands at `start`, seen by the hand."""
+    body = _body(buffer, start, _REQUEST_LENGTHS, checksummed)
+    if not isinstance(body, bytes):
+        return body
+    code, length, count = body[:3]
+    values = body[3 : 3 + _VALUES.size]
+    if count != (AXIS_COUNT if length > 1 + CHECKSUM_SIZE else 0):
+        return Refused("count")
+    return Found(Command(NAMES[code], _VALUES.unpack(values) if count else ()), 2 + length)
+
+
+def _sealed(message: bytes, checksummed: bool) -> bytes:
+    return message + crc16(message).to_bytes(CHECKSUM_SIZE, "little") if checksummed else message
+
+
+def _body(buffer: bytes, start: int, lengths: dict[int, int], checksummed: bool | None) -> bytes | Refused | None:
+    """The message that starts there, once it is whole and its length and checksum are right."""
+    if len(buffer) < start + 2:
+        return None
+    length = buffer[start + 1]
+    has_checksum = length not in lengths
+    if has_checksum and length - CHECKSUM_SIZE not in lengths:
+        return Refused("length")
+    if checksummed is not None and has_checksum != checksummed:
+        return Refused("length")
+    if len(buffer) < start + 2 + length:
+        return None
+    message = buffer[start : start + 2 + length]
+    if has_checksum and crc16(message[:-CHECKSUM_SIZE]) != int.from_bytes(message[-CHECKSUM_SIZE:], "little"):
+        return Refused("checksum")
+    return message

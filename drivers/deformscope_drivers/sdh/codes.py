@@ -1,0 +1,212 @@
+"""The SDH hand's numbers: commands, error codes, axis states, grasps, controllers, limits, firmware releases.
+
+Source: ipab-slmc/SDHLibrary-CPP (Schunk's own library), sdh_codes.h, sdhbase.cpp, sdh.cpp, sdhserial.cpp; facts only.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Final
+
+AXIS_COUNT: Final = 7
+TEMPERATURE_COUNT: Final = 9
+
+
+class AxisState(IntEnum):
+    """What one axis does."""
+
+    IDLE = 0
+    POSITIONING = 1
+    SPEED_MODE = 2
+    NOT_INITIALIZED = 3
+    CW_BLOCKED = 4
+    CCW_BLOCKED = 5
+    DISABLED = 6
+    LIMITS_REACHED = 7
+
+
+MOVING: Final = (AxisState.POSITIONING, AxisState.SPEED_MODE)
+BLOCKED: Final = (AxisState.CW_BLOCKED, AxisState.CCW_BLOCKED)
+
+
+class Controller(IntEnum):
+    """How targets are followed. VELOCITY and VELOCITY_ACCELERATION need firmware 0.0.2.6."""
+
+    POSE = 0
+    VELOCITY = 1
+    VELOCITY_ACCELERATION = 2
+
+
+class VelocityProfile(IntEnum):
+    """How the speed of a pose move goes over its time; `selgrip` and `grip` know SIN_SQUARE only."""
+
+    SIN_SQUARE = 0
+    RAMP = 1
+
+
+class Grasp(IntEnum):
+    """The grasps that the firmware knows."""
+
+    CENTRICAL = 0
+    PARALLEL = 1
+    CYLINDRICAL = 2
+    SPHERICAL = 3
+
+
+# Binary command codes; the names in lower case are the commands of the ASCII protocol.
+CODES: Final = {
+    "v": 128,
+    "vel": 129,
+    "rvel": 130,
+    "pos": 131,
+    "state": 132,
+    "p": 133,
+    "a": 134,
+    "m": 135,
+    "stop": 136,
+    "vp": 137,
+    "con": 138,
+    "tpap": 139,
+    "tvav": 140,
+    "vlim": 141,
+    "alim": 142,
+    "pos_save": 143,
+    "ref": 144,
+    "temp": 145,
+    "id": 146,
+    "sn": 147,
+    "ver": 148,
+    "ver_date": 149,
+    "soc": 150,
+    "soc_date": 151,
+    "numaxis": 152,
+    "p_min": 153,
+    "p_max": 154,
+    "p_offset": 155,
+    "get_duration": 156,
+    "igrip": 157,
+    "ihold": 158,
+    "selgrip": 159,
+    "grip": 160,
+    "pid": 161,
+    "kv": 162,
+    "ilim": 163,
+    "power": 164,
+    "demo": 165,
+    "user_errors": 166,
+    "terminal": 167,
+    "debug": 168,
+    "use_fixed_length": 169,
+    "change_rs232": 170,
+    "change_channel": 171,
+}
+NAMES: Final = {code: name for name, code in CODES.items()}
+
+# Those that Schunk's library sends in binary; it notes of the others that not all are implemented.
+BINARY_COMMANDS: Final = frozenset(
+    ("v", "tvav", "a", "p", "tpap", "pos", "vel", "rvel", "state", "ilim", "power"),
+)
+TEXT_COMMANDS: Final = frozenset(("id", "sn", "ver", "ver_date", "soc", "soc_date"))
+INTEGER_COMMANDS: Final = frozenset(("con", "vp", "selgrip", "demo", "user_errors", "terminal", "debug"))
+
+# The replies that are measured; the others repeat a setting. TPAP and TVAV answer with what POS and VEL would.
+MEASURED_COUNT: Final = {
+    "pos": AXIS_COUNT,
+    "vel": AXIS_COUNT,
+    "rvel": AXIS_COUNT,
+    "state": AXIS_COUNT,
+    "tpap": AXIS_COUNT,
+    "tvav": AXIS_COUNT,
+    "temp": TEMPERATURE_COUNT,
+}
+
+ERRORS: Final = (
+    ("SUCCESS", ""),
+    ("NOT_AVAILABLE", "ask for something that this firmware has"),
+    ("NOT_INITIALIZED", "wait until the hand has started (8 s), or switch it off and on"),
+    ("ALREADY_RUNNING", "stop first"),
+    ("FEATURE_NOT_SUPPORTED", "a newer firmware, or another command"),
+    ("INCONSISTENT_DATA", "look at the parameters that depend on each other"),
+    ("TIMEOUT", "again; then the hand's supply and cable"),
+    ("READ_ERROR", "again; then switch the hand off and on"),
+    ("WRITE_ERROR", "again; then switch the hand off and on"),
+    ("INSUFFICIENT_RESOURCES", "switch the hand off and on"),
+    ("CHECKSUM_ERROR", "again; then the cable and its shield"),
+    ("NOT_ENOUGH_PARAMS", "give a value for each axis"),
+    ("NO_PARAMS_EXPECTED", "send the command without values"),
+    ("CMD_UNKNOWN", "look at the firmware's release: older ones lack commands"),
+    ("CMD_FORMAT_ERROR", "again: half a command may have come before it"),
+    ("ACCESS_DENIED", "this command needs Schunk's password"),
+    ("ALREADY_OPEN", "close the other connection"),
+    ("CMD_FAILED", "look at the axis states"),
+    ("CMD_ABORTED", "look at what stopped it"),
+    ("INVALID_HANDLE", "open again"),
+    ("DEVICE_NOT_FOUND", "switch the hand off and on"),
+    ("DEVICE_NOT_OPENED", "switch the hand off and on"),
+    ("IO_ERROR", "on CAN the bus may be off: look at its terminators and bit rate"),
+    ("INVALID_PARAMETER", "look at the values"),
+    ("RANGE_ERROR", "stay within the limits that `vlim`, `alim` and the range of the axes tell"),
+    ("NO_DATAPIPE", "switch the hand off and on"),
+    ("INDEX_OUT_OF_BOUNDS", "axes are 0 to 6"),
+    ("HOMING_ERROR", "reference the axis again"),
+    ("AXIS_DISABLED", "switch the axis on"),
+    ("OVER_TEMPERATURE", "switch the axes off and let the hand cool"),
+    ("MAX_COMMANDS_EXCEEDED", "send fewer commands at once"),
+    ("INVALID_PASSWORD", "give the right password"),
+    ("MAX_COMMANDLINE_EXCEEDED", "send a shorter line"),
+    ("CRC_ERROR", "again; then the cable and its shield"),
+    ("NO_COMMAND", "again"),
+    ("INTERNAL", "switch the hand off and on"),
+    ("UNKNOWN_ERROR", "switch the hand off and on"),
+)
+"""Name and what to try, by number: what `E<n>` lines and binary status bytes say. Not the tactile controller's."""
+
+
+def error_name(code: int) -> str:
+    """What Schunk calls it."""
+    return ERRORS[code][0] if 0 <= code < len(ERRORS) else f"code {code}, which no document names"
+
+
+def error_advice(code: int) -> str:
+    """What to try."""
+    return ERRORS[code][1] if 0 <= code < len(ERRORS) else "switch the hand off and on"
+
+
+POSITION_MIN_DEG: Final = (0.0, -90.0, -90.0, -90.0, -90.0, -90.0, -90.0)
+POSITION_MAX_DEG: Final = (90.0,) * AXIS_COUNT
+POSITION_EPSILON_DEG: Final = 0.5
+"""The precision of reported angles: near an end they may lie outside the range by this much."""
+
+# What Schunk's library takes before it asks the hand, and where the firmware cannot tell.
+VELOCITY_MAX_DEG_S: Final = (80.0, 100.0, 100.0, 100.0, 100.0, 100.0, 100.0)
+VELOCITY_MAX_OLD_DEG_S: Final = (85.7, 200.0, 157.8, 200.0, 157.8, 200.0, 157.8)  # firmware before 0.0.2.1
+ACCELERATION_MAX_DEG_S2: Final = (5000.0, 400.0, 1500.0, 400.0, 1500.0, 400.0, 1500.0)
+CURRENT_MAX_A: Final = 1.0
+GRIP_VELOCITY_MAX_DEG_S: Final = 100.0
+
+DEFAULT_VELOCITY_DEG_S: Final = 40.0
+DEFAULT_ACCELERATION_DEG_S2: Final = 100.0
+MOVE_CURRENT_A: Final = (1.0, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5)  # while gripping, in a trace of old firmware
+HOLD_CURRENT_A: Final = (0.1, 0.2, 0.2, 0.2, 0.2, 0.2, 0.2)
+REFERENCE_VELOCITY_DEG_S: Final = 25.0
+
+Release = tuple[int, ...]
+
+VELOCITY_LIMITS_SINCE: Final[Release] = (0, 0, 2, 1)
+CONTROLLERS_SINCE: Final[Release] = (0, 0, 2, 6)  # and `rvel`
+ACCELERATION_LIMITS_SINCE: Final[Release] = (0, 0, 2, 7)
+BINARY_SINCE: Final[Release] = (0, 0, 2, 15)
+DURATION_REPLIES_SINCE: Final[Release] = (0, 0, 3, 1)  # and TCP
+
+
+def release(text: str) -> Release:
+    """The numbers of a firmware release such as `0.0.2.10`, to be compared; () where the text has none."""
+    numbers: list[int] = []
+    for part in text.strip().split("."):
+        digits = "".join(character for character in part if character.isdigit())
+        if not digits:
+            break
+        numbers.append(int(digits))
+        if digits != part:
+            break
+    return tuple(numbers)

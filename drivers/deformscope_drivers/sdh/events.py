@@ -1,0 +1,72 @@
+"""What travels between host and hand, apart from its bytes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What the host sends.
+
+    name: the ASCII protocol's name, lower case; also for binary requests, whose code it stands for
+    values: one a value; none = ask
+    axis: 0 to 6, where the command is for one axis; None = for all
+    """
+
+    name: str
+    values: tuple[float, ...] = ()
+    axis: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What the hand measured.
+
+    quantity: `pos`, `tpap` [deg]; `vel`, `rvel`, `tvav` [deg/s]; `state` (AxisState); `temp` [deg C]. `tpap` and `tvav`
+    are the actual angles and velocities that setting a target answers with; `rvel` is the reference velocity
+    values: 7, by axis; 9 temperatures: the 7 motors, the FPGA, the board; 1 where one axis was asked for
+    axis: None = all
+    """
+
+    quantity: str
+    values: tuple[float, ...]
+    axis: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ValueReply:
+    """A command was done; the values are what is now set, or a duration [s].
+
+    name: lower case
+    """
+
+    name: str
+    values: tuple[float, ...] = ()
+    axis: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class TextReply:
+    """The answer to `ver`, `id`, `sn`, `soc` and their dates."""
+
+    name: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorReply:
+    """The hand refused a command; `name` is known in binary only."""
+
+    code: int
+    name: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class DebugLine:
+    """A line that starts with `@`, without it: not part of the answer."""
+
+    text: str
+
+
+Event = Reading | ValueReply | TextReply | ErrorReply | DebugLine

@@ -1,0 +1,313 @@
+"""How a simulated hand moves: seven axes with profiles, velocity control, limits, obstacles, and motors that warm up.
+
+Known from Schunk's library and its trace of old firmware: all axes of a pose move start and end together; the sin²
+profile takes twice the way over the set velocity (8.31 deg at 40 deg/s are told as T=0.42s, 42 points: the hand's
+cycle is 10 ms); the grasps' angles. Assumed: the ramp profile is a trapezoid; `stop` slows down by the set
+acceleration; "CW" is the direction of growing angles; the temperatures' time and size.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Final
+
+from deformscope_drivers.sdh.codes import (
+    ACCELERATION_MAX_DEG_S2,
+    AXIS_COUNT,
+    DEFAULT_ACCELERATION_DEG_S2,
+    DEFAULT_VELOCITY_DEG_S,
+    HOLD_CURRENT_A,
+    MOVE_CURRENT_A,
+    POSITION_MAX_DEG,
+    POSITION_MIN_DEG,
+    VELOCITY_MAX_DEG_S,
+    AxisState,
+    Controller,
+    Grasp,
+    VelocityProfile,
+)
+
+CYCLE_NS: Final = 10_000_000
+_CYCLE_S: Final = CYCLE_NS / 1e9
+
+# Base axis; proximal and distal axes when open; when closed [deg]. Rounded from angles that a public ROS node
+# (sdh2_hand) notes of a real hand; they also give the `Grip vector` of -66.8 and 66.8 that Schunk's trace shows.
+GRASPS: Final = {
+    Grasp.CENTRICAL: (60.0, (-75.0, 75.0), (7.0, -7.0)),
+    Grasp.PARALLEL: (0.0, (-75.0, 75.0), (7.0, -7.0)),
+    Grasp.CYLINDRICAL: (0.0, (-30.0, 30.0), (0.0, 75.0)),
+    Grasp.SPHERICAL: (60.0, (-40.0, 40.0), (-15.0, 55.0)),
+}
+
+AMBIENT_C: Final = 24.0
+_WARMING_K_PER_A2: Final = 30.0
+_WARMING_TIME_S: Final = 600.0
+_ELECTRONICS_K: Final = (14.0, 8.0)  # FPGA and board above the air
+
+
+def grasp_angles_deg(grasp: Grasp, close: float) -> tuple[float, ...]:
+    """The angles of all axes, (7,), for a grasp closed by 0 (open) to 1."""
+    base, (open_proximal, open_distal), (closed_proximal, closed_distal) = GRASPS[grasp]
+    proximal = open_proximal + close * (closed_proximal - open_proximal)
+    distal = open_distal + close * (closed_distal - open_distal)
+    return (base, *(proximal, distal) * 3)
+
+
+def sin_square_duration_s(distance_deg: float, velocity_deg_s: float) -> float:
+    """Of a move whose speed is velocity * sin²(pi t / T)."""
+    return 2 * abs(distance_deg) / velocity_deg_s
+
+
+def ramp_duration_s(distance_deg: float, velocity_deg_s: float, acceleration_deg_s2: float) -> float:
+    """Of a move that speeds up, goes on at the velocity if it gets there, and slows down."""
+    distance = abs(distance_deg)
+    if distance <= velocity_deg_s**2 / acceleration_deg_s2:
+        return 2 * math.sqrt(distance / acceleration_deg_s2)
+    return distance / velocity_deg_s + velocity_deg_s / acceleration_deg_s2
+
+
+def _sin_square_part(time_part: float) -> float:
+    return time_part - math.sin(2 * math.pi * time_part) / (2 * math.pi)
+
+
+def _ramp_part(time_part: float, ramp: float) -> float:
+    """The part of the way at a part of the time, where the first and last `ramp` of the time change the speed."""
+    if time_part > 0.5:
+        return 1 - _ramp_part(1 - time_part, ramp)
+    top = 1 / (1 - ramp)
+    return top * time_part**2 / (2 * ramp) if time_part < ramp else top * (time_part - ramp / 2)
+
+
+class _Mode(Enum):
+    HOLD = "hold"
+    POSE = "pose"
+    SPEED = "speed"
+    STOPPING = "stopping"
+
+
+@dataclass(slots=True)
+class Axis:
+    """One axis. Angles [deg], speeds [deg/s], accelerations [deg/s²], currents [A]."""
+
+    low_deg: float
+    high_deg: float
+    velocity_max_deg_s: float
+    acceleration_max_deg_s2: float
+    move_current_a: float
+    hold_current_a: float
+    grip_current_a: float
+    position_deg: float = 0.0
+    velocity_deg_s: float = 0.0
+    reference_deg_s: float = 0.0
+    target_deg: float = 0.0
+    target_velocity_deg_s: float = DEFAULT_VELOCITY_DEG_S
+    target_acceleration_deg_s2: float = DEFAULT_ACCELERATION_DEG_S2
+    powered: bool = False
+    temperature_c: float = AMBIENT_C
+    obstacle_low_deg: float = -math.inf
+    obstacle_high_deg: float = math.inf
+    state: AxisState = AxisState.DISABLED
+    mode: _Mode = field(default=_Mode.HOLD)
+    from_deg: float = 0.0
+    to_deg: float = 0.0
+    ramp_part: float | None = None  # of a pose move with ramp profile
+
+    def advance_to(self, wanted_deg: float) -> AxisState | None:
+        """Go there, as far as obstacles and the range let; what was met."""
+        low = max(self.low_deg, self.obstacle_low_deg)
+        high = min(self.high_deg, self.obstacle_high_deg)
+        met = None
+        if wanted_deg > self.position_deg and wanted_deg > high:
+            wanted_deg = max(self.position_deg, high)
+            met = AxisState.CW_BLOCKED if self.obstacle_high_deg < self.high_deg else AxisState.LIMITS_REACHED
+        elif wanted_deg < self.position_deg and wanted_deg < low:
+            wanted_deg = min(self.position_deg, low)
+            met = AxisState.CCW_BLOCKED if self.obstacle_low_deg > self.low_deg else AxisState.LIMITS_REACHED
+        self.position_deg = wanted_deg
+        return met
+
+    def halt(self, state: AxisState) -> None:
+        self.mode, self.state = _Mode.HOLD, state
+        self.velocity_deg_s = self.reference_deg_s = 0.0
+
+    def current_a(self) -> float:
+        """What the motor draws: an assumption that only warms it."""
+        if not self.powered:
+            return 0.0
+        if self.state in (AxisState.CW_BLOCKED, AxisState.CCW_BLOCKED):
+            return self.move_current_a
+        return self.hold_current_a if self.mode is _Mode.HOLD else max(self.hold_current_a, self.move_current_a / 2)
+
+
+class Motion:
+    """Seven axes over time. `advance` takes them to a moment; everything else happens at the last such moment."""
+
+    def __init__(self, now_ns: int = 0) -> None:
+        self.axes = [
+            Axis(
+                low_deg=POSITION_MIN_DEG[axis],
+                high_deg=POSITION_MAX_DEG[axis],
+                velocity_max_deg_s=VELOCITY_MAX_DEG_S[axis],
+                acceleration_max_deg_s2=ACCELERATION_MAX_DEG_S2[axis],
+                move_current_a=MOVE_CURRENT_A[axis],
+                hold_current_a=HOLD_CURRENT_A[axis],
+                grip_current_a=MOVE_CURRENT_A[axis],
+            )
+            for axis in range(AXIS_COUNT)
+        ]
+        self.controller = Controller.POSE
+        self.profile = VelocityProfile.SIN_SQUARE
+        self.temperatures_electronics_c = tuple(AMBIENT_C + above for above in _ELECTRONICS_K)
+        self._now_ns = now_ns
+        self._start_ns = now_ns
+        self._duration_s = 0.0
+
+    @property
+    def moving(self) -> bool:
+        """Whether any axis changes its place, or is told to."""
+        return any(axis.mode is not _Mode.HOLD for axis in self.axes)
+
+    def advance(self, now_ns: int) -> None:
+        """Everything that happens until then, in cycles of 10 ms."""
+        while self._now_ns + CYCLE_NS <= now_ns:
+            if not self.moving:
+                cycles = (now_ns - self._now_ns) // CYCLE_NS
+                self._warm(cycles * _CYCLE_S)
+                self._now_ns += cycles * CYCLE_NS
+                return
+            self._now_ns += CYCLE_NS
+            for axis in self.axes:
+                self._step(axis)
+            self._warm(_CYCLE_S)
+
+    def duration_s(self, targets_deg: Iterable[float | None], velocities_deg_s: Iterable[float]) -> float:
+        """How long a pose move takes, in whole cycles; None = this axis stays."""
+        longest = 0.0
+        for axis, target, velocity in zip(self.axes, targets_deg, velocities_deg_s, strict=True):
+            distance = 0.0 if target is None else target - axis.position_deg
+            if distance and velocity:
+                longest = max(longest, self._axis_duration_s(axis, distance, velocity))
+        return math.ceil(longest / _CYCLE_S - 1e-6) * _CYCLE_S
+
+    def start(self, targets_deg: Iterable[float | None], velocities_deg_s: Iterable[float]) -> float:
+        """Begin a pose move of the axes that have a target; its duration [s]."""
+        targets, velocities = list(targets_deg), list(velocities_deg_s)
+        duration_s = self.duration_s(targets, velocities)
+        self._start_ns, self._duration_s = self._now_ns, duration_s
+        for axis, target, velocity in zip(self.axes, targets, velocities, strict=True):
+            if target is None:
+                continue
+            axis.halt(AxisState.IDLE)
+            if not axis.powered or not velocity or target == axis.position_deg:
+                axis.state = AxisState.IDLE if axis.powered else AxisState.DISABLED
+                continue
+            axis.mode, axis.state = _Mode.POSE, AxisState.POSITIONING
+            axis.from_deg, axis.to_deg = axis.position_deg, target
+            axis.ramp_part = None
+            if self.profile is VelocityProfile.RAMP:
+                own_s = ramp_duration_s(target - axis.position_deg, velocity, axis.target_acceleration_deg_s2)
+                distance = abs(target - axis.position_deg)
+                top = min(velocity, math.sqrt(distance * axis.target_acceleration_deg_s2))
+                axis.ramp_part = top / axis.target_acceleration_deg_s2 / own_s
+        return duration_s
+
+    def set_controller(self, controller: Controller) -> None:
+        """Its defaults come with it, as since firmware 0.0.2.7."""
+        self.controller = controller
+        pose = controller is Controller.POSE
+        for axis in self.axes:
+            axis.target_velocity_deg_s = DEFAULT_VELOCITY_DEG_S if pose else 0.0
+            axis.target_acceleration_deg_s2 = DEFAULT_ACCELERATION_DEG_S2
+            if pose:
+                axis.target_deg = 0.0
+            if axis.powered:
+                axis.halt(AxisState.IDLE)
+
+    def follow_velocities(self) -> None:
+        """Under velocity control every powered axis takes up its target velocity at once."""
+        if self.controller is Controller.POSE:
+            return
+        for axis in self.axes:
+            if axis.powered and (axis.target_velocity_deg_s or axis.mode is _Mode.SPEED):
+                axis.mode = _Mode.SPEED
+
+    def stop(self) -> None:
+        """Slow every moving axis down."""
+        for axis in self.axes:
+            if axis.mode is not _Mode.HOLD:
+                axis.mode = _Mode.STOPPING
+            elif axis.powered:
+                axis.state = AxisState.IDLE
+            if self.controller is not Controller.POSE:
+                axis.target_velocity_deg_s = 0.0
+
+    def power(self, axis: int, on: bool) -> None:
+        """Switch an axis on, holding its place, or off."""
+        if on != self.axes[axis].powered:
+            self.axes[axis].powered = on
+            self.axes[axis].halt(AxisState.IDLE if on else AxisState.DISABLED)
+
+    def _axis_duration_s(self, axis: Axis, distance_deg: float, velocity_deg_s: float) -> float:
+        if self.profile is VelocityProfile.SIN_SQUARE:
+            return sin_square_duration_s(distance_deg, velocity_deg_s)
+        return ramp_duration_s(distance_deg, velocity_deg_s, axis.target_acceleration_deg_s2)
+
+    def _step(self, axis: Axis) -> None:
+        before = axis.position_deg
+        met: AxisState | None = None
+        ended = False
+        match axis.mode:
+            case _Mode.HOLD:
+                return
+            case _Mode.POSE:
+                elapsed_s = (self._now_ns - self._start_ns) / 1e9
+                part = min(elapsed_s / self._duration_s, 1.0) if self._duration_s else 1.0
+                way = _sin_square_part(part) if axis.ramp_part is None else _ramp_part(part, axis.ramp_part)
+                ended = part >= 1.0
+                met = axis.advance_to(axis.to_deg if ended else axis.from_deg + way * (axis.to_deg - axis.from_deg))
+                axis.velocity_deg_s = (axis.position_deg - before) / _CYCLE_S
+            case _Mode.SPEED:
+                met = self._step_speed(axis)
+            case _Mode.STOPPING:
+                ended = abs(axis.velocity_deg_s) <= axis.target_acceleration_deg_s2 * _CYCLE_S
+                met = self._coast(axis, ended)
+        if met is not None and axis.mode is not _Mode.SPEED:
+            axis.halt(met)
+        elif ended:
+            axis.halt(AxisState.IDLE)
+
+    def _step_speed(self, axis: Axis) -> AxisState | None:
+        target = axis.target_velocity_deg_s
+        change = target - axis.reference_deg_s
+        if self.controller is Controller.VELOCITY_ACCELERATION:
+            most = axis.target_acceleration_deg_s2 * _CYCLE_S
+            change = max(-most, min(most, change))
+        mean = axis.reference_deg_s + change / 2 if self.controller is Controller.VELOCITY_ACCELERATION else target
+        before = axis.position_deg
+        axis.reference_deg_s += change
+        met = axis.advance_to(axis.position_deg + mean * _CYCLE_S)
+        axis.velocity_deg_s = axis.reference_deg_s if met is None else (axis.position_deg - before) / _CYCLE_S
+        if met is not None:
+            axis.state, axis.reference_deg_s = met, 0.0
+        elif axis.reference_deg_s == 0.0 and target == 0.0:
+            axis.halt(AxisState.IDLE)
+        else:
+            axis.state = AxisState.SPEED_MODE
+        return met
+
+    def _coast(self, axis: Axis, ends: bool) -> AxisState | None:
+        velocity, slower = axis.velocity_deg_s, axis.target_acceleration_deg_s2
+        if ends:
+            axis.velocity_deg_s = 0.0
+            return axis.advance_to(axis.position_deg + math.copysign(velocity**2 / (2 * slower), velocity))
+        axis.velocity_deg_s = velocity - math.copysign(slower * _CYCLE_S, velocity)
+        return axis.advance_to(axis.position_deg + (velocity + axis.velocity_deg_s) / 2 * _CYCLE_S)
+
+    def _warm(self, elapsed_s: float) -> None:
+        part = -math.expm1(-elapsed_s / _WARMING_TIME_S)
+        for axis in self.axes:
+            end_c = AMBIENT_C + _WARMING_K_PER_A2 * axis.current_a() ** 2
+            axis.temperature_c += (end_c - axis.temperature_c) * part

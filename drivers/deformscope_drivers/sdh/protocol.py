@@ -1,0 +1,155 @@
+r"""The SDH hand's bytes: commands to bytes, bytes to events. No port, no clock.
+
+The hand speaks two protocols on the same line, and answers each command in the one that it came in. A binary reply
+starts with a byte of 128 or more; a line of text holds none. So one decoder takes both, in any order:
+
+    decoder = Decoder()
+    for event in decoder.feed(b"POS=0.00,-10.00,20.00,-10.00,20.00,-10.00,20.00\r\n"):
+        ...                                           # Reading(quantity="pos", values=(0.0, -10.0, ...))
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Final
+
+from deformscope_drivers.framing import NOISE, Found, FrameDecoder, Refused, Skipped
+from deformscope_drivers.sdh import ascii as text
+from deformscope_drivers.sdh import binary
+from deformscope_drivers.sdh.codes import CODES
+from deformscope_drivers.sdh.events import Command, DebugLine, ErrorReply, Event, Reading, TextReply, ValueReply
+
+__all__ = [
+    "END_OF_COMMAND",
+    "Command",
+    "CommandDecoder",
+    "DebugLine",
+    "Decoder",
+    "ErrorReply",
+    "Event",
+    "Reading",
+    "Received",
+    "Skipped",
+    "TextReply",
+    "ValueReply",
+    "encode",
+    "encode_reply",
+]
+
+END_OF_COMMAND: Final = b" \r\n"
+"""Ends a command that came half; what a host sends first."""
+
+_HEADS = tuple(sorted(f"{name.upper()}{mark}".encode() for name in CODES for mark in "=("))
+_BARE_HEADS = tuple(f"{name}{end}".encode() for name in ("m", "M", "STOP") for end in ("\r", "\n"))
+_START = re.compile(rb"[@\r\n\x80-\xab]|E\d|" + b"|".join(re.escape(head) for head in (*_HEADS, *_BARE_HEADS)))
+_CUT_OFF_HEADS = frozenset(head[:length] for head in (*_HEADS, *_BARE_HEADS, b"E0") for length in range(1, len(head)))
+_HEAD_MAX = max(map(len, _HEADS))
+_BREAKS = re.compile(rb"[\r\n]{0,4}")
+_PRINTABLE = re.compile(rb"[\t\x20-\x7e]*")
+
+
+def encode(command: Command, *, binary_checksum: bool | None = None) -> bytes:
+    """A command as a line of text; or in binary, with its checksum (True: RS-232) or without (False: CAN, TCP)."""
+    if binary_checksum is None:
+        return text.encode_command(command)
+    return binary.encode_request(command, checksummed=binary_checksum)
+
+
+def encode_reply(event: Event, *, binary_checksum: bool | None = None, decimals: int = 2) -> bytes:
+    """What the hand answers, in text or in binary, as `encode`."""
+    if binary_checksum is None:
+        return text.encode_reply(event, decimals)
+    if isinstance(event, TextReply | DebugLine):
+        raise ValueError(f"the binary protocol has no {event}")
+    return binary.encode_reply(event, checksummed=binary_checksum)
+
+
+class Decoder(FrameDecoder[Event]):
+    """What the hand sends.
+
+    checksummed: whether binary replies must have their checksum (True: RS-232), must not (False: CAN, TCP), or may
+    (None: their length tells). A line with a name that the protocol does not know is refused.
+    """
+
+    def __init__(self, *, checksummed: bool | None = None) -> None:
+        super().__init__()
+        self._checksummed = checksummed
+
+    def _find(self, buffer: bytes, start: int) -> int:
+        found = _START.search(buffer, start)
+        end = len(buffer) if found is None else found.start()
+        for at in range(max(start, len(buffer) - _HEAD_MAX), end):
+            if buffer[at:] in _CUT_OFF_HEADS:
+                return at
+        return end
+
+    def _parse(self, buffer: bytes, start: int) -> Found[Event] | Refused | None:
+        if buffer[start] >= binary.FIRST_CODE:
+            return binary.parse_reply(buffer, start, self._checksummed)
+        line = _line(buffer, start)
+        if not isinstance(line, Found):
+            return line
+        try:
+            return Found(text.decode_reply(line.event), line.length)
+        except text.BadLine as error:
+            return Refused(error.reason)
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """What the host sent, seen by the hand.
+
+    command: None where the line says nothing that a hand knows; then `reason` tells why, "empty" for an empty line
+    binary: whether it came in binary, and wants such an answer
+    """
+
+    command: Command | None
+    binary: bool = False
+    reason: str = ""
+
+
+class CommandDecoder(FrameDecoder[Received]):
+    """What the host sends. `checksummed` as in `Decoder`."""
+
+    def __init__(self, *, checksummed: bool | None = None) -> None:
+        super().__init__()
+        self._checksummed = checksummed
+
+    def _find(self, buffer: bytes, start: int) -> int:
+        return start
+
+    def _parse(self, buffer: bytes, start: int) -> Found[Received] | Refused | None:
+        if binary.FIRST_CODE <= buffer[start] <= binary.LAST_CODE:
+            request = binary.parse_request(buffer, start, self._checksummed)
+            return Found(Received(request.event, True), request.length) if isinstance(request, Found) else request
+        line = _line(buffer, start)
+        if not isinstance(line, Found):
+            return line
+        content = line.event.strip()
+        try:
+            received = Received(text.decode_command(content)) if content else Received(None, reason="empty")
+        except text.BadLine as error:
+            received = Received(None, reason=error.reason)
+        return Found(received, line.length)
+
+
+def _line(buffer: bytes, start: int) -> Found[str] | Refused | None:
+    r"""The text of the line that starts there, with the breaks before it; None = its \n has not come."""
+    begin = _end_of(_BREAKS, buffer, start, len(buffer))
+    end = _end_of(_PRINTABLE, buffer, begin, begin + text.LINE_MAX + 1)
+    if end - begin > text.LINE_MAX:
+        return Refused("length")
+    at = end + (buffer[end : end + 1] == b"\r")
+    if at >= len(buffer):
+        return None
+    if end == begin:
+        return Refused(NOISE)
+    if buffer[at] != 0x0A:
+        return Refused("line")
+    return Found(buffer[begin:end].decode("ascii"), at + 1 - start)
+
+
+def _end_of(pattern: re.Pattern[bytes], buffer: bytes, start: int, end: int) -> int:
+    match = pattern.match(buffer, start, end)
+    return match.end() if match else start
