@@ -22,8 +22,9 @@ from deformscope_drivers.sdh.events import Command, DebugLine, ErrorReply, Event
 
 LINE_MAX = 256  # of a line's text; the longest known is 85 bytes
 
-BARE_REPLIES = ("m", "stop")
-"""Answers without `=`. Firmware before 0.0.3.1 ends the answer to `m` by a bare, small `m`; `STOP` is an assumption."""
+BARE_REPLIES = ("m", "stop", "ref", "pos_save")
+"""Answers that may have no `=`, in small letters or capitals. Firmware before 0.0.3.1 ends the answer to `m` by a bare,
+small `m`; that others may look like it is an assumption."""
 
 _LINE = re.compile(r"(?P<name>[A-Za-z]\w*)(?:\(\s*(?P<axis>\d)\s*\))?(?:\s*=\s*(?P<values>.*\S)?)?\s*")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
@@ -101,7 +102,7 @@ def decode_reply(line: str) -> Event:
         return ErrorReply(int(error[1]))
     name, axis, text = _parts(line)
     bare = "=" not in line
-    if not line.startswith(name.upper()) and not (bare and name == "m"):
+    if not bare and not line.startswith(name.upper()):
         raise BadLine("name")
     if bare and (name not in BARE_REPLIES or axis is not None):
         raise BadLine("line")

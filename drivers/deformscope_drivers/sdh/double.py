@@ -55,7 +55,7 @@ UNKNOWN, FORMAT, RANGE, INDEX, FAILED, FEW, NONE_EXPECTED = 13, 14, 24, 26, 17, 
 _REASONS: Final = {"name": UNKNOWN, "axis": INDEX}  # why a line was refused -> error code; else FORMAT
 
 
-class Wire(Enum):
+class Port(Enum):
     """What the hand hangs on: whether binary messages have a checksum, and the pace."""
 
     RS232 = "rs232"
@@ -81,7 +81,7 @@ class SdhDouble:
 
     def __init__(
         self,
-        wire: Wire = Wire.RS232,
+        port: Port = Port.RS232,
         *,
         firmware: str = "0.0.3.2",
         serial_number: str = "0142",
@@ -89,10 +89,11 @@ class SdhDouble:
         state_lag_s: float = 0.1,
         paced: bool = True,
     ) -> None:
-        self.wire = wire
+        self.port = port
         self.firmware = firmware
         self.motion = Motion()
         self.commands = 0
+        self.silent = False  # hears nothing, says nothing, and goes on with what it does
         self._release = release(firmware)
         self._texts = {
             "ver": firmware,
@@ -103,8 +104,8 @@ class SdhDouble:
             "soc_date": "2009-03-03",
         }
         self._state_lag_ns = round(state_lag_s * 1e9)
-        self._checksummed = wire is Wire.RS232
-        rate = RS232_BYTES_PER_S if paced and wire is Wire.RS232 else None
+        self._checksummed = port is Port.RS232
+        rate = RS232_BYTES_PER_S if paced and port is Port.RS232 else None
         self._ns_per_byte = 0.0 if rate is None else 1e9 / rate
         self._line = Line(rate)
         self.power_up(0)
@@ -163,6 +164,8 @@ class SdhDouble:
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """Bytes from the host; on RS-232 they take their time."""
+        if self.silent:
+            return
         self._arrived_ns = max(now_ns, self._arrived_ns) + round(len(data) * self._ns_per_byte)
         for event in self._decoder.feed(data):
             if not isinstance(event, Skipped):
@@ -473,7 +476,8 @@ class SdhDouble:
             raise Refusal(FORMAT)  # the firmware takes one axis at a time
         if name == "pid":
             if values:
-                self._pid[axis] = (values[0], values[1], values[2]) if len(values) == 3 else _refuse(FEW)
+                p, i, d = _exactly(values, 3)
+                self._pid[axis] = (p, i, d)
             return ValueReply(name, self._pid[axis], axis)
         if values:
             (self._kv[axis],) = _exactly(values, 1)
@@ -506,7 +510,3 @@ def _check(values: tuple[float, ...], good: Callable[[float], bool]) -> None:
         raise Refusal(FEW)
     if not all(good(value) for value in values):
         raise Refusal(RANGE)
-
-
-def _refuse(code: int) -> tuple[float, float, float]:
-    raise Refusal(code)

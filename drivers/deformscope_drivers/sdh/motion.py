@@ -198,11 +198,12 @@ class Motion:
         duration_s = self.duration_s(targets, velocities)
         self._start_ns, self._duration_s = self._now_ns, duration_s
         for axis, target, velocity in zip(self.axes, targets, velocities, strict=True):
+            if target is None and axis.mode is not _Mode.HOLD:
+                continue
+            axis.halt(AxisState.IDLE if axis.powered else AxisState.DISABLED)
             if target is None:
                 continue
-            axis.halt(AxisState.IDLE)
             if not axis.powered or not velocity or target == axis.position_deg:
-                axis.state = AxisState.IDLE if axis.powered else AxisState.DISABLED
                 continue
             axis.mode, axis.state = _Mode.POSE, AxisState.POSITIONING
             axis.from_deg, axis.to_deg = axis.position_deg, target

@@ -41,7 +41,8 @@ END_OF_COMMAND: Final = b" \r\n"
 """Ends a command that came half; what a host sends first."""
 
 _HEADS = tuple(sorted(f"{name.upper()}{mark}".encode() for name in CODES for mark in "=("))
-_BARE_HEADS = tuple(f"{name}{end}".encode() for name in ("m", "M", "STOP") for end in ("\r", "\n"))
+_BARE = sorted((*text.BARE_REPLIES, *(name.upper() for name in text.BARE_REPLIES)))
+_BARE_HEADS = tuple(f"{name}{end}".encode() for name in _BARE for end in ("\r", "\n"))
 _START = re.compile(rb"[@\r\n\x80-\xab]|E\d|" + b"|".join(re.escape(head) for head in (*_HEADS, *_BARE_HEADS)))
 _CUT_OFF_HEADS = frozenset(head[:length] for head in (*_HEADS, *_BARE_HEADS, b"E0") for length in range(1, len(head)))
 _HEAD_MAX = max(map(len, _HEADS))

@@ -1,0 +1,254 @@
+"""The way to the hand: opening, asking and being answered, and the readings that are asked for again and again."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterable
+from typing import TypeVar
+
+import numpy as np
+
+from deformscope_drivers.clock import Clock, Stamp, monotonic_ns
+from deformscope_drivers.device import ROUND_S, StreamDevice
+from deformscope_drivers.errors import (
+    CommandRefused,
+    LinkLost,
+    NoReply,
+    NotConnected,
+    ProtocolViolation,
+    SettingsRefused,
+)
+from deformscope_drivers.framing import NOISE, Skipped
+from deformscope_drivers.sdh.codes import (
+    ACCELERATION_LIMITS_SINCE,
+    BINARY_COMMANDS,
+    BINARY_SINCE,
+    VELOCITY_LIMITS_SINCE,
+    VELOCITY_MAX_OLD_DEG_S,
+    AxisState,
+    Release,
+    error_advice,
+    error_name,
+    release,
+)
+from deformscope_drivers.sdh.config import SdhConfig
+from deformscope_drivers.sdh.limits import ByAxis, Limits
+from deformscope_drivers.sdh.protocol import (
+    END_OF_COMMAND,
+    Command,
+    DebugLine,
+    Decoder,
+    ErrorReply,
+    Event,
+    Reading,
+    TextReply,
+    ValueReply,
+    encode,
+)
+from deformscope_drivers.sdh.results import FloatArray, HandIdentity, HandReading
+from deformscope_drivers.transport import Transport
+
+OPEN_QUIET_S = 0.1
+OPEN_DROP_BYTES = 1024
+VERSION_TIMEOUT_S = 1.0
+TRIES = 3
+RESYNC_QUIET_S = 0.03
+_GARBLED = frozenset((10, 33))  # the hand got our bytes with a wrong checksum: worth another try
+
+ReplyT = TypeVar("ReplyT", Reading, ValueReply, TextReply)
+
+
+class SdhConnection(StreamDevice[HandReading]):
+    """Asks the hand, one command at a time, in the device's thread; `device.Sdh` adds what one wants from a hand."""
+
+    def __init__(self, config: SdhConfig, *, transport: Transport | None = None, clock: Clock = monotonic_ns) -> None:
+        self.config = config
+        self._identity: HandIdentity | None = None
+        self._release: Release = ()
+        self._connections = 0
+        self._retries = 0
+        self._period_ns = round(1e9 / config.rate_hz)
+        self._next_poll_ns = self._next_temperature_ns = 0
+        self._temperature: tuple[FloatArray, Stamp] | None = None
+        super().__init__(transport or config.transport(), reconnect=config.reconnect, clock=clock)
+
+    @property
+    def identity(self) -> HandIdentity:
+        """What the hand said when it was opened."""
+        if self._identity is None:
+            raise NotConnected("a hand that was opened", "one that was not", "open() it", self.name)
+        return self._identity
+
+    @property
+    def limits(self) -> Limits:
+        """What may be asked of the axes; before the hand was opened, Schunk's defaults."""
+        return Limits() if self._identity is None else self._identity.limits
+
+    # What the base class asks for ------------------------------------------------------------------------------------
+
+    def _make_decoder(self) -> Decoder:
+        return Decoder(checksummed=self.config.checksummed())
+
+    def _measure(self, event: Event, host_ns: int) -> Iterable[HandReading]:
+        return []  # a reading is made of three answers: see _poll
+
+    def _fingerprint(self, reading: HandReading) -> Hashable:
+        return None  # a hand at rest tells the same again and again
+
+    def _extra_health(self) -> dict[str, float]:
+        return {"retries": self._retries}
+
+    def _start(self) -> None:
+        """Schunk's way in: end a half command, drop what waits, ask for the release."""
+        self._release = ()
+        self._send(END_OF_COMMAND)
+        dropped = self._transport.drain(OPEN_QUIET_S, OPEN_QUIET_S, OPEN_DROP_BYTES)
+        self._record_raw(dropped, self._clock())
+        firmware = self._text("ver", VERSION_TIMEOUT_S)
+        self._release = release(firmware)
+        if not self._release:
+            raise ProtocolViolation("a firmware release such as 0.0.2.10", repr(firmware), "a newer cable", self.name)
+        binary = self._release >= BINARY_SINCE and self.config.protocol != "ascii"
+        if self.config.protocol == "binary" and not binary:
+            advice = 'protocol = "ascii"'
+            raise SettingsRefused("firmware 0.0.2.15 or later for binary", firmware, advice, self.name)
+        self._identity = HandIdentity(
+            firmware=firmware,
+            firmware_date=self._text("ver_date"),
+            name=self._text("id"),
+            serial_number=self._text("sn"),
+            binary=binary,
+            limits=Limits(
+                velocity_max_deg_s=self._velocity_limits(), acceleration_max_deg_s2=self._acceleration_limits()
+            ),
+        )
+        self._next_poll_ns = self._next_temperature_ns = self._clock()
+        self._connections += 1
+
+    def _receive(self, timeout_s: float) -> Iterable[HandReading]:
+        wait_ns = self._next_poll_ns - self._clock()
+        if wait_ns > 0:
+            self._overhear(min(wait_ns / 1e9, timeout_s))
+            if self._clock() < self._next_poll_ns:
+                return []
+        now_ns = self._clock()
+        self._next_poll_ns += self._period_ns
+        if self._next_poll_ns < now_ns:  # too slow for the rate: go on from here, never catch up
+            self._next_poll_ns = now_ns
+        try:
+            return [self._poll()]
+        except NoReply as error:
+            raise LinkLost("answers from the hand", "none", "look at its supply and cable", self.name) from error
+
+    # Readings --------------------------------------------------------------------------------------------------------
+
+    def _poll(self) -> HandReading:
+        states, _ = self._measured("state")
+        position, stamp = self._measured("pos")  # behind the states: an idle axis is where it stays
+        velocity = self._velocity()
+        if stamp.host_ns >= self._next_temperature_ns:
+            self._next_temperature_ns = stamp.host_ns + round(self.config.temperature_period_s * 1e9)
+            self._temperature = self._measured("temp")
+        temperature, temperature_stamp = self._temperature or (None, None)
+        return HandReading(stamp, position, velocity, self._states(states), temperature, temperature_stamp)
+
+    def _velocity(self) -> FloatArray:
+        return self._measured("vel")[0]
+
+    def _measured(self, quantity: str, targets: ByAxis = ()) -> tuple[FloatArray, Stamp]:
+        reading = self._exchange(Command(quantity, targets), Reading)
+        values = np.array(reading.values, dtype=np.float64)
+        values.flags.writeable = False
+        return values, Stamp(self._heard_ns)
+
+    def _states(self, values: FloatArray) -> tuple[AxisState, ...]:
+        try:
+            return tuple(AxisState(int(value)) for value in values)
+        except ValueError as error:
+            known = ", ".join(f"{state.value} {state.name}" for state in AxisState)
+            raise ProtocolViolation(f"axis states of {known}", f"{values.tolist()}", where=self.name) from error
+
+    # Asking ----------------------------------------------------------------------------------------------------------
+
+    def _text(self, name: str, timeout_s: float | None = None) -> str:
+        return self._exchange(Command(name), TextReply, timeout_s).text
+
+    def _values(self, name: str, *values: float, timeout_s: float | None = None, tries: int = TRIES) -> ByAxis:
+        return self._exchange(Command(name, values), ValueReply, timeout_s, tries).values
+
+    def _velocity_limits(self) -> ByAxis:
+        return self._values("vlim") if self._release >= VELOCITY_LIMITS_SINCE else VELOCITY_MAX_OLD_DEG_S
+
+    def _acceleration_limits(self) -> ByAxis:
+        return self._values("alim") if self._release >= ACCELERATION_LIMITS_SINCE else Limits().acceleration_max_deg_s2
+
+    def _exchange(
+        self, command: Command, kind: type[ReplyT], timeout_s: float | None = None, tries: int = TRIES
+    ) -> ReplyT:
+        """Send a command and take its answer; again, after the line fell silent, when none comes or it is garbled.
+
+        Runs in the device's thread. Raises CommandRefused with the hand's error code, NoReply, LinkLost.
+        """
+        timeout_s = self.config.reply_timeout_s if timeout_s is None else timeout_s
+        in_binary = command.name in BINARY_COMMANDS and command.axis is None and self._speaks_binary()
+        data = encode(command, binary_checksum=self.config.checksummed() if in_binary else None)
+        refusal: ErrorReply | None = None
+        for attempt in range(tries):
+            if attempt:
+                self._retries += 1
+                self._resync()
+            self._overhear(0.0)
+            self._send(data)
+            reply = self._answer(command, kind, timeout_s)
+            if reply is not None and not isinstance(reply, ErrorReply):
+                return reply
+            refusal = reply
+            if refusal is not None and refusal.code not in _GARBLED:
+                break
+        doing = command.name + (f"={','.join(f'{value:g}' for value in command.values)}" if command.values else "")
+        if refusal is not None:
+            raise CommandRefused(refusal.code, error_name(refusal.code), doing, error_advice(refusal.code), self.name)
+        waited = f"{tries} x {timeout_s:g} s" if tries > 1 else f"{timeout_s:g} s"
+        raise NoReply(f"an answer to {doing} within {waited}", "none", "look at supply, cable and baud rate", self.name)
+
+    def _answer(self, command: Command, kind: type[ReplyT], timeout_s: float) -> ReplyT | ErrorReply | None:
+        until_ns = self._clock() + round(timeout_s * 1e9)
+        while (left_ns := until_ns - self._clock()) > 0:
+            found: ReplyT | ErrorReply | None = None
+            for event, _ in self._listen(min(left_ns / 1e9, ROUND_S)):
+                if found is None and isinstance(event, kind | ErrorReply) and _is_about(event, command):
+                    found = event
+                elif not isinstance(event, DebugLine):
+                    self._count_refused("unasked")
+            if found is not None:
+                return found
+        return None
+
+    def _overhear(self, timeout_s: float) -> None:
+        """Take what comes without having been asked for: debug lines, and answers that came too late."""
+        for event, _ in self._listen(timeout_s):
+            if not isinstance(event, DebugLine):
+                self._count_refused("unasked")
+
+    def _resync(self) -> None:
+        """Wait for the line to fall silent, and forget what came: a binary answer has no mark to be found by."""
+        late = self._transport.drain(RESYNC_QUIET_S, RESYNC_QUIET_S, OPEN_DROP_BYTES)
+        if late:
+            self._record_raw(late, self._clock())
+            self._count_skipped(Skipped(len(late), NOISE))
+        for event in self._decoder.finish():
+            if isinstance(event, Skipped):
+                self._count_skipped(event)
+
+    def _speaks_binary(self) -> bool:
+        return self._identity is not None and self._identity.binary and self._release >= BINARY_SINCE
+
+
+def _is_about(event: Event, command: Command) -> bool:
+    match event:
+        case ErrorReply(name=name):
+            return name in (None, command.name)  # a line `E<n>` does not say to what
+        case TextReply(name=name):
+            return name == command.name
+        case Reading(quantity=name, axis=axis) | ValueReply(name=name, axis=axis):
+            return (name, axis) == (command.name, command.axis)
+    return False

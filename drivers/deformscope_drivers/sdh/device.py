@@ -1,0 +1,411 @@
+"""Schunk's SDH hand: `with Sdh(SdhConfig(port="/dev/ttyUSB0")) as hand: hand.move([0, -20, 20, -20, 20, -20, 20])`.
+
+Nothing moves unless a method here says so. The hand knows no watchdog: what was started goes on when the host is gone,
+a move to its targets, a velocity to the ends of the axes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+
+import numpy as np
+
+from deformscope_drivers.clock import Clock, monotonic_ns
+from deformscope_drivers.device import ROUND_S
+from deformscope_drivers.errors import CommandRefused, LinkLost, OutOfLimits, SettingsRefused, Stale
+from deformscope_drivers.health import Link
+from deformscope_drivers.sdh.codes import (
+    AXIS_COUNT,
+    BLOCKED,
+    CONTROLLERS_SINCE,
+    DURATION_REPLIES_SINCE,
+    GRIP_VELOCITY_MAX_DEG_S,
+    MOVING,
+    POSITION_EPSILON_DEG,
+    AxisState,
+    Controller,
+    Grasp,
+    VelocityProfile,
+)
+from deformscope_drivers.sdh.config import SdhConfig
+from deformscope_drivers.sdh.connection import SdhConnection
+from deformscope_drivers.sdh.limits import ByAxis, within
+from deformscope_drivers.sdh.results import FloatArray, HandReading, MoveResult, Outcome, StopReport
+from deformscope_drivers.transport import Transport
+
+SETTLE_S = 0.5
+"""For so long after a command an idle axis may not have noticed it yet: IPA's driver waits as long."""
+MARGIN_S = 1.0
+LONGEST_MOTION_S = 15.0  # where old firmware does not tell: the whole range at 12 deg/s
+REFERENCE_TIMEOUT_S = 10.0
+GRIP_VELOCITY_MIN_DEG_S = 0.1
+COMMAND_TIMEOUT_S = 10.0
+ECHO_TOLERANCE = 0.06
+STILL: ByAxis = (0.0,) * AXIS_COUNT
+
+
+class CurrentMode(StrEnum):
+    """What a limit of the motor currents is for."""
+
+    MOVE = "ilim"
+    GRIP = "igrip"
+    HOLD = "ihold"
+
+
+class Toward(IntEnum):
+    """Towards which mechanical end an axis is referenced."""
+
+    POSITIVE = 1
+    NEGATIVE = 2
+
+
+@dataclass(frozen=True, slots=True)
+class _Started:
+    """A motion under way. targets_deg: by axis that moves, None where the hand alone knows them"""
+
+    sent_ns: int
+    duration_s: float | None
+    targets_deg: Mapping[int, float] | None
+    connection: int
+    stops: int
+
+
+class Sdh(SdhConnection):
+    """The hand. Readings (`HandReading`) come at `config.rate_hz`, read in the three ways of every device.
+
+    After a link was lost and made again the hand is told to stop, a motion that was waited for raises LinkLost, and
+    `health().extra["stopped_after_reconnect"]` counts it. transport, clock: for a hand in memory
+    """
+
+    def __init__(self, config: SdhConfig, *, transport: Transport | None = None, clock: Clock = monotonic_ns) -> None:
+        super().__init__(config, transport=transport, clock=clock)
+        self._controller: Controller | None = None
+        self._profile: VelocityProfile | None = None
+        self._grip_until_ns = 0
+        self._drive_until_ns: int | None = None
+        self._driven: ByAxis = STILL
+        self._stops = 0
+        self._stopped_after_reconnect = 0
+        self._switched_on = False
+
+    # Poses -----------------------------------------------------------------------------------------------------------
+
+    def move(
+        self,
+        targets_deg: Sequence[float] | Mapping[int, float],
+        *,
+        velocity_deg_s: Sequence[float] | float = 40.0,
+        acceleration_deg_s2: Sequence[float] | float = 100.0,
+        profile: VelocityProfile = VelocityProfile.SIN_SQUARE,
+        wait: bool = True,
+        timeout_s: float | None = None,
+    ) -> MoveResult:
+        """Move to angles, all axes starting and ending together; the slowest one gives the time.
+
+        targets_deg: (7,), or by axis, the others staying where they are; velocity_deg_s, acceleration_deg_s2: (7,) or
+        one for all (the sin² profile knows no acceleration); timeout_s: None = the hand's own duration and 1 s more,
+        after which the hand is told to stop. Firmware switches all axes on by this.
+        An axis that is blocked ends no exception but `result.outcome`: touching things is what hands are for.
+        Raises OutOfLimits (nothing was sent), CommandRefused, LinkLost, NoReply.
+        """
+        speeds = self.limits.speeds(velocity_deg_s, self.name)
+        accelerations = self.limits.accelerations(acceleration_deg_s2, self.name)
+        targets = self._targets(targets_deg)
+
+        def start() -> _Started:
+            self._take_up(Controller.POSE, VelocityProfile(profile))
+            full = self._filled(targets)
+            self._set("p", full)
+            self._set("v", speeds)
+            self._set("a", accelerations)
+            planned = () if self._release >= DURATION_REPLIES_SINCE else self._values("get_duration")
+            self._switched_on = True
+            sent_ns = self._clock()
+            told = self._values("m") or planned
+            return _Started(sent_ns, told[0] if told else None, targets, self._connections, self._stops)
+
+        return self._run_motion(start, wait, timeout_s)
+
+    def select_grip(self, grasp: Grasp, *, wait: bool = True, timeout_s: float | None = None) -> MoveResult:
+        """Turn the fingers to where a grasp needs them. `stop` does not end this."""
+        grasp = Grasp(grasp)
+        return self._run_motion(lambda: self._grip("selgrip", float(grasp)), wait, timeout_s)
+
+    def grip(
+        self, close: float, velocity_deg_s: float, *, wait: bool = True, timeout_s: float | None = None
+    ) -> MoveResult:
+        """Close the grasp that was selected: 0 open to 1 closed, at up to 100 deg/s. `stop` does not end this."""
+        within("closing", "", close, 0.0, 1.0, self.name)
+        within("grip velocity", "deg/s", velocity_deg_s, GRIP_VELOCITY_MIN_DEG_S, GRIP_VELOCITY_MAX_DEG_S, self.name)
+        return self._run_motion(lambda: self._grip("grip", close, velocity_deg_s), wait, timeout_s)
+
+    def wait_until_still(self, timeout_s: float) -> MoveResult:
+        """Wait until no axis moves any more; what still moves then is told to stop."""
+        return self._wait(_Started(self._clock(), None, None, self._connections, self._stops), timeout_s)
+
+    def stop(self) -> StopReport:
+        """Stop what `move` and `drive` started, at once; the axes stay on. See StopReport for what goes on."""
+        return self._do(self._stop_now, COMMAND_TIMEOUT_S)
+
+    # Velocities ------------------------------------------------------------------------------------------------------
+
+    def drive(
+        self,
+        velocity_deg_s: Sequence[float],
+        *,
+        keep_s: float = 0.2,
+        acceleration_deg_s2: Sequence[float] | float | None = None,
+    ) -> None:
+        """Turn the axes at velocities with sign, (7,), for `keep_s` from now; call again in time to go on.
+
+        When no further call comes in time, the driver's thread sets all to 0. acceleration_deg_s2: ramp, given once;
+        None = as before, without a ramp at first. Firmware 0.0.2.6 and later. The hand itself would go on for ever.
+        """
+        velocities = self.limits.velocities(velocity_deg_s, self.name)
+        ramp = None if acceleration_deg_s2 is None else self.limits.accelerations(acceleration_deg_s2, self.name)
+        within("time to keep a velocity", "s", keep_s, 0.0, 2.0, self.name)
+
+        def start() -> None:
+            if self._release < CONTROLLERS_SINCE:
+                raise SettingsRefused(
+                    "firmware 0.0.2.6 or later for velocities", self.identity.firmware, where=self.name
+                )
+            with_ramp = ramp is not None or self._controller is Controller.VELOCITY_ACCELERATION
+            wanted = Controller.VELOCITY_ACCELERATION if with_ramp else Controller.VELOCITY
+            if self._controller is not wanted:
+                self._take_up(wanted, None)
+                self._switched_on = True
+                self._set("power", (1.0,) * AXIS_COUNT)
+            if ramp is not None:
+                self._set("a", ramp)
+            self._set("v", velocities)
+            self._driven = velocities
+            self._drive_until_ns = self._clock() + round(keep_s * 1e9)
+
+        self._do(start, COMMAND_TIMEOUT_S)
+
+    # Settings --------------------------------------------------------------------------------------------------------
+
+    def power(self, on: bool | Sequence[bool]) -> None:
+        """Switch axes on, holding where they are, or off: one for all, or (7,).
+
+        Raises SettingsRefused when the hand says otherwise than it was told, as during a grip.
+        """
+        wanted = (on,) * AXIS_COUNT if isinstance(on, bool) else tuple(on)
+        if len(wanted) != AXIS_COUNT:
+            raise OutOfLimits(f"{AXIS_COUNT} values, one an axis", f"{len(wanted)}", where=self.name)
+
+        def switch() -> None:
+            self._switched_on = self._switched_on or any(wanted)
+            self._set("power", tuple(float(bool(value)) for value in wanted))
+
+        self._do(switch, COMMAND_TIMEOUT_S)
+
+    def powered(self) -> tuple[bool, ...]:
+        """Which axes are on."""
+        return tuple(value != 0.0 for value in self._do(lambda: self._values("power"), COMMAND_TIMEOUT_S))
+
+    def current_limits_a(self, mode: CurrentMode = CurrentMode.MOVE) -> ByAxis:
+        """The limits of the motor currents, (7,) [A]. The hand tells no currents that flow."""
+        return self._do(lambda: self._values(CurrentMode(mode)), COMMAND_TIMEOUT_S)
+
+    def set_current_limits(self, limit_a: Sequence[float] | float, mode: CurrentMode = CurrentMode.MOVE) -> None:
+        """Limit the motor currents: one for all, or (7,) [A], 0 to 1."""
+        limits_a = self.limits.currents(limit_a, self.name)
+        self._do(lambda: self._set(CurrentMode(mode), limits_a), COMMAND_TIMEOUT_S)
+
+    def reference(self, toward: Mapping[int, Toward]) -> None:
+        """Drive axes, by number, against a mechanical end at 25 deg/s: for axes without absolute encoder.
+
+        The hand answers when it is done, after up to 10 s in which no readings come and nothing stops it.
+        """
+        if not toward or any(axis not in range(AXIS_COUNT) for axis in toward):
+            raise OutOfLimits(f"axes of 0 to {AXIS_COUNT - 1}", f"{sorted(toward)}", where=self.name)
+        ways = tuple(float(Toward(toward[axis])) if axis in toward else 0.0 for axis in range(AXIS_COUNT))
+
+        def run() -> None:
+            self._switched_on = True
+            self._values("ref", *ways, timeout_s=REFERENCE_TIMEOUT_S, tries=1)
+
+        self._do(run, REFERENCE_TIMEOUT_S + COMMAND_TIMEOUT_S)
+
+    # Within: the caller's thread -------------------------------------------------------------------------------------
+
+    def _targets(self, targets_deg: Sequence[float] | Mapping[int, float]) -> dict[int, float]:
+        if not isinstance(targets_deg, Mapping):
+            return dict(enumerate(self.limits.positions(targets_deg, self.name)))
+        if not targets_deg or any(axis not in range(AXIS_COUNT) for axis in targets_deg):
+            raise OutOfLimits(f"axes of 0 to {AXIS_COUNT - 1}", f"{sorted(targets_deg)}", where=self.name)
+        low = self.limits.position_min_deg
+        self.limits.positions([targets_deg.get(axis, low[axis]) for axis in range(AXIS_COUNT)], self.name)
+        return {axis: float(target) for axis, target in targets_deg.items()}
+
+    def _run_motion(self, start: Callable[[], _Started], wait: bool, timeout_s: float | None) -> MoveResult:
+        started = self._do(start, COMMAND_TIMEOUT_S + LONGEST_MOTION_S)
+        if not wait:
+            return MoveResult(Outcome.STARTED, started.duration_s)
+        if timeout_s is None:
+            timeout_s = (LONGEST_MOTION_S if started.duration_s is None else started.duration_s) + MARGIN_S
+        return self._wait(started, timeout_s)
+
+    def _wait(self, started: _Started, timeout_s: float) -> MoveResult:
+        """Read until the axes are still. An idle axis is believed once one was seen to move, or after a while."""
+        until_ns = self._clock() + round(timeout_s * 1e9)
+        seen_moving = timed_out = False
+        last: HandReading | None = None
+        while True:
+            left_s = (until_ns - self._clock()) / 1e9
+            if left_s <= 0 and not timed_out:
+                timed_out = True
+                self.stop()
+                until_ns = self._clock() + round((SETTLE_S + MARGIN_S) * 1e9)
+                continue
+            if left_s <= 0 and last is not None:
+                return self._result(started, last, timed_out)
+            if left_s <= 0:
+                raise Stale("readings of a hand that was told to stop", "none", "switch it off", self.name)
+            reading = self._next_of(started, left_s)
+            if reading is None:
+                continue
+            last = reading
+            moving = any(state in MOVING for state in reading.state)
+            seen_moving |= moving
+            believed = seen_moving or reading.stamp.host_ns - started.sent_ns >= SETTLE_S * 1e9
+            if believed and not moving:
+                return self._result(started, reading, timed_out)
+
+    def _next_of(self, started: _Started, timeout_s: float) -> HandReading | None:
+        """The next reading that began after the motion did; None when there is none in time."""
+        try:
+            reading = self.next(min(timeout_s, ROUND_S))
+        except Stale:
+            reading = None
+        if self.link is not Link.CONNECTED or self._connections != started.connection:
+            advice = "see how it stands; it is told to stop as soon as the link is back"
+            raise LinkLost("the end of a motion", "a lost link", advice, self.name)
+        return None if reading is None or reading.stamp.host_ns < started.sent_ns else reading
+
+    def _result(self, started: _Started, reading: HandReading, timed_out: bool) -> MoveResult:
+        elapsed_s = (reading.stamp.host_ns - started.sent_ns) / 1e9
+        axes = range(AXIS_COUNT) if started.targets_deg is None else sorted(started.targets_deg)
+        blocked = tuple(axis for axis in axes if reading.state[axis] in BLOCKED)
+        limited = tuple(axis for axis in axes if reading.state[axis] is AxisState.LIMITS_REACHED)
+        disabled = tuple(axis for axis in axes if reading.state[axis] is AxisState.DISABLED)
+        error_deg: float | None = None
+        if started.targets_deg is not None:
+            error_deg = max(abs(float(reading.position_deg[axis]) - started.targets_deg[axis]) for axis in axes)
+        arrived = error_deg is not None and error_deg <= POSITION_EPSILON_DEG
+        if timed_out:
+            outcome = Outcome.TIMED_OUT
+        elif self._stops != started.stops and not arrived:
+            outcome = Outcome.STOPPED
+        elif arrived:
+            outcome = Outcome.REACHED
+        elif blocked:
+            outcome = Outcome.BLOCKED
+        elif limited:
+            outcome = Outcome.LIMITED
+        else:
+            outcome = Outcome.REACHED if error_deg is None else Outcome.MISSED
+        return MoveResult(outcome, started.duration_s, elapsed_s, blocked, limited, disabled, error_deg, reading)
+
+    # Within: the device's thread -------------------------------------------------------------------------------------
+
+    def _start(self) -> None:
+        again = self.link is Link.LOST
+        super()._start()
+        self._controller = self._profile = None
+        self._grip_until_ns, self._drive_until_ns = 0, None
+        if again:
+            if self._release >= CONTROLLERS_SINCE and self._values("con") != (float(Controller.POSE),):
+                self._set("v", STILL)
+            self._values("stop")
+            self._stops += 1
+            self._stopped_after_reconnect += 1
+
+    def _stop(self) -> None:
+        """On closing: what can be stopped does not go on, and what was switched on is switched off."""
+        if not self._switched_on:
+            return
+        self._switched_on = False
+        with contextlib.suppress(CommandRefused):
+            self._stop_now()
+        if not self.config.leave_powered:
+            self._values("power", *STILL)
+
+    def _extra_health(self) -> dict[str, float]:
+        return {**super()._extra_health(), "stopped_after_reconnect": self._stopped_after_reconnect}
+
+    def _receive(self, timeout_s: float) -> Iterable[HandReading]:
+        if self._drive_until_ns is None:
+            return super()._receive(timeout_s)
+        left_ns = self._drive_until_ns - self._clock()
+        if left_ns <= 0:
+            self._halt()
+            return []
+        return super()._receive(min(timeout_s, left_ns / 1e9))
+
+    def _velocity(self) -> FloatArray:
+        """While velocities are driven they are told again each time, which also answers with the actual ones."""
+        if self._drive_until_ns is None:
+            return super()._velocity()
+        return self._measured("tvav", self._driven)[0]
+
+    def _stop_now(self) -> StopReport:
+        self._halt()
+        self._values("stop")
+        self._stops += 1
+        return StopReport(max(0.0, (self._grip_until_ns - self._clock()) / 1e9))
+
+    def _halt(self) -> None:
+        """End what `drive` keeps going."""
+        if self._drive_until_ns is not None:
+            self._drive_until_ns = None
+            self._set("v", STILL)
+
+    def _take_up(self, controller: Controller, profile: VelocityProfile | None) -> None:
+        """Choose how targets are followed, where that is not so yet."""
+        if controller is Controller.POSE:
+            self._halt()
+        if self._controller is not controller:
+            if self._release >= CONTROLLERS_SINCE:
+                self._set("con", (float(controller),))
+            self._controller = controller
+        if profile is not None and self._profile is not profile:
+            self._set("vp", (float(profile),))
+            self._profile = profile
+
+    def _filled(self, targets: Mapping[int, float]) -> ByAxis:
+        """Targets of all axes; those without one stay where they are, within the range (readings go 0.5 deg beyond)."""
+        if len(targets) == AXIS_COUNT:
+            return tuple(targets[axis] for axis in range(AXIS_COUNT))
+        limits = self.limits
+        actual = np.clip(self._measured("pos")[0], limits.position_min_deg, limits.position_max_deg)
+        return tuple(targets.get(axis, float(actual[axis])) for axis in range(AXIS_COUNT))
+
+    def _grip(self, name: str, *values: float) -> _Started:
+        """Sent once only: a second one may come while the first is under way."""
+        self._take_up(Controller.POSE, VelocityProfile.SIN_SQUARE)
+        tells_duration = self._release >= DURATION_REPLIES_SINCE
+        timeout_s = None if tells_duration else LONGEST_MOTION_S  # older firmware answers when it is done
+        self._switched_on = True
+        sent_ns = self._clock()
+        self._grip_until_ns = sent_ns + round(LONGEST_MOTION_S * 1e9)  # while nothing better is known
+        told = self._values(name, *values, timeout_s=timeout_s, tries=1)
+        duration_s = told[0] if tells_duration and told else None
+        self._grip_until_ns = self._clock() + round((duration_s or 0.0) * 1e9)
+        return _Started(sent_ns, duration_s, None, self._connections, self._stops)
+
+    def _set(self, name: str, values: ByAxis) -> None:
+        """Set, and see that it is so. How finely the hand repeats what it was told is not documented."""
+        told = self._values(name, *values)
+        agrees = len(told) == len(values) and all(
+            abs(is_ - wanted) <= ECHO_TOLERANCE + 1e-3 * abs(wanted) for is_, wanted in zip(told, values, strict=True)
+        )
+        if not agrees:
+            came = ", ".join(f"{value:g}" for value in told) or "nothing"
+            asked = ", ".join(f"{value:g}" for value in values)
+            raise SettingsRefused(f"{name} = {asked}", came, "wait until the hand is still", self.name)

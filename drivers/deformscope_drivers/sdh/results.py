@@ -1,0 +1,87 @@
+"""What the hand's driver gives back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deformscope_drivers.clock import Stamp
+from deformscope_drivers.sdh.codes import AxisState
+from deformscope_drivers.sdh.limits import Limits
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HandReading:
+    """Where the hand is. The protocol has motor current limits and no measured currents, so there are none here.
+
+    stamp: when the angles arrived; states were asked right before them and velocities right after (3 ms on RS-232)
+    position_deg, velocity_deg_s: (7,) by axis; state: of each axis
+    temperature_c: (9,) the 7 motors, the FPGA and the board, read more rarely: at `temperature_stamp`; None before
+    """
+
+    stamp: Stamp
+    position_deg: FloatArray
+    velocity_deg_s: FloatArray
+    state: tuple[AxisState, ...]
+    temperature_c: FloatArray | None = None
+    temperature_stamp: Stamp | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class HandIdentity:
+    """What the hand says it is. firmware: its release; binary: whether the driver speaks binary to it"""
+
+    firmware: str
+    firmware_date: str
+    name: str
+    serial_number: str
+    binary: bool
+    limits: Limits
+
+
+class Outcome(StrEnum):
+    """How a motion ended."""
+
+    STARTED = "started"  # it was not waited for
+    REACHED = "reached"  # still, at the targets; for grips, whose targets the hand knows alone: still, nothing met
+    BLOCKED = "blocked"  # still; an axis met something
+    LIMITED = "limited"  # still; an axis came to the end of its range
+    STOPPED = "stopped"  # `stop` was called
+    MISSED = "missed"  # still, not at the targets, and no axis says why
+    TIMED_OUT = "timed out"  # it went on for too long and was told to stop
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MoveResult:
+    """How a motion went.
+
+    duration_s: what the hand planned, None where old firmware does not tell
+    elapsed_s: what it took until it was seen to be still
+    blocked, limited, disabled: axes in such a state; reading: the last one, None where it was not waited for
+    error_deg: largest distance of an axis from its target, None where the hand alone knows the targets
+    """
+
+    outcome: Outcome
+    duration_s: float | None
+    elapsed_s: float = 0.0
+    blocked: tuple[int, ...] = ()
+    limited: tuple[int, ...] = ()
+    disabled: tuple[int, ...] = ()
+    error_deg: float | None = None
+    reading: HandReading | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class StopReport:
+    """What `stop` could do: the hand confirmed it, and a move or a velocity ends.
+
+    grip_left_s: `stop` does not end what `select_grip` and `grip` started (nor does switching off, in Schunk's words);
+    so long may such a motion still take, 0 = none was under way
+    """
+
+    grip_left_s: float = 0.0
