@@ -43,7 +43,16 @@ END_OF_COMMAND: Final = b" \r\n"
 _HEADS = tuple(sorted(f"{name.upper()}{mark}".encode() for name in CODES for mark in "=("))
 _BARE = sorted((*text.BARE_REPLIES, *(name.upper() for name in text.BARE_REPLIES)))
 _BARE_HEADS = tuple(f"{name}{end}".encode() for name in _BARE for end in ("\r", "\n"))
-_START = re.compile(rb"[@\r\n\x80-\xab]|E\d|" + b"|".join(re.escape(head) for head in (*_HEADS, *_BARE_HEADS)))
+
+
+def _head_pattern(head: bytes) -> bytes:
+    """A head that others end in (TEMP= in P=) must not follow their letter: a damaged line is not a shorter one."""
+    heads = (*_HEADS, *_BARE_HEADS)
+    before = sorted({chr(other[-len(head) - 1]) for other in heads if other != head and other.endswith(head)})
+    return (f"(?<![{''.join(before)}])".encode() if before else b"") + re.escape(head)
+
+
+_START = re.compile(rb"[@\r\n\x80-\xab]|E\d|" + b"|".join(map(_head_pattern, (*_HEADS, *_BARE_HEADS))))
 _CUT_OFF_HEADS = frozenset(head[:length] for head in (*_HEADS, *_BARE_HEADS, b"E0") for length in range(1, len(head)))
 _HEAD_MAX = max(map(len, _HEADS))
 _BREAKS = re.compile(rb"[\r\n]{0,4}")
@@ -81,8 +90,8 @@ class Decoder(FrameDecoder[Event]):
         found = _START.search(buffer, start)
         end = len(buffer) if found is None else found.start()
         for at in range(max(start, len(buffer) - _HEAD_MAX), end):
-            if buffer[at:] in _CUT_OFF_HEADS:
-                return at
+            if buffer[at:] in _CUT_OFF_HEADS or (at == len(buffer) - 1 and buffer[at:].isalpha()):
+                return at - 1 if at > start and buffer[at - 1 : at].isalpha() else at
         return end
 
     def _parse(self, buffer: bytes, start: int) -> Found[Event] | Refused | None:
