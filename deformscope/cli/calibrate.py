@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import console, progress, quiet_warp, resolve_viewer, show_table, write_json
+from deformscope.cli.common import console, progress, quiet_warp, read_file, resolve_viewer, show_table, write_json
 from deformscope.cli.pokes import fit_layers, save_pair_model, tell_layers
 from deformscope.cli.summaries import estimate_rows, write_summaries
 from deformscope.config import BetaConfig, ImageOptions, OutputOptions, SearchOptions, SummaryOptions, ThetaConfig
@@ -286,12 +286,7 @@ def calibrate_pairs(
         raise InputError("no flags about images with pair files", "some (--roi, --grid, --held...)", "leave them out")
     if search.noise_px is not None:
         raise InputError("--noise-m for pair files", "--noise-px", "give the noise in metres")
-    raws = []
-    for path in paths:
-        try:
-            raws.append((str(path), path.read_bytes()))
-        except OSError as error:
-            raise InputError("a pair file (.npz)", (error.strerror or str(error)).lower(), where=path) from error
+    raws = [(str(path), read_file(path, "a pair file (.npz)")) for path in paths]
     calibrate_pair_bytes(
         raws, fit, output, noise_m=search.noise_m, joint=search.joint, layers=layers, save=save, summary=summary
     )

@@ -135,6 +135,14 @@ def _redirected(stream: TextIO) -> Iterator[None]:
 # Files ---------------------------------------------------------------------------------------------------------------
 
 
+def read_file(path: str | Path, what: str) -> bytes:
+    """The bytes of a file that a user named. what: it should be. Raises InputError where it cannot be read."""
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise InputError(what, (error.strerror or str(error)).lower(), where=path) from error
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
     """A file that takes the place of `path` when it is complete; on an error `path` stays as it was."""

@@ -13,9 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deformscope.cli.common import console, progress, quiet_warp, replacing, show_table, write_json
+from deformscope.cli.common import console, progress, quiet_warp, read_file, replacing, show_table, write_json
 from deformscope.config import AxesConfig, YieldConfig
-from deformscope.errors import InputError
 
 if TYPE_CHECKING:
     from deformscope.arrays import FloatArray
@@ -34,7 +33,7 @@ def axes(config: AxesConfig) -> None:
     from deformscope.stages.msm.solver import pick_device
 
     quiet_warp()
-    seen = [parse_pair(_read(Path(one), "a pair file"), one, noise_m=config.noise_m) for one in config.sources]
+    seen = [parse_pair(read_file(one, "a pair file (.npz)"), one, noise_m=config.noise_m) for one in config.sources]
     d = seen[0].rest.shape[1]
     turn = np.deg2rad(config.turn_deg)
     directions = np.eye(d)
@@ -53,7 +52,7 @@ def yielding(config: YieldConfig) -> None:
     from deformscope.stages.plasticity import YieldOptions, fit_yield
 
     quiet_warp()
-    motion = parse_motion(_read(config.source, "a motion file"), config.source, noise_m=config.noise_m)
+    motion = parse_motion(read_file(config.source, "a motion file (.npz)"), config.source, noise_m=config.noise_m)
     options = YieldOptions(
         beta=config.beta,
         creep=config.creep,
@@ -70,13 +69,6 @@ def yielding(config: YieldConfig) -> None:
         draw(found, motion, config.picture)
     _tell_yield(found, config)
     write_json(found.as_json(), config.json)
-
-
-def _read(path: Path, what: str) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{what} (.npz)", (error.strerror or str(error)).lower(), where=path) from error
 
 
 @contextmanager

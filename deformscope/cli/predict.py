@@ -10,7 +10,7 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import quiet_warp, replacing, show_table, write_json
+from deformscope.cli.common import quiet_warp, read_file, replacing, show_table, write_json
 from deformscope.config import PokeText, PredictConfig
 from deformscope.errors import InputError
 
@@ -35,7 +35,7 @@ def run(config: PredictConfig) -> None:
     model = load_model(config.source)
     asked = [_poke(text, model) for text in config.poke]
     points = None if config.points is None else _points(config.points)
-    seen = [parse_pair(_bytes(path), path) for path in config.against]
+    seen = [parse_pair(read_file(path, "a pair file (.npz)"), path) for path in config.against]
     quiet_warp()
     device = pick_device(config.device)
     with fit_progress() as progress:
@@ -75,13 +75,6 @@ def run(config: PredictConfig) -> None:
     )
 
 
-def _bytes(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError("a pair file (.npz)", (error.strerror or str(error)).lower(), where=path) from error
-
-
 def _points(path: Path) -> FloatArray:
     import io
     import zipfile
@@ -89,7 +82,7 @@ def _points(path: Path) -> FloatArray:
     import numpy as np
 
     try:
-        with np.load(io.BytesIO(_bytes(path)), allow_pickle=False) as file:
+        with np.load(io.BytesIO(read_file(path, "a pair file (.npz)")), allow_pickle=False) as file:
             points = np.asarray(file["points"], dtype=np.float64)
     except (ValueError, OSError, zipfile.BadZipFile, EOFError, KeyError) as error:
         raise InputError("an .npz with `points (n, 3)`", "a file that is none", where=path) from error

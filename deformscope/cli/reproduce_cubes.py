@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import progress, quiet_warp, show_table, write_json
+from deformscope.cli.common import progress, quiet_warp, read_file, show_table, write_json
 from deformscope.config import CubesConfig
 from deformscope.errors import InputError
 
@@ -57,13 +57,7 @@ def _make(quick: bool) -> tuple[list[Cube], list[ElementTime]]:
 def _read(paths: Sequence[Path]) -> tuple[list[Cube], list[ElementTime]]:
     from deformscope.experiments.cubes import cube_from_pair
 
-    cubes = []
-    for path in paths:
-        try:
-            raw = path.read_bytes()
-        except OSError as error:
-            raise InputError("a pair file (.npz)", (error.strerror or str(error)).lower(), where=path) from error
-        cubes.append(cube_from_pair(raw, str(path)))
+    cubes = [cube_from_pair(read_file(path, "a pair file (.npz)"), str(path)) for path in paths]
     return sorted(cubes, key=lambda cube: (len(cube.seen.rest), cube.poisson, cube.depth)), []
 
 
