@@ -76,16 +76,13 @@ def run(config: PredictConfig) -> None:
 
 
 def _points(path: Path) -> FloatArray:
-    import io
-    import zipfile
-
     import numpy as np
 
-    try:
-        with np.load(io.BytesIO(read_file(path, "a pair file (.npz)")), allow_pickle=False) as file:
-            points = np.asarray(file["points"], dtype=np.float64)
-    except (ValueError, OSError, zipfile.BadZipFile, EOFError, KeyError) as error:
-        raise InputError("an .npz with `points (n, 3)`", "a file that is none", where=path) from error
+    from deformscope.arrays_file import open_arrays
+
+    raw = read_file(path, "a pair file (.npz)")
+    with open_arrays(raw, "an .npz with `points (n, 3)`", path, came="a file that is none") as file:
+        points = np.asarray(file["points"], dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
         raise InputError("finite points (n, 3)", f"shape {points.shape}", where=path)
     return points
