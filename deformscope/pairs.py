@@ -9,11 +9,8 @@ import numpy.typing as npt
 
 from deformscope.arrays_file import Arrays, indices, lattice, numbers, read_arrays, sized
 from deformscope.errors import InputError
-from deformscope.stages.calibrate import Observation
+from deformscope.stages.model import Observation, touched_of
 from deformscope.stages.poke import TIP_SHAPES, Tip
-
-CONTACT_SHARE = 0.5
-"""Without `contact`, the force acts on the held particles that moved more than this share of the largest motion."""
 
 
 def parse_pair(raw: bytes, where: object = "", *, noise_m: float | None = None) -> Observation:
@@ -22,7 +19,8 @@ def parse_pair(raw: bytes, where: object = "", *, noise_m: float | None = None) 
     Needed: `rest (K, d)`, `deformed (K, d)` in metres, d = 2 or 3, `held (n,)` indices whose deformed position is
     prescribed. Optional: `shape` (lattice, last axis fastest), `cell (K,)` flat lattice index where it has holes,
     `observed (K,)` bool, `noise_m` (a number, or (K,)), `held_noise_m` (a number; 0 = exact), `force_n` with
-    `contact (m,)`, a subset of `held`, and `force_noise_n`, the standard deviation of that force.
+    `contact (m,)`, a subset of `held`, and `force_noise_n`, the standard deviation of that force;
+    without `contact` it acts on the held particles that moved (`stages.model.TOUCHED_SHARE`).
     `tip` (flat, disc, sphere) with `tip_size_m`: what pressed `contact`, where particles do not tell its size.
     Without `shape`, a rest shape that is regular within 1 % is taken as a lattice. noise_m: instead of the file's.
     Raises InputError for what is missing, does not fit together, or is not finite.
@@ -100,8 +98,7 @@ def _force(
         if not np.isin(contact, held).all():
             raise InputError("contact among the held particles", "others too", "add them to `held`")
         return force, contact
-    moved = np.linalg.norm((deformed - rest)[held], axis=1)
-    return force, held[moved > CONTACT_SHARE * moved.max(initial=0.0)]
+    return force, touched_of(rest, deformed, held)
 
 
 def _tip(found: Arrays) -> Tip | None:

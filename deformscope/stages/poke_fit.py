@@ -83,10 +83,7 @@ def seen_poke(seen: Observation) -> SeenPoke:
     if seen.metres_per_unit != 1.0:
         raise InputError("positions in metres", f"in {seen.unit}")
     move = seen.deformed - seen.rest
-    touched = seen.contact
-    if touched is None:
-        size = np.linalg.norm(move[seen.held], axis=1)
-        touched = seen.held[size > 0.5 * size.max(initial=0.0)]
+    touched = seen.touched
     if not len(touched):
         raise InputError("held particles that were pressed", "none that moved")
     depth = float(-move[touched, 2].mean())
