@@ -9,8 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deformscope.cli.calibrate import fit_progress
-from deformscope.cli.common import quiet_warp, read_file, show_table, write_json
+from deformscope.cli.common import fit_progress, quiet_warp, read_file, show_table, write_json
 from deformscope.config import BothConfig
 
 if TYPE_CHECKING:

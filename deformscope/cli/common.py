@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -16,8 +17,14 @@ from deformscope.plain import plain
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.progress import TaskID
+
+    from deformscope.stages.search import Progress
 
 Viewer = Literal["native", "page", "none"]
+
+SAY_EVERY_S = 20.0
+"""Seconds between lines about long work where no bar can be shown."""
 
 _json_stream: ContextVar[TextIO | None] = ContextVar("json_stream", default=None)
 
@@ -50,6 +57,31 @@ def progress(description: str, total: float | None = None) -> Iterator[Callable[
     with Progress(console=where, transient=True, disable=not where.is_terminal) as bar:
         task = bar.add_task(description, total=total)
         yield lambda steps: bar.advance(task, steps)
+
+
+@contextmanager
+def fit_progress() -> Iterator[Progress]:
+    """A bar on stderr that names what the work is at; where stderr is no terminal, a line now and then."""
+    from rich.progress import Progress as Bars
+
+    where = console()
+    said = time.monotonic()
+    with Bars(console=where, transient=True, disable=not where.is_terminal) as bars:
+        tasks: dict[str, TaskID] = {}
+
+        def note(what: str, done: int, total: int) -> None:
+            nonlocal said
+            if what not in tasks:
+                for earlier in tasks.values():
+                    bars.update(earlier, visible=False)
+                tasks[what] = bars.add_task(what, total=total)
+                said = time.monotonic()
+            bars.update(tasks[what], completed=done, total=total)
+            if not where.is_terminal and time.monotonic() - said > SAY_EVERY_S:
+                said = time.monotonic()
+                where.print(f"{what}: {done} of {total}", markup=False)
+
+        yield note
 
 
 def quiet_warp() -> None:

@@ -10,7 +10,7 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import quiet_warp, read_file, replacing, show_table, write_json
+from deformscope.cli.common import fit_progress, quiet_warp, read_file, replacing, show_table, write_json
 from deformscope.config import PokeText, PredictConfig
 from deformscope.errors import InputError
 
@@ -25,7 +25,6 @@ def run(config: PredictConfig) -> None:
     """Predict, compare, tell and write."""
     import numpy as np
 
-    from deformscope.cli.calibrate import fit_progress
     from deformscope.experiments.prediction import compare
     from deformscope.model_file import load_model
     from deformscope.pairs import parse_pair

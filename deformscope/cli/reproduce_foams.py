@@ -15,8 +15,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.calibrate import fit_progress
-from deformscope.cli.common import quiet_warp, replacing, show_table, write_json
+from deformscope.cli.common import fit_progress, quiet_warp, replacing, show_table, write_json
 from deformscope.config import FoamsConfig
 from deformscope.errors import InputError
 

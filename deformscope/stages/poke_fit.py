@@ -8,7 +8,7 @@ cluster size is the one whose error is smallest; how well it does on pokes left 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,11 +24,10 @@ from deformscope.stages.msm import clusters
 from deformscope.stages.msm.clusters import spacing as median_spacing
 from deformscope.stages.msm.solver import Precision
 from deformscope.stages.poke import Held, Law, Scene, Tip, hold, settle
+from deformscope.stages.search import Progress
 
 FIRST_SIZES, SIZES = (3, 4), (2, 7)
 """Cluster sizes tried first, and the smallest and largest that are tried at all, where none is asked for."""
-
-Progress = Callable[[str, int, int], None]
 
 CELLS_ACROSS_TIP = 4
 """Lattice cells across the tip by default, and at least where a narrower tip is predicted: with fewer, the force of a
