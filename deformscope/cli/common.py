@@ -194,6 +194,18 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
         draft.unlink(missing_ok=True)
 
 
+def make_folder(path: Path) -> None:
+    """Make the folder after --out where it is not there, and find out before the work whether it can be written to."""
+    probe = path / f".{os.getpid()}.part"
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        probe.open("xb").close()
+        probe.unlink()
+    except OSError as error:
+        came = (error.strerror or str(error)).lower()
+        raise InputError("a folder after --out that can be written to", came, where=path) from error
+
+
 def check_writable(path: Path, flag: str, *, replace: bool = True) -> None:
     """Find out before the work whether its result can be written, without touching what is there."""
     if path.is_dir():

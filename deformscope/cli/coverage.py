@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import fit_progress, quiet_warp, write_json
+from deformscope.cli.common import fit_progress, make_folder, quiet_warp, write_json
 from deformscope.config import CoverageConfig
 
 if TYPE_CHECKING:
@@ -28,6 +28,8 @@ WIDTH = 190
 
 def run(config: CoverageConfig) -> None:
     """Try all objects, tell the tables, draw the ranks."""
+    if config.out is not None:
+        make_folder(config.out)
     quiet_warp()
     from deformscope.experiments.coverage import (
         NOTHING,
@@ -67,7 +69,6 @@ def run(config: CoverageConfig) -> None:
     show(config, rows, told, unidentified, groups)
     picture = None
     if config.out is not None:
-        config.out.mkdir(parents=True, exist_ok=True)
         picture = config.out / "coverage.png"
         draw_ranks(ranks, picture)
     from statistics import median
