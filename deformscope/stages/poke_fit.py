@@ -345,11 +345,14 @@ def _fit_size(
     law, good = fit_shape(posed, theta=theta)
     states = [one.settle([law]) for one in posed]
     error = np.array([_rms(one.residual(state)[0]) for one, state in zip(posed, states, strict=True)])
+    settled = {int(place): (one, state) for place, one, state in zip(shaped, posed, states, strict=True)}
     reaction = np.empty(len(pokes))
     for place, poke in enumerate(pokes):
-        seen_at = np.flatnonzero(shaped == place)
-        one = posed[int(seen_at[0])] if seen_at.size else PosedPoke(surface, poke, spacing, size, precision, device)
-        state = one.settle([law])
+        if place in settled:
+            one, state = settled[place]
+        else:
+            one = PosedPoke(surface, poke, spacing, size, precision, device)
+            state = one.settle([law])
         good &= bool(state.converged[0])
         reaction[place] = one.reaction(state)[0] * (one.scene.spacing / spacing)
     return ShapeFit(law, error, np.full(len(posed), np.nan), reaction, good)
