@@ -21,7 +21,7 @@ from typing import Any, Generic, Protocol, Self, TypeVar
 from deformscope_drivers.clock import Clock, ClockFit, Stamp, monotonic_ns
 from deformscope_drivers.errors import DeviceError, LinkLost, NoReply, NotConnected, Stale
 from deformscope_drivers.framing import FrameDecoder, Skipped
-from deformscope_drivers.health import Health, Link, LinkEvent, Tally
+from deformscope_drivers.health import Health, Identity, Link, LinkEvent, Tally
 from deformscope_drivers.subscription import Subscription
 from deformscope_drivers.transport import Transport
 
@@ -284,6 +284,10 @@ class Device(ABC, Generic[MeasurementT]):
                 clock=None if self._clock_fit is None else self._clock_fit.relation(),
                 extra=self._extra_health(),
             )
+
+    def identity(self) -> Identity:
+        """Model, serial number and firmware, as far as the device told them while connecting; touches nothing."""
+        return Identity()
 
     # For subclasses --------------------------------------------------------------------------------------------------
 
