@@ -95,8 +95,11 @@ class SerialTransport(Transport):
     def close(self) -> None:
         opened, self._serial = self._serial, None
         if opened is not None:
+            held = getattr(opened, "_socket", None)  # which pyserial forgets to close when its other end is gone
             with contextlib.suppress(Exception):  # of a port that is gone, everything may fail
                 opened.close()
+            if held is not None:
+                held.close()
         with self._wake_lock:
             ends, self._wake_read, self._wake_write = (self._wake_read, self._wake_write), -1, -1
             for end in ends:

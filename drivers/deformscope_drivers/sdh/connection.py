@@ -18,6 +18,7 @@ from deformscope_drivers.errors import (
     SettingsRefused,
 )
 from deformscope_drivers.framing import NOISE, Skipped
+from deformscope_drivers.health import Identity
 from deformscope_drivers.sdh.codes import (
     ACCELERATION_LIMITS_SINCE,
     BINARY_COMMANDS,
@@ -62,7 +63,7 @@ class SdhConnection(StreamDevice[HandReading]):
 
     def __init__(self, config: SdhConfig, *, transport: Transport | None = None, clock: Clock = monotonic_ns) -> None:
         self.config = config
-        self._identity: HandIdentity | None = None
+        self._about: HandIdentity | None = None
         self._release: Release = ()
         self._connections = 0
         self._retries = 0
@@ -72,16 +73,21 @@ class SdhConnection(StreamDevice[HandReading]):
         super().__init__(transport or config.transport(), reconnect=config.reconnect, clock=clock)
 
     @property
-    def identity(self) -> HandIdentity:
+    def about(self) -> HandIdentity:
         """What the hand said when it was opened."""
-        if self._identity is None:
+        if self._about is None:
             raise NotConnected("a hand that was opened", "one that was not", "open() it", self.name)
-        return self._identity
+        return self._about
+
+    def identity(self) -> Identity:
+        if self._about is None:
+            return Identity(model="SDH")
+        return Identity(self._about.name, self._about.serial_number, self._about.firmware)
 
     @property
     def limits(self) -> Limits:
         """What may be asked of the axes; before the hand was opened, Schunk's defaults."""
-        return Limits() if self._identity is None else self._identity.limits
+        return Limits() if self._about is None else self._about.limits
 
     # What the base class asks for ------------------------------------------------------------------------------------
 
@@ -111,7 +117,7 @@ class SdhConnection(StreamDevice[HandReading]):
         if self.config.protocol == "binary" and not binary:
             advice = 'protocol = "ascii"'
             raise SettingsRefused("firmware 0.0.2.15 or later for binary", firmware, advice, self.name)
-        self._identity = HandIdentity(
+        self._about = HandIdentity(
             firmware=firmware,
             firmware_date=self._text("ver_date"),
             name=self._text("id"),
@@ -240,7 +246,7 @@ class SdhConnection(StreamDevice[HandReading]):
                 self._count_skipped(event)
 
     def _speaks_binary(self) -> bool:
-        return self._identity is not None and self._identity.binary and self._release >= BINARY_SINCE
+        return self._about is not None and self._about.binary and self._release >= BINARY_SINCE
 
 
 def _is_about(event: Event, command: Command) -> bool:

@@ -170,9 +170,7 @@ class Sdh(SdhConnection):
 
         def start() -> None:
             if self._release < CONTROLLERS_SINCE:
-                raise SettingsRefused(
-                    "firmware 0.0.2.6 or later for velocities", self.identity.firmware, where=self.name
-                )
+                raise SettingsRefused("firmware 0.0.2.6 or later for velocities", self.about.firmware, where=self.name)
             with_ramp = ramp is not None or self._controller is Controller.VELOCITY_ACCELERATION
             wanted = Controller.VELOCITY_ACCELERATION if with_ramp else Controller.VELOCITY
             if self._controller is not wanted:

@@ -297,6 +297,8 @@ class SdhDouble:
 
     def _told(self, now_ns: int, *, lag: bool = True) -> None:
         """Before a command takes effect: for a while the states from before it are told on."""
+        if lag and now_ns < self._lag_until_ns:
+            return
         self._told_states = self._states(now_ns)
         self._lag_until_ns = now_ns + self._state_lag_ns if lag else now_ns
 
