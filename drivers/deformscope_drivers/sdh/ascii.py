@@ -78,7 +78,7 @@ def encode_reply(event: Event, decimals: int = 2) -> bytes:
     name = event.quantity if isinstance(event, Reading) else event.name
     head = name.upper() if event.axis is None else f"{name.upper()}({event.axis})"
     if not event.values:
-        return f"{head}\r\n".encode()
+        return f"{name if name == 'm' else head}\r\n".encode()
     shown = (_shown(name, index, value, decimals) for index, value in enumerate(event.values))
     return f"{head}={','.join(shown)}\r\n".encode()
 

@@ -119,9 +119,9 @@ class SdhConnection(StreamDevice[HandReading]):
             raise SettingsRefused("firmware 0.0.2.15 or later for binary", firmware, advice, self.name)
         self._about = HandIdentity(
             firmware=firmware,
-            firmware_date=self._text("ver_date"),
-            name=self._text("id"),
-            serial_number=self._text("sn"),
+            firmware_date=self._text_if_known("ver_date"),
+            name=self._text_if_known("id"),
+            serial_number=self._text_if_known("sn"),
             binary=binary,
             limits=Limits(
                 velocity_max_deg_s=self._velocity_limits(), acceleration_max_deg_s2=self._acceleration_limits()
@@ -131,6 +131,13 @@ class SdhConnection(StreamDevice[HandReading]):
         self._connections += 1
 
     def _receive(self, timeout_s: float) -> Iterable[HandReading]:
+        try:
+            return self._round(timeout_s)
+        except NoReply as error:
+            raise LinkLost("answers from the hand", "none", "look at its supply and cable", self.name) from error
+
+    def _round(self, timeout_s: float) -> Iterable[HandReading]:
+        """Wait for the time of the next reading, and take it. An answer that makes no reading is counted as refused."""
         wait_ns = self._next_poll_ns - self._clock()
         if wait_ns > 0:
             self._overhear(min(wait_ns / 1e9, timeout_s))
@@ -142,8 +149,11 @@ class SdhConnection(StreamDevice[HandReading]):
             self._next_poll_ns = now_ns
         try:
             return [self._poll()]
-        except NoReply as error:
-            raise LinkLost("answers from the hand", "none", "look at its supply and cable", self.name) from error
+        except CommandRefused as error:
+            self._count_refused(f"error {error.code} ({error.name})")
+        except ProtocolViolation:
+            self._count_refused("state")
+        return []
 
     # Readings --------------------------------------------------------------------------------------------------------
 
@@ -177,6 +187,12 @@ class SdhConnection(StreamDevice[HandReading]):
 
     def _text(self, name: str, timeout_s: float | None = None) -> str:
         return self._exchange(Command(name), TextReply, timeout_s).text
+
+    def _text_if_known(self, name: str) -> str:
+        try:
+            return self._text(name)
+        except CommandRefused:
+            return ""
 
     def _values(self, name: str, *values: float, timeout_s: float | None = None, tries: int = TRIES) -> ByAxis:
         return self._exchange(Command(name, values), ValueReply, timeout_s, tries).values

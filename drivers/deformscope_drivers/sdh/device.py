@@ -337,14 +337,18 @@ class Sdh(SdhConnection):
     def _extra_health(self) -> dict[str, float]:
         return {**super()._extra_health(), "stopped_after_reconnect": self._stopped_after_reconnect}
 
-    def _receive(self, timeout_s: float) -> Iterable[HandReading]:
+    def _round(self, timeout_s: float) -> Iterable[HandReading]:
+        """No reading is waited for beyond the time that a velocity may go on."""
         if self._drive_until_ns is None:
-            return super()._receive(timeout_s)
+            return super()._round(timeout_s)
         left_ns = self._drive_until_ns - self._clock()
-        if left_ns <= 0:
+        if left_ns > 0:
+            return super()._round(min(timeout_s, left_ns / 1e9))
+        try:
             self._halt()
-            return []
-        return super()._receive(min(timeout_s, left_ns / 1e9))
+        except (CommandRefused, SettingsRefused):
+            self._values("stop")
+        return []
 
     def _velocity(self) -> FloatArray:
         """While velocities are driven they are told again each time, which also answers with the actual ones."""

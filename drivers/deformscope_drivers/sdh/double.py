@@ -1,57 +1,25 @@
 """A simulated SDH hand that speaks the real one's bytes: a state machine fed bytes and time.
 
-What the hand does is in `motion`; here are its commands. Where no document tells (marked "assumed"), the double does
-the plain thing: the number of decimals in its answers, what `stop` and an empty line are answered with, that `selgrip`
-turns the base axis only.
+What it does with commands is in `firmware`, how it moves in `motion`; here are its line and its bytes. Assumed: that an
+empty line is answered with nothing, and numbers with two decimals.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from enum import Enum
 from typing import Final
 
 from deformscope_drivers.doubles import Line
-from deformscope_drivers.sdh.codes import (
-    ACCELERATION_LIMITS_SINCE,
-    AXIS_COUNT,
-    BINARY_COMMANDS,
-    BINARY_SINCE,
-    CONTROLLERS_SINCE,
-    CURRENT_MAX_A,
-    DURATION_REPLIES_SINCE,
-    GRIP_VELOCITY_MAX_DEG_S,
-    INTEGER_COMMANDS,
-    MEASURED_COUNT,
-    REFERENCE_VELOCITY_DEG_S,
-    TEXT_COMMANDS,
-    VELOCITY_LIMITS_SINCE,
-    AxisState,
-    Controller,
-    Grasp,
-    VelocityProfile,
-    release,
-)
-from deformscope_drivers.sdh.motion import Axis, Motion, grasp_angles_deg
-from deformscope_drivers.sdh.protocol import (
-    Command,
-    CommandDecoder,
-    DebugLine,
-    ErrorReply,
-    Event,
-    Reading,
-    Received,
-    Skipped,
-    TextReply,
-    ValueReply,
-    encode_reply,
-)
+from deformscope_drivers.sdh.codes import BINARY_COMMANDS, BINARY_SINCE
+from deformscope_drivers.sdh.firmware import FORMAT, INDEX, UNKNOWN, Firmware, Refusal
+from deformscope_drivers.sdh.motion import Motion
+from deformscope_drivers.sdh.protocol import CommandDecoder, ErrorReply, Event, Received, Skipped, encode_reply
 
 RS232_BYTES_PER_S: Final = 11_520.0
 
-UNKNOWN, FORMAT, RANGE, INDEX, FAILED, FEW, NONE_EXPECTED = 13, 14, 24, 26, 17, 11, 12
 _REASONS: Final = {"name": UNKNOWN, "axis": INDEX}  # why a line was refused -> error code; else FORMAT
 
 
@@ -61,14 +29,6 @@ class Port(Enum):
     RS232 = "rs232"
     CAN = "can"
     TCP = "tcp"
-
-
-class Refusal(Exception):
-    """The command is answered with an error code."""
-
-    def __init__(self, code: int) -> None:
-        super().__init__(code)
-        self.code = code
 
 
 class SdhDouble:
@@ -90,50 +50,28 @@ class SdhDouble:
         paced: bool = True,
     ) -> None:
         self.port = port
-        self.firmware = firmware
-        self.motion = Motion()
         self.commands = 0
         self.silent = False  # hears nothing, says nothing, and goes on with what it does
-        self._release = release(firmware)
-        self._texts = {
-            "ver": firmware,
-            "ver_date": "2010-11-12",
-            "id": name,
-            "sn": serial_number,
-            "soc": "1.0.0.1",
-            "soc_date": "2009-03-03",
-        }
-        self._state_lag_ns = round(state_lag_s * 1e9)
+        texts = {"ver_date": "2010-11-12", "id": name, "sn": serial_number, "soc": "1.0.0.1", "soc_date": "2009-03-03"}
+        self._firmware = Firmware(firmware, texts, state_lag_s)
         self._checksummed = port is Port.RS232
         rate = RS232_BYTES_PER_S if paced and port is Port.RS232 else None
         self._ns_per_byte = 0.0 if rate is None else 1e9 / rate
         self._line = Line(rate)
         self.power_up(0)
 
+    @property
+    def motion(self) -> Motion:
+        """The axes, as of the last moment that the double was taken to."""
+        return self._firmware.motion
+
     def power_up(self, now_ns: int) -> None:
-        """As after switching on: at the angles it had, axes off, settings at their defaults."""
-        angles = [axis.position_deg for axis in self.motion.axes]
-        temperatures = [axis.temperature_c for axis in self.motion.axes]
-        obstacles = [(axis.obstacle_low_deg, axis.obstacle_high_deg) for axis in self.motion.axes]
-        self.motion = Motion(now_ns)
-        for axis, angle, temperature, obstacle in zip(self.motion.axes, angles, temperatures, obstacles, strict=True):
-            axis.position_deg, axis.temperature_c = angle, temperature
-            axis.obstacle_low_deg, axis.obstacle_high_deg = obstacle
+        """As after switching on: where it was, axes off, settings at their defaults."""
+        self._firmware.power_up(now_ns)
         self._decoder = CommandDecoder(checksummed=self._checksummed)
         self._line.clear()
         self._arrived_ns = now_ns
         self._waiting: deque[tuple[int, Received]] = deque()  # commands that the hand has, and when each had come
-        self._refusals: deque[int] = deque()
-        self._grasp = Grasp.CENTRICAL
-        self._gripping_until_ns = 0
-        self._after_grip: Callable[[], None] | None = None
-        self._busy_until_ns = 0
-        self._last_line: Event | None = None  # what ends the answer of a command that keeps the hand busy
-        self._lag_until_ns = 0
-        self._told_states = tuple(axis.state for axis in self.motion.axes)
-        self._integers = dict.fromkeys(INTEGER_COMMANDS, 0)
-        self._pid = [(1.0, 0.0, 0.0)] * AXIS_COUNT
-        self._kv = [0.0] * AXIS_COUNT
 
     # What a laboratory does to the hand.
 
@@ -149,14 +87,14 @@ class SdhDouble:
 
     def refuse_next(self, code: int) -> None:
         """Answer the next command with this error code."""
-        self._refusals.append(code)
+        self._firmware.refusals.append(code)
 
     def say(self, data: bytes, now_ns: int) -> None:
         """Send something without being asked: a debug line, noise."""
         self._line.send(data, now_ns)
 
     def position_deg(self, now_ns: int) -> tuple[float, ...]:
-        """The angles of the axes, (7,), at that moment."""
+        """The angles of the axes, (7,), at that moment; for who drives the double, not from beside a wire's thread."""
         self._run(now_ns)
         return tuple(axis.position_deg for axis in self.motion.axes)
 
@@ -178,337 +116,46 @@ class SdhDouble:
 
     def next_ns(self, now_ns: int) -> int | None:
         moments = [self._line.next_ns()]
-        if self._last_line is not None:
-            moments.append(self._busy_until_ns)
+        if self._firmware.last_line is not None:
+            moments.append(self._firmware.busy_until_ns)
         if self._waiting:
-            moments.append(max(self._waiting[0][0], self._busy_until_ns))
+            moments.append(max(self._waiting[0][0], self._firmware.busy_until_ns))
         return min((moment for moment in moments if moment is not None), default=None)
 
     def _run(self, now_ns: int) -> None:
-        """Everything up to now: ends of long commands, and commands that have come by then."""
+        """Everything up to now: ends of commands that took their time, and commands that have come by then."""
+        firmware = self._firmware
         while True:
-            if self._last_line is not None:
-                if self._busy_until_ns > now_ns:
+            if firmware.last_line is not None:
+                if firmware.busy_until_ns > now_ns:
                     break
-                self._advance(self._busy_until_ns)
-                event, self._last_line = self._last_line, None
-                self._send(event, False, self._busy_until_ns)
-            elif self._waiting and (at_ns := max(self._waiting[0][0], self._busy_until_ns)) <= now_ns:
+                firmware.advance(firmware.busy_until_ns)
+                event, firmware.last_line = firmware.last_line, None
+                self._send(event, False, firmware.busy_until_ns)
+            elif self._waiting and (at_ns := max(self._waiting[0][0], firmware.busy_until_ns)) <= now_ns:
                 _, received = self._waiting.popleft()
-                self._advance(at_ns)
+                firmware.advance(at_ns)
                 self._answer(received, at_ns)
             else:
                 break
-        self._advance(now_ns)
-
-    def _advance(self, now_ns: int) -> None:
-        if self._after_grip is not None and self._gripping_until_ns <= now_ns:
-            self.motion.advance(self._gripping_until_ns)
-            self._after_grip()
-            self._after_grip = None
-        self.motion.advance(now_ns)
-
-    def _send(self, event: Event, binary: bool, now_ns: int) -> None:
-        self._line.send(encode_reply(event, binary_checksum=self._checksummed if binary else None), now_ns)
+        firmware.advance(now_ns)
 
     def _answer(self, received: Received, now_ns: int) -> None:
         command = received.command
-        if received.binary and self._release < BINARY_SINCE:
+        if received.binary and self._firmware.release < BINARY_SINCE:
             return
         if command is None:
-            if received.reason != "empty":  # assumed: an empty line is answered with nothing
+            if received.reason != "empty":
                 self._send(ErrorReply(_REASONS.get(received.reason, FORMAT)), False, now_ns)
             return
         self.commands += 1
         try:
-            if self._refusals:
-                raise Refusal(self._refusals.popleft())
             if received.binary and command.name not in BINARY_COMMANDS:
                 raise Refusal(UNKNOWN)
-            for event in self._do(command, now_ns):
+            for event in self._firmware.do(command, now_ns):
                 self._send(event, received.binary, now_ns)
         except Refusal as refusal:
             self._send(ErrorReply(refusal.code, command.name if received.binary else None), received.binary, now_ns)
 
-    # The commands. Each gives the lines that it is answered with.
-
-    def _do(self, command: Command, now_ns: int) -> list[Event]:
-        name, values = command.name, command.values
-        if name in TEXT_COMMANDS:
-            return [TextReply(name, self._texts[name])]
-        if name in ("vel", "rvel", "pos", "state", "temp"):
-            if values:
-                raise Refusal(NONE_EXPECTED)
-            return [self._measured(command, now_ns)]
-        match name:
-            case "p" | "v" | "a" | "ilim" | "igrip" | "ihold" | "power" | "tpap" | "tvav":
-                return [self._setting(command, now_ns)]
-            case "vlim" | "alim":
-                return [self._limit(command)]
-            case "m" | "get_duration":
-                return self._move(name, now_ns)
-            case "stop":
-                if now_ns >= self._gripping_until_ns:  # a grip goes on, and so does what it told
-                    self._told(now_ns, lag=False)
-                    self.motion.stop()
-                return [ValueReply("stop")]  # assumed
-            case "selgrip" | "grip":
-                return self._grip(command, now_ns)
-            case "con":
-                return [self._controller(values, now_ns)]
-            case "vp" | "user_errors" | "terminal" | "debug":
-                return [self._integer(name, values)]
-            case "pid" | "kv":
-                return [self._gains(command)]
-            case "ref":
-                return self._reference(command, now_ns)
-            case "pos_save":
-                _check(command.values, lambda value: value in (0.0, 1.0))
-                return [ValueReply(name, values, command.axis)]
-            case "numaxis":
-                return [ValueReply(name, (float(AXIS_COUNT),))]
-        raise Refusal(UNKNOWN)  # `demo` too: nothing here moves without having been told where to
-
-    def _axes(self, command: Command) -> list[tuple[int, Axis]]:
-        axes = list(enumerate(self.motion.axes))
-        return axes if command.axis is None else [axes[command.axis]]
-
-    def _measured(self, command: Command, now_ns: int) -> Reading:
-        name = command.name
-        if name == "rvel" and self._release < CONTROLLERS_SINCE:
-            raise Refusal(UNKNOWN)
-        axes = self.motion.axes
-        measured: dict[str, Callable[[], tuple[float, ...]]] = {
-            "pos": lambda: tuple(axis.position_deg for axis in axes),
-            "tpap": lambda: tuple(axis.position_deg for axis in axes),
-            "vel": lambda: tuple(axis.velocity_deg_s for axis in axes),
-            "tvav": lambda: tuple(axis.velocity_deg_s for axis in axes),
-            "rvel": lambda: tuple(axis.reference_deg_s for axis in axes),
-            "state": lambda: tuple(float(state) for state in self._states(now_ns)),
-            "temp": lambda: (*(axis.temperature_c for axis in axes), *self.motion.temperatures_electronics_c),
-        }
-        values = measured[name]()
-        return Reading(name, values if command.axis is None else (values[command.axis],), command.axis)
-
-    def _states(self, now_ns: int) -> tuple[AxisState, ...]:
-        if now_ns < self._lag_until_ns:
-            return self._told_states
-        return tuple(axis.state for axis in self.motion.axes)
-
-    def _told(self, now_ns: int, *, lag: bool = True) -> None:
-        """Before a command takes effect: for a while the states from before it are told on."""
-        if lag and now_ns < self._lag_until_ns:
-            return
-        self._told_states = self._states(now_ns)
-        self._lag_until_ns = now_ns + self._state_lag_ns if lag else now_ns
-
-    def _setting(self, command: Command, now_ns: int) -> Event:
-        name, values, axes = command.name, command.values, self._axes(command)
-        if values:
-            if len(values) < len(axes):
-                raise Refusal(FEW)
-            if len(values) > len(axes):
-                raise Refusal(FORMAT)
-            for (_, axis), value in zip(axes, values, strict=True):
-                self._check_setting(name, axis, value)
-            for (index, axis), value in zip(axes, values, strict=True):
-                self._set(name, index, axis, value, now_ns)
-            if name in ("v", "tvav") and self.motion.controller is not Controller.POSE:
-                self._told(now_ns)
-                self.motion.follow_velocities()
-        if name in MEASURED_COUNT:
-            return self._measured(command, now_ns)
-        return ValueReply(name, tuple(self._get(name, axis) for _, axis in axes), command.axis)
-
-    def _check_setting(self, name: str, axis: Axis, value: float) -> None:
-        lowest = 0.0 if self.motion.controller is Controller.POSE else -axis.velocity_max_deg_s
-        match name:
-            case "p" | "tpap":
-                good = axis.low_deg <= value <= axis.high_deg
-            case "v" | "tvav":
-                good = lowest <= value <= axis.velocity_max_deg_s
-            case "a":
-                good = 0.0 < value <= axis.acceleration_max_deg_s2
-            case "power":
-                good = value in (0.0, 1.0)
-            case _:
-                good = 0.0 <= value <= CURRENT_MAX_A
-        if not good:
-            raise Refusal(RANGE)
-
-    def _set(self, name: str, index: int, axis: Axis, value: float, now_ns: int) -> None:
-        match name:
-            case "p" | "tpap":
-                axis.target_deg = value
-            case "v" | "tvav":
-                axis.target_velocity_deg_s = value
-            case "a":
-                axis.target_acceleration_deg_s2 = value
-            case "ilim":
-                axis.move_current_a = value
-            case "igrip":
-                axis.grip_current_a = value
-            case "ihold":
-                axis.hold_current_a = value
-            case "power" if now_ns >= self._gripping_until_ns:  # a grip cannot be switched off either
-                self.motion.power(index, bool(value))
-
-    def _get(self, name: str, axis: Axis) -> float:
-        match name:
-            case "p":
-                return axis.target_deg
-            case "v":
-                return axis.target_velocity_deg_s
-            case "a":
-                return axis.target_acceleration_deg_s2
-            case "ilim":
-                return axis.move_current_a
-            case "igrip":
-                return axis.grip_current_a
-            case "ihold":
-                return axis.hold_current_a
-        return float(axis.powered)
-
-    def _limit(self, command: Command) -> Event:
-        if command.values:
-            raise Refusal(NONE_EXPECTED)
-        since = VELOCITY_LIMITS_SINCE if command.name == "vlim" else ACCELERATION_LIMITS_SINCE
-        if self._release < since:
-            raise Refusal(UNKNOWN)
-        values = (
-            axis.velocity_max_deg_s if command.name == "vlim" else axis.acceleration_max_deg_s2
-            for _, axis in self._axes(command)
-        )
-        return ValueReply(command.name, tuple(values), command.axis)
-
-    @property
-    def _tells_duration(self) -> bool:
-        return self._release >= DURATION_REPLIES_SINCE
-
-    def _debug(self, *lines: str) -> list[Event]:
-        return [] if self._tells_duration else [DebugLine(line) for line in lines]
-
-    def _plan_line(self, targets_deg: Sequence[float | None], duration_s: float) -> str:
-        distance = max(
-            (0.0 if target is None else abs(target - axis.position_deg))
-            for axis, target in zip(self.motion.axes, targets_deg, strict=True)
-        )
-        points = max(1, round(duration_s * 100))
-        return f"max distance={distance:.2f}, T={duration_s:.2f}s, num_points: {points}"
-
-    def _move(self, name: str, now_ns: int) -> list[Event]:
-        if self.motion.controller is not Controller.POSE or now_ns < self._gripping_until_ns:
-            raise Refusal(FAILED)  # assumed
-        targets = [axis.target_deg for axis in self.motion.axes]
-        velocities = [axis.target_velocity_deg_s for axis in self.motion.axes]
-        duration_s = self.motion.duration_s(targets, velocities)
-        plan = self._plan_line(targets, duration_s)
-        if name == "get_duration":
-            return [*self._debug(plan), ValueReply(name, (duration_s,))]
-        self._told(now_ns)
-        for index in range(AXIS_COUNT):
-            self.motion.power(index, True)
-        self.motion.start(targets, velocities)
-        if self._tells_duration:
-            return [ValueReply(name, (duration_s,))]
-        self._line.send(f"@Enabling all axis\r\n@{plan}\r\nm\r\n".encode(), now_ns)
-        return []
-
-    def _grip(self, command: Command, now_ns: int) -> list[Event]:
-        if self.motion.profile is not VelocityProfile.SIN_SQUARE or self.motion.controller is not Controller.POSE:
-            raise Refusal(FAILED)  # assumed
-        if now_ns < self._gripping_until_ns:
-            raise Refusal(FAILED)  # assumed
-        axes = self.motion.axes
-        if command.name == "selgrip":
-            (number,) = _exactly(command.values, 1)
-            if number not in tuple(Grasp):
-                raise Refusal(RANGE)
-            self._grasp = Grasp(int(number))
-            base_deg = grasp_angles_deg(self._grasp, 0.0)[0]
-            targets: list[float | None] = [base_deg, *[None] * (AXIS_COUNT - 1)]
-            velocities = [axis.target_velocity_deg_s for axis in axes]
-            moved, first, told = range(AXIS_COUNT), "Enabling all axis", (number,)
-        else:
-            close, velocity = _exactly(command.values, 2)
-            if not 0.0 <= close <= 1.0 or not 0.0 < velocity <= GRIP_VELOCITY_MAX_DEG_S:
-                raise Refusal(RANGE)
-            targets = [None, *grasp_angles_deg(self._grasp, close)[1:]]
-            velocities = [velocity] * AXIS_COUNT
-            moved, first, told = range(1, AXIS_COUNT), "Enabling finger axis", (close,)
-        self._told(now_ns)
-        for index in moved:
-            self.motion.power(index, True)
-        plan = self._plan_line(targets, self.motion.duration_s(targets, velocities))
-        duration_s = self.motion.start(targets, velocities)
-        self._gripping_until_ns = now_ns + round(duration_s * 1e9)
-        if command.name == "selgrip":
-            self._after_grip = lambda: self.motion.power(0, False)
-        if self._tells_duration:
-            return [ValueReply(command.name, (duration_s, *told))]
-        self._busy_until_ns = self._gripping_until_ns
-        self._last_line = ValueReply(command.name, told)
-        currents = "Setting current limit to " + " ".join(f"@{axis.grip_current_a:.1f}" for axis in axes) + " @"
-        return self._debug(first, currents, plan)
-
-    def _controller(self, values: tuple[float, ...], now_ns: int) -> Event:
-        if self._release < CONTROLLERS_SINCE:
-            raise Refusal(UNKNOWN)
-        if values:
-            (number,) = _exactly(values, 1)
-            if number not in tuple(Controller):
-                raise Refusal(RANGE)
-            self._told(now_ns, lag=False)
-            self.motion.set_controller(Controller(int(number)))
-        return ValueReply("con", (float(self.motion.controller),))
-
-    def _integer(self, name: str, values: tuple[float, ...]) -> Event:
-        if values:
-            (number,) = _exactly(values, 1)
-            if not float(number).is_integer() or (name == "vp" and number not in tuple(VelocityProfile)):
-                raise Refusal(RANGE)
-            self._integers[name] = int(number)
-            if name == "vp":
-                self.motion.profile = VelocityProfile(int(number))
-        return ValueReply(name, (float(self._integers[name]),))
-
-    def _gains(self, command: Command) -> Event:
-        name, values, axis = command.name, command.values, command.axis
-        if axis is None:
-            raise Refusal(FORMAT)  # the firmware takes one axis at a time
-        if name == "pid":
-            if values:
-                p, i, d = _exactly(values, 3)
-                self._pid[axis] = (p, i, d)
-            return ValueReply(name, self._pid[axis], axis)
-        if values:
-            (self._kv[axis],) = _exactly(values, 1)
-        return ValueReply(name, (self._kv[axis],), axis)
-
-    def _reference(self, command: Command, now_ns: int) -> list[Event]:
-        axes = self._axes(command)
-        ways = _exactly(command.values, len(axes))
-        _check(ways, lambda value: value in (0.0, 1.0, 2.0))
-        targets: list[float | None] = [None] * AXIS_COUNT
-        for (index, axis), way in zip(axes, ways, strict=True):
-            if way:
-                self.motion.power(index, True)
-                targets[index] = axis.high_deg if way == 1.0 else axis.low_deg
-        self._told(now_ns)
-        duration_s = self.motion.start(targets, [REFERENCE_VELOCITY_DEG_S] * AXIS_COUNT)
-        self._busy_until_ns = now_ns + round(duration_s * 1e9)
-        self._last_line = ValueReply("ref", command.values, command.axis)
-        return []
-
-
-def _exactly(values: tuple[float, ...], count: int) -> tuple[float, ...]:
-    if len(values) != count:
-        raise Refusal(FEW if len(values) < count else FORMAT)
-    return values
-
-
-def _check(values: tuple[float, ...], good: Callable[[float], bool]) -> None:
-    if not values:
-        raise Refusal(FEW)
-    if not all(good(value) for value in values):
-        raise Refusal(RANGE)
+    def _send(self, event: Event, binary: bool, now_ns: int) -> None:
+        self._line.send(encode_reply(event, binary_checksum=self._checksummed if binary else None), now_ns)

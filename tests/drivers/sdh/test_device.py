@@ -75,12 +75,19 @@ class TestOverAPty(DeviceContract):
             yield bench_of(double, wire, rate_hz=40.0)
 
 
+@pytest.mark.slow  # pyserial waits 0.3 s with every socket that is closed
 class TestOverTcp(DeviceContract):
     @pytest.fixture
     def bench(self) -> Iterator[Bench]:
         double = SdhDouble(Port.TCP)
         with TcpWire(double) as wire:
             yield bench_of(double, wire)
+
+
+def test_over_tcp() -> None:
+    with TcpWire(SdhDouble(Port.TCP)) as wire, Sdh(config(port=wire.port)) as hand:
+        assert hand.about.binary
+        assert hand.move({1: 5.0}, velocity_deg_s=80.0).outcome is Outcome.REACHED
 
 
 @pytest.mark.parametrize("bus", ["virtual:sdh", "udp_multicast:239.74.163.2?port=43261"])
@@ -539,11 +546,30 @@ def test_debug_lines_and_noise_are_overheard(lab: Make) -> None:
     assert health.skipped_bytes >= 10
 
 
-def test_a_state_that_no_document_names(lab: Make) -> None:
+def test_an_answer_that_makes_no_reading_is_counted_and_the_next_one_comes(lab: Make) -> None:
     made = lab()
+    made.run(0.1)
+    made.double.refuse_next(6)
+    made.run(0.1)
     made.double.motion.axes[2].state = 8  # type: ignore[assignment]
-    with pytest.raises(ProtocolViolation, match="axis states"):
-        made.run(0.5)
+    made.run(0.1)
+    refused = made.hand.health().refused
+    made.double.motion.axes[2].state = AxisState.IDLE
+
+    assert refused["error 6 (TIMEOUT)"] == 1
+    assert refused["state"] >= 5
+    made.hand.next(0.1)
+
+
+def test_a_velocity_that_the_hand_will_not_end_is_ended_by_stop(lab: Make) -> None:
+    made = lab()
+    made.hand.drive([0, 20.0, 0, 0, 0, 0, 0], keep_s=0.05)
+    while made.clock() < made.hand._drive_until_ns:  # as the driver's thread is about to end it
+        made.hand.poll(0.001)
+    made.double.refuse_next(24)
+    made.run(1.0)
+
+    assert not made.double.motion.moving
 
 
 def test_readings_over_a_bad_line_are_right_or_asked_again(lab: Make) -> None:

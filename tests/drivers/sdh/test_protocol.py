@@ -69,7 +69,7 @@ TEXT_REPLIES: list[tuple[Event, bytes, bool]] = [
     (ValueReply("selgrip", (0.0, 1.0)), b"SELGRIP=0.0,1\r\n", True),
     (ValueReply("grip", (0.42, 0.1)), b"GRIP=0.42,0.1\r\n", True),
     (ValueReply("power", (0.0,) * 7), b"POWER=0,0,0,0,0,0,0\r\n", True),
-    (ValueReply("m"), b"m\r\n", False),  # firmware before 0.0.3.1
+    (ValueReply("m"), b"m\r\n", True),  # firmware before 0.0.3.1
     (ValueReply("m", (4.51,)), b"M=4.51s\n", False),
     (ValueReply("p", (1.5,), 3), b"P(3)=1.50\r\n", True),
     (ErrorReply(24), b"E24\r\n", True),
