@@ -1,8 +1,8 @@
 """The SDH's tactile sensors as a device: started in the right order, set as configured, its frames stamped and cut up.
 
-    with Dsa(DsaConfig(port="/dev/ttyUSB0")) as hand:
-        for reading in hand:
-            print(hand.contacts(reading))
+with Dsa(DsaConfig(port="/dev/ttyUSB0")) as hand:
+    for reading in hand:
+        print(hand.contacts(reading))
 """
 
 from __future__ import annotations
@@ -16,14 +16,15 @@ import numpy as np
 
 from deformscope_drivers.clock import Clock, ClockFit, Stamp, Unwrap, monotonic_ns
 from deformscope_drivers.device import RECONNECT, Reconnect, StreamDevice
+from deformscope_drivers.dsa.config import DsaConfig, check_sensitivity, check_threshold
 from deformscope_drivers.dsa.messages import (
     CHECKSUM,
+    LAYOUT_OF,
     PENDING,
     SUCCESS,
     Ack,
     Adjust,
     Command,
-    ConfigureAcquisition,
     ControllerInfo,
     Id,
     MatrixInfo,
@@ -43,21 +44,14 @@ from deformscope_drivers.dsa.messages import (
     error_name,
 )
 from deformscope_drivers.dsa.pads import Pad
-from deformscope_drivers.dsa.pressure import (
-    SCHUNK_PA_PER_COUNT,
-    Curve,
-    FloatArray,
-    PadContact,
-    pad_contact,
-    to_pressure,
-)
+from deformscope_drivers.dsa.pressure import FloatArray, PadContact, pad_contact, to_pressure
 from deformscope_drivers.dsa.protocol import Decoder, encode, single, stop, stream
-from deformscope_drivers.dsa.texels import TEXEL_MAX
 from deformscope_drivers.dsa.timestamps import TimestampGate, Verdict
 from deformscope_drivers.errors import (
     CommandRefused,
     DeviceError,
     NoReply,
+    NotConnected,
     OutOfLimits,
     ProtocolViolation,
     SettingsRefused,
@@ -85,40 +79,10 @@ SENSITIVITY_READ_BACK_FROM = 219
 SENSITIVITY_TOLERANCE = 0.005
 _SINGLE_FRAME_FROM, _SINGLE_FRAME_ALSO = 289, 269
 
+COMMAND_TIMEOUT_S = 30.0
+
 ReplyT = TypeVar("ReplyT", bound=Reply)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DsaConfig:
-    """How the tactile controller is reached, and how it shall run.
-
-    port: serial port, or URL (`socket://192.168.1.1:13000` for a hand with Ethernet)
-    rle: run-length encoded frames, 3 to 12 times shorter; frame_rate_hz: asked for (the firmware does not keep to it)
-    streaming: False = frames come only when `single_frame` asks
-    sensitivity: 0 to 1, for all matrices or each; None = as the controller has it
-    threshold: texels below it read 0, 0 to 4095, for all or each; None = as the controller has it (firmware >= 268)
-    calibration: for each matrix, or for all, the pressure of a count [Pa] or a `Curve`
-    silence_s: without a byte for so long while streaming, the link is lost
-    stuck_after_s: pressed texels that stay the same to the count for so long mean a stuck sensor; None = they may
-    """
-
-    port: str = ""
-    rle: bool = True
-    frame_rate_hz: int = 30
-    streaming: bool = True
-    sensitivity: float | tuple[float, ...] | None = None
-    threshold: int | tuple[int, ...] | None = None
-    calibration: tuple[float | Curve, ...] = (SCHUNK_PA_PER_COUNT,)
-    silence_s: float = 3.0
-    stuck_after_s: float | None = 10.0
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.frame_rate_hz <= 0xFFFF:
-            raise OutOfLimits("a frame rate from 1 to 65535 Hz", f"{self.frame_rate_hz}", where=self.port)
-        for sensitivity in _each(self.sensitivity):
-            _check_sensitivity(sensitivity, self.port)
-        for threshold in _each(self.threshold):
-            _check_threshold(threshold, self.port)
+ResultT = TypeVar("ResultT")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,7 +140,7 @@ class Dsa(StreamDevice[TactileReading]):
         self._wanted = _Wanted(config.streaming, config.rle)
         self._forget_time()
 
-    # What it is --------------------------------------------------------------------------------------------------------
+    # What it is ------------------------------------------------------------------------------------------------------
 
     @property
     def controller(self) -> ControllerInfo:
@@ -198,7 +162,7 @@ class Dsa(StreamDevice[TactileReading]):
         """The pads by matrix."""
         return tuple(Pad.of_matrix(matrix) for matrix in range(len(self._matrices)))
 
-    # What a reading means ----------------------------------------------------------------------------------------------
+    # What a reading means --------------------------------------------------------------------------------------------
 
     def pressure_pa(self, reading: TactileReading) -> list[FloatArray]:
         """For each matrix the pressure on its texels (rows, columns) [Pa], by the configured calibration."""
@@ -212,7 +176,7 @@ class Dsa(StreamDevice[TactileReading]):
             for counts, pressure_pa, matrix in zip(reading.pads, pressures_pa, self._matrices, strict=True)
         ]
 
-    # Commands: may be called from any thread, also while it streams -----------------------------------------------------
+    # Commands: may be called from any thread, also while it streams --------------------------------------------------
 
     def start_streaming(self, *, rle: bool | None = None) -> None:
         """Have frames sent. rle: run-length encoded or not, None = as before. Raises CommandRefused, NoReply."""
@@ -254,7 +218,7 @@ class Dsa(StreamDevice[TactileReading]):
         about 100 000 writes). Raises OutOfLimits before anything is sent; CommandRefused, SettingsRefused, NoReply
         """
         if sensitivity is not None:
-            _check_sensitivity(sensitivity, self.name)
+            check_sensitivity(sensitivity, self.name)
         self._check_matrix(matrix)
 
         def set_it() -> None:
@@ -267,7 +231,7 @@ class Dsa(StreamDevice[TactileReading]):
         """Set 0 to 4095, below which texels read 0, and read it back. Arguments and errors as `set_sensitivity`; needs
         firmware 268."""
         if threshold is not None:
-            _check_threshold(threshold, self.name)
+            check_threshold(threshold, self.name)
         self._check_matrix(matrix)
 
         def set_it() -> None:
@@ -286,7 +250,7 @@ class Dsa(StreamDevice[TactileReading]):
         self._check_matrix(matrix)
         return self._command(lambda: self._read_threshold(matrix))
 
-    # The stream device's part ------------------------------------------------------------------------------------------
+    # The stream device's part ----------------------------------------------------------------------------------------
 
     def _make_decoder(self) -> Decoder:
         return Decoder()
@@ -337,7 +301,7 @@ class Dsa(StreamDevice[TactileReading]):
     def _extra_health(self) -> dict[str, float]:
         return {"repeated": self._repeated, "clock_restarts": self._restarts}
 
-    # Within: all in the device's thread --------------------------------------------------------------------------------
+    # Within: all in the device's thread ------------------------------------------------------------------------------
 
     def _stop_whatever_it_does(self) -> None:
         """The first command, to a controller that may still be starting, or stream to nobody."""
@@ -394,7 +358,9 @@ class Dsa(StreamDevice[TactileReading]):
 
     def _apply_threshold(self, matrix: int | None, value: int | None, persistent: bool) -> None:
         self._require_thresholds()
-        self._set(SetThreshold(_adjust(matrix, value, persistent), matrix or 0, value or 0), "set threshold", persistent)
+        self._set(
+            SetThreshold(_adjust(matrix, value, persistent), matrix or 0, value or 0), "set threshold", persistent
+        )
         for index in self._chosen(matrix) if value is not None else ():
             told = self._read_threshold(index)
             if told != value:
@@ -429,11 +395,12 @@ class Dsa(StreamDevice[TactileReading]):
     def _take_single(self) -> TactileReading:
         self._forget_time()
 
-        def accept(event: Reading | Reply) -> Reading | Ack | None:
-            refused = _is_answer(event, Id.ACQUISITION) and isinstance(event, Ack) and event.error != SUCCESS
-            return event if isinstance(event, Reading) or (refused and isinstance(event, Ack)) else None
+        def accept(event: Reading | Reply) -> Any:
+            if isinstance(event, Ack):
+                return event if _is_answer(event, Id.ACQUISITION) and event.error != SUCCESS else None
+            return event if isinstance(event, Reading) else None
 
-        found = self._ask(encode(single(rle=self._wanted.rle)), accept, REPLY_TIMEOUT_S, what="a frame")
+        found: Reading | Ack = self._ask(encode(single(rle=self._wanted.rle)), accept, REPLY_TIMEOUT_S, what="a frame")
         if isinstance(found, Ack):
             raise self._refusal(found.error, "taking one frame")
         reading = next(iter(self._measure(found, self._heard_ns)))
@@ -461,13 +428,13 @@ class Dsa(StreamDevice[TactileReading]):
         packet = encode(command)
         id = packet[3]
 
-        def accept(event: Reading | Reply) -> Reply | None:
+        def accept(event: Reading | Reply) -> Any:
             return event if _is_answer(event, id) and not isinstance(event, Reading) else None
 
         error = CHECKSUM
         for tries_left in reversed(range(tries)):
             try:
-                reply = self._ask(packet, accept, timeout_s, what=f"an answer to {doing}")
+                reply: Reply = self._ask(packet, accept, timeout_s, what=f"an answer to {doing}")
             except NoReply:
                 if not tries_left or self._closing.is_set():
                     raise
@@ -505,12 +472,38 @@ class Dsa(StreamDevice[TactileReading]):
         if timestamp_ms is None:
             self._gate.restart()
 
-    def _command(self, action: Callable[[], Any]) -> Any:
+    def _command(self, action: Callable[[], ResultT]) -> ResultT:
         return self._do(action, COMMAND_TIMEOUT_S)
 
     def _check_matrix(self, matrix: int | None) -> None:
         if matrix is not None and not 0 <= matrix < len(self._matrices):
             raise OutOfLimits(f"a matrix from 0 to {len(self._matrices) - 1}", f"{matrix}", where=self.name)
 
-    def _known(self, told: Any) -> Any:
+    def _known(self, told: ResultT | None) -> ResultT:
+        if told is None:
+            raise NotConnected("a device that was opened", "one that was not", "open() it", self.name)
         return told
+
+
+def _is_answer(event: Reading | Reply, id: int) -> bool:
+    """Whether an event ends the wait for the answer to a command; `pending` does not."""
+    if isinstance(event, Reading) or event.error == PENDING:
+        return False
+    return (event.command if isinstance(event, Ack) else LAYOUT_OF[type(event)].id) == id
+
+
+def _adjust(matrix: int | None, value: float | None, persistent: bool) -> int:
+    flags = Adjust(0)
+    if matrix is None:
+        flags |= Adjust.ALL
+    if value is None:
+        flags |= Adjust.FACTORY
+    return flags | (Adjust.PERSISTENT if persistent else 0)
+
+
+def _remember(settings: dict[int | None, ResultT], matrix: int | None, value: ResultT) -> None:
+    """The latest counts, and what is set for all counts for each."""
+    if matrix is None:
+        settings.clear()
+    settings.pop(matrix, None)
+    settings[matrix] = value

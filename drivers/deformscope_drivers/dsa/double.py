@@ -110,6 +110,8 @@ class DsaDouble:
         self._first_timestamp_ms = first_timestamp_ms
         self._kept = [_Settings() for _ in self.matrices]
         self._line = Line(bytes_per_s)
+        self._acquisition = 0
+        self._once = False
         self._start(0)
 
     # The double's protocol (deformscope_drivers.doubles.Double) ------------------------------------------------------
