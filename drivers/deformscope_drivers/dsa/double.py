@@ -49,7 +49,7 @@ from deformscope_drivers.framing import Skipped
 SERIAL_BYTES_PER_S = 11_520
 """115 200 baud, 8N1."""
 
-FRAME_PERIOD_NS = 1_000_000_000 // 30
+FRAME_PERIOD_NS = -(-1_000_000_000 // 30)
 BOOT_S = 8.0
 """A real controller's time from power to answers."""
 
