@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
@@ -56,6 +56,7 @@ from deformscope_drivers.errors import (
     ProtocolViolation,
     SettingsRefused,
 )
+from deformscope_drivers.health import Identity
 from deformscope_drivers.transport import SerialTransport, Transport
 
 BAUDRATE = 115_200
@@ -90,15 +91,17 @@ class TactileReading:
     """One frame of all pads.
 
     stamp: arrival, and the controller's time in `device_ticks` [ms], without its 32-bit wrap
-    pads: for each matrix, in the controller's order, (rows, columns) uint16 counts, 0 to 4095, read-only
+    texels: (n,) uint16 counts, 0 to 4095, read-only: all matrices in the controller's order, each row by row
+    pads: the same, (rows, columns) for each matrix
     """
 
     stamp: Stamp
+    texels: TexelArray
     pads: tuple[TexelArray, ...]
 
 
 @dataclass
-class _Wanted:
+class _Settings:
     """What was asked for, and is asked for again after every reconnect: by matrix, None = of all."""
 
     streaming: bool
@@ -135,10 +138,13 @@ class Dsa(StreamDevice[TactileReading]):
         self._sensor: SensorInfo | None = None
         self._matrices: tuple[MatrixInfo, ...] = ()
         self._gate = TimestampGate()
-        self._repeated = 0
-        self._restarts = 0
-        self._wanted = _Wanted(config.streaming, config.rle)
-        self._forget_time()
+        self._begin()
+
+    def open(self, *, own_thread: bool = True) -> Self:
+        """Connect, and set what the configuration says. Raises NotConnected, NoReply, SettingsRefused..."""
+        if not self.is_open:
+            self._begin()
+        return super().open(own_thread=own_thread)
 
     # What it is ------------------------------------------------------------------------------------------------------
 
@@ -182,8 +188,8 @@ class Dsa(StreamDevice[TactileReading]):
         """Have frames sent. rle: run-length encoded or not, None = as before. Raises CommandRefused, NoReply."""
 
         def start() -> None:
-            self._wanted.rle = self._wanted.rle if rle is None else rle
-            self._wanted.streaming = True
+            self._settings.rle = self._settings.rle if rle is None else rle
+            self._settings.streaming = True
             self._stream()
 
         self._command(start)
@@ -192,7 +198,7 @@ class Dsa(StreamDevice[TactileReading]):
         """Have no more frames sent. Raises CommandRefused, NoReply."""
 
         def end() -> None:
-            self._wanted.streaming = False
+            self._settings.streaming = False
             self._silence_ns = None
             self._acknowledged(stop(), "stop")
             self._settle(SETTLE_S)
@@ -203,7 +209,7 @@ class Dsa(StreamDevice[TactileReading]):
         """One frame of a device that does not stream; readers get it too. Raises DeviceError while it streams."""
 
         def take() -> TactileReading:
-            if self._wanted.streaming:
+            if self._settings.streaming:
                 raise DeviceError("a device that does not stream", "one that does", "next(), or stop_streaming()")
             return self._take_single()
 
@@ -223,7 +229,7 @@ class Dsa(StreamDevice[TactileReading]):
 
         def set_it() -> None:
             self._apply_sensitivity(matrix, sensitivity, persistent)
-            _remember(self._wanted.sensitivity, matrix, sensitivity)
+            _remember(self._settings.sensitivity, matrix, sensitivity)
 
         self._command(set_it)
 
@@ -236,7 +242,7 @@ class Dsa(StreamDevice[TactileReading]):
 
         def set_it() -> None:
             self._apply_threshold(matrix, threshold, persistent)
-            _remember(self._wanted.threshold, matrix, threshold)
+            _remember(self._settings.threshold, matrix, threshold)
 
         self._command(set_it)
 
@@ -250,15 +256,21 @@ class Dsa(StreamDevice[TactileReading]):
         self._check_matrix(matrix)
         return self._command(lambda: self._read_threshold(matrix))
 
+    def identity(self) -> Identity:
+        """As the controller told it while connecting."""
+        if self._controller is None:
+            return Identity("Weiss DSACON32m")
+        return Identity("Weiss DSACON32m", str(self._controller.serial_number), str(self._controller.software_version))
+
     # The stream device's part ----------------------------------------------------------------------------------------
 
     def _make_decoder(self) -> Decoder:
-        return Decoder()
+        self._packets = Decoder()
+        return self._packets
 
     def _start(self) -> None:
         """Stop, throw away what is on its way, ask what it is, set it, and have it stream."""
-        self._matrices = ()
-        self._forget_time()
+        self._silence_ns = None
         self._stop_whatever_it_does()
         self._controller = self._query(QueryController(), ControllerInfo, "query of the controller")
         self._sensor = self._query(QuerySensor(), SensorInfo, "query of the sensor")
@@ -266,10 +278,10 @@ class Dsa(StreamDevice[TactileReading]):
         cells = sum(matrix.cells for matrix in matrices)
         if not 0 < cells <= CELLS_MAX:
             raise ProtocolViolation(f"matrices of 1 to {CELLS_MAX} texels in all", f"{cells}", where=self.name)
-        self._decoder_cells(cells)
         self._matrices = matrices
+        self._packets.cells = cells
         self._set_all()
-        if self._wanted.streaming:
+        if self._settings.streaming:
             self._stream()
 
     def _stop(self) -> None:
@@ -277,7 +289,7 @@ class Dsa(StreamDevice[TactileReading]):
             self._send(encode(stop()))
 
     def _measure(self, event: Reading | Reply, host_ns: int) -> Iterable[TactileReading]:
-        if not isinstance(event, Reading) or not self._matrices:
+        if not isinstance(event, Reading) or self._packets.cells is None:  # left over from an earlier time
             return []
         verdict = self._gate.check(event.timestamp_ms)
         if verdict is Verdict.REPEATED:
@@ -291,12 +303,11 @@ class Dsa(StreamDevice[TactileReading]):
             self._forget_time(event.timestamp_ms)
         ticks = self._unwrap(event.timestamp_ms, host_ns)
         self._fit.add(ticks, host_ns)
-        return [TactileReading(Stamp(host_ns, ticks), self._cut_up(event.texels))]
+        return [TactileReading(Stamp(host_ns, ticks), event.texels, self._cut_up(event.texels))]
 
     def _fingerprint(self, reading: TactileReading) -> Hashable:
         """Pads that nothing touches may read all zeros for ever."""
-        texels = b"".join(pad.tobytes() for pad in reading.pads)
-        return texels if any(texels) else None
+        return reading.texels.tobytes() if reading.texels.any() else None
 
     def _extra_health(self) -> dict[str, float]:
         return {"repeated": self._repeated, "clock_restarts": self._restarts}
@@ -324,14 +335,10 @@ class Dsa(StreamDevice[TactileReading]):
             raise ProtocolViolation(f"texels and their size for matrix {index}", came, where=self.name)
         return matrix
 
-    def _decoder_cells(self, cells: int) -> None:
-        assert isinstance(self._decoder, Decoder)
-        self._decoder.cells = cells
-
     def _set_all(self) -> None:
         configured: tuple[tuple[str, Any, dict[int | None, Any], Callable[..., None]], ...] = (
-            ("sensitivity", self.config.sensitivity, self._wanted.sensitivity, self._apply_sensitivity),
-            ("threshold", self.config.threshold, self._wanted.threshold, self._apply_threshold),
+            ("sensitivity", self.config.sensitivity, self._settings.sensitivity, self._apply_sensitivity),
+            ("threshold", self.config.threshold, self._settings.threshold, self._apply_threshold),
         )
         for name, value, set_since, apply in configured:
             for matrix, one in [*self._by_matrix(name, value).items(), *set_since.items()]:
@@ -388,7 +395,7 @@ class Dsa(StreamDevice[TactileReading]):
 
     def _stream(self) -> None:
         self._forget_time()
-        command = stream(rle=self._wanted.rle, frame_rate_hz=self.config.frame_rate_hz)
+        command = stream(rle=self._settings.rle, frame_rate_hz=self.config.frame_rate_hz)
         self._acknowledged(command, "start of streaming")
         self._silence_ns = round(self.config.silence_s * 1e9)
 
@@ -400,7 +407,8 @@ class Dsa(StreamDevice[TactileReading]):
                 return event if _is_answer(event, Id.ACQUISITION) and event.error != SUCCESS else None
             return event if isinstance(event, Reading) else None
 
-        found: Reading | Ack = self._ask(encode(single(rle=self._wanted.rle)), accept, REPLY_TIMEOUT_S, what="a frame")
+        packet = encode(single(rle=self._settings.rle))
+        found: Reading | Ack = self._ask(packet, accept, REPLY_TIMEOUT_S, what="a frame")
         if isinstance(found, Ack):
             raise self._refusal(found.error, "taking one frame")
         reading = next(iter(self._measure(found, self._heard_ns)))
@@ -464,6 +472,12 @@ class Dsa(StreamDevice[TactileReading]):
         ends = np.cumsum([matrix.cells for matrix in self._matrices])[:-1]
         shapes = [(matrix.cells_y, matrix.cells_x) for matrix in self._matrices]
         return tuple(part.reshape(shape) for part, shape in zip(np.split(texels, ends), shapes, strict=True))
+
+    def _begin(self) -> None:
+        """As the configuration says, whatever was set since."""
+        self._settings = _Settings(self.config.streaming, self.config.rle)
+        self._repeated = self._restarts = 0
+        self._forget_time()
 
     def _forget_time(self, timestamp_ms: int | None = None) -> None:
         """The controller's clock starts anew. timestamp_ms: already seen on it"""

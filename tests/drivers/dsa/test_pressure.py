@@ -1,4 +1,4 @@
-"""Pressure, force, contact area and centre of pressure on pads whose answers are known; names and the thesis's feature."""
+"""Pressure, force, contact area, centre of pressure where the answer is known; pads' names; the thesis's feature."""
 
 from __future__ import annotations
 
