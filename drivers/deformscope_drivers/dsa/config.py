@@ -22,7 +22,7 @@ class DsaConfig:
     sensitivity: 0 to 1, for all matrices or each; None = as the controller has it
     threshold: texels below it read 0, 0 to 4095, for all or each; None = as the controller has it (firmware >= 268)
     calibration: for each matrix, or for all, the pressure of a count [Pa] or a `Curve`
-    silence_s: without a byte for so long while streaming, the link is lost
+    silence_s: without a good frame for so long while streaming, the link is lost, and sought again
     stuck_after_s: pressed texels that stay the same to the count for so long mean a stuck sensor; None = they may
     """
 

@@ -50,6 +50,7 @@ from deformscope_drivers.dsa.timestamps import TimestampGate, Verdict
 from deformscope_drivers.errors import (
     CommandRefused,
     DeviceError,
+    LinkLost,
     NoReply,
     NotConnected,
     OutOfLimits,
@@ -69,8 +70,8 @@ STOP_TRIES = 4
 REPLY_TIMEOUT_S = 1.0
 REPLY_TRIES = 3
 SETTLE_S = 0.05
-SETTLE_AFTER_RETRY_S = 1.0
-"""How long answers to what was asked before may still come, and are thrown away."""
+"""How long answers to what was asked before, and frames, may still come. (Schunk's software waits 1 s after the first
+stop. Answers come in order, so a late one to it is past when the controller has told what it is.)"""
 
 CELLS_MAX = (0xFFFF - 5) // 2
 """More would not fit a packet."""
@@ -271,7 +272,8 @@ class Dsa(StreamDevice[TactileReading]):
     def _start(self) -> None:
         """Stop, throw away what is on its way, ask what it is, set it, and have it stream."""
         self._silence_ns = None
-        self._stop_whatever_it_does()
+        self._acknowledged(stop(), "stop", STOP_TIMEOUT_S, STOP_TRIES)
+        self._settle(SETTLE_S)
         self._controller = self._query(QueryController(), ControllerInfo, "query of the controller")
         self._sensor = self._query(QuerySensor(), SensorInfo, "query of the sensor")
         matrices = tuple(self._ask_matrix(index) for index in range(self._sensor.matrix_count))
@@ -301,9 +303,17 @@ class Dsa(StreamDevice[TactileReading]):
         if verdict is Verdict.RESTARTED:
             self._restarts += 1
             self._forget_time(event.timestamp_ms)
+        self._measured_ns = host_ns
         ticks = self._unwrap(event.timestamp_ms, host_ns)
         self._fit.add(ticks, host_ns)
         return [TactileReading(Stamp(host_ns, ticks), event.texels, self._cut_up(event.texels))]
+
+    def _receive(self, timeout_s: float) -> Iterable[TactileReading]:
+        readings = list(super()._receive(timeout_s))
+        if self._silence_ns is not None and self._clock() - self._measured_ns > self._silence_ns:
+            expected, came = "frames from the controller", f"none that is good for {self.config.silence_s:g} s"
+            raise LinkLost(expected, came, "look at cable and baud rate", self.name)
+        return readings
 
     def _fingerprint(self, reading: TactileReading) -> Hashable:
         """Pads that nothing touches may read all zeros for ever."""
@@ -313,19 +323,6 @@ class Dsa(StreamDevice[TactileReading]):
         return {"repeated": self._repeated, "clock_restarts": self._restarts}
 
     # Within: all in the device's thread ------------------------------------------------------------------------------
-
-    def _stop_whatever_it_does(self) -> None:
-        """The first command, to a controller that may still be starting, or stream to nobody."""
-        for tries_left in reversed(range(STOP_TRIES)):
-            try:
-                self._acknowledged(stop(), "stop", STOP_TIMEOUT_S, tries=1)
-            except NoReply:
-                if not tries_left or self._closing.is_set():
-                    raise
-                continue
-            # answers to earlier tries may be on their way, and would pass for those to the next commands
-            self._settle(SETTLE_S if tries_left == STOP_TRIES - 1 else SETTLE_AFTER_RETRY_S)
-            return
 
     def _ask_matrix(self, index: int) -> MatrixInfo:
         matrix = self._query(QueryMatrix(index), MatrixInfo, f"query of matrix {index}")
@@ -398,6 +395,7 @@ class Dsa(StreamDevice[TactileReading]):
         command = stream(rle=self._settings.rle, frame_rate_hz=self.config.frame_rate_hz)
         self._acknowledged(command, "start of streaming")
         self._silence_ns = round(self.config.silence_s * 1e9)
+        self._measured_ns = self._clock()
 
     def _take_single(self) -> TactileReading:
         self._forget_time()
@@ -408,7 +406,11 @@ class Dsa(StreamDevice[TactileReading]):
             return event if isinstance(event, Reading) else None
 
         packet = encode(single(rle=self._settings.rle))
-        found: Reading | Ack = self._ask(packet, accept, REPLY_TIMEOUT_S, what="a frame")
+        try:
+            found: Reading | Ack = self._ask(packet, accept, REPLY_TIMEOUT_S, what="a frame")
+        except NoReply:
+            self._stop()
+            raise
         if isinstance(found, Ack):
             raise self._refusal(found.error, "taking one frame")
         reading = next(iter(self._measure(found, self._heard_ns)))
@@ -477,6 +479,7 @@ class Dsa(StreamDevice[TactileReading]):
         """As the configuration says, whatever was set since."""
         self._settings = _Settings(self.config.streaming, self.config.rle)
         self._repeated = self._restarts = 0
+        self._measured_ns = 0
         self._forget_time()
 
     def _forget_time(self, timestamp_ms: int | None = None) -> None:
@@ -490,6 +493,7 @@ class Dsa(StreamDevice[TactileReading]):
         return self._do(action, COMMAND_TIMEOUT_S)
 
     def _check_matrix(self, matrix: int | None) -> None:
+        self._require_open()
         if matrix is not None and not 0 <= matrix < len(self._matrices):
             raise OutOfLimits(f"a matrix from 0 to {len(self._matrices) - 1}", f"{matrix}", where=self.name)
 

@@ -1,4 +1,4 @@
-"""Flipped bits: no single one passes; the pairs that do are counted exactly, and few of them are left."""
+"""Flipped bits: no single one passes; the pairs that do are counted exactly, and so are those that are left."""
 
 from __future__ import annotations
 
