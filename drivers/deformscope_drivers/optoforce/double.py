@@ -106,6 +106,7 @@ class OptoforceDouble:
     setting is refused with result 1, which is an assumption: only 0 is documented.
 
     unplugged: channels whose sensor is pulled off, which read 0 and say so; 0 is the first
+    silent: it hangs, and sends nothing
     """
 
     def __init__(self, sensors: Sensors | None = None) -> None:
@@ -119,6 +120,7 @@ class OptoforceDouble:
         self._sample_ns = SAMPLE_NS / (1.0 + self.sensors.clock_ppm * 1e-6)
         self._line = Line(self.sensors.bytes_per_s)
         self.unplugged: set[int] = set()
+        self.silent = False
         self.power_up(0)
 
     @property
@@ -203,7 +205,8 @@ class OptoforceDouble:
         speed = self._settings.speed
         while speed and (sent_ns := self._time_ns(self._next_sent)) <= now_ns:
             self._take_samples(self._next_sent)
-            self._line.send(encode(self._reading()), sent_ns)
+            if not self.silent:
+                self._line.send(encode(self._reading()), sent_ns)
             self._sent += 1
             self._next_sent += int(speed)
 

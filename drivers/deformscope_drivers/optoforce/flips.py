@@ -44,8 +44,9 @@ class Tally:
     """How often one kind of damage passes the byte sum, and which check tells of it first.
 
     possible: how many ways there are; passed: how many of them the decoder takes for a reading
-    by_status: of these, how many show another kind of sensor, or a status that is undefined or not usable; by_counter: a counter that does not
-    follow the one before; by_load: more than twice the nominal load; unseen: none of these
+    by_status: of these, how many show another kind of sensor, or a status that is undefined or not usable
+    by_counter: a counter that does not follow the one before; by_load: more than twice the nominal load
+    unseen: none of these
     """
 
     possible: int

@@ -248,8 +248,9 @@ class _Packet(Generic[EventT]):
 
 
 class _PacketDecoder(FrameDecoder[EventT]):
-    def __init__(self, *packets: _Packet[EventT]) -> None:
+    def __init__(self, *packets: _Packet[EventT], fill_to: int = 1) -> None:
         super().__init__()
+        self._fill_to = fill_to
         self._packets = {packet.header: packet for packet in packets}
         starts = b"|".join(_or_cut_off(packet.header) for packet in packets)
         self._search = re.compile(starts, re.DOTALL).search
@@ -268,22 +269,31 @@ class _PacketDecoder(FrameDecoder[EventT]):
         if sum(buffer[start : end - 2]) != buffer[end - 2] << 8 | buffer[end - 1]:
             return Refused("checksum")
         event = packet.read(buffer, start + HEADER_SIZE)
-        return Refused("content") if event is None else Found(event, packet.length)
+        if event is None:
+            return Refused("content")
+        return Found(event, packet.length + self._filling(buffer, end, -packet.length % self._fill_to))
+
+    def _filling(self, buffer: bytes, at: int, most: int) -> int:
+        return len(buffer[at : at + most]) - len(buffer[at : at + most].lstrip(b"\0")) if most else 0
 
 
 class Decoder(_PacketDecoder[Reply]):
-    """What a DAQ sends. A header that stands within a packet is found if the packet is bad, and only then."""
+    """What a DAQ sends. A header that stands within a packet is found if the packet is bad, and only then.
 
-    def __init__(self) -> None:
+    fill_to: zeros that fill a packet up to a multiple of this belong to it (8 on CAN, where some DAQs may do so)
+    """
+
+    def __init__(self, fill_to: int = 1) -> None:
         super().__init__(
             *(_data_packet(kind) for kind in Kind),
             _Packet(CONFIG_REPLY, 7, lambda buffer, at: ConfigReply(buffer[at])),
             _Packet(SERIAL_REPLY, 14, _read_serial),
+            fill_to=fill_to,
         )
 
 
 class CommandDecoder(_PacketDecoder[Command]):
-    """What a DAQ hears. The zeros with which some hosts fill up a CAN frame are skipped as noise."""
+    """What a DAQ hears. Zeros with which some hosts fill up a CAN frame are skipped as noise."""
 
     def __init__(self) -> None:
         super().__init__(
@@ -310,6 +320,8 @@ def encode(message: Command | Reply) -> bytes:
             if not serial.isascii() or not 0 < len(serial) <= SERIAL_SIZE:
                 raise ValueError(f"expected 1 to {SERIAL_SIZE} ASCII characters; got {serial!r}")
             body = SERIAL_REPLY + serial.encode("ascii").ljust(SERIAL_SIZE, b"\0")
+        case _:
+            raise TypeError(f"expected a message of this module; got {message!r}")
     return body + sum(body).to_bytes(CHECKSUM_SIZE, "big")
 
 

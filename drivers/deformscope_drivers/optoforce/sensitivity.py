@@ -30,7 +30,8 @@ class Sensitivity:
                 "expected a sensitivity report of 3 counts at 3 nominal loads (Fx Fy Fz), or 6 at 6; "
                 f"got {len(self.counts_at_nominal)} at {len(self.nominal)}"
             )
-        if not (np.isfinite(counts).all() and np.isfinite(nominal).all() and (counts > 0).all() and (nominal > 0).all()):
+        both = np.concatenate([counts, nominal])
+        if not (np.isfinite(both) & (both > 0)).all():
             raise ValueError(
                 "expected positive counts and nominal loads, as in the sensitivity report; "
                 f"got {self.counts_at_nominal} at {self.nominal}"
@@ -44,4 +45,5 @@ class Sensitivity:
     @property
     def per_count(self) -> FloatArray:
         """(axes,) what one count is worth [N], [N m]."""
-        return np.array(self.nominal, float) / np.array(self.counts_at_nominal, float)
+        per_count: FloatArray = np.array(self.nominal, float) / np.array(self.counts_at_nominal, float)
+        return per_count
