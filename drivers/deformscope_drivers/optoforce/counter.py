@@ -56,7 +56,8 @@ class CounterTrack:
     lost, late, repeated, damaged, restarts: how many there were
 
     period_ns: time between readings, from which a restart is told apart from a loss; None = unknown: then a counter
-    that goes back has restarted.
+    that goes back has restarted. Where both may be, it is taken for a loss. A pause in which the counter goes once
+    round and more is not told from a shorter one.
     """
 
     def __init__(self, period_ns: float | None = None) -> None:
@@ -149,11 +150,9 @@ class CounterTrack:
             return Gap(Verdict.LATE, -1 if self.lost else 0)
         if self._period_ns is None:
             return Gap(Verdict.JUMPED) if step >= WRAP // 2 else Gap(Verdict.LOST, _missing(step, usual))
-        ahead_ns = self._ahead_ns(step, host_ns)
-        if ahead_ns > JITTER_NS:
+        if self._ahead_ns(step, host_ns) > JITTER_NS:
             return Gap(Verdict.JUMPED)
-        wraps = int((JITTER_NS - ahead_ns) * usual / (WRAP * self._period_ns))
-        return Gap(Verdict.LOST, _missing(step + wraps * WRAP, usual))
+        return Gap(Verdict.LOST, _missing(step, usual))
 
     def _count(self, gap: Gap, times: int = 1) -> None:
         self.lost += times * gap.lost

@@ -77,11 +77,13 @@ def _tally(packet: bytes, patches: Iterable[Patch], possible: int, nominal_count
     )
     limits = None if nominal_counts is None else [[nominal_counts] * 3]
     passed = by_status = by_counter = by_load = 0
+    decoder = Decoder()
     for patch in patches:
         damaged = bytearray(packet)
         for at, value in patch.items():
             damaged[at] = value
-        event = next(Decoder().feed(bytes(damaged) + behind))
+        event = next(decoder.feed(bytes(damaged) + behind))
+        decoder.finish()
         if not isinstance(event, Reading):
             continue
         passed += 1
