@@ -75,12 +75,19 @@ class CounterTrack:
         self._anchor = (0, 0)
         self._ticks = 0
 
-    def follow(self, counter: int, host_ns: int) -> Gap:
-        """What the next reading's counter says, with its arrival on the host's clock [ns]."""
+    def follow(self, counter: int, host_ns: int, *, twin: bool = False) -> Gap:
+        """What the next reading's counter says.
+
+        host_ns: its arrival on the host's clock [ns]; twin: all of it is as in the reading before, which was sent
+        twice then; a damaged counter may come to be the same as the one before, but not all else
+        """
         last, self._last = self._last, counter
         if last is None:
             return Gap(Verdict.FIRST)
         step = (counter - last) % WRAP
+        if twin and step == 0:
+            self.repeated += 1
+            return Gap(Verdict.REPEATED)
         if self.step is None:
             return self._learn(step, host_ns)
         if step == self.step:

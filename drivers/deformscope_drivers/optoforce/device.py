@@ -67,6 +67,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     transport, clock: in place of the configuration's port and the host's clock (a simulated laboratory)
     """
 
+    _before: Reading | None
     _kind: Kind | None
     _offset: FloatArray | None
 
@@ -175,7 +176,8 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         if self._kind is None:
             self._learn_kind(event.kind)
         known = event.kind is self._kind
-        gap = self._track.follow(event.counter, host_ns)
+        gap = self._track.follow(event.counter, host_ns, twin=event == self._before)
+        self._before = event
         found = doubts(event, self._nominal_counts if known else None)
         if gap.verdict in (Verdict.JUMPED, Verdict.LATE, Verdict.REPEATED):
             found = (*found, "counter")
@@ -228,6 +230,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         self._per_count: FloatArray | None = None
         self._nominal_counts: list[tuple[float, ...]] | None = None
         self._restarted = False
+        self._before = None
         self._track = CounterTrack()
         self._unwrap: Unwrap | None = None
         self._unacknowledged = self._unusable = self._overloaded = self._implausible = 0

@@ -44,6 +44,9 @@ OMD_20_SE_40N = Sensitivity(counts_at_nominal=(16037.0, 16037.0, 16037.0), nomin
 """The one sensor whose number is public: OMD-20-SE-40N, serial number ISE0A129. Another sensor has another."""
 
 
+_WELL = Status.of()
+
+
 def _nothing_touches(time_s: float) -> npt.ArrayLike:
     return (0.0, 0.0, 0.0)
 
@@ -234,30 +237,30 @@ class OptoforceDouble:
     def _counts(self, time_s: float) -> FloatArray:
         """(channels, axes) what a sample reads before filter and zero."""
         load = np.asarray(self.sensors.scene(time_s), float) * self._per_load
-        noise = self._random.normal(scale=self.sensors.noise_counts, size=load.shape)
-        return np.asarray(np.clip(load + self.sensors.offset_counts + noise, -self._saturation, self._saturation))
+        noise = self._random.standard_normal(self._zero.shape) * self.sensors.noise_counts
+        counts = load + self.sensors.offset_counts + noise
+        return np.asarray(np.minimum(np.maximum(counts, -self._saturation), self._saturation))
 
     def _reading(self) -> Reading:
         assert self._filtered is not None
-        counts = np.clip(np.round(self._filtered - self._zero), -32768, 32767)
+        counts = np.minimum(np.maximum(np.rint(self._filtered - self._zero), -32768.0), 32767.0)
         counts[list(self.unplugged)] = 0.0
         counter = self._sample - 1 if self.sensors.counts_samples else self._sent
-        rows = tuple(tuple(int(value) for value in channel) for channel in counts)
+        rows = tuple(tuple(channel) for channel in counts.astype(int).tolist())
         return Reading(self.sensors.kind, counter % 0x10000, self._status(), rows)
 
     def _status(self) -> Status:
         """The troubled sensor's; where several are, the first one's."""
         assert self._filtered is not None
         over = np.abs(self._filtered - self.sensors.offset_counts) > self._overload
+        if not self.unplugged and not over.any():
+            return _WELL
         over[list(self.unplugged)] = False
         troubled = sorted(self.unplugged | set(np.flatnonzero(over.any(axis=1)).tolist()))
-        if not troubled:
-            return Status.of()
-        first = troubled[0]
         return Status.of(
             DaqState.OK,
             SensorState.NOT_DETECTED if self.unplugged else SensorState.OK,
             tuple(name for axis, name in enumerate(AXES[: over.shape[1]]) if over[:, axis].any()),
             several_sensors=len(troubled) > 1,
-            sensor_number=first + 1 if self.sensors.kind is Kind.FOUR_CHANNEL else 0,
+            sensor_number=troubled[0] + 1 if self.sensors.kind is Kind.FOUR_CHANNEL else 0,
         )

@@ -85,6 +85,14 @@ def test_a_reading_sent_twice() -> None:
     assert (track.repeated, track.lost) == (1, 0)
 
 
+def test_a_reading_sent_twice_before_a_loss_was_not_damaged() -> None:
+    track, last, now_ns = track_of()
+    gaps = [track.follow(last, now_ns, twin=True), track.follow(last + 2, now_ns + MS)]
+
+    assert [gap.verdict for gap in gaps] == [Verdict.REPEATED, Verdict.LOST]
+    assert (track.repeated, track.damaged, track.lost) == (1, 0, 1)
+
+
 @pytest.mark.parametrize("before", [20_000, 50_000, 64_000])
 def test_a_restart_is_no_loss(before: int) -> None:
     track, _, now_ns = track_of(first=before)

@@ -71,10 +71,10 @@ def can_wire(double: OptoforceDouble, bus: str, padded: bool = False) -> CanWire
 class Simulation:
     """The driver and its double in one thread, on a clock of their own."""
 
-    def __init__(self, sensors: Sensors | None = None, faults: Faults | None = None, **config) -> None:
+    def __init__(self, sensors: Sensors | None = None, faults: Faults | None = None, seed: int = 0, **config) -> None:
         self.clock = SimulatedClock()
         self.double = OptoforceDouble(sensors)
-        wire = self.double if faults is None else FaultyDouble(self.double, faults)
+        wire = self.double if faults is None else FaultyDouble(self.double, faults, seed)
         self.transport = MemoryTransport(wire, self.clock)
         config = OptoforceConfig(port="memory", **{"sensitivity": OMD_20_SE_40N, **config})
         self.device = Optoforce(config, transport=self.transport, clock=self.clock)
@@ -248,7 +248,7 @@ def test_a_daq_that_restarts_behind_a_live_link_is_set_up_again() -> None:
     simulation = Simulation(Sensors(scene=lambda _: (1.0, 2.0, 3.0)), filter_hz=50)
     with simulation as device:
         device.zero()
-        simulation.run(30.0)
+        simulation.run(5.0)
         events = device.events()
         simulation.double.power_up(simulation.clock() + 200 * MS)
         simulation.run(1.0)
@@ -276,18 +276,18 @@ def test_lost_readings_are_counted_where_they_are_missing() -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_on_a_bad_wire_every_whole_reading_comes_and_the_rest_is_counted(seed: int) -> None:
     faults = Faults(noise=0.05, flip=0.05, cut=0.05, twice=0.02, split=0.1)
-    simulation = Simulation(Sensors(seed=seed), faults)
+    simulation = Simulation(faults=faults, seed=seed)
     with simulation as device:
         before = device.health()
-        measured = simulation.run(20.0)
+        measured = simulation.run(10.0)
         health = device.health()
 
     assert health.refused["checksum"] > 100
     assert health.skipped_bytes > before.skipped_bytes
     counters = [one.stamp.device_ticks for one in measured if not one.doubts]
-    missing = 20_000 - len(set(counters))
+    missing = 10_000 - len(set(counters))
     assert health.lost == pytest.approx(missing, abs=3)
-    assert missing > 1000
+    assert missing > 700
     assert all(abs(one.counts[0][0]) < 200 for one in measured if not one.doubts)
 
 
@@ -350,7 +350,7 @@ def test_a_report_for_another_kind_of_sensor_is_refused() -> None:
 
 
 def test_the_daqs_clock_is_fitted() -> None:
-    simulation = Simulation(Sensors(clock_ppm=80.0))
+    simulation = Simulation(Sensors(clock_ppm=80.0), rate_hz=100)
     with simulation as device:
         simulation.run(60.0)
         assert device.health().clock is not None
@@ -426,25 +426,24 @@ def test_a_daq_that_falls_silent_is_lost_and_found() -> None:
 def test_the_cable_is_pulled_out_and_put_back_again_and_again(cycles: int, capsys) -> None:
     double = OptoforceDouble()
     told_s, resync_readings = [], []
-    with PtyWire(double) as wire:
-        with Optoforce(OptoforceConfig(port=wire.port, reconnect=QUICK)) as device:
-            device.next(5.0)
-            before = open_things()
-            for cycle in range(cycles):
-                time.sleep(0.0003 * (cycle % 10))  # in the middle of whatever comes
-                pulled = time.monotonic()
-                wire.unplug()
-                wait_until(lambda: device.link is not Link.CONNECTED)
-                told_s.append(time.monotonic() - pulled)
-                skipped = device.health().skipped_bytes
-                wire.plug()
-                wait_until(lambda: device.link is Link.CONNECTED)
-                first = device.next(5.0)
-                resync_readings.append((device.health().skipped_bytes - skipped) / 16)
-                assert first.counts is not None
-                assert device.health().reconnects == cycle + 1
-            assert open_things() == before
-            assert device.health().lost == 0
+    with PtyWire(double) as wire, Optoforce(OptoforceConfig(port=wire.port, reconnect=QUICK)) as device:
+        device.next(5.0)
+        before = open_things()
+        for cycle in range(cycles):
+            time.sleep(0.0003 * (cycle % 10))  # in the middle of whatever comes
+            pulled = time.monotonic()
+            wire.unplug()
+            wait_until(lambda: device.link is not Link.CONNECTED)
+            told_s.append(time.monotonic() - pulled)
+            skipped = device.health().skipped_bytes
+            wire.plug()
+            wait_until(lambda: device.link is Link.CONNECTED)
+            first = device.next(5.0)
+            resync_readings.append((device.health().skipped_bytes - skipped) / 16)
+            assert first.counts is not None
+            assert device.health().reconnects == cycle + 1
+        assert open_things() == before
+        assert device.health().lost == 0
     with capsys.disabled():
         worst, usual = 1e3 * max(told_s), 1e3 * float(np.median(told_s))
         skipped = max(resync_readings)

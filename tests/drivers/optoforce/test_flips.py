@@ -31,8 +31,8 @@ def test_every_flip_of_one_bit_is_refused(text: str) -> None:
         assert [event for event in events if not isinstance(event, Skipped)] == [FROM_DAQ[1][1]] * 3
 
 
-@pytest.mark.parametrize("packet", EXAMPLES)
-def test_flips_of_two_bits_are_counted_as_brute_force_counts_them(packet: bytes) -> None:
+def test_flips_of_two_bits_are_counted_as_brute_force_counts_them() -> None:
+    packet = EXAMPLES[0]
     decoder, passed = Decoder(), 0
     for places in combinations(range(128), 2):
         damaged = bytearray(packet)

@@ -91,6 +91,13 @@ def test_a_header_within_a_bad_packet_starts_the_search_anew() -> None:
     assert [event for event in events if isinstance(event, Skipped)] == [Skipped(6, "checksum")]
 
 
+def test_a_stream_entered_anywhere_gives_a_reading_within_two_packets() -> None:
+    stream = CAPTURE_1000.read_bytes()[7:]
+    for start in range(9000):
+        reading = next(event for event in Decoder().feed(stream[start : start + 32]) if isinstance(event, Reading))
+        assert reading.counter == 11626 + -(-start // 16)
+
+
 def test_a_header_within_a_good_packet_starts_nothing() -> None:
     (text, reading) = FROM_DAQ[4]
     assert bytes.fromhex(text).count(bytes.fromhex("aa07080a")) == 2
