@@ -12,7 +12,7 @@ import numpy.typing as npt
 from deformscope_drivers.clock import Clock, ClockFit, Stamp, Unwrap, monotonic_ns
 from deformscope_drivers.device import ROUND_S, StreamDevice
 from deformscope_drivers.errors import CommandRefused, NoReply, SettingsRefused
-from deformscope_drivers.health import Link
+from deformscope_drivers.health import Identity, Link
 from deformscope_drivers.optoforce.config import OptoforceConfig, filter_of, speed_of
 from deformscope_drivers.optoforce.counter import WRAP, CounterTrack, Verdict
 from deformscope_drivers.optoforce.measurement import ForceMeasurement
@@ -67,9 +67,13 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     transport, clock: in place of the configuration's port and the host's clock (a simulated laboratory)
     """
 
-    _before: Reading | None
+    _settings: Settings
     _kind: Kind | None
     _offset: FloatArray | None
+    _before: Reading | None
+    _unusable: int
+    _overloaded: int
+    _implausible: int
 
     def __init__(
         self, config: OptoforceConfig, *, transport: Transport | None = None, clock: Clock = monotonic_ns
@@ -142,6 +146,10 @@ class Optoforce(StreamDevice[ForceMeasurement]):
 
         self._do(clear, 10.0)
 
+    def identity(self) -> Identity:
+        """What hangs on the DAQ, and its serial number if it was asked for."""
+        return Identity(f"OptoForce {self._kind.value}" if self._kind else "OptoForce", self._serial)
+
     def serial_number(self) -> str:
         """The serial number; raises NoReply with firmware that does not tell."""
         return self._do(self._ask_serial, 10.0)
@@ -166,7 +174,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     def _receive(self, timeout_s: float) -> Iterable[ForceMeasurement]:
         if self._restarted:
             self._restarted = False
-            self._tell_settings(replace(self._settings, zeroed=False))
+            self._tell_settings(self._settings)
             self._tell(Link.CONNECTED, "the DAQ restarted; its settings were sent again")
         return super()._receive(timeout_s)
 
@@ -187,6 +195,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
             self._count_lost(gap.lost)
         if gap.verdict is Verdict.RESTARTED:
             self._restarted = True
+            self._settings = replace(self._settings, zeroed=False)
         self._compare_clocks(event, gap.verdict, host_ns)
         self._implausible += bool(found)
         self._unusable += not event.status.usable
@@ -226,6 +235,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         self._settings = Settings(speed_of(self.config.rate_hz), filter_of(self.config.filter_hz))
         self._offset = None
         self._acknowledges: bool | None = None
+        self._serial = ""
         self._kind = None
         self._per_count: FloatArray | None = None
         self._nominal_counts: list[tuple[float, ...]] | None = None
@@ -233,7 +243,10 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         self._before = None
         self._track = CounterTrack()
         self._unwrap: Unwrap | None = None
-        self._unacknowledged = self._unusable = self._overloaded = self._implausible = 0
+        self._unacknowledged = 0
+        self._unusable = 0
+        self._overloaded = 0
+        self._implausible = 0
 
     def _change(self, wanted: Settings) -> None:
         """Send speed and filter, and see that readings come.
@@ -280,6 +293,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
             tries=2,
             what="a serial number",
         )
+        self._serial = reply.serial
         return reply.serial
 
     def _zero(self, still_counts: float) -> FloatArray:
@@ -359,6 +373,8 @@ class Optoforce(StreamDevice[ForceMeasurement]):
                 "one sensitivity report for each sensor",
                 self.name,
             )
+        if self._offset is not None and self._offset.shape != (kind.channels, kind.axes):
+            self._offset = None  # another sensor hangs there now
         self._kind = kind
         self._per_count = np.stack([report.per_count for report in reports]) if reports else None
         self._nominal_counts = [report.counts_at_nominal for report in reports] or None

@@ -57,7 +57,7 @@ class ForceMeasurement:
         return self.load[:, :3]
 
     @property
-    def torque_n_m(self) -> FloatArray | None:
+    def torque_nm(self) -> FloatArray | None:
         """(channels, 3) Tx Ty Tz [N m]; None for a sensor that measures none. Raises as `force_n` does."""
         return self.load[:, 3:] if self.kind is Kind.SIX_AXIS else None
 

@@ -14,7 +14,7 @@ from deformscope_drivers.contract import Bench, DeviceContract, open_things, wai
 from deformscope_drivers.device import Reconnect
 from deformscope_drivers.errors import CommandRefused, DeviceError, NoReply, SettingsRefused
 from deformscope_drivers.faults import Faults, FaultyDouble
-from deformscope_drivers.health import Link
+from deformscope_drivers.health import Identity, Link
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.optoforce import (
     OMD_20_SE_40N,
@@ -251,8 +251,9 @@ def test_a_daq_that_restarts_behind_a_live_link_is_set_up_again() -> None:
         simulation.run(5.0)
         events = device.events()
         simulation.double.power_up(simulation.clock() + 200 * MS)
-        simulation.run(1.0)
+        measured = [one for one in simulation.run(1.0) if one.usable]
 
+        assert np.abs(forces(measured)).max() < 0.1  # not even right after the restart is there an untared force
         assert (simulation.double.speed, simulation.double.filter) == (Speed.HZ_1000, Filter.HZ_50)
         assert device.health().extra["restarts"] == 1
         assert "restarted" in events.get(1.0).reason
@@ -336,7 +337,7 @@ def test_every_kind_and_either_counter(kind: Kind, counts_samples: bool) -> None
         assert len(measured) == 300
         assert measured[0].force_n.shape == (kind.channels, 3)
         assert np.mean([one.load for one in measured], axis=0) == pytest.approx(load, abs=0.01)
-        assert (measured[0].torque_n_m is not None) == (kind is Kind.SIX_AXIS)
+        assert (measured[0].torque_nm is not None) == (kind is Kind.SIX_AXIS)
         assert device.health().lost == 0
         assert device.health().clock is not None
         assert device.health().clock.tick_ns == pytest.approx(1e6 if counts_samples else 1e7, rel=1e-6)
@@ -361,6 +362,7 @@ def test_the_daqs_clock_is_fitted() -> None:
 def test_serial_numbers() -> None:
     simulation = Simulation(Sensors(serial="ISE0B001"), serial="ISE0B001")
     with simulation as device:
+        assert device.identity() == Identity("OptoForce 3-axis", "ISE0B001")
         assert device.serial_number() == "ISE0B001"
     simulation = Simulation(Sensors(serial="ISE0B001"), serial="ISE0A129")
     with pytest.raises(SettingsRefused, match="expected serial number ISE0A129; got ISE0B001"), simulation:

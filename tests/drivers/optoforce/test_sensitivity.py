@@ -27,7 +27,7 @@ def test_counts_become_newtons_by_the_sensors_own_report(report, counts, force_n
     measured = measurement(Kind.THREE_AXIS, (counts,), report.per_count[None])
 
     assert measured.force_n == pytest.approx(np.array([force_n]), abs=6e-4)
-    assert measured.torque_n_m is None
+    assert measured.torque_nm is None
 
 
 def test_torques_have_their_own_scale() -> None:
@@ -35,7 +35,7 @@ def test_torques_have_their_own_scale() -> None:
     measured = measurement(Kind.SIX_AXIS, ((100, -100, 100, 50, -50, 50),), report.per_count[None])
 
     assert measured.force_n == pytest.approx(np.array([[10.0, -10.0, 20.0]]))
-    assert measured.torque_n_m == pytest.approx(np.array([[0.5, -0.5, 1.0]]))
+    assert measured.torque_nm == pytest.approx(np.array([[0.5, -0.5, 1.0]]))
 
 
 def test_without_a_report_there_are_counts_and_no_forces() -> None:
