@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+import random
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -32,7 +32,6 @@ from deformscope_drivers.wires import CanWire, PtyWire, Wire
 QUICK = Reconnect(0.01, 0.1)
 MS = 1_000_000
 UDP = "udp_multicast:239.74.163.2?port=43219"
-BUS_NUMBERS = itertools.count()
 
 
 def silence(wire: Wire, silent: bool) -> None:
@@ -424,11 +423,28 @@ def test_a_daq_that_falls_silent_is_lost_and_found() -> None:
         assert device.link is Link.LOST
 
 
+class TornDouble(OptoforceDouble):
+    """Its first reading after being set up comes without its beginning, as where a stream is entered anywhere."""
+
+    def power_up(self, now_ns: int) -> None:
+        super().power_up(now_ns)
+        self._spoken = 0
+        self._luck = random.Random(now_ns)
+
+    def receive(self, data: bytes, now_ns: int) -> None:
+        super().receive(data, now_ns)
+        self._spoken = 0
+
+    def due(self, now_ns: int) -> bytes:
+        data = super().due(now_ns)
+        self._spoken += bool(data)
+        return data[self._luck.randint(1, 15) :] if data and self._spoken == 2 else data
+
+
 @pytest.mark.parametrize("cycles", [20, pytest.param(1000, marks=pytest.mark.slow)])
 def test_the_cable_is_pulled_out_and_put_back_again_and_again(cycles: int, capsys) -> None:
-    double = OptoforceDouble()
-    told_s, resync_readings = [], []
-    with PtyWire(double) as wire, Optoforce(OptoforceConfig(port=wire.port, reconnect=QUICK)) as device:
+    told_s, skipped_readings = [], []
+    with PtyWire(TornDouble()) as wire, Optoforce(OptoforceConfig(port=wire.port, reconnect=QUICK)) as device:
         device.next(5.0)
         before = open_things()
         for cycle in range(cycles):
@@ -437,51 +453,58 @@ def test_the_cable_is_pulled_out_and_put_back_again_and_again(cycles: int, capsy
             wire.unplug()
             wait_until(lambda: device.link is not Link.CONNECTED)
             told_s.append(time.monotonic() - pulled)
-            skipped = device.health().skipped_bytes
+            before_plug = device.health()
             wire.plug()
             wait_until(lambda: device.link is Link.CONNECTED)
-            first = device.next(5.0)
-            resync_readings.append((device.health().skipped_bytes - skipped) / 16)
-            assert first.counts is not None
+            readings = device.readings()
+            for _ in range(5):
+                readings.get(5.0)
+            readings.close()
+            skipped_readings.append((device.health().skipped_bytes - before_plug.skipped_bytes) / 16)
             assert device.health().reconnects == cycle + 1
         assert open_things() == before
-        assert device.health().lost == 0
     with capsys.disabled():
-        worst, usual = 1e3 * max(told_s), 1e3 * float(np.median(told_s))
-        skipped = max(resync_readings)
-        print(
-            f"\n{cycles} cycles: told after {usual:.2f} ms (median), {worst:.2f} ms (worst); {skipped:g} frames skipped"
-        )
-    assert max(resync_readings) <= 2
+        told = f"told after {1e3 * np.median(told_s):.2f} ms (median), {1e3 * max(told_s):.2f} ms (worst)"
+        print(f"\n{cycles} cycles: {told}; {max(skipped_readings):g} readings skipped at most")
+    assert 0 < max(skipped_readings) <= 2
     assert np.median(told_s) < 0.2
+
+
+class NotedDouble(OptoforceDouble):
+    """Notes when each reading left it, by its counter."""
+
+    def power_up(self, now_ns: int) -> None:
+        super().power_up(now_ns)
+        self.left_ns: list[int] = []
+
+    def due(self, now_ns: int) -> bytes:
+        data = super().due(now_ns)
+        self.left_ns += [time.monotonic_ns()] * (self._sent - len(self.left_ns))
+        return data
 
 
 @pytest.mark.parametrize("seconds", [3, pytest.param(60, marks=pytest.mark.slow)])
 def test_a_kilohertz_over_a_pty_loses_nothing(seconds: int, capsys) -> None:
-    with PtyWire(OptoforceDouble()) as wire:
-        with Optoforce(OptoforceConfig(port=wire.port, sensitivity=OMD_20_SE_40N, filter_hz=150)) as device:
-            readings = device.readings()
-            sent_ns: list[int] = []
-            wait_until(lambda: device.health().received > 20)
-            double, start_ns, cpu_s = wire.double, time.monotonic_ns(), time.process_time()
-            readings.take()
-            taken = []
-            while time.monotonic_ns() - start_ns < seconds * 1e9:
-                taken += [reading.stamp for reading in readings.take()]
-                time.sleep(0.01)
-            cpu = (time.process_time() - cpu_s) / seconds
-            health = device.health()
-        sent_ns = [double._time_ns(at) for at in range(double._sample)]
-    # what was sent in the double's default state before it was set to 1 kHz is not on its grid of counters
-    first_sample = double._sample - double._sent
-    late_us = np.array([(stamp.host_ns - sent_ns[stamp.device_ticks % 65536 + first_sample]) / 1e3 for stamp in taken])
+    double = NotedDouble()
+    with (
+        PtyWire(double) as wire,
+        Optoforce(OptoforceConfig(port=wire.port, sensitivity=OMD_20_SE_40N, filter_hz=150)) as device,
+    ):
+        readings = device.readings()
+        wait_until(lambda: device.health().received > 20)
+        readings.take()
+        start_ns, cpu_s, taken = time.monotonic_ns(), time.process_time(), []
+        while time.monotonic_ns() - start_ns < seconds * 1e9:
+            taken += [reading.stamp for reading in readings.take()]
+            time.sleep(0.01)
+        cpu = (time.process_time() - cpu_s) / seconds
+        health = device.health()
+    late_us = [(stamp.host_ns - double.left_ns[stamp.device_ticks]) / 1e3 for stamp in taken]
     with capsys.disabled():
         told = ", ".join(f"{share:g} % {np.percentile(late_us, share):.0f} us" for share in (50, 90, 99, 99.9, 100))
         print(f"\n{seconds} s at 1 kHz: {len(taken)} readings, lost {health.lost}; latency {told}; CPU {cpu:.1%}")
-    assert health.lost == 0
-    assert health.dropped == 0
-    assert health.skipped_bytes == 0
-    assert len(taken) == pytest.approx(1000 * seconds, rel=0.02)
+    assert (health.lost, health.dropped, health.skipped_bytes) == (0, 0, 0)
+    assert len(taken) == pytest.approx(1000 * seconds, rel=0.1)  # a double that is kept from running sends later
 
 
 def test_a_config_is_a_copy_away_from_another() -> None:
