@@ -14,7 +14,7 @@ from deformscope_drivers.device import ROUND_S, StreamDevice
 from deformscope_drivers.errors import CommandRefused, NoReply, SettingsRefused
 from deformscope_drivers.health import Identity, Link
 from deformscope_drivers.optoforce.config import OptoforceConfig, filter_of, speed_of
-from deformscope_drivers.optoforce.counter import WRAP, CounterTrack, Verdict
+from deformscope_drivers.optoforce.counter import WRAP, CounterTrack, Gap, Verdict
 from deformscope_drivers.optoforce.measurement import ForceMeasurement
 from deformscope_drivers.optoforce.plausibility import doubts
 from deformscope_drivers.optoforce.protocol import (
@@ -38,6 +38,8 @@ REPLY_S = 0.3
 SILENCE_S = 1.0
 SILENCE_READINGS = 10
 """A DAQ that should send is lost when nothing came for this long, or for this many periods if that is longer."""
+RESTART_S = 0.1
+"""A gap this long, or of `SILENCE_READINGS`, may hide a restart: then the settings are sent again, to be safe."""
 ZERO_REST_S = 0.005
 """Between clearing the zero point and setting it: 2 ms at least, or the DAQ ignores it."""
 STILL_COUNTS = 30.0
@@ -73,7 +75,8 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     _before: Reading | None
     _unusable: int
     _overloaded: int
-    _implausible: int
+    _doubted: int
+    _zero_in_doubt: bool
 
     def __init__(
         self, config: OptoforceConfig, *, transport: Transport | None = None, clock: Clock = monotonic_ns
@@ -163,7 +166,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         if self._link is not Link.LOST:
             self._begin_session()
         self._kind = None
-        self._restarted = False
+        self._restart = ""
         if self.config.serial and (came := self._ask_serial()) != self.config.serial:
             advice = "another port, or this sensor's own sensitivity report"
             raise SettingsRefused(f"serial number {self.config.serial}", came, advice, self.name)
@@ -172,10 +175,10 @@ class Optoforce(StreamDevice[ForceMeasurement]):
             self._zero(STILL_COUNTS)
 
     def _receive(self, timeout_s: float) -> Iterable[ForceMeasurement]:
-        if self._restarted:
-            self._restarted = False
-            self._tell_settings(self._settings)
-            self._tell(Link.CONNECTED, "the DAQ restarted; its settings were sent again")
+        if self._restart:
+            reason, self._restart = self._restart, ""
+            self._tell_settings(replace(self._settings, zeroed=False))
+            self._tell(Link.CONNECTED, f"{reason}; its settings were sent again")
         return super()._receive(timeout_s)
 
     def _measure(self, event: Reply, host_ns: int) -> Iterable[ForceMeasurement]:
@@ -185,19 +188,19 @@ class Optoforce(StreamDevice[ForceMeasurement]):
             self._learn_kind(event.kind)
         known = event.kind is self._kind
         gap = self._track.follow(event.counter, host_ns, twin=event == self._before)
-        self._before = event
-        found = doubts(event, self._nominal_counts if known else None)
-        if gap.verdict in (Verdict.JUMPED, Verdict.LATE, Verdict.REPEATED):
-            found = (*found, "counter")
-        if not known:
-            found = (*found, "kind")
         if gap.lost:
             self._count_lost(gap.lost)
-        if gap.verdict is Verdict.RESTARTED:
-            self._restarted = True
-            self._settings = replace(self._settings, zeroed=False)
+        self._look_for_restart(gap, host_ns)
+        self._before, self._before_ns = event, host_ns
+        found = doubts(event, self._nominal_counts if known else None)
+        if gap.verdict in (Verdict.JUMPED, Verdict.LATE, Verdict.REPEATED):
+            found += ("counter",)
+        if not known:
+            found += ("kind",)
+        if self._zero_in_doubt:
+            found += ("zero",)
         self._compare_clocks(event, gap.verdict, host_ns)
-        self._implausible += bool(found)
+        self._doubted += bool(found)
         self._unusable += not event.status.usable
         self._overloaded += bool(event.status.overload)
         measured = ForceMeasurement(
@@ -222,7 +225,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
             "unacknowledged": self._unacknowledged,
             "unusable": self._unusable,
             "overloaded": self._overloaded,
-            "implausible": self._implausible,
+            "doubted": self._doubted,
             "damaged_counters": track.damaged,
             "repeated": track.repeated,
             "late": track.late,
@@ -239,14 +242,16 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         self._kind = None
         self._per_count: FloatArray | None = None
         self._nominal_counts: list[tuple[float, ...]] | None = None
-        self._restarted = False
+        self._restart = ""
+        self._zero_in_doubt = False
         self._before = None
+        self._before_ns = 0
         self._track = CounterTrack()
         self._unwrap: Unwrap | None = None
         self._unacknowledged = 0
         self._unusable = 0
         self._overloaded = 0
-        self._implausible = 0
+        self._doubted = 0
 
     def _change(self, wanted: Settings) -> None:
         """Send speed and filter, and see that readings come.
@@ -261,6 +266,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     def _tell_settings(self, wanted: Settings) -> None:
         zero = Zero.SET if wanted.zeroed else Zero.CLEAR
         command = Configure(wanted.speed, wanted.filter, zero)
+        self._zero_in_doubt |= wanted.zeroed != self._settings.zeroed
         self._forget_counter(wanted.speed)
         try:
             reply = self._ask(
@@ -274,12 +280,26 @@ class Optoforce(StreamDevice[ForceMeasurement]):
             self._unacknowledged += 1
         else:
             self._acknowledges = True
+            self._zero_in_doubt = False
             if reply.result != 0:
                 raise CommandRefused(reply.result, "settings refused", f"setting {wanted}", where=self.name)
         self._settings = wanted
+        self._zero_in_doubt = False
         self._forget_counter(wanted.speed)
         quiet_s = max(SILENCE_S, SILENCE_READINGS * wanted.speed * 1e-3)
         self._silence_ns = round(quiet_s * 1e9) if wanted.speed else None
+
+    def _look_for_restart(self, gap: Gap, host_ns: int) -> None:
+        """A DAQ that was switched off and on sends at its defaults, and has forgotten its zero point."""
+        if gap.verdict is Verdict.RESTARTED:
+            self._restart = "the DAQ restarted"
+            self._settings = replace(self._settings, zeroed=False)
+        elif gap.verdict is Verdict.LOST:
+            period_ns = self._settings.speed * 1e6
+            pause_ns = max(host_ns - self._before_ns, gap.lost * period_ns)
+            if pause_ns >= max(RESTART_S * 1e9, SILENCE_READINGS * period_ns):
+                self._restart = f"nothing for {pause_ns / 1e9:.3g} s: the DAQ may have restarted"
+                self._zero_in_doubt |= self._settings.zeroed
 
     def _forget_counter(self, speed: Speed) -> None:
         self._track.restart(speed * 1e6 if speed else None)

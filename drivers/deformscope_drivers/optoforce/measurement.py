@@ -24,7 +24,9 @@ class ForceMeasurement:
     per_count: (channels, axes) what a count is worth [N], [N m]; None = no sensitivity report was given
     offset_counts: (channels, axes) subtracted here, because the DAQ has lost the zero point that it was given
     lost_before: readings missing right before this one; negative where that many, counted as missing before, were not
-    follows: what the counter says of it; doubts: why it is not to be believed (`status`, `load`, `counter`, `kind`)
+    follows: what the counter says of it
+    doubts: why it is not to be believed: `status` and `load` are beyond what can be, `counter` and `kind` do not follow
+    what came before, `zero` = it came while the zero point was changed or may have been lost
     """
 
     stamp: Stamp

@@ -46,6 +46,14 @@ def test_loss_while_the_step_is_learned_is_told_when_it_is() -> None:
     assert track.lost == 3
 
 
+def test_a_damaged_counter_while_the_step_is_learned_is_no_loss() -> None:
+    track = CounterTrack(MS)
+    gaps = follow(track, [5, 6, 7, 8 ^ 0x2000, 9, 10, 12, 13, 14])
+
+    assert [gap.lost for gap in gaps] == [0] * 8 + [1]
+    assert track.step == 1
+
+
 def test_a_damaged_counter_is_no_loss() -> None:
     for bit in range(16):
         track, last, now_ns = track_of(first=1000)

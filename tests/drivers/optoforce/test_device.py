@@ -260,6 +260,38 @@ def test_a_daq_that_restarts_behind_a_live_link_is_set_up_again() -> None:
         assert np.abs(forces(simulation.run(1.0)).mean(axis=0)).max() < 0.02
 
 
+@pytest.mark.parametrize("acknowledges", [True, False])
+def test_a_restart_that_looks_like_a_loss_gives_no_untared_force(acknowledges: bool) -> None:
+    simulation = Simulation(Sensors(scene=lambda _: (1.0, 2.0, 3.0), acknowledges=acknowledges))
+    simulation.double._sent = 63_500
+    with simulation as device:
+        device.zero()
+        while simulation.double._sent < 65_500:
+            simulation.run(0.01)
+        simulation.double.power_up(simulation.clock() + 300 * MS)  # its counter goes on from 0 as after 36 lost ones
+        measured = simulation.run(3.0)
+
+        assert device.health().extra["restarts"] == 0
+        assert device.settings.zeroed is False
+        assert np.abs(forces([one for one in measured if one.usable])).max() < 0.1
+        assert 0 < sum("zero" in one.doubts for one in measured) < 40
+        assert len(measured) > 2000
+
+
+@pytest.mark.parametrize("acknowledges", [True, False])
+def test_while_the_zero_point_changes_readings_are_marked(acknowledges: bool) -> None:
+    simulation = Simulation(Sensors(scene=lambda _: (1.0, 2.0, 3.0), acknowledges=acknowledges), filter_hz=0)
+    with simulation as device:
+        device.zero()
+        readings = device.readings()
+        device.set_filter(500)
+        simulation.run(0.5)
+        measured = readings.take()
+
+        assert np.abs(forces([one for one in measured if one.usable])).max() < 0.1
+        assert sum("zero" in one.doubts for one in measured) == (0 if acknowledges else 300)
+
+
 def test_lost_readings_are_counted_where_they_are_missing() -> None:
     simulation = Simulation()
     with simulation as device:
@@ -313,14 +345,14 @@ def test_a_reading_that_cannot_be_is_marked() -> None:
     with simulation as device:
         packet = encode(Reading(Kind.THREE_AXIS, 20, Status(0), ((0, 0, 2001),)))
         other = encode(Reading(Kind.SIX_AXIS, 21, Status(0), ((0,) * 6,)))
-        before = device.health().extra["implausible"]
+        before = device.health().extra["doubted"]
         marked = [one for event in device._decoder.feed(packet + other) for one in device._measure(event, 0)]
 
         assert marked[0].doubts == ("load",)
         assert not marked[0].usable
         assert marked[1].doubts == ("kind",)
         assert marked[1].per_count is None
-        assert device.health().extra["implausible"] == before + 2
+        assert device.health().extra["doubted"] == before + 2
 
 
 @pytest.mark.parametrize("kind", list(Kind))
