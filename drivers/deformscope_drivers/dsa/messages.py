@@ -69,7 +69,6 @@ COMMAND_FORMAT = ERRORS.index("command format")
 WRONG_PARAMETER = ERRORS.index("wrong parameter")
 INDEX = ERRORS.index("index out of bounds")
 PENDING = ERRORS.index("pending")
-RANGE = ERRORS.index("out of range")
 
 
 def error_name(code: int) -> str:
