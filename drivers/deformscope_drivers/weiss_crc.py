@@ -8,6 +8,8 @@ changes it, and some pairs of flipped bits do not. Source: ipab-slmc/SDHLibrary-
 
 from __future__ import annotations
 
+import struct
+
 START = 0xFFFF
 
 _POLYNOMIAL = 0x1021
@@ -22,9 +24,16 @@ def _table_entry(byte: int) -> int:
 
 _TABLE = tuple(_table_entry(byte) for byte in range(256))
 
+# Two bytes at a time, which halves the time for a tactile frame: by the state with the next two bytes, low one first,
+# put on it. The table is linear (its entry for a ^ b is the one for a, ^ the one for b), so the state after both is
+# (T[x & 255] >> 8) ^ T[(x >> 8) ^ (T[x & 255] & 255)].
+_PAIR_TABLE = tuple((low >> 8) ^ _TABLE[high ^ (low & 0xFF)] for high in range(256) for low in _TABLE)
+
 
 def crc16(data: bytes, crc: int = START) -> int:
     """The checksum of `data`; `crc` is that of what came before it, to go on from. Sent low byte first."""
-    for byte in data:
-        crc = (crc >> 8) ^ _TABLE[(crc ^ byte) & 0xFF]
+    for pair in struct.unpack_from(f"<{len(data) // 2}H", data):
+        crc = _PAIR_TABLE[crc ^ pair]
+    if len(data) % 2:
+        crc = (crc >> 8) ^ _TABLE[(crc ^ data[-1]) & 0xFF]
     return crc
