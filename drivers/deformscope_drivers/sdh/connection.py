@@ -158,14 +158,15 @@ class SdhConnection(StreamDevice[HandReading]):
     # Readings --------------------------------------------------------------------------------------------------------
 
     def _poll(self) -> HandReading:
-        states, _ = self._measured("state")
-        position, stamp = self._measured("pos")  # behind the states: an idle axis is where it stays
-        velocity = self._velocity()
-        if stamp.host_ns >= self._next_temperature_ns:
-            self._next_temperature_ns = stamp.host_ns + round(self.config.temperature_period_s * 1e9)
+        """The angles come last: an axis that was idle before is where it stays, and the stamp is the newest."""
+        if self._clock() >= self._next_temperature_ns:
+            self._next_temperature_ns = self._clock() + round(self.config.temperature_period_s * 1e9)
             self._temperature = self._measured("temp")
+        states = self._states(self._measured("state")[0])
+        velocity = self._velocity()
+        position, stamp = self._measured("pos")
         temperature, temperature_stamp = self._temperature or (None, None)
-        return HandReading(stamp, position, velocity, self._states(states), temperature, temperature_stamp)
+        return HandReading(stamp, position, velocity, states, temperature, temperature_stamp)
 
     def _velocity(self) -> FloatArray:
         return self._measured("vel")[0]

@@ -19,7 +19,7 @@ FloatArray = NDArray[np.float64]
 class HandReading:
     """Where the hand is. The protocol has motor current limits and no measured currents, so there are none here.
 
-    stamp: when the angles arrived; states were asked right before them and velocities right after (3 ms on RS-232)
+    stamp: when the angles arrived; states and velocities were asked right before them (3.4 ms each on RS-232)
     position_deg, velocity_deg_s: (7,) by axis; state: of each axis
     temperature_c: (9,) the 7 motors, the FPGA and the board, read more rarely: at `temperature_stamp`; None before
     """
