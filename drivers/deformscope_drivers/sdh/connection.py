@@ -53,6 +53,7 @@ OPEN_DROP_BYTES = 1024
 VERSION_TIMEOUT_S = 1.0
 TRIES = 3
 RESYNC_QUIET_S = 0.03
+LONG_S = 2.0  # answers that take longer than this are not waited for when the device is closed
 _GARBLED = frozenset((10, 33))  # the hand got our bytes with a wrong checksum: worth another try
 
 ReplyT = TypeVar("ReplyT", Reading, ValueReply, TextReply)
@@ -244,6 +245,8 @@ class SdhConnection(StreamDevice[HandReading]):
                     self._count_refused("unasked")
             if found is not None:
                 return found
+            if self._closing.is_set() and timeout_s > LONG_S:
+                break
         return None
 
     def _overhear(self, timeout_s: float) -> None:

@@ -197,6 +197,7 @@ class Sdh(SdhConnection):
             raise OutOfLimits(f"{AXIS_COUNT} values, one an axis", f"{len(wanted)}", where=self.name)
 
         def switch() -> None:
+            self._controller = None  # the next motion takes it up again, and with it the axes
             self._switched_on = self._switched_on or any(wanted)
             self._set("power", tuple(float(bool(value)) for value in wanted))
 

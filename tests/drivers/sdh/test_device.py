@@ -431,6 +431,18 @@ def test_power_and_currents(lab: Make) -> None:
     assert made.hand.current_limits_a(CurrentMode.GRIP) == pytest.approx((1.0, *[0.5] * 6))
 
 
+def test_a_velocity_switches_axes_on_again(lab: Make) -> None:
+    made = lab()
+    made.hand.drive([0, 20.0, 0, 0, 0, 0, 0])
+    made.run(0.5)
+    made.hand.power(False)
+    made.hand.drive([0, 20.0, 0, 0, 0, 0, 0], keep_s=0.5)
+    before = made.position_deg()[1]
+    made.run(0.4)
+
+    assert made.position_deg()[1] > before + 5.0
+
+
 def test_reference(lab: Make) -> None:
     made = lab()
     made.hand.reference({0: Toward.POSITIVE})
@@ -640,3 +652,26 @@ def test_stop_from_another_thread_ends_a_move() -> None:
 
     assert results[0].outcome is Outcome.STOPPED
     assert 0.0 < results[0].reading.position_deg[1] < 60.0
+
+
+def test_closing_does_not_wait_for_a_long_answer() -> None:
+    double = SdhDouble()
+    with PtyWire(double) as wire:
+        hand = Sdh(config(port=wire.port)).open()
+        errors: list[DeviceError] = []
+
+        def reference() -> None:
+            try:
+                hand.reference({0: Toward.POSITIVE})  # 7.2 s
+            except DeviceError as error:
+                errors.append(error)
+
+        caller = threading.Thread(target=reference)
+        caller.start()
+        wait_until(lambda: double.motion.moving)
+        hand.close()
+        caller.join(PATIENCE_S)
+
+        assert not hand.is_open
+        assert isinstance(errors[0], NoReply)
+        assert double.motion.moving
