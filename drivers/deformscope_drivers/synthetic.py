@@ -11,11 +11,13 @@ from typing import ClassVar, Generic, TypeVar
 from deformscope_drivers.clock import Clock, ClockFit, Stamp, monotonic_ns
 from deformscope_drivers.device import RECONNECT, Device, Measurement, Reconnect
 from deformscope_drivers.errors import LinkLost, NotConnected
+from deformscope_drivers.images import QUEUE_IMAGES
 from deformscope_drivers.pacing import Pacer
 
 BUFFERS = 4
 """Pictures that wait in the camera's driver while nobody fetches them, as with V4L2; older ones are lost."""
 PUSHED = 64
+"""Views that wait to be taken; more than are taken in time are lost."""
 
 MeasurementT = TypeVar("MeasurementT", bound=Measurement)
 ViewT = TypeVar("ViewT")
@@ -29,7 +31,7 @@ class SyntheticSource(Device[MeasurementT], Generic[MeasurementT, ViewT]):
     It runs in real time with a thread of its own, or on a simulated clock with open(own_thread=False) and poll().
     """
 
-    queue_readings: ClassVar[int] = 64
+    queue_readings: ClassVar[int] = QUEUE_IMAGES
 
     def __init__(
         self,

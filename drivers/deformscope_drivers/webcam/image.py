@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import zlib
-from collections.abc import Hashable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deformscope_drivers.clock import Stamp
-
-QUEUE_IMAGES = 64
-"""Images that wait for a slow reader: two seconds at 30 Hz, 59 MB at 640 x 480."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +20,3 @@ class ColorImage:
 
     stamp: Stamp
     image: NDArray[np.uint8]
-
-
-def fingerprint(image: NDArray[np.uint8] | NDArray[np.uint16]) -> Hashable:
-    """The same for the same picture; a sensor's noise alone makes two pictures differ."""
-    return zlib.crc32(np.ascontiguousarray(image).data.cast("B"))

@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -230,6 +231,60 @@ def test_opencv_refuses_what_is_no_camera(tmp_path: Path, capfd: pytest.CaptureF
     with pytest.raises(NotConnected, match="one that is in use, or gives none"):
         OpencvCapture(str(node))
     capfd.readouterr()  # OpenCV's own warning
+
+
+class StandIn:
+    """`cv2`, as far as waiting goes: what `waitAny` gives."""
+
+    error = cv2.error
+
+    def __init__(self, outcome) -> None:
+        self.VideoCapture = self
+        self._outcome = outcome
+
+    def waitAny(self, captures, timeout_ns):
+        assert timeout_ns > 0, "0 is for ever"
+        if isinstance(self._outcome, Exception):
+            raise self._outcome
+        return self._outcome
+
+
+def waiting(path: Path, outcome) -> OpencvCapture:
+    capture = object.__new__(OpencvCapture)
+    capture._path, capture._capture, capture._cv2 = str(path), None, StandIn(outcome)
+    return capture
+
+
+def test_what_opencv_says_of_a_wait(tmp_path: Path) -> None:
+    node = tmp_path / "video0"
+    node.touch()
+
+    assert waiting(node, (True, [0])).wait(0.0)
+    assert not waiting(node, (False, [])).wait(0.05)
+    with pytest.raises(LinkLost, match="unplugged, or its driver failed"):
+        waiting(node, cv2.error("Error is reported for camera stream")).wait(0.05)
+    with pytest.raises(LinkLost, match="unplugged"):
+        waiting(node, (True, [])).wait(0.05)  # the kernel hung up
+    node.unlink()
+    with pytest.raises(LinkLost, match="unplugged"):
+        waiting(node, (False, [])).wait(0.05)
+
+
+def test_waiting_is_asked_of_opencv_as_it_is_called(tmp_path: Path) -> None:
+    """Of anything but a V4L2 camera it says that it cannot wait, and not that the call is wrong."""
+    path = tmp_path / "grey.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 25.0, (64, 48))
+    writer.write(np.zeros((48, 64, 3), np.uint8))
+    writer.release()
+    capture = waiting(path, None)
+    capture._cv2, capture._capture = cv2, cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    with pytest.raises(LinkLost) as caught:
+        capture.wait(0.05)
+    image = capture._capture.grab() and capture.retrieve()
+    capture.close()
+
+    assert "supported by V4L backend only" in str(caught.value.__cause__)
+    assert image.shape == (48, 64, 3)
 
 
 @pytest.mark.hardware
