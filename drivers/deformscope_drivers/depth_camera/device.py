@@ -203,7 +203,9 @@ class DepthCamera(Device[DepthImage]):
             try:
                 message = self._message(0.05)
             except LinkLost as error:
-                raise NotConnected("a depth camera", str(error), where=self.name) from error
+                status = None if self._process is None else self._process.returncode
+                came = f"the end of the process that reads it (exit status {status})"
+                raise NotConnected("a depth camera", came, "another file or library", self.name) from error
             if message is None:
                 continue
             if message[:1] == OPENED:

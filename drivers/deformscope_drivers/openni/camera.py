@@ -178,16 +178,12 @@ class Pairs:
 
 
 def _message(depth: Frame, host_ns: int, color: Frame | None) -> FrameMessage:
+    """A frame that is cut off goes as one of no size: it is refused, and counted, where it is taken."""
+    width, height, data = (depth.width, depth.height, depth.data) if depth.is_whole else (0, 0, b"")
+    if color is None or not color.is_whole:
+        return FrameMessage(host_ns, depth.timestamp_us, depth.index, width, height, 0, 0, data, b"")
     return FrameMessage(
-        host_ns,
-        depth.timestamp_us,
-        depth.index,
-        depth.width,
-        depth.height,
-        0 if color is None else color.width,
-        0 if color is None else color.height,
-        depth.data,
-        b"" if color is None else color.data,
+        host_ns, depth.timestamp_us, depth.index, width, height, color.width, color.height, data, color.data
     )
 
 

@@ -122,6 +122,11 @@ class Frame:
     pixel_format: int
     data: bytes
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether the data fill the frame: those of a damaged recording may not."""
+        return len(self.data) == self.width * self.height * pixel_bytes(self.pixel_format)
+
 
 @dataclass(frozen=True, slots=True)
 class ListedDevice:
@@ -162,7 +167,7 @@ class Openni:
         """Open a camera, or a recording by its path; an empty uri is the first camera."""
         handle = c_void_p()
         status = self._lib.oniDeviceOpen(uri.encode() if uri else None, byref(handle))
-        self.check(status, "a depth camera", uri)
+        self.check(status, "a depth camera, or a recording that can be played", uri)
         return OpenniDevice(self, handle, uri)
 
     def take_events(self) -> list[tuple[str, int]]:
@@ -304,8 +309,7 @@ class OpenniStream:
         self._openni.check(status, "a frame", self._uri, LinkLost)
         frame = pointer.contents
         try:
-            pixel_bytes = 3 if frame.mode.pixel_format == PixelFormat.RGB888 else 2
-            row = frame.width * pixel_bytes
+            row = frame.width * pixel_bytes(frame.mode.pixel_format)
             data = ctypes.string_at(frame.data, frame.data_size)
             if frame.stride > row:
                 data = b"".join(data[at : at + row] for at in range(0, frame.stride * frame.height, frame.stride))
@@ -317,6 +321,11 @@ class OpenniStream:
     def close(self) -> None:
         self._lib.oniStreamStop(self.handle)
         self._lib.oniStreamDestroy(self.handle)
+
+
+def pixel_bytes(pixel_format: int) -> int:
+    """How many bytes a pixel takes."""
+    return 3 if pixel_format == PixelFormat.RGB888 else 2
 
 
 def load(library: str = "") -> ctypes.CDLL:

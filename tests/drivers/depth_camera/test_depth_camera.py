@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
+import random
 import signal
 from pathlib import Path
 
@@ -13,7 +15,7 @@ import pytest
 from deformscope_drivers.contract import Bench, DeviceContract, open_things, wait_until
 from deformscope_drivers.depth_camera import DepthCamera, DepthCameraConfig, Intrinsics
 from deformscope_drivers.device import Reconnect
-from deformscope_drivers.errors import LibraryMissing, LinkLost, NotConnected, SettingsRefused
+from deformscope_drivers.errors import DeviceError, LibraryMissing, LinkLost, NotConnected, SettingsRefused
 from deformscope_drivers.health import Link
 from deformscope_drivers.openni.library import load
 from tests.drivers.openni.oni_file import write_oni
@@ -262,6 +264,23 @@ def test_recordings_that_cannot_be_played_are_told(tmp_path: Path) -> None:
         DepthCamera(DepthCameraConfig(port=str(damaged))).open()
     with pytest.raises(SettingsRefused, match="a speed of 0 or more"):
         DepthCamera(DepthCameraConfig(port=str(damaged), speed=-1.0))
+
+
+def test_damaged_recordings_end_in_words(recording: Path) -> None:
+    """Whatever OpenNI2 makes of them: an end, an error of a device's, and no process that stays."""
+    good = recording.read_bytes()
+    rolls = random.Random(3)
+    for _ in range(12):
+        damaged = bytearray(good)
+        for _ in range(2):
+            damaged[rolls.randrange(700)] ^= 1 << rolls.randrange(8)
+        recording.write_bytes(damaged)
+        camera = DepthCamera(DepthCameraConfig(port=str(recording), speed=0.0, silence_s=0.5))
+        with contextlib.suppress(DeviceError), camera:
+            for picture in camera:
+                assert picture.depth.shape == (camera._told["height"], camera._told["width"])
+        assert not camera.is_open
+        assert camera._process is None
 
 
 @pytest.mark.hardware

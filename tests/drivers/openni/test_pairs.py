@@ -60,6 +60,16 @@ def test_depth_without_any_colour_does_not_wait_for_ever() -> None:
     assert pairs.rest() == []
 
 
+def test_a_frame_that_is_cut_off_has_no_size() -> None:
+    cut = Frame(7, 3, 2, 1, PixelFormat.DEPTH_1_MM, b"\1\0\2")
+    cut_color = Frame(7, 0, 1, 1, PixelFormat.RGB888, b"\1\2")
+
+    assert Pairs(30, wanted=False).add(cut, 99) == [FrameMessage(99, 7, 3, 0, 0, 0, 0, b"", b"")]
+    pairs = Pairs(30, wanted=True)
+    assert pairs.add(cut_color, 98) == []
+    assert pairs.add(depth(7), 99) == [FrameMessage(99, 7, 0, 2, 1, 0, 0, b"\1\0\2\0", b"")]
+
+
 def test_a_picture_crosses_to_the_other_process() -> None:
     """The table: tag, arrival, timestamp, index, sizes, then depth and colour; little endian."""
     message = FrameMessage(-2, 33_000, 1, 2, 1, 1, 1, b"\x10\x27\0\0", b"\xff\0\7")
