@@ -214,10 +214,14 @@ class Device(ABC, Generic[MeasurementT]):
 
     def __iter__(self) -> Iterator[MeasurementT]:
         """Every reading from now on, until the device is closed."""
+        self._require_open()
         return iter(self.readings())
 
     def readings(self, capacity: int | None = None) -> Subscription[MeasurementT]:
-        """A queue of every reading from now on. capacity: readings that wait for a slow reader before any is lost"""
+        """A queue of every reading from now on; of a closed device, from its next opening on.
+
+        capacity: readings that wait for a slow reader before any is lost
+        """
         return self._subscribe(self._readings, self.queue_readings if capacity is None else capacity)
 
     def next(self, timeout_s: float) -> MeasurementT:
@@ -378,7 +382,8 @@ class Device(ABC, Generic[MeasurementT]):
     # Within ----------------------------------------------------------------------------------------------------------
 
     def _subscribe(self, queues: list[Subscription[ItemT]], capacity: int) -> Subscription[ItemT]:
-        self._require_open()
+        if self.is_open:
+            self._require_open()
 
         def leave(queue: Subscription[ItemT]) -> None:
             with self._changed:

@@ -177,6 +177,27 @@ def test_raw_bytes_are_what_went_over_the_wire(wire: PtyWire) -> None:
     ]
 
 
+def test_a_queue_from_before_the_opening_misses_nothing(wire: PtyWire) -> None:
+    device = toy(wire)
+    readings, raw, events = device.readings(), device.raw(), device.events()
+    with device:
+        device.next(5.0)
+    taken = list(readings)
+
+    assert len(taken) == device.health().received
+    assert b"".join(chunk.data for chunk in raw)[1:3] == taken[0].count.to_bytes(2, "big")
+    assert [event.link for event in events] == [Link.CONNECTED, Link.CLOSED]
+
+
+def test_a_queue_of_a_device_that_does_not_open_ends_with_the_reason() -> None:
+    device = Toy(SerialTransport("/dev/ttyNONE", 115200))
+    readings = device.readings()
+    with pytest.raises(NotConnected):
+        device.open()
+    with pytest.raises(NotConnected):
+        next(iter(readings))
+
+
 def test_the_same_reading_again_and_again_is_a_stuck_sensor(wire: PtyWire) -> None:
     with toy(wire, stuck_after_s=0.05) as device:
         device.next(5.0)
