@@ -1,9 +1,17 @@
-"""When a reading was taken: one stamp, made once, on a clock that never jumps."""
+"""When a reading was taken: one stamp, made once, on a clock that never jumps; and a device's clock beside it."""
 
 from __future__ import annotations
 
+import math
 import time
+from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
+
+Clock = Callable[[], int]
+"""The present moment [ns] on a clock that never jumps; a simulated laboratory has its own."""
+
+monotonic_ns: Clock = time.monotonic_ns
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,3 +29,109 @@ class Stamp:
 def now() -> Stamp:
     """The present moment on the host's monotonic clock."""
     return Stamp(time.monotonic_ns())
+
+
+class Unwrap:
+    """A counter that starts again at `modulus`, as one that never does.
+
+    tick_ns: host time of a tick where it is known; a pause longer than half a round is then bridged by the host's clock
+    """
+
+    def __init__(self, modulus: int, tick_ns: float | None = None) -> None:
+        self._modulus = modulus
+        self._tick_ns = tick_ns
+        self._last: tuple[int, int] | None = None
+
+    def __call__(self, ticks: int, host_ns: int) -> int:
+        """The count since the first call's round; small steps backwards stay backwards."""
+        if self._last is None:
+            self._last = ticks, host_ns
+            return ticks
+        before, then_ns = self._last
+        expected = before if self._tick_ns is None else before + round((host_ns - then_ns) / self._tick_ns)
+        half = self._modulus // 2
+        count = expected + (ticks - expected + half) % self._modulus - half
+        if count > before:
+            self._last = count, host_ns
+        return count
+
+
+@dataclass(frozen=True, slots=True)
+class ClockRelation:
+    """How a device's clock runs beside the host's.
+
+    tick_ns: host time of a device tick [ns]; drift_ppm: its deviation from the nominal tick, None where none is known
+    offset_ns: host time at tick 0, as seen through the shortest delay; residual_ns: root mean square of what the
+    straight line leaves unexplained at the anchors [ns]; anchors: stretches of time that it rests on
+    """
+
+    tick_ns: float
+    offset_ns: float
+    drift_ppm: float | None
+    residual_ns: float
+    anchors: int
+
+    def to_host_ns(self, ticks: int) -> float:
+        """When the host would have seen this (unwrapped) tick after the shortest delay."""
+        return self.offset_ns + self.tick_ns * ticks
+
+
+class ClockFit:
+    """Fits a device's clock to the host's, online and in bounded memory.
+
+    A reading arrives late by a delay that is never negative and often small. So of every stretch of time the reading
+    that arrived earliest beside the others is kept as an anchor, and a straight line goes through the anchors.
+    tick_ns: nominal host time of a tick, where the device's documents name one; stretch_s: length of a stretch;
+    stretches: how many are kept
+    """
+
+    def __init__(self, tick_ns: float | None = None, *, stretch_s: float = 1.0, stretches: int = 120) -> None:
+        self._nominal_ns = tick_ns
+        self._stretch_ns = stretch_s * 1e9
+        self._anchors: deque[tuple[int, int]] = deque(maxlen=stretches)
+        self._open: list[tuple[int, int]] = []
+        self._started_ns = 0
+
+    def add(self, ticks: int, host_ns: int) -> None:
+        """Take one reading: the device's unwrapped ticks and the host's time of arrival."""
+        if not self._open:
+            self._started_ns = host_ns
+        self._open.append((ticks, host_ns))
+        if host_ns - self._started_ns >= self._stretch_ns or len(self._open) >= 4096:
+            self._anchors.append(_earliest(self._open, self._tick_ns()))
+            self._open.clear()
+
+    def relation(self) -> ClockRelation | None:
+        """The line through the anchors; None before there are two stretches of readings."""
+        if len(self._anchors) < 2:
+            return None
+        (tick_0, host_0), count = self._anchors[0], len(self._anchors)
+        xs = [float(tick - tick_0) for tick, _ in self._anchors]
+        ys = [float(host - host_0) for _, host in self._anchors]
+        x_mean, y_mean = math.fsum(xs) / count, math.fsum(ys) / count
+        spread = math.fsum((x - x_mean) ** 2 for x in xs)
+        if spread == 0:
+            return None
+        slope = math.fsum((x - x_mean) * (y - y_mean) for x, y in zip(xs, ys, strict=True)) / spread
+        offset = y_mean - slope * x_mean
+        residual = math.sqrt(math.fsum((y - offset - slope * x) ** 2 for x, y in zip(xs, ys, strict=True)) / count)
+        drift = None if self._nominal_ns is None else (slope / self._nominal_ns - 1.0) * 1e6
+        return ClockRelation(slope, host_0 + offset - slope * tick_0, drift, residual, count)
+
+    def reset(self) -> None:
+        """Forget all: the device was switched off, or lost."""
+        self._anchors.clear()
+        self._open.clear()
+
+    def _tick_ns(self) -> float:
+        """The tick as well as it is known by now, to compare delays within one stretch."""
+        if self._nominal_ns is not None:
+            return self._nominal_ns
+        (first_tick, first_ns), (last_tick, last_ns) = (self._anchors or self._open)[0], self._open[-1]
+        return (last_ns - first_ns) / (last_tick - first_tick) if last_tick != first_tick else 0.0
+
+
+def _earliest(readings: list[tuple[int, int]], tick_ns: float) -> tuple[int, int]:
+    """Of readings (ticks, host [ns]), the one with the shortest delay."""
+    tick_0, host_0 = readings[0]
+    return min(readings, key=lambda reading: reading[1] - host_0 - tick_ns * (reading[0] - tick_0))

@@ -1,0 +1,65 @@
+"""Where running doubles are found by other processes: each tells its port in a small file while it lives."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True, slots=True)
+class RunningDouble:
+    """A double that another process runs. driver: the package that speaks to it; port: its end of the wire"""
+
+    driver: str
+    port: str
+    name: str
+    pid: int
+
+
+def announcements() -> Path:
+    """The folder in which running doubles tell where they are; it may not exist."""
+    base = os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()
+    return Path(base) / f"deformscope-doubles-{os.getuid()}"
+
+
+@contextlib.contextmanager
+def announced(driver: str, port: str, name: str) -> Iterator[None]:
+    """Tell other processes that a double runs here, until the end of the context."""
+    folder = announcements()
+    folder.mkdir(mode=0o700, exist_ok=True)
+    path = folder / f"{os.getpid()}-{name}.json"
+    path.write_text(json.dumps({"driver": driver, "port": port, "name": name, "pid": os.getpid()}), encoding="utf-8")
+    try:
+        yield
+    finally:
+        path.unlink(missing_ok=True)
+
+
+def running_doubles() -> list[RunningDouble]:
+    """The doubles whose processes live; what dead ones left is removed."""
+    found = []
+    for path in sorted(announcements().glob("*.json")):
+        try:
+            double = RunningDouble(**json.loads(path.read_text(encoding="utf-8")))
+        except (OSError, ValueError, TypeError):
+            continue
+        if _lives(double.pid):
+            found.append(double)
+        else:
+            path.unlink(missing_ok=True)
+    return found
+
+
+def _lives(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True

@@ -1,0 +1,592 @@
+"""What every device is: opened and closed, read in three ways, reconnected by itself, and open about how it does.
+
+One thread owns the link, from opening to closing: it alone reads and writes. What another thread wants done is handed
+to it (`_do`). So no lock guards a port, no reading is torn, and a cable that was pulled out is noticed in one place.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable, Hashable, Iterable, Iterator
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as FutureTimeout
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Generic, Protocol, Self, TypeVar
+
+from deformscope_drivers.clock import Clock, ClockFit, Stamp, monotonic_ns
+from deformscope_drivers.errors import DeviceError, LinkLost, NoReply, NotConnected, Stale
+from deformscope_drivers.framing import FrameDecoder, Skipped
+from deformscope_drivers.health import Health, Link, LinkEvent, Tally
+from deformscope_drivers.subscription import Subscription
+from deformscope_drivers.transport import Transport
+
+ROUND_S = 0.05
+CLOSE_TIMEOUT_S = 5.0
+QUEUE_READINGS = 8192
+QUEUE_CHUNKS = 65536
+QUEUE_EVENTS = 1024
+
+
+class Measurement(Protocol):
+    """What a device's readings have in common."""
+
+    @property
+    def stamp(self) -> Stamp: ...
+
+
+MeasurementT = TypeVar("MeasurementT", bound=Measurement)
+ResultT = TypeVar("ResultT")
+ItemT = TypeVar("ItemT")
+
+
+@dataclass(frozen=True, slots=True)
+class Reconnect:
+    """How a lost link is sought: after first_s, then after twice as long each time, up to longest_s."""
+
+    first_s: float = 0.05
+    longest_s: float = 2.0
+
+
+RECONNECT = Reconnect()
+
+
+@dataclass(frozen=True, slots=True)
+class RawChunk:
+    """Bytes as they went over the wire. host_ns: when [ns]; sent: from the host to the device"""
+
+    host_ns: int
+    data: bytes
+    sent: bool = False
+
+
+class Device(ABC, Generic[MeasurementT]):
+    """`with SomeDevice(config) as device:` and then one of the three reads.
+
+    - `for reading in device:` every reading, through a bounded queue; `device.readings()` tells what was dropped
+    - `device.next(timeout_s)` the next reading that arrives
+    - `device.latest(max_age_s)` the newest reading, refused when it is older than that
+
+    name: for messages; reconnect: None = a lost link ends the session; stuck_after_s: readings that stay exactly the
+    same for this long mean a stuck sensor, None = they may; clock: the host's, or a simulated laboratory's
+    A subclass gives `_connect`, `_receive` and `_disconnect`, all run by the device's own thread.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        reconnect: Reconnect | None = RECONNECT,
+        stuck_after_s: float | None = None,
+        clock: Clock = monotonic_ns,
+    ) -> None:
+        self.name = name
+        self._reconnect = reconnect
+        self._stuck_after_ns = None if stuck_after_s is None else round(stuck_after_s * 1e9)
+        self._clock = clock
+        self._changed = threading.Condition()
+        self._thread: threading.Thread | None = None
+        self._own_thread = True
+        self._closing = threading.Event()
+        self._jobs: deque[tuple[Callable[[], Any], Future[Any]]] = deque()
+        self._readings: list[Subscription[MeasurementT]] = []
+        self._chunks: list[Subscription[RawChunk]] = []
+        self._events: list[Subscription[LinkEvent]] = []
+        self._link = Link.CLOSED
+        self._reason = ""
+        self._failure: BaseException | None = None
+        self._tally = Tally()
+        self._clock_fit: ClockFit | None = None
+        self._last: MeasurementT | None = None
+        self._same: Hashable = None
+        self._same_since_ns = 0
+
+    # What a kind of device fills in ----------------------------------------------------------------------------------
+
+    @abstractmethod
+    def _connect(self) -> None:
+        """Open the link and bring the device into the state that its configuration says. Raises DeviceError."""
+
+    @abstractmethod
+    def _receive(self, timeout_s: float) -> Iterable[MeasurementT]:
+        """Wait up to `timeout_s` for readings and give what came. Raises LinkLost."""
+
+    @abstractmethod
+    def _disconnect(self) -> None:
+        """Close the link, in whatever state it is; a device that moves is stopped first if it can be."""
+
+    def _fingerprint(self, reading: MeasurementT) -> Hashable:
+        """What is the same in two readings of a sensor that is stuck; None = cannot tell."""
+        return None
+
+    def _wake(self) -> None:
+        """End a `_receive` that waits, where that is possible."""
+
+    def _extra_health(self) -> dict[str, float]:
+        """More counters for `health().extra`."""
+        return {}
+
+    # Lifecycle -------------------------------------------------------------------------------------------------------
+
+    def open(self, *, own_thread: bool = True) -> Self:
+        """Connect. Raises NotConnected, or what else keeps the device from working as configured.
+
+        own_thread: False = nothing runs by itself; `poll` does one round (a simulated laboratory on its own clock)
+        """
+        if self.is_open:
+            raise DeviceError("a device that is closed", "one that is open", "close() first", self.name)
+        self._failure, self._last, self._same = None, None, None
+        self._tally = Tally()
+        self._closing.clear()
+        self._own_thread = own_thread
+        if not own_thread:
+            self._thread = threading.current_thread()
+            try:
+                self._connect()
+            except BaseException:
+                self._thread = None
+                self._disconnect_quietly()
+                raise
+            self._tell(Link.CONNECTED)
+            return self
+        opened: Future[None] = Future()
+        self._thread = threading.Thread(target=self._run, args=(opened,), name=f"device {self.name}", daemon=True)
+        self._thread.start()
+        try:
+            opened.result()
+        except BaseException:
+            self._closing.set()
+            self._wake()
+            self._thread.join(CLOSE_TIMEOUT_S)
+            self._thread = None
+            raise
+        return self
+
+    def close(self) -> None:
+        """Stop reading and close the link. All readers come to their end. Closing twice is nothing."""
+        thread = self._thread
+        if thread is None:
+            return
+        self._closing.set()
+        if not self._own_thread:
+            self._end(None)
+        else:
+            self._wake()
+            with self._changed:
+                self._changed.notify_all()
+            thread.join(CLOSE_TIMEOUT_S)
+            if thread.is_alive():
+                raise DeviceError("a device that closes", f"one that hangs for {CLOSE_TIMEOUT_S:g} s", where=self.name)
+        self._thread = None
+
+    def __enter__(self) -> Self:
+        return self if self.is_open else self.open()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def is_open(self) -> bool:
+        """Between open() and close(), whether the link is up or sought."""
+        return self._thread is not None
+
+    @property
+    def link(self) -> Link:
+        """What the link is doing."""
+        return self._link
+
+    # The three reads -------------------------------------------------------------------------------------------------
+
+    def __iter__(self) -> Iterator[MeasurementT]:
+        """Every reading from now on, until the device is closed."""
+        return iter(self.readings())
+
+    def readings(self, capacity: int = QUEUE_READINGS) -> Subscription[MeasurementT]:
+        """A queue of every reading from now on. capacity: readings that wait for a slow reader before any is lost"""
+        return self._subscribe(self._readings, capacity)
+
+    def next(self, timeout_s: float) -> MeasurementT:
+        """The next reading that arrives after this call. Raises Stale when none does in time."""
+        self._require_open()
+        until_ns = self._clock() + round(timeout_s * 1e9)
+        seen = self._tally.received
+        if not self._own_thread:
+            while self._tally.received == seen and (left_ns := until_ns - self._clock()) > 0:
+                self.poll(left_ns / 1e9)
+        else:
+            until = time.monotonic() + timeout_s
+            with self._changed:
+                while self._tally.received == seen and self._going() and (left := until - time.monotonic()) > 0:
+                    self._changed.wait(left)
+        if self._tally.received == seen or self._last is None:
+            self._require_open()
+            raise Stale(f"a reading within {timeout_s:g} s", self._silence(), where=self.name)
+        return self._last
+
+    def latest(self, max_age_s: float) -> MeasurementT:
+        """The newest reading, at once. Raises Stale when it is older than that, or when the sensor is stuck."""
+        self._require_open()
+        last = self._last
+        if last is None or self._clock() - last.stamp.host_ns > max_age_s * 1e9:
+            raise Stale(f"a reading of the last {max_age_s:g} s", self._silence(), where=self.name)
+        if self._stuck():
+            same_s = (self._clock() - self._same_since_ns) / 1e9
+            raise Stale("readings that change", f"the same one for {same_s:.3g} s", "look at the sensor", self.name)
+        return last
+
+    def poll(self, timeout_s: float = 0.0) -> list[MeasurementT]:
+        """One round of a device that was opened without a thread of its own; the readings that came."""
+        if self._own_thread or self._thread is None:
+            raise NotConnected("a device opened with own_thread=False", "another", where=self.name)
+        try:
+            found = list(self._receive(timeout_s))
+        except LinkLost as error:
+            self._tell(Link.LOST, str(error))
+            raise
+        for reading in found:
+            self._publish(reading)
+        return found
+
+    # More to look at -------------------------------------------------------------------------------------------------
+
+    def raw(self, capacity: int = QUEUE_CHUNKS) -> Subscription[RawChunk]:
+        """A queue of all bytes from now on, both ways, as a recording keeps them; empty for what sends no bytes."""
+        return self._subscribe(self._chunks, capacity)
+
+    def events(self, capacity: int = QUEUE_EVENTS) -> Subscription[LinkEvent]:
+        """A queue of what happens to the link from now on: where the gaps in the readings are."""
+        return self._subscribe(self._events, capacity)
+
+    def health(self) -> Health:
+        """How the device does, as of now."""
+        now_ns = self._clock()
+        last = self._last
+        with self._changed:
+            return Health(
+                link=self._link,
+                reason=self._reason,
+                received=self._tally.received,
+                lost=self._tally.lost,
+                dropped=self._tally.dropped,
+                skipped_bytes=self._tally.skipped_bytes,
+                refused=dict(self._tally.refused),
+                resyncs=self._tally.resyncs,
+                reconnects=self._tally.reconnects,
+                rate_hz=self._tally.rate.at(now_ns),
+                age_s=None if last is None else (now_ns - last.stamp.host_ns) / 1e9,
+                stuck=self._stuck(),
+                clock=None if self._clock_fit is None else self._clock_fit.relation(),
+                extra=self._extra_health(),
+            )
+
+    # For subclasses --------------------------------------------------------------------------------------------------
+
+    def _do(self, action: Callable[[], ResultT], timeout_s: float) -> ResultT:
+        """Have the device's thread do something between two rounds, and return what it returns."""
+        self._require_open()
+        if threading.current_thread() is self._thread:
+            return action()
+        if not self._own_thread:
+            raise DeviceError("a call from the thread that opened the device", "another thread", where=self.name)
+        future: Future[ResultT] = Future()
+        with self._changed:
+            if self._link is not Link.CONNECTED:
+                raise LinkLost("a device that is connected", self._reason or self._link, where=self.name)
+            self._jobs.append((action, future))
+        self._wake()
+        try:
+            return future.result(timeout_s)
+        except FutureTimeout as error:
+            if future.done():  # the action itself ran out of time
+                raise
+            future.cancel()
+            raise NoReply(f"the command done within {timeout_s:g} s", "nothing", where=self.name) from error
+
+    def _publish(self, reading: MeasurementT) -> None:
+        """Hand one reading to all readers."""
+        fingerprint = self._fingerprint(reading) if self._stuck_after_ns is not None else None
+        with self._changed:
+            self._tally.received += 1
+            self._tally.rate.add(reading.stamp.host_ns)
+            if fingerprint is None or fingerprint != self._same:
+                self._same, self._same_since_ns = fingerprint, reading.stamp.host_ns
+            self._last = reading
+            for queue in self._readings:
+                self._tally.dropped += queue.put(reading)
+            self._changed.notify_all()
+
+    def _count_lost(self, count: int) -> None:
+        """Readings that the device sent and that never came, by its own counter."""
+        with self._changed:
+            self._tally.lost += count
+
+    def _count_skipped(self, skipped: Skipped) -> None:
+        """Bytes that fit no frame."""
+        with self._changed:
+            self._tally.skip(skipped)
+
+    def _count_refused(self, reason: str) -> None:
+        """A whole frame, refused for what it says."""
+        with self._changed:
+            self._tally.refuse(reason)
+
+    def _record_raw(self, data: bytes, host_ns: int, *, sent: bool = False) -> None:
+        with self._changed:
+            for queue in self._chunks:
+                queue.put(RawChunk(host_ns, data, sent))
+
+    # Within ----------------------------------------------------------------------------------------------------------
+
+    def _subscribe(self, queues: list[Subscription[ItemT]], capacity: int) -> Subscription[ItemT]:
+        self._require_open()
+
+        def leave(queue: Subscription[ItemT]) -> None:
+            with self._changed:
+                if queue in queues:
+                    queues.remove(queue)
+
+        queue: Subscription[ItemT] = Subscription(capacity, leave)
+        with self._changed:
+            queues.append(queue)
+        return queue
+
+    def _run(self, opened: Future[None]) -> None:
+        """The device's thread: connect, read, seek a lost link, until it is closed."""
+        failure: BaseException | None = None
+        try:
+            self._connect()
+            self._tell(Link.CONNECTED)
+            opened.set_result(None)
+            while not self._closing.is_set():
+                try:
+                    self._rounds()
+                except LinkLost as error:
+                    self._lose(error)
+                    if self._reconnect is None:
+                        raise
+                    self._seek(self._reconnect)
+        except BaseException as error:
+            failure = error
+            if not opened.done():
+                opened.set_exception(error)
+        finally:
+            self._end(failure)
+
+    def _rounds(self) -> None:
+        while not self._closing.is_set():
+            while self._jobs:
+                action, future = self._jobs.popleft()
+                if not future.set_running_or_notify_cancel():
+                    continue
+                try:
+                    future.set_result(action())
+                except LinkLost as error:
+                    future.set_exception(error)
+                    raise
+                except BaseException as error:
+                    future.set_exception(error)
+            for reading in self._receive(ROUND_S):
+                self._publish(reading)
+
+    def _lose(self, error: LinkLost) -> None:
+        self._tell(Link.LOST, str(error))
+        self._disconnect_quietly()
+        self._refuse_jobs(error)
+        if self._clock_fit is not None:
+            self._clock_fit.reset()
+
+    def _seek(self, plan: Reconnect) -> None:
+        """Try until the link is there again, or the device is closed."""
+        wait_s = plan.first_s
+        while not self._closing.wait(wait_s):
+            try:
+                self._connect()
+            except DeviceError as error:
+                self._disconnect_quietly()
+                with self._changed:
+                    self._reason = str(error)
+                wait_s = min(2 * wait_s, plan.longest_s)
+                continue
+            with self._changed:
+                self._tally.reconnects += 1
+            self._tell(Link.CONNECTED)
+            return
+
+    def _end(self, failure: BaseException | None) -> None:
+        self._disconnect_quietly()
+        if failure is None:
+            self._tell(Link.CLOSED)
+        else:
+            self._tell(Link.FAILED, str(failure) or type(failure).__name__)
+        self._refuse_jobs(NotConnected("a device that is open", "one that was closed", where=self.name))
+        with self._changed:
+            self._failure = failure
+            queues: list[Subscription[Any]] = [*self._readings, *self._chunks, *self._events]
+            self._readings.clear()
+            self._chunks.clear()
+            self._events.clear()
+            self._changed.notify_all()
+        for queue in queues:
+            queue.end(failure)
+
+    def _tell(self, link: Link, reason: str = "") -> None:
+        event = LinkEvent(self._clock(), link, reason)
+        with self._changed:
+            self._link, self._reason = link, reason
+            for queue in self._events:
+                queue.put(event)
+            self._changed.notify_all()
+
+    def _refuse_jobs(self, error: DeviceError) -> None:
+        while self._jobs:
+            _, future = self._jobs.popleft()
+            if future.set_running_or_notify_cancel():
+                future.set_exception(error)
+
+    def _disconnect_quietly(self) -> None:
+        with contextlib.suppress(DeviceError, OSError):
+            self._disconnect()
+
+    def _require_open(self) -> None:
+        if self._failure is not None:
+            raise self._failure
+        if self._thread is None or self._closing.is_set():
+            raise NotConnected("a device that is open", "one that is closed", "open() it", self.name)
+
+    def _going(self) -> bool:
+        return self._failure is None and not self._closing.is_set()
+
+    def _stuck(self) -> bool:
+        if self._stuck_after_ns is None or self._same is None or self._last is None:
+            return False
+        return self._last.stamp.host_ns - self._same_since_ns >= self._stuck_after_ns
+
+    def _silence(self) -> str:
+        link = f"the link is {self._link}" + (f": {self._reason}" if self._reason else "")
+        if self._last is None:
+            return f"none since it was opened ({link})"
+        return f"none for {(self._clock() - self._last.stamp.host_ns) / 1e9:.3g} s ({link})"
+
+
+class StreamDevice(Device[MeasurementT]):
+    """A device that speaks in bytes over a transport.
+
+    A subclass gives `_start` (what is said after opening), `_make_decoder`, and `_measure` (an event of the decoder
+    that is no measurement gives none). `_ask` sends a command and waits for its reply.
+    silence_s: a device that should send and sent nothing for this long is lost (a bus does not tell); None = it may
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        *,
+        silence_s: float | None = None,
+        reconnect: Reconnect | None = RECONNECT,
+        stuck_after_s: float | None = None,
+        clock: Clock = monotonic_ns,
+    ) -> None:
+        super().__init__(transport.name, reconnect=reconnect, stuck_after_s=stuck_after_s, clock=clock)
+        self._transport = transport
+        self._silence_ns = None if silence_s is None else round(silence_s * 1e9)
+        self._heard_ns = 0
+        self._decoder: FrameDecoder[Any] = self._make_decoder()
+
+    @abstractmethod
+    def _make_decoder(self) -> FrameDecoder[Any]:
+        """A fresh decoder, for a fresh link."""
+
+    @abstractmethod
+    def _start(self) -> None:
+        """Bring the opened device into the state that its configuration says; `_ask`, `_send` and `_transport` work."""
+
+    @abstractmethod
+    def _measure(self, event: Any, host_ns: int) -> Iterable[MeasurementT]:
+        """The readings in one event of the decoder (most often one, or none for a reply)."""
+
+    def _stop(self) -> None:
+        """Say what the device should hear before the link is closed; errors are ignored."""
+
+    def _connect(self) -> None:
+        self._transport.open()
+        self._decoder = self._make_decoder()
+        self._start()
+        self._heard_ns = self._clock()
+
+    def _disconnect(self) -> None:
+        try:
+            if self._link is Link.CONNECTED:
+                self._stop()
+        finally:
+            self._transport.close()
+
+    def _wake(self) -> None:
+        self._transport.wake()
+
+    def _receive(self, timeout_s: float) -> Iterable[MeasurementT]:
+        heard = [reading for event, host_ns in self._listen(timeout_s) for reading in self._measure(event, host_ns)]
+        if self._silence_ns is not None and self._clock() - self._heard_ns > self._silence_ns:
+            raise LinkLost("bytes from the device", f"none for {self._silence_ns / 1e9:g} s", where=self.name)
+        return heard
+
+    def _listen(self, timeout_s: float) -> Iterable[tuple[Any, int]]:
+        """One read: the decoder's good events, each with its time of arrival [ns]; bad bytes are counted."""
+        try:
+            data = self._transport.read(timeout_s)
+        except LinkLost:
+            for cut in self._decoder.finish():
+                if isinstance(cut, Skipped):
+                    self._count_skipped(cut)
+            raise
+        if not data:
+            return []
+        self._heard_ns = host_ns = self._clock()
+        self._record_raw(data, host_ns)
+        events = []
+        for event in self._decoder.feed(data):
+            if isinstance(event, Skipped):
+                self._count_skipped(event)
+            else:
+                self._tally.in_sync()
+                events.append((event, host_ns))
+        return events
+
+    def _send(self, data: bytes) -> None:
+        """Send bytes, in the device's thread."""
+        self._transport.write(data)
+        self._record_raw(data, self._clock(), sent=True)
+
+    def _ask(
+        self,
+        data: bytes,
+        accept: Callable[[Any], ResultT | None],
+        timeout_s: float,
+        *,
+        tries: int = 1,
+        what: str = "a reply",
+    ) -> ResultT:
+        """Send a command and wait for the event that `accept` makes something of; readings go their way meanwhile.
+
+        Runs in the device's thread: a public method wraps it into `_do`. Raises NoReply after the last try.
+        """
+        for _ in range(tries):
+            self._send(data)
+            until_ns = self._clock() + round(timeout_s * 1e9)
+            while (left_ns := until_ns - self._clock()) > 0:
+                found: ResultT | None = None
+                for event, host_ns in self._listen(min(left_ns / 1e9, ROUND_S)):
+                    if found is None and (found := accept(event)) is not None:
+                        continue
+                    for reading in self._measure(event, host_ns):
+                        self._publish(reading)
+                if found is not None:
+                    return found
+                if self._closing.is_set():
+                    break
+        waited = f"{tries} x {timeout_s:g} s" if tries > 1 else f"{timeout_s:g} s"
+        raise NoReply(f"{what} within {waited}", "none", "look at power, cable and baud rate", self.name)

@@ -1,0 +1,116 @@
+"""How a device does: what came, what was lost and why, how often, how old."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from deformscope_drivers.clock import ClockRelation
+from deformscope_drivers.framing import NOISE, Skipped
+
+RATE_WINDOW = 512
+RATE_SPAN_NS = 5_000_000_000
+
+
+class Link(StrEnum):
+    """What a device's link is doing."""
+
+    CLOSED = "closed"
+    CONNECTED = "connected"
+    LOST = "lost"  # attempts to get it back go on
+    FAILED = "failed"  # they do not
+
+
+@dataclass(frozen=True, slots=True)
+class LinkEvent:
+    """The link was made, lost, made again or given up. host_ns: when the host noticed [ns]; reason: in words."""
+
+    host_ns: int
+    link: Link
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """One look at a device.
+
+    link: the state of the connection; reason: why it is so, in words
+    received: readings since it was opened; lost: readings that the device's counter says were sent and never came
+    dropped: readings that came and that a reader was too slow to take, over all readers
+    skipped_bytes: bytes that fit no frame; refused: frames refused, by reason (checksum, length...)
+    resyncs: stretches of skipped bytes; reconnects: links made again
+    rate_hz: readings a second lately, 0 where none; age_s: since the last reading, None before the first
+    stuck: the same reading came again and again, as from a sensor that has died behind a link that lives
+    clock: how the device's clock runs beside the host's, None where it has none
+    extra: what only this kind of device counts
+    """
+
+    link: Link
+    reason: str = ""
+    received: int = 0
+    lost: int = 0
+    dropped: int = 0
+    skipped_bytes: int = 0
+    refused: Mapping[str, int] = field(default_factory=dict)
+    resyncs: int = 0
+    reconnects: int = 0
+    rate_hz: float = 0.0
+    age_s: float | None = None
+    stuck: bool = False
+    clock: ClockRelation | None = None
+    extra: Mapping[str, float] = field(default_factory=dict)
+
+
+class Rate:
+    """Readings a second, over the last few seconds or the last few hundred readings."""
+
+    def __init__(self) -> None:
+        self._times: deque[int] = deque(maxlen=RATE_WINDOW)
+
+    def add(self, host_ns: int) -> None:
+        self._times.append(host_ns)
+
+    def at(self, now_ns: int) -> float:
+        """The rate as of now: it falls when nothing comes any more."""
+        while self._times and now_ns - self._times[0] > RATE_SPAN_NS:
+            self._times.popleft()
+        if len(self._times) < 2:
+            return 0.0
+        count, span = len(self._times) - 1, self._times[-1] - self._times[0]
+        silence = now_ns - self._times[-1]
+        if count and silence > 3 * span / count:
+            span += silence
+        return count / span * 1e9 if span > 0 else 0.0
+
+
+class Tally:
+    """What a device counts while it is open; `Health` shows it."""
+
+    def __init__(self) -> None:
+        self.received = 0
+        self.lost = 0
+        self.dropped = 0
+        self.skipped_bytes = 0
+        self.resyncs = 0
+        self.reconnects = 0
+        self.refused: dict[str, int] = {}
+        self.rate = Rate()
+        self._skipping = False
+
+    def skip(self, skipped: Skipped) -> None:
+        """Bytes that fit no frame; those that follow one another are one resync."""
+        self.skipped_bytes += skipped.count
+        self.resyncs += not self._skipping
+        self._skipping = True
+        if skipped.reason != NOISE:
+            self.refuse(skipped.reason)
+
+    def refuse(self, reason: str) -> None:
+        """A frame that was refused."""
+        self.refused[reason] = self.refused.get(reason, 0) + 1
+
+    def in_sync(self) -> None:
+        """A good frame came."""
+        self._skipping = False

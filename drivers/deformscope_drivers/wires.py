@@ -1,0 +1,241 @@
+"""Doubles behind real transports: a pseudo terminal, a CAN bus, a socket.
+
+A wire has one thread, which feeds the double with bytes and time and sends what is due, at the pace of the double.
+Cables can be pulled out and put back.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import tempfile
+import threading
+import tty
+from abc import ABC, abstractmethod
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from deformscope_drivers.clock import monotonic_ns
+from deformscope_drivers.doubles import Double
+from deformscope_drivers.transport import CAN_FRAME_BYTES, CHUNK_BYTES, open_bus
+
+LONGEST_WAIT_S = 0.1
+LOOPBACK = "127.0.0.1"
+
+
+class Wire(ABC):
+    """`with PtyWire(OptoforceDouble()) as wire: Optoforce(port=wire.port)`.
+
+    port: what a device's configuration names to come to the other end
+    lost_bytes: what the double sent while nobody took it off the wire
+    """
+
+    port: str
+
+    def __init__(self, double: Double) -> None:
+        self.double = double
+        self.lost_bytes = 0
+        self._thread: threading.Thread | None = None
+        self._stopping = threading.Event()
+
+    def __enter__(self) -> Self:
+        self.plug()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.unplug()
+        self._clean()
+
+    def plug(self) -> None:
+        """Put the cable in: the double powers up, and its thread starts."""
+        self._attach()
+        self._stopping.clear()
+        self.double.power_up(monotonic_ns())
+        self._thread = threading.Thread(target=self._work, name=f"double at {self.port}", daemon=True)
+        self._thread.start()
+
+    def unplug(self) -> None:
+        """Pull the cable out, in the middle of whatever is being sent. Pulling twice is nothing."""
+        thread, self._thread = self._thread, None
+        if thread is None:
+            return
+        self._stopping.set()
+        thread.join()
+        self._detach()
+
+    @abstractmethod
+    def _attach(self) -> None:
+        """Make this end of the wire."""
+
+    @abstractmethod
+    def _detach(self) -> None:
+        """Take this end of the wire away."""
+
+    @abstractmethod
+    def _take(self, wait_s: float) -> bytes:
+        """What the host sent, after at most this time."""
+
+    @abstractmethod
+    def _give(self, data: bytes) -> int:
+        """Send to the host; how many bytes the wire took."""
+
+    def _clean(self) -> None:  # noqa: B027 (most have nothing left)
+        """Remove what outlives a cable that was pulled out."""
+
+    def _work(self) -> None:
+        while not self._stopping.is_set():
+            now_ns = monotonic_ns()
+            next_ns = self.double.next_ns(now_ns)
+            wait_s = LONGEST_WAIT_S if next_ns is None else min(max(next_ns - now_ns, 0) / 1e9, LONGEST_WAIT_S)
+            data = self._take(wait_s)
+            now_ns = monotonic_ns()
+            if data:
+                self.double.receive(data, now_ns)
+            out = self.double.due(now_ns)
+            if out:
+                self.lost_bytes += len(out) - self._give(out)
+
+
+class PtyWire(Wire):
+    """A pseudo terminal; `port` is a link that stays the same when the cable is pulled out and put back.
+
+    It has no baud rate: a double that should be slow paces itself (`doubles.Line`).
+    """
+
+    def __init__(self, double: Double) -> None:
+        super().__init__(double)
+        self._folder = tempfile.TemporaryDirectory(prefix="deformscope-pty-")
+        self.port = str(Path(self._folder.name) / "tty")
+        self._ours = self._theirs = -1
+
+    def _attach(self) -> None:
+        self._ours, self._theirs = os.openpty()  # their end stays open here: bytes wait until a host opens it
+        tty.setraw(self._theirs)
+        os.set_blocking(self._ours, False)
+        Path(self.port).unlink(missing_ok=True)
+        Path(self.port).symlink_to(os.ttyname(self._theirs))
+
+    def _detach(self) -> None:
+        Path(self.port).unlink(missing_ok=True)
+        for end in (self._theirs, self._ours):
+            os.close(end)
+
+    def _clean(self) -> None:
+        self._folder.cleanup()
+
+    def _take(self, wait_s: float) -> bytes:
+        ready, _, _ = select.select([self._ours], [], [], wait_s)
+        if not ready:
+            return b""
+        try:
+            return os.read(self._ours, CHUNK_BYTES)
+        except BlockingIOError:
+            return b""
+
+    def _give(self, data: bytes) -> int:
+        try:
+            return os.write(self._ours, data)
+        except BlockingIOError:
+            return 0  # nobody reads, and the terminal is full: as on a real line, the bytes are gone
+
+
+class TcpWire(Wire):
+    """A socket on loopback that one host at a time connects to; `port` is pyserial's `socket://` URL."""
+
+    def __init__(self, double: Double) -> None:
+        super().__init__(double)
+        self._number = 0
+        self.port = ""
+        self._server: socket.socket | None = None
+        self._client: socket.socket | None = None
+
+    def _attach(self) -> None:
+        server = socket.create_server((LOOPBACK, self._number))
+        self._server, self._number = server, server.getsockname()[1]
+        self.port = f"socket://{LOOPBACK}:{self._number}"
+
+    def _detach(self) -> None:
+        for end in (self._client, self._server):
+            if end is not None:
+                end.close()
+        self._client = self._server = None
+
+    def _take(self, wait_s: float) -> bytes:
+        assert self._server is not None
+        ends = [self._server, *([self._client] if self._client is not None else [])]
+        ready, _, _ = select.select(ends, [], [], wait_s)
+        if self._server in ready:
+            if self._client is not None:
+                self._client.close()
+            self._client, _ = self._server.accept()
+            self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            return b""
+        if self._client is None or self._client not in ready:
+            return b""
+        try:
+            data = self._client.recv(CHUNK_BYTES)
+        except OSError:
+            data = b""
+        if not data:
+            self._client.close()
+            self._client = None
+        return data
+
+    def _give(self, data: bytes) -> int:
+        if self._client is None:
+            return 0
+        try:
+            self._client.sendall(data)
+        except OSError:
+            return 0
+        return len(data)
+
+
+class CanWire(Wire):
+    """A CAN bus, over which the double's bytes go in frames of up to 8. Ids as the host's `CanTransport` has them.
+
+    bus: as for `CanTransport`; `port` is the same. padded: fill the last frame of a piece up with zeros
+    """
+
+    def __init__(
+        self,
+        double: Double,
+        bus: str,
+        *,
+        receive_id: int,
+        send_id: int,
+        bitrate: int = 1_000_000,
+        padded: bool = False,
+    ) -> None:
+        super().__init__(double)
+        self.port = bus
+        self._ids = receive_id, send_id
+        self._bitrate = bitrate
+        self._padded = padded
+        self._bus: Any = None
+
+    def _attach(self) -> None:
+        self._bus = open_bus(self.port, self._ids[1], self._bitrate)
+
+    def _detach(self) -> None:
+        self._bus.shutdown()
+
+    def _take(self, wait_s: float) -> bytes:
+        message = self._bus.recv(wait_s)
+        if message is None or message.arbitration_id != self._ids[1]:
+            return b""
+        return bytes(message.data)
+
+    def _give(self, data: bytes) -> int:
+        import can
+
+        for at in range(0, len(data), CAN_FRAME_BYTES):
+            piece = data[at : at + CAN_FRAME_BYTES]
+            if self._padded:
+                piece = piece.ljust(CAN_FRAME_BYTES, b"\0")
+            self._bus.send(can.Message(arbitration_id=self._ids[0], data=piece, is_extended_id=False))
+        return len(data)
