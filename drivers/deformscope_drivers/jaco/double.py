@@ -90,13 +90,13 @@ class JacoDouble:
         def called(*arguments: Any) -> int:
             with self._lock:
                 self._live()
-                if codes := self._codes.get(name):
-                    return codes.popleft()
-                if name not in _WITHOUT_INIT and not self._initialized:
-                    return _NOT_INITIALIZED
-                if self._unplugged and name not in _FINDS_DEVICES | {"GetAPIVersion", "CloseAPI"}:
-                    return _TIMEOUT
-                return method(*arguments)
+                code = self._refusal(name)
+                if code == OK:
+                    return method(*arguments)
+                if name == "GetDevices":  # returns a count, and its code by pointer
+                    arguments[1].value = code
+                    return 0
+                return code
 
         return called
 
@@ -166,6 +166,16 @@ class JacoDouble:
         with self._lock:
             self._live()
             return len(self._arm.fifo)
+
+    def _refusal(self, name: str) -> int:
+        """The code with which a call is refused, or OK."""
+        if codes := self._codes.get(name):
+            return codes.popleft()
+        if name not in _WITHOUT_INIT and not self._initialized:
+            return _NOT_INITIALIZED
+        if self._unplugged and name not in _FINDS_DEVICES | {"GetAPIVersion", "CloseAPI"}:
+            return _TIMEOUT
+        return OK
 
     def _live(self) -> None:
         """Live through the cycles that have passed."""

@@ -351,3 +351,7 @@ class MotionStopped(DeviceError):
 
 class NotReached(DeviceError):
     """The arm did not get where it was sent in the time given; it was stopped."""
+
+
+class NotStopped(DeviceError):
+    """The arm was moving and could not be told to stop."""

@@ -1,0 +1,116 @@
+"""Reading the arm's state call by call, in the time that the commands leave.
+
+Over USB the vendor's library opens, claims, transfers and closes for each packet, so one call may take milliseconds.
+A sweep of all calls is therefore spread over as many slots as it needs: a call is only begun where it will likely end
+before the next slot is due.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from typing import cast
+
+from deformscope_drivers.clock import Clock, Stamp
+from deformscope_drivers.jaco.library import Functions, read
+from deformscope_drivers.jaco.state import JacoState
+from deformscope_drivers.jaco.structures import (
+    AngularPosition,
+    CartesianPosition,
+    SensorsInfo,
+    TrajectoryFIFO,
+    actuator_values,
+    cartesian_values,
+    finger_values,
+    sensor_temperatures,
+)
+
+SENSORS_EVERY_NS = 1_000_000_000
+SLACK_NS = 1_000_000
+SMOOTHING = 0.2
+
+_CALLS: tuple[tuple[str, type[ctypes.Structure]], ...] = (
+    ("GetAngularPosition", AngularPosition),
+    ("GetCartesianPosition", CartesianPosition),
+    ("GetCartesianForce", CartesianPosition),
+    ("GetAngularVelocity", AngularPosition),
+    ("GetAngularForceGravityFree", AngularPosition),
+    ("GetAngularCurrent", AngularPosition),
+    ("GetGlobalTrajectoryInfo", TrajectoryFIFO),
+)
+
+
+class Sweep:
+    """One state after the other, at a rate or as often as the link allows."""
+
+    def __init__(self, functions: Functions, joint_count: int, rate_hz: float, clock: Clock) -> None:
+        self._functions = functions
+        self._joint_count = joint_count
+        self._period_ns = round(1e9 / rate_hz)
+        self._clock = clock
+        self._next_ns = clock()
+        self._sensors_ns: int | None = None
+        self._sensors = SensorsInfo()
+        self._read: dict[str, ctypes.Structure] = {}
+        self._began_ns = 0
+        self._call_ns = 0.0
+
+    def go_on(self, until_ns: int) -> JacoState | None:
+        """Make calls while they fit before `until_ns`, at least one; the state once its sweep is whole."""
+        if not self._read and self._clock() < self._next_ns:
+            return None
+        made = 0
+        for name, kind in _CALLS:
+            if name in self._read:
+                continue
+            if made and self._clock() + self._call_ns + SLACK_NS > until_ns:
+                return None
+            before_ns = self._clock()
+            if not self._read:
+                self._begin(before_ns)
+            self._read[name] = read(self._functions, name, kind)
+            made += 1
+            self._call_ns += SMOOTHING * (self._clock() - before_ns - self._call_ns)
+        self._refresh_sensors()
+        return self._assemble()
+
+    def begin_anew(self) -> None:
+        """Forget a sweep that is not whole: a call of it failed."""
+        self._read = {}
+
+    def _begin(self, now_ns: int) -> None:
+        self._began_ns = now_ns
+        missed = max(0, now_ns - self._next_ns) // self._period_ns
+        self._next_ns += (missed + 1) * self._period_ns
+
+    def _refresh_sensors(self) -> None:
+        now_ns = self._clock()
+        if self._sensors_ns is None or now_ns - self._sensors_ns >= SENSORS_EVERY_NS:
+            self._sensors_ns = now_ns
+            self._sensors = read(self._functions, "GetSensorsInfo", SensorsInfo)
+
+    def _assemble(self) -> JacoState:
+        joints = cast(AngularPosition, self._read["GetAngularPosition"])
+        pose = cast(CartesianPosition, self._read["GetCartesianPosition"])
+        x, y, z, *thetas = cartesian_values(pose.Coordinates)
+        fifo = cast(TrajectoryFIFO, self._read["GetGlobalTrajectoryInfo"])
+        state = JacoState(
+            stamp=Stamp(self._began_ns),
+            sweep_s=(self._clock() - self._began_ns) / 1e9,
+            joints_deg=actuator_values(joints.Actuators, self._joint_count),
+            rates_deg_s=self._joints("GetAngularVelocity"),
+            torques_nm=self._joints("GetAngularForceGravityFree"),
+            currents_a=self._joints("GetAngularCurrent"),
+            position_m=(x, y, z),
+            theta_rad=(thetas[0], thetas[1], thetas[2]),
+            wrench=cartesian_values(cast(CartesianPosition, self._read["GetCartesianForce"]).Coordinates),
+            fingers=finger_values(joints.Fingers),
+            fifo_count=fifo.TrajectoryCount,
+            supply_v=self._sensors.Voltage,
+            supply_a=self._sensors.Current,
+            temperatures_deg_c=sensor_temperatures(self._sensors, self._joint_count),
+        )
+        self._read = {}
+        return state
+
+    def _joints(self, name: str) -> tuple[float, ...]:
+        return actuator_values(cast(AngularPosition, self._read[name]).Actuators, self._joint_count)
