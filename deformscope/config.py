@@ -216,6 +216,56 @@ JsonFlag = Annotated[str | None, _value("FILE|-", str), _unset]
 Sources = Annotated[tuple[str, ...], Positional, arg(metavar="SOURCE...", help_behavior_hint="")]
 
 
+# What several commands check -----------------------------------------------------------------------------------------
+
+
+def _check_sources(sources: tuple[str, ...]) -> None:
+    if not sources:
+        raise InputError("at least one SOURCE", "none", "a video, a folder of frames, images, or pair files (.npz)")
+
+
+def _check_unit(flag: str, value: float) -> None:
+    if not 0 <= value <= 1:
+        raise InputError(f"a {flag} between 0 and 1", str(value))
+
+
+BETA_LIMIT = 0.9999
+"""Highest beta that can be searched (`deformscope.stages.calibrate.BETA_LIMIT`, which would import numpy here)."""
+
+
+def _check_span(flag: str, span: Span, limit: float = 1.0) -> None:
+    lowest, highest = span
+    if not lowest < highest:
+        raise InputError(f"a {flag} that rises", f"{lowest:g},{highest:g}", f"{flag} {highest:g},{lowest:g}")
+    if lowest < 0 or highest > limit:  # neither is NaN: `_finite` has seen to that
+        raise InputError(f"a {flag} within 0,{limit:g}", f"{lowest:g},{highest:g}")
+
+
+def _check_alpha(alpha: float) -> None:
+    if not 0 < alpha <= 1:
+        raise InputError("an --alpha above 0 and at most 1", str(alpha))
+
+
+def _check_cluster_size(size: int | None) -> None:
+    if size is not None and size < 2:
+        raise InputError("a --cluster-size of 2 or more", str(size))
+
+
+def _check_level(level: float) -> None:
+    if not 0 < level < 1:
+        raise InputError("a --level between 0 and 1", str(level), "--level 0.9")
+
+
+def _check_seed(seed: int) -> None:
+    if seed < 0:
+        raise InputError("a --seed of 0 or more", str(seed))
+
+
+def _check_suffix(flag: str, path: Path | None, suffix: str) -> None:
+    if path is not None and path.suffix != suffix:
+        raise InputError(f"a file that ends in {suffix} after {flag}", repr(str(path)))
+
+
 # What every command's options can be asked ---------------------------------------------------------------------------
 
 
@@ -266,10 +316,8 @@ class OutputOptions:
     """Seed of every random number."""
 
     def __post_init__(self) -> None:
-        if self.record is not None and self.record.suffix != ".rrd":
-            raise InputError("a file that ends in .rrd after --record", repr(str(self.record)))
-        if self.seed < 0:
-            raise InputError("a --seed of 0 or more", str(self.seed))
+        _check_suffix("--record", self.record, ".rrd")
+        _check_seed(self.seed)
 
     def writes(self) -> tuple[Written, ...]:
         record = () if self.record is None else (Written("--record", self.record, replace=self.overwrite),)
@@ -364,10 +412,8 @@ class FlowConfig(CommandOptions):
     """Write the numbers of the table as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
 
     def __post_init__(self) -> None:
-        if self.out.suffix != ".npz":
-            raise InputError("a file that ends in .npz after --out", repr(str(self.out)))
-        if self.picture is not None and self.picture.suffix != ".png":
-            raise InputError("a file that ends in .png after --picture", repr(str(self.picture)))
+        _check_suffix("--out", self.out, ".npz")
+        _check_suffix("--picture", self.picture, ".png")
 
     def reads(self) -> tuple[str, ...]:
         return str(self.before), str(self.after)
@@ -407,37 +453,9 @@ class SearchOptions:
     def __post_init__(self) -> None:
         if self.candidates < 3:
             raise InputError("at least 3 --candidates", str(self.candidates))
-        if not 0 < self.level < 1:
-            raise InputError("a --level between 0 and 1", str(self.level), "--level 0.9")
+        _check_level(self.level)
         if self.noise_px is not None and self.noise_m is not None:
             raise InputError("--noise-px or --noise-m", "both", "leave one out")
-
-
-def _check_sources(sources: tuple[str, ...]) -> None:
-    if not sources:
-        raise InputError("at least one SOURCE", "none", "a video, a folder of frames, images, or pair files (.npz)")
-
-
-def _check_unit(flag: str, value: float) -> None:
-    if not 0 <= value <= 1:
-        raise InputError(f"a {flag} between 0 and 1", str(value))
-
-
-BETA_LIMIT = 0.9999
-"""Highest beta that can be searched (`deformscope.stages.calibrate.BETA_LIMIT`, which would import numpy here)."""
-
-
-def _check_span(flag: str, span: Span, limit: float = 1.0) -> None:
-    lowest, highest = span
-    if not lowest < highest:
-        raise InputError(f"a {flag} that rises", f"{lowest:g},{highest:g}", f"{flag} {highest:g},{lowest:g}")
-    if lowest < 0 or highest > limit:  # neither is NaN: `_finite` has seen to that
-        raise InputError(f"a {flag} within 0,{limit:g}", f"{lowest:g},{highest:g}")
-
-
-def _check_alpha(alpha: float) -> None:
-    if not 0 < alpha <= 1:
-        raise InputError("an --alpha above 0 and at most 1", str(alpha))
 
 
 @dataclass(frozen=True, slots=True)
@@ -448,8 +466,7 @@ class ModelOptions:
     """Write the fitted model, which `deformscope predict` can poke (.npz, no pickle)."""
 
     def __post_init__(self) -> None:
-        if self.save is not None and self.save.suffix != ".npz":
-            raise InputError("a file that ends in .npz after --save", repr(str(self.save)))
+        _check_suffix("--save", self.save, ".npz")
 
 
 @dataclass(frozen=True, slots=True)
@@ -464,10 +481,8 @@ class SummaryOptions:
     existing file is replaced."""
 
     def __post_init__(self) -> None:
-        if self.picture is not None and self.picture.suffix != ".png":
-            raise InputError("a file that ends in .png after --picture", repr(str(self.picture)))
-        if self.report is not None and self.report.suffix != ".html":
-            raise InputError("a file that ends in .html after --report", repr(str(self.report)))
+        _check_suffix("--picture", self.picture, ".png")
+        _check_suffix("--report", self.report, ".html")
 
     @property
     def wanted(self) -> bool:
@@ -554,8 +569,7 @@ class BetaConfig(CalibrateOptions):
 
     def __post_init__(self) -> None:
         _check_sources(self.sources)
-        if self.cluster_size is not None and self.cluster_size < 2:
-            raise InputError("a --cluster-size of 2 or more", str(self.cluster_size))
+        _check_cluster_size(self.cluster_size)
         _check_alpha(self.alpha)
         if self.theta is not None:
             _check_unit("--theta", self.theta)
@@ -598,8 +612,7 @@ class ThetaConfig(CalibrateOptions):
 
     def __post_init__(self) -> None:
         _check_sources(self.sources)
-        if self.cluster_size is not None and self.cluster_size < 2:
-            raise InputError("a --cluster-size of 2 or more", str(self.cluster_size))
+        _check_cluster_size(self.cluster_size)
         _check_alpha(self.alpha)
         _check_unit("--beta", self.beta)
         _check_span("--theta-range", self.theta_range)
@@ -646,12 +659,9 @@ class BothConfig(CommandOptions):
             raise InputError("pair files (.npz)", repr(other), "calibrate beta or theta for images")
         if self.cluster_size not in (0, None) and (self.cluster_size or 0) < 2:
             raise InputError("a --cluster-size of 2 or more, or 0", str(self.cluster_size))
-        if not 0 < self.level < 1:
-            raise InputError("a --level between 0 and 1", str(self.level), "--level 0.9")
-        if self.seed < 0:
-            raise InputError("a --seed of 0 or more", str(self.seed))
-        if self.picture is not None and self.picture.suffix != ".png":
-            raise InputError("a file that ends in .png after --picture", repr(str(self.picture)))
+        _check_level(self.level)
+        _check_seed(self.seed)
+        _check_suffix("--picture", self.picture, ".png")
         _check_span("--beta-range", self.beta_range, BETA_LIMIT)
         _check_span("--theta-range", self.theta_range)
 
@@ -695,10 +705,8 @@ class PredictConfig(CommandOptions):
     def __post_init__(self) -> None:
         if not self.poke and not self.against:
             raise InputError("a --poke or pokes to compare with --against", "neither", f"--poke {POKE_EXAMPLE}")
-        if self.out is not None and self.out.suffix != ".npz":
-            raise InputError("a file that ends in .npz after --out", repr(str(self.out)))
-        if self.picture is not None and self.picture.suffix != ".png":
-            raise InputError("a file that ends in .png after --picture", repr(str(self.picture)))
+        _check_suffix("--out", self.out, ".npz")
+        _check_suffix("--picture", self.picture, ".png")
 
     def reads(self) -> tuple[str, ...]:
         return (str(self.source), *(str(path) for path in self.against))
@@ -752,7 +760,9 @@ class AxesConfig(CommandOptions):
     def __post_init__(self) -> None:
         if not self.sources:
             raise InputError("at least one PAIR.npz", "none", "a pair file with rest, deformed and held")
-        _check_fit(self.cluster_size, self.level, self.seed)
+        _check_cluster_size(self.cluster_size)
+        _check_level(self.level)
+        _check_seed(self.seed)
 
     def reads(self) -> tuple[str, ...]:
         return self.sources
@@ -796,10 +806,11 @@ class YieldConfig(CommandOptions):
     def __post_init__(self) -> None:
         if self.beta is not None and self.beta > BETA_LIMIT:
             raise InputError(f"a --beta of at most {BETA_LIMIT:g}", str(self.beta))
-        if self.picture is not None and self.picture.suffix != ".png":
-            raise InputError("a file that ends in .png after --picture", repr(str(self.picture)))
+        _check_suffix("--picture", self.picture, ".png")
         _check_unit("--theta", self.theta)
-        _check_fit(self.cluster_size, self.level, self.seed)
+        _check_cluster_size(self.cluster_size)
+        _check_level(self.level)
+        _check_seed(self.seed)
 
     def reads(self) -> tuple[str, ...]:
         return (str(self.source),)
@@ -810,15 +821,6 @@ class YieldConfig(CommandOptions):
 
     def json_target(self) -> str | None:
         return self.json
-
-
-def _check_fit(cluster_size: int, level: float, seed: int) -> None:
-    if cluster_size < 2:
-        raise InputError("a --cluster-size of 2 or more", str(cluster_size))
-    if not 0 < level < 1:
-        raise InputError("a --level between 0 and 1", str(level), "--level 0.9")
-    if seed < 0:
-        raise InputError("a --seed of 0 or more", str(seed))
 
 
 # deformscope demo and replay -----------------------------------------------------------------------------------------
@@ -878,14 +880,11 @@ class CubesConfig(CommandOptions):
     def __post_init__(self) -> None:
         if self.pairs and self.quick:
             raise InputError("--pairs or --quick", "both", "leave one out")
-        if self.cluster_size < 2:
-            raise InputError("a --cluster-size of 2 or more", str(self.cluster_size))
-        if not 0 < self.level < 1:
-            raise InputError("a --level between 0 and 1", str(self.level), "--level 0.9")
+        _check_cluster_size(self.cluster_size)
+        _check_level(self.level)
         if self.workers is not None and self.workers < 1:
             raise InputError("--workers of 1 or more", str(self.workers))
-        if self.seed < 0:
-            raise InputError("a --seed of 0 or more", str(self.seed))
+        _check_seed(self.seed)
 
     def reads(self) -> tuple[str, ...]:
         return tuple(str(path) for path in self.pairs)
@@ -956,12 +955,10 @@ class CoverageConfig(CommandOptions):
     def __post_init__(self) -> None:
         if self.objects < 5:
             raise InputError("5 --objects or more", str(self.objects))
-        if not 0 < self.level < 1:
-            raise InputError("a --level between 0 and 1", str(self.level), "--level 0.9")
+        _check_level(self.level)
         if self.jobs < 1:
             raise InputError("--jobs of 1 or more", str(self.jobs))
-        if self.seed < 0:
-            raise InputError("a --seed of 0 or more", str(self.seed))
+        _check_seed(self.seed)
         if self.out is not None and self.out.exists() and not self.out.is_dir():
             raise InputError("a folder after --out", "a file", where=self.out)
 
@@ -1014,8 +1011,7 @@ class FoamsConfig(CommandOptions):
     """Write all of it as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
 
     def __post_init__(self) -> None:
-        if self.seed < 0:
-            raise InputError("a --seed of 0 or more", str(self.seed))
+        _check_seed(self.seed)
 
     def writes(self) -> tuple[Written, ...]:
         return _written_json(self.json)

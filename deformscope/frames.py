@@ -1,25 +1,188 @@
-"""What travels from a source to an experiment: stamped, frozen frames."""
+"""What travels from devices, files and recordings to experiments and into recordings: stamped and frozen.
+
+Every frame says when it was taken (`stamp`), which device it is from (`device`, its name in the rig) and its place in
+that device's stream (`index`, from 0; a place that is missing was lost).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
 
-from deformscope.arrays import ImageArray
+from deformscope.arrays import FloatArray, ImageArray, IntArray
 from deformscope_drivers.clock import Stamp
+from deformscope_drivers.health import Health, LinkEvent
+
+Kind = Literal["color", "depth", "tactile", "wrench", "arm", "hand"]
 
 
 @dataclass(frozen=True, slots=True)
 class ColorFrame:
     """One camera image.
 
-    stamp: when it was taken; index: its place in the stream, from 0
     image: (H, W) grey or (H, W, 3) RGB, uint8 or uint16
     """
 
     stamp: Stamp
     index: int
     image: ImageArray
+    device: str = "camera"
 
 
-Frame = ColorFrame
-"""Every kind of frame a source can give (tactile, wrench, depth and arm frames join with their drivers)."""
+@dataclass(frozen=True, slots=True)
+class DepthFrame:
+    """One image of distances along the camera's axis.
+
+    depth: (H, W) uint16 in units of unit_m [m], 0 = nothing seen; color: (H, W, 3) RGB uint8 on its pixels, or None
+    """
+
+    stamp: Stamp
+    index: int
+    depth: ImageArray
+    unit_m: float
+    color: ImageArray | None = None
+    device: str = "depth"
+
+
+@dataclass(frozen=True, slots=True)
+class TactileFrame:
+    """The pressures on a hand's pads at one moment.
+
+    counts: (texels,) uint16, as the device gave them, all pads one after the other, row by row
+    pressure_pa: one (rows, columns) array a pad [Pa]
+    """
+
+    stamp: Stamp
+    index: int
+    counts: IntArray
+    pressure_pa: tuple[FloatArray, ...]
+    device: str = "tactile"
+
+
+@dataclass(frozen=True, slots=True)
+class WrenchFrame:
+    """Forces, and torques where the sensor measures them, at one moment, in the sensor's own frame.
+
+    counts: (channels * axes,) as the device gave them
+    force_n: (channels, 3) [N], NaN where no sensitivity report was given; torque_nm: (channels, 3) [N m] or None
+    overload: an axis is beyond its range; usable: the device reports no fault
+    """
+
+    stamp: Stamp
+    index: int
+    counts: IntArray
+    force_n: FloatArray
+    torque_nm: FloatArray | None = None
+    overload: bool = False
+    usable: bool = True
+    device: str = "wrench"
+
+
+@dataclass(frozen=True, slots=True)
+class ArmFrame:
+    """Where an arm is, in its base frame.
+
+    joint_deg, joint_velocity_deg_s, joint_torque_nm: (joints,) [deg], [deg/s], [N m]
+    position_m: (3,) end effector [m]; rotation_rad: (3,) its Euler angles as the arm reports them [rad]
+    force_n, torque_nm: (3,) at the end effector as the arm estimates them [N], [N m]
+    finger: (fingers,) 0 open to 1 closed; queued: points that the arm has still to run
+    """
+
+    stamp: Stamp
+    index: int
+    joint_deg: FloatArray
+    joint_velocity_deg_s: FloatArray
+    joint_torque_nm: FloatArray
+    position_m: FloatArray
+    rotation_rad: FloatArray
+    force_n: FloatArray
+    torque_nm: FloatArray
+    finger: FloatArray
+    queued: int = 0
+    device: str = "arm"
+
+
+@dataclass(frozen=True, slots=True)
+class HandFrame:
+    """The joints of a hand.
+
+    position_deg, velocity_deg_s: (7,) [deg], [deg/s]; temperature_c: (9,) [deg C], NaN before the first look
+    state: one word an axis (idle, positioning, blocked...)
+    """
+
+    stamp: Stamp
+    index: int
+    position_deg: FloatArray
+    velocity_deg_s: FloatArray
+    temperature_c: FloatArray
+    state: tuple[str, ...]
+    device: str = "hand"
+
+
+Frame = ColorFrame | DepthFrame | TactileFrame | WrenchFrame | ArmFrame | HandFrame
+"""Every kind of frame a source can give."""
+
+
+@dataclass(frozen=True, slots=True)
+class RawBytes:
+    """Bytes as they went over a device's wire. host_ns: when [ns]; sent: from the host to the device"""
+
+    host_ns: int
+    data: bytes
+    sent: bool
+    device: str
+
+
+@dataclass(frozen=True, slots=True)
+class LinkChange:
+    """A device's link was made, lost, made again or given up."""
+
+    event: LinkEvent
+    device: str
+
+
+@dataclass(frozen=True, slots=True)
+class HealthReport:
+    """One look at all devices. host_ns: when [ns]; devices: by name"""
+
+    host_ns: int
+    devices: tuple[tuple[str, Health], ...]
+
+
+Item = Frame | RawBytes | LinkChange | HealthReport
+"""What a recording of a rig holds."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pad:
+    """One pad of a tactile sensor. rows, columns: its texels; texel_m: (width, height) of one [m]; index: its place
+    among the device's pads; finger: 0 to 2; part: 0 proximal, 1 distal"""
+
+    name: str
+    rows: int
+    columns: int
+    texel_m: tuple[float, float]
+    index: int
+    finger: int
+    part: int
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """What is known of a device before its first frame.
+
+    simulated: it is a double, no device; pads: of a tactile sensor; urdf: of an arm; serial: as the device tells it
+    channels: of a force sensor; fastest_hz: the rate that it was set to
+    """
+
+    device: str
+    kind: Kind
+    driver: str
+    simulated: bool = False
+    serial: str = ""
+    firmware: str = ""
+    pads: tuple[Pad, ...] = ()
+    urdf: Path | None = None
+    channels: int = 1
+    fastest_hz: float = 0.0

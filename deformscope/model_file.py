@@ -10,15 +10,14 @@ Nothing in it is executed when it is read (no pickle).
 from __future__ import annotations
 
 import dataclasses
-import io
 import json
 import os
-import zipfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from deformscope.arrays_file import read_arrays
 from deformscope.errors import InputError
 from deformscope.stages.fitted import FittedModel, Rival
 from deformscope.stages.poke import Law, Tip
@@ -62,11 +61,7 @@ def load_model(path: Path) -> FittedModel:
     except OSError as error:
         came = "no file" if isinstance(error, FileNotFoundError) else (error.strerror or str(error)).lower()
         raise InputError("a model file", came, "deformscope calibrate beta ... --save FILE.npz", path) from error
-    try:
-        with np.load(io.BytesIO(raw), allow_pickle=False) as file:
-            found = {name: file[name] for name in file.files}
-    except (ValueError, OSError, zipfile.BadZipFile, EOFError, KeyError) as error:
-        raise InputError("a model file (.npz)", "a file that is none, or damaged", where=path) from error
+    found = read_arrays(raw, "a model file (.npz)", path)
     if "format" not in found or "told" not in found:
         kind = "a pair file" if "rest" in found and "deformed" in found else "an .npz without `format`"
         raise InputError("a model file", kind, "deformscope calibrate beta ... --save FILE.npz", path)

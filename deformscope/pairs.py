@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from deformscope.arrays_file import Arrays, indices, lattice, numbers, read_arrays, sized
 from deformscope.errors import InputError
-from deformscope.stages.calibrate import Observation
-from deformscope.stages.msm.clusters import find_lattice
+from deformscope.stages.model import Observation, touched_of
 from deformscope.stages.poke import TIP_SHAPES, Tip
-
-CONTACT_SHARE = 0.5
-"""Without `contact`, the force acts on the held particles that moved more than this share of the largest motion."""
 
 
 def parse_pair(raw: bytes, where: object = "", *, noise_m: float | None = None) -> Observation:
@@ -25,28 +19,25 @@ def parse_pair(raw: bytes, where: object = "", *, noise_m: float | None = None) 
     Needed: `rest (K, d)`, `deformed (K, d)` in metres, d = 2 or 3, `held (n,)` indices whose deformed position is
     prescribed. Optional: `shape` (lattice, last axis fastest), `cell (K,)` flat lattice index where it has holes,
     `observed (K,)` bool, `noise_m` (a number, or (K,)), `held_noise_m` (a number; 0 = exact), `force_n` with
-    `contact (m,)`, a subset of `held`, and `force_noise_n`, the standard deviation of that force.
+    `contact (m,)`, a subset of `held`, and `force_noise_n`, the standard deviation of that force;
+    without `contact` it acts on the held particles that moved (`stages.model.TOUCHED_SHARE`).
     `tip` (flat, disc, sphere) with `tip_size_m`: what pressed `contact`, where particles do not tell its size.
     Without `shape`, a rest shape that is regular within 1 % is taken as a lattice. noise_m: instead of the file's.
     Raises InputError for what is missing, does not fit together, or is not finite.
     """
-    try:
-        with np.load(io.BytesIO(raw), allow_pickle=False) as file:
-            found = {name: np.asarray(file[name]) for name in file.files}
-    except (ValueError, OSError, zipfile.BadZipFile, EOFError, KeyError) as error:
-        raise InputError("a pair file (.npz of arrays)", "a file that is none, or damaged", where=where) from error
+    found = read_arrays(raw, "a pair file (.npz of arrays)", where)
     try:
         return _observation(found, noise_m)
     except InputError as error:
         raise type(error).about(error, where) from error
 
 
-def _observation(found: Mapping[str, npt.NDArray[Any]], noise_m: float | None) -> Observation:
+def _observation(found: Arrays, noise_m: float | None) -> Observation:
     missing = [name for name in ("rest", "deformed", "held") if name not in found]
     if missing:
         keys = ", ".join(sorted(found)) or "nothing"
         raise InputError(f"{' and '.join(missing)} in the pair file", keys, "see `Pair files` in the README")
-    rest, deformed = _numbers(found, "rest"), _numbers(found, "deformed")
+    rest, deformed = numbers(found, "rest"), numbers(found, "deformed")
     if rest.ndim != 2 or rest.shape[1] not in (2, 3):
         raise InputError("rest of shape (K, 2) or (K, 3)", str(rest.shape))
     if deformed.shape != rest.shape:
@@ -56,14 +47,14 @@ def _observation(found: Mapping[str, npt.NDArray[Any]], noise_m: float | None) -
     count = len(rest)
     observed = np.ones(count, dtype=bool)
     if "observed" in found:
-        observed = _sized(found, "observed", count).astype(bool)
-    held = _indices(found, "held", count)
-    shape, cell = _lattice(found, rest)
+        observed = sized(found, "observed", count).astype(bool)
+    held = indices(found, "held", count)
+    shape, cell = lattice(found, rest)
     noise = None
     if noise_m is not None:
         noise = np.full(count, noise_m)
     elif "noise_m" in found:
-        noise = _numbers(found, "noise_m")
+        noise = numbers(found, "noise_m")
         if noise.size not in (1, count):
             raise InputError(f"one noise_m, or {count}", str(noise.size))
         noise = np.broadcast_to(noise.reshape(-1), (count,)).copy()
@@ -71,7 +62,7 @@ def _observation(found: Mapping[str, npt.NDArray[Any]], noise_m: float | None) -
             raise InputError("noise_m of 0 or more", "a negative or no number", "leave it out if it is not known")
     exact = None
     if "held_noise_m" in found:
-        held_noise = _numbers(found, "held_noise_m").reshape(-1)
+        held_noise = numbers(found, "held_noise_m").reshape(-1)
         if held_noise.size != 1 or not (np.isfinite(held_noise).all() and held_noise[0] >= 0.0):
             raise InputError("one held_noise_m of 0 or more", "something else")
         exact = bool(held_noise[0] == 0.0)
@@ -94,41 +85,23 @@ def _observation(found: Mapping[str, npt.NDArray[Any]], noise_m: float | None) -
     )
 
 
-def _lattice(
-    found: Mapping[str, npt.NDArray[Any]], rest: npt.NDArray[Any]
-) -> tuple[tuple[int, ...] | None, npt.NDArray[Any] | None]:
-    if "shape" not in found:
-        return find_lattice(rest) or (None, None)
-    shape = tuple(int(n) for n in np.atleast_1d(found["shape"]))
-    size = int(np.prod(shape))
-    if min(shape) < 1 or (size != len(rest) and "cell" not in found) or size < len(rest):
-        raise InputError(
-            f"a lattice shape for {len(rest)} particles", "x".join(map(str, shape)), "give `cell` where it has holes"
-        )
-    cell = _indices(found, "cell", size) if "cell" in found else np.arange(len(rest))
-    if len(cell) != len(rest):
-        raise InputError(f"cell of shape ({len(rest)},)", str(cell.shape))
-    return shape, cell
-
-
 def _force(
-    found: Mapping[str, npt.NDArray[Any]], rest: npt.NDArray[Any], deformed: npt.NDArray[Any], held: npt.NDArray[Any]
+    found: Arrays, rest: npt.NDArray[Any], deformed: npt.NDArray[Any], held: npt.NDArray[Any]
 ) -> tuple[float | None, npt.NDArray[Any] | None]:
     if "force_n" not in found:
         return None, None
-    force = abs(float(_numbers(found, "force_n").reshape(-1)[0])) if found["force_n"].size else float("nan")
+    force = abs(float(numbers(found, "force_n").reshape(-1)[0])) if found["force_n"].size else float("nan")
     if not np.isfinite(force):
         raise InputError("a finite force_n", "no number")
     if "contact" in found:
-        contact = _indices(found, "contact", len(rest))
+        contact = indices(found, "contact", len(rest))
         if not np.isin(contact, held).all():
             raise InputError("contact among the held particles", "others too", "add them to `held`")
         return force, contact
-    moved = np.linalg.norm((deformed - rest)[held], axis=1)
-    return force, held[moved > CONTACT_SHARE * moved.max(initial=0.0)]
+    return force, touched_of(rest, deformed, held)
 
 
-def _tip(found: Mapping[str, npt.NDArray[Any]]) -> Tip | None:
+def _tip(found: Arrays) -> Tip | None:
     if "tip" not in found:
         return None
     shape = next((one for one in TIP_SHAPES if one == str(found["tip"])), None)
@@ -136,39 +109,13 @@ def _tip(found: Mapping[str, npt.NDArray[Any]]) -> Tip | None:
         raise InputError(f"a tip out of {', '.join(TIP_SHAPES)}", repr(str(found["tip"])))
     if "tip_size_m" not in found:
         raise InputError("tip_size_m with tip", "none", "its sides or its diameter [m]")
-    return Tip(shape, tuple(float(side) for side in _numbers(found, "tip_size_m").reshape(-1)))
+    return Tip(shape, tuple(float(side) for side in numbers(found, "tip_size_m").reshape(-1)))
 
 
-def _force_noise(found: Mapping[str, npt.NDArray[Any]]) -> float | None:
+def _force_noise(found: Arrays) -> float | None:
     if "force_noise_n" not in found:
         return None
-    noise = _numbers(found, "force_noise_n").reshape(-1)
+    noise = numbers(found, "force_noise_n").reshape(-1)
     if noise.size != 1 or not (np.isfinite(noise).all() and noise[0] >= 0.0):
         raise InputError("one force_noise_n of 0 or more", "something else", "leave it out if it is not known")
     return float(noise[0])
-
-
-def _numbers(found: Mapping[str, npt.NDArray[Any]], name: str) -> npt.NDArray[np.float64]:
-    if found[name].dtype.kind not in "fiu":
-        raise InputError(f"numbers in {name}", str(found[name].dtype))
-    return found[name].astype(np.float64)
-
-
-def _sized(found: Mapping[str, npt.NDArray[Any]], name: str, count: int) -> npt.NDArray[Any]:
-    if found[name].shape != (count,):
-        raise InputError(f"{name} of shape ({count},)", str(found[name].shape))
-    return found[name]
-
-
-def _indices(found: Mapping[str, npt.NDArray[Any]], name: str, count: int) -> npt.NDArray[np.int64]:
-    """Distinct indices below `count`; a boolean array of that length will do as well."""
-    value = found[name]
-    if value.dtype == np.bool_ and value.shape == (count,):
-        return np.flatnonzero(value)
-    if value.ndim != 1 or value.dtype.kind not in "iu":
-        raise InputError(f"whole-number indices in {name}", f"{value.dtype} of shape {value.shape}")
-    if value.size and (value.min() < 0 or value.max() >= count):
-        raise InputError(f"indices 0 to {count - 1} in {name}", f"{value.min()} to {value.max()}")
-    if np.unique(value).size != value.size:
-        raise InputError(f"each index once in {name}", "repeated ones")
-    return value.astype(np.int64)

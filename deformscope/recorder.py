@@ -26,7 +26,7 @@ import numpy as np
 from deformscope import provenance
 from deformscope.arrays import ImageArray
 from deformscope.errors import InputError
-from deformscope.frames import Frame
+from deformscope.frames import ColorFrame
 from deformscope.images import encode_png
 from deformscope.ledger import ledger_path, write_ledger
 from deformscope.live import LiveFeed, Viewer, ViewerKind, start_viewer, wait_for_viewer
@@ -145,7 +145,7 @@ class Recorder:
         if self.active and self._finished is None:
             self._close(complete=kind is None)
 
-    def write_frame(self, frame: Frame) -> None:
+    def write_frame(self, frame: ColorFrame) -> None:
         """Record one input frame without loss; what follows belongs to it."""
         if not self._frames:
             self._first_ns = frame.stamp.host_ns

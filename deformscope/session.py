@@ -6,7 +6,7 @@ from collections.abc import Generator, Iterable
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
-from deformscope.frames import Frame
+from deformscope.frames import ColorFrame
 
 SummaryT = TypeVar("SummaryT")
 SummaryT_co = TypeVar("SummaryT_co", covariant=True)
@@ -24,7 +24,7 @@ class Step:
     frame: int | None = None
 
 
-Experiment = Generator[Step, Frame | None, SummaryT]
+Experiment = Generator[Step, ColorFrame | None, SummaryT]
 """Frames are sent in, steps come out. `None` means the stream has ended: the experiment may then yield further
 steps (each naming its frame) and returns its summary."""
 
@@ -32,12 +32,12 @@ steps (each naming its frame) and returns its summary."""
 class Recorder(Protocol):
     """Where a session's frames and results go (`deformscope.recorder.Recorder`)."""
 
-    def write_frame(self, frame: Frame) -> None: ...
+    def write_frame(self, frame: ColorFrame) -> None: ...
 
     def write(self, step: Step) -> None: ...
 
 
-def run(source: Iterable[Frame], experiment: Experiment[SummaryT], recorder: Recorder) -> SummaryT:
+def run(source: Iterable[ColorFrame], experiment: Experiment[SummaryT], recorder: Recorder) -> SummaryT:
     """Drive one experiment over one source to its end and return its summary."""
     next(experiment)
     try:

@@ -12,13 +12,20 @@ from __future__ import annotations
 import dataclasses
 import shutil
 import sys
-import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import console, progress, quiet_warp, resolve_viewer, show_table, write_json
+from deformscope.cli.common import (
+    console,
+    fit_progress,
+    progress,
+    quiet_warp,
+    read_file,
+    resolve_viewer,
+    show_table,
+    write_json,
+)
 from deformscope.cli.pokes import fit_layers, save_pair_model, tell_layers
 from deformscope.cli.summaries import estimate_rows, write_summaries
 from deformscope.config import BetaConfig, ImageOptions, OutputOptions, SearchOptions, SummaryOptions, ThetaConfig
@@ -34,7 +41,7 @@ if TYPE_CHECKING:
     from deformscope.log.blueprint import Layout
     from deformscope.recorder import RecordingSummary
     from deformscope.sources import Source
-    from deformscope.stages.calibrate import Calibration, FitOptions, Model, Progress
+    from deformscope.stages.calibrate import Calibration, FitOptions, Model
     from deformscope.stages.estimate import Choice, Estimate
     from deformscope.stages.poke_estimate import PokesFound
 
@@ -286,12 +293,7 @@ def calibrate_pairs(
         raise InputError("no flags about images with pair files", "some (--roi, --grid, --held...)", "leave them out")
     if search.noise_px is not None:
         raise InputError("--noise-m for pair files", "--noise-px", "give the noise in metres")
-    raws = []
-    for path in paths:
-        try:
-            raws.append((str(path), path.read_bytes()))
-        except OSError as error:
-            raise InputError("a pair file (.npz)", (error.strerror or str(error)).lower(), where=path) from error
+    raws = [(str(path), read_file(path, "a pair file (.npz)")) for path in paths]
     calibrate_pair_bytes(
         raws, fit, output, noise_m=search.noise_m, joint=search.joint, layers=layers, save=save, summary=summary
     )
@@ -369,34 +371,6 @@ def calibrate_pair_bytes(
 
 
 # Telling -------------------------------------------------------------------------------------------------------------
-
-
-SAY_EVERY_S = 20.0
-"""Seconds between lines about long work where no bar can be shown."""
-
-
-@contextmanager
-def fit_progress() -> Iterator[Progress]:
-    """A bar on stderr that names what the fit is doing; where stderr is no terminal, a line now and then."""
-    from rich.progress import Progress as Bars
-
-    where = console()
-    said = [time.monotonic()]
-    with Bars(console=where, transient=True, disable=not where.is_terminal) as bars:
-        tasks: dict[str, Any] = {}
-
-        def note(what: str, done: int, total: int) -> None:
-            if what not in tasks:
-                for earlier in tasks.values():
-                    bars.update(earlier, visible=False)
-                tasks[what] = bars.add_task(what, total=total)
-                said[0] = time.monotonic()
-            bars.update(tasks[what], completed=done, total=total)
-            if not where.is_terminal and time.monotonic() - said[0] > SAY_EVERY_S:
-                said[0] = time.monotonic()
-                where.print(f"{what}: {done} of {total}", markup=False)
-
-        yield note
 
 
 def _tell_viewer(recorder: Any) -> None:

@@ -9,10 +9,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deformscope.cli.calibrate import fit_progress
-from deformscope.cli.common import quiet_warp, show_table, write_json
+from deformscope.cli.common import fit_progress, quiet_warp, read_file, show_table, write_json
 from deformscope.config import BothConfig
-from deformscope.errors import InputError
 
 if TYPE_CHECKING:
     from deformscope.stages.joint import JointEstimate
@@ -29,13 +27,9 @@ def run(config: BothConfig) -> None:
     device = pick_device(config.device)
     model = Model(basis=config.mode, cluster_size=config.cluster_size or None, volume="project", device=device)
     options = JointOptions(model, config.beta_range, config.theta_range, config.level, config.seed)
-    seen = []
-    for source in config.sources:
-        try:
-            raw = Path(source).read_bytes()
-        except OSError as error:
-            raise InputError("a pair file (.npz)", (error.strerror or str(error)).lower(), where=source) from error
-        seen.append(parse_pair(raw, source, noise_m=config.noise_m))
+    seen = [
+        parse_pair(read_file(source, "a pair file (.npz)"), source, noise_m=config.noise_m) for source in config.sources
+    ]
     sets = [seen] if config.joint else [[one] for one in seen]
     names = ["all pairs"] if config.joint else list(config.sources)
     found = []

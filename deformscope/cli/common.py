@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -16,8 +17,14 @@ from deformscope.plain import plain
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.progress import TaskID
+
+    from deformscope.stages.search import Progress
 
 Viewer = Literal["native", "page", "none"]
+
+SAY_EVERY_S = 20.0
+"""Seconds between lines about long work where no bar can be shown."""
 
 _json_stream: ContextVar[TextIO | None] = ContextVar("json_stream", default=None)
 
@@ -50,6 +57,31 @@ def progress(description: str, total: float | None = None) -> Iterator[Callable[
     with Progress(console=where, transient=True, disable=not where.is_terminal) as bar:
         task = bar.add_task(description, total=total)
         yield lambda steps: bar.advance(task, steps)
+
+
+@contextmanager
+def fit_progress() -> Iterator[Progress]:
+    """A bar on stderr that names what the work is at; where stderr is no terminal, a line now and then."""
+    from rich.progress import Progress as Bars
+
+    where = console()
+    said = time.monotonic()
+    with Bars(console=where, transient=True, disable=not where.is_terminal) as bars:
+        tasks: dict[str, TaskID] = {}
+
+        def note(what: str, done: int, total: int) -> None:
+            nonlocal said
+            if what not in tasks:
+                for earlier in tasks.values():
+                    bars.update(earlier, visible=False)
+                tasks[what] = bars.add_task(what, total=total)
+                said = time.monotonic()
+            bars.update(tasks[what], completed=done, total=total)
+            if not where.is_terminal and time.monotonic() - said > SAY_EVERY_S:
+                said = time.monotonic()
+                where.print(f"{what}: {done} of {total}", markup=False)
+
+        yield note
 
 
 def quiet_warp() -> None:
@@ -135,6 +167,14 @@ def _redirected(stream: TextIO) -> Iterator[None]:
 # Files ---------------------------------------------------------------------------------------------------------------
 
 
+def read_file(path: str | Path, what: str) -> bytes:
+    """The bytes of a file that a user named. what: it should be. Raises InputError where it cannot be read."""
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise InputError(what, (error.strerror or str(error)).lower(), where=path) from error
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
     """A file that takes the place of `path` when it is complete; on an error `path` stays as it was."""
@@ -152,6 +192,18 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
         draft.replace(path)
     finally:
         draft.unlink(missing_ok=True)
+
+
+def make_folder(path: Path) -> None:
+    """Make the folder after --out where it is not there, and find out before the work whether it can be written to."""
+    probe = path / f".{os.getpid()}.part"
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        probe.open("xb").close()
+        probe.unlink()
+    except OSError as error:
+        came = (error.strerror or str(error)).lower()
+        raise InputError("a folder after --out that can be written to", came, where=path) from error
 
 
 def check_writable(path: Path, flag: str, *, replace: bool = True) -> None:

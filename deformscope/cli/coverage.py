@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import console, progress, quiet_warp, write_json
+from deformscope.cli.common import fit_progress, make_folder, quiet_warp, write_json
 from deformscope.config import CoverageConfig
 
 if TYPE_CHECKING:
@@ -21,14 +20,16 @@ if TYPE_CHECKING:
     from deformscope.experiments.coverage import Rate, Row
     from deformscope.experiments.unseen_pokes import Prediction
     from deformscope.stages.estimate import Verdict
+    from deformscope.stages.search import Progress
 
-SAY_EVERY_S = 20.0
 WIDTH = 190
 """Columns of the tables where there is no terminal to fit them to."""
 
 
 def run(config: CoverageConfig) -> None:
     """Try all objects, tell the tables, draw the ranks."""
+    if config.out is not None:
+        make_folder(config.out)
     quiet_warp()
     from deformscope.experiments.coverage import (
         NOTHING,
@@ -48,11 +49,12 @@ def run(config: CoverageConfig) -> None:
     cases, nothing = plan(config.objects, config.seed, config.level, quick=config.quick)
     bodies = -(-(QUICK_OBJECTS if config.quick else config.objects) // PART_APART)
     pokes = [PokeCase(number, config.seed, config.level) for number in range(bodies)]
-    with counting("random objects", len(cases)) as done:
+    with fit_progress() as note:
+        done = counted(note, "random objects", len(cases))
         outcomes = spread(try_object, cases, config.jobs, done, quiet_warp)
-    with counting("data without information", len(nothing)) as done:
+        done = counted(note, "data without information", len(nothing))
         verdicts = spread(try_nothing, nothing, config.jobs, done, quiet_warp)
-    with counting("unseen pokes", len(pokes)) as done:
+        done = counted(note, "unseen pokes", len(pokes))
         predictions = spread(try_unseen_poke, pokes, config.jobs, done, quiet_warp)
 
     rows = coverage_rows(outcomes)
@@ -67,7 +69,6 @@ def run(config: CoverageConfig) -> None:
     show(config, rows, told, unidentified, groups)
     picture = None
     if config.out is not None:
-        config.out.mkdir(parents=True, exist_ok=True)
         picture = config.out / "coverage.png"
         draw_ranks(ranks, picture)
     from statistics import median
@@ -111,22 +112,17 @@ def run(config: CoverageConfig) -> None:
     )
 
 
-@contextmanager
-def counting(what: str, total: int) -> Iterator[Callable[[int], None]]:
-    """A bar; where stderr is no terminal, a line now and then."""
-    where = console()
-    count, said = 0, time.monotonic()
-    with progress(what, total) as advance:
+def counted(note: Progress, what: str, total: int) -> Callable[[int], None]:
+    """Tells how many there are by now, where it is called with how many more."""
+    note(what, 0, total)
+    count = 0
 
-        def done(more: int) -> None:
-            nonlocal count, said
-            count += more
-            advance(more)
-            if not where.is_terminal and time.monotonic() - said > SAY_EVERY_S:
-                said = time.monotonic()
-                where.print(f"{what}: {count} of {total}", markup=False)
+    def done(more: int) -> None:
+        nonlocal count
+        count += more
+        note(what, count, total)
 
-        yield done
+    return done
 
 
 def told_rate(rate: Rate) -> dict[str, Any]:

@@ -8,14 +8,11 @@ deformscope calibrate yield press.npz --beta 0.7 --creep fit --json -
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deformscope.cli.common import console, progress, quiet_warp, replacing, show_table, write_json
+from deformscope.cli.common import fit_progress, quiet_warp, read_file, replacing, show_table, write_json
 from deformscope.config import AxesConfig, YieldConfig
-from deformscope.errors import InputError
 
 if TYPE_CHECKING:
     from deformscope.arrays import FloatArray
@@ -34,14 +31,14 @@ def axes(config: AxesConfig) -> None:
     from deformscope.stages.msm.solver import pick_device
 
     quiet_warp()
-    seen = [parse_pair(_read(Path(one), "a pair file"), one, noise_m=config.noise_m) for one in config.sources]
+    seen = [parse_pair(read_file(one, "a pair file (.npz)"), one, noise_m=config.noise_m) for one in config.sources]
     d = seen[0].rest.shape[1]
     turn = np.deg2rad(config.turn_deg)
     directions = np.eye(d)
     directions[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
     model = Model(cluster_size=config.cluster_size, device=pick_device(config.device))
-    with _progress() as note:
-        found = fit_axes(seen, model, axes=directions, level=config.level, seed=config.seed, progress=note)
+    with fit_progress() as fitting:
+        found = fit_axes(seen, model, axes=directions, level=config.level, seed=config.seed, progress=fitting)
     _tell_axes(found, ", ".join(config.sources))
     write_json(found.as_json(), config.json)
 
@@ -53,7 +50,7 @@ def yielding(config: YieldConfig) -> None:
     from deformscope.stages.plasticity import YieldOptions, fit_yield
 
     quiet_warp()
-    motion = parse_motion(_read(config.source, "a motion file"), config.source, noise_m=config.noise_m)
+    motion = parse_motion(read_file(config.source, "a motion file (.npz)"), config.source, noise_m=config.noise_m)
     options = YieldOptions(
         beta=config.beta,
         creep=config.creep,
@@ -64,33 +61,12 @@ def yielding(config: YieldConfig) -> None:
         seed=config.seed,
         device=pick_device(config.device),
     )
-    with _progress() as note:
-        found = fit_yield(motion, options, note)
+    with fit_progress() as fitting:
+        found = fit_yield(motion, options, fitting)
     if config.picture is not None:
         draw(found, motion, config.picture)
     _tell_yield(found, config)
     write_json(found.as_json(), config.json)
-
-
-def _read(path: Path, what: str) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{what} (.npz)", (error.strerror or str(error)).lower(), where=path) from error
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[str, int, int], None]]:
-    """The steps of a fit on stderr: as a bar where it is a terminal."""
-    with progress("fitting") as advance:
-        where = console()
-
-        def note(what: str, done: int, total: int) -> None:
-            advance(1)
-            if where.is_terminal:
-                where.print(f"{what} ({done + 1} of {total})", markup=False)
-
-        yield note
 
 
 # Telling -------------------------------------------------------------------------------------------------------------

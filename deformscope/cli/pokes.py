@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deformscope import __version__
-from deformscope.cli.common import console, show_table, write_json
+from deformscope.cli.common import console, fit_progress, show_table, write_json
 
 if TYPE_CHECKING:
     from deformscope.config import OutputOptions
@@ -23,7 +23,6 @@ def fit_layers(
     seen: Sequence[Observation], names: Sequence[str], fit: FitOptions, layers: LayersOptions, recorder: Recorder
 ) -> PokesFound:
     """Fit and record."""
-    from deformscope.cli.calibrate import fit_progress
     from deformscope.experiments.poke_files import poke_files
     from deformscope.session import run
 

@@ -10,7 +10,7 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import quiet_warp, replacing, show_table, write_json
+from deformscope.cli.common import fit_progress, quiet_warp, read_file, replacing, show_table, write_json
 from deformscope.config import PokeText, PredictConfig
 from deformscope.errors import InputError
 
@@ -25,7 +25,6 @@ def run(config: PredictConfig) -> None:
     """Predict, compare, tell and write."""
     import numpy as np
 
-    from deformscope.cli.calibrate import fit_progress
     from deformscope.experiments.prediction import compare
     from deformscope.model_file import load_model
     from deformscope.pairs import parse_pair
@@ -35,7 +34,7 @@ def run(config: PredictConfig) -> None:
     model = load_model(config.source)
     asked = [_poke(text, model) for text in config.poke]
     points = None if config.points is None else _points(config.points)
-    seen = [parse_pair(_bytes(path), path) for path in config.against]
+    seen = [parse_pair(read_file(path, "a pair file (.npz)"), path) for path in config.against]
     quiet_warp()
     device = pick_device(config.device)
     with fit_progress() as progress:
@@ -75,24 +74,14 @@ def run(config: PredictConfig) -> None:
     )
 
 
-def _bytes(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError("a pair file (.npz)", (error.strerror or str(error)).lower(), where=path) from error
-
-
 def _points(path: Path) -> FloatArray:
-    import io
-    import zipfile
-
     import numpy as np
 
-    try:
-        with np.load(io.BytesIO(_bytes(path)), allow_pickle=False) as file:
-            points = np.asarray(file["points"], dtype=np.float64)
-    except (ValueError, OSError, zipfile.BadZipFile, EOFError, KeyError) as error:
-        raise InputError("an .npz with `points (n, 3)`", "a file that is none", where=path) from error
+    from deformscope.arrays_file import open_arrays
+
+    raw = read_file(path, "a pair file (.npz)")
+    with open_arrays(raw, "an .npz with `points (n, 3)`", path, came="a file that is none") as file:
+        points = np.asarray(file["points"], dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
         raise InputError("finite points (n, 3)", f"shape {points.shape}", where=path)
     return points

@@ -13,9 +13,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import progress, quiet_warp, show_table, write_json
+from deformscope.cli.common import make_folder, progress, quiet_warp, read_file, show_table, write_json
 from deformscope.config import CubesConfig
-from deformscope.errors import InputError
 
 if TYPE_CHECKING:
     from deformscope.experiments.cubes import Cube, ElementTime, Found, Options
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 
 def run(config: CubesConfig) -> None:
     """Make or read the cubes, fit each in some process, then draw, write and tell."""
-    _make_folder(config.out)
+    make_folder(config.out)
     quiet_warp()
     from deformscope.experiments.cubes import Options, model_times
     from deformscope.experiments.cubes_figures import sem_rows, time_rows
@@ -57,13 +56,7 @@ def _make(quick: bool) -> tuple[list[Cube], list[ElementTime]]:
 def _read(paths: Sequence[Path]) -> tuple[list[Cube], list[ElementTime]]:
     from deformscope.experiments.cubes import cube_from_pair
 
-    cubes = []
-    for path in paths:
-        try:
-            raw = path.read_bytes()
-        except OSError as error:
-            raise InputError("a pair file (.npz)", (error.strerror or str(error)).lower(), where=path) from error
-        cubes.append(cube_from_pair(raw, str(path)))
+    cubes = [cube_from_pair(read_file(path, "a pair file (.npz)"), str(path)) for path in paths]
     return sorted(cubes, key=lambda cube: (len(cube.seen.rest), cube.poisson, cube.depth)), []
 
 
@@ -88,16 +81,6 @@ def _one(options: Options, job: tuple[int, Cube, bool]) -> Found:
 
 
 # Results -------------------------------------------------------------------------------------------------------------
-
-
-def _make_folder(out: Path) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        probe = out / ".part"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise InputError("a folder after --out that can be written to", str(error.strerror), where=out) from error
 
 
 def _draw(

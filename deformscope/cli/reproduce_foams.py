@@ -15,10 +15,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.calibrate import fit_progress
-from deformscope.cli.common import quiet_warp, replacing, show_table, write_json
+from deformscope.cli.common import fit_progress, make_folder, quiet_warp, replacing, show_table, write_json
 from deformscope.config import FoamsConfig
-from deformscope.errors import InputError
 
 if TYPE_CHECKING:
     from deformscope.experiments.foams import Control, Fit, FoamResult, Setup, Trend
@@ -35,16 +33,13 @@ COLUMNS = (
 def run(config: FoamsConfig) -> None:
     """Push, film and fit the foams; draw, tell and write what was found."""
     began = time.monotonic()
+    make_folder(config.out)
     quiet_warp()
     from threadpoolctl import threadpool_limits
 
     from deformscope.experiments import foams_figures as figures
     from deformscope.experiments.foams import HELD, SOURCES, Setup, controls, measure, trend
 
-    try:
-        config.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError("a folder after --out", (error.strerror or str(error)).lower(), where=config.out) from error
     setup = Setup()
     if config.quick:
         setup = Setup(foams=(setup.foams[0], setup.foams[-1]), images=4, element_m=0.007)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from deformscope.cli.common import console, quiet_warp, replacing, show_table, write_json
+from deformscope.cli.common import console, fit_progress, make_folder, quiet_warp, replacing, show_table, write_json
 from deformscope.config import PokesConfig
 
 if TYPE_CHECKING:
@@ -17,9 +17,7 @@ if TYPE_CHECKING:
 
 def run(config: PokesConfig) -> None:
     """Make the slabs, fit, predict, draw, write and tell."""
-    from deformscope.cli.calibrate import fit_progress
-
-    config.out.mkdir(parents=True, exist_ok=True)
+    make_folder(config.out)
     quiet_warp()
     from deformscope.experiments.dents_figure import draw_dents
     from deformscope.experiments.figures import write_table

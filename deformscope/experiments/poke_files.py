@@ -12,7 +12,8 @@ from deformscope.session import Experiment, Step
 from deformscope.stages.layers import Surface
 from deformscope.stages.model import FitOptions, Observation
 from deformscope.stages.poke_estimate import PokesFound, conclude
-from deformscope.stages.poke_fit import Progress, fit_pokes, seen_poke
+from deformscope.stages.poke_fit import fit_pokes, seen_poke
+from deformscope.stages.search import Progress
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ tips, other forces and other places; of the halves, those at least 3 cm from the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +19,7 @@ from deformscope.stages.model import Observation
 from deformscope.stages.poke import Tip
 from deformscope.stages.poke_estimate import PokesFound, conclude
 from deformscope.stages.poke_fit import fit_pokes, seen_poke
-
-Progress = Callable[[str, int, int], None]
+from deformscope.stages.search import Progress
 
 GRID = 0.01
 """Spacing of the surface points that are seen [m]."""

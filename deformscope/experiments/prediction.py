@@ -7,7 +7,7 @@ and linear finite elements of the very slab.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,7 @@ from deformscope.stages.fitted import FittedModel, Prediction, predict
 from deformscope.stages.model import Observation
 from deformscope.stages.poke import Poke, Tip
 from deformscope.stages.poke_fit import SeenPoke, seen_poke
+from deformscope.stages.search import Progress
 
 NEAR_M = 0.03
 """The surface within this distance of the tip's edge is judged [m]."""
@@ -29,8 +30,6 @@ POISSON = 0.3
 
 FITTED_DEPTH = 1e-3
 """At which the elastic bodies are given their modulus [m]: there the model is linear."""
-
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, slots=True)

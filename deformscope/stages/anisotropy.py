@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +16,7 @@ from deformscope.stages.estimate import Verdict, verdict
 from deformscope.stages.least_squares import Noise
 from deformscope.stages.msm.materials import AxisBeta
 from deformscope.stages.msm.solver import TOLERANCE, Msm
-
-Progress = Callable[[str, int, int], None]
+from deformscope.stages.search import Progress
 
 STARTS = 13
 """Betas, the same along all axes, of which the best is where the search starts."""

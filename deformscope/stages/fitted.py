@@ -201,8 +201,7 @@ def from_pair(
     if scale is None:
         raise InputError("positions in metres for a model that is saved", "pixels of unknown size", "--px-per-cm")
     move = seen.deformed - seen.rest
-    size = np.linalg.norm(move[seen.held], axis=1)
-    touched = seen.held[size > 0.5 * size.max(initial=0.0)] if seen.contact is None else seen.contact
+    touched = seen.touched
     push = move[touched].mean(axis=0) if len(touched) else np.zeros(seen.rest.shape[1])
     depth = float(np.linalg.norm(push))
     if depth <= 0.0:

@@ -17,6 +17,15 @@ from deformscope.stages.poke import Tip
 
 Method = Literal["sweep", "gradient"]
 
+TOUCHED_SHARE = 0.5
+"""Held particles that moved more than this share of the largest motion among them are taken as touched."""
+
+
+def touched_of(rest: FloatArray, deformed: FloatArray, held: IntArray) -> IntArray:
+    """The held particles (n,) that something moved, rather than held still, (m,). rest, deformed: (K, d)."""
+    moved = np.linalg.norm((deformed - rest)[held], axis=1)
+    return np.asarray(held[moved > TOUCHED_SHARE * moved.max(initial=0.0)])
+
 
 @dataclass(frozen=True, slots=True)
 class Observation:
@@ -71,6 +80,11 @@ class Observation:
     def pose_held(self) -> bool:
         """Whether the held particles keep the body from turning: two in the plane, three off a line in space."""
         return bool(clusters.rank(self.rest[self.held]) >= self.rest.shape[1] - 1)
+
+    @property
+    def touched(self) -> IntArray:
+        """(m,) particles that something pressed: `contact`, or the held ones that moved where it is not known."""
+        return touched_of(self.rest, self.deformed, self.held) if self.contact is None else self.contact
 
     @property
     def free_observed(self) -> BoolArray:

@@ -7,7 +7,6 @@ with it, for the time to the next frame.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,9 +22,8 @@ from deformscope.stages.motion import Motion
 from deformscope.stages.msm.materials import Plasticity
 from deformscope.stages.msm.plastic import PlasticMsm
 from deformscope.stages.msm.solver import TOLERANCE
+from deformscope.stages.search import Progress
 from deformscope.stages.yield_estimate import Parameter, YieldEstimate
-
-Progress = Callable[[str, int, int], None]
 
 YIELDS, BETAS, CREEPS = 14, 6, 8
 """Values of the first search; for each yield strain beta and creep are searched anew, closer in `ZOOMS` rounds."""

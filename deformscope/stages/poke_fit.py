@@ -8,7 +8,7 @@ cluster size is the one whose error is smallest; how well it does on pokes left 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,11 +24,10 @@ from deformscope.stages.msm import clusters
 from deformscope.stages.msm.clusters import spacing as median_spacing
 from deformscope.stages.msm.solver import Precision
 from deformscope.stages.poke import Held, Law, Scene, Tip, hold, settle
+from deformscope.stages.search import Progress
 
 FIRST_SIZES, SIZES = (3, 4), (2, 7)
 """Cluster sizes tried first, and the smallest and largest that are tried at all, where none is asked for."""
-
-Progress = Callable[[str, int, int], None]
 
 CELLS_ACROSS_TIP = 4
 """Lattice cells across the tip by default, and at least where a narrower tip is predicted: with fewer, the force of a
@@ -83,10 +82,7 @@ def seen_poke(seen: Observation) -> SeenPoke:
     if seen.metres_per_unit != 1.0:
         raise InputError("positions in metres", f"in {seen.unit}")
     move = seen.deformed - seen.rest
-    touched = seen.contact
-    if touched is None:
-        size = np.linalg.norm(move[seen.held], axis=1)
-        touched = seen.held[size > 0.5 * size.max(initial=0.0)]
+    touched = seen.touched
     if not len(touched):
         raise InputError("held particles that were pressed", "none that moved")
     depth = float(-move[touched, 2].mean())
@@ -349,11 +345,14 @@ def _fit_size(
     law, good = fit_shape(posed, theta=theta)
     states = [one.settle([law]) for one in posed]
     error = np.array([_rms(one.residual(state)[0]) for one, state in zip(posed, states, strict=True)])
+    settled = {int(place): (one, state) for place, one, state in zip(shaped, posed, states, strict=True)}
     reaction = np.empty(len(pokes))
     for place, poke in enumerate(pokes):
-        seen_at = np.flatnonzero(shaped == place)
-        one = posed[int(seen_at[0])] if seen_at.size else PosedPoke(surface, poke, spacing, size, precision, device)
-        state = one.settle([law])
+        if place in settled:
+            one, state = settled[place]
+        else:
+            one = PosedPoke(surface, poke, spacing, size, precision, device)
+            state = one.settle([law])
         good &= bool(state.converged[0])
         reaction[place] = one.reaction(state)[0] * (one.scene.spacing / spacing)
     return ShapeFit(law, error, np.full(len(posed), np.nan), reaction, good)

@@ -19,6 +19,7 @@ from deformscope.stages.model import Model, Observation
 from deformscope.stages.msm.solver import Msm, Relaxed
 
 Progress = Callable[[str, int, int], None]
+"""Called with what is being done, how much of it is done, and all of it."""
 
 
 @dataclass

@@ -16,12 +16,12 @@ from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeout
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Generic, Protocol, Self, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 
 from deformscope_drivers.clock import Clock, ClockFit, Stamp, monotonic_ns
 from deformscope_drivers.errors import DeviceError, LinkLost, NoReply, NotConnected, Stale
 from deformscope_drivers.framing import FrameDecoder, Skipped
-from deformscope_drivers.health import Health, Link, LinkEvent, Tally
+from deformscope_drivers.health import Health, Identity, Link, LinkEvent, Tally
 from deformscope_drivers.subscription import Subscription
 from deformscope_drivers.transport import Transport
 
@@ -55,6 +55,11 @@ class Reconnect:
 RECONNECT = Reconnect()
 
 
+class EndOfReadings(Exception):
+    """For a `_receive` that has nothing more to give, as at the end of a file: readers come to their end, as if the
+    device had been closed. Its words become the reason that `health()` tells."""
+
+
 @dataclass(frozen=True, slots=True)
 class RawChunk:
     """Bytes as they went over the wire. host_ns: when [ns]; sent: from the host to the device"""
@@ -73,8 +78,11 @@ class Device(ABC, Generic[MeasurementT]):
 
     name: for messages; reconnect: None = a lost link ends the session; stuck_after_s: readings that stay exactly the
     same for this long mean a stuck sensor, None = they may; clock: the host's, or a simulated laboratory's
-    A subclass gives `_connect`, `_receive` and `_disconnect`, all run by the device's own thread.
+    A subclass gives `_connect`, `_receive` and `_disconnect`, all run by the device's own thread; one whose readings
+    are large gives `queue_readings` too: how many wait for a slow reader where it does not say.
     """
+
+    queue_readings: ClassVar[int] = QUEUE_READINGS
 
     def __init__(
         self,
@@ -102,6 +110,7 @@ class Device(ABC, Generic[MeasurementT]):
         self._tally = Tally()
         self._clock_fit: ClockFit | None = None
         self._last: MeasurementT | None = None
+        self._asked = False
         self._same: Hashable = None
         self._same_since_ns = 0
 
@@ -113,7 +122,7 @@ class Device(ABC, Generic[MeasurementT]):
 
     @abstractmethod
     def _receive(self, timeout_s: float) -> Iterable[MeasurementT]:
-        """Wait up to `timeout_s` for readings and give what came. Raises LinkLost."""
+        """Wait up to `timeout_s` for readings and give what came. Raises LinkLost, or EndOfReadings."""
 
     @abstractmethod
     def _disconnect(self) -> None:
@@ -139,7 +148,7 @@ class Device(ABC, Generic[MeasurementT]):
         """
         if self.is_open:
             raise DeviceError("a device that is closed", "one that is open", "close() first", self.name)
-        self._failure, self._last, self._same = None, None, None
+        self._failure, self._last, self._same, self._asked = None, None, None, False
         self._tally = Tally()
         self._closing.clear()
         self._own_thread = own_thread
@@ -205,11 +214,15 @@ class Device(ABC, Generic[MeasurementT]):
 
     def __iter__(self) -> Iterator[MeasurementT]:
         """Every reading from now on, until the device is closed."""
+        self._require_open()
         return iter(self.readings())
 
-    def readings(self, capacity: int = QUEUE_READINGS) -> Subscription[MeasurementT]:
-        """A queue of every reading from now on. capacity: readings that wait for a slow reader before any is lost"""
-        return self._subscribe(self._readings, capacity)
+    def readings(self, capacity: int | None = None) -> Subscription[MeasurementT]:
+        """A queue of every reading from now on; of a closed device, from its next opening on.
+
+        capacity: readings that wait for a slow reader before any is lost
+        """
+        return self._subscribe(self._readings, self.queue_readings if capacity is None else capacity)
 
     def next(self, timeout_s: float) -> MeasurementT:
         """The next reading that arrives after this call. Raises Stale when none does in time."""
@@ -222,8 +235,10 @@ class Device(ABC, Generic[MeasurementT]):
         else:
             until = time.monotonic() + timeout_s
             with self._changed:
+                self._asked = True
                 while self._tally.received == seen and self._going() and (left := until - time.monotonic()) > 0:
                     self._changed.wait(left)
+                self._asked = False
         if self._tally.received == seen or self._last is None:
             self._require_open()
             raise Stale(f"a reading within {timeout_s:g} s", self._silence(), where=self.name)
@@ -244,11 +259,15 @@ class Device(ABC, Generic[MeasurementT]):
         """One round of a device that was opened without a thread of its own; the readings that came."""
         if self._own_thread or self._thread is None:
             raise NotConnected("a device opened with own_thread=False", "another", where=self.name)
+        self._require_open()
         try:
             found = list(self._receive(timeout_s))
         except LinkLost as error:
             self._tell(Link.LOST, str(error))
             raise
+        except EndOfReadings as end:
+            self._finish(str(end))
+            return []
         for reading in found:
             self._publish(reading)
         return found
@@ -285,6 +304,10 @@ class Device(ABC, Generic[MeasurementT]):
                 extra=self._extra_health(),
             )
 
+    def identity(self) -> Identity:
+        """Model, serial number and firmware, as far as the device told them while connecting; touches nothing."""
+        return Identity()
+
     # For subclasses --------------------------------------------------------------------------------------------------
 
     def _do(self, action: Callable[[], ResultT], timeout_s: float) -> ResultT:
@@ -316,10 +339,19 @@ class Device(ABC, Generic[MeasurementT]):
             self._tally.rate.add(reading.stamp.host_ns)
             if fingerprint is None or fingerprint != self._same:
                 self._same, self._same_since_ns = fingerprint, reading.stamp.host_ns
-            self._last = reading
+            self._last, self._asked = reading, False
             for queue in self._readings:
                 self._tally.dropped += queue.put(reading)
             self._changed.notify_all()
+
+    def _wanted(self) -> bool:
+        """Whether someone waits for a reading and nobody would lose one, for a device that can wait for its readers."""
+        with self._changed:
+            if not self._own_thread:
+                return True
+            return all(len(queue) < queue.capacity for queue in self._readings) and (
+                bool(self._readings) or self._asked
+            )
 
     def _count_lost(self, count: int) -> None:
         """Readings that the device sent and that never came, by its own counter."""
@@ -344,7 +376,8 @@ class Device(ABC, Generic[MeasurementT]):
     # Within ----------------------------------------------------------------------------------------------------------
 
     def _subscribe(self, queues: list[Subscription[ItemT]], capacity: int) -> Subscription[ItemT]:
-        self._require_open()
+        if self.is_open:
+            self._require_open()
 
         def leave(queue: Subscription[ItemT]) -> None:
             with self._changed:
@@ -359,6 +392,7 @@ class Device(ABC, Generic[MeasurementT]):
     def _run(self, opened: Future[None]) -> None:
         """The device's thread: connect, read, seek a lost link, until it is closed."""
         failure: BaseException | None = None
+        reason = ""
         try:
             self._connect()
             self._tell(Link.CONNECTED)
@@ -371,12 +405,14 @@ class Device(ABC, Generic[MeasurementT]):
                     if self._reconnect is None:
                         raise
                     self._seek(self._reconnect)
+        except EndOfReadings as end:
+            reason = str(end)
         except BaseException as error:
             failure = error
             if not opened.done():
                 opened.set_exception(error)
         finally:
-            self._end(failure)
+            self._end(failure, reason)
 
     def _rounds(self) -> None:
         while not self._closing.is_set():
@@ -418,10 +454,16 @@ class Device(ABC, Generic[MeasurementT]):
             self._tell(Link.CONNECTED)
             return
 
-    def _end(self, failure: BaseException | None) -> None:
+    def _finish(self, reason: str) -> None:
+        """Come to the end without a thread of its own."""
+        self._closing.set()
+        self._end(None, reason)
+
+    def _end(self, failure: BaseException | None, reason: str = "") -> None:
+        self._closing.set()
         self._disconnect_quietly()
         if failure is None:
-            self._tell(Link.CLOSED)
+            self._tell(Link.CLOSED, reason)
         else:
             self._tell(Link.FAILED, str(failure) or type(failure).__name__)
         self._refuse_jobs(NotConnected("a device that is open", "one that was closed", where=self.name))
@@ -457,7 +499,8 @@ class Device(ABC, Generic[MeasurementT]):
         if self._failure is not None:
             raise self._failure
         if self._thread is None or self._closing.is_set():
-            raise NotConnected("a device that is open", "one that is closed", "open() it", self.name)
+            came = f"one that is closed ({self._reason})" if self._reason else "one that is closed"
+            raise NotConnected("a device that is open", came, "open() it", self.name)
 
     def _going(self) -> bool:
         return self._failure is None and not self._closing.is_set()

@@ -63,6 +63,15 @@ class Health:
     extra: Mapping[str, float] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """What a device says of itself once it is connected; empty where it says nothing."""
+
+    model: str = ""
+    serial: str = ""
+    firmware: str = ""
+
+
 class Rate:
     """Readings a second, over the last few seconds or the last few hundred readings."""
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import random
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 
 import pytest
 
+from deformscope_drivers.clock import Stamp
 from deformscope_drivers.contract import Bench, DeviceContract, open_things, wait_until
-from deformscope_drivers.device import Reconnect
+from deformscope_drivers.device import Device, EndOfReadings, Reconnect
 from deformscope_drivers.errors import Busy, DeviceError, LinkLost, NoReply, NotConnected, Stale
 from deformscope_drivers.faults import Faults, FaultyDouble
 from deformscope_drivers.health import Link
@@ -175,6 +177,27 @@ def test_raw_bytes_are_what_went_over_the_wire(wire: PtyWire) -> None:
     ]
 
 
+def test_a_queue_from_before_the_opening_misses_nothing(wire: PtyWire) -> None:
+    device = toy(wire)
+    readings, raw, events = device.readings(), device.raw(), device.events()
+    with device:
+        device.next(5.0)
+    taken = list(readings)
+
+    assert len(taken) == device.health().received
+    assert b"".join(chunk.data for chunk in raw)[1:3] == taken[0].count.to_bytes(2, "big")
+    assert [event.link for event in events] == [Link.CONNECTED, Link.CLOSED]
+
+
+def test_a_queue_of_a_device_that_does_not_open_ends_with_the_reason() -> None:
+    device = Toy(SerialTransport("/dev/ttyNONE", 115200))
+    readings = device.readings()
+    with pytest.raises(NotConnected):
+        device.open()
+    with pytest.raises(NotConnected):
+        next(iter(readings))
+
+
 def test_the_same_reading_again_and_again_is_a_stuck_sensor(wire: PtyWire) -> None:
     with toy(wire, stuck_after_s=0.05) as device:
         device.next(5.0)
@@ -305,3 +328,78 @@ def test_a_wrapping_counter_is_followed_over_a_long_pause() -> None:
     assert unwrap(4, 10_000_000) == 65540
     assert unwrap(2, 8_000_000) == 65538  # one that came late
     assert unwrap(10, 200_000_000_000) == 4 * 65536 + 10  # 200 s later, at 1 kHz
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    stamp: Stamp
+    number: int
+
+
+class Book(Device[Page]):
+    """A device that can wait for its readers, and comes to an end."""
+
+    queue_readings = 3
+
+    def __init__(self, pages: int) -> None:
+        super().__init__("book")
+        self.pages = pages
+
+    def _connect(self) -> None:
+        self._turned = 0
+
+    def _receive(self, timeout_s: float) -> Iterable[Page]:
+        if not self._wanted():
+            time.sleep(0.001)
+            return []
+        if self._turned == self.pages:
+            raise EndOfReadings("the last page")
+        self._turned += 1
+        return [Page(Stamp(time.monotonic_ns()), self._turned)]
+
+    def _disconnect(self) -> None:
+        pass
+
+
+def test_readers_end_with_what_there_is_to_read_and_lose_nothing() -> None:
+    with Book(50) as book:
+        read = []
+        for page in book:
+            time.sleep(0.0005)
+            read.append(page.number)
+        wait_until(lambda: book.link is Link.CLOSED)
+
+        assert read == list(range(1, 51))
+        assert book.health().dropped == 0
+        assert book.health().reason == "the last page"
+        with pytest.raises(NotConnected, match="the last page"):
+            book.next(0.1)
+        with pytest.raises(NotConnected, match="the last page"):
+            book.latest(10.0)
+    assert not book.is_open
+    with book:
+        assert book.next(5.0).number == 1  # opened again, it begins again
+
+
+def test_next_turns_one_page_at_a_time() -> None:
+    with Book(3) as book:
+        numbers = []
+        for _ in range(3):
+            numbers.append(book.next(5.0).number)
+            time.sleep(0.01)
+
+        assert numbers == [1, 2, 3]
+        with pytest.raises(NotConnected, match="the last page"):
+            book.next(5.0)
+
+
+def test_a_poll_at_the_end_closes_it() -> None:
+    book = Book(2).open(own_thread=False)
+    queue = book.readings()
+
+    assert [page.number for _ in range(3) for page in book.poll()] == [1, 2]
+    assert [page.number for page in queue] == [1, 2]
+    with pytest.raises(NotConnected, match="the last page"):
+        book.poll()
+    book.close()
+    assert not book.is_open

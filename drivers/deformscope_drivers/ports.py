@@ -1,0 +1,91 @@
+"""What is plugged into this machine, as far as it can be told without opening anything."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from deformscope_drivers.announce import running_doubles
+
+USB_DEVICES = Path("/sys/bus/usb/devices")
+NETWORK = Path("/sys/class/net")
+ARPHRD_CAN = "280"
+
+OPTOFORCE_USB = (0x04D8, 0x000A)
+KINOVA_VENDOR = 0x22CD
+SERIAL_ADAPTER = "a serial port or adapter; the SDH's tactile controller or its hand may be behind it"
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Something that is plugged in.
+
+    driver: the package that speaks to it; empty where only asking it would tell
+    port: what a configuration names; serial: its serial number, or that of the USB adapter
+    """
+
+    driver: str
+    port: str
+    name: str = ""
+    serial: str = ""
+    firmware: str = ""
+    note: str = ""
+
+
+def find_doubles() -> list[Found]:
+    """Simulated devices that other processes run."""
+    return [Found(d.driver, d.port, d.name, note=f"a double, run by process {d.pid}") for d in running_doubles()]
+
+
+def find_serial() -> list[Found]:
+    """Serial ports, USB first by their stable names."""
+    from serial.tools import list_ports
+
+    found = []
+    for port in sorted(list_ports.comports(include_links=False), key=lambda port: port.device):
+        if port.vid is None and "ttyS" in port.device:
+            continue  # motherboards announce ports that do not exist
+        driver = "optoforce" if (port.vid, port.pid) == OPTOFORCE_USB else ""
+        name = port.product or port.description or ""
+        note = "" if driver else SERIAL_ADAPTER
+        found.append(Found(driver, _stable_name(Path(port.device)), name, port.serial_number or "", note=note))
+    return found
+
+
+def find_usb_arms(devices: Path = USB_DEVICES) -> list[Found]:
+    """Kinova arms on USB."""
+    found = []
+    for folder in sorted(devices.glob("*")) if devices.is_dir() else []:
+        if _text(folder / "idVendor").lower() == f"{KINOVA_VENDOR:04x}":
+            name = _text(folder / "product") or "Kinova arm"
+            found.append(Found("jaco", f"usb:{folder.name}", name, _text(folder / "serial")))
+    return found
+
+
+def find_can(network: Path = NETWORK) -> list[Found]:
+    """CAN interfaces of the kernel's (socketcan)."""
+    found = []
+    for folder in sorted(network.glob("*")) if network.is_dir() else []:
+        if _text(folder / "type") == ARPHRD_CAN:
+            state = _text(folder / "operstate")
+            note = "" if state in ("up", "unknown") else f"it is {state}: sudo ip link set {folder.name} up"
+            found.append(Found("", f"socketcan:{folder.name}", "CAN interface", note=note))
+    return found
+
+
+def _stable_name(device: Path, folders: Iterable[str] = ("/dev/serial/by-id",)) -> str:
+    """A name that stays when ports are numbered anew, where the system keeps one."""
+    for folder in folders:
+        links = Path(folder)
+        for link in sorted(links.iterdir()) if links.is_dir() else []:
+            if link.resolve() == device.resolve():
+                return str(link)
+    return str(device)
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace").strip()
+    except OSError:
+        return ""
