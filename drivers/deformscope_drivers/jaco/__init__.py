@@ -10,11 +10,11 @@ from deformscope_drivers.jaco.errors import (
     MotionStopped,
     NoDeviceFound,
     NotReached,
+    NotStopped,
     SymbolMissing,
     UnknownCode,
     VendorError,
 )
-from deformscope_drivers.jaco.startup import JacoIdentity
 from deformscope_drivers.jaco.state import JacoState
 from deformscope_drivers.jaco.urdf import urdf_path
 
@@ -27,13 +27,13 @@ __all__ = [
     "Jaco",
     "JacoConfig",
     "JacoDouble",
-    "JacoIdentity",
     "JacoState",
     "JointTarget",
     "JointVelocity",
     "MotionStopped",
     "NoDeviceFound",
     "NotReached",
+    "NotStopped",
     "SymbolMissing",
     "UnknownCode",
     "VendorError",

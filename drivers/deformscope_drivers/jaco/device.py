@@ -25,10 +25,12 @@ from typing import Literal, Self
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import RECONNECT, Device, Reconnect
 from deformscope_drivers.errors import DeviceError, LinkLost, NotConnected, OutOfLimits, Stale
+from deformscope_drivers.health import Identity, Link
 from deformscope_drivers.jaco import commands
 from deformscope_drivers.jaco.commands import JointTarget, Target, Velocity
 from deformscope_drivers.jaco.config import JacoConfig
 from deformscope_drivers.jaco.errors import MotionStopped, NotReached, NotStopped, VendorError
+from deformscope_drivers.jaco.kinematics import Chain
 from deformscope_drivers.jaco.library import Functions, Library, call
 from deformscope_drivers.jaco.pacing import Pacer
 from deformscope_drivers.jaco.reading import Sweep
@@ -75,8 +77,8 @@ class Jaco(Device[JacoState]):
         """functions: a double in place of the vendor's library; clock: the host's, or a simulated laboratory's"""
         self.config = config if config is not None else JacoConfig()
         self._functions = functions if functions is not None else Library(self.config.library, self.config.connection)
-        super().__init__(f"jaco at {self._functions.where}", reconnect=reconnect, clock=clock)
-        self._identity: JacoIdentity | None = None
+        super().__init__(self._functions.where, reconnect=reconnect, clock=clock)
+        self._arm: JacoIdentity | None = None
         self._woken = threading.Event()
         self._commanded = threading.Lock()
         self._streamed: _Streamed | None = None
@@ -94,9 +96,10 @@ class Jaco(Device[JacoState]):
 
     def open(self, *, own_thread: bool = True) -> Self:
         """Take control of the arm, at rest. Raises NotConnected, LibraryMissing, or the vendor's code by its name."""
-        self._stopped = ""
-        self._pacer = Pacer(PERIOD_NS)
-        self._sent = self._expired = self._left_out = self._refused_in_a_row = 0
+        if not self.is_open:
+            self._stopped = ""
+            self._pacer = Pacer(PERIOD_NS)
+            self._sent = self._expired = self._left_out = 0
         super().open(own_thread=own_thread)
         atexit.register(self.close)  # a program that ends without closing must not leave the arm moving
         return self
@@ -115,22 +118,31 @@ class Jaco(Device[JacoState]):
             )
 
     @property
-    def identity(self) -> JacoIdentity:
-        """Which arm this is; known once it was opened."""
-        if self._identity is None:
+    def chain(self) -> Chain:
+        """The arm's kinematics; known once it was opened."""
+        if self._arm is None:
             raise NotConnected("an arm that was opened", "one that was not yet", "open() it", self.name)
-        return self._identity
+        return self._arm.chain
+
+    def identity(self) -> Identity:
+        """Model, serial number, and firmware with the version of the vendor's library."""
+        arm = self._arm
+        if arm is None:
+            return Identity()
+        firmware, library = (".".join(map(str, version)) for version in (arm.firmware, arm.library_version))
+        return Identity(arm.model, arm.serial, f"{firmware} (library {library})")
 
     def _connect(self) -> None:
-        self._identity = bring_up(self._functions, self.config, self._pause)
-        self._sweep = Sweep(self._functions, self._identity.chain.joint_count, self.config.state_hz, self._clock)
-        self._pacer.start(self._clock())
+        self._arm = bring_up(self._functions, self.config, self._pause)
+        self._not_erased = None  # bringing it up has erased what was left
+        self._sweep = Sweep(self._functions, self.chain.joint_count, self.config.state_hz, self._clock)
+        self._pacer.start(self._clock() + PERIOD_NS)  # the zero point of bringing it up had this slot
         self._refused_in_a_row = 0
         self._crowded = False
 
     def _disconnect(self) -> None:
         with self._commanded:
-            moving = self._streamed is not None or self._position_until_ns is not None
+            moving = self._erase_due or self._streamed is not None or self._position_until_ns is not None
             self._streamed = self._position_until_ns = None
             self._erase_due = False
         if moving and not self._closing.is_set():
@@ -171,9 +183,9 @@ class Jaco(Device[JacoState]):
             self._sweep.begin_anew()
             self._judge(error)
             return ()
-        self._refused_in_a_row = 0
         if state is None:
             return ()
+        self._refused_in_a_row = 0
         self._crowded = state.fifo_count > FIFO_AHEAD
         return (state,)
 
@@ -242,7 +254,7 @@ class Jaco(Device[JacoState]):
             return ""
         if state is None or now_ns - state.stamp.host_ns > STATE_AGE_S * 1e9:
             return "the arm's position is not known, so its workspace cannot be kept"
-        linear_m_s = commands.linear_velocity_of(velocity, self.identity.chain, state.joints_deg)
+        linear_m_s = commands.linear_velocity_of(velocity, self.chain, state.joints_deg)
         here, low, high = state.position_m, box.low_m, box.high_m
         ahead = [place + LOOK_AHEAD_S * speed for place, speed in zip(here, linear_m_s, strict=True)]
         for axis, name in enumerate("xyz"):
@@ -288,7 +300,7 @@ class Jaco(Device[JacoState]):
         MotionStopped where the driver has stopped the arm.
         """
         self._require_moves()
-        commands.check_velocity(velocity, self.identity.chain, self.config, self.name)
+        commands.check_velocity(velocity, self.chain, self.config, self.name)
         valid_s = self.config.command_deadline_s if valid_for_s is None else valid_for_s
         if not 0.0 < valid_s <= 60.0:
             raise OutOfLimits("valid_for_s above 0 and up to 60", f"{valid_s!r}", "refresh it instead", self.name)
@@ -312,8 +324,7 @@ class Jaco(Device[JacoState]):
         sent, NotReached after timeout_s; on any exception, Ctrl-C too, the arm is stopped.
         """
         self._require_moves()
-        chain = self.identity.chain
-        commands.check_target(target, chain, self.config, self._fresh().joints_deg, self.name)
+        commands.check_target(target, self.chain, self.config, self._fresh().joints_deg, self.name)
         control = "SetAngularControl" if isinstance(target, JointTarget) else "SetCartesianControl"
 
         def there(state: JacoState) -> bool:
@@ -350,8 +361,7 @@ class Jaco(Device[JacoState]):
     def home(self, timeout_s: float = 60.0) -> JacoState:
         """Send the arm to its own home pose, on its own way and at its own speed; wait until it is still."""
         self._require_moves()
-        began_ns = self._clock()
-        moving_ns = began_ns
+        moving_ns = self._clock()
 
         def there(state: JacoState) -> bool:
             nonlocal moving_ns
@@ -428,12 +438,12 @@ class Jaco(Device[JacoState]):
 
     def set_joint_torque_range(self, least: Sequence[float], most: Sequence[float]) -> None:
         """Joint torques (n,) [Nm] below `least` are ignored, beyond `most` they count no more."""
-        count = self.identity.chain.joint_count
+        count = self.chain.joint_count
         self._configure("SetAngularTorqueMinMax", *self._pair(AngularInfo, count, least, most, ordered=True))
 
     def set_joint_inertia_damping(self, inertia: Sequence[float], damping: Sequence[float]) -> None:
         """How heavy the joints feel: inertia (n,) [kg m^2], damping (n,) [Nm s/rad]."""
-        count = self.identity.chain.joint_count
+        count = self.chain.joint_count
         self._configure("SetAngularInertiaDamping", *self._pair(AngularInfo, count, inertia, damping))
 
     def set_torque_zero(self, joint: int | None = None) -> None:
@@ -442,7 +452,7 @@ class Jaco(Device[JacoState]):
         Only in the candle pose, all joints at 180 deg, where gravity turns no joint. Raises OutOfLimits elsewhere.
         """
         state = self._fresh()
-        count = self.identity.chain.joint_count
+        count = self.chain.joint_count
         if joint is not None and not 1 <= joint <= count:
             raise OutOfLimits(f"a joint from 1 to {count}", repr(joint), "", self.name)
         if max(abs(angle - CANDLE_DEG) for angle in state.joints_deg) > CANDLE_WITHIN_DEG:
@@ -502,7 +512,7 @@ class Jaco(Device[JacoState]):
             return self.next(2.0)
 
     def _link_is_up(self) -> bool:
-        return self.is_open and self.link == "connected"
+        return self.is_open and self.link is Link.CONNECTED
 
     def _require_moves(self) -> None:
         self._require_open()
@@ -510,7 +520,7 @@ class Jaco(Device[JacoState]):
             raise MotionStopped(
                 "an arm that moves", f"one that the driver stopped: {self._stopped}", "acknowledge_stop()", self.name
             )
-        if self.link != "connected":
+        if self.link is not Link.CONNECTED:
             raise LinkLost("an arm that is connected", f"link {self.link}", "wait until it is back", self.name)
 
 

@@ -132,6 +132,12 @@ class JacoDouble:
             self._live()
             self._arm.wrench = pushed.copy()
 
+    def put_between_fingers(self, at: npt.ArrayLike) -> None:
+        """Let the fingers meet something at these positions, (3,) from 0 to 6800: they close no further."""
+        with self._lock:
+            self._live()
+            self._arm.grip = np.array(at, dtype=float)
+
     def bias(self, torque_nm: npt.ArrayLike) -> None:
         """Let the joints' torque sensors show this much too much, (n,) [Nm]: real ones drift."""
         with self._lock:

@@ -28,14 +28,15 @@ SENSORS_EVERY_NS = 1_000_000_000
 SLACK_NS = 1_000_000
 SMOOTHING = 0.2
 
+# what moves fastest comes last, so that it is as fresh as the stamp
 _CALLS: tuple[tuple[str, type[ctypes.Structure]], ...] = (
-    ("GetAngularPosition", AngularPosition),
-    ("GetCartesianPosition", CartesianPosition),
-    ("GetCartesianForce", CartesianPosition),
-    ("GetAngularVelocity", AngularPosition),
-    ("GetAngularForceGravityFree", AngularPosition),
-    ("GetAngularCurrent", AngularPosition),
     ("GetGlobalTrajectoryInfo", TrajectoryFIFO),
+    ("GetAngularCurrent", AngularPosition),
+    ("GetAngularForceGravityFree", AngularPosition),
+    ("GetAngularVelocity", AngularPosition),
+    ("GetCartesianForce", CartesianPosition),
+    ("GetCartesianPosition", CartesianPosition),
+    ("GetAngularPosition", AngularPosition),
 )
 
 
@@ -67,10 +68,10 @@ class Sweep:
             before_ns = self._clock()
             if not self._read:
                 self._begin(before_ns)
+                self._refresh_sensors(before_ns)
             self._read[name] = read(self._functions, name, kind)
             made += 1
             self._call_ns += SMOOTHING * (self._clock() - before_ns - self._call_ns)
-        self._refresh_sensors()
         return self._assemble()
 
     def begin_anew(self) -> None:
@@ -82,20 +83,20 @@ class Sweep:
         missed = max(0, now_ns - self._next_ns) // self._period_ns
         self._next_ns += (missed + 1) * self._period_ns
 
-    def _refresh_sensors(self) -> None:
-        now_ns = self._clock()
+    def _refresh_sensors(self, now_ns: int) -> None:
         if self._sensors_ns is None or now_ns - self._sensors_ns >= SENSORS_EVERY_NS:
             self._sensors_ns = now_ns
             self._sensors = read(self._functions, "GetSensorsInfo", SensorsInfo)
 
     def _assemble(self) -> JacoState:
+        stamp = Stamp(self._clock())
         joints = cast(AngularPosition, self._read["GetAngularPosition"])
         pose = cast(CartesianPosition, self._read["GetCartesianPosition"])
         x, y, z, *thetas = cartesian_values(pose.Coordinates)
         fifo = cast(TrajectoryFIFO, self._read["GetGlobalTrajectoryInfo"])
         state = JacoState(
-            stamp=Stamp(self._began_ns),
-            sweep_s=(self._clock() - self._began_ns) / 1e9,
+            stamp=stamp,
+            sweep_s=(stamp.host_ns - self._began_ns) / 1e9,
             joints_deg=actuator_values(joints.Actuators, self._joint_count),
             rates_deg_s=self._joints("GetAngularVelocity"),
             torques_nm=self._joints("GetAngularForceGravityFree"),

@@ -39,7 +39,7 @@ class SimulatedArm:
     """The arm's state, and `cycle` that carries it 10 ms on.
 
     wrench: (6,) what pushes the end effector [N, Nm] in the base frame; torque_bias_nm: (n,) what the joints' torque
-    sensors show too much. Both may be set at any time between cycles.
+    sensors show too much; grip: (3,) where each finger meets what it holds. All may be set between cycles.
     """
 
     def __init__(self, chain: Chain, start_deg: npt.ArrayLike | None, cold_boot: bool) -> None:
@@ -50,6 +50,7 @@ class SimulatedArm:
         self.links: FloatArray = chain.forward(self.joints_deg)
         self.fingers: FloatArray = np.zeros(FINGER_COUNT)
         self.fingers_ready = False
+        self.grip: FloatArray = np.full(FINGER_COUNT, FINGER_CLOSED)
         self.fifo: deque[TrajectoryPoint] = deque()
         self.wrench: FloatArray = np.zeros(6)
         self.torque_bias_nm: FloatArray = np.zeros(chain.joint_count)
@@ -164,7 +165,7 @@ class SimulatedArm:
             return bool(np.all(self.fingers == target))
         if position.HandMode == HandMode.VELOCITY:
             step = np.clip(finger_values(position.Fingers), -FINGER_SPEED, FINGER_SPEED) * CYCLE_S
-            self.fingers = np.clip(self.fingers + step, 0.0, FINGER_CLOSED)
+            self.fingers = np.clip(self.fingers + step, 0.0, self.grip)
         return True
 
     def _joint_speeds(self, point: TrajectoryPoint) -> FloatArray:
@@ -224,7 +225,7 @@ class SimulatedArm:
 
     def _move_fingers(self, target: FloatArray) -> None:
         step = FINGER_SPEED * CYCLE_S
-        self.fingers = self.fingers + np.clip(target - self.fingers, -step, step)
+        self.fingers = np.minimum(self.fingers + np.clip(target - self.fingers, -step, step), self.grip)
 
     # What its sensors show -------------------------------------------------------------------------------------------
 

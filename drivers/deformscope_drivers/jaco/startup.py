@@ -67,7 +67,6 @@ def bring_up(functions: Functions, config: JacoConfig, pause: Callable[[float], 
     call(functions, "SetGravityType", GRAVITY_MANUAL)
     pause(CONFIGURATION_GAP_S)
     call(functions, "SetTorqueSafetyFactor", 1.0)
-    pause(CONFIGURATION_GAP_S)
     zero = TrajectoryPoint()
     zero.Position.Type = PositionType.CARTESIAN_VELOCITY
     call(functions, "SendBasicTrajectory", zero)

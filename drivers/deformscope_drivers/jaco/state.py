@@ -13,7 +13,7 @@ from deformscope_drivers.jaco.kinematics import FloatArray
 class JacoState:
     """One look at the arm; n joints (a six-joint arm has six values, never a seventh that means nothing).
 
-    stamp: when the joint angles were read; sweep_s: how long it took to read the rest, call after call
+    stamp: when the joint angles had been read; sweep_s: how much older the oldest of the other values may be
     joints_deg: (n,) joint angles as the arm counts them, beyond 360 for joints that turn without end
     rates_deg_s: (n,) joint rates; torques_nm: (n,) joint torques without those of gravity; currents_a: (n,)
     position_m: (3,) of the end effector in the base frame; theta_rad: (3,) its rotation about x, the new y, the new z
