@@ -87,6 +87,7 @@ class Jaco(Device[JacoState]):
         self._stopped = ""
         self._pacer = Pacer(PERIOD_NS)
         self._sweep: Sweep | None = None
+        self._state: JacoState | None = None
         self._crowded = False
         self._configured_ns = 0
         self._not_erased: DeviceError | None = None
@@ -136,6 +137,7 @@ class Jaco(Device[JacoState]):
         self._arm = bring_up(self._functions, self.config, self._pause)
         self._not_erased = None  # bringing it up has erased what was left
         self._sweep = Sweep(self._functions, self.chain.joint_count, self.config.state_hz, self._clock)
+        self._state = self._sweep.whole()
         self._pacer.start(self._clock() + PERIOD_NS)  # the zero point of bringing it up had this slot
         self._refused_in_a_row = 0
         self._crowded = False
@@ -186,6 +188,7 @@ class Jaco(Device[JacoState]):
         if state is None:
             return ()
         self._refused_in_a_row = 0
+        self._state = state
         self._crowded = state.fifo_count > FIFO_AHEAD
         return (state,)
 
@@ -220,7 +223,7 @@ class Jaco(Device[JacoState]):
             self._expired += 1
             self._erase_due = True
             self._send(commands.zero_point(streamed.velocity))
-        elif reason := self._leaves_workspace(streamed.velocity, now_ns):
+        elif reason := self._forbids(streamed.velocity, now_ns):
             self._halt(reason)
         elif self._crowded:
             self._crowded = False
@@ -247,22 +250,22 @@ class Jaco(Device[JacoState]):
         with self._commanded:
             self._streamed = self._position_until_ns = None
 
-    def _leaves_workspace(self, velocity: Velocity, now_ns: int) -> str:
-        """Why a velocity must not go on: it would leave the workspace, or the arm's place is not known."""
-        box, state = self.config.workspace, self._last
+    def _forbids(self, velocity: Velocity, now_ns: int) -> str:
+        """Why a velocity must not go on: the arm is not seen any more, or would leave its workspace."""
+        state = self._state
+        assert state is not None
+        age_s = (now_ns - state.stamp.host_ns) / 1e9
+        if age_s > STATE_AGE_S:
+            return f"the arm's state could not be read for {age_s:.2f} s"
+        box = self.config.workspace
         if box is None:
             return ""
-        if state is None or now_ns - state.stamp.host_ns > STATE_AGE_S * 1e9:
-            return "the arm's position is not known, so its workspace cannot be kept"
         linear_m_s = commands.linear_velocity_of(velocity, self.chain, state.joints_deg)
-        here, low, high = state.position_m, box.low_m, box.high_m
-        ahead = [place + LOOK_AHEAD_S * speed for place, speed in zip(here, linear_m_s, strict=True)]
         for axis, name in enumerate("xyz"):
-            outward = (ahead[axis] > high[axis] and linear_m_s[axis] > 0) or (
-                ahead[axis] < low[axis] and linear_m_s[axis] < 0
-            )
-            if outward:
-                return f"the workspace would have been left along {name} at {here[axis]:.3f} m"
+            here, speed = state.position_m[axis], linear_m_s[axis]
+            ahead = here + LOOK_AHEAD_S * speed
+            if (speed > 0 and ahead > box.high_m[axis]) or (speed < 0 and ahead < box.low_m[axis]):
+                return f"the workspace would have been left along {name} at {here:.3f} m"
         return ""
 
     def _judge(self, error: VendorError) -> None:

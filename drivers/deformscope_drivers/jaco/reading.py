@@ -8,6 +8,7 @@ before the next slot is due.
 from __future__ import annotations
 
 import ctypes
+from collections import deque
 from typing import cast
 
 from deformscope_drivers.clock import Clock, Stamp
@@ -50,43 +51,52 @@ class Sweep:
         self._clock = clock
         self._next_ns = clock()
         self._sensors_ns: int | None = None
-        self._sensors = SensorsInfo()
+        self._left: deque[tuple[str, type[ctypes.Structure]]] = deque()
         self._read: dict[str, ctypes.Structure] = {}
         self._began_ns = 0
         self._call_ns = 0.0
 
+    def whole(self) -> JacoState:
+        """A whole sweep now, however long it takes."""
+        self.begin_anew()
+        self._begin(self._clock())
+        while self._left:
+            self._call()
+        return self._assemble()
+
     def go_on(self, until_ns: int) -> JacoState | None:
         """Make calls while they fit before `until_ns`, at least one; the state once its sweep is whole."""
-        if not self._read and self._clock() < self._next_ns:
-            return None
-        made = 0
-        for name, kind in _CALLS:
-            if name in self._read:
-                continue
-            if made and self._clock() + self._call_ns + SLACK_NS > until_ns:
+        if not self._left:
+            now_ns = self._clock()
+            if now_ns < self._next_ns:
                 return None
-            before_ns = self._clock()
-            if not self._read:
-                self._begin(before_ns)
-                self._refresh_sensors(before_ns)
-            self._read[name] = read(self._functions, name, kind)
-            made += 1
-            self._call_ns += SMOOTHING * (self._clock() - before_ns - self._call_ns)
+            self._begin(now_ns)
+        self._call()
+        while self._left:
+            if self._clock() + self._call_ns + SLACK_NS > until_ns:
+                return None
+            self._call()
         return self._assemble()
 
     def begin_anew(self) -> None:
         """Forget a sweep that is not whole: a call of it failed."""
-        self._read = {}
+        self._left.clear()
 
     def _begin(self, now_ns: int) -> None:
         self._began_ns = now_ns
         missed = max(0, now_ns - self._next_ns) // self._period_ns
         self._next_ns += (missed + 1) * self._period_ns
-
-    def _refresh_sensors(self, now_ns: int) -> None:
+        self._left.extend(_CALLS)
         if self._sensors_ns is None or now_ns - self._sensors_ns >= SENSORS_EVERY_NS:
             self._sensors_ns = now_ns
-            self._sensors = read(self._functions, "GetSensorsInfo", SensorsInfo)
+            self._left.appendleft(("GetSensorsInfo", SensorsInfo))
+
+    def _call(self) -> None:
+        name, kind = self._left[0]
+        before_ns = self._clock()
+        self._read[name] = read(self._functions, name, kind)
+        self._left.popleft()
+        self._call_ns += SMOOTHING * (self._clock() - before_ns - self._call_ns)
 
     def _assemble(self) -> JacoState:
         stamp = Stamp(self._clock())
@@ -94,7 +104,8 @@ class Sweep:
         pose = cast(CartesianPosition, self._read["GetCartesianPosition"])
         x, y, z, *thetas = cartesian_values(pose.Coordinates)
         fifo = cast(TrajectoryFIFO, self._read["GetGlobalTrajectoryInfo"])
-        state = JacoState(
+        sensors = cast(SensorsInfo, self._read["GetSensorsInfo"])
+        return JacoState(
             stamp=stamp,
             sweep_s=(stamp.host_ns - self._began_ns) / 1e9,
             joints_deg=actuator_values(joints.Actuators, self._joint_count),
@@ -106,12 +117,10 @@ class Sweep:
             wrench=cartesian_values(cast(CartesianPosition, self._read["GetCartesianForce"]).Coordinates),
             fingers=finger_values(joints.Fingers),
             fifo_count=fifo.TrajectoryCount,
-            supply_v=self._sensors.Voltage,
-            supply_a=self._sensors.Current,
-            temperatures_deg_c=sensor_temperatures(self._sensors, self._joint_count),
+            supply_v=sensors.Voltage,
+            supply_a=sensors.Current,
+            temperatures_deg_c=sensor_temperatures(sensors, self._joint_count),
         )
-        self._read = {}
-        return state
 
     def _joints(self, name: str) -> tuple[float, ...]:
         return actuator_values(cast(AngularPosition, self._read[name]).Actuators, self._joint_count)
