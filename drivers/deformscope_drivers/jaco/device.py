@@ -147,8 +147,8 @@ class Jaco(Device[JacoState]):
             moving = self._erase_due or self._streamed is not None or self._position_until_ns is not None
             self._streamed = self._position_until_ns = None
             self._erase_due = False
-        if moving and not self._closing.is_set():
-            self._stopped = self._stopped or "the link to the arm was lost while it moved"
+            if moving and not self._closing.is_set():
+                self._stopped = self._stopped or "the link to the arm was lost while it moved"
         not_erased = let_go(self._functions)
         if moving:
             self._not_erased = not_erased
@@ -241,14 +241,15 @@ class Jaco(Device[JacoState]):
 
     def _halt(self, reason: str) -> None:
         """Stop the arm, and refuse commands until someone has taken note."""
-        self._forget_commands()
-        self._stopped = reason
-        self._erase_due = True
+        self._forget_commands(reason)
         self._erase()
 
-    def _forget_commands(self) -> None:
+    def _forget_commands(self, stopped_because: str = "") -> None:
+        """What was commanded is over, and the FIFO is due to be erased; no command can slip in between."""
         with self._commanded:
             self._streamed = self._position_until_ns = None
+            self._stopped = self._stopped or stopped_because
+            self._erase_due = True
 
     def _forbids(self, velocity: Velocity, now_ns: int) -> str:
         """Why a velocity must not go on: the arm is not seen any more, or would leave its workspace."""
@@ -288,11 +289,11 @@ class Jaco(Device[JacoState]):
 
     @property
     def stopped_because(self) -> str:
-        """Why the driver stopped the arm by itself and refuses commands; empty where it did not."""
+        """Why the arm was stopped and commands are refused; empty where they are not."""
         return self._stopped
 
     def acknowledge_stop(self) -> None:
-        """Take note that the driver stopped the arm: commands are accepted again."""
+        """Take note that the arm was stopped: commands are accepted again."""
         self._stopped = ""
 
     def set_velocity(self, velocity: Velocity, valid_for_s: float | None = None) -> None:
@@ -302,21 +303,29 @@ class Jaco(Device[JacoState]):
         (default: the configured deadline). Raises OutOfLimits (nothing is sent, what was set before still holds) and
         MotionStopped where the driver has stopped the arm.
         """
-        self._require_moves()
+        self._require_open()
         commands.check_velocity(velocity, self.chain, self.config, self.name)
         valid_s = self.config.command_deadline_s if valid_for_s is None else valid_for_s
         if not 0.0 < valid_s <= 60.0:
             raise OutOfLimits("valid_for_s above 0 and up to 60", f"{valid_s!r}", "refresh it instead", self.name)
         point = commands.velocity_point(velocity)
         with self._commanded:
+            self._require_moves()
             if self._position_until_ns is not None:
                 raise OutOfLimits("an arm that is not on its way to a target", "one that is", "stop() first", self.name)
             self._streamed = _Streamed(velocity, point, self._clock() + round(valid_s * 1e9))
 
     def stop(self) -> None:
-        """Stop at once: forget the velocity, erase what waits in the arm. Raises when the arm could not be told."""
+        """Stop at once: forget the velocity, erase what waits in the arm. Raises when the arm could not be told.
+
+        The next command moves it again, whoever gives it; `halt` is for who wants it to stay.
+        """
         self._forget_commands()
-        self._erase_due = True
+        self._do(self._erase, COMMAND_TIMEOUT_S)
+
+    def halt(self, reason: str) -> None:
+        """Stop at once, and refuse the commands of all threads until `acknowledge_stop`. Raises as `stop` does."""
+        self._forget_commands(reason or "it was told to")
         self._do(self._erase, COMMAND_TIMEOUT_S)
 
     def move_to(self, target: Target, timeout_s: float = 30.0) -> JacoState:
@@ -385,20 +394,24 @@ class Jaco(Device[JacoState]):
         """Set out (None = for home) and wait for the arm to be there; whatever happens instead, it is stopped."""
         until_ns = self._clock() + round(timeout_s * 1e9)
 
+        began = False
+
         def set_out() -> None:
+            nonlocal began
+            with self._commanded:
+                self._require_moves()
+                if self._streamed is not None or self._position_until_ns is not None:
+                    raise OutOfLimits("an arm at rest", "one that is moving", "stop() first", self.name)
+                self._position_until_ns = until_ns + round(STATE_AGE_S * 1e9)
+            began = True
             self._erase()
             if control is not None:
                 call(self._functions, control)
-            with self._commanded:
-                self._position_until_ns = until_ns + round(STATE_AGE_S * 1e9)
             if point is None:
                 call(self._functions, "MoveHome")
             else:
                 call(self._functions, "SendAdvanceTrajectory", point)
 
-        with self._commanded:
-            if self._streamed is not None or self._position_until_ns is not None:
-                raise OutOfLimits("an arm at rest", "one that is moving", "stop() first", self.name)
         try:
             self._do(set_out, COMMAND_TIMEOUT_S)
             while (left_s := (until_ns - self._clock()) / 1e9) > 0:
@@ -411,8 +424,7 @@ class Jaco(Device[JacoState]):
                     return state
             raise NotReached(where_to, f"the arm on its way after {timeout_s:g} s", "a longer timeout_s", self.name)
         finally:
-            self._position_until_ns = None
-            if self._link_is_up() and not self._stopped:
+            if began and self._link_is_up():
                 self.stop()
 
     # Force -----------------------------------------------------------------------------------------------------------
@@ -521,7 +533,7 @@ class Jaco(Device[JacoState]):
         self._require_open()
         if self._stopped:
             raise MotionStopped(
-                "an arm that moves", f"one that the driver stopped: {self._stopped}", "acknowledge_stop()", self.name
+                "an arm that may move", f"one that was stopped: {self._stopped}", "acknowledge_stop()", self.name
             )
         if self.link is not Link.CONNECTED:
             raise LinkLost("an arm that is connected", f"link {self.link}", "wait until it is back", self.name)

@@ -346,7 +346,7 @@ class SymbolMissing(LibraryMissing):
 
 
 class MotionStopped(DeviceError):
-    """The driver stopped the arm by itself, and erased its trajectories."""
+    """The arm was stopped, and refuses commands until someone has taken note of why."""
 
 
 class NotReached(DeviceError):

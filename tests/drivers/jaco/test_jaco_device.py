@@ -448,20 +448,21 @@ def test_an_exception_within_the_block_erases_before_it_closes(lab: Simulated) -
 @pytest.mark.parametrize("ending", ENDINGS)
 def test_however_a_program_ends_it_erases_before_it_closes(ending: str) -> None:
     path = os.pathsep.join(entry for entry in sys.path if entry)
-    process = subprocess.Popen(
+    with subprocess.Popen(
         [sys.executable, "-c", PROGRAM + ENDINGS[ending]],
         env={**os.environ, "PYTHONPATH": path},
         stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
         text=True,
-    )
-    assert process.stdout is not None
-    assert process.stdout.readline() == "moving\n"
-    if "Ctrl-C" in ending:
-        time.sleep(0.1)
-        process.send_signal(signal.SIGINT)
-    told, complaints = process.communicate(timeout=30)
-    assert told.split() == ["0", "EraseAllTrajectories", "StopForceControl", "StopControlAPI", "CloseAPI"], complaints
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "moving\n"
+        if "Ctrl-C" in ending:
+            time.sleep(0.1)
+            process.send_signal(signal.SIGINT)
+        told = process.stdout.read()
+    last_calls = ["EraseAllTrajectories", "StopForceControl", "StopControlAPI", "CloseAPI"]
+    assert told.splitlines()[0].split() == ["0", *last_calls], told
 
 
 # The cycle ------------------------------------------------------------------------------------------------------------
@@ -775,8 +776,9 @@ def test_one_thing_at_a_time(lab: Simulated) -> None:
     lab.arm.set_velocity(TURN, valid_for_s=5.0)
     with pytest.raises(OutOfLimits, match="moving"):
         lab.arm.move_to(JointTarget(tuple(J2N6S300.home_deg)))
-    assert lab.arm.health().extra["commands_expired"] == 0
-    lab.run(0.1)
+    before = lab.double.joints_deg
+    lab.run(0.5)
+    assert lab.double.joints_deg[0] - before[0] == pytest.approx(5.0, abs=0.11)  # what went on goes on
     lab.arm.stop()
     lab.arm.move_to(JointTarget(tuple(J2N6S300.home_deg)))
     lab.arm._position_until_ns = lab.clock() + 100_000_000
@@ -794,6 +796,54 @@ def test_stop_erases_at_once(lab: Simulated) -> None:
     stopped = lab.double.joints_deg
     lab.run(0.3)
     np.testing.assert_array_equal(lab.double.joints_deg, stopped)
+
+
+def test_a_halt_holds_against_a_sender_that_goes_on() -> None:
+    double = JacoDouble()
+    recorded = Recorded(double, time.monotonic_ns)
+    with Jaco(JacoConfig(), recorded) as arm:
+        over = threading.Event()
+
+        def sender() -> None:
+            while not over.is_set():
+                with contextlib.suppress(MotionStopped):
+                    arm.set_velocity(TURN)
+
+        thread = threading.Thread(target=sender)
+        thread.start()
+        wait_until(lambda: arm.health().extra["points_sent"] > 10)
+        arm.halt("the force was too high")
+        halted_s = time.monotonic()
+        time.sleep(0.1)
+        over.set()
+        thread.join()
+        assert [at_s for at_s, rate in recorded.points() if rate != 0.0 and at_s > halted_s] == []
+        assert double.fifo_count == 0
+        with pytest.raises(MotionStopped, match="force"):
+            arm.set_velocity(TURN)
+
+
+def test_a_halt_ends_a_move_to_a_target() -> None:
+    double = JacoDouble()
+    with Jaco(JacoConfig(), double) as arm:
+        told: list[BaseException] = []
+
+        def mover() -> None:
+            try:
+                arm.move_to(JointTarget(tuple(J2N6S300.home_deg + 40.0)))
+            except MotionStopped as error:
+                told.append(error)
+
+        thread = threading.Thread(target=mover)
+        thread.start()
+        wait_until(lambda: double.joints_deg[0] > J2N6S300.home_deg[0] + 1.0)
+        arm.halt("the force was too high")
+        thread.join(5.0)
+        assert "force" in str(told[0])
+        stopped = double.joints_deg
+        time.sleep(0.05)
+        np.testing.assert_array_equal(double.joints_deg, stopped)
+        assert double.fifo_count == 0
 
 
 def test_stop_that_does_not_reach_the_arm_is_told(lab: Simulated) -> None:
