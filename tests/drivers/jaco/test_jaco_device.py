@@ -56,6 +56,7 @@ from tests.drivers.jaco.benches import CBench, build
 QUICK = Reconnect(0.01, 0.05)
 PERIOD_S = 0.01
 TURN = JointVelocity((10.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+PATIENT = JacoConfig(open_attempts=1, command_deadline_s=5.0)  # in real time a busy machine may stall the cycle
 
 
 class Recorded:
@@ -131,7 +132,7 @@ class TestOverThePythonDouble(DeviceContract):
     @pytest.fixture
     def bench(self) -> Bench:
         double = JacoDouble()
-        device = Jaco(JacoConfig(open_attempts=1), double, reconnect=QUICK)
+        device = Jaco(PATIENT, double, reconnect=QUICK)
         return Bench(device, double.unplug, double.plug)
 
 
@@ -210,7 +211,7 @@ def test_a_cartesian_velocity_held_for_1_s_moves_the_double_by_the_right_length(
 def test_in_real_time_it_turns_by_the_right_angle_too() -> None:
     bench = CBench("j2n6s300")
     bench.real_time(True)
-    with Jaco(JacoConfig(library=bench.path)) as arm:
+    with Jaco(JacoConfig(library=bench.path, command_deadline_s=5.0)) as arm:
         before = joints(Library(bench.path))
         arm.set_velocity(TURN, valid_for_s=1.0)
         wait_until(lambda: arm.health().extra["commands_expired"] == 1)
@@ -382,13 +383,13 @@ def test_never_more_than_a_point_waits_in_the_arm(lab: Simulated) -> None:
 
 def test_a_sender_that_dies_leaves_the_arm_still_and_its_fifo_empty() -> None:
     double = JacoDouble()
-    with Jaco(JacoConfig(), double) as arm:
+    with Jaco(PATIENT, double) as arm:
         refreshed = threading.Event()
 
         def sender() -> None:
             with contextlib.suppress(ZeroDivisionError):
                 for refresh in range(20):
-                    arm.set_velocity(TURN)
+                    arm.set_velocity(TURN, valid_for_s=0.1)
                     refreshed.set()
                     time.sleep(0.01)
                     _ = 1 / (10 - refresh)
@@ -801,7 +802,7 @@ def test_stop_erases_at_once(lab: Simulated) -> None:
 def test_a_halt_holds_against_a_sender_that_goes_on() -> None:
     double = JacoDouble()
     recorded = Recorded(double, time.monotonic_ns)
-    with Jaco(JacoConfig(), recorded) as arm:
+    with Jaco(PATIENT, recorded) as arm:
         over = threading.Event()
 
         def sender() -> None:
@@ -825,7 +826,7 @@ def test_a_halt_holds_against_a_sender_that_goes_on() -> None:
 
 def test_a_halt_ends_a_move_to_a_target() -> None:
     double = JacoDouble()
-    with Jaco(JacoConfig(), double) as arm:
+    with Jaco(PATIENT, double) as arm:
         told: list[BaseException] = []
 
         def mover() -> None:
@@ -931,7 +932,7 @@ def test_torques_are_zeroed_in_the_candle_pose_alone() -> None:
 
 def test_a_link_lost_while_it_moves_comes_back_with_the_arm_stopped() -> None:
     double = JacoDouble()
-    with Jaco(JacoConfig(open_attempts=1), double, reconnect=QUICK) as arm:
+    with Jaco(PATIENT, double, reconnect=QUICK) as arm:
         arm.set_velocity(TURN, valid_for_s=30.0)
         wait_until(lambda: arm.health().extra["points_sent"] > 5)
         double.unplug()
