@@ -1,0 +1,64 @@
+"""How a tactile controller is reached and set; checked when it is made, before anything is sent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+from deformscope_drivers.dsa.pressure import SCHUNK_PA_PER_COUNT, Curve
+from deformscope_drivers.dsa.texels import TEXEL_MAX
+from deformscope_drivers.errors import OutOfLimits
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DsaConfig:
+    """How the tactile controller is reached, and how it shall run.
+
+    port: serial port, or URL (`socket://192.168.1.1:13000` for a hand with Ethernet)
+    rle: run-length encoded frames, 3 to 12 times shorter; frame_rate_hz: asked for (the firmware does not keep to it)
+    streaming: False = frames come only when `single_frame` asks
+    sensitivity: 0 to 1, for all matrices or each; None = as the controller has it
+    threshold: texels below it read 0, 0 to 4095, for all or each; None = as the controller has it (firmware >= 268)
+    calibration: for each matrix, or for all, the pressure of a count [Pa] or a `Curve`
+    silence_s: without a good frame for so long while streaming, the link is lost, and sought again
+    stuck_after_s: pressed texels that stay the same to the count for so long mean a stuck sensor; None = they may
+    """
+
+    port: str = ""
+    rle: bool = True
+    frame_rate_hz: int = 30
+    streaming: bool = True
+    sensitivity: float | tuple[float, ...] | None = None
+    threshold: int | tuple[int, ...] | None = None
+    calibration: tuple[float | Curve, ...] = (SCHUNK_PA_PER_COUNT,)
+    silence_s: float = 3.0
+    stuck_after_s: float | None = 10.0
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.frame_rate_hz <= 0xFFFF:
+            raise OutOfLimits("a frame rate from 1 to 65535 Hz", f"{self.frame_rate_hz}", where=self.port)
+        for sensitivity in each(self.sensitivity):
+            check_sensitivity(sensitivity, self.port)
+        for threshold in each(self.threshold):
+            check_threshold(threshold, self.port)
+
+
+def each(value: T | tuple[T, ...] | None) -> tuple[T, ...]:
+    """The values in a setting for all matrices, or for each; none where nothing is set."""
+    if value is None:
+        return ()
+    return value if isinstance(value, tuple) else (value,)
+
+
+def check_sensitivity(sensitivity: float, where: str) -> None:
+    """Raises OutOfLimits."""
+    if not 0.0 <= sensitivity <= 1.0:
+        raise OutOfLimits("a sensitivity from 0 to 1", f"{sensitivity:g}", where=where)
+
+
+def check_threshold(threshold: int, where: str) -> None:
+    """Raises OutOfLimits."""
+    if not 0 <= threshold <= TEXEL_MAX:
+        raise OutOfLimits(f"a threshold from 0 to {TEXEL_MAX}", f"{threshold}", where=where)

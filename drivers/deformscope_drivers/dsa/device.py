@@ -1,0 +1,527 @@
+"""The SDH's tactile sensors as a device: started in the right order, set as configured, its frames stamped and cut up.
+
+with Dsa(DsaConfig(port="/dev/ttyUSB0")) as hand:
+    for reading in hand:
+        print(hand.contacts(reading))
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Self, TypeVar
+
+import numpy as np
+
+from deformscope_drivers.clock import Clock, ClockFit, Stamp, Unwrap, monotonic_ns
+from deformscope_drivers.device import RECONNECT, Reconnect, StreamDevice
+from deformscope_drivers.dsa.config import DsaConfig, check_sensitivity, check_threshold
+from deformscope_drivers.dsa.messages import (
+    CHECKSUM,
+    LAYOUT_OF,
+    PENDING,
+    SUCCESS,
+    Ack,
+    Adjust,
+    Command,
+    ControllerInfo,
+    Id,
+    MatrixInfo,
+    QueryController,
+    QueryMatrix,
+    QuerySensitivity,
+    QuerySensor,
+    QueryThreshold,
+    Reading,
+    Reply,
+    SensitivityInfo,
+    SensorInfo,
+    SetSensitivity,
+    SetThreshold,
+    TexelArray,
+    ThresholdInfo,
+    error_name,
+)
+from deformscope_drivers.dsa.pads import Pad
+from deformscope_drivers.dsa.pressure import FloatArray, PadContact, pad_contact, to_pressure
+from deformscope_drivers.dsa.protocol import Decoder, encode, single, stop, stream
+from deformscope_drivers.dsa.timestamps import TimestampGate, Verdict
+from deformscope_drivers.errors import (
+    CommandRefused,
+    DeviceError,
+    LinkLost,
+    NoReply,
+    NotConnected,
+    OutOfLimits,
+    ProtocolViolation,
+    SettingsRefused,
+)
+from deformscope_drivers.health import Identity
+from deformscope_drivers.transport import SerialTransport, Transport
+
+BAUDRATE = 115_200
+TICK_NS = 1e6
+
+STOP_TIMEOUT_S = 3.0
+STOP_TRIES = 4
+"""A controller that was just switched on answers after 8 s; Schunk's software waits as long."""
+
+REPLY_TIMEOUT_S = 1.0
+REPLY_TRIES = 3
+SETTLE_S = 0.05
+"""How long answers to what was asked before, and frames, may still come. (Schunk's software waits 1 s after the first
+stop. Answers come in order, so a late one to it is past when the controller has told what it is.)"""
+
+CELLS_MAX = (0xFFFF - 5) // 2
+"""More would not fit a packet."""
+
+THRESHOLD_FROM = 268
+SENSITIVITY_READ_BACK_FROM = 219
+SENSITIVITY_TOLERANCE = 0.005
+_SINGLE_FRAME_FROM, _SINGLE_FRAME_ALSO = 289, 269
+
+COMMAND_TIMEOUT_S = 30.0
+
+ReplyT = TypeVar("ReplyT", bound=Reply)
+ResultT = TypeVar("ResultT")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TactileReading:
+    """One frame of all pads.
+
+    stamp: arrival, and the controller's time in `device_ticks` [ms], without its 32-bit wrap
+    texels: (n,) uint16 counts, 0 to 4095, read-only: all matrices in the controller's order, each row by row
+    pads: the same, (rows, columns) for each matrix
+    """
+
+    stamp: Stamp
+    texels: TexelArray
+    pads: tuple[TexelArray, ...]
+
+
+@dataclass
+class _Settings:
+    """What was asked for, and is asked for again after every reconnect: by matrix, None = of all."""
+
+    streaming: bool
+    rle: bool
+    sensitivity: dict[int | None, float | None] = field(default_factory=dict)
+    threshold: dict[int | None, int | None] = field(default_factory=dict)
+
+
+class Dsa(StreamDevice[TactileReading]):
+    """The Weiss DSACON32m tactile controller of a Schunk SDH.
+
+    The controller's description (`controller`, `sensor`, `matrices`) is there once it is open. What was set is set
+    again after a lost link, since a controller that was switched off forgets.
+    config: how it runs; transport: instead of the configuration's port
+    """
+
+    def __init__(
+        self,
+        config: DsaConfig,
+        *,
+        transport: Transport | None = None,
+        reconnect: Reconnect | None = RECONNECT,
+        clock: Clock = monotonic_ns,
+    ) -> None:
+        super().__init__(
+            transport or SerialTransport(config.port, BAUDRATE),
+            silence_s=config.silence_s if config.streaming else None,
+            reconnect=reconnect,
+            stuck_after_s=config.stuck_after_s,
+            clock=clock,
+        )
+        self.config = config
+        self._controller: ControllerInfo | None = None
+        self._sensor: SensorInfo | None = None
+        self._matrices: tuple[MatrixInfo, ...] = ()
+        self._gate = TimestampGate()
+        self._begin()
+
+    def open(self, *, own_thread: bool = True) -> Self:
+        """Connect, and set what the configuration says. Raises NotConnected, NoReply, SettingsRefused..."""
+        if not self.is_open:
+            self._begin()
+        return super().open(own_thread=own_thread)
+
+    # What it is ------------------------------------------------------------------------------------------------------
+
+    @property
+    def controller(self) -> ControllerInfo:
+        """Serial number, firmware and state as of the last opening. Raises NotConnected before it."""
+        return self._known(self._controller)
+
+    @property
+    def sensor(self) -> SensorInfo:
+        """How many matrices, and the sensor's serial number. Raises NotConnected before the first opening."""
+        return self._known(self._sensor)
+
+    @property
+    def matrices(self) -> tuple[MatrixInfo, ...]:
+        """Each matrix's geometry; matrix = 2 * finger + part, as `Pad.of_matrix` tells. Empty before opening."""
+        return self._matrices
+
+    @property
+    def pads(self) -> tuple[Pad, ...]:
+        """The pads by matrix."""
+        return tuple(Pad.of_matrix(matrix) for matrix in range(len(self._matrices)))
+
+    # What a reading means --------------------------------------------------------------------------------------------
+
+    def pressure_pa(self, reading: TactileReading) -> list[FloatArray]:
+        """For each matrix the pressure on its texels (rows, columns) [Pa], by the configured calibration."""
+        return to_pressure(reading.pads, self.config.calibration)
+
+    def contacts(self, reading: TactileReading) -> list[PadContact]:
+        """For each matrix contact area, force and centre of pressure."""
+        pressures_pa = self.pressure_pa(reading)
+        return [
+            pad_contact(counts, pressure_pa, matrix)
+            for counts, pressure_pa, matrix in zip(reading.pads, pressures_pa, self._matrices, strict=True)
+        ]
+
+    # Commands: may be called from any thread, also while it streams --------------------------------------------------
+
+    def start_streaming(self, *, rle: bool | None = None) -> None:
+        """Have frames sent. rle: run-length encoded or not, None = as before. Raises CommandRefused, NoReply."""
+
+        def start() -> None:
+            self._settings.rle = self._settings.rle if rle is None else rle
+            self._settings.streaming = True
+            self._stream()
+
+        self._command(start)
+
+    def stop_streaming(self) -> None:
+        """Have no more frames sent. Raises CommandRefused, NoReply."""
+
+        def end() -> None:
+            self._settings.streaming = False
+            self._silence_ns = None
+            self._acknowledged(stop(), "stop")
+            self._settle(SETTLE_S)
+
+        self._command(end)
+
+    def single_frame(self) -> TactileReading:
+        """One frame of a device that does not stream; readers get it too. Raises DeviceError while it streams."""
+
+        def take() -> TactileReading:
+            if self._settings.streaming:
+                raise DeviceError("a device that does not stream", "one that does", "next(), or stop_streaming()")
+            return self._take_single()
+
+        return self._command(take)
+
+    def set_sensitivity(
+        self, sensitivity: float | None, *, matrix: int | None = None, persistent: bool = False
+    ) -> None:
+        """Set 0 to 1, and read it back where the firmware can.
+
+        sensitivity: None = the factory's; matrix: None = all; persistent: keep it without power (the memory bears
+        about 100 000 writes). Raises OutOfLimits before anything is sent; CommandRefused, SettingsRefused, NoReply
+        """
+        if sensitivity is not None:
+            check_sensitivity(sensitivity, self.name)
+        self._check_matrix(matrix)
+
+        def set_it() -> None:
+            self._apply_sensitivity(matrix, sensitivity, persistent)
+            _remember(self._settings.sensitivity, matrix, sensitivity)
+
+        self._command(set_it)
+
+    def set_threshold(self, threshold: int | None, *, matrix: int | None = None, persistent: bool = False) -> None:
+        """Set 0 to 4095, below which texels read 0, and read it back. Arguments and errors as `set_sensitivity`; needs
+        firmware 268."""
+        if threshold is not None:
+            check_threshold(threshold, self.name)
+        self._check_matrix(matrix)
+
+        def set_it() -> None:
+            self._apply_threshold(matrix, threshold, persistent)
+            _remember(self._settings.threshold, matrix, threshold)
+
+        self._command(set_it)
+
+    def sensitivity(self, matrix: int) -> SensitivityInfo:
+        """A matrix's sensitivity as the controller tells it; firmware up to 218 always tells 0.5."""
+        self._check_matrix(matrix)
+        return self._command(lambda: self._query(QuerySensitivity(matrix), SensitivityInfo, "query of sensitivity"))
+
+    def threshold(self, matrix: int) -> int:
+        """A matrix's threshold as the controller tells it. Needs firmware 268, else raises SettingsRefused."""
+        self._check_matrix(matrix)
+        return self._command(lambda: self._read_threshold(matrix))
+
+    def identity(self) -> Identity:
+        """As the controller told it while connecting."""
+        if self._controller is None:
+            return Identity("Weiss DSACON32m")
+        return Identity("Weiss DSACON32m", str(self._controller.serial_number), str(self._controller.software_version))
+
+    # The stream device's part ----------------------------------------------------------------------------------------
+
+    def _make_decoder(self) -> Decoder:
+        self._packets = Decoder()
+        return self._packets
+
+    def _start(self) -> None:
+        """Stop, throw away what is on its way, ask what it is, set it, and have it stream."""
+        self._silence_ns = None
+        self._acknowledged(stop(), "stop", STOP_TIMEOUT_S, STOP_TRIES)
+        self._settle(SETTLE_S)
+        self._controller = self._query(QueryController(), ControllerInfo, "query of the controller")
+        self._sensor = self._query(QuerySensor(), SensorInfo, "query of the sensor")
+        matrices = tuple(self._ask_matrix(index) for index in range(self._sensor.matrix_count))
+        cells = sum(matrix.cells for matrix in matrices)
+        if not 0 < cells <= CELLS_MAX:
+            raise ProtocolViolation(f"matrices of 1 to {CELLS_MAX} texels in all", f"{cells}", where=self.name)
+        self._matrices = matrices
+        self._packets.cells = cells
+        self._set_all()
+        if self._settings.streaming:
+            self._stream()
+
+    def _stop(self) -> None:
+        with contextlib.suppress(DeviceError):
+            self._send(encode(stop()))
+
+    def _measure(self, event: Reading | Reply, host_ns: int) -> Iterable[TactileReading]:
+        if not isinstance(event, Reading) or self._packets.cells is None:  # left over from an earlier time
+            return []
+        verdict = self._gate.check(event.timestamp_ms)
+        if verdict is Verdict.REPEATED:
+            self._repeated += 1
+            return []
+        if verdict is Verdict.JUMPED:
+            self._count_refused("timestamp")
+            return []
+        if verdict is Verdict.RESTARTED:
+            self._restarts += 1
+            self._forget_time(event.timestamp_ms)
+        self._measured_ns = host_ns
+        ticks = self._unwrap(event.timestamp_ms, host_ns)
+        self._fit.add(ticks, host_ns)
+        return [TactileReading(Stamp(host_ns, ticks), event.texels, self._cut_up(event.texels))]
+
+    def _receive(self, timeout_s: float) -> Iterable[TactileReading]:
+        readings = list(super()._receive(timeout_s))
+        if self._silence_ns is not None and self._clock() - self._measured_ns > self._silence_ns:
+            expected, came = "frames from the controller", f"none that is good for {self.config.silence_s:g} s"
+            raise LinkLost(expected, came, "look at cable and baud rate", self.name)
+        return readings
+
+    def _fingerprint(self, reading: TactileReading) -> Hashable:
+        """Pads that nothing touches may read all zeros for ever."""
+        return reading.texels.tobytes() if reading.texels.any() else None
+
+    def _extra_health(self) -> dict[str, float]:
+        return {"repeated": self._repeated, "clock_restarts": self._restarts}
+
+    # Within: all in the device's thread ------------------------------------------------------------------------------
+
+    def _ask_matrix(self, index: int) -> MatrixInfo:
+        matrix = self._query(QueryMatrix(index), MatrixInfo, f"query of matrix {index}")
+        sizes = np.array([matrix.texel_width_mm, matrix.texel_height_mm])
+        if not matrix.cells or not np.isfinite(sizes).all() or (sizes <= 0).any():
+            came = f"{matrix.cells_x} x {matrix.cells_y} of {sizes[0]:g} x {sizes[1]:g} mm"
+            raise ProtocolViolation(f"texels and their size for matrix {index}", came, where=self.name)
+        return matrix
+
+    def _set_all(self) -> None:
+        configured: tuple[tuple[str, Any, dict[int | None, Any], Callable[..., None]], ...] = (
+            ("sensitivity", self.config.sensitivity, self._settings.sensitivity, self._apply_sensitivity),
+            ("threshold", self.config.threshold, self._settings.threshold, self._apply_threshold),
+        )
+        for name, value, set_since, apply in configured:
+            for matrix, one in [*self._by_matrix(name, value).items(), *set_since.items()]:
+                apply(matrix, one, False)
+
+    def _by_matrix(self, name: str, value: Any) -> dict[int | None, Any]:
+        if not isinstance(value, tuple):
+            return {} if value is None else {None: value}
+        if len(value) != len(self._matrices):
+            expected = f"a {name} for each of {len(self._matrices)} matrices"
+            raise SettingsRefused(expected, f"{len(value)}", "one number for all", self.name)
+        return dict(enumerate(value))
+
+    def _apply_sensitivity(self, matrix: int | None, value: float | None, persistent: bool) -> None:
+        command = SetSensitivity(_adjust(matrix, value, persistent), matrix or 0, value or 0.0)
+        self._set(command, "set sensitivity", persistent)
+        if self.controller.software_version < SENSITIVITY_READ_BACK_FROM:
+            return
+        for index in self._chosen(matrix):
+            told = self._query(QuerySensitivity(index), SensitivityInfo, "query of sensitivity")
+            wanted = told.factory if value is None else value
+            if not abs(told.current - wanted) <= SENSITIVITY_TOLERANCE:
+                raise SettingsRefused(f"sensitivity {wanted:g} of matrix {index}", f"{told.current:g}", where=self.name)
+
+    def _apply_threshold(self, matrix: int | None, value: int | None, persistent: bool) -> None:
+        self._require_thresholds()
+        self._set(
+            SetThreshold(_adjust(matrix, value, persistent), matrix or 0, value or 0), "set threshold", persistent
+        )
+        for index in self._chosen(matrix) if value is not None else ():
+            told = self._read_threshold(index)
+            if told != value:
+                raise SettingsRefused(f"threshold {value} of matrix {index}", f"{told}", where=self.name)
+
+    def _read_threshold(self, matrix: int) -> int:
+        self._require_thresholds()
+        return self._query(QueryThreshold(matrix), ThresholdInfo, "query of threshold").threshold
+
+    def _require_thresholds(self) -> None:
+        version = self.controller.software_version
+        if version < THRESHOLD_FROM:
+            advice = "no threshold in the configuration"
+            raise SettingsRefused(f"firmware {THRESHOLD_FROM} for thresholds", f"{version}", advice, self.name)
+
+    def _chosen(self, matrix: int | None) -> Sequence[int]:
+        return range(len(self._matrices)) if matrix is None else (matrix,)
+
+    def _set(self, command: SetSensitivity | SetThreshold, doing: str, persistent: bool) -> None:
+        if persistent:
+            self._send(encode(command))
+            self._settle(SETTLE_S)  # known firmware does not answer; one that does must not confuse what follows
+        else:
+            self._acknowledged(command, doing)
+
+    def _stream(self) -> None:
+        self._forget_time()
+        command = stream(rle=self._settings.rle, frame_rate_hz=self.config.frame_rate_hz)
+        self._acknowledged(command, "start of streaming")
+        self._silence_ns = round(self.config.silence_s * 1e9)
+        self._measured_ns = self._clock()
+
+    def _take_single(self) -> TactileReading:
+        self._forget_time()
+
+        def accept(event: Reading | Reply) -> Any:
+            if isinstance(event, Ack):
+                return event if _is_answer(event, Id.ACQUISITION) and event.error != SUCCESS else None
+            return event if isinstance(event, Reading) else None
+
+        packet = encode(single(rle=self._settings.rle))
+        try:
+            found: Reading | Ack = self._ask(packet, accept, REPLY_TIMEOUT_S, what="a frame")
+        except NoReply:
+            self._stop()
+            raise
+        if isinstance(found, Ack):
+            raise self._refusal(found.error, "taking one frame")
+        reading = next(iter(self._measure(found, self._heard_ns)))
+        self._publish(reading)
+        version = self.controller.software_version
+        if version < _SINGLE_FRAME_FROM and version != _SINGLE_FRAME_ALSO:  # it has started to stream
+            self._acknowledged(stop(), "stop")
+            self._settle(SETTLE_S)
+        return reading
+
+    def _acknowledged(
+        self, command: Command, doing: str, timeout_s: float = REPLY_TIMEOUT_S, tries: int = REPLY_TRIES
+    ) -> None:
+        self._query(command, Ack, doing, timeout_s, tries)
+
+    def _query(
+        self,
+        command: Command,
+        kind: type[ReplyT],
+        doing: str,
+        timeout_s: float = REPLY_TIMEOUT_S,
+        tries: int = REPLY_TRIES,
+    ) -> ReplyT:
+        """The reply to a command, sent again where none came or its checksum did not arrive intact."""
+        packet = encode(command)
+        id = packet[3]
+
+        def accept(event: Reading | Reply) -> Any:
+            return event if _is_answer(event, id) and not isinstance(event, Reading) else None
+
+        error = CHECKSUM
+        for tries_left in reversed(range(tries)):
+            try:
+                reply: Reply = self._ask(packet, accept, timeout_s, what=f"an answer to {doing}")
+            except NoReply:
+                if not tries_left or self._closing.is_set():
+                    raise
+                self._settle(SETTLE_S)
+                continue
+            if reply.error == SUCCESS and isinstance(reply, kind):
+                return reply
+            error = reply.error
+            if error != CHECKSUM:
+                break
+        raise self._refusal(error, doing)
+
+    def _refusal(self, code: int, doing: str) -> DeviceError:
+        if code == SUCCESS:
+            return ProtocolViolation(f"what {doing} asks for", "another answer", where=self.name)
+        return CommandRefused(code, error_name(code), doing, where=self.name)
+
+    def _settle(self, wait_s: float) -> None:
+        """Let answers that are still on their way come, and forget them; readings go their way."""
+        until_ns = self._clock() + round(wait_s * 1e9)
+        while (left_ns := until_ns - self._clock()) > 0:
+            for event, host_ns in self._listen(left_ns / 1e9):
+                for reading in self._measure(event, host_ns):
+                    self._publish(reading)
+
+    def _cut_up(self, texels: TexelArray) -> tuple[TexelArray, ...]:
+        ends = np.cumsum([matrix.cells for matrix in self._matrices])[:-1]
+        shapes = [(matrix.cells_y, matrix.cells_x) for matrix in self._matrices]
+        return tuple(part.reshape(shape) for part, shape in zip(np.split(texels, ends), shapes, strict=True))
+
+    def _begin(self) -> None:
+        """As the configuration says, whatever was set since."""
+        self._settings = _Settings(self.config.streaming, self.config.rle)
+        self._repeated = self._restarts = 0
+        self._measured_ns = 0
+        self._forget_time()
+
+    def _forget_time(self, timestamp_ms: int | None = None) -> None:
+        """The controller's clock starts anew. timestamp_ms: already seen on it"""
+        self._unwrap = Unwrap(1 << 32, TICK_NS)
+        self._fit = self._clock_fit = ClockFit(TICK_NS)
+        if timestamp_ms is None:
+            self._gate.restart()
+
+    def _command(self, action: Callable[[], ResultT]) -> ResultT:
+        return self._do(action, COMMAND_TIMEOUT_S)
+
+    def _check_matrix(self, matrix: int | None) -> None:
+        self._require_open()
+        if matrix is not None and not 0 <= matrix < len(self._matrices):
+            raise OutOfLimits(f"a matrix from 0 to {len(self._matrices) - 1}", f"{matrix}", where=self.name)
+
+    def _known(self, told: ResultT | None) -> ResultT:
+        if told is None:
+            raise NotConnected("a device that was opened", "one that was not", "open() it", self.name)
+        return told
+
+
+def _is_answer(event: Reading | Reply, id: int) -> bool:
+    """Whether an event ends the wait for the answer to a command; `pending` does not."""
+    if isinstance(event, Reading) or event.error == PENDING:
+        return False
+    return (event.command if isinstance(event, Ack) else LAYOUT_OF[type(event)].id) == id
+
+
+def _adjust(matrix: int | None, value: float | None, persistent: bool) -> int:
+    flags = Adjust(0)
+    if matrix is None:
+        flags |= Adjust.ALL
+    if value is None:
+        flags |= Adjust.FACTORY
+    return flags | (Adjust.PERSISTENT if persistent else 0)
+
+
+def _remember(settings: dict[int | None, ResultT], matrix: int | None, value: ResultT) -> None:
+    """The latest counts, and what is set for all counts for each."""
+    if matrix is None:
+        settings.clear()
+    settings.pop(matrix, None)
+    settings[matrix] = value

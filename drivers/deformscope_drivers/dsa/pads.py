@@ -1,0 +1,71 @@
+"""The SDH's tactile pads: what they are called, and the feature of the thesis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+import numpy.typing as npt
+
+THUMB = 1
+"""The finger that stands alone. Source: IPA's ROS node, which puts matrices 2 and 3 first and calls them the thumb."""
+
+IPA_ORDER = (2, 3, 4, 5, 0, 1)
+"""Matrices in the order of IPA's ROS messages: thumb, finger 1, finger 2, each proximal, distal."""
+
+FEATURE_CELLS = 36
+FEATURE_FINGERS = (0, 2)
+"""The two fingers that turn on the common base. Which two squeezed in the thesis is not said there."""
+
+TexelValues = npt.NDArray[np.uint16] | npt.NDArray[np.float64]
+
+
+class Part(IntEnum):
+    """Of a finger. That part 0 is the proximal one follows Schunk's naming, and was not checked on a hand."""
+
+    PROXIMAL = 0
+    DISTAL = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Pad:
+    """One pad, named as the hand's joints are. finger: 0 to 2"""
+
+    finger: int
+    part: Part
+
+    @classmethod
+    def of_matrix(cls, matrix: int) -> Pad:
+        """The pad that a matrix of the controller is on."""
+        finger, part = divmod(matrix, len(Part))
+        return cls(finger, Part(part))
+
+    @property
+    def matrix(self) -> int:
+        """The controller's number of this pad's matrix."""
+        return len(Part) * self.finger + self.part
+
+    @property
+    def name(self) -> str:
+        """As in `finger_0_distal`; finger 1 is the thumb."""
+        finger = "thumb" if self.finger == THUMB else f"finger_{self.finger}"
+        return f"{finger}_{self.part.name.lower()}"
+
+
+def thesis_feature(pads: Sequence[TexelValues], fingers: tuple[int, int] = FEATURE_FINGERS) -> npt.NDArray[np.float64]:
+    """(72,) the first 36 texels, row by row, of the distal pads of two fingers (thesis ch. 2).
+
+    pads: (rows, columns) of each matrix in the controller's order, in counts or Pa
+    """
+    return np.concatenate([_first_cells(pads, Pad(finger, Part.DISTAL)) for finger in fingers])
+
+
+def _first_cells(pads: Sequence[TexelValues], pad: Pad) -> npt.NDArray[np.float64]:
+    if pad.matrix >= len(pads):
+        raise ValueError(f"expected a sensor with a {pad.name} pad (matrix {pad.matrix}); got {len(pads)} matrices")
+    cells = np.asarray(pads[pad.matrix], np.float64).ravel()
+    if cells.size < FEATURE_CELLS:
+        raise ValueError(f"expected {FEATURE_CELLS} texels or more on the {pad.name} pad; got {cells.size}")
+    return cells[:FEATURE_CELLS]

@@ -1,0 +1,208 @@
+"""The wire format of the Weiss DSACON32m, the tactile controller of Schunk's SDH: bytes <-> messages.
+
+No port, no clock, no thread. A packet is, in both directions,
+
+    AA AA AA | id | payload length, 2 bytes | payload | CRC, 2 bytes
+
+without CRC where the payload is empty. The CRC covers all from id to payload (`deformscope_drivers.weiss_crc`); it lets
+some pairs of flipped bits pass (`deformscope_drivers.dsa.flips` counts them), so a packet must also have a known id,
+the length of its id, texels of 12 bits, and as many of them as the sensor has cells.
+Source: SDHLibrary-CPP, sdh/dsa.h and dsa.cpp (protocols.md 1a).
+"""
+
+from __future__ import annotations
+
+import struct
+from abc import abstractmethod
+from dataclasses import dataclass
+
+from deformscope_drivers.dsa.messages import (
+    CHECKSUM,
+    COMMAND_FORMAT,
+    COMMAND_WITH,
+    FRAME_RLE,
+    LAYOUT_OF,
+    NOT_ENOUGH_PARAMETERS,
+    REPLY_TO,
+    SUCCESS,
+    UNKNOWN_COMMAND,
+    Ack,
+    Acquisition,
+    Command,
+    ConfigureAcquisition,
+    Id,
+    Reading,
+    Reply,
+)
+from deformscope_drivers.dsa.texels import decode_raw, decode_rle, encode_raw, encode_rle
+from deformscope_drivers.framing import EventT, Found, FrameDecoder, Refused, Skipped, find_start
+from deformscope_drivers.weiss_crc import crc16
+
+__all__ = [
+    "SDH_CELLS",
+    "CommandDecoder",
+    "Decoder",
+    "Faulty",
+    "Reading",
+    "Reply",
+    "Skipped",
+    "encode",
+    "stop",
+    "stream",
+]
+
+PREAMBLE = b"\xaa\xaa\xaa"
+SDH_CELLS = 3 * (6 * 14 + 6 * 13)
+"""Texels of the SDH's six matrices."""
+
+_HEAD = struct.Struct("<3sBH")
+_FRAME_HEAD = struct.Struct("<IB")
+_CRC_BYTES = 2
+_COMMAND_PAYLOAD_MAX = 64  # well above the longest that is public, 6; a length beyond it is noise, not a command
+
+
+def stream(*, rle: bool = True, frame_rate_hz: int = 30) -> ConfigureAcquisition:
+    """Send frames until told otherwise, as many as the line carries; the rate asked for is not kept to."""
+    return ConfigureAcquisition(Acquisition.ON | (Acquisition.RLE if rle else 0), frame_rate_hz)
+
+
+def single(*, rle: bool = True) -> ConfigureAcquisition:
+    """Send one frame; firmware up to 288, but for 269, starts to stream instead."""
+    return stream(rle=rle, frame_rate_hz=0)
+
+
+def stop() -> ConfigureAcquisition:
+    """Send no more frames; with the RLE flag set, as Schunk's software sends it."""
+    return ConfigureAcquisition(Acquisition.RLE)
+
+
+def encode(message: Command | Reply | Reading) -> bytes:
+    """The packet that holds a message. A `Reading` is run-length encoded if its flags say so."""
+    if isinstance(message, Reading):
+        coded = encode_rle(message.texels) if message.flags & FRAME_RLE else encode_raw(message.texels)
+        return packet(Id.FRAME, _FRAME_HEAD.pack(message.timestamp_ms, message.flags) + coded)
+    if isinstance(message, Ack):
+        return packet(message.command, struct.pack("<H", message.error))
+    layout = LAYOUT_OF[type(message)]
+    return packet(layout.id, layout.pack(message))
+
+
+def packet(id: int, payload: bytes) -> bytes:
+    """A packet of any id."""
+    whole = _HEAD.pack(PREAMBLE, id, len(payload)) + payload
+    return whole + struct.pack("<H", crc16(whole[len(PREAMBLE) :])) if payload else whole
+
+
+class _PacketDecoder(FrameDecoder[EventT]):
+    """What both ends do with a stream of packets."""
+
+    def _find(self, buffer: bytes, start: int) -> int:
+        return find_start(buffer, start, PREAMBLE)
+
+    def _parse(self, buffer: bytes, start: int) -> Found[EventT] | Refused | None:
+        if len(buffer) < start + _HEAD.size:
+            id_came = len(buffer) > start + len(PREAMBLE)
+            return Refused("id") if id_came and not self._knows(buffer[start + len(PREAMBLE)]) else None
+        _, id, length = _HEAD.unpack_from(buffer, start)
+        if not self._knows(id):
+            return Refused("id")
+        if not self._fits(id, length):
+            return Refused("length")
+        payload_at = start + _HEAD.size
+        end = payload_at + length + (_CRC_BYTES if length else 0)
+        if len(buffer) < end:
+            return None
+        intact = not length or crc16(buffer[start + len(PREAMBLE) : end - _CRC_BYTES]) == int.from_bytes(
+            buffer[end - _CRC_BYTES : end], "little"
+        )
+        event = self._event(id, buffer[payload_at : payload_at + length], intact)
+        return event if isinstance(event, Refused) else Found(event, end - start)
+
+    @abstractmethod
+    def _knows(self, id: int) -> bool:
+        """Whether packets of that id come from the other end."""
+
+    @abstractmethod
+    def _fits(self, id: int, length: int) -> bool:
+        """Whether a payload of that id may have that length."""
+
+    @abstractmethod
+    def _event(self, id: int, payload: bytes, intact: bool) -> EventT | Refused:
+        """What a whole packet says; `intact`: its checksum is right."""
+
+
+class Decoder(_PacketDecoder[Reading | Reply]):
+    """The host's end. Yields `Reading`, replies (`Ack`, `ControllerInfo`...) and `Skipped`.
+
+    cells: texels of all matrices together, as the controller tells them (it may be set later). Frames must then have
+    exactly so many. While it is None, any number up to the SDH's 486 passes: the largest sensor whose size is public,
+    and a bound is needed, for a damaged length must not hold up the frames behind it.
+    """
+
+    def __init__(self, cells: int | None = None) -> None:
+        super().__init__()
+        self.cells = cells
+
+    def _knows(self, id: int) -> bool:
+        return id in REPLY_TO or id in (Id.FRAME, Id.ACQUISITION, Id.SET_SENSITIVITY, Id.SET_THRESHOLD)
+
+    def _fits(self, id: int, length: int) -> bool:
+        if id == Id.FRAME:
+            coded = length - _FRAME_HEAD.size
+            return 0 < coded <= 2 * (self.cells or SDH_CELLS) and coded % 2 == 0
+        return length == 2 or (id in REPLY_TO and length == REPLY_TO[id].fields.size)
+
+    def _event(self, id: int, payload: bytes, intact: bool) -> Reading | Reply | Refused:
+        if not intact:
+            return Refused("checksum")
+        if id == Id.FRAME:
+            return self._reading(payload)
+        if len(payload) > 2:
+            reply: Reply = REPLY_TO[id].unpack(payload)
+            return reply
+        error = int.from_bytes(payload, "little")
+        # a query that succeeded is answered in full
+        return Refused("length") if id in REPLY_TO and error == SUCCESS else Ack(id, error)
+
+    def _reading(self, payload: bytes) -> Reading | Refused:
+        timestamp_ms, flags = _FRAME_HEAD.unpack_from(payload)
+        coded = payload[_FRAME_HEAD.size :]
+        texels = decode_rle(coded, self.cells or SDH_CELLS) if flags & FRAME_RLE else decode_raw(coded)
+        if texels is None:
+            return Refused("texel count" if flags & FRAME_RLE else "texel range")
+        if texels.size == 0 or (self.cells is not None and texels.size != self.cells):
+            return Refused("texel count")
+        return Reading(timestamp_ms, flags, texels)
+
+
+@dataclass(frozen=True, slots=True)
+class Faulty:
+    """A command that cannot be carried out. id: as sent; error: the code that answers it"""
+
+    id: int
+    error: int
+
+
+class CommandDecoder(_PacketDecoder[Command | Faulty]):
+    """The controller's end, for doubles. Yields commands, `Faulty` for packets that are none, and `Skipped`.
+
+    A controller trusts the length and answers what it cannot use, where the host searches on. Which error code answers
+    what is our reading of their names; only that there are codes for it is public.
+    """
+
+    def _knows(self, id: int) -> bool:
+        return True
+
+    def _fits(self, id: int, length: int) -> bool:
+        return length <= _COMMAND_PAYLOAD_MAX
+
+    def _event(self, id: int, payload: bytes, intact: bool) -> Command | Faulty:
+        if not intact:
+            return Faulty(id, CHECKSUM)
+        layout = COMMAND_WITH.get(id)
+        if layout is None:
+            return Faulty(id, UNKNOWN_COMMAND)
+        if len(payload) != layout.fields.size:
+            return Faulty(id, NOT_ENOUGH_PARAMETERS if len(payload) < layout.fields.size else COMMAND_FORMAT)
+        command: Command = layout.unpack(payload)
+        return command

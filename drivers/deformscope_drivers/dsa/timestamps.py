@@ -1,0 +1,53 @@
+"""Which frames are new, by the controller's clock: repeats are no new frame, and a clock that jumps is not believed."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+STEP_MAX_MS = 1000
+"""A longer step between two frames is a jump; frames come every 25 to 90 ms, and a true pause costs one frame."""
+
+_WRAP = 1 << 32
+
+
+class Verdict(Enum):
+    """What a frame's time says about it."""
+
+    NEW = "new"
+    REPEATED = "repeated"
+    JUMPED = "jumped"
+    RESTARTED = "restarted"  # new, on a clock that was set anew
+
+
+class TimestampGate:
+    """Feed each frame's time in turn. A jump is refused, unless the next frame goes on from it: then the clock itself
+    has changed (the controller was switched off and on), and frames count as new from that next one on.
+
+    Without it, two flipped bits that the checksum lets pass could set the clock off by weeks.
+    """
+
+    def __init__(self) -> None:
+        self._last: int | None = None
+        self._suspect: int | None = None
+
+    def restart(self) -> None:
+        """Forget what was seen: the next frame is new, whatever its time."""
+        self._last = self._suspect = None
+
+    def check(self, timestamp_ms: int) -> Verdict:
+        """timestamp_ms: 32 bits, may wrap around."""
+        if timestamp_ms == self._last:
+            return Verdict.REPEATED
+        if self._last is None or _goes_on(self._last, timestamp_ms):
+            verdict = Verdict.NEW
+        elif self._suspect is not None and _goes_on(self._suspect, timestamp_ms):
+            verdict = Verdict.RESTARTED
+        else:
+            self._suspect = timestamp_ms
+            return Verdict.JUMPED
+        self._last, self._suspect = timestamp_ms, None
+        return verdict
+
+
+def _goes_on(before: int, after: int) -> bool:
+    return 0 < (after - before) % _WRAP <= STEP_MAX_MS

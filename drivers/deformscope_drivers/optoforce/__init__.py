@@ -1,0 +1,23 @@
+"""OptoForce force sensors (OMD, HEX) on their DAQ, over USB, UART or CAN."""
+
+from deformscope_drivers.optoforce.config import OptoforceConfig
+from deformscope_drivers.optoforce.counter import Verdict
+from deformscope_drivers.optoforce.device import Optoforce, Settings
+from deformscope_drivers.optoforce.double import OMD_20_SE_40N, OptoforceDouble, Sensors
+from deformscope_drivers.optoforce.measurement import ForceMeasurement
+from deformscope_drivers.optoforce.protocol import Kind, Status
+from deformscope_drivers.optoforce.sensitivity import Sensitivity
+
+__all__ = [
+    "OMD_20_SE_40N",
+    "ForceMeasurement",
+    "Kind",
+    "Optoforce",
+    "OptoforceConfig",
+    "OptoforceDouble",
+    "Sensitivity",
+    "Sensors",
+    "Settings",
+    "Status",
+    "Verdict",
+]

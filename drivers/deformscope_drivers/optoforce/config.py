@@ -1,0 +1,72 @@
+"""How a DAQ is reached, how fast it sends, and what its sensors' counts are worth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from deformscope_drivers.device import RECONNECT, Reconnect
+from deformscope_drivers.optoforce.protocol import Filter, Speed
+from deformscope_drivers.optoforce.sensitivity import Sensitivity
+
+
+@dataclass(frozen=True, slots=True)
+class OptoforceConfig:
+    """One of `port` and `bus`, and what else differs from a DAQ as it is sold.
+
+    port: serial port or pyserial URL (`/dev/ttyACM0`); bus: CAN bus (`socketcan:can0`), with the ids of the DAQ's
+    packets and of ours
+    rate_hz: 1000, 333, 100, 30, 10, or 0 = it sends nothing; filter_hz: 500, 150, 50, 15, 5, 1.5, or 0 = no filter
+    sensitivity: the sensor's sensitivity report, one for each channel of a 4-channel DAQ; without it, readings come in
+    counts, and none is made up
+    serial: refuse any other; asks for an answer that only some firmware gives
+    zero_at_start: take the load at opening for zero
+    reconnect: None = a lost link ends the session; stuck_after_s: None = readings may stay the same for ever
+
+    Raises ValueError for a rate or a filter that the DAQ does not have.
+    """
+
+    port: str = ""
+    bus: str = ""
+    rate_hz: float = 1000
+    filter_hz: float = 150
+    sensitivity: Sensitivity | tuple[Sensitivity, ...] | None = None
+    serial: str = ""
+    zero_at_start: bool = False
+    receive_id: int = 0x100
+    send_id: int = 0x101
+    bitrate: int = 1_000_000
+    baudrate: int = 1_000_000
+    reconnect: Reconnect | None = RECONNECT
+    stuck_after_s: float | None = 5.0
+
+    def __post_init__(self) -> None:
+        speed_of(self.rate_hz)
+        filter_of(self.filter_hz)
+
+    @property
+    def sensitivities(self) -> tuple[Sensitivity, ...]:
+        """The reports, none to four."""
+        given = self.sensitivity
+        return () if given is None else (given,) if isinstance(given, Sensitivity) else tuple(given)
+
+
+SPEEDS = {1000: Speed.HZ_1000, 333: Speed.HZ_333, 100: Speed.HZ_100, 30: Speed.HZ_30, 10: Speed.HZ_10, 0: Speed.STOP}
+FILTERS = {filter_.cutoff_hz or 0: filter_ for filter_ in Filter}
+
+
+def speed_of(rate_hz: float) -> Speed:
+    """The DAQ's setting for a rate [Hz]; raises ValueError where it has none."""
+    if rate_hz not in SPEEDS:
+        raise ValueError(f"expected a rate of {_listed(SPEEDS)} Hz; got {rate_hz:g}")
+    return SPEEDS[int(rate_hz)]
+
+
+def filter_of(filter_hz: float) -> Filter:
+    """The DAQ's setting for a cut-off frequency [Hz], 0 = none; raises ValueError where it has none."""
+    if filter_hz not in FILTERS:
+        raise ValueError(f"expected a filter of {_listed(FILTERS)} Hz; got {filter_hz:g}")
+    return FILTERS[filter_hz]
+
+
+def _listed(choices: dict[int, Speed] | dict[float, Filter]) -> str:
+    return ", ".join(f"{choice:g}" for choice in sorted(choices, reverse=True))

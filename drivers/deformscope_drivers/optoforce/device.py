@@ -1,0 +1,409 @@
+"""OptoForce's DAQ as a device: settings kept in a shadow copy, zeroing that is checked, loss told by its counter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from deformscope_drivers.clock import Clock, ClockFit, Stamp, Unwrap, monotonic_ns
+from deformscope_drivers.device import ROUND_S, StreamDevice
+from deformscope_drivers.errors import CommandRefused, NoReply, SettingsRefused
+from deformscope_drivers.health import Identity, Link
+from deformscope_drivers.optoforce.config import OptoforceConfig, filter_of, speed_of
+from deformscope_drivers.optoforce.counter import WRAP, CounterTrack, Gap, Verdict
+from deformscope_drivers.optoforce.measurement import ForceMeasurement
+from deformscope_drivers.optoforce.plausibility import doubts
+from deformscope_drivers.optoforce.protocol import (
+    ConfigReply,
+    Configure,
+    Decoder,
+    Filter,
+    Kind,
+    Reading,
+    Reply,
+    SerialReply,
+    SerialRequest,
+    Speed,
+    Zero,
+    encode,
+)
+from deformscope_drivers.transport import CAN_FRAME_BYTES, Transport, serial_or_can
+
+REPLY_S = 0.3
+"""A DAQ that acknowledges does so within a few milliseconds; some firmware never does."""
+SILENCE_S = 1.0
+SILENCE_READINGS = 10
+"""A DAQ that should send is lost when nothing came for this long, or for this many periods if that is longer."""
+RESTART_S = 0.1
+"""A gap this long, or of `SILENCE_READINGS`, may hide a restart: then the settings are sent again, to be safe."""
+ZERO_REST_S = 0.005
+"""Between clearing the zero point and setting it: 2 ms at least, or the DAQ ignores it."""
+STILL_COUNTS = 30.0
+STILL_S = 0.25
+STILL_READINGS = 10
+STILL_PARTS = 5
+SETTLED = 6.0
+"""Time constants of the filter after which a changed zero point has gone through it."""
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What the DAQ was last told, as it cannot be asked. zeroed: it subtracts a zero point itself"""
+
+    speed: Speed
+    filter: Filter
+    zeroed: bool = False
+
+
+class Optoforce(StreamDevice[ForceMeasurement]):
+    """A DAQ with its sensors. `with Optoforce(OptoforceConfig(port="/dev/ttyACM0")) as sensor: ...`
+
+    Opening sends the settings and waits for the first reading. After a lost link, or a restart of the DAQ, they are
+    sent again; a zero point that it lost is subtracted here from then on.
+    transport, clock: in place of the configuration's port and the host's clock (a simulated laboratory)
+    """
+
+    _settings: Settings
+    _kind: Kind | None
+    _offset: FloatArray | None
+    _before: Reading | None
+    _unusable: int
+    _overloaded: int
+    _doubted: int
+    _zero_in_doubt: bool
+
+    def __init__(
+        self, config: OptoforceConfig, *, transport: Transport | None = None, clock: Clock = monotonic_ns
+    ) -> None:
+        self.config = config
+        self._fill_to = CAN_FRAME_BYTES if config.bus else 1
+        self._track = CounterTrack()
+        super().__init__(
+            transport
+            or serial_or_can(
+                config.port,
+                config.bus,
+                baudrate=config.baudrate,
+                receive_id=config.receive_id,
+                send_id=config.send_id,
+                bitrate=config.bitrate,
+            ),
+            reconnect=config.reconnect,
+            stuck_after_s=config.stuck_after_s,
+            clock=clock,
+        )
+        self._begin_session()
+
+    # What a user calls -----------------------------------------------------------------------------------------------
+
+    @property
+    def settings(self) -> Settings:
+        """What the DAQ was last told."""
+        return self._settings
+
+    @property
+    def kind(self) -> Kind | None:
+        """What hangs on the DAQ; None before the first reading."""
+        return self._kind
+
+    @property
+    def offset_counts(self) -> FloatArray | None:
+        """(channels, axes) counts that `zero` took away; None = nothing was taken away."""
+        return self._offset
+
+    @property
+    def acknowledges(self) -> bool | None:
+        """Whether the DAQ answered the last settings; None before the first."""
+        return self._acknowledges
+
+    def set_speed(self, rate_hz: float) -> None:
+        """Have it send at another rate, as `OptoforceConfig.rate_hz`; 0 = stop. Raises CommandRefused."""
+        speed = speed_of(rate_hz)
+        self._do(lambda: self._change(replace(self._settings, speed=speed)), 10.0)
+
+    def set_filter(self, filter_hz: float) -> None:
+        """Filter otherwise, as `OptoforceConfig.filter_hz`; 0 = not at all. Raises CommandRefused."""
+        filter_ = filter_of(filter_hz)
+        self._do(lambda: self._change(replace(self._settings, filter=filter_)), 10.0)
+
+    def zero(self, *, still_counts: float = STILL_COUNTS) -> FloatArray:
+        """Take the present load for zero; returns the counts that it was, (channels, axes).
+
+        still_counts: how much the readings may vary meanwhile. Raises SettingsRefused when they vary more, when the
+        sensor is not usable or overloaded, and when they are not near zero afterwards. Takes about a second.
+        """
+        return self._do(lambda: self._zero(still_counts), 60.0)
+
+    def unzero(self) -> None:
+        """Take back `zero`: readings come as the sensor was made."""
+
+        def clear() -> None:
+            self._offset = None
+            self._tell_settings(replace(self._settings, zeroed=False))
+
+        self._do(clear, 10.0)
+
+    def identity(self) -> Identity:
+        """What hangs on the DAQ, and its serial number if it was asked for."""
+        return Identity(f"OptoForce {self._kind.value}" if self._kind else "OptoForce", self._serial)
+
+    def serial_number(self) -> str:
+        """The serial number; raises NoReply with firmware that does not tell."""
+        return self._do(self._ask_serial, 10.0)
+
+    # What the base class asks for ------------------------------------------------------------------------------------
+
+    def _make_decoder(self) -> Decoder:
+        return Decoder(self._fill_to)
+
+    def _start(self) -> None:
+        if self._link is not Link.LOST:
+            self._begin_session()
+        self._kind = None
+        self._restart = ""
+        if self.config.serial and (came := self._ask_serial()) != self.config.serial:
+            advice = "another port, or this sensor's own sensitivity report"
+            raise SettingsRefused(f"serial number {self.config.serial}", came, advice, self.name)
+        self._change(self._settings)
+        if self.config.zero_at_start and self._offset is None:
+            self._zero(STILL_COUNTS)
+
+    def _receive(self, timeout_s: float) -> Iterable[ForceMeasurement]:
+        if self._restart:
+            reason, self._restart = self._restart, ""
+            self._tell_settings(replace(self._settings, zeroed=False))
+            self._tell(Link.CONNECTED, f"{reason}; its settings were sent again")
+        return super()._receive(timeout_s)
+
+    def _measure(self, event: Reply, host_ns: int) -> Iterable[ForceMeasurement]:
+        if not isinstance(event, Reading):
+            return []
+        if self._kind is None:
+            self._learn_kind(event.kind)
+        known = event.kind is self._kind
+        gap = self._track.follow(event.counter, host_ns, twin=event == self._before)
+        if gap.lost:
+            self._count_lost(gap.lost)
+        self._look_for_restart(gap, host_ns)
+        self._before, self._before_ns = event, host_ns
+        found = doubts(event, self._nominal_counts if known else None)
+        if gap.verdict in (Verdict.JUMPED, Verdict.LATE, Verdict.REPEATED):
+            found += ("counter",)
+        if not known:
+            found += ("kind",)
+        if self._zero_in_doubt:
+            found += ("zero",)
+        self._compare_clocks(event, gap.verdict, host_ns)
+        self._doubted += bool(found)
+        self._unusable += not event.status.usable
+        self._overloaded += bool(event.status.overload)
+        measured = ForceMeasurement(
+            Stamp(host_ns, event.counter),
+            event.kind,
+            event.status,
+            event.counts,
+            self._per_count if known else None,
+            None if self._settings.zeroed or not known else self._offset,
+            gap.lost,
+            gap.verdict,
+            found,
+        )
+        return [measured]
+
+    def _fingerprint(self, reading: ForceMeasurement) -> Hashable:
+        return reading.counts
+
+    def _extra_health(self) -> dict[str, float]:
+        track = self._track
+        return {
+            "unacknowledged": self._unacknowledged,
+            "unusable": self._unusable,
+            "overloaded": self._overloaded,
+            "doubted": self._doubted,
+            "damaged_counters": track.damaged,
+            "repeated": track.repeated,
+            "late": track.late,
+            "restarts": track.restarts,
+        }
+
+    # Within: all in the device's thread ------------------------------------------------------------------------------
+
+    def _begin_session(self) -> None:
+        self._settings = Settings(speed_of(self.config.rate_hz), filter_of(self.config.filter_hz))
+        self._offset = None
+        self._acknowledges: bool | None = None
+        self._serial = ""
+        self._kind = None
+        self._per_count: FloatArray | None = None
+        self._nominal_counts: list[tuple[float, ...]] | None = None
+        self._restart = ""
+        self._zero_in_doubt = False
+        self._before = None
+        self._before_ns = 0
+        self._track = CounterTrack()
+        self._unwrap: Unwrap | None = None
+        self._unacknowledged = 0
+        self._unusable = 0
+        self._overloaded = 0
+        self._doubted = 0
+
+    def _change(self, wanted: Settings) -> None:
+        """Send speed and filter, and see that readings come.
+
+        Every `Configure` says something about the zero point as well, and whether a second 255 keeps it or sets it
+        anew is not documented: so it is cleared, and what it was is subtracted here.
+        """
+        self._tell_settings(replace(wanted, zeroed=False))
+        if wanted.speed:
+            self._gather(1)
+
+    def _tell_settings(self, wanted: Settings) -> None:
+        zero = Zero.SET if wanted.zeroed else Zero.CLEAR
+        command = Configure(wanted.speed, wanted.filter, zero)
+        self._zero_in_doubt |= wanted.zeroed != self._settings.zeroed
+        self._forget_counter(wanted.speed)
+        try:
+            reply = self._ask(
+                encode(command),
+                lambda event: event if isinstance(event, ConfigReply) else None,
+                REPLY_S,
+                what="an acknowledgement",
+            )
+        except NoReply:
+            self._acknowledges = False
+            self._unacknowledged += 1
+        else:
+            self._acknowledges = True
+            self._zero_in_doubt = False
+            if reply.result != 0:
+                raise CommandRefused(reply.result, "settings refused", f"setting {wanted}", where=self.name)
+        self._settings = wanted
+        self._zero_in_doubt = False
+        self._forget_counter(wanted.speed)
+        quiet_s = max(SILENCE_S, SILENCE_READINGS * wanted.speed * 1e-3)
+        self._silence_ns = round(quiet_s * 1e9) if wanted.speed else None
+
+    def _look_for_restart(self, gap: Gap, host_ns: int) -> None:
+        """A DAQ that was switched off and on sends at its defaults, and has forgotten its zero point."""
+        if gap.verdict is Verdict.RESTARTED:
+            self._restart = "the DAQ restarted"
+            self._settings = replace(self._settings, zeroed=False)
+        elif gap.verdict is Verdict.LOST:
+            period_ns = self._settings.speed * 1e6
+            pause_ns = max(host_ns - self._before_ns, gap.lost * period_ns)
+            if pause_ns >= max(RESTART_S * 1e9, SILENCE_READINGS * period_ns):
+                self._restart = f"nothing for {pause_ns / 1e9:.3g} s: the DAQ may have restarted"
+                self._zero_in_doubt |= self._settings.zeroed
+
+    def _forget_counter(self, speed: Speed) -> None:
+        self._track.restart(speed * 1e6 if speed else None)
+        self._unwrap = self._clock_fit = None
+
+    def _ask_serial(self) -> str:
+        reply = self._ask(
+            encode(SerialRequest()),
+            lambda event: event if isinstance(event, SerialReply) else None,
+            REPLY_S,
+            tries=2,
+            what="a serial number",
+        )
+        self._serial = reply.serial
+        return reply.serial
+
+    def _zero(self, still_counts: float) -> FloatArray:
+        rate_hz = self._settings.speed.rate_hz
+        if not rate_hz:
+            raise SettingsRefused("a DAQ that sends", "one that is stopped", "set_speed(1000)", self.name)
+        count = max(STILL_READINGS, math.ceil(STILL_S * rate_hz))
+        settle = math.ceil((ZERO_REST_S + self._settling_s()) * rate_hz)
+        self._still_mean(count, still_counts, "the zero point is as it was")
+        self._offset = None
+        self._tell_settings(replace(self._settings, zeroed=False))
+        self._gather(settle)
+        before = self._still_mean(count, still_counts, "the zero point is cleared")
+        self._tell_settings(replace(self._settings, zeroed=True))
+        self._gather(settle)
+        after = self._still_mean(count, still_counts, "the zero point is set, perhaps wrongly")
+        if np.abs(after).max() > still_counts:
+            self._tell_settings(replace(self._settings, zeroed=False))
+            raise SettingsRefused(
+                f"readings within {still_counts:g} counts of zero",
+                f"{np.array2string(after, precision=0)}; the zero point is cleared again",
+                "zero() once more",
+                self.name,
+            )
+        self._offset = before - after
+        self._offset.setflags(write=False)
+        return self._offset
+
+    def _settling_s(self) -> float:
+        cutoff_hz = self._settings.filter.cutoff_hz
+        return 0.0 if cutoff_hz is None else SETTLED / (2.0 * math.pi * cutoff_hz)
+
+    def _still_mean(self, count: int, still_counts: float, state: str) -> FloatArray:
+        """(channels, axes) mean of so many readings; refused where they vary."""
+        readings = self._gather(count)
+        bad = next((reading for reading in readings if not reading.status.usable or reading.overload), None)
+        if bad is not None:
+            raise SettingsRefused("a sensor that is well", f"{bad.status}; {state}", "unload it", self.name)
+        counts = np.array([reading.counts for reading in readings if not reading.doubts], float)
+        if len(counts) < STILL_PARTS:
+            raise SettingsRefused(
+                "plausible readings", f"{len(counts)} of {count}; {state}", "look at the cable", self.name
+            )
+        means = np.stack([part.mean(axis=0) for part in np.array_split(counts, STILL_PARTS)])
+        varies = max(float(np.ptp(means, axis=0).max()), float(counts.std(axis=0).max()))
+        if varies > still_counts:
+            raise SettingsRefused(
+                f"readings that vary by less than {still_counts:g} counts",
+                f"{varies:.3g}; {state}",
+                "let nothing move that touches the sensor; zero(still_counts=...)",
+                self.name,
+            )
+        return np.asarray(counts.mean(axis=0))
+
+    def _gather(self, count: int) -> list[ForceMeasurement]:
+        """The next so many readings, which go their way as well."""
+        found: list[ForceMeasurement] = []
+        wait_s = max(SILENCE_S, SILENCE_READINGS * self._settings.speed * 1e-3) + 2e-3 * count * self._settings.speed
+        until_ns = self._clock() + round(wait_s * 1e9)
+        while len(found) < count and not self._closing.is_set() and self._clock() < until_ns:
+            for event, host_ns in self._listen(ROUND_S):
+                for reading in self._measure(event, host_ns):
+                    found.append(reading)
+                    self._publish(reading)
+        if len(found) < count:
+            advice = "look at power, cable and port; is it an OptoForce DAQ with protocol 1.4 or later?"
+            raise NoReply(f"{count} readings within {wait_s:.3g} s", str(len(found)), advice, self.name)
+        return found
+
+    def _learn_kind(self, kind: Kind) -> None:
+        """Now that it is known what hangs on the DAQ: does what the configuration says of it fit?"""
+        reports = self.config.sensitivities
+        if reports and (len(reports) != kind.channels or any(report.axes != kind.axes for report in reports)):
+            raise SettingsRefused(
+                f"{len(reports)} sensors of {reports[0].axes} axes, as in `sensitivity`",
+                f"a {kind.value} DAQ: {kind.channels} of {kind.axes}",
+                "one sensitivity report for each sensor",
+                self.name,
+            )
+        if self._offset is not None and self._offset.shape != (kind.channels, kind.axes):
+            self._offset = None  # another sensor hangs there now
+        self._kind = kind
+        self._per_count = np.stack([report.per_count for report in reports]) if reports else None
+        self._nominal_counts = [report.counts_at_nominal for report in reports] or None
+
+    def _compare_clocks(self, reading: Reading, verdict: Verdict, host_ns: int) -> None:
+        step = self._track.step
+        if step is None or verdict in (Verdict.JUMPED, Verdict.LATE, Verdict.REPEATED):
+            return
+        if self._unwrap is None or self._clock_fit is None or verdict is Verdict.RESTARTED:
+            tick_ns = self._settings.speed * 1e6 / step
+            self._unwrap, self._clock_fit = Unwrap(WRAP, tick_ns), ClockFit(tick_ns)
+        self._clock_fit.add(self._unwrap(reading.counter, host_ns), host_ns)

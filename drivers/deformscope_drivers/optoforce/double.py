@@ -1,0 +1,266 @@
+"""A byte-exact simulated DAQ with its sensors: a state machine that is fed bytes and time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from deformscope_drivers.doubles import Line
+from deformscope_drivers.optoforce.protocol import (
+    AXES,
+    CommandDecoder,
+    ConfigReply,
+    Configure,
+    DaqState,
+    Filter,
+    Kind,
+    Reading,
+    SensorState,
+    SerialReply,
+    SerialRequest,
+    Speed,
+    Status,
+    Zero,
+    encode,
+)
+from deformscope_drivers.optoforce.sensitivity import Sensitivity
+
+SAMPLE_NS = 1_000_000
+"""The DAQ samples and filters at 1 kHz, whatever its speed."""
+ZERO_REST_NS = 2_000_000
+"""How long the zero point must have been cleared before it can be set again (JHU's driver found this out)."""
+FILTER_MEMORY = 8.0
+"""Time constants after which a filter has forgotten; what lies longer ago is not computed."""
+
+FloatArray = npt.NDArray[np.float64]
+Scene = Callable[[float], npt.ArrayLike]
+"""Time [s] on the clock that the double is fed -> loads [N], [N m], (axes,) or (channels, axes)."""
+
+OMD_20_SE_40N = Sensitivity(counts_at_nominal=(16037.0, 16037.0, 16037.0), nominal=(40.0, 40.0, 40.0))
+"""The one sensor whose number is public: OMD-20-SE-40N, serial number ISE0A129. Another sensor has another."""
+
+
+_WELL = Status.of()
+
+
+def _nothing_touches(time_s: float) -> npt.ArrayLike:
+    return (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Sensors:
+    """What is simulated.
+
+    scene: the loads; sensitivity: one for each channel, or one for all
+    offset_counts: what every axis reads without load before it is zeroed
+    noise_counts: standard deviation of a sample, before the filter
+    overload_ratio: beyond this multiple of the nominal load an axis says that it is overloaded (an assumption)
+    saturation_ratio: an axis reads no more than this multiple of its nominal load (an assumption)
+    clock_ppm: how much faster than the host's the DAQ's clock runs
+    counts_samples: the counter counts samples at 1 kHz, not readings (it is not documented which)
+    acknowledges: it answers `Configure`; some firmware does not
+    """
+
+    kind: Kind = Kind.THREE_AXIS
+    scene: Scene = _nothing_touches
+    sensitivity: Sensitivity | Sequence[Sensitivity] | None = None
+    serial: str = "ISE0A129"
+    offset_counts: float = 120.0
+    noise_counts: float = 5.0
+    overload_ratio: float = 1.2
+    saturation_ratio: float = 1.8
+    clock_ppm: float = 0.0
+    counts_samples: bool = False
+    acknowledges: bool = True
+    bytes_per_s: float | None = None
+    seed: int = 0
+
+    def sensitivities(self) -> list[Sensitivity]:
+        """One for each channel."""
+        given = self.sensitivity
+        if given is None:
+            given = OMD_20_SE_40N if self.kind.axes == 3 else Sensitivity((8000.0,) * 6, (100.0,) * 3 + (2.0,) * 3)
+        each = [given] * self.kind.channels if isinstance(given, Sensitivity) else list(given)
+        if len(each) != self.kind.channels or any(one.axes != self.kind.axes for one in each):
+            raise ValueError(f"expected {self.kind.channels} sensitivities of {self.kind.axes} axes; got {each}")
+        return each
+
+
+@dataclass(slots=True)
+class _Settings:
+    """What is gone after switching off.
+
+    cleared_ns: since when the zero point is cleared; None = it is set
+    """
+
+    speed: Speed = Speed.HZ_100
+    filter: Filter = Filter.HZ_15
+    cleared_ns: int | None = None
+
+
+class OptoforceDouble:
+    """A DAQ. It starts at its default 100 Hz with the 15 Hz filter, as the real one does.
+
+    The filter is a first-order low-pass on samples at 1 kHz; the order of the real one is not known. An unknown
+    setting is refused with result 1, which is an assumption: only 0 is documented.
+
+    unplugged: channels whose sensor is pulled off, which read 0 and say so; 0 is the first
+    silent: it hangs, and sends nothing
+    """
+
+    def __init__(self, sensors: Sensors | None = None) -> None:
+        self.sensors = sensors or Sensors()
+        kind = self.sensors.kind
+        each = self.sensors.sensitivities()
+        self._per_load = np.array([[1.0] * kind.axes]) / np.stack([one.per_count for one in each])
+        nominal = np.array([one.counts_at_nominal for one in each], float)
+        self._overload = self.sensors.overload_ratio * nominal
+        self._saturation = np.minimum(self.sensors.saturation_ratio * nominal, 32767.0)
+        self._sample_ns = SAMPLE_NS / (1.0 + self.sensors.clock_ppm * 1e-6)
+        self._line = Line(self.sensors.bytes_per_s)
+        self.unplugged: set[int] = set()
+        self.silent = False
+        self.power_up(0)
+
+    @property
+    def speed(self) -> Speed:
+        """How often it sends."""
+        return self._settings.speed
+
+    @property
+    def filter(self) -> Filter:
+        """Its low-pass filter."""
+        return self._settings.filter
+
+    @property
+    def zeroed(self) -> bool:
+        """The zero point is set, and not as it came from the factory."""
+        return self._settings.cleared_ns is None
+
+    def power_up(self, now_ns: int) -> None:
+        """Start as after switching on: defaults, zero point cleared, counter at 0."""
+        shape = (self.sensors.kind.channels, self.sensors.kind.axes)
+        self._settings = _Settings(cleared_ns=now_ns - ZERO_REST_NS)
+        self._commands = CommandDecoder()
+        self._line.clear()
+        self._random = np.random.default_rng(self.sensors.seed)
+        self._started_ns = now_ns
+        self._sample = 0  # the next one to be taken
+        self._next_sent = int(self._settings.speed)
+        self._sent = 0
+        self._filtered: FloatArray | None = None
+        self._zero = np.zeros(shape)
+
+    def receive(self, data: bytes, now_ns: int) -> None:
+        """Take bytes that the host sent, in pieces of any size."""
+        self._run_until(now_ns)
+        for command in self._commands.feed(data):
+            match command:
+                case Configure():
+                    self._configure(command, now_ns)
+                case SerialRequest():
+                    self._line.send(encode(SerialReply(self.sensors.serial)), now_ns)
+
+    def due(self, now_ns: int) -> bytes:
+        """What has left the device by now and was not handed out before."""
+        self._run_until(now_ns)
+        return self._line.due(now_ns)
+
+    def next_ns(self, now_ns: int) -> int | None:
+        """When `due` has something next, without any bytes from the host."""
+        self._run_until(now_ns)
+        times = [self._line.next_ns(), self._time_ns(self._next_sent) if self._settings.speed else None]
+        return min((time for time in times if time is not None), default=None)
+
+    def _configure(self, asked: Configure, now_ns: int) -> None:
+        try:
+            speed, filter_, zero = Speed(asked.speed), Filter(asked.filter), Zero(asked.zero)
+        except ValueError:
+            self._acknowledge(1, now_ns)
+            return
+        settings = self._settings
+        if speed is not settings.speed:
+            settings.speed = speed
+            self._next_sent = self._sample_at(now_ns) + int(speed)
+        settings.filter = filter_
+        self._set_zero(zero, now_ns)
+        self._acknowledge(0, now_ns)
+
+    def _set_zero(self, zero: Zero, now_ns: int) -> None:
+        settings = self._settings
+        if zero is Zero.CLEAR:
+            self._zero = np.zeros_like(self._zero)
+            settings.cleared_ns = now_ns if settings.cleared_ns is None else settings.cleared_ns
+        elif settings.cleared_ns is not None and now_ns - settings.cleared_ns >= ZERO_REST_NS:
+            self._take_samples(self._sample_at(now_ns))
+            self._zero = np.zeros_like(self._zero) if self._filtered is None else np.round(self._filtered)
+            settings.cleared_ns = None
+
+    def _acknowledge(self, result: int, now_ns: int) -> None:
+        if self.sensors.acknowledges:
+            self._line.send(encode(ConfigReply(result)), now_ns)
+
+    def _run_until(self, now_ns: int) -> None:
+        speed = self._settings.speed
+        while speed and (sent_ns := self._time_ns(self._next_sent)) <= now_ns:
+            self._take_samples(self._next_sent)
+            if not self.silent:
+                self._line.send(encode(self._reading()), sent_ns)
+            self._sent += 1
+            self._next_sent += int(speed)
+
+    def _sample_at(self, now_ns: int) -> int:
+        """The last sample taken by then."""
+        return math.floor((now_ns - self._started_ns) / self._sample_ns)
+
+    def _time_ns(self, sample: int) -> int:
+        """When a sample is taken, by the DAQ's own clock, without any drift of rounding."""
+        return self._started_ns + round(sample * self._sample_ns)
+
+    def _take_samples(self, last: int) -> None:
+        """Sample and filter up to this sample."""
+        cutoff_hz = self._settings.filter.cutoff_hz
+        weight = 1.0 if cutoff_hz is None else 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * SAMPLE_NS * 1e-9)
+        memory = 1 if cutoff_hz is None else math.ceil(FILTER_MEMORY / weight)
+        for sample in range(max(self._sample, last - memory + 1), last + 1):
+            counts = self._counts(self._time_ns(sample) * 1e-9)
+            if self._filtered is None:
+                self._filtered = counts
+            else:
+                self._filtered = self._filtered + weight * (counts - self._filtered)
+        self._sample = max(self._sample, last + 1)
+
+    def _counts(self, time_s: float) -> FloatArray:
+        """(channels, axes) what a sample reads before filter and zero."""
+        load = np.asarray(self.sensors.scene(time_s), float) * self._per_load
+        noise = self._random.standard_normal(self._zero.shape) * self.sensors.noise_counts
+        counts = load + self.sensors.offset_counts + noise
+        return np.asarray(np.minimum(np.maximum(counts, -self._saturation), self._saturation))
+
+    def _reading(self) -> Reading:
+        assert self._filtered is not None
+        counts = np.minimum(np.maximum(np.rint(self._filtered - self._zero), -32768.0), 32767.0)
+        counts[list(self.unplugged)] = 0.0
+        counter = self._sample - 1 if self.sensors.counts_samples else self._sent
+        rows = tuple(tuple(channel) for channel in counts.astype(int).tolist())
+        return Reading(self.sensors.kind, counter % 0x10000, self._status(), rows)
+
+    def _status(self) -> Status:
+        """The troubled sensor's; where several are, the first one's."""
+        assert self._filtered is not None
+        over = np.abs(self._filtered - self.sensors.offset_counts) > self._overload
+        if not self.unplugged and not over.any():
+            return _WELL
+        over[list(self.unplugged)] = False
+        troubled = sorted(self.unplugged | set(np.flatnonzero(over.any(axis=1)).tolist()))
+        return Status.of(
+            DaqState.OK,
+            SensorState.NOT_DETECTED if self.unplugged else SensorState.OK,
+            tuple(name for axis, name in enumerate(AXES[: over.shape[1]]) if over[:, axis].any()),
+            several_sensors=len(troubled) > 1,
+            sensor_number=troubled[0] + 1 if self.sensors.kind is Kind.FOUR_CHANNEL else 0,
+        )
