@@ -143,6 +143,18 @@ class TestOverTheCDouble(DeviceContract):
         return Bench(Jaco(JacoConfig(library=build("usb"))))
 
 
+@pytest.mark.hardware
+class TestOnHardware(DeviceContract):
+    """A real arm, powered, with room around it; nothing moves. DEFORMSCOPE_JACO_LIBRARY names the library."""
+
+    @pytest.fixture
+    def bench(self) -> Bench:
+        library = os.environ.get("DEFORMSCOPE_JACO_LIBRARY")
+        if library is None:
+            pytest.skip("no arm: DEFORMSCOPE_JACO_LIBRARY is not set")
+        return Bench(Jaco(JacoConfig(library=library)))
+
+
 def test_over_the_c_double_by_ethernet() -> None:
     CBench("j2s7s300", "ethernet").real_time(True)
     config = JacoConfig(library=build("ethernet"), connection="ethernet", ethernet=EthernetAddresses())
