@@ -393,17 +393,18 @@ class Jaco(Device[JacoState]):
     ) -> JacoState:
         """Set out (None = for home) and wait for the arm to be there; whatever happens instead, it is stopped."""
         until_ns = self._clock() + round(timeout_s * 1e9)
-
-        began = False
+        began = given_up = False
 
         def set_out() -> None:
             nonlocal began
             with self._commanded:
                 self._require_moves()
+                if given_up:  # by Ctrl-C, say, before the device's thread came to it
+                    return
                 if self._streamed is not None or self._position_until_ns is not None:
                     raise OutOfLimits("an arm at rest", "one that is moving", "stop() first", self.name)
                 self._position_until_ns = until_ns + round(STATE_AGE_S * 1e9)
-            began = True
+                began = True
             self._erase()
             if control is not None:
                 call(self._functions, control)
@@ -416,14 +417,17 @@ class Jaco(Device[JacoState]):
             self._do(set_out, COMMAND_TIMEOUT_S)
             while (left_s := (until_ns - self._clock()) / 1e9) > 0:
                 try:
-                    state = self.next(left_s)
+                    state = self.next(min(left_s, STATE_AGE_S))
                 except Stale:
-                    break
+                    self._require_moves()
+                    continue
                 self._require_moves()
                 if there(state):
                     return state
             raise NotReached(where_to, f"the arm on its way after {timeout_s:g} s", "a longer timeout_s", self.name)
         finally:
+            with self._commanded:
+                given_up = True
             if began and self._link_is_up():
                 self.stop()
 

@@ -964,6 +964,30 @@ def test_a_link_lost_while_it_moves_comes_back_with_the_arm_stopped() -> None:
         wait_until(lambda: double.joints_deg[0] > stopped[0] + 0.2)
 
 
+def test_a_link_lost_on_the_way_to_a_target_is_told_at_once() -> None:
+    double = JacoDouble()
+    with Jaco(PATIENT, double, reconnect=QUICK) as arm:
+        told: list[BaseException] = []
+
+        def mover() -> None:
+            try:
+                arm.move_to(JointTarget(tuple(J2N6S300.home_deg + 40.0)), timeout_s=60.0)
+            except MotionStopped as error:
+                told.append(error)
+
+        thread = threading.Thread(target=mover)
+        thread.start()
+        wait_until(lambda: double.joints_deg[0] > J2N6S300.home_deg[0] + 1.0)
+        double.unplug()
+        thread.join(10.0)
+        assert "lost" in str(told[0])
+        assert double.fifo_count == 1  # the arm itself goes on: nothing can be erased without a cable
+        double.plug()
+        wait_until(lambda: arm.link is Link.CONNECTED)
+        wait_until(lambda: double.fifo_count == 0)
+        assert double.joints_deg[0] < J2N6S300.home_deg[0] + 39.0
+
+
 # Parts ----------------------------------------------------------------------------------------------------------------
 
 
