@@ -6,8 +6,12 @@ pseudo terminal, a CAN bus or a socket; a simulated laboratory drives it by its 
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import Protocol
+
+FIFO_BYTES = 16
+"""What a serial port's chip gathers before it tells its host."""
 
 
 class Double(Protocol):
@@ -61,11 +65,13 @@ class Line:
         return bytes(out)
 
     def next_ns(self) -> int | None:
-        """When the next byte has left; None = the line is idle."""
+        """When there is something to hand out again: the rest of a message, or a FIFO's worth of bytes, whichever comes
+        first. None = the line is idle."""
         if not self._messages:
             return None
-        start, _ = self._messages[0]
-        return start + round((self._sent + 1) * self._ns_per_byte)
+        start, message = self._messages[0]
+        until = min(self._sent + FIFO_BYTES, len(message))
+        return start + math.ceil(until * self._ns_per_byte)
 
     def clear(self) -> None:
         """Forget what was not sent."""

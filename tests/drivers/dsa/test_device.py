@@ -489,7 +489,7 @@ def test_a_read_back_that_is_broken_is_not_believed() -> None:
 
 def test_on_a_bad_wire_no_wrong_texels_come() -> None:
     clean = DsaDouble(scene=press, noise_counts=0, pa_per_count=1.0)
-    double = FaultyDouble(clean, Faults(noise=1e-4, flip=1e-4, cut=1e-4, split=1e-3), seed=7)  # for each byte
+    double = FaultyDouble(clean, Faults(noise=2e-3, flip=2e-3, cut=2e-3, split=0.01), seed=7)  # for each 16 bytes
     desk = Desk(double)
     with desk as device:
         readings = desk.run(20.0)
