@@ -92,6 +92,7 @@ PACKAGES = {
     "libudev": "libudev1",
     "libidn2": "libidn2-0",
     "libgomp": "libgomp1",
+    "libOpenNI2": "libopenni2-0",
     "libvulkan": "libvulkan1",
 }
 """Debian's package of each library that a dependency loads and that a plain system may lack."""

@@ -227,19 +227,25 @@ class Device(ABC, Generic[MeasurementT]):
     def next(self, timeout_s: float) -> MeasurementT:
         """The next reading that arrives after this call. Raises Stale when none does in time."""
         self._require_open()
-        until_ns = self._clock() + round(timeout_s * 1e9)
+        asked_ns = self._clock()
+        until_ns = asked_ns + round(timeout_s * 1e9)
         seen = self._tally.received
+
+        def come() -> bool:
+            # What arrived before the call may be published after it: an image takes milliseconds to decode.
+            return self._last is not None and self._tally.received != seen and self._last.stamp.host_ns >= asked_ns
+
         if not self._own_thread:
-            while self._tally.received == seen and (left_ns := until_ns - self._clock()) > 0:
+            while not come() and (left_ns := until_ns - self._clock()) > 0:
                 self.poll(left_ns / 1e9)
         else:
             until = time.monotonic() + timeout_s
             with self._changed:
                 self._asked = True
-                while self._tally.received == seen and self._going() and (left := until - time.monotonic()) > 0:
+                while not come() and self._going() and (left := until - time.monotonic()) > 0:
                     self._changed.wait(left)
                 self._asked = False
-        if self._tally.received == seen or self._last is None:
+        if not come() or self._last is None:
             self._require_open()
             raise Stale(f"a reading within {timeout_s:g} s", self._silence(), where=self.name)
         return self._last

@@ -15,6 +15,8 @@ DeviceError
 
 from __future__ import annotations
 
+from typing import Self
+
 
 class DeviceError(Exception):
     """Something is wrong with a device."""
@@ -26,6 +28,13 @@ class DeviceError(Exception):
         if str(where):
             parts.append(str(where))
         super().__init__(" | ".join(parts))
+
+    @classmethod
+    def in_words(cls, words: str) -> Self:
+        """An error that another process told in whole words, as one of this one."""
+        error = cls.__new__(cls)
+        Exception.__init__(error, words)
+        return error
 
 
 class NotConnected(DeviceError):

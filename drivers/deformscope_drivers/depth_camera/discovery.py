@@ -1,0 +1,88 @@
+"""Depth cameras that are plugged in, as the kernel tells of them, without opening any; and the names of their ports."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+from deformscope_drivers.errors import NotConnected
+from deformscope_drivers.openni.command import process_command, process_environment
+from deformscope_drivers.openni.library import INSTALL, ListedDevice
+from deformscope_drivers.ports import Found
+from deformscope_drivers.usb import UsbDevice, sysfs_text, usb_device
+
+USB_DEVICES = Path("/sys/bus/usb/devices")
+USB_PORT = "usb:"
+LIST_TIMEOUT_S = 10.0
+
+PRIMESENSE = 0x1D27
+MICROSOFT = 0x045E
+CAMERAS = {
+    **{(PRIMESENSE, product): "PrimeSense or Xtion" for product in (0x0200, 0x0300, 0x0400, 0x0401, 0x0500)},
+    **{(PRIMESENSE, product): "PrimeSense Carmine or Xtion" for product in (0x0600, 0x0601, 0x0609)},
+    **{(PRIMESENSE, product): "PrimeSense" for product in (0x1280, 0x2100, 0x2200, 0xF9DB)},
+    **{(MICROSOFT, product): "Kinect for Xbox 360 or Windows" for product in (0x02AE, 0x02BF)},
+}
+"""The depth cameras that OpenNI2's Debian package has udev rules for (60-libopenni2-0.rules), less their motors and
+microphones."""
+
+
+def list_by_openni() -> list[ListedDevice] | None:
+    """The cameras that OpenNI2 sees, asked in a process of its own; None where it is not installed."""
+    try:
+        asked = subprocess.run(
+            process_command("list"),
+            env=process_environment(),
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=LIST_TIMEOUT_S,
+            check=False,
+        )
+        told = json.loads(asked.stdout or "[]")
+    except (subprocess.TimeoutExpired, OSError, ValueError):
+        return []
+    return [ListedDevice(**device) for device in told] if isinstance(told, list) else None
+
+
+def discover(
+    devices: Path = USB_DEVICES, list_cameras: Callable[[], list[ListedDevice] | None] = list_by_openni
+) -> list[Found]:
+    """Every depth camera that is plugged in: those on USB that are known, by the socket they are in, and what else
+    OpenNI2 sees (a vendor's own build of it knows more).
+
+    devices: /sys/bus/usb/devices; list_cameras: what OpenNI2 sees, None where it is not installed
+    """
+    listed = list_cameras()
+    found, told = [], set()
+    for folder in sorted(devices.iterdir()) if devices.is_dir() else []:
+        usb = usb_device(folder)
+        if usb is None or (usb.vendor, usb.product) not in CAMERAS:
+            continue
+        uri = openni_uri(usb)
+        told.add(uri)
+        name = " ".join(f"{usb.manufacturer} {usb.name}".split()) or CAMERAS[usb.vendor, usb.product]
+        note = f"OpenNI2: {uri}" if listed is not None else f"OpenNI2 is not installed: {INSTALL}"
+        found.append(Found("depth_camera", USB_PORT + folder.name, name, usb.serial, usb.revision, note))
+    for camera in listed or []:
+        if camera.uri not in told:
+            name = " ".join(f"{camera.vendor} {camera.name}".split())
+            found.append(Found("depth_camera", camera.uri, name, note="told by OpenNI2"))
+    return found
+
+
+def resolve_port(port: str, devices: Path = USB_DEVICES) -> str:
+    """What OpenNI2 calls the camera of a port: `usb:1-2` is looked up, anything else is its own name."""
+    if not port.startswith(USB_PORT):
+        return port
+    usb = usb_device(devices / port.removeprefix(USB_PORT))
+    if usb is None:
+        raise NotConnected("a camera in that socket", "none", "deformscope devices", port)
+    return openni_uri(usb)
+
+
+def openni_uri(usb: UsbDevice) -> str:
+    """vendor/product@bus/device; the last number changes whenever it is plugged in."""
+    bus, number = (sysfs_text(usb.folder / name) for name in ("busnum", "devnum"))
+    return f"{usb.vendor:04x}/{usb.product:04x}@{bus}/{number}"

@@ -1,0 +1,53 @@
+"""What every depth camera gives."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deformscope_drivers.clock import Stamp
+
+
+@dataclass(frozen=True, slots=True)
+class Intrinsics:
+    """A camera's projection, without distortion: u = fx x / z + cx, v = fy y / z + cy, in a frame with x to the right,
+    y down and z along the view.
+
+    fx_px, fy_px: focal lengths [px]; cx_px, cy_px: principal point [px], counted from the centre of the first pixel
+    """
+
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+
+    @classmethod
+    def from_field_of_view(cls, width: int, height: int, horizontal_rad: float, vertical_rad: float) -> Intrinsics:
+        """As OpenNI2's own converter has it: the axis goes through pixel (width / 2, height / 2)."""
+        fx_px, fy_px = width / (2 * math.tan(horizontal_rad / 2)), height / (2 * math.tan(vertical_rad / 2))
+        return cls(fx_px, fy_px, width / 2, height / 2)
+
+
+@dataclass(frozen=True, slots=True)
+class DepthImage:
+    """One depth picture, and what a colour camera beside it saw.
+
+    stamp: when it arrived; its device_ticks are the camera's own timestamp [us]
+    depth: (H, W) uint16, distance along the view in units of `unit_m`; 0 where the camera could not tell
+    unit_m: 0.001 for millimetres
+    color: (H', W', 3) RGB uint8 of the same moment (within half a period), None where there is none
+    intrinsics: of `depth`, as far as the camera knows them (its field of view, no calibration); None where it does not
+    """
+
+    stamp: Stamp
+    depth: NDArray[np.uint16]
+    unit_m: float
+    color: NDArray[np.uint8] | None = None
+    intrinsics: Intrinsics | None = None
+
+    def depth_m(self) -> NDArray[np.float32]:
+        """(H, W) distances along the view [m], nan where the camera could not tell."""
+        return np.where(self.depth > 0, self.depth * np.float32(self.unit_m), np.float32(np.nan)).astype(np.float32)

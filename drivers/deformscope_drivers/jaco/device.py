@@ -1,0 +1,547 @@
+"""The arm as a device: its state to read, its motion to command, and a cycle of 10 ms that keeps both honest.
+
+The arm takes one velocity point each 10 ms, queues what comes faster, and has no watchdog: what waits in its FIFO it
+carries out whatever becomes of the sender. So the device's thread sends one point in each slot of an absolute
+schedule and never ahead, and a velocity lasts only as long as its sender vouches for it:
+
+- not refreshed in time: the next slot sends zero, the one after erases the FIFO
+- the cycle itself late by more than the deadline, the workspace about to be left, the link lost: the FIFO is erased as
+  soon as the arm can be reached, and further commands are refused until `acknowledge_stop`
+- closed, an exception, Ctrl-C, the interpreter's end: erased before the library is closed
+
+A process that is killed outright (SIGKILL) can erase nothing. The arm then carries out what waits: one or two velocity
+points, that is 20 ms of motion; but a `move_to` under way is one point, and goes on to its target.
+"""
+
+from __future__ import annotations
+
+import atexit
+import threading
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal, Self
+
+from deformscope_drivers.clock import Clock, monotonic_ns
+from deformscope_drivers.device import RECONNECT, Device, Reconnect
+from deformscope_drivers.errors import DeviceError, LinkLost, NotConnected, OutOfLimits, Stale
+from deformscope_drivers.health import Identity, Link
+from deformscope_drivers.jaco import commands
+from deformscope_drivers.jaco.commands import JointTarget, Target, Velocity
+from deformscope_drivers.jaco.config import JacoConfig
+from deformscope_drivers.jaco.errors import MotionStopped, NotReached, NotStopped, VendorError
+from deformscope_drivers.jaco.kinematics import Chain
+from deformscope_drivers.jaco.library import Functions, Library, call
+from deformscope_drivers.jaco.pacing import Pacer
+from deformscope_drivers.jaco.reading import Sweep
+from deformscope_drivers.jaco.startup import CONFIGURATION_GAP_S, JacoIdentity, bring_up, let_go
+from deformscope_drivers.jaco.state import JacoState
+from deformscope_drivers.jaco.structures import AngularInfo, CartesianInfo, TrajectoryPoint
+from deformscope_drivers.memory import SimulatedClock
+
+PERIOD_NS = 10_000_000
+FIFO_AHEAD = 2  # points that may wait in the arm before a slot is left out: its clock is not this computer's
+REFUSED_IN_A_ROW = 10
+COMMAND_TIMEOUT_S = 6.0  # the vendor's library waits up to 5 s for a packet
+LOOK_AHEAD_S = 0.1
+STATE_AGE_S = 0.5
+STILL_DEG_S, STILL_S = 1.0, 0.5
+REACHED_M, REACHED_RAD, REACHED_DEG, REACHED_FINGER = 2e-3, 0.02, 0.5, 70.0
+CANDLE_DEG, CANDLE_WITHIN_DEG = 180.0, 3.0
+FIRST_ACTUATOR_ADDRESS = 16
+
+
+@dataclass(frozen=True, slots=True)
+class _Streamed:
+    """A velocity that is sent in every slot until it expires."""
+
+    velocity: Velocity
+    point: TrajectoryPoint
+    expires_ns: int
+
+
+class Jaco(Device[JacoState]):
+    """`with Jaco(JacoConfig(library="/opt/kinova")) as arm:`; read it in the three ways that every device has.
+
+    One thread calls the vendor's library, which is not made for several.
+    """
+
+    def __init__(
+        self,
+        config: JacoConfig | None = None,
+        functions: Functions | None = None,
+        *,
+        reconnect: Reconnect | None = RECONNECT,
+        clock: Clock = monotonic_ns,
+    ) -> None:
+        """functions: a double in place of the vendor's library; clock: the host's, or a simulated laboratory's"""
+        self.config = config if config is not None else JacoConfig()
+        self._functions = functions if functions is not None else Library(self.config.library, self.config.connection)
+        super().__init__(self._functions.where, reconnect=reconnect, clock=clock)
+        self._arm: JacoIdentity | None = None
+        self._woken = threading.Event()
+        self._commanded = threading.Lock()
+        self._streamed: _Streamed | None = None
+        self._position_until_ns: int | None = None
+        self._erase_due = False
+        self._stopped = ""
+        self._pacer = Pacer(PERIOD_NS)
+        self._sweep: Sweep | None = None
+        self._state: JacoState | None = None
+        self._crowded = False
+        self._configured_ns = 0
+        self._not_erased: DeviceError | None = None
+        self._sent = self._expired = self._left_out = self._refused_in_a_row = 0
+
+    # Lifecycle -------------------------------------------------------------------------------------------------------
+
+    def open(self, *, own_thread: bool = True) -> Self:
+        """Take control of the arm, at rest. Raises NotConnected, LibraryMissing, or the vendor's code by its name."""
+        if not self.is_open:
+            self._stopped = ""
+            self._pacer = Pacer(PERIOD_NS)
+            self._sent = self._expired = self._left_out = 0
+        super().open(own_thread=own_thread)
+        atexit.register(self.close)  # a program that ends without closing must not leave the arm moving
+        return self
+
+    def close(self) -> None:
+        """Erase the arm's trajectories, give control back, close the library. Closing twice is nothing.
+
+        Raises NotStopped where the arm was moving and could not be told to stop.
+        """
+        atexit.unregister(self.close)
+        super().close()
+        if (error := self._not_erased) is not None:
+            self._not_erased = None
+            raise NotStopped(
+                "trajectories erased at closing", str(error), "the emergency stop, or the arm's own joystick", self.name
+            )
+
+    @property
+    def chain(self) -> Chain:
+        """The arm's kinematics; known once it was opened."""
+        if self._arm is None:
+            raise NotConnected("an arm that was opened", "one that was not yet", "open() it", self.name)
+        return self._arm.chain
+
+    def identity(self) -> Identity:
+        """Model, serial number, and firmware with the version of the vendor's library."""
+        arm = self._arm
+        if arm is None:
+            return Identity()
+        firmware, library = (".".join(map(str, version)) for version in (arm.firmware, arm.library_version))
+        return Identity(arm.model, arm.serial, f"{firmware} (library {library})")
+
+    def _connect(self) -> None:
+        self._arm = bring_up(self._functions, self.config, self._pause)
+        self._not_erased = None  # bringing it up has erased what was left
+        self._sweep = Sweep(self._functions, self.chain.joint_count, self.config.state_hz, self._clock)
+        self._state = self._sweep.whole()
+        self._pacer.start(self._clock() + PERIOD_NS)  # the zero point of bringing it up had this slot
+        self._refused_in_a_row = 0
+        self._crowded = False
+
+    def _disconnect(self) -> None:
+        with self._commanded:
+            moving = self._erase_due or self._streamed is not None or self._position_until_ns is not None
+            self._streamed = self._position_until_ns = None
+            self._erase_due = False
+            if moving and not self._closing.is_set():
+                self._stopped = self._stopped or "the link to the arm was lost while it moved"
+        not_erased = let_go(self._functions)
+        if moving:
+            self._not_erased = not_erased
+
+    def _wake(self) -> None:
+        self._woken.set()
+
+    def _extra_health(self) -> dict[str, float]:
+        median_ms, high_ms, greatest_ms = self._pacer.lateness_ms()
+        return {
+            "points_sent": self._sent,
+            "slots": self._pacer.slots,
+            "slots_missed": self._pacer.missed,
+            "slots_left_out": self._left_out,
+            "commands_expired": self._expired,
+            "late_ms_median": median_ms,
+            "late_ms_p99": high_ms,
+            "late_ms_max": greatest_ms,
+        }
+
+    # The cycle: run by the device's own thread -----------------------------------------------------------------------
+
+    def _receive(self, timeout_s: float) -> Iterable[JacoState]:
+        """One slot: first what the arm must be told, then what it can be asked before the next slot."""
+        if not self._wait_for_slot(timeout_s):
+            return ()
+        now_ns = self._clock()
+        late_ns = self._pacer.enter(now_ns)
+        assert self._sweep is not None
+        try:
+            self._command(now_ns, late_ns)
+            state = self._sweep.go_on(self._pacer.due_ns)
+        except VendorError as error:
+            self._sweep.begin_anew()
+            self._judge(error)
+            return ()
+        if state is None:
+            return ()
+        self._refused_in_a_row = 0
+        self._state = state
+        self._crowded = state.fifo_count > FIFO_AHEAD
+        return (state,)
+
+    def _wait_for_slot(self, timeout_s: float) -> bool:
+        """Wait for the slot; False when the time runs out, or when there is a job to do first."""
+        now_ns = self._clock()
+        until_ns = min(self._pacer.due_ns, now_ns + round(timeout_s * 1e9))
+        if until_ns > now_ns:
+            if isinstance(self._clock, SimulatedClock):
+                self._clock.advance_to(until_ns)
+            else:
+                self._woken.wait((until_ns - now_ns) / 1e9)
+                self._woken.clear()
+        return self._clock() >= self._pacer.due_ns
+
+    def _command(self, now_ns: int, late_ns: int) -> None:
+        """Send the point of this slot, if there is one; end what must not go on."""
+        with self._commanded:
+            streamed, position_until_ns = self._streamed, self._position_until_ns
+        if streamed is None:
+            if position_until_ns is not None and now_ns > position_until_ns:
+                self._halt("nobody waited any more for the arm to reach its target")
+            if self._erase_due:
+                self._erase()
+            return
+        if late_ns > self.config.command_deadline_s * 1e9:
+            self._halt(f"the cycle came {late_ns / 1e6:.0f} ms late")
+        elif now_ns > streamed.expires_ns:
+            with self._commanded:
+                if self._streamed is streamed:
+                    self._streamed = None
+            self._expired += 1
+            self._erase_due = True
+            self._send(commands.zero_point(streamed.velocity))
+        elif reason := self._forbids(streamed.velocity, now_ns):
+            self._halt(reason)
+        elif self._crowded:
+            self._crowded = False
+            self._left_out += 1
+        else:
+            self._send(streamed.point)
+
+    def _send(self, point: TrajectoryPoint) -> None:
+        call(self._functions, "SendBasicTrajectory", point)
+        self._sent += 1
+
+    def _erase(self) -> None:
+        call(self._functions, "EraseAllTrajectories")
+        self._erase_due = False
+
+    def _halt(self, reason: str) -> None:
+        """Stop the arm, and refuse commands until someone has taken note."""
+        self._forget_commands(reason)
+        self._erase()
+
+    def _forget_commands(self, stopped_because: str = "") -> None:
+        """What was commanded is over, and the FIFO is due to be erased; no command can slip in between."""
+        with self._commanded:
+            self._streamed = self._position_until_ns = None
+            self._stopped = self._stopped or stopped_because
+            self._erase_due = True
+
+    def _forbids(self, velocity: Velocity, now_ns: int) -> str:
+        """Why a velocity must not go on: the arm is not seen any more, or would leave its workspace."""
+        state = self._state
+        assert state is not None
+        age_s = (now_ns - state.stamp.host_ns) / 1e9
+        if age_s > STATE_AGE_S:
+            return f"the arm's state could not be read for {age_s:.2f} s"
+        box = self.config.workspace
+        if box is None:
+            return ""
+        linear_m_s = commands.linear_velocity_of(velocity, self.chain, state.joints_deg)
+        for axis, name in enumerate("xyz"):
+            here, speed = state.position_m[axis], linear_m_s[axis]
+            ahead = here + LOOK_AHEAD_S * speed
+            if (speed > 0 and ahead > box.high_m[axis]) or (speed < 0 and ahead < box.low_m[axis]):
+                return f"the workspace would have been left along {name} at {here:.3f} m"
+        return ""
+
+    def _judge(self, error: VendorError) -> None:
+        """A code that came back in the cycle: the link is lost, or the arm refused a call, which may pass."""
+        self._count_refused(f"{error.vendor_code or error.code} {error.symbol}")
+        self._refused_in_a_row += 1
+        if isinstance(error, LinkLost):
+            raise error
+        if isinstance(error, NotConnected) or self._refused_in_a_row >= REFUSED_IN_A_ROW:
+            raise LinkLost("an arm that answers", str(error), error.remedy, self.name) from error
+
+    def _pause(self, seconds: float) -> None:
+        """Let time pass in the thread that owns the link."""
+        if isinstance(self._clock, SimulatedClock):
+            self._clock.advance_to(self._clock() + round(seconds * 1e9))
+        else:
+            self._closing.wait(seconds)
+
+    # Motion ----------------------------------------------------------------------------------------------------------
+
+    @property
+    def stopped_because(self) -> str:
+        """Why the arm was stopped and commands are refused; empty where they are not."""
+        return self._stopped
+
+    def acknowledge_stop(self) -> None:
+        """Take note that the arm was stopped: commands are accepted again."""
+        self._stopped = ""
+
+    def set_velocity(self, velocity: Velocity, valid_for_s: float | None = None) -> None:
+        """Move at a velocity from the next slot on, for as long as this call vouches for it. Returns at once.
+
+        velocity: CartesianVelocity or JointVelocity; valid_for_s: after this it ends by itself unless it is set again
+        (default: the configured deadline). Raises OutOfLimits (nothing is sent, what was set before still holds) and
+        MotionStopped where the driver has stopped the arm.
+        """
+        self._require_open()
+        commands.check_velocity(velocity, self.chain, self.config, self.name)
+        valid_s = self.config.command_deadline_s if valid_for_s is None else valid_for_s
+        if not 0.0 < valid_s <= 60.0:
+            raise OutOfLimits("valid_for_s above 0 and up to 60", f"{valid_s!r}", "refresh it instead", self.name)
+        point = commands.velocity_point(velocity)
+        with self._commanded:
+            self._require_moves()
+            if self._position_until_ns is not None:
+                raise OutOfLimits("an arm that is not on its way to a target", "one that is", "stop() first", self.name)
+            self._streamed = _Streamed(velocity, point, self._clock() + round(valid_s * 1e9))
+
+    def stop(self) -> None:
+        """Stop at once: forget the velocity, erase what waits in the arm. Raises when the arm could not be told.
+
+        The next command moves it again, whoever gives it; `halt` is for who wants it to stay.
+        """
+        self._forget_commands()
+        self._do(self._erase, COMMAND_TIMEOUT_S)
+
+    def halt(self, reason: str) -> None:
+        """Stop at once, and refuse the commands of all threads until `acknowledge_stop`. Raises as `stop` does."""
+        self._forget_commands(reason or "it was told to")
+        self._do(self._erase, COMMAND_TIMEOUT_S)
+
+    def move_to(self, target: Target, timeout_s: float = 30.0) -> JacoState:
+        """Send the arm to a target at the configured speed limits, and wait until it is there and still.
+
+        target: CartesianTarget (the hand in the base frame) or JointTarget. The way there is the arm's own choice; the
+        ends are checked (ranges, workspace, reachable), what lies between is not. Raises OutOfLimits before anything is
+        sent, NotReached after timeout_s; on any exception, Ctrl-C too, the arm is stopped.
+        """
+        self._require_moves()
+        commands.check_target(target, self.chain, self.config, self._fresh().joints_deg, self.name)
+        control = "SetAngularControl" if isinstance(target, JointTarget) else "SetCartesianControl"
+
+        def there(state: JacoState) -> bool:
+            if isinstance(target, JointTarget):
+                left = max(abs(a - b) for a, b in zip(state.joints_deg, target.joints_deg, strict=True))
+                return left <= REACHED_DEG and _still(state)
+            x, y, z = (a - b for a, b in zip(state.position_m, target.position_m, strict=True))
+            turned = commands.rotation_between(state.theta_rad, target.theta_rad)
+            return (x * x + y * y + z * z) ** 0.5 <= REACHED_M and turned <= REACHED_RAD and _still(state)
+
+        return self._travel(commands.target_point(target, self.config), control, there, timeout_s, f"{target}")
+
+    def move_fingers(self, fingers: Sequence[float], timeout_s: float = 5.0) -> JacoState:
+        """Move the fingers to positions (3,) from 0 (open) to 6800 (closed), and wait until they are still.
+
+        The joints stay. Fingers that hold something stop before their target: no error, the state tells where they are.
+        """
+        self._require_moves()
+        values = commands.check_fingers(fingers, self.name)
+        start = self._fresh()
+        history: list[JacoState] = []
+
+        def there(state: JacoState) -> bool:
+            if max(abs(a - b) for a, b in zip(state.fingers, values, strict=True)) <= REACHED_FINGER:
+                return True
+            history.append(state)
+            since = [old for old in history if state.stamp.host_ns - old.stamp.host_ns <= 0.5e9]
+            spread = max(max(old.fingers[i] for old in since) - min(old.fingers[i] for old in since) for i in range(3))
+            return len(history) > len(since) and spread < 10.0
+
+        point = commands.fingers_point(values, start.joints_deg, self.config)
+        return self._travel(point, None, there, timeout_s, f"fingers at {values}")
+
+    def home(self, timeout_s: float = 60.0) -> JacoState:
+        """Send the arm to its own home pose, on its own way and at its own speed; wait until it is still."""
+        self._require_moves()
+        moving_ns = self._clock()
+
+        def there(state: JacoState) -> bool:
+            nonlocal moving_ns
+            if not _still(state):
+                moving_ns = state.stamp.host_ns
+            return state.stamp.host_ns - moving_ns >= STILL_S * 1e9
+
+        return self._travel(None, None, there, timeout_s, "home")
+
+    def _travel(
+        self,
+        point: TrajectoryPoint | None,
+        control: str | None,
+        there: Callable[[JacoState], bool],
+        timeout_s: float,
+        where_to: str,
+    ) -> JacoState:
+        """Set out (None = for home) and wait for the arm to be there; whatever happens instead, it is stopped."""
+        until_ns = self._clock() + round(timeout_s * 1e9)
+        began = given_up = False
+
+        def set_out() -> None:
+            nonlocal began
+            with self._commanded:
+                self._require_moves()
+                if given_up:  # by Ctrl-C, say, before the device's thread came to it
+                    return
+                if self._streamed is not None or self._position_until_ns is not None:
+                    raise OutOfLimits("an arm at rest", "one that is moving", "stop() first", self.name)
+                self._position_until_ns = until_ns + round(STATE_AGE_S * 1e9)
+                began = True
+            self._erase()
+            if control is not None:
+                call(self._functions, control)
+            if point is None:
+                call(self._functions, "MoveHome")
+            else:
+                call(self._functions, "SendAdvanceTrajectory", point)
+
+        try:
+            self._do(set_out, COMMAND_TIMEOUT_S)
+            while (left_s := (until_ns - self._clock()) / 1e9) > 0:
+                try:
+                    state = self.next(min(left_s, STATE_AGE_S))
+                except Stale:
+                    self._require_moves()
+                    continue
+                self._require_moves()
+                if there(state):
+                    return state
+            raise NotReached(where_to, f"the arm on its way after {timeout_s:g} s", "a longer timeout_s", self.name)
+        finally:
+            with self._commanded:
+                given_up = True
+            if began and self._link_is_up():
+                self.stop()
+
+    # Force -----------------------------------------------------------------------------------------------------------
+
+    def start_force_control(self, control: Literal["cartesian", "joint"] = "cartesian") -> None:
+        """Let the arm give way to pushes (admittance), at the end effector or joint by joint, until it is stopped.
+
+        Velocities and targets come on top of it. The arm must stand upright, its torque sensors zeroed.
+        """
+        if control not in ("cartesian", "joint"):
+            raise OutOfLimits("'cartesian' or 'joint'", repr(control), "", self.name)
+        self._configure("SetCartesianControl" if control == "cartesian" else "SetAngularControl")
+        self._configure("StartForceControl")
+
+    def stop_force_control(self) -> None:
+        """Stand firm again."""
+        self._do(lambda: call(self._functions, "StopForceControl"), COMMAND_TIMEOUT_S)
+
+    def set_force_range(self, least: Sequence[float], most: Sequence[float]) -> None:
+        """Pushes (6,) [N, Nm] below `least` are ignored, beyond `most` they count no more."""
+        self._configure("SetCartesianForceMinMax", *self._pair(CartesianInfo, 6, least, most, ordered=True))
+
+    def set_inertia_damping(self, inertia: Sequence[float], damping: Sequence[float]) -> None:
+        """How heavy the end effector feels: inertia (6,) [kg, kg m^2], damping (6,) [N s/m, Nm s/rad]."""
+        self._configure("SetCartesianInertiaDamping", *self._pair(CartesianInfo, 6, inertia, damping))
+
+    def set_joint_torque_range(self, least: Sequence[float], most: Sequence[float]) -> None:
+        """Joint torques (n,) [Nm] below `least` are ignored, beyond `most` they count no more."""
+        count = self.chain.joint_count
+        self._configure("SetAngularTorqueMinMax", *self._pair(AngularInfo, count, least, most, ordered=True))
+
+    def set_joint_inertia_damping(self, inertia: Sequence[float], damping: Sequence[float]) -> None:
+        """How heavy the joints feel: inertia (n,) [kg m^2], damping (n,) [Nm s/rad]."""
+        count = self.chain.joint_count
+        self._configure("SetAngularInertiaDamping", *self._pair(AngularInfo, count, inertia, damping))
+
+    def set_torque_zero(self, joint: int | None = None) -> None:
+        """Call the torque that a joint shows now zero (1 to n; None = all, one after the other).
+
+        Only in the candle pose, all joints at 180 deg, where gravity turns no joint. Raises OutOfLimits elsewhere.
+        """
+        state = self._fresh()
+        count = self.chain.joint_count
+        if joint is not None and not 1 <= joint <= count:
+            raise OutOfLimits(f"a joint from 1 to {count}", repr(joint), "", self.name)
+        if max(abs(angle - CANDLE_DEG) for angle in state.joints_deg) > CANDLE_WITHIN_DEG:
+            raise OutOfLimits(
+                f"all joints within {CANDLE_WITHIN_DEG:g} deg of {CANDLE_DEG:g} deg",
+                f"{tuple(round(angle, 1) for angle in state.joints_deg)} deg",
+                f"move_to(JointTarget(({CANDLE_DEG:g},) * {count}))",
+                self.name,
+            )
+        for number in range(1, count + 1) if joint is None else (joint,):
+            self._configure("SetTorqueZero", FIRST_ACTUATOR_ADDRESS + number - 1)
+
+    def _pair(
+        self,
+        kind: type[CartesianInfo] | type[AngularInfo],
+        count: int,
+        first: Sequence[float],
+        second: Sequence[float],
+        *,
+        ordered: bool = False,
+    ) -> tuple[CartesianInfo | AngularInfo, CartesianInfo | AngularInfo]:
+        lows = commands.finite("values", first, count, self.name)
+        highs = commands.finite("values", second, count, self.name)
+        if min(*lows, *highs) < 0 or (ordered and any(low > high for low, high in zip(lows, highs, strict=True))):
+            raise OutOfLimits(
+                "values from 0" + (", the least not above the most" if ordered else ""),
+                f"{lows} and {highs}",
+                "",
+                self.name,
+            )
+        return kind(*lows), kind(*highs)
+
+    def _configure(self, name: str, *arguments: object) -> None:
+        """Write to the arm's configuration, no sooner than 100 ms after the last time."""
+        wait_s = CONFIGURATION_GAP_S - (self._clock() - self._configured_ns) / 1e9
+        if self._configured_ns and wait_s > 0:
+            self._pass_time(wait_s)
+        self._do(lambda: call(self._functions, name, *arguments), COMMAND_TIMEOUT_S)
+        self._configured_ns = self._clock()
+
+    # Within ----------------------------------------------------------------------------------------------------------
+
+    def _pass_time(self, seconds: float) -> None:
+        """Wait in the caller's thread, the cycle going on."""
+        if self._own_thread:
+            time.sleep(seconds)
+            return
+        until_ns = self._clock() + round(seconds * 1e9)
+        while (left_ns := until_ns - self._clock()) > 0:
+            self.poll(left_ns / 1e9)
+
+    def _fresh(self) -> JacoState:
+        """A state that is not old; waits for one."""
+        try:
+            return self.latest(STATE_AGE_S)
+        except Stale:
+            return self.next(2.0)
+
+    def _link_is_up(self) -> bool:
+        return self.is_open and self.link is Link.CONNECTED
+
+    def _require_moves(self) -> None:
+        self._require_open()
+        if self._stopped:
+            raise MotionStopped(
+                "an arm that may move", f"one that was stopped: {self._stopped}", "acknowledge_stop()", self.name
+            )
+        if self.link is not Link.CONNECTED:
+            raise LinkLost("an arm that is connected", f"link {self.link}", "wait until it is back", self.name)
+
+
+def _still(state: JacoState) -> bool:
+    return max(map(abs, state.rates_deg_s)) <= STILL_DEG_S

@@ -1,0 +1,449 @@
+"""The vendor's functions over a simulated arm: what `Library` is to a real Jaco, `JacoDouble` is to this one.
+
+It has no thread: time passes on the clock that it is given, a laboratory's or the host's, and each call first lives
+through the cycles that have passed since the last.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from deformscope_drivers.clock import Clock, monotonic_ns
+from deformscope_drivers.jaco import kinematics
+from deformscope_drivers.jaco.errors import OK
+from deformscope_drivers.jaco.kinematics import CHAINS, FloatArray
+from deformscope_drivers.jaco.simulation import FIFO_SIZE, SimulatedArm
+from deformscope_drivers.jaco.structures import (
+    FINGER_COUNT,
+    AngularInfo,
+    AngularPosition,
+    CartesianInfo,
+    CartesianPosition,
+    DeviceType,
+    EthernetCommConfig,
+    ForcesInfo,
+    GeneralInformations,
+    JoystickCommand,
+    KinovaDevice,
+    PositionType,
+    QuickStatus,
+    SensorsInfo,
+    TrajectoryFIFO,
+    TrajectoryPoint,
+    actuator_values,
+    cartesian_values,
+)
+
+CYCLE_NS = 10_000_000
+
+_NO_DEVICE, _TIMEOUT, _INVALID, _NOT_INITIALIZED, _NACK = 1015, 1022, 2100, 2101, 9999
+_WITHOUT_INIT = frozenset({"GetAPIVersion", "InitAPI", "InitEthernetAPI", "CloseAPI"})
+_FINDS_DEVICES = frozenset({"InitAPI", "InitEthernetAPI", "RefresDevicesList", "GetDevices"})
+_DEVICE_TYPES = {"j2n6s300": DeviceType.JACO2_6DOF, "j2s7s300": DeviceType.SPHERICAL_7DOF}
+
+
+class JacoDouble:
+    """A simulated Jaco: its methods in capitals are the vendor's, the others are for who runs the simulation.
+
+    The vendor's functions are to be had through `function` alone, which is what makes time pass before each.
+    """
+
+    def __init__(
+        self,
+        model: str = "j2n6s300",
+        clock: Clock = monotonic_ns,
+        *,
+        start_deg: npt.ArrayLike | None = None,
+        serials: Sequence[str] = ("DOUBLE-1",),
+        cold_boot: bool = False,
+    ) -> None:
+        """clock: [ns], never going back; start_deg: (n,) where the arm stands (default: home)
+
+        serials: of the arms that are plugged in (they share one body); cold_boot: the arm was just switched on and
+        ignores the first StartControlAPI
+        """
+        self.chain = CHAINS[model]
+        self.where = f"simulated {model}"
+        self._arm = SimulatedArm(self.chain, start_deg, cold_boot)
+        self._clock = clock
+        self._then_ns = clock()
+        self._serials = tuple(serials)
+        self._lock = threading.RLock()
+        self._codes: dict[str, deque[int]] = {}
+        self._initialized = False
+        self._unplugged = False
+        self._frame = 0
+
+    # For who runs the simulation -------------------------------------------------------------------------------------
+
+    def function(self, name: str) -> Callable[..., int]:
+        """The vendor's function of that name, as `Library.function` gives it."""
+        method: Callable[..., int] = getattr(self, name)
+
+        def called(*arguments: Any) -> int:
+            with self._lock:
+                self._live()
+                code = self._refusal(name)
+                if code == OK:
+                    return method(*arguments)
+                if name == "GetDevices":  # returns a count, and its code by pointer
+                    arguments[1].value = code
+                    return 0
+                return code
+
+        return called
+
+    def inject(self, name: str, code: int, times: int = 1) -> None:
+        """Have the next calls of a function return a code instead of doing anything."""
+        with self._lock:
+            self._codes.setdefault(name, deque()).extend([code] * times)
+
+    def unplug(self) -> None:
+        """Pull the cable: calls time out, no arm is found. The arm itself goes on with what it was sent."""
+        with self._lock:
+            self._live()
+            self._unplugged = True
+
+    def plug(self) -> None:
+        """Put the cable back."""
+        with self._lock:
+            self._live()
+            self._unplugged = False
+
+    def power_up(self, cold_boot: bool = True) -> None:
+        """Switch the arm off and on."""
+        with self._lock:
+            self._live()
+            self._arm.power_up(cold_boot)
+
+    def push(self, wrench: npt.ArrayLike) -> None:
+        """Push the end effector from here on: (6,) force [N] and torque [Nm] in the base frame, about its origin."""
+        pushed = np.asarray(wrench, dtype=float)
+        if pushed.shape != (6,) or not np.all(np.isfinite(pushed)):
+            raise ValueError(f"expected a finite wrench of 6; came {wrench!r}")
+        with self._lock:
+            self._live()
+            self._arm.wrench = pushed.copy()
+
+    def put_between_fingers(self, at: npt.ArrayLike) -> None:
+        """Let the fingers meet something at these positions, (3,) from 0 to 6800: they close no further."""
+        with self._lock:
+            self._live()
+            self._arm.grip = np.array(at, dtype=float)
+
+    def bias(self, torque_nm: npt.ArrayLike) -> None:
+        """Let the joints' torque sensors show this much too much, (n,) [Nm]: real ones drift."""
+        with self._lock:
+            self._live()
+            self._arm.torque_bias_nm = np.array(torque_nm, dtype=float)
+
+    @property
+    def joints_deg(self) -> FloatArray:
+        """Where the joints are now, (n,) [deg]."""
+        with self._lock:
+            self._live()
+            return self._arm.joints_deg.copy()
+
+    @property
+    def T_base_end_effector(self) -> FloatArray:
+        """Where the end effector is now, (4, 4) [m]."""
+        with self._lock:
+            self._live()
+            pose: FloatArray = self._arm.links[-1].copy()
+            return pose
+
+    @property
+    def fingers(self) -> FloatArray:
+        """Where the fingers are now, (3,) from 0 open to 6800 closed."""
+        with self._lock:
+            self._live()
+            return self._arm.fingers.copy()
+
+    @property
+    def fifo_count(self) -> int:
+        """Trajectory points that wait."""
+        with self._lock:
+            self._live()
+            return len(self._arm.fifo)
+
+    def _refusal(self, name: str) -> int:
+        """The code with which a call is refused, or OK."""
+        if codes := self._codes.get(name):
+            return codes.popleft()
+        if name not in _WITHOUT_INIT and not self._initialized:
+            return _NOT_INITIALIZED
+        if self._unplugged and name not in _FINDS_DEVICES | {"GetAPIVersion", "CloseAPI"}:
+            return _TIMEOUT
+        return OK
+
+    def _live(self) -> None:
+        """Live through the cycles that have passed."""
+        due = (self._clock() - self._then_ns) // CYCLE_NS
+        self._then_ns += max(0, due) * CYCLE_NS
+        while due > 0 and not self._arm.at_rest:
+            self._arm.cycle()
+            due -= 1
+
+    # The vendor's functions: the library and its devices -------------------------------------------------------------
+
+    def GetAPIVersion(self, version: ctypes.Array[ctypes.c_int]) -> int:
+        version[0], version[1], version[2] = 5, 2, 0
+        return OK
+
+    def InitAPI(self) -> int:
+        self._initialized = self.RefresDevicesList() == OK
+        return OK if self._initialized else _NO_DEVICE
+
+    def InitEthernetAPI(self, config: EthernetCommConfig) -> int:
+        return self.InitAPI() if config.robotIpAddress else _INVALID
+
+    def CloseAPI(self) -> int:
+        self._initialized = False
+        return OK
+
+    def RefresDevicesList(self) -> int:
+        return OK if self._serials and not self._unplugged else _NO_DEVICE
+
+    def GetDevices(self, devices: ctypes.Array[KinovaDevice], status: ctypes.c_int) -> int:
+        status.value = self.RefresDevicesList()
+        if status.value != OK:
+            return 0
+        for index, serial in enumerate(self._serials):
+            model, kind = self.chain.name.encode(), _DEVICE_TYPES[self.chain.name]
+            devices[index] = KinovaDevice(serial.encode(), model, 6, 2, 5, kind, index)
+        return len(self._serials)
+
+    def SetActiveDevice(self, device: KinovaDevice) -> int:
+        return OK if device.SerialNumber.decode() in self._serials else _NO_DEVICE
+
+    def GetGeneralInformations(self, response: GeneralInformations) -> int:
+        response.TimeFromStartup = self._then_ns / 1e9
+        response.SupplyVoltage, response.TotalCurrent = 24.0, self._supply_a()
+        response.ConnectedActuatorCount = self.chain.joint_count
+        return OK
+
+    def GetSystemErrorCount(self, response: ctypes.c_uint) -> int:
+        response.value = 0
+        return OK
+
+    def ClearErrorLog(self) -> int:
+        return OK
+
+    # Control and motion ----------------------------------------------------------------------------------------------
+
+    def StartControlAPI(self) -> int:
+        self._arm.start_control()
+        return OK
+
+    def StopControlAPI(self) -> int:
+        self._arm.stop_control()
+        return OK
+
+    def SetAngularControl(self) -> int:
+        self._arm.angular_control = True
+        return OK
+
+    def SetCartesianControl(self) -> int:
+        self._arm.angular_control = False
+        return OK
+
+    def GetControlType(self, response: ctypes.c_int) -> int:
+        response.value = int(self._arm.angular_control)
+        return OK
+
+    def SetFrameType(self, frame: int) -> int:
+        if frame != 0:
+            return _INVALID  # only the fixed frame is modelled
+        self._frame = frame
+        return OK
+
+    def SendBasicTrajectory(self, point: TrajectoryPoint) -> int:
+        """A basic point carries no limitations."""
+        kept = TrajectoryPoint.from_buffer_copy(point)
+        kept.LimitationsActive = 0
+        return self._queue(kept)
+
+    def SendAdvanceTrajectory(self, point: TrajectoryPoint) -> int:
+        return self._queue(TrajectoryPoint.from_buffer_copy(point))
+
+    def _queue(self, point: TrajectoryPoint) -> int:
+        if point.Position.Type not in PositionType.__members__.values():
+            return _INVALID
+        return OK if self._arm.queue(point) else _NACK  # what the arm answers when it is full is not public
+
+    def EraseAllTrajectories(self) -> int:
+        self._arm.erase()
+        return OK
+
+    def GetGlobalTrajectoryInfo(self, response: TrajectoryFIFO) -> int:
+        response.TrajectoryCount = len(self._arm.fifo)
+        response.UsedPercentage = 100.0 * len(self._arm.fifo) / FIFO_SIZE
+        response.MaxSize = FIFO_SIZE
+        return OK
+
+    def GetActualTrajectoryInfo(self, response: TrajectoryPoint) -> int:
+        point = self._arm.fifo[0] if self._arm.fifo else TrajectoryPoint()
+        ctypes.memmove(ctypes.byref(response), ctypes.byref(point), ctypes.sizeof(response))
+        return OK
+
+    def SendJoystickCommand(self, command: JoystickCommand) -> int:
+        return OK  # a joystick moves nothing here
+
+    def GetJoystickValue(self, response: JoystickCommand) -> int:
+        return OK
+
+    def MoveHome(self) -> int:
+        """Returns at once; the arm is on its way."""
+        self._arm.go_home()
+        return OK
+
+    def InitFingers(self) -> int:
+        self._arm.open_fingers()
+        return OK
+
+    def SetEndEffectorOffset(self, status: int, x: float, y: float, z: float) -> int:
+        return OK if not any((x, y, z)) else _INVALID  # tools beyond the hand are not modelled
+
+    # Readings --------------------------------------------------------------------------------------------------------
+
+    def GetAngularPosition(self, response: AngularPosition) -> int:
+        _write_joints(response, self._arm.joints_deg)
+        self._write_fingers(response)
+        return OK
+
+    def GetAngularVelocity(self, response: AngularPosition) -> int:
+        _write_joints(response, self._arm.rates_deg_s)
+        return OK
+
+    def GetAngularCommand(self, response: AngularPosition) -> int:
+        return self.GetAngularPosition(response)
+
+    def GetAngularForce(self, response: AngularPosition) -> int:
+        _write_joints(response, self._arm.torque_nm())
+        return OK
+
+    def GetAngularForceGravityFree(self, response: AngularPosition) -> int:
+        _write_joints(response, self._arm.external_torque_nm())
+        return OK
+
+    def GetAngularCurrent(self, response: AngularPosition) -> int:
+        _write_joints(response, self._arm.currents_a())
+        return OK
+
+    def GetCartesianPosition(self, response: CartesianPosition) -> int:
+        pose = self._arm.links[-1]
+        response.Coordinates = CartesianInfo(*pose[:3, 3], *kinematics.euler_xyz_from_rotation(pose[:3, :3]))
+        self._write_fingers(response)
+        return OK
+
+    def GetCartesianCommand(self, response: CartesianPosition) -> int:
+        return self.GetCartesianPosition(response)
+
+    def GetCartesianForce(self, response: CartesianPosition) -> int:
+        response.Coordinates = CartesianInfo(*self._arm.measured_wrench())
+        return OK
+
+    def GetCommandVelocity(self, cartesian: ctypes.Array[ctypes.c_float], angular: ctypes.Array[ctypes.c_float]) -> int:
+        rates_deg_s = self._arm.rates_deg_s
+        cartesian[:] = (kinematics.jacobian_of(self._arm.links) @ np.radians(rates_deg_s)).tolist()
+        angular[: len(rates_deg_s)] = rates_deg_s.tolist()
+        return OK
+
+    def GetForcesInfo(self, response: ForcesInfo) -> int:
+        for index, value in enumerate(self._arm.external_torque_nm(), 1):
+            setattr(response, f"Actuator{index}", value)
+        for name, value in zip(("X", "Y", "Z", "ThetaX", "ThetaY", "ThetaZ"), self._arm.measured_wrench(), strict=True):
+            setattr(response, name, value)
+        return OK
+
+    def GetSensorsInfo(self, response: SensorsInfo) -> int:
+        response.Voltage, response.Current = 24.0, self._supply_a()
+        response.AccelerationX, response.AccelerationY, response.AccelerationZ = 0.0, 0.0, 1.0
+        for index in range(1, self.chain.joint_count + 1):
+            setattr(response, f"ActuatorTemp{index}", 30.0)
+        for index in range(1, FINGER_COUNT + 1):
+            setattr(response, f"FingerTemp{index}", 28.0)
+        return OK
+
+    def GetQuickStatus(self, response: QuickStatus) -> int:
+        response.Finger1Status = response.Finger2Status = response.Finger3Status = int(self._arm.fingers_ready)
+        response.ControlEnableStatus = int(not self._arm.control)
+        response.ForceControlStatus = int(not self._arm.admittance.active)
+        response.ControlFrameType = self._frame
+        response.TorqueSensorsStatus = 1
+        return OK
+
+    # Force -----------------------------------------------------------------------------------------------------------
+
+    def StartForceControl(self) -> int:
+        self._arm.admittance.start()
+        return OK
+
+    def StopForceControl(self) -> int:
+        self._arm.admittance.active = False
+        return OK
+
+    def SetCartesianForceMinMax(self, least: CartesianInfo, most: CartesianInfo) -> int:
+        admittance = self._arm.admittance
+        admittance.force_min, admittance.force_max = _read_cartesian(least), _read_cartesian(most)
+        return OK
+
+    def SetCartesianInertiaDamping(self, inertia: CartesianInfo, damping: CartesianInfo) -> int:
+        admittance = self._arm.admittance
+        admittance.inertia, admittance.damping = _read_cartesian(inertia), _read_cartesian(damping)
+        return OK
+
+    def SetAngularTorqueMinMax(self, least: AngularInfo, most: AngularInfo) -> int:
+        admittance = self._arm.admittance
+        admittance.torque_min, admittance.torque_max = self._read_joints(least), self._read_joints(most)
+        return OK
+
+    def SetAngularInertiaDamping(self, inertia: AngularInfo, damping: AngularInfo) -> int:
+        admittance = self._arm.admittance
+        admittance.joint_inertia, admittance.joint_damping = self._read_joints(inertia), self._read_joints(damping)
+        return OK
+
+    def SetTorqueZero(self, address: int) -> int:
+        """Addresses 16 and up are the joints: what their sensors show now, beside gravity, is zero from here on."""
+        joint = address - 16
+        if not 0 <= joint < self.chain.joint_count:
+            return _INVALID
+        self._arm.torque_bias_nm[joint] -= self._arm.external_torque_nm()[joint]
+        return OK
+
+    def SetTorqueSafetyFactor(self, factor: float) -> int:
+        return OK if 0.0 <= factor <= 1.0 else _INVALID
+
+    def SetGravityType(self, kind: int) -> int:
+        return OK if kind in (0, 1) else _INVALID
+
+    def SetGravityPayload(self, payload: ctypes.Array[ctypes.c_float]) -> int:
+        return OK
+
+    # Within ----------------------------------------------------------------------------------------------------------
+
+    def _supply_a(self) -> float:
+        return float(0.7 + np.sum(self._arm.currents_a()))
+
+    def _read_joints(self, actuators: AngularInfo) -> FloatArray:
+        return np.array(actuator_values(actuators, self.chain.joint_count))
+
+    def _write_fingers(self, response: AngularPosition | CartesianPosition) -> None:
+        response.Fingers.Finger1, response.Fingers.Finger2, response.Fingers.Finger3 = self._arm.fingers
+
+
+def _read_cartesian(info: CartesianInfo) -> FloatArray:
+    return np.array(cartesian_values(info))
+
+
+def _write_joints(response: AngularPosition, values: FloatArray) -> None:
+    """As the arm does: a joint that it has not is not written."""
+    for index, value in enumerate(values, 1):
+        setattr(response.Actuators, f"Actuator{index}", value)

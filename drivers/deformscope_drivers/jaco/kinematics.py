@@ -1,0 +1,360 @@
+"""Where the arm's links are for given joint angles, and which joint angles bring the hand where it should be.
+
+Origins, limits and masses are facts of Kinova's published robot description (kinova_description, BSD-3). Joints are in
+degrees, as the vendor's library gives and takes them; lengths are in metres, rotations in radians. Every joint turns
+about the z axis of its own frame, so a child's pose in its parent is `origin @ rotation_z(angle)`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """A revolute joint and the link that it carries.
+
+    xyz_m, rpy_rad: the joint's frame in its parent's at angle 0, as in a URDF (fixed-axis roll, pitch, yaw)
+    lower_deg, upper_deg: the range, both None where the joint turns without end
+    velocity_deg_s, effort_nm: the greatest speed and torque
+    mass_kg: mass of the link that the joint carries
+    """
+
+    xyz_m: tuple[float, float, float]
+    rpy_rad: tuple[float, float, float]
+    lower_deg: float | None
+    upper_deg: float | None
+    velocity_deg_s: float
+    effort_nm: float
+    mass_kg: float
+
+
+@dataclass(frozen=True, slots=True)
+class InverseResult:
+    """What inverse kinematics found.
+
+    joints_deg: (n,) the best joint angles met, within the limits, whether or not they reach the target [deg]
+    converged: both errors are within the tolerances asked for
+    position_error_m, rotation_error_rad: what is left at joints_deg
+    iterations: steps taken over all starts; starts: how many starting points were tried
+    """
+
+    joints_deg: FloatArray
+    converged: bool
+    position_error_m: float
+    rotation_error_rad: float
+    iterations: int
+    starts: int
+
+
+class Chain:
+    """A serial arm: its joints from base to hand, and the end effector behind the last one."""
+
+    def __init__(
+        self,
+        name: str,
+        joints: tuple[Joint, ...],
+        end_effector_xyz_m: tuple[float, float, float],
+        end_effector_rpy_rad: tuple[float, float, float],
+        home_deg: tuple[float, ...],
+    ) -> None:
+        self.name = name
+        self.joints = joints
+        self.joint_count = len(joints)
+        self.home_deg: FloatArray = np.array(home_deg)
+        self.lower_deg: FloatArray = np.array([-np.inf if j.lower_deg is None else j.lower_deg for j in joints])
+        self.upper_deg: FloatArray = np.array([np.inf if j.upper_deg is None else j.upper_deg for j in joints])
+        self.velocity_deg_s: FloatArray = np.array([j.velocity_deg_s for j in joints])
+        self.effort_nm: FloatArray = np.array([j.effort_nm for j in joints])
+        self._T_parent_joint = np.array([transform(rotation_from_rpy(*j.rpy_rad), j.xyz_m) for j in joints])
+        self.T_last_end_effector: FloatArray = transform(rotation_from_rpy(*end_effector_rpy_rad), end_effector_xyz_m)
+
+    def forward(self, joints_deg: npt.ArrayLike) -> FloatArray:
+        """`T_base_link` of every joint's link and, last, of the end effector: (n + 1, 4, 4) [m]; joints_deg (n,)."""
+        angles_rad = np.radians(self._joints(joints_deg))
+        cosines, sines = np.cos(angles_rad), np.sin(angles_rad)
+        turned = self._T_parent_joint.copy()
+        # a turn about z mixes the first two columns and leaves the others
+        turned[:, :, 0] = (
+            cosines[:, None] * self._T_parent_joint[:, :, 0] + sines[:, None] * self._T_parent_joint[:, :, 1]
+        )
+        turned[:, :, 1] = (
+            cosines[:, None] * self._T_parent_joint[:, :, 1] - sines[:, None] * self._T_parent_joint[:, :, 0]
+        )
+        T_base_links = np.empty((self.joint_count + 1, 4, 4))
+        T_base_link = np.eye(4)
+        for index, T_parent_link in enumerate(turned):
+            T_base_link = T_base_link @ T_parent_link
+            T_base_links[index] = T_base_link
+        T_base_links[-1] = T_base_link @ self.T_last_end_effector
+        return T_base_links
+
+    def end_effector(self, joints_deg: npt.ArrayLike) -> FloatArray:
+        """`T_base_end_effector` (4, 4) [m] for joints_deg (n,)."""
+        pose: FloatArray = self.forward(joints_deg)[-1]
+        return pose
+
+    def jacobian(self, joints_deg: npt.ArrayLike) -> FloatArray:
+        """Geometric Jacobian of the end effector in the base frame, (6, n), per radian.
+
+        Rows are linear velocity [m/rad], then angular velocity [rad/rad]: `twist = jacobian @ radians(rate_deg_s)`.
+        """
+        return jacobian_of(self.forward(joints_deg))
+
+    def gravity_torque_nm(self, T_base_links: FloatArray, gravity_m_s2: float = 9.81) -> FloatArray:
+        """Torque (n,) [Nm] that holds the links up, base standing upright; T_base_links as from `forward`.
+
+        Each link's mass is taken to sit half way to the next joint, which is what the published masses allow.
+        """
+        axes, origins_m = T_base_links[:-1, :3, 2], T_base_links[:-1, :3, 3]
+        centres_m = 0.5 * (origins_m + T_base_links[1:, :3, 3])
+        weights_n = np.zeros((self.joint_count, 3))
+        weights_n[:, 2] = -gravity_m_s2 * np.array([joint.mass_kg for joint in self.joints])
+        moments_nm = np.array(
+            [np.cross(centres_m[i:] - origins_m[i], weights_n[i:]).sum(axis=0) for i in range(self.joint_count)]
+        )
+        torque_nm: FloatArray = -np.einsum("ij,ij->i", axes, moments_nm)
+        return torque_nm
+
+    def clip(self, joints_deg: npt.ArrayLike) -> FloatArray:
+        """joints_deg (n,) brought within the joints' ranges."""
+        return np.clip(self._joints(joints_deg), self.lower_deg, self.upper_deg)
+
+    def within_limits(self, joints_deg: npt.ArrayLike, slack_deg: float = 1e-9) -> bool:
+        """Whether every joint of joints_deg (n,) is within its range."""
+        joints = self._joints(joints_deg)
+        return bool(np.all(joints >= self.lower_deg - slack_deg) and np.all(joints <= self.upper_deg + slack_deg))
+
+    def inverse(
+        self,
+        T_base_end_effector: FloatArray,
+        start_deg: npt.ArrayLike | None = None,
+        *,
+        position_tolerance_m: float = 1e-5,
+        rotation_tolerance_rad: float = 1e-4,
+        starts: int = 20,
+        iterations: int = 100,
+        seed: int = 0,
+    ) -> InverseResult:
+        """Joint angles that bring the end effector to a pose, by damped least squares from several starts.
+
+        T_base_end_effector: (4, 4) the pose asked for [m]; start_deg: (n,) where to begin (default: the home pose);
+        further starts are drawn under the seed. The first start that converges ends the search. A target out of reach
+        is no error: `converged` is then False and the remaining errors are told.
+        """
+        target = np.asarray(T_base_end_effector, dtype=float)
+        if target.shape != (4, 4) or not np.all(np.isfinite(target)):
+            raise ValueError(f"expected a finite 4 x 4 pose of the end effector; came {target.shape} {target.tolist()}")
+        rng = np.random.default_rng(seed)
+        lower = np.where(np.isfinite(self.lower_deg), self.lower_deg, 0.0)
+        upper = np.where(np.isfinite(self.upper_deg), self.upper_deg, 360.0)
+        joints = self.clip(self.home_deg if start_deg is None else start_deg)
+        best: tuple[float, FloatArray, FloatArray] | None = None
+        taken = tried = 0
+        while tried < max(starts, 1):
+            tried += 1
+            found, error, used = self._descend(target, joints, position_tolerance_m, rotation_tolerance_rad, iterations)
+            taken += used
+            cost = float(error @ error)
+            if best is None or cost < best[0]:
+                best = cost, found, error
+            if _within(error, position_tolerance_m, rotation_tolerance_rad):
+                break
+            joints = rng.uniform(lower, upper)
+        assert best is not None
+        _, found, error = best
+        return InverseResult(
+            joints_deg=found,
+            converged=_within(error, position_tolerance_m, rotation_tolerance_rad),
+            position_error_m=float(np.linalg.norm(error[:3])),
+            rotation_error_rad=float(np.linalg.norm(error[3:])),
+            iterations=taken,
+            starts=tried,
+        )
+
+    def _descend(
+        self, target: FloatArray, joints_deg: FloatArray, position_m: float, rotation_rad: float, iterations: int
+    ) -> tuple[FloatArray, FloatArray, int]:
+        """Levenberg-Marquardt from one start, joints at a limit held there; returns joints, error twist and steps."""
+        links = self.forward(joints_deg)
+        error = pose_error(links[-1], target)
+        damping = 1e-2
+        for step in range(iterations):
+            if _within(error, position_m, rotation_rad) or damping > 1e6:
+                return joints_deg, error, step
+            jacobian = jacobian_of(links)
+            gradient = jacobian.T @ error
+            # a joint at its limit that the gradient would push further is no freedom in this step
+            held = ((joints_deg <= self.lower_deg) & (gradient < 0)) | ((joints_deg >= self.upper_deg) & (gradient > 0))
+            free = np.where(held, 0.0, 1.0)
+            jacobian = jacobian * free
+            normal = jacobian.T @ jacobian + damping * np.eye(self.joint_count)
+            change_deg = np.degrees(np.linalg.solve(normal, gradient * free))
+            longest = float(np.max(np.abs(change_deg)))
+            if longest > 45.0:
+                change_deg *= 45.0 / longest
+            tried = self.clip(joints_deg + change_deg)
+            tried_links = self.forward(tried)
+            tried_error = pose_error(tried_links[-1], target)
+            if tried_error @ tried_error < error @ error:
+                joints_deg, links, error = tried, tried_links, tried_error
+                damping = max(damping / 5.0, 1e-9)
+            else:
+                damping *= 4.0
+        return joints_deg, error, iterations
+
+    def _joints(self, joints_deg: npt.ArrayLike) -> FloatArray:
+        joints = np.asarray(joints_deg, dtype=float)
+        if joints.shape != (self.joint_count,):
+            raise ValueError(f"{self.name} has {self.joint_count} joints; came an array of shape {joints.shape}")
+        return joints
+
+
+def jacobian_of(T_base_links: FloatArray) -> FloatArray:
+    """Geometric Jacobian (6, n) [m/rad; rad/rad] in the base frame from the poses that `Chain.forward` gives."""
+    axes, origins_m = T_base_links[:-1, :3, 2], T_base_links[:-1, :3, 3]
+    jacobian = np.empty((6, len(axes)))
+    jacobian[:3] = _cross(axes, T_base_links[-1, :3, 3] - origins_m).T
+    jacobian[3:] = axes.T
+    return jacobian
+
+
+def pose_error(T_base_from: FloatArray, T_base_to: FloatArray) -> FloatArray:
+    """Twist (6,) [m, rad] in the base frame that carries one pose (4, 4) to another within unit time."""
+    error = np.empty(6)
+    error[:3] = T_base_to[:3, 3] - T_base_from[:3, 3]
+    error[3:] = rotation_vector(T_base_to[:3, :3] @ T_base_from[:3, :3].T)
+    return error
+
+
+def damped_joint_rates(jacobian: FloatArray, twist: FloatArray, damping: float = 0.02) -> FloatArray:
+    """Joint rates (n,) [rad/s] for a twist (6,) [m/s, rad/s]: the pseudo-inverse, damped only near singularities.
+
+    damping: smallest singular value that is still inverted in full; below it the rates are held down instead of
+    growing without end, and the twist is then not met (Nakamura and Hanafusa 1986; Maciejewski and Klein 1988).
+    """
+    left, values, right = np.linalg.svd(jacobian, full_matrices=False)
+    extra = 0.0 if values[-1] >= damping else (1.0 - (values[-1] / damping) ** 2) * damping**2
+    rates: FloatArray = right.T @ (values / (values**2 + extra) * (left.T @ twist))
+    return rates
+
+
+def transform(rotation: FloatArray, translation_m: npt.ArrayLike) -> FloatArray:
+    """Homogeneous transform (4, 4) of a rotation (3, 3) and a translation (3,) [m]."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation
+    matrix[:3, 3] = translation_m
+    return matrix
+
+
+def rotation_from_rpy(roll_rad: float, pitch_rad: float, yaw_rad: float) -> FloatArray:
+    """Rotation (3, 3) of a URDF's roll, pitch and yaw: Rz(yaw) Ry(pitch) Rx(roll)."""
+    return _rotation_z(yaw_rad) @ _rotation_y(pitch_rad) @ _rotation_x(roll_rad)
+
+
+def rotation_from_euler_xyz(theta_x_rad: float, theta_y_rad: float, theta_z_rad: float) -> FloatArray:
+    """Rotation (3, 3) of the vendor's ThetaX, ThetaY, ThetaZ: Rx Ry Rz (kinova_driver says so of its poses)."""
+    return _rotation_x(theta_x_rad) @ _rotation_y(theta_y_rad) @ _rotation_z(theta_z_rad)
+
+
+def euler_xyz_from_rotation(rotation: FloatArray) -> FloatArray:
+    """The vendor's (ThetaX, ThetaY, ThetaZ) [rad] of a rotation (3, 3); ThetaX is 0 where they are not unique."""
+    sine = float(np.clip(rotation[0, 2], -1.0, 1.0))
+    theta_y = np.arcsin(sine)
+    if abs(sine) > 1.0 - 1e-12:
+        return np.array([0.0, theta_y, np.arctan2(rotation[1, 0], rotation[1, 1])])
+    theta_x = np.arctan2(-rotation[1, 2], rotation[2, 2])
+    theta_z = np.arctan2(-rotation[0, 1], rotation[0, 0])
+    return np.array([theta_x, theta_y, theta_z])
+
+
+def rotation_vector(rotation: FloatArray) -> FloatArray:
+    """Axis times angle (3,) [rad] of a rotation (3, 3), the angle from 0 to pi."""
+    twice_sine = np.array(
+        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
+    )
+    sine = 0.5 * float(np.sqrt(twice_sine @ twice_sine))
+    cosine = 0.5 * (float(rotation[0, 0] + rotation[1, 1] + rotation[2, 2]) - 1.0)
+    angle = float(np.arctan2(sine, cosine))
+    if sine > 1e-6:
+        vector: FloatArray = twice_sine * (0.5 * angle / sine)
+        return vector
+    if cosine > 0:
+        return 0.5 * twice_sine
+    # close to half a turn the skew part vanishes: the axis is then the greatest column of R + 1
+    outer = 0.5 * (rotation + np.eye(3))
+    column = outer[:, int(np.argmax(np.diag(outer)))]
+    side = -1.0 if column @ twice_sine < 0 else 1.0
+    return side * angle * column / np.linalg.norm(column)
+
+
+def _within(error: FloatArray, position_m: float, rotation_rad: float) -> bool:
+    return bool(error[:3] @ error[:3] <= position_m**2 and error[3:] @ error[3:] <= rotation_rad**2)
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Cross products of (n, 3) with (n, 3); np.cross costs more than the whole Jacobian at this size."""
+    product = np.empty_like(a)
+    product[:, 0] = a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1]
+    product[:, 1] = a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]
+    product[:, 2] = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    return product
+
+
+def _rotation_x(angle_rad: float) -> FloatArray:
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
+def _rotation_y(angle_rad: float) -> FloatArray:
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def _rotation_z(angle_rad: float) -> FloatArray:
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+_PI = float(np.pi)
+_BASE_JOINT = ((0.0, 0.0, 0.15675), (0.0, _PI, 0.0))
+_SHOULDER_JOINT = ((0.0, 0.0016, -0.11875), (-_PI / 2, 0.0, _PI))
+_FOREARM_JOINT = ((0.0, 0.2073, -0.0114), (-_PI / 2, 0.0, _PI))
+_WRIST_JOINT = ((0.0, -0.03703, -0.06414), (_PI / 3, 0.0, _PI))
+_END_EFFECTOR = ((0.0, 0.0, -0.16), (_PI, 0.0, _PI / 2))
+
+J2N6S300 = Chain(
+    "j2n6s300",
+    (
+        Joint(*_BASE_JOINT, None, None, 36.0, 40.0, 0.7477),
+        Joint(*_SHOULDER_JOINT, 47.0, 313.0, 36.0, 80.0, 0.99),
+        Joint((0.0, -0.41, 0.0), (0.0, _PI, 0.0), 19.0, 341.0, 36.0, 40.0, 0.6763),
+        Joint(*_FOREARM_JOINT, None, None, 48.0, 20.0, 0.426367),
+        Joint(*_WRIST_JOINT, None, None, 48.0, 20.0, 0.426367),
+        Joint(*_WRIST_JOINT, None, None, 48.0, 20.0, 0.99),
+    ),
+    *_END_EFFECTOR,
+    home_deg=(275.0, 167.4, 57.4, 240.0, 82.7, 75.5),
+)
+
+J2S7S300 = Chain(
+    "j2s7s300",
+    (
+        Joint(*_BASE_JOINT, None, None, 36.0, 40.0, 0.7477),
+        Joint(*_SHOULDER_JOINT, 47.0, 313.0, 36.0, 80.0, 0.8447),
+        Joint((0.0, -0.205, 0.0), (-_PI / 2, 0.0, 0.0), None, None, 36.0, 40.0, 0.8447),
+        Joint((0.0, 0.0, -0.205), (_PI / 2, 0.0, _PI), 30.0, 330.0, 36.0, 40.0, 0.6763),
+        Joint(*_FOREARM_JOINT, None, None, 48.0, 20.0, 0.463),
+        Joint((0.0, 0.0, -0.10375), (_PI / 2, 0.0, _PI), 65.0, 295.0, 48.0, 20.0, 0.463),
+        Joint((0.0, 0.10375, 0.0), (-_PI / 2, 0.0, _PI), None, None, 48.0, 20.0, 0.99),
+    ),
+    *_END_EFFECTOR,
+    home_deg=(283.0, 162.0, 0.0, 43.0, 265.0, 257.0, 288.0),
+)
+
+CHAINS = {chain.name: chain for chain in (J2N6S300, J2S7S300)}

@@ -1,0 +1,200 @@
+"""The vendor's library on the user's machine, called through ctypes; nothing of the vendor's is shipped.
+
+There are two: USBCommandLayerUbuntu.so, and EthCommandLayerUbuntu.so whose functions have the prefix `Ethernet_`.
+Neither exports all that the headers declare, so each function is looked up when it is first called. Parameters that the
+headers write as `T &` are pointers; trajectory points, devices and pairs of CartesianInfo or AngularInfo go by value.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from ctypes import POINTER, c_float, c_int, c_uint
+from pathlib import Path
+from typing import Any, Literal, Protocol, TypeVar
+
+from deformscope_drivers.errors import LibraryMissing
+from deformscope_drivers.jaco.errors import OK, SymbolMissing, error_of
+from deformscope_drivers.jaco.structures import (
+    AngularInfo,
+    AngularPosition,
+    AngularRates,
+    ApiVersion,
+    CartesianInfo,
+    CartesianPosition,
+    CartesianRates,
+    DeviceList,
+    EthernetCommConfig,
+    ForcesInfo,
+    GeneralInformations,
+    JoystickCommand,
+    KinovaDevice,
+    QuickStatus,
+    SensorsInfo,
+    TrajectoryFIFO,
+    TrajectoryPoint,
+)
+
+Connection = Literal["usb", "ethernet"]
+LIBRARY_NAMES: dict[Connection, str] = {"usb": "USBCommandLayerUbuntu.so", "ethernet": "EthCommandLayerUbuntu.so"}
+PREFIXES: dict[Connection, str] = {"usb": "", "ethernet": "Ethernet_"}
+
+S = TypeVar("S", bound=ctypes.Structure)
+
+# name: argument types; each returns an int, 1 for success (GetDevices: how many devices, its status by pointer)
+SIGNATURES: dict[str, tuple[Any, ...]] = {
+    # the library and its devices
+    "GetAPIVersion": (ApiVersion,),
+    "InitAPI": (),
+    "InitEthernetAPI": (POINTER(EthernetCommConfig),),
+    "CloseAPI": (),
+    "RefresDevicesList": (),  # the vendor's spelling
+    "GetDevices": (DeviceList, POINTER(c_int)),
+    "SetActiveDevice": (KinovaDevice,),
+    "GetGeneralInformations": (POINTER(GeneralInformations),),
+    "GetSystemErrorCount": (POINTER(c_uint),),
+    "ClearErrorLog": (),
+    # control and motion
+    "StartControlAPI": (),
+    "StopControlAPI": (),
+    "SetAngularControl": (),
+    "SetCartesianControl": (),
+    "GetControlType": (POINTER(c_int),),
+    "SetFrameType": (c_int,),
+    "SendBasicTrajectory": (TrajectoryPoint,),
+    "SendAdvanceTrajectory": (TrajectoryPoint,),
+    "EraseAllTrajectories": (),
+    "GetGlobalTrajectoryInfo": (POINTER(TrajectoryFIFO),),
+    "GetActualTrajectoryInfo": (POINTER(TrajectoryPoint),),
+    "SendJoystickCommand": (JoystickCommand,),
+    "GetJoystickValue": (POINTER(JoystickCommand),),
+    "MoveHome": (),
+    "InitFingers": (),
+    "SetEndEffectorOffset": (c_uint, c_float, c_float, c_float),
+    # readings
+    "GetAngularPosition": (POINTER(AngularPosition),),
+    "GetAngularVelocity": (POINTER(AngularPosition),),
+    "GetAngularCommand": (POINTER(AngularPosition),),
+    "GetAngularForce": (POINTER(AngularPosition),),
+    "GetAngularForceGravityFree": (POINTER(AngularPosition),),
+    "GetAngularCurrent": (POINTER(AngularPosition),),
+    "GetCartesianPosition": (POINTER(CartesianPosition),),
+    "GetCartesianCommand": (POINTER(CartesianPosition),),
+    "GetCartesianForce": (POINTER(CartesianPosition),),
+    "GetCommandVelocity": (CartesianRates, AngularRates),
+    "GetForcesInfo": (POINTER(ForcesInfo),),
+    "GetSensorsInfo": (POINTER(SensorsInfo),),
+    "GetQuickStatus": (POINTER(QuickStatus),),
+    # force
+    "StartForceControl": (),
+    "StopForceControl": (),
+    "SetCartesianForceMinMax": (CartesianInfo, CartesianInfo),
+    "SetCartesianInertiaDamping": (CartesianInfo, CartesianInfo),
+    "SetAngularTorqueMinMax": (AngularInfo, AngularInfo),
+    "SetAngularInertiaDamping": (AngularInfo, AngularInfo),
+    "SetTorqueZero": (c_int,),
+    "SetTorqueSafetyFactor": (c_float,),
+    "SetGravityType": (c_int,),
+    "SetGravityPayload": (c_float * 4,),
+}
+
+
+class Functions(Protocol):
+    """The vendor's functions by name: the library itself, or a double of it."""
+
+    @property
+    def where(self) -> str:
+        """What to name in errors: the library's path."""
+        ...
+
+    def function(self, name: str) -> Callable[..., int]:
+        """The function of that name without prefix, taking the structures of `structures`."""
+        ...
+
+
+class Library:
+    """The vendor's shared library. Nothing is loaded before the first function is asked for."""
+
+    def __init__(self, path: str | Path | None = None, connection: Connection = "usb") -> None:
+        """path: the library, or the folder that holds it; None leaves the search to the system's loader."""
+        if connection not in PREFIXES:
+            raise ValueError(f"expected a connection among {', '.join(PREFIXES)}; came {connection!r}")
+        name = LIBRARY_NAMES[connection]
+        if path is None:
+            self._path = name
+        else:
+            chosen = Path(path).expanduser()
+            self._path = str(chosen / name if chosen.is_dir() else chosen)
+        self._prefix = PREFIXES[connection]
+        self._handle: ctypes.CDLL | None = None
+        self._functions: dict[str, Callable[..., int]] = {}
+
+    @property
+    def where(self) -> str:
+        """The library's path, or the name that the loader is given."""
+        return self._path
+
+    def load(self) -> ctypes.CDLL:
+        """The loaded library; raises LibraryMissing, saying where it was looked for."""
+        if self._handle is None:
+            try:
+                self._handle = ctypes.CDLL(self._path)
+            except OSError as error:
+                raise LibraryMissing(
+                    "the vendor's library",
+                    str(error),
+                    "get it from Kinova (it is in the kinova-ros repository, kinova_driver/lib) and give its path, "
+                    "or put its folder into LD_LIBRARY_PATH before this program starts",
+                    self._path,
+                ) from error
+        return self._handle
+
+    def function(self, name: str) -> Callable[..., int]:
+        """A function by its name without prefix; raises SymbolMissing where this library does not export it."""
+        found = self._functions.get(name)
+        if found is None:
+            symbol = self._prefix + name
+            handle = self.load()
+            try:
+                found = handle[symbol]
+            except AttributeError as error:
+                raise SymbolMissing(
+                    f"a library that exports {symbol}",
+                    "none of that name",
+                    "check that the connection (usb or ethernet) is that of the library, and its version (5.2.0)",
+                    self._path,
+                ) from error
+            found.argtypes = SIGNATURES[name]
+            found.restype = c_int
+            self._functions[name] = found
+        return found
+
+
+def call(functions: Functions, name: str, *arguments: object) -> None:
+    """Call a function and raise the named exception of whatever is not success."""
+    code = functions.function(name)(*arguments)
+    if code != OK:
+        raise error_of(code, name, functions.where)
+
+
+def read(functions: Functions, name: str, kind: type[S]) -> S:
+    """Call a function that fills one structure, zeroed before: six-joint arms leave the seventh joint as it is."""
+    response = kind()
+    call(functions, name, response)
+    return response
+
+
+def devices(functions: Functions) -> list[KinovaDevice]:
+    """The arms that the library lists."""
+    listed, status = DeviceList(), c_int(OK)
+    count = functions.function("GetDevices")(listed, status)
+    if status.value != OK:
+        raise error_of(status.value, "GetDevices", functions.where)
+    return list(listed[: max(0, min(count, len(listed)))])
+
+
+def api_version(functions: Functions) -> tuple[int, int, int]:
+    """The library's own version."""
+    version = ApiVersion()
+    call(functions, "GetAPIVersion", version)
+    return (version[0], version[1], version[2])

@@ -1,0 +1,299 @@
+"""A simulated arm that lives in cycles of 10 ms: what its controller does with the points that it was sent.
+
+What it models, as the protocol reference tells it: a FIFO of 2000 trajectory points; one velocity point taken in each
+cycle, so that points sent faster pile up and the arm runs on after the sender stopped; position points followed at a
+limited speed; joint ranges and speeds; fingers from 0 to 6800; control that must be started, and whose first start
+after a cold boot may be ignored; admittance to a push from outside. Where the real arm's behaviour is not public the
+simplest thing is done, and said beside it. Joints follow at once: there is no inertia but that of the admittance.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+import numpy.typing as npt
+
+from deformscope_drivers.jaco import kinematics
+from deformscope_drivers.jaco.kinematics import Chain, FloatArray
+from deformscope_drivers.jaco.structures import (
+    FINGER_CLOSED,
+    FINGER_COUNT,
+    HandMode,
+    PositionType,
+    TrajectoryPoint,
+    actuator_values,
+    cartesian_values,
+    finger_values,
+)
+
+CYCLE_S = 0.01
+FIFO_SIZE = 2000
+FINGER_SPEED = 5000.0  # units/s; not published
+POSITION_SPEED_M_S, POSITION_SPEED_RAD_S = 0.15, 0.6  # of position points without limitations; not published
+HOME_SPEED_DEG_S = 20.0
+REACHED_M, REACHED_RAD = 1e-5, 1e-4
+
+
+class SimulatedArm:
+    """The arm's state, and `cycle` that carries it 10 ms on.
+
+    wrench: (6,) what pushes the end effector [N, Nm] in the base frame; torque_bias_nm: (n,) what the joints' torque
+    sensors show too much; grip: (3,) where each finger meets what it holds. All may be set between cycles.
+    """
+
+    def __init__(self, chain: Chain, start_deg: npt.ArrayLike | None, cold_boot: bool) -> None:
+        """start_deg: (n,) where the arm stands (default: home); cold_boot: the first `start_control` is ignored"""
+        self.chain = chain
+        self.joints_deg: FloatArray = chain.clip(chain.home_deg if start_deg is None else start_deg)
+        self.rates_deg_s: FloatArray = np.zeros(chain.joint_count)
+        self.links: FloatArray = chain.forward(self.joints_deg)
+        self.fingers: FloatArray = np.zeros(FINGER_COUNT)
+        self.fingers_ready = False
+        self.grip: FloatArray = np.full(FINGER_COUNT, FINGER_CLOSED)
+        self.fifo: deque[TrajectoryPoint] = deque()
+        self.wrench: FloatArray = np.zeros(6)
+        self.torque_bias_nm: FloatArray = np.zeros(chain.joint_count)
+        self.angular_control = False
+        self.admittance = Admittance(chain.joint_count)
+        self.control = False
+        self._cold = cold_boot
+        self._delay_left_s: float | None = None
+        self._homing = False
+        self._opening = False
+
+    # What it is told -------------------------------------------------------------------------------------------------
+
+    def start_control(self) -> None:
+        """Take points from here on; a cold arm ignores this once."""
+        self.control = self.control or not self._cold
+        self._cold = False
+
+    def stop_control(self) -> None:
+        """Take no more points; those that wait are kept."""
+        self.control = False
+        self._homing = self._opening = False
+
+    def queue(self, point: TrajectoryPoint) -> bool:
+        """Put a point behind the others; False where there is no more room. Without control it is ignored."""
+        if not self.control:
+            return True
+        if len(self.fifo) >= FIFO_SIZE:
+            return False
+        self._homing = self._opening = False
+        self.fifo.append(point)
+        return True
+
+    def erase(self) -> None:
+        """Forget all points, and stop."""
+        self.fifo.clear()
+        self._delay_left_s = None
+        self._homing = self._opening = False
+
+    def go_home(self) -> None:
+        """Set out for the home pose, joint by joint."""
+        self.erase()
+        self._homing = True
+
+    def open_fingers(self) -> None:
+        """Open all fingers, after which they know where they are."""
+        self._opening = True
+
+    def power_up(self, cold_boot: bool) -> None:
+        """Start as after switching on: nothing is left to do, control is off, the joints stay where they are."""
+        self.erase()
+        self.control = self.admittance.active = self.fingers_ready = False
+        self._cold = cold_boot
+
+    # The cycle -------------------------------------------------------------------------------------------------------
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the next cycle would change nothing."""
+        busy = self.control and (self.fifo or self._homing or self._opening or self.admittance.active)
+        return not busy and not np.any(self.rates_deg_s)
+
+    def cycle(self) -> None:
+        """10 ms of the arm's own loop."""
+        rates = np.zeros(self.chain.joint_count)
+        if self.control:
+            if self._homing:
+                rates = self._towards(self.chain.home_deg, np.full(self.chain.joint_count, HOME_SPEED_DEG_S))
+                self._homing = bool(np.any(rates))
+            elif self.fifo:
+                rates = self._follow(self.fifo[0])
+            if self._opening:
+                self._move_fingers(np.zeros(FINGER_COUNT))
+                self._opening = bool(np.any(self.fingers))
+                self.fingers_ready = not self._opening
+            if self.admittance.active:
+                rates = rates + self._give_way()
+        self._turn(rates)
+
+    def _follow(self, point: TrajectoryPoint) -> FloatArray:
+        """Joint rates (n,) [deg/s] that the first point asks for; takes it out once it is done."""
+        position, done = point.Position, True
+        rates = np.zeros(self.chain.joint_count)
+        kind = position.Type
+        if kind == PositionType.ANGULAR_VELOCITY:
+            asked = np.array(actuator_values(position.Actuators, self.chain.joint_count))
+            rates = np.clip(asked, -self.chain.velocity_deg_s, self.chain.velocity_deg_s)
+        elif kind == PositionType.CARTESIAN_VELOCITY:
+            rates = self._rates_of(np.array(cartesian_values(position.CartesianPosition)))
+        elif kind == PositionType.ANGULAR_POSITION:
+            target = self.chain.clip(actuator_values(position.Actuators, self.chain.joint_count))
+            rates = self._towards(target, self._joint_speeds(point))
+            done = not np.any(rates)
+        elif kind == PositionType.CARTESIAN_POSITION:
+            rates, done = self._towards_pose(point)
+        elif kind == PositionType.DELAY:
+            self._delay_left_s = (position.Delay if self._delay_left_s is None else self._delay_left_s) - CYCLE_S
+            done = self._delay_left_s <= 1e-9
+        fingers_done = self._follow_fingers(point)
+        takes_one_cycle = kind in (PositionType.ANGULAR_VELOCITY, PositionType.CARTESIAN_VELOCITY)
+        if takes_one_cycle or (done and fingers_done):
+            self.fifo.popleft()
+            self._delay_left_s = None
+        return rates
+
+    def _follow_fingers(self, point: TrajectoryPoint) -> bool:
+        """Move the fingers for one cycle as a point asks; whether they are where it wants them."""
+        position = point.Position
+        if position.HandMode == HandMode.POSITION:
+            target = np.clip(finger_values(position.Fingers), 0.0, FINGER_CLOSED)
+            self._move_fingers(target)
+            return bool(np.all(self.fingers == target))
+        if position.HandMode == HandMode.VELOCITY:
+            step = np.clip(finger_values(position.Fingers), -FINGER_SPEED, FINGER_SPEED) * CYCLE_S
+            self.fingers = np.clip(self.fingers + step, 0.0, self.grip)
+        return True
+
+    def _joint_speeds(self, point: TrajectoryPoint) -> FloatArray:
+        """Speeds (n,) [deg/s] of an angular position point: its first limit is for joints 1 to 3."""
+        if not point.LimitationsActive:
+            return self.chain.velocity_deg_s
+        limits = np.full(self.chain.joint_count, point.Limitations.speedParameter2)
+        limits[:3] = point.Limitations.speedParameter1
+        speeds: FloatArray = np.minimum(limits, self.chain.velocity_deg_s)
+        return speeds
+
+    def _towards(self, target_deg: FloatArray, speeds_deg_s: FloatArray) -> FloatArray:
+        """Rates (n,) [deg/s] for one cycle towards joint angles; zero once there."""
+        return np.clip((target_deg - self.joints_deg) / CYCLE_S, -speeds_deg_s, speeds_deg_s)
+
+    def _towards_pose(self, point: TrajectoryPoint) -> tuple[FloatArray, bool]:
+        """Rates (n,) [deg/s] straight towards a pose, and whether it is reached; out of reach it is never done."""
+        x, y, z, *thetas = cartesian_values(point.Position.CartesianPosition)
+        target = kinematics.transform(kinematics.rotation_from_euler_xyz(*thetas), (x, y, z))
+        error = kinematics.pose_error(self.links[-1], target)
+        if error[:3] @ error[:3] <= REACHED_M**2 and error[3:] @ error[3:] <= REACHED_RAD**2:
+            return np.zeros(self.chain.joint_count), True
+        speed_m_s, speed_rad_s = POSITION_SPEED_M_S, POSITION_SPEED_RAD_S
+        if point.LimitationsActive:
+            speed_m_s, speed_rad_s = point.Limitations.speedParameter1, point.Limitations.speedParameter2
+        twist = error / CYCLE_S
+        twist[:3] *= min(1.0, speed_m_s / max(float(np.linalg.norm(twist[:3])), 1e-12))
+        twist[3:] *= min(1.0, speed_rad_s / max(float(np.linalg.norm(twist[3:])), 1e-12))
+        return self._rates_of(twist), False
+
+    def _rates_of(self, twist: FloatArray) -> FloatArray:
+        """Joint rates (n,) [deg/s] of a twist (6,) [m/s, rad/s], all slowed alike where one would be too fast.
+
+        How the arm itself behaves near singularities is not public; here the pseudo-inverse is damped.
+        """
+        if not np.any(twist):
+            return np.zeros(self.chain.joint_count)
+        rates = np.degrees(kinematics.damped_joint_rates(kinematics.jacobian_of(self.links), twist))
+        fastest = float(np.max(np.abs(rates) / self.chain.velocity_deg_s))
+        return rates / max(1.0, fastest)
+
+    def _give_way(self) -> FloatArray:
+        """Rates (n,) [deg/s] by which the arm gives way to the push, on top of what it was told."""
+        if self.angular_control:
+            return np.degrees(self.admittance.joint_rates(kinematics.jacobian_of(self.links).T @ self.wrench))
+        return self._rates_of(self.admittance.twist(self.wrench))
+
+    def _turn(self, rates_deg_s: FloatArray) -> None:
+        """Turn the joints for one cycle; a joint at the end of its range stops there."""
+        if not np.any(rates_deg_s):
+            self.rates_deg_s = rates_deg_s
+            return
+        before = self.joints_deg
+        self.joints_deg = self.chain.clip(before + rates_deg_s * CYCLE_S)
+        self.rates_deg_s = (self.joints_deg - before) / CYCLE_S
+        self.links = self.chain.forward(self.joints_deg)
+
+    def _move_fingers(self, target: FloatArray) -> None:
+        step = FINGER_SPEED * CYCLE_S
+        self.fingers = np.minimum(self.fingers + np.clip(target - self.fingers, -step, step), self.grip)
+
+    # What its sensors show -------------------------------------------------------------------------------------------
+
+    def external_torque_nm(self) -> FloatArray:
+        """What the joints' sensors show beside gravity, (n,) [Nm]."""
+        torque: FloatArray = kinematics.jacobian_of(self.links).T @ self.wrench + self.torque_bias_nm
+        return torque
+
+    def torque_nm(self) -> FloatArray:
+        """What the joints' sensors show, gravity among it, (n,) [Nm]."""
+        return self.external_torque_nm() + self.chain.gravity_torque_nm(self.links)
+
+    def measured_wrench(self) -> FloatArray:
+        """What the arm makes of its joints' sensors, (6,) [N, Nm]: their bias shows as a push that is not there.
+
+        The sign the arm uses is not verified: here it is that of what the world does to the end effector.
+        """
+        if not np.any(self.torque_bias_nm):
+            return self.wrench
+        ghost: FloatArray = np.linalg.pinv(kinematics.jacobian_of(self.links).T, rcond=1e-2) @ self.torque_bias_nm
+        return self.wrench + ghost
+
+    def currents_a(self) -> FloatArray:
+        """About 0.1 A a joint at rest and 1 A for each 20 Nm, (n,) [A]: plausible, not measured."""
+        return 0.1 + np.abs(self.torque_nm()) / 20.0
+
+
+class Admittance:
+    """Inertia and damping, driven by what of a push lies beyond the least, up to the most.
+
+    Defaults are plausible, not the arm's: it keeps its own.
+    """
+
+    def __init__(self, joint_count: int) -> None:
+        self.active = False
+        self.force_min, self.force_max = np.zeros(6), np.full(6, np.inf)
+        self.inertia, self.damping = np.ones(6), np.array([80.0, 80.0, 80.0, 4.0, 4.0, 4.0])
+        self.torque_min, self.torque_max = np.zeros(joint_count), np.full(joint_count, np.inf)
+        self.joint_inertia, self.joint_damping = np.full(joint_count, 0.1), np.full(joint_count, 10.0)
+        self._twist: FloatArray = np.zeros(6)
+        self._joint_rates: FloatArray = np.zeros(joint_count)
+
+    def start(self) -> None:
+        """Give way from here on, from rest."""
+        self.active = True
+        self._twist = np.zeros_like(self._twist)
+        self._joint_rates = np.zeros_like(self._joint_rates)
+
+    def twist(self, wrench: FloatArray) -> FloatArray:
+        """One cycle on: velocity of the end effector (6,) [m/s, rad/s] under a wrench (6,) [N, Nm]."""
+        push = _beyond(wrench, self.force_min, self.force_max)
+        self._twist = _admit(self._twist, push, self.inertia, self.damping)
+        return self._twist
+
+    def joint_rates(self, torque_nm: FloatArray) -> FloatArray:
+        """One cycle on: joint rates (n,) [rad/s] under torques (n,) [Nm]."""
+        push = _beyond(torque_nm, self.torque_min, self.torque_max)
+        self._joint_rates = _admit(self._joint_rates, push, self.joint_inertia, self.joint_damping)
+        return self._joint_rates
+
+
+def _beyond(push: FloatArray, least: FloatArray, most: FloatArray) -> FloatArray:
+    """What of a push drives the admittance: nothing below the least, no more than the most."""
+    size = np.abs(push)
+    return np.where(size < least, 0.0, np.sign(push) * np.minimum(size, most))
+
+
+def _admit(rates: FloatArray, push: FloatArray, inertia: FloatArray, damping: FloatArray) -> FloatArray:
+    """One cycle of inertia * acceleration + damping * rate = push, solved for its end so that it cannot ring."""
+    moved: FloatArray = (inertia * rates + push * CYCLE_S) / np.maximum(inertia + damping * CYCLE_S, 1e-9)
+    return moved

@@ -1,0 +1,266 @@
+"""What Kinova's library exchanges: C structures by their published layout, and the numbers that go into them.
+
+Layouts are facts of the published headers (KinovaTypes.h, BSD-3), naturally aligned; sizes were checked against the
+library 5.2.0. Positions are metres and radians (ThetaX, ThetaY, ThetaZ turn about x, the new y, the new z), joints
+degrees, fingers 0 (open) to 6800 (closed).
+"""
+
+from __future__ import annotations
+
+import ctypes
+from ctypes import c_char, c_double, c_float, c_int, c_short, c_ubyte, c_uint, c_ulong, c_ushort
+from enum import IntEnum
+
+STRING_LENGTH = 20
+DEVICE_COUNT_MAX = 20
+ACTUATOR_COUNT_MAX = 7
+FINGER_COUNT = 3
+FINGER_CLOSED = 6800.0
+
+
+class PositionType(IntEnum):
+    """What a trajectory point asks for."""
+
+    NONE = 0
+    CARTESIAN_POSITION = 1
+    ANGULAR_POSITION = 2
+    CARTESIAN_VELOCITY = 7
+    ANGULAR_VELOCITY = 8
+    DELAY = 12
+
+
+class HandMode(IntEnum):
+    """What a trajectory point asks of the fingers."""
+
+    NONE = 0
+    POSITION = 1
+    VELOCITY = 2
+
+
+class DeviceType(IntEnum):
+    """Which arm it is."""
+
+    JACO1 = 0
+    MICO_6DOF = 1
+    MICO_4DOF = 2
+    JACO2_6DOF = 3
+    JACO2_4DOF = 4
+    MICO_6DOF_ASSISTIVE = 5
+    JACO2_6DOF_ASSISTIVE = 6
+    SPHERICAL_6DOF = 7
+    SPHERICAL_7DOF = 8
+
+
+class CartesianInfo(ctypes.Structure):
+    _fields_ = [(name, c_float) for name in ("X", "Y", "Z", "ThetaX", "ThetaY", "ThetaZ")]
+
+
+class AngularInfo(ctypes.Structure):
+    _fields_ = [(f"Actuator{i}", c_float) for i in range(1, 8)]
+
+
+class FingersPosition(ctypes.Structure):
+    _fields_ = [(f"Finger{i}", c_float) for i in range(1, 4)]
+
+
+class CartesianPosition(ctypes.Structure):
+    _fields_ = [("Coordinates", CartesianInfo), ("Fingers", FingersPosition)]
+
+
+class AngularPosition(ctypes.Structure):
+    _fields_ = [("Actuators", AngularInfo), ("Fingers", FingersPosition)]
+
+
+class UserPosition(ctypes.Structure):
+    _fields_ = [
+        ("Type", c_int),
+        ("Delay", c_float),
+        ("CartesianPosition", CartesianInfo),
+        ("Actuators", AngularInfo),
+        ("HandMode", c_int),
+        ("Fingers", FingersPosition),
+    ]
+
+
+class Limitation(ctypes.Structure):
+    """Speed limits of a point: 1 translation [m/s] or joints 1-3 [deg/s], 2 rotation [rad/s] or the others [deg/s]."""
+
+    _fields_ = [(f"{kind}Parameter{i}", c_float) for kind in ("speed", "force", "acceleration") for i in range(1, 4)]
+
+
+class TrajectoryPoint(ctypes.Structure):
+    _fields_ = [
+        ("Position", UserPosition),
+        ("LimitationsActive", c_int),
+        ("SynchroType", c_int),
+        ("Limitations", Limitation),
+    ]
+
+
+class TrajectoryFIFO(ctypes.Structure):
+    _fields_ = [("TrajectoryCount", c_uint), ("UsedPercentage", c_float), ("MaxSize", c_uint)]
+
+
+class JoystickCommand(ctypes.Structure):
+    _fields_ = [
+        ("ButtonValue", c_short * 16),
+        ("InclineLeftRight", c_float),
+        ("InclineForwardBackward", c_float),
+        ("Rotate", c_float),
+        ("MoveLeftRight", c_float),
+        ("MoveForwardBackward", c_float),
+        ("PushPull", c_float),
+    ]
+
+
+class KinovaDevice(ctypes.Structure):
+    _fields_ = [
+        ("SerialNumber", c_char * STRING_LENGTH),
+        ("Model", c_char * STRING_LENGTH),
+        ("VersionMajor", c_int),
+        ("VersionMinor", c_int),
+        ("VersionRelease", c_int),
+        ("DeviceType", c_int),
+        ("DeviceID", c_int),
+    ]
+
+
+class SensorsInfo(ctypes.Structure):
+    """Supply [V], [A], acceleration of the base [g], temperatures [deg C]."""
+
+    _fields_ = [
+        (name, c_float)
+        for name in (
+            "Voltage",
+            "Current",
+            "AccelerationX",
+            "AccelerationY",
+            "AccelerationZ",
+            *(f"ActuatorTemp{i}" for i in range(1, 8)),
+            *(f"FingerTemp{i}" for i in range(1, 4)),
+        )
+    ]
+
+
+class QuickStatus(ctypes.Structure):
+    """Flags; the header says 0 means on for control, force control and current limitation."""
+
+    _fields_ = [
+        (name, c_ubyte)
+        for name in (
+            "Finger1Status",
+            "Finger2Status",
+            "Finger3Status",
+            "RetractType",
+            "RetractComplexity",
+            "ControlEnableStatus",
+            "ControlActiveModule",
+            "ControlFrameType",
+            "CartesianFaultState",
+            "ForceControlStatus",
+            "CurrentLimitationStatus",
+            "RobotType",
+            "RobotEdition",
+            "TorqueSensorsStatus",
+        )
+    ]
+
+
+class ForcesInfo(ctypes.Structure):
+    """Joint torques [Nm], then force [N] and torque [Nm] at the end effector."""
+
+    _fields_ = [(f"Actuator{i}", c_float) for i in range(1, 8)] + [
+        (name, c_float) for name in ("X", "Y", "Z", "ThetaX", "ThetaY", "ThetaZ")
+    ]
+
+
+class EthernetCommConfig(ctypes.Structure):
+    """Addresses in network byte order, as inet_addr gives them; times in milliseconds."""
+
+    _fields_ = [
+        ("localIpAddress", c_ulong),
+        ("subnetMask", c_ulong),
+        ("robotIpAddress", c_ulong),
+        ("localCmdport", c_ushort),
+        ("localBcastPort", c_ushort),
+        ("robotPort", c_ushort),
+        ("rxTimeOutInMs", c_ulong),
+    ]
+
+
+class GeneralInformations(ctypes.Structure):
+    """Nearly everything that the arm knows of itself; only what the header documents is worth reading."""
+
+    _fields_ = [
+        ("TimeAbsolute", c_double),
+        ("TimeFromStartup", c_double),
+        ("IndexStartup", c_uint),
+        ("ExpansionLong1", c_int),
+        ("TimeStampSavings", c_float),
+        ("ExpansionFloat", c_float),
+        ("SupplyVoltage", c_float),
+        ("TotalCurrent", c_float),
+        ("Power", c_float),
+        ("AveragePower", c_float),
+        ("Acceleration", c_float * 3),
+        ("SensorExpansion", c_float * 3),
+        ("CodeVersion", c_uint),
+        ("CodeRevision", c_uint),
+        ("Status", c_ushort),
+        ("Controller", c_ushort),
+        ("ControlMode", c_ushort),
+        ("HandMode", c_ushort),
+        ("ConnectedActuatorCount", c_ushort),
+        ("PositionType", c_ushort),
+        ("ErrorsSpiExpansion", c_ushort * 2),
+        ("ErrorsMainSPICount", c_ushort),
+        ("ErrorsExternalSPICount", c_ushort),
+        ("ErrorsMainCANCount", c_ushort),
+        ("ErrorsExternalCANCount", c_ushort),
+        ("ActualSystemStatus", c_uint * 11),
+        ("Position", UserPosition),
+        ("Command", UserPosition),
+        ("Current", UserPosition),
+        ("Force", UserPosition),
+        ("ActualLimitations", Limitation),
+        ("ControlIncrement", c_float * 7),
+        ("FingerControlIncrement", c_float * 3),
+        ("ActualJoystickCommand", JoystickCommand),
+        ("PeripheralsConnected", c_uint * 4),
+        ("PeripheralsDeviceID", c_uint * 4),
+        ("ActuatorsTemperatures", c_float * 7),
+        ("FingersTemperatures", c_float * 3),
+        ("FutureTemperatures", c_float * 3),
+        ("ActuatorsCommErrors", c_int * 7),
+        ("FingersCommErrors", c_int * 3),
+        ("ExpansionLong2", c_int),
+        ("ControlTimeAbsolute", c_double),
+        ("ControlTimeFromStartup", c_double),
+        ("ExpansionsBytes", c_ubyte * 192),
+    ]
+
+
+DeviceList = KinovaDevice * DEVICE_COUNT_MAX
+ApiVersion = c_int * 3
+CartesianRates = c_float * 6
+AngularRates = c_float * 7
+
+
+def cartesian_values(info: CartesianInfo) -> tuple[float, float, float, float, float, float]:
+    """X, Y, Z, ThetaX, ThetaY, ThetaZ."""
+    return (info.X, info.Y, info.Z, info.ThetaX, info.ThetaY, info.ThetaZ)
+
+
+def actuator_values(info: AngularInfo, joint_count: int) -> tuple[float, ...]:
+    """Values of the joints that the arm has: Actuator7 of a six-joint arm is never written, and not given."""
+    return tuple(getattr(info, f"Actuator{i}") for i in range(1, joint_count + 1))
+
+
+def finger_values(info: FingersPosition) -> tuple[float, float, float]:
+    """Finger1, Finger2, Finger3."""
+    return (info.Finger1, info.Finger2, info.Finger3)
+
+
+def sensor_temperatures(info: SensorsInfo, joint_count: int) -> tuple[float, ...]:
+    """Temperatures of the joints that the arm has [deg C]."""
+    return tuple(getattr(info, f"ActuatorTemp{i}") for i in range(1, joint_count + 1))

@@ -1,0 +1,194 @@
+"""A depth camera as OpenNI2 has it, set as asked and read back; and depth and colour of one moment put together."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+from deformscope_drivers.errors import LinkLost, SettingsRefused
+from deformscope_drivers.openni.library import (
+    END_OF_FILE,
+    MANUAL_SPEED,
+    UNITS_M,
+    Frame,
+    Mode,
+    Openni,
+    OpenniStream,
+    PixelFormat,
+    Sensor,
+)
+from deformscope_drivers.openni.messages import FrameMessage
+
+WAITING = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """How a camera is opened; None = as it is. uri: OpenNI2's; speed: of a recording, 0 = as fast as it is read"""
+
+    uri: str = ""
+    width: int | None = None
+    height: int | None = None
+    fps: int | None = None
+    unit_m: float | None = None
+    color: bool = False
+    registered: bool = True
+    mirror: bool = False
+    speed: float = 1.0
+    loop: bool = False
+    library: str = ""
+
+
+class OpenniCamera:
+    """A camera that was opened and set as asked, every setting read back. Raises SettingsRefused on a mismatch."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._openni = Openni(settings.library)
+        self._device = self._openni.open(settings.uri)
+        self.depth = self._device.stream(Sensor.DEPTH)
+        self.color = self._device.stream(Sensor.COLOR) if settings.color else None
+        self._ended = False
+        self._set()
+
+    def words(self) -> dict[str, object]:
+        """What it tells of itself."""
+        mode, info = self.depth.mode(), self._device.info()
+        seen_as = self.color if self.color is not None and self._registers else self.depth
+        field_of_view = seen_as.field_of_view_rad() or self.depth.field_of_view_rad()
+        return {
+            "width": mode.width,
+            "height": mode.height,
+            "fps": mode.fps,
+            "unit_m": UNITS_M[PixelFormat(mode.pixel_format)],
+            "field_of_view_rad": field_of_view,
+            "name": " ".join(f"{info.vendor} {info.name}".split()),
+            "serial": self._device.serial(),
+            "is_recording": self._device.is_recording,
+            "frame_count": self.depth.frame_count(),
+        }
+
+    def start(self) -> None:
+        for stream in self._streams():
+            stream.start()
+
+    def next(self, timeout_s: float) -> Frame | None:
+        """The next frame of any stream, None when none came in time. Raises LinkLost, and EOFError at the end."""
+        stream = self._openni.wait(self._streams(), timeout_s)
+        for event, number in self._openni.take_events():
+            if event == "disconnected":
+                raise LinkLost("a camera that is there", "none (unplugged?)", "look at the cable", self._settings.uri)
+            self._ended = self._ended or number == END_OF_FILE
+        if stream is not None:
+            return stream.read()
+        if self._ended:
+            raise EOFError
+        return None
+
+    def close(self) -> None:
+        """Streams first. The library itself is left to the end of the process: shutting it down crashes."""
+        for stream in self._streams():
+            stream.close()
+        self._device.close()
+
+    @property
+    def _registers(self) -> bool:
+        return self._settings.registered and not self._device.is_recording
+
+    def _streams(self) -> list[OpenniStream]:
+        return [self.depth] if self.color is None else [self.depth, self.color]
+
+    def _set(self) -> None:
+        settings = self._settings
+        if self._device.is_recording:
+            self._device.play(settings.speed or MANUAL_SPEED, settings.loop)
+        for stream in self._streams():
+            self._set_mode(stream)
+            if stream.mirror() is not None and stream.mirror() != settings.mirror:
+                stream.set_mirror(settings.mirror)
+            came = stream.mirror()
+            if (came is None and settings.mirror) or (came is not None and came != settings.mirror):
+                raise SettingsRefused(f"mirror {settings.mirror}", f"mirror {came}", where=settings.uri)
+        if self.color is not None and self._registers:
+            self._device.register_depth_to_color()
+
+    def _set_mode(self, stream: OpenniStream) -> None:
+        """Size, rate and unit, as far as they were asked for."""
+        now, settings = stream.mode(), self._settings
+        if stream.sensor is Sensor.COLOR:
+            pixel_format = int(PixelFormat.RGB888)
+        elif settings.unit_m is None:
+            pixel_format = now.pixel_format
+        else:
+            pixel_format = next((int(form) for form, unit_m in UNITS_M.items() if unit_m == settings.unit_m), 0)
+        asked = Mode(settings.width or now.width, settings.height or now.height, settings.fps or now.fps, pixel_format)
+        if asked != now and not self._device.is_recording:
+            stream.set_mode(asked)
+        came = stream.mode()
+        if came != asked or (stream.sensor is Sensor.DEPTH and came.pixel_format not in UNITS_M):
+            kind = stream.sensor.name.lower()
+            raise SettingsRefused(f"{kind} {_told(asked)}", _told(came), "another size, rate or unit", settings.uri)
+
+
+class Pairs:
+    """Puts depth and colour of the same moment together: timestamps within half a period.
+
+    Streams may lag behind each other: a depth frame waits for its colour until a later colour frame tells that there
+    is none, or until WAITING depth frames wait.
+    """
+
+    def __init__(self, fps: int, *, wanted: bool) -> None:
+        self._half_us = 0.5e6 / max(fps, 1)
+        self._wanted = wanted
+        self._colors: deque[Frame] = deque(maxlen=WAITING)
+        self._depths: deque[tuple[Frame, int]] = deque()
+
+    def add(self, frame: Frame, host_ns: int) -> list[FrameMessage]:
+        """The pictures that are complete with this frame. host_ns: its arrival [ns]"""
+        if not self._wanted:
+            return [_message(frame, host_ns, None)]
+        if frame.pixel_format == PixelFormat.RGB888:
+            self._colors.append(frame)
+        else:
+            self._depths.append((frame, host_ns))
+        found = []
+        while self._depths and self._is_complete(self._depths[0][0]):
+            found.append(self._take())
+        return found
+
+    def rest(self) -> list[FrameMessage]:
+        """The depth frames that wait, with or without colour."""
+        return [self._take() for _ in range(len(self._depths))]
+
+    def _take(self) -> FrameMessage:
+        depth, host_ns = self._depths.popleft()
+        return _message(depth, host_ns, self._color_of(depth))
+
+    def _is_complete(self, depth: Frame) -> bool:
+        if len(self._depths) > WAITING or self._color_of(depth) is not None:
+            return True
+        return bool(self._colors) and self._colors[-1].timestamp_us > depth.timestamp_us
+
+    def _color_of(self, depth: Frame) -> Frame | None:
+        def apart_us(color: Frame) -> int:
+            return abs(color.timestamp_us - depth.timestamp_us)
+
+        nearest = min(self._colors, key=apart_us, default=None)
+        return nearest if nearest is not None and apart_us(nearest) <= self._half_us else None
+
+
+def _message(depth: Frame, host_ns: int, color: Frame | None) -> FrameMessage:
+    """A frame that is cut off goes as one of no size: it is refused, and counted, where it is taken."""
+    width, height, data = (depth.width, depth.height, depth.data) if depth.is_whole else (0, 0, b"")
+    if color is None or not color.is_whole:
+        return FrameMessage(host_ns, depth.timestamp_us, depth.index, width, height, 0, 0, data, b"")
+    return FrameMessage(
+        host_ns, depth.timestamp_us, depth.index, width, height, color.width, color.height, data, color.data
+    )
+
+
+def _told(mode: Mode) -> str:
+    form = (
+        PixelFormat(mode.pixel_format).name if mode.pixel_format in set(PixelFormat) else f"format {mode.pixel_format}"
+    )
+    return f"{mode.width}x{mode.height} at {mode.fps} Hz in {form}"

@@ -1,0 +1,23 @@
+"""Colour cameras: a webcam through OpenCV and V4L2, a video file or a folder of images in its place, a synthetic one.
+
+with Webcam(WebcamConfig(port="/dev/v4l/by-id/usb-046d_HD_Pro_Webcam_C920-video-index0", fps=30)) as camera:
+    for picture in camera:
+        print(picture.stamp.host_ns, picture.image.shape)
+"""
+
+from deformscope_drivers.webcam.device import Webcam, WebcamConfig
+from deformscope_drivers.webcam.discovery import discover
+from deformscope_drivers.webcam.files import ImageFolder, VideoFile
+from deformscope_drivers.webcam.image import ColorImage
+from deformscope_drivers.webcam.synthetic import SyntheticCamera, SyntheticCameraConfig
+
+__all__ = [
+    "ColorImage",
+    "ImageFolder",
+    "SyntheticCamera",
+    "SyntheticCameraConfig",
+    "VideoFile",
+    "Webcam",
+    "WebcamConfig",
+    "discover",
+]

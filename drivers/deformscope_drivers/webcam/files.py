@@ -1,0 +1,183 @@
+"""A video file, or a folder of images, in a camera's place."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+from abc import abstractmethod
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deformscope_drivers.clock import Clock, ClockFit, Stamp, monotonic_ns
+from deformscope_drivers.device import Device, EndOfReadings
+from deformscope_drivers.errors import NotConnected
+from deformscope_drivers.images import QUEUE_IMAGES
+from deformscope_drivers.pacing import Pacer
+from deformscope_drivers.webcam.image import ColorImage
+
+DEFAULT_FPS = 30.0
+IMAGE_SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".png", ".ppm", ".tif", ".tiff", ".webp"})
+UNREADABLE = "unreadable"
+
+Picture = NDArray[np.uint8]
+
+
+class Playback(Device[ColorImage]):
+    """Pictures of a file, as from a camera.
+
+    fps: pictures a second; None = as the file says, else 30
+    real_time: at that rate, as a camera would, so that a slow reader loses some; False = as fast as the readers take
+    them, and no reader loses any: nothing moves before one reads, and `next` goes on by one picture
+    loop: begin again at the end; otherwise the readers come to their end
+    A picture's device_ticks are its time in the file [us], which goes on from round to round.
+    """
+
+    queue_readings: ClassVar[int] = QUEUE_IMAGES
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        fps: float | None = None,
+        real_time: bool = True,
+        loop: bool = False,
+        clock: Clock = monotonic_ns,
+    ) -> None:
+        if fps is not None and not (math.isfinite(fps) and fps > 0):
+            raise NotConnected("a positive frame rate", str(fps), where=path)
+        super().__init__(str(path), reconnect=None, clock=clock)
+        self.path = Path(path)
+        self._asked_fps = fps
+        self._real_time = real_time
+        self._loop = loop
+        self._pacer = Pacer(clock)
+        self._pictures: Iterator[Picture | None] = iter(())
+        self._fps = fps or DEFAULT_FPS
+        self._shown = self._shown_this_round = 0
+        self._started_ns = 0
+
+    @property
+    def fps(self) -> float:
+        """Pictures a second; known once it is open."""
+        return self._fps
+
+    @abstractmethod
+    def _open_file(self) -> tuple[Iterator[Picture | None], float | None]:
+        """The pictures, RGB, None for one that cannot be read; and the file's own rate [Hz]. Raises NotConnected."""
+
+    def _connect(self) -> None:
+        if not self.path.exists():
+            raise NotConnected("a file that is there", "none", where=self.path)
+        self._pictures, own_fps = self._open_file()
+        self._fps = self._asked_fps or own_fps or DEFAULT_FPS
+        self._shown = self._shown_this_round = 0
+        self._started_ns = self._clock()
+        self._clock_fit = ClockFit(1000.0) if self._real_time else None
+
+    def _receive(self, timeout_s: float) -> Iterable[ColorImage]:
+        if not self._real_time and not self._wanted():
+            self._pacer.wait_until(self._clock() + 1_000_000, timeout_s)
+            return []
+        if self._real_time and not self._pacer.wait_until(self._moment_ns(self._shown), timeout_s):
+            return []
+        picture = self._next_picture()
+        media_us = round(self._shown / self._fps * 1e6)
+        self._shown += 1
+        if picture is None:
+            self._count_refused(UNREADABLE)
+            return []
+        stamp = Stamp(self._clock(), media_us)
+        if self._clock_fit is not None:
+            self._clock_fit.add(media_us, stamp.host_ns)
+        return [ColorImage(stamp, picture)]
+
+    def _next_picture(self) -> Picture | None:
+        for picture in self._pictures:
+            self._shown_this_round += 1
+            return picture
+        if not self._loop or not self._shown_this_round:
+            raise EndOfReadings(f"the end of {self.path.name}")
+        self._pictures, _ = self._open_file()
+        self._shown_this_round = 0
+        return self._next_picture()
+
+    def _disconnect(self) -> None:
+        pictures, self._pictures = self._pictures, iter(())
+        getattr(pictures, "close", lambda: None)()
+
+    def _wake(self) -> None:
+        self._pacer.wake()
+
+    def _moment_ns(self, index: int) -> int:
+        return self._started_ns + round(index * 1e9 / self._fps)
+
+
+class VideoFile(Playback):
+    """A video as a camera: any file that OpenCV's FFmpeg reads."""
+
+    def _open_file(self) -> tuple[Iterator[Picture | None], float | None]:
+        import cv2
+
+        capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
+        if not capture.isOpened():
+            capture.release()
+            raise NotConnected("a video", "a file that is none, or damaged", f"ffprobe {self.path}", self.path)
+        told = float(capture.get(cv2.CAP_PROP_FPS))
+        return _VideoPictures(capture), told if math.isfinite(told) and told > 0 else None
+
+
+class ImageFolder(Playback):
+    """A folder of images as a camera, in natural order (img2 before img10); hidden and other files are left out."""
+
+    def _open_file(self) -> tuple[Iterator[Picture | None], float | None]:
+        if not self.path.is_dir():
+            raise NotConnected("a folder of images", "a file", "VideoFile for a video", self.path)
+        paths = sorted(
+            (
+                path
+                for path in self.path.iterdir()
+                if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".")
+            ),
+            key=lambda path: [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", path.name)],
+        )
+        if not paths:
+            raise NotConnected("images", "none", "files that end in " + " ".join(sorted(IMAGE_SUFFIXES)), self.path)
+        return (_read(path) for path in paths), None
+
+
+class _VideoPictures:
+    """The pictures of an opened `cv2.VideoCapture`; not a generator, which is closed only once it was begun."""
+
+    def __init__(self, capture: Any) -> None:
+        self._capture = capture
+
+    def __iter__(self) -> Iterator[Picture | None]:
+        return self
+
+    def __next__(self) -> Picture | None:
+        import cv2
+
+        if not self._capture.grab():
+            self.close()
+            raise StopIteration
+        decoded, picture = self._capture.retrieve()
+        return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), np.uint8) if decoded else None
+
+    def close(self) -> None:
+        self._capture.release()
+
+
+def _read(path: Path) -> Picture | None:
+    import cv2
+
+    with contextlib.suppress(OSError):
+        # Not imread, which writes to the terminal about what it cannot read.
+        picture = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_COLOR) if path.stat().st_size else None
+        if picture is not None:
+            return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), np.uint8)
+    return None

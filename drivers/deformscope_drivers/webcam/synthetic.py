@@ -1,0 +1,66 @@
+"""A colour camera on a program's scene: what the laboratory, and tests, have in a webcam's place."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deformscope_drivers.clock import Clock, Stamp, monotonic_ns
+from deformscope_drivers.device import RECONNECT, Reconnect
+from deformscope_drivers.images import fingerprint
+from deformscope_drivers.synthetic import SyntheticSource
+from deformscope_drivers.webcam.image import ColorImage
+
+Picture = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class SyntheticCameraConfig:
+    """rate_hz: pictures a second of a scene; noise: deviation of each channel [grey levels of 255], under `seed`"""
+
+    name: str = "synthetic camera"
+    rate_hz: float = 30.0
+    noise: float = 0.0
+    seed: int = 0
+    silence_s: float | None = None
+    stuck_after_s: float | None = None
+
+
+class SyntheticCamera(SyntheticSource[ColorImage, Picture]):
+    """`SyntheticCamera(scene)` with scene(time_s) -> (H, W, 3) RGB uint8; or `camera.push(image)`."""
+
+    def __init__(
+        self,
+        scene: Callable[[float], Picture] | None = None,
+        config: SyntheticCameraConfig | None = None,
+        *,
+        reconnect: Reconnect | None = RECONNECT,
+        clock: Clock = monotonic_ns,
+    ) -> None:
+        self.config = config = config or SyntheticCameraConfig()
+        super().__init__(
+            config.name,
+            scene,
+            rate_hz=config.rate_hz,
+            stuck_after_s=config.stuck_after_s,
+            silence_s=config.silence_s,
+            reconnect=reconnect,
+            clock=clock,
+        )
+        self._random = np.random.default_rng(config.seed)
+
+    def _take(self, view: Picture, stamp: Stamp) -> ColorImage:
+        if self.config.noise:
+            noise = self._random.normal(0.0, self.config.noise, view.shape)
+            return ColorImage(stamp, np.clip(np.rint(view + noise), 0, 255).astype(np.uint8))
+        return ColorImage(stamp, np.array(view, np.uint8))
+
+    def _restamp(self, reading: ColorImage, stamp: Stamp) -> ColorImage:
+        return dataclasses.replace(reading, stamp=stamp)
+
+    def _fingerprint(self, reading: ColorImage) -> Hashable:
+        return fingerprint(reading.image)

@@ -1,0 +1,433 @@
+"""What a double of the vendor's library owes: one set of tests, run on each of them through the same functions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from deformscope_drivers.jaco import errors, kinematics
+from deformscope_drivers.jaco.commands import CartesianVelocity, JointVelocity, velocity_point
+from deformscope_drivers.jaco.kinematics import FloatArray
+from deformscope_drivers.jaco.library import api_version, call, devices, read
+from deformscope_drivers.jaco.structures import (
+    AngularInfo,
+    AngularPosition,
+    AngularRates,
+    CartesianInfo,
+    CartesianPosition,
+    CartesianRates,
+    FingersPosition,
+    ForcesInfo,
+    GeneralInformations,
+    HandMode,
+    KinovaDevice,
+    PositionType,
+    QuickStatus,
+    SensorsInfo,
+    TrajectoryFIFO,
+    TrajectoryPoint,
+    actuator_values,
+    cartesian_values,
+    finger_values,
+)
+from tests.drivers.jaco.benches import VendorBench
+
+CYCLE_S = 0.01
+SINGLE = 1e-4  # what single precision leaves of angles in degrees, over some hundred cycles
+
+
+class VendorContract:
+    """Every double of the vendor's library passes this. The subclass gives the fixtures `bench` and `cold`."""
+
+    @pytest.fixture
+    def bench(self) -> Iterator[VendorBench]:
+        raise NotImplementedError("a contract test gives the fixture `bench`")
+
+    @pytest.fixture
+    def cold(self) -> Iterator[VendorBench]:
+        raise NotImplementedError("a contract test gives the fixture `cold`")
+
+    @pytest.fixture
+    def started(self, bench: VendorBench) -> VendorBench:
+        call(bench.functions, "InitAPI")
+        call(bench.functions, "StartControlAPI")
+        return bench
+
+    # The library and its devices -------------------------------------------------------------------------------------
+
+    def test_it_tells_its_version_before_all_else(self, bench: VendorBench) -> None:
+        assert api_version(bench.functions) == (5, 2, 0)
+
+    def test_nothing_works_before_it_is_initialised(self, bench: VendorBench) -> None:
+        with pytest.raises(errors.ApiNotInitialized):
+            read(bench.functions, "GetAngularPosition", AngularPosition)
+        with pytest.raises(errors.ApiNotInitialized):
+            devices(bench.functions)
+        call(bench.functions, "InitAPI")
+        read(bench.functions, "GetAngularPosition", AngularPosition)
+        call(bench.functions, "CloseAPI")
+        with pytest.raises(errors.ApiNotInitialized):
+            call(bench.functions, "StartControlAPI")
+
+    def test_it_lists_its_arm_which_goes_back_by_value(self, bench: VendorBench) -> None:
+        call(bench.functions, "InitAPI")
+        call(bench.functions, "RefresDevicesList")
+        (device,) = devices(bench.functions)
+
+        assert device.SerialNumber == b"DOUBLE-1"
+        assert device.DeviceType == {6: 3, 7: 8}[bench.chain.joint_count]
+        call(bench.functions, "SetActiveDevice", device)
+        with pytest.raises(errors.NoDeviceFound):
+            call(bench.functions, "SetActiveDevice", KinovaDevice(b"ANOTHER"))
+
+    def test_general_informations_fit_their_structure(self, started: VendorBench) -> None:
+        found = read(started.functions, "GetGeneralInformations", GeneralInformations)
+
+        assert found.SupplyVoltage == 24.0
+        assert found.ConnectedActuatorCount == started.chain.joint_count
+        assert bytes(found.ExpansionsBytes) == bytes(192)
+
+    def test_a_code_on_demand_comes_once(self, started: VendorBench) -> None:
+        started.inject("GetSensorsInfo", 1022)
+        with pytest.raises(errors.CommunicationTimeout):
+            read(started.functions, "GetSensorsInfo", SensorsInfo)
+        assert read(started.functions, "GetSensorsInfo", SensorsInfo).Voltage == 24.0
+
+    @pytest.mark.parametrize("code", sorted(errors.VENDOR_ERRORS))
+    def test_every_vendor_code_becomes_its_exception(self, started: VendorBench, code: int) -> None:
+        for name in ("EraseAllTrajectories", "GetDevices"):
+            started.inject(name, code)
+        with pytest.raises(errors.VENDOR_ERRORS[code]) as caught:
+            call(started.functions, "EraseAllTrajectories")
+        assert caught.value.code == code
+        with pytest.raises(errors.VENDOR_ERRORS[code]):
+            devices(started.functions)
+
+    def test_a_code_that_nobody_knows_becomes_an_exception_too(self, started: VendorBench) -> None:
+        started.inject("EraseAllTrajectories", 4242)
+        with pytest.raises(errors.UnknownCode, match="4242") as caught:
+            call(started.functions, "EraseAllTrajectories")
+        assert caught.value.code == 4242
+
+    # The six-joint trap ----------------------------------------------------------------------------------------------
+
+    def test_a_joint_that_it_has_not_is_never_written(self, started: VendorBench) -> None:
+        seven = started.chain.joint_count == 7
+        for name in ("GetAngularPosition", "GetAngularVelocity", "GetAngularForceGravityFree", "GetAngularCurrent"):
+            poisoned = AngularPosition(AngularInfo(*[-77.0] * 7))
+            call(started.functions, name, poisoned)
+            assert (poisoned.Actuators.Actuator7 == -77.0) != seven
+            assert poisoned.Actuators.Actuator6 != -77.0
+        sensors = SensorsInfo(*[-77.0] * 15)
+        call(started.functions, "GetSensorsInfo", sensors)
+        assert (sensors.ActuatorTemp7 == -77.0) != seven
+
+    def test_a_read_starts_from_zero(self, started: VendorBench) -> None:
+        angles = read(started.functions, "GetAngularPosition", AngularPosition).Actuators
+        assert len(actuator_values(angles, started.chain.joint_count)) == started.chain.joint_count
+        if started.chain.joint_count == 6:
+            assert angles.Actuator7 == 0.0
+
+    # Velocities ------------------------------------------------------------------------------------------------------
+
+    def test_an_angular_velocity_held_for_1_s_turns_by_its_angle(self, started: VendorBench) -> None:
+        rates = np.array([20.0, -10.0, 15.0, 30.0, -40.0, 5.0, -12.0])[: started.chain.joint_count]
+        before = joints(started)
+        stream(started, JointVelocity(tuple(rates)), seconds=1.0)
+        started.advance(0.5)
+
+        np.testing.assert_allclose(joints(started) - before, rates * 1.0, atol=np.max(np.abs(rates)) * CYCLE_S)
+        np.testing.assert_allclose(joints(started) - before, rates * 1.0, atol=SINGLE)
+        assert np.all(rates_deg_s(started) == 0.0)
+
+    def test_a_cartesian_velocity_held_for_1_s_moves_by_its_length(self, started: VendorBench) -> None:
+        before = pose(started)
+        stream(started, CartesianVelocity((0.04, -0.03, 0.05)), seconds=1.0)
+        started.advance(0.5)
+        after = pose(started)
+
+        np.testing.assert_allclose(after[:3, 3] - before[:3, 3], (0.04, -0.03, 0.05), atol=0.06 * CYCLE_S)
+        assert Rotation.from_matrix(after[:3, :3] @ before[:3, :3].T).magnitude() < 2e-3
+
+    def test_an_angular_velocity_of_the_hand_turns_it_in_place_about_the_base_axes(self, started: VendorBench) -> None:
+        before = pose(started)
+        stream(started, CartesianVelocity((0.0, 0.0, 0.0), (0.1, -0.2, 0.3)), seconds=1.0)
+        after = pose(started)
+
+        turned = Rotation.from_matrix(after[:3, :3] @ before[:3, :3].T).as_rotvec()
+        np.testing.assert_allclose(turned, (0.1, -0.2, 0.3), atol=0.4 * CYCLE_S)
+        np.testing.assert_allclose(after[:3, 3], before[:3, 3], atol=1e-3)
+
+    def test_the_rates_are_told_while_it_moves(self, started: VendorBench) -> None:
+        stream(started, CartesianVelocity((0.03, 0.0, -0.02)), seconds=0.2)
+        cartesian, angular = CartesianRates(), AngularRates()
+        call(started.functions, "GetCommandVelocity", cartesian, angular)
+
+        np.testing.assert_allclose(list(cartesian), (0.03, 0.0, -0.02, 0, 0, 0), atol=1e-3)
+        np.testing.assert_allclose(list(angular)[: started.chain.joint_count], rates_deg_s(started), atol=1e-4)
+
+    def test_points_sent_at_half_the_rate_move_half_as_far(self, started: VendorBench) -> None:
+        before = joints(started)
+        for _ in range(50):
+            send(started, JointVelocity((20.0,) + (0.0,) * (started.chain.joint_count - 1)))
+            started.advance(0.02)
+        assert joints(started)[0] - before[0] == pytest.approx(10.0, abs=0.2)
+
+    def test_points_sent_at_twice_the_rate_pile_up_and_the_arm_runs_on(self, started: VendorBench) -> None:
+        velocity = JointVelocity((20.0,) + (0.0,) * (started.chain.joint_count - 1))
+        before = joints(started)
+        for _ in range(200):
+            send(started, velocity)
+            started.advance(0.005)
+        assert fifo(started).TrajectoryCount == pytest.approx(100, abs=1)
+        started.advance(0.5)
+        assert fifo(started).TrajectoryCount == pytest.approx(50, abs=1)
+        assert joints(started)[0] - before[0] == pytest.approx(30.0, abs=0.5)
+        call(started.functions, "EraseAllTrajectories")
+        stopped = joints(started)
+        started.advance(1.0)
+        np.testing.assert_allclose(joints(started), stopped, atol=SINGLE)
+        assert fifo(started).TrajectoryCount == 0
+
+    def test_the_fifo_holds_2000_points_and_no_more(self, started: VendorBench) -> None:
+        still = JointVelocity((0.0,) * started.chain.joint_count)
+        for _ in range(2000):
+            send(started, still)
+        found = fifo(started)
+        assert (found.TrajectoryCount, found.UsedPercentage, found.MaxSize) == (2000, 100.0, 2000)
+        with pytest.raises(errors.NackReceived):
+            send(started, still)
+
+    def test_a_joint_goes_no_faster_than_it_can(self, started: VendorBench) -> None:
+        before = joints(started)
+        stream(started, JointVelocity((1000.0,) * started.chain.joint_count), seconds=0.1)
+        np.testing.assert_allclose(joints(started) - before, 0.1 * started.chain.velocity_deg_s, atol=SINGLE)
+
+    def test_a_joint_stops_at_the_end_of_its_range(self, started: VendorBench) -> None:
+        down = (0.0, 36.0) + (0.0,) * (started.chain.joint_count - 2)
+        stream(started, JointVelocity(down), seconds=5.0)
+        assert joints(started)[1] == pytest.approx(313.0, abs=SINGLE)
+        assert rates_deg_s(started)[1] == 0.0
+
+    # Positions -------------------------------------------------------------------------------------------------------
+
+    def test_a_joint_position_is_reached_at_the_limited_speed(self, started: VendorBench) -> None:
+        target = joints(started) + np.array([10.0, -10.0, 10.0, 20.0, -20.0, 20.0, -20.0])[: started.chain.joint_count]
+        point = position_point(PositionType.ANGULAR_POSITION, target, limits=(10.0, 20.0))
+        call(started.functions, "SendAdvanceTrajectory", point)
+        started.advance(0.5)
+        assert np.max(np.abs(joints(started) - target)) == pytest.approx(10.0, abs=0.3)
+        assert fifo(started).TrajectoryCount == 1
+        started.advance(0.6)
+        np.testing.assert_allclose(joints(started), target, atol=SINGLE)
+        assert fifo(started).TrajectoryCount == 0
+
+    def test_a_basic_point_carries_no_limits(self, started: VendorBench) -> None:
+        target = joints(started) + 10.0
+        point = position_point(PositionType.ANGULAR_POSITION, target, limits=(1.0, 1.0))
+        call(started.functions, "SendBasicTrajectory", point)
+        started.advance(0.4)
+        np.testing.assert_allclose(joints(started), target, atol=SINGLE)
+
+    def test_a_pose_is_reached_straight_and_at_the_limited_speed(self, started: VendorBench) -> None:
+        start = pose(started)
+        theta = kinematics.euler_xyz_from_rotation(start[:3, :3])
+        goal_m = start[:3, 3] + np.array([0.06, 0.0, -0.08])
+        point = position_point(PositionType.CARTESIAN_POSITION, [*goal_m, *theta], limits=(0.1, 0.5))
+        call(started.functions, "SendAdvanceTrajectory", point)
+        started.advance(0.5)
+        half_m = pose(started)[:3, 3] - start[:3, 3]
+        np.testing.assert_allclose(half_m, (0.03, 0.0, -0.04), atol=2e-3)
+        started.advance(0.6)
+        after = pose(started)
+        np.testing.assert_allclose(after[:3, 3], goal_m, atol=2e-5)
+        assert Rotation.from_matrix(after[:3, :3] @ start[:3, :3].T).magnitude() < 1e-3
+        assert fifo(started).TrajectoryCount == 0
+
+    def test_points_are_carried_out_one_after_the_other(self, started: VendorBench) -> None:
+        here = joints(started)
+        for target in (here + 2.0, here + 2.0, here):
+            point = position_point(PositionType.ANGULAR_POSITION, target, limits=(10.0, 10.0))
+            call(started.functions, "SendAdvanceTrajectory", point)
+        actual = read(started.functions, "GetActualTrajectoryInfo", TrajectoryPoint)
+        assert actual.Position.Actuators.Actuator1 == pytest.approx(here[0] + 2.0)
+        assert actual.Limitations.speedParameter2 == 10.0
+        started.advance(1.0)
+        np.testing.assert_allclose(joints(started), here, atol=SINGLE)
+
+    def test_a_delay_holds_up_what_follows(self, started: VendorBench) -> None:
+        wait = TrajectoryPoint()
+        wait.Position.Type, wait.Position.Delay = PositionType.DELAY, 0.3
+        call(started.functions, "SendBasicTrajectory", wait)
+        before = joints(started)
+        send(started, JointVelocity((10.0,) * started.chain.joint_count))
+        started.advance(0.25)
+        np.testing.assert_array_equal(joints(started), before)
+        started.advance(0.1)
+        np.testing.assert_allclose(joints(started) - before, 0.1, atol=SINGLE)
+
+    def test_a_point_of_no_known_type_is_refused(self, started: VendorBench) -> None:
+        point = TrajectoryPoint()
+        point.Position.Type = 99
+        with pytest.raises(errors.InvalidParameter):
+            call(started.functions, "SendBasicTrajectory", point)
+
+    def test_the_pose_told_is_that_of_the_joints(self, started: VendorBench) -> None:
+        stream(started, JointVelocity((15.0, -9.0, 11.0, 20.0, -25.0, 30.0, 7.0)[: started.chain.joint_count]), 1.0)
+        np.testing.assert_allclose(pose(started), started.chain.end_effector(joints(started)), atol=1e-5)
+
+    def test_it_finds_home(self, started: VendorBench) -> None:
+        stream(started, JointVelocity((20.0,) * started.chain.joint_count), seconds=0.5)
+        call(started.functions, "MoveHome")
+        started.advance(1.0)
+        np.testing.assert_allclose(joints(started), started.chain.home_deg, atol=SINGLE)
+
+    # Fingers ---------------------------------------------------------------------------------------------------------
+
+    def test_fingers_go_to_a_position_within_their_range(self, started: VendorBench) -> None:
+        point = position_point(PositionType.ANGULAR_POSITION, joints(started), limits=(10.0, 10.0))
+        point.Position.HandMode = HandMode.POSITION
+        point.Position.Fingers = FingersPosition(3000.0, 9000.0, -5.0)
+        call(started.functions, "SendAdvanceTrajectory", point)
+        started.advance(3.0)
+        assert fingers(started) == (3000.0, 6800.0, 0.0)
+        assert fifo(started).TrajectoryCount == 0
+
+    def test_fingers_move_at_a_velocity(self, started: VendorBench) -> None:
+        for _ in range(100):
+            point = velocity_point(JointVelocity((0.0,) * started.chain.joint_count))
+            point.Position.HandMode = HandMode.VELOCITY
+            point.Position.Fingers = FingersPosition(1000.0, 2000.0, -100.0)
+            call(started.functions, "SendBasicTrajectory", point)
+            started.advance(CYCLE_S)
+        np.testing.assert_allclose(fingers(started), (1000.0, 2000.0, 0.0), atol=25.0)
+
+    def test_fingers_open_when_they_are_initialised(self, started: VendorBench) -> None:
+        assert read(started.functions, "GetQuickStatus", QuickStatus).Finger1Status == 0
+        call(started.functions, "InitFingers")
+        started.advance(2.0)
+        status = read(started.functions, "GetQuickStatus", QuickStatus)
+        assert (status.Finger1Status, status.Finger2Status, status.Finger3Status) == (1, 1, 1)
+        assert fingers(started) == (0.0, 0.0, 0.0)
+
+    # Control ---------------------------------------------------------------------------------------------------------
+
+    def test_without_control_it_takes_nothing(self, bench: VendorBench) -> None:
+        call(bench.functions, "InitAPI")
+        before = joints(bench)
+        stream(bench, JointVelocity((20.0,) * bench.chain.joint_count), seconds=0.2)
+        np.testing.assert_array_equal(joints(bench), before)
+        assert fifo(bench).TrajectoryCount == 0
+
+    def test_a_cold_arm_ignores_the_first_start(self, cold: VendorBench) -> None:
+        call(cold.functions, "InitAPI")
+        call(cold.functions, "StartControlAPI")
+        assert read(cold.functions, "GetQuickStatus", QuickStatus).ControlEnableStatus == 1
+        call(cold.functions, "StopControlAPI")
+        call(cold.functions, "StartControlAPI")
+        assert read(cold.functions, "GetQuickStatus", QuickStatus).ControlEnableStatus == 0
+        before = joints(cold)
+        stream(cold, JointVelocity((20.0,) * cold.chain.joint_count), seconds=0.1)
+        np.testing.assert_allclose(joints(cold) - before, 2.0, atol=SINGLE)
+
+    def test_stopping_the_control_stops_the_arm(self, started: VendorBench) -> None:
+        for _ in range(50):
+            send(started, JointVelocity((20.0,) * started.chain.joint_count))
+        started.advance(0.1)
+        call(started.functions, "StopControlAPI")
+        stopped = joints(started)
+        started.advance(0.5)
+        np.testing.assert_array_equal(joints(started), stopped)
+
+    # Force -----------------------------------------------------------------------------------------------------------
+
+    def test_a_push_shows_at_the_hand_and_in_the_joints(self, started: VendorBench) -> None:
+        push = np.array([3.0, -2.0, 5.0, 0.1, 0.2, -0.3])
+        started.push(push.tolist())
+        count = started.chain.joint_count
+        torque_nm = started.chain.jacobian(joints(started)).T @ push
+
+        told = read(started.functions, "GetCartesianForce", CartesianPosition)
+        np.testing.assert_allclose(cartesian_values(told.Coordinates), push, atol=1e-5)
+        free = read(started.functions, "GetAngularForceGravityFree", AngularPosition)
+        np.testing.assert_allclose(actuator_values(free.Actuators, count), torque_nm, atol=1e-4)
+        both = read(started.functions, "GetForcesInfo", ForcesInfo)
+        np.testing.assert_allclose([both.Actuator1, both.Actuator2, both.Actuator3], torque_nm[:3], atol=1e-4)
+        np.testing.assert_allclose([both.X, both.Y, both.Z, both.ThetaX, both.ThetaY, both.ThetaZ], push, atol=1e-5)
+
+    def test_pairs_of_structures_go_by_value_in_their_order(self, started: VendorBench) -> None:
+        first, second = [1.5, 2, 3, 4, 5, 6], [7.0, 8, 9, 10, 11, 12]
+        for name in ("SetCartesianForceMinMax", "SetCartesianInertiaDamping"):
+            call(started.functions, name, CartesianInfo(*first), CartesianInfo(*second))
+            np.testing.assert_array_equal(started.last_pair(6), [first, second])
+        count = started.chain.joint_count
+        more, most = [*first, 13.0], [*second, 14.0]
+        for name in ("SetAngularTorqueMinMax", "SetAngularInertiaDamping"):
+            call(started.functions, name, AngularInfo(*more), AngularInfo(*most))
+            np.testing.assert_array_equal(started.last_pair(7)[:, :count], [more[:count], most[:count]])
+
+    def test_force_control_is_switched_and_told(self, started: VendorBench) -> None:
+        assert read(started.functions, "GetQuickStatus", QuickStatus).ForceControlStatus == 1
+        call(started.functions, "StartForceControl")
+        assert read(started.functions, "GetQuickStatus", QuickStatus).ForceControlStatus == 0
+        call(started.functions, "StopForceControl")
+        assert read(started.functions, "GetQuickStatus", QuickStatus).ForceControlStatus == 1
+
+    def test_torques_are_zeroed_at_the_addresses_of_the_joints_alone(self, started: VendorBench) -> None:
+        for address in range(16, 16 + started.chain.joint_count):
+            call(started.functions, "SetTorqueZero", address)
+        for address in (15, 16 + started.chain.joint_count):
+            with pytest.raises(errors.InvalidParameter):
+                call(started.functions, "SetTorqueZero", address)
+
+
+def send(bench: VendorBench, velocity: JointVelocity | CartesianVelocity) -> None:
+    call(bench.functions, "SendBasicTrajectory", velocity_point(velocity))
+
+
+def stream(bench: VendorBench, velocity: JointVelocity | CartesianVelocity, seconds: float) -> None:
+    """Send one point each 10 ms."""
+    for _ in range(round(seconds / CYCLE_S)):
+        send(bench, velocity)
+        bench.advance(CYCLE_S)
+
+
+def position_point(
+    kind: PositionType, values: FloatArray | list[float], limits: tuple[float, float]
+) -> TrajectoryPoint:
+    point = TrajectoryPoint()
+    point.Position.Type = kind
+    if kind is PositionType.ANGULAR_POSITION:
+        point.Position.Actuators = AngularInfo(*values)
+    else:
+        point.Position.CartesianPosition = CartesianInfo(*values)
+    point.LimitationsActive = 1
+    point.Limitations.speedParameter1, point.Limitations.speedParameter2 = limits
+    return point
+
+
+def joints(bench: VendorBench) -> FloatArray:
+    angles = read(bench.functions, "GetAngularPosition", AngularPosition).Actuators
+    return np.array(actuator_values(angles, bench.chain.joint_count))
+
+
+def rates_deg_s(bench: VendorBench) -> FloatArray:
+    rates = read(bench.functions, "GetAngularVelocity", AngularPosition).Actuators
+    return np.array(actuator_values(rates, bench.chain.joint_count))
+
+
+def pose(bench: VendorBench) -> FloatArray:
+    told = read(bench.functions, "GetCartesianPosition", CartesianPosition).Coordinates
+    x, y, z, *theta = cartesian_values(told)
+    return kinematics.transform(Rotation.from_euler("XYZ", theta).as_matrix(), (x, y, z))
+
+
+def fingers(bench: VendorBench) -> tuple[float, float, float]:
+    return finger_values(read(bench.functions, "GetAngularPosition", AngularPosition).Fingers)
+
+
+def fifo(bench: VendorBench) -> TrajectoryFIFO:
+    return read(bench.functions, "GetGlobalTrajectoryInfo", TrajectoryFIFO)

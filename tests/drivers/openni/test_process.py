@@ -1,0 +1,33 @@
+"""The process that reads a camera starts quickly, and tells what it finds."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+from deformscope_drivers.openni.command import process_command, process_environment
+
+
+def test_it_starts_without_what_takes_long_to_load() -> None:
+    script = "import sys, deformscope_drivers.openni.process; print('numpy' in sys.modules)"
+    shown = subprocess.run(
+        [sys.executable, "-S", "-c", script],
+        env=process_environment(),
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=True,
+    )
+
+    assert shown.stdout == "False\n"
+
+
+def test_cameras_are_listed_in_json() -> None:
+    """A list, or why there is none."""
+    shown = subprocess.run(
+        process_command("list"), env=process_environment(), capture_output=True, timeout=30, check=True
+    )
+    told = json.loads(shown.stdout)
+
+    assert isinstance(told, list) or "libopenni2-0" in told["error"]
