@@ -15,7 +15,7 @@ import numpy as np
 
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import ROUND_S
-from deformscope_drivers.errors import CommandRefused, LinkLost, OutOfLimits, SettingsRefused, Stale
+from deformscope_drivers.errors import CommandRefused, DeviceError, LinkLost, OutOfLimits, SettingsRefused, Stale
 from deformscope_drivers.health import Link
 from deformscope_drivers.sdh.codes import (
     AXIS_COUNT,
@@ -107,8 +107,8 @@ class Sdh(SdhConnection):
 
         targets_deg: (7,), or by axis, the others staying where they are; velocity_deg_s, acceleration_deg_s2: (7,) or
         one for all (the sin² profile knows no acceleration); timeout_s: None = the hand's own duration and 1 s more,
-        after which the hand is told to stop. Firmware switches all axes on by this.
-        An axis that is blocked ends no exception but `result.outcome`: touching things is what hands are for.
+        after which the hand is told to stop, as it is by Ctrl-C. Firmware switches all axes on by this.
+        A blocked axis raises nothing; `result.outcome` says so, since touching things is what hands are for.
         Raises OutOfLimits (nothing was sent), CommandRefused, LinkLost, NoReply.
         """
         speeds = self.limits.speeds(velocity_deg_s, self.name)
@@ -247,8 +247,14 @@ class Sdh(SdhConnection):
         if not wait:
             return MoveResult(Outcome.STARTED, started.duration_s)
         if timeout_s is None:
-            timeout_s = (LONGEST_MOTION_S if started.duration_s is None else started.duration_s) + MARGIN_S
-        return self._wait(started, timeout_s)
+            planned_s = LONGEST_MOTION_S if started.duration_s is None else started.duration_s
+            timeout_s = planned_s + MARGIN_S + 2 / self.config.rate_hz
+        try:
+            return self._wait(started, timeout_s)
+        except KeyboardInterrupt:  # who presses Ctrl-C wants the hand to stop, whatever becomes of the program
+            with contextlib.suppress(DeviceError):
+                self.stop()
+            raise
 
     def _wait(self, started: _Started, timeout_s: float) -> MoveResult:
         """Read until the axes are still. An idle axis is believed once one was seen to move, or after a while."""

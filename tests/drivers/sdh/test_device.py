@@ -319,6 +319,28 @@ def test_what_takes_too_long_is_stopped(lab: Make) -> None:
     assert not made.double.motion.moving
 
 
+def test_ctrl_c_stops_the_hand(lab: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = lab()
+
+    def interrupted(timeout_s: float) -> None:
+        made.run(0.5)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(made.hand, "next", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        made.hand.move({1: 80.0})
+    made.run(1.0)
+
+    assert not made.double.motion.moving
+    assert made.position_deg()[1] < 20.0
+
+
+def test_a_slow_rate_is_given_its_time(lab: Make) -> None:
+    made = lab(rate_hz=0.5)
+
+    assert made.hand.move(POSE).outcome is Outcome.REACHED
+
+
 def test_a_move_that_misses_says_so(lab: Make) -> None:
     made = lab()
     made.hand.move({1: 80.0}, wait=False)
