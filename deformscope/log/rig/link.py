@@ -1,0 +1,46 @@
+"""A device's wire: the bytes that went over it, and when it was there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pyarrow as pa
+import rerun as rr
+
+from deformscope.frames import LinkChange, RawBytes
+from deformscope.log.rig.columns import blobs, moments, root, singles
+from deformscope.palette import BAD, GOOD, IDLE, WARN
+from deformscope_drivers.health import Link
+
+COLORS = {Link.CONNECTED: GOOD, Link.LOST: WARN, Link.FAILED: BAD, Link.CLOSED: IDLE}
+LEVELS = {Link.CONNECTED: "INFO", Link.LOST: "WARN", Link.FAILED: "ERROR", Link.CLOSED: "INFO"}
+
+
+def log_link_stream(rec: rr.RecordingStream, device: str) -> None:
+    colored = rr.StateConfiguration(values=[str(link) for link in COLORS], colors=list(COLORS.values()))
+    rec.log(root("link", device), colored, static=True)
+
+
+def log_link(rec: rr.RecordingStream, device: str, changes: Sequence[LinkChange], start_ns: int) -> None:
+    events = [change.event for change in changes]
+    told = [f"{event.link}: {event.reason}" if event.reason else str(event.link) for event in events]
+    columns = [
+        *rr.TextLog.columns(text=told, level=[LEVELS[event.link] for event in events]),
+        *rr.StateChange.columns(state=[str(event.link) for event in events]),
+        *singles("LinkEvent", "host_ns", [event.host_ns for event in events], pa.int64()),
+        *singles("LinkEvent", "link", [str(event.link) for event in events], pa.string()),
+        *singles("LinkEvent", "reason", [event.reason for event in events], pa.string()),
+    ]
+    rec.send_columns(root("link", device), moments([event.host_ns for event in events], start_ns), columns)
+
+
+def log_raw(rec: rr.RecordingStream, device: str, pieces: Sequence[RawBytes], start_ns: int) -> None:
+    for way, sent in (("received", False), ("sent", True)):
+        those = [piece for piece in pieces if piece.sent is sent]
+        if those:
+            when = [piece.host_ns for piece in those]
+            columns = [
+                *singles("RawBytes", "host_ns", when, pa.int64()),
+                *blobs("RawBytes", "data", [piece.data for piece in those]),
+            ]
+            rec.send_columns(root("raw", device, way), moments(when, start_ns), columns)

@@ -1,0 +1,198 @@
+"""Pressures on a hand's pads, as one picture of the hand: fingers side by side, distal above proximal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+
+from deformscope.arrays import IntArray
+from deformscope.frames import Pad, Stream, TactileFrame
+from deformscope.log.canvas import TEXT
+from deformscope.log.rig.columns import frame_times, lists, log_series, moments, root, scalars, stamps
+from deformscope.palette import BACKGROUND, JOINTS, colors, round_up
+
+FINGER_GAP, PART_GAP, RIM = 5, 6, 2
+"""Texels between the pads of two fingers, between those of one, and around all: labels stand there."""
+BAR_STEPS = 128
+TEXEL_MM = 3.4
+"""Of a pad that nothing is known of."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hand:
+    """Where each texel is drawn.
+
+    pads: in the device's order; corners: (row, column) of each one's first texel, in texels
+    rows, columns: of the whole picture; texel_mm: (width, height) of a texel
+    """
+
+    pads: tuple[Pad, ...]
+    corners: tuple[tuple[int, int], ...]
+    rows: int
+    columns: int
+    texel_mm: tuple[float, float]
+
+    @classmethod
+    def of(cls, pads: Sequence[Pad]) -> Hand:
+        """Fingers from left to right, the part farthest from the palm on top."""
+        fingers: dict[int, list[int]] = {}
+        for place in sorted(range(len(pads)), key=lambda place: (pads[place].finger, -pads[place].part)):
+            fingers.setdefault(pads[place].finger, []).append(place)
+        corners = [(0, 0)] * len(pads)
+        # The parts of all fingers that lie next to the palm stand on one line.
+        heights = {part: max(pad.rows for pad in pads if pad.part == part) for part in {pad.part for pad in pads}}
+        tops, top = {}, 0
+        for part in sorted(heights, reverse=True):
+            tops[part], top = top, top + heights[part] + PART_GAP
+        left = 0
+        for places in fingers.values():
+            below: dict[int, int] = {}  # pads on one part of one finger, which no hand is known to have
+            for place in places:
+                pad = pads[place]
+                corners[place] = tops[pad.part], left + below.get(pad.part, 0)
+                below[pad.part] = below.get(pad.part, 0) + pad.columns + FINGER_GAP
+            left += max(below.values())
+        texel_mm = (pads[0].texel_m[0] * 1e3, pads[0].texel_m[1] * 1e3)
+        return cls(tuple(pads), tuple(corners), top - PART_GAP, left - FINGER_GAP, texel_mm)
+
+    @classmethod
+    def of_shapes(cls, shapes: Sequence[tuple[int, ...]]) -> Hand:
+        """Pads of which nothing but their texels is known: side by side."""
+        texel_m = (TEXEL_MM * 1e-3, TEXEL_MM * 1e-3)
+        return cls.of([Pad(f"pad {at}", shape[0], shape[1], texel_m, at, at, 0) for at, shape in enumerate(shapes)])
+
+    @property
+    def size_mm(self) -> tuple[float, float]:
+        """Width and height of the picture."""
+        return self.columns * self.texel_mm[0], self.rows * self.texel_mm[1]
+
+    @property
+    def bounds_mm(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """What a view shows in x and y: the picture, its labels and its bar."""
+        (width, height), (x, y) = self.size_mm, self.texel_mm
+        return (-2 * RIM * x, width + 2 * RIM * x), (-4.0 * y, height + 9.0 * y)
+
+    def places(self) -> IntArray:
+        """(texels,) where each texel lies in the flattened picture, in the device's order."""
+        parts = [
+            ((top + np.arange(pad.rows))[:, None] * self.columns + left + np.arange(pad.columns)).ravel()
+            for pad, (top, left) in zip(self.pads, self.corners, strict=True)
+        ]
+        return np.concatenate(parts)
+
+    def middles_mm(self, above: bool) -> list[tuple[float, float]]:
+        """Where labels stand: over each pad, or under it."""
+        return [
+            ((left + pad.columns / 2) * self.texel_mm[0], (top - 3.2 if above else top + pad.rows) * self.texel_mm[1])
+            for pad, (top, left) in zip(self.pads, self.corners, strict=True)
+        ]
+
+
+def log_tactile_stream(rec: rr.RecordingStream, stream: Stream) -> None:
+    if stream.pads:
+        _log_hand(rec, stream.device, Hand.of(stream.pads))
+
+
+def log_tactile(
+    rec: rr.RecordingStream, device: str, frames: Sequence[TactileFrame], start_ns: int, stream: Stream | None
+) -> None:
+    times = frame_times(frames, start_ns)
+    rows = [np.concatenate([np.ravel(pad) for pad in frame.pressure_pa]) for frame in frames]
+    shapes = [[side for pad in frame.pressure_pa for side in pad.shape] for frame in frames]
+    columns = [
+        *stamps(frames),
+        *lists("TactileFrame", "counts", [frame.counts for frame in frames], pa.uint16()),
+        *lists("TactileFrame", "pressure_pa", rows, pa.float64()),
+        *lists("TactileFrame", "shape", shapes, pa.int64()),
+    ]
+    peaks_kpa = [np.array([np.max(pad, initial=0.0) * 1e-3 for pad in frame.pressure_pa]) for frame in frames]
+    rec.send_columns(root("tactile", device, "peak_kpa"), times, scalars(peaks_kpa))
+    rec.send_columns(root("tactile", device), times, columns)
+    if stream is not None and stream.pads:
+        hand = Hand.of(stream.pads)
+    else:
+        hand = Hand.of_shapes([pad.shape for pad in frames[0].pressure_pa])
+        _log_hand(rec, device, hand)
+    drawn = [row for row, sides in zip(range(len(frames)), shapes, strict=True) if sides == shapes_of(hand)]
+    if drawn:
+        end_kpa = _end_kpa(stream, [peaks_kpa[row] for row in drawn])
+        _log_pictures(
+            rec,
+            device,
+            hand,
+            [rows[row] for row in drawn],
+            [peaks_kpa[row] for row in drawn],
+            end_kpa,
+            moments([frames[row].stamp.host_ns for row in drawn], start_ns),
+        )
+
+
+def shapes_of(hand: Hand) -> list[int]:
+    return [side for pad in hand.pads for side in (pad.rows, pad.columns)]
+
+
+def _end_kpa(stream: Stream | None, peaks_kpa: Sequence[np.typing.NDArray[np.float64]]) -> float:
+    """The scale's end: the device's own, else one that a reader can divide."""
+    if stream is not None and stream.full_scale_pa > 0:
+        return stream.full_scale_pa * 1e-3
+    return round_up(max(float(np.max(row, initial=0.0)) for row in peaks_kpa))
+
+
+def _log_hand(rec: rr.RecordingStream, device: str, hand: Hand) -> None:
+    """What holds throughout: names, places, sizes."""
+    path = root("display/tactile", device)
+    names = [pad.name for pad in hand.pads]
+    log_series(rec, root("tactile", device, "peak_kpa"), [f"{name} [kPa]" for name in names], _tints(len(names)))
+    sharp = rr.components.MagnificationFilter.Nearest
+    shape = rr.components.ImageFormat(
+        width=hand.columns, height=hand.rows, color_model=rr.ColorModel.RGB, channel_datatype=rr.ChannelDatatype.U8
+    )
+    rec.log(f"{path}/picture", rr.Image.from_fields(format=shape, magnification_filter=sharp), static=True)
+    rec.log(f"{path}/picture", rr.Transform3D(scale=[*hand.texel_mm, 1.0]), static=True)
+    _log_text(rec, f"{path}/name", hand.middles_mm(above=True), names)
+    _log_text(rec, f"{path}/peak", hand.middles_mm(above=False), None)
+    bar = np.repeat(colors(np.linspace(0, 1, BAR_STEPS))[None], 2, axis=0)
+    (width, height), (_, texel) = hand.size_mm, hand.texel_mm
+    rec.log(f"{path}/bar", rr.Image(bar), static=True)
+    place = rr.Transform3D(translation=[0.0, height + 4.0 * texel, 0.0], scale=[width / BAR_STEPS, texel / 2, 1.0])
+    rec.log(f"{path}/bar", place, static=True)
+    ticks = [(share * width, height + 5.0 * texel) for share in (0.0, 0.5, 1.0)]
+    _log_text(rec, f"{path}/scale", ticks, None)
+
+
+def _log_text(
+    rec: rr.RecordingStream, path: str, places: Sequence[tuple[float, float]], labels: Sequence[str] | None
+) -> None:
+    points = rr.Points2D(places, radii=0.01, colors=TEXT, labels=labels, show_labels=True, draw_order=60.0)
+    rec.log(path, points, static=True)
+
+
+def _log_pictures(
+    rec: rr.RecordingStream,
+    device: str,
+    hand: Hand,
+    pressure_pa: Sequence[np.typing.NDArray[np.float64]],
+    peaks_kpa: Sequence[np.typing.NDArray[np.float64]],
+    end_kpa: float,
+    times: Sequence[rr.TimeColumn],
+) -> None:
+    path = root("display/tactile", device)
+    picture = np.full((len(pressure_pa), hand.rows * hand.columns, 3), BACKGROUND, np.uint8)
+    places = hand.places()
+    share = np.stack(pressure_pa) * (1e-3 / end_kpa)
+    picture[:, places] = colors(share.ravel()).reshape(*share.shape, 3)
+    rec.send_columns(f"{path}/picture", times, rr.Image.columns(buffer=list(picture.reshape(len(picture), -1))))
+    peaks = [f"max {peak:.2f} kPa" for row in peaks_kpa for peak in row]
+    rec.send_columns(f"{path}/peak", times, rr.Points2D.columns(labels=peaks).partition([len(r) for r in peaks_kpa]))
+    ticks = [f"{end_kpa * at:.3g} kPa" for at in (0.0, 0.5, 1.0)]
+    rec.send_columns(
+        f"{path}/scale", times, rr.Points2D.columns(labels=ticks * len(picture)).partition([3] * len(picture))
+    )
+
+
+def _tints(count: int) -> list[tuple[int, ...]]:
+    return [JOINTS[at % len(JOINTS)] for at in range(count)]
