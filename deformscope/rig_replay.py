@@ -6,6 +6,7 @@ import heapq
 import json
 import logging
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -70,6 +71,7 @@ def read_items(path: Path, *, trust: bool = False) -> Iterator[Item]:
     starts = _Starts(replay)
     parts: dict[Key, Cells] = {}
     waiting: list[tuple[int, bytes, Key]] = []
+    cut_off: Counter[tuple[str, str]] = Counter()
     for chunk in _moving(replay):
         for when, row_id, key, cells in _rows(chunk):
             parts.setdefault(key, {}).update(cells)
@@ -77,7 +79,13 @@ def read_items(path: Path, *, trust: bool = False) -> Iterator[Item]:
                 heapq.heappush(waiting, (when, row_id, key))
         until = starts.after(chunk)
         while waiting and (until is None or waiting[0][0] < until):
-            yield from _made(heapq.heappop(waiting)[2], parts)
+            kind, device, place = key = heapq.heappop(waiting)[2]
+            try:
+                yield _MAKERS[kind](parts.pop(key), device, place)
+            except KeyError:  # a part of it is missing
+                cut_off[kind, device] += 1
+    for (kind, device), count in cut_off.items():
+        _logger.warning("%d of %s %s were recorded in part, and are left out", count, kind, device)
 
 
 def read_streams(path: Path, *, trust: bool = False) -> tuple[Stream, ...]:
@@ -155,15 +163,6 @@ def _cells(column: Any) -> list[Any]:
         cut = values.to_numpy(zero_copy_only=False)
     rows = [cut[first:last] for first, last in pairwise(offsets)]
     return [row if there else None for row, there in zip(rows, column.is_valid().to_pylist(), strict=True)]
-
-
-def _made(key: Key, parts: dict[Key, Cells]) -> Iterator[Item]:
-    """The item, or nothing where a part of it is missing."""
-    kind, device, place = key
-    try:
-        yield _MAKERS[kind](parts.pop(key), device, place)
-    except KeyError as missing:
-        _logger.warning("%s %s, number %d, is left out: it was recorded without %s", kind, device, place, missing)
 
 
 # One maker a kind ----------------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 
-from deformscope.arrays import IntArray
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.frames import Pad, Stream, TactileFrame
 from deformscope.log.canvas import TEXT
 from deformscope.log.rig.columns import frame_times, lists, log_series, moments, root, scalars, stamps
@@ -76,6 +76,11 @@ class Hand:
         (width, height), (x, y) = self.size_mm, self.texel_mm
         return (-2 * RIM * x, width + 2 * RIM * x), (-4.0 * y, height + 9.0 * y)
 
+    @property
+    def shapes(self) -> list[tuple[int, int]]:
+        """(rows, columns) of each pad, in the device's order."""
+        return [(pad.rows, pad.columns) for pad in self.pads]
+
     def places(self) -> IntArray:
         """(texels,) where each texel lies in the flattened picture, in the device's order."""
         parts = [
@@ -101,45 +106,35 @@ def log_tactile(
     rec: rr.RecordingStream, device: str, frames: Sequence[TactileFrame], start_ns: int, stream: Stream | None
 ) -> None:
     times = frame_times(frames, start_ns)
-    rows = [np.concatenate([np.ravel(pad) for pad in frame.pressure_pa]) for frame in frames]
     shapes = [[side for pad in frame.pressure_pa for side in pad.shape] for frame in frames]
     columns = [
         *stamps(frames),
         *lists("TactileFrame", "counts", [frame.counts for frame in frames], pa.uint16()),
-        *lists("TactileFrame", "pressure_pa", rows, pa.float64()),
+        *lists("TactileFrame", "pressure_pa", [_texels_pa(frame) for frame in frames], pa.float64()),
         *lists("TactileFrame", "shape", shapes, pa.int64()),
     ]
-    peaks_kpa = [np.array([np.max(pad, initial=0.0) * 1e-3 for pad in frame.pressure_pa]) for frame in frames]
-    rec.send_columns(root("tactile", device, "peak_kpa"), times, scalars(peaks_kpa))
+    rec.send_columns(root("tactile", device, "peak_kpa"), times, scalars([_peaks_kpa(frame) for frame in frames]))
     rec.send_columns(root("tactile", device), times, columns)
     if stream is not None and stream.pads:
         hand = Hand.of(stream.pads)
-    else:
+    elif frames[0].pressure_pa:
         hand = Hand.of_shapes([pad.shape for pad in frames[0].pressure_pa])
         _log_hand(rec, device, hand)
-    drawn = [row for row, sides in zip(range(len(frames)), shapes, strict=True) if sides == shapes_of(hand)]
+    else:
+        return
+    drawn = [frame for frame in frames if [pad.shape for pad in frame.pressure_pa] == hand.shapes]
     if drawn:
-        end_kpa = _end_kpa(stream, [peaks_kpa[row] for row in drawn])
-        _log_pictures(
-            rec,
-            device,
-            hand,
-            [rows[row] for row in drawn],
-            [peaks_kpa[row] for row in drawn],
-            end_kpa,
-            moments([frames[row].stamp.host_ns for row in drawn], start_ns),
-        )
+        _log_pictures(rec, device, hand, drawn, start_ns, stream)
 
 
-def shapes_of(hand: Hand) -> list[int]:
-    return [side for pad in hand.pads for side in (pad.rows, pad.columns)]
+def _texels_pa(frame: TactileFrame) -> FloatArray:
+    """(texels,) pressures of all pads, one after the other."""
+    return np.concatenate([np.zeros(0), *(pad.ravel() for pad in frame.pressure_pa)])
 
 
-def _end_kpa(stream: Stream | None, peaks_kpa: Sequence[np.typing.NDArray[np.float64]]) -> float:
-    """The scale's end: the device's own, else one that a reader can divide."""
-    if stream is not None and stream.full_scale_pa > 0:
-        return stream.full_scale_pa * 1e-3
-    return round_up(max(float(np.max(row, initial=0.0)) for row in peaks_kpa))
+def _peaks_kpa(frame: TactileFrame) -> FloatArray:
+    """(pads,) the highest pressure on each."""
+    return np.array([np.max(pad, initial=0.0) * 1e-3 for pad in frame.pressure_pa])
 
 
 def _log_hand(rec: rr.RecordingStream, device: str, hand: Hand) -> None:
@@ -175,23 +170,28 @@ def _log_pictures(
     rec: rr.RecordingStream,
     device: str,
     hand: Hand,
-    pressure_pa: Sequence[np.typing.NDArray[np.float64]],
-    peaks_kpa: Sequence[np.typing.NDArray[np.float64]],
-    end_kpa: float,
-    times: Sequence[rr.TimeColumn],
+    frames: Sequence[TactileFrame],
+    start_ns: int,
+    stream: Stream | None,
 ) -> None:
     path = root("display/tactile", device)
-    picture = np.full((len(pressure_pa), hand.rows * hand.columns, 3), BACKGROUND, np.uint8)
-    places = hand.places()
-    share = np.stack(pressure_pa) * (1e-3 / end_kpa)
-    picture[:, places] = colors(share.ravel()).reshape(*share.shape, 3)
+    times = moments([frame.stamp.host_ns for frame in frames], start_ns)
+    peaks_kpa = np.stack([_peaks_kpa(frame) for frame in frames])
+    known = stream is not None and stream.full_scale_pa > 0
+    end_kpa = stream.full_scale_pa * 1e-3 if stream is not None and known else round_up(float(peaks_kpa.max()))
+    share = np.stack([_texels_pa(frame) for frame in frames]) * (1e-3 / end_kpa)
+    picture = np.full((len(frames), hand.rows * hand.columns, 3), BACKGROUND, np.uint8)
+    picture[:, hand.places()] = colors(share.ravel()).reshape(*share.shape, 3)
     rec.send_columns(f"{path}/picture", times, rr.Image.columns(buffer=list(picture.reshape(len(picture), -1))))
-    peaks = [f"max {peak:.2f} kPa" for row in peaks_kpa for peak in row]
-    rec.send_columns(f"{path}/peak", times, rr.Points2D.columns(labels=peaks).partition([len(r) for r in peaks_kpa]))
-    ticks = [f"{end_kpa * at:.3g} kPa" for at in (0.0, 0.5, 1.0)]
-    rec.send_columns(
-        f"{path}/scale", times, rr.Points2D.columns(labels=ticks * len(picture)).partition([3] * len(picture))
-    )
+    _send_labels(rec, f"{path}/peak", times, [[f"max {peak:.2f} kPa" for peak in row] for row in peaks_kpa])
+    _send_labels(rec, f"{path}/scale", times, [[f"{end_kpa * at:.3g} kPa" for at in (0.0, 0.5, 1.0)]] * len(frames))
+
+
+def _send_labels(
+    rec: rr.RecordingStream, path: str, times: Sequence[rr.TimeColumn], labels: Sequence[Sequence[str]]
+) -> None:
+    flat = [label for row in labels for label in row]
+    rec.send_columns(path, times, rr.Points2D.columns(labels=flat).partition([len(row) for row in labels]))
 
 
 def _tints(count: int) -> list[tuple[int, ...]]:
