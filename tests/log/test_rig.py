@@ -245,6 +245,10 @@ def test_a_hand_is_drawn_as_it_is_held() -> None:
         assert corners[f"{finger}_distal"][1] == corners[f"{finger}_proximal"][1]
     assert corners["finger_0_distal"][1] + 6 < corners["thumb_distal"][1]
     assert corners["thumb_distal"][1] + 6 < corners["finger_2_distal"][1]
+    names = {name: (x, y) for x, y, name in hand.names()}
+    assert set(names) == {"finger_0", "thumb", "finger_2", "distal", "proximal"}
+    assert names["distal"][1] < names["proximal"][1]
+    assert names["finger_0"][0] < names["thumb"][0] < names["finger_2"][0]
     places = hand.places()
     assert len(places) == len(set(places.tolist())) == 486
     assert places.max() < hand.rows * hand.columns
@@ -269,7 +273,7 @@ def test_the_picture_shows_the_pressures(tmp_path: Path, known: bool) -> None:
         covered[place] = True
     assert (picture[~covered] == BACKGROUND).all()
     peaks = cells(tmp_path / "run.rrd", f"{display}/peak", "Points2D:labels")[0]
-    assert peaks == [f"max {pad.max() / 1e3:.2f} kPa" for pad in frame.pressure_pa]
+    assert peaks == [f"{pad.max() / 1e3:.2f} kPa" for pad in frame.pressure_pa]
 
 
 def test_the_arm_moves_as_its_joints_do(tmp_path: Path) -> None:
@@ -343,4 +347,5 @@ def test_pads_of_other_hands() -> None:
     assert (alone.rows, alone.columns, alone.corners, alone.texel_mm) == (3, 5, ((0, 0),), (2.0, 4.0))
     beside = Hand.of([Pad(str(at), 3, 5, (0.002, 0.004), at, 0, 0) for at in range(2)])
     assert beside.corners[1][1] > 5
+    assert [name for _, _, name in beside.names()] == ["0", "1"]
     assert len(set(beside.places().tolist())) == 30

@@ -15,33 +15,55 @@ from deformscope.palette import BACKGROUND
 WINDOW_S = 10.0
 """How far back the plots show."""
 FLOOR = [88, 94, 104]
-PICTURES_A_ROW, PLOTS_A_ROW = 4, 3
+PICTURES_A_ROW, PLOTS_A_ROW, FEW = 4, 3, 2
 
 
 def rig_blueprint(streams: Sequence[Stream]) -> rrb.Blueprint:
     """The views of these devices; of doubles they say SIMULATED."""
     pictures = [view for stream in streams for view in _pictures(stream)]
     plots = [view for stream in streams for view in _plots(stream)]
-    numbers: list[rrb.Container | rrb.View] = [_rows(plots, PLOTS_A_ROW)] if plots else []
-    if streams:
-        numbers.append(_health(streams))
-    parts: list[rrb.Container | rrb.View] = [_rows(pictures, PICTURES_A_ROW)] if pictures else []
-    if len(numbers) == 2 and pictures:
-        parts.append(rrb.Horizontal(*numbers, column_shares=[min(len(plots), PLOTS_A_ROW) + 1.0, 2.5]))
-    else:
-        parts += numbers
-    picture_rows, plot_rows = -(-len(pictures) // PICTURES_A_ROW), -(-len(plots) // PLOTS_A_ROW)
-    tall = min(max(3.0, 0.73 * len(streams)), 6.0)  # room for a row and a lane each
-    shares = [4.0 * picture_rows, tall * max(plot_rows, 1)] if pictures else [3.0 * max(plot_rows, 1), tall]
-    whole = rrb.Vertical(*parts, row_shares=shares[: len(parts)])
+    health = [_health(streams)] if streams else []
     time = rrb.TimePanel(timeline="session", state="collapsed", play_state="following")
-    return rrb.Blueprint(whole, rrb.BlueprintPanel(state="hidden"), rrb.SelectionPanel(state="hidden"), time)
+    return rrb.Blueprint(
+        _beside(pictures, plots, health) if _few(pictures, plots) else _stacked(pictures, plots, health, len(streams)),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        time,
+    )
+
+
+def _few(pictures: Sequence[rrb.View], plots: Sequence[rrb.View]) -> bool:
+    return 1 <= len(pictures) <= FEW and len(plots) <= FEW
+
+
+def _beside(pictures: Sequence[rrb.View], plots: Sequence[rrb.View], health: Sequence[rrb.Container]) -> rrb.Container:
+    """Pictures over the whole height, and the numbers in a column of their own."""
+    numbers = rrb.Vertical(*plots, *health, row_shares=[1.0] * len(plots) + [1.4] * len(health))
+    return rrb.Horizontal(*pictures, numbers, column_shares=[1.0] * len(pictures) + [1.1])
+
+
+def _stacked(
+    pictures: Sequence[rrb.View], plots: Sequence[rrb.View], health: Sequence[rrb.Container], devices: int
+) -> rrb.Container:
+    """Pictures in rows above, plots and health side by side below them; without pictures health is below the plots."""
+    health_share = min(max(3.0, 0.73 * devices), 6.0)  # room for a row and a lane each
+    plots_share = max(3.0 * _row_count(plots, PLOTS_A_ROW), health_share)
+    laid = [_rows(plots, PLOTS_A_ROW)] if plots else []
+    if not pictures:
+        return rrb.Vertical(*laid, *health, row_shares=[plots_share] * len(laid) + [health_share] * len(health))
+    above, numbers = _rows(pictures, PICTURES_A_ROW), [*laid, *health]
+    shares = [min(len(plots), PLOTS_A_ROW) + 1.0, 2.5] if laid else [1.0]
+    below = rrb.Horizontal(*numbers, column_shares=shares[: len(numbers)])
+    return rrb.Vertical(above, below, row_shares=[4.0 * _row_count(pictures, PICTURES_A_ROW), plots_share])
+
+
+def _row_count(views: Sequence[rrb.View], most: int) -> int:
+    return -(-len(views) // most)
 
 
 def _rows(views: Sequence[rrb.View], most: int) -> rrb.Container | rrb.View:
     """Side by side; in more than one row where there are too many for one, and then evenly."""
-    rows = -(-len(views) // most)
-    wide = -(-len(views) // rows)
+    wide = -(-len(views) // _row_count(views, most))
     lines = [views[first : first + wide] for first in range(0, len(views), wide)]
     laid = [rrb.Horizontal(*line) if len(line) > 1 else line[0] for line in lines]
     return rrb.Vertical(*laid) if len(laid) > 1 else laid[0]

@@ -15,8 +15,12 @@ from deformscope.log.canvas import TEXT
 from deformscope.log.rig.columns import frame_times, lists, log_series, moments, root, scalars, stamps
 from deformscope.palette import BACKGROUND, JOINTS, colors, round_up
 
-FINGER_GAP, PART_GAP, RIM = 5, 6, 2
-"""Texels between the pads of two fingers, between those of one, and around all: labels stand there."""
+FINGER_GAP, PART_GAP = 5, 4
+"""Texels between the pads of two fingers, and between those of one: labels stand there."""
+LEFT, RIGHT, ABOVE, BELOW = 8.0, 4.0, 4.0, 9.0
+"""Texels around all."""
+OVER, BESIDE = 3.2, 4.5
+"""Texels from a pad to its name."""
 BAR_STEPS = 128
 TEXEL_MM = 3.4
 """Of a pad that nothing is known of."""
@@ -74,7 +78,7 @@ class Hand:
     def bounds_mm(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """What a view shows in x and y: the picture, its labels and its bar."""
         (width, height), (x, y) = self.size_mm, self.texel_mm
-        return (-2 * RIM * x, width + 2 * RIM * x), (-4.0 * y, height + 9.0 * y)
+        return (-LEFT * x, width + RIGHT * x), (-ABOVE * y, height + BELOW * y)
 
     @property
     def shapes(self) -> list[tuple[int, int]]:
@@ -89,12 +93,32 @@ class Hand:
         ]
         return np.concatenate(parts)
 
-    def middles_mm(self, above: bool) -> list[tuple[float, float]]:
-        """Where labels stand: over each pad, or under it."""
+    def below_mm(self) -> list[tuple[float, float]]:
+        """The middle of each pad's lower edge, in the device's order."""
         return [
-            ((left + pad.columns / 2) * self.texel_mm[0], (top - 3.2 if above else top + pad.rows) * self.texel_mm[1])
+            ((left + pad.columns / 2) * self.texel_mm[0], (top + pad.rows) * self.texel_mm[1])
             for pad, (top, left) in zip(self.pads, self.corners, strict=True)
         ]
+
+    def names(self) -> list[tuple[float, float, str]]:
+        """(x, y, text) [mm]: the fingers' names over them and the parts' names beside them, or each pad's over it."""
+        (x, y), found = self.texel_mm, {}
+        split = [pad.name.rpartition("_") for pad in self.pads]
+        fingers = {(pad.finger, finger) for pad, (finger, _, _) in zip(self.pads, split, strict=True)}
+        parts = {(pad.part, part) for pad, (_, _, part) in zip(self.pads, split, strict=True)}
+        together = len(fingers) == len(dict(fingers)) and len(parts) == len(dict(parts)) > 1
+        for pad, (top, left), (finger, _, part) in zip(self.pads, self.corners, split, strict=True):
+            over = (left + pad.columns / 2) * x, (top - OVER) * y
+            if not together:
+                found[pad.name] = (*over, pad.name)
+                continue
+            if pad.part == max(
+                self.pads[at].part for at in range(len(self.pads)) if self.pads[at].finger == pad.finger
+            ):
+                found[finger] = (*over, finger)
+            if left == 0:
+                found[part] = (-BESIDE * x, (top + pad.rows / 2 - OVER / 2) * y, part)
+        return list(found.values())
 
 
 def log_tactile_stream(rec: rr.RecordingStream, stream: Stream) -> None:
@@ -148,8 +172,9 @@ def _log_hand(rec: rr.RecordingStream, device: str, hand: Hand) -> None:
     )
     rec.log(f"{path}/picture", rr.Image.from_fields(format=shape, magnification_filter=sharp), static=True)
     rec.log(f"{path}/picture", rr.Transform3D(scale=[*hand.texel_mm, 1.0]), static=True)
-    _log_text(rec, f"{path}/name", hand.middles_mm(above=True), names)
-    _log_text(rec, f"{path}/peak", hand.middles_mm(above=False), None)
+    titles = hand.names()
+    _log_text(rec, f"{path}/name", [(x, y) for x, y, _ in titles], [title for _, _, title in titles])
+    _log_text(rec, f"{path}/peak", hand.below_mm(), None)
     bar = np.repeat(colors(np.linspace(0, 1, BAR_STEPS))[None], 2, axis=0)
     (width, height), (_, texel) = hand.size_mm, hand.texel_mm
     rec.log(f"{path}/bar", rr.Image(bar), static=True)
@@ -183,7 +208,7 @@ def _log_pictures(
     picture = np.full((len(frames), hand.rows * hand.columns, 3), BACKGROUND, np.uint8)
     picture[:, hand.places()] = colors(share.ravel()).reshape(*share.shape, 3)
     rec.send_columns(f"{path}/picture", times, rr.Image.columns(buffer=list(picture.reshape(len(picture), -1))))
-    _send_labels(rec, f"{path}/peak", times, [[f"max {peak:.2f} kPa" for peak in row] for row in peaks_kpa])
+    _send_labels(rec, f"{path}/peak", times, [[f"{peak:.2f} kPa" for peak in row] for row in peaks_kpa])
     _send_labels(rec, f"{path}/scale", times, [[f"{end_kpa * at:.3g} kPa" for at in (0.0, 0.5, 1.0)]] * len(frames))
 
 
