@@ -28,7 +28,7 @@ from deformscope.frames import (
     TactileFrame,
 )
 from deformscope.images import encode_jpeg, encode_png
-from deformscope.log.rig import log_items, log_streams, rig_blueprint
+from deformscope.log.rig import log_items, log_streams, prepare_items, rig_blueprint
 from deformscope.log.rig.health import table, word
 from deformscope.log.rig.tactile import Hand
 from deformscope.palette import BACKGROUND, colors
@@ -163,6 +163,19 @@ def test_a_batch_may_have_any_order(tmp_path: Path) -> None:
     mixed = random.Random(1).sample(expected, len(expected))
     record(tmp_path / "run.rrd", [mixed[:7], [], mixed[7:8], mixed[8:]], rig.STREAMS)
     assert_same(back(tmp_path / "run.rrd"), sorted(expected, key=rig.host_ns))
+
+
+def test_a_batch_goes_to_two_streams(tmp_path: Path) -> None:
+    expected = rig.items(0.3, SMALL)
+    batch = prepare_items(expected, rig.START_NS, rig.STREAMS, {"front"})
+    assert batch.bytes > sum(len(item.data) for item in expected if isinstance(item, RawBytes))
+    for name in ("file.rrd", "live.rrd"):
+        rec = rr.RecordingStream("deformscope-rig", recording_id="rig")
+        rec.set_sinks(rr.FileSink(tmp_path / name))
+        batch.send(rec)
+        rec.flush(timeout_sec=10)
+        rec.disconnect()
+        assert_same(sorted(back(tmp_path / name), key=order), sorted(expected, key=order))
 
 
 def test_items_come_before_the_whole_is_read(tmp_path: Path) -> None:

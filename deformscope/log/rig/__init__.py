@@ -38,7 +38,7 @@ from deformscope.frames import (
 from deformscope.log.rig.arm import log_arm, log_arm_stream
 from deformscope.log.rig.blueprint import rig_blueprint
 from deformscope.log.rig.cameras import log_color, log_depth
-from deformscope.log.rig.columns import root
+from deformscope.log.rig.columns import Batch, root
 from deformscope.log.rig.hand import log_hand, log_hand_stream
 from deformscope.log.rig.health import log_health, log_health_stream
 from deformscope.log.rig.link import log_link, log_link_stream, log_raw
@@ -46,7 +46,7 @@ from deformscope.log.rig.tactile import log_tactile, log_tactile_stream
 from deformscope.log.rig.wrench import log_wrench, log_wrench_stream
 from deformscope.rig_streams import stream_json
 
-__all__ = ["log_items", "log_streams", "rig_blueprint"]
+__all__ = ["Batch", "log_items", "log_streams", "prepare_items", "rig_blueprint"]
 
 _STREAMS: dict[str, Callable[[rr.RecordingStream, Stream], None]] = {
     "wrench": log_wrench_stream,
@@ -74,34 +74,43 @@ def log_items(
     streams: Sequence[Stream],
     lossless: Collection[str] = (),
 ) -> None:
-    """Log a batch of items in any order: the cost is by device and batch, little by item.
+    """Log a batch of items to one stream; `prepare_items` tells the rest."""
+    prepare_items(items, start_ns, streams, lossless).send(rec)
+
+
+def prepare_items(
+    items: Sequence[Item], start_ns: int, streams: Sequence[Stream], lossless: Collection[str] = ()
+) -> Batch:
+    """Make a batch of items ready, in any order, for one stream or several: the cost is by device, little by item.
 
     start_ns: host time at which `session` is 0 [ns]; lossless: devices whose 8 bit colour images are kept as PNG
     rather than JPEG, because something is computed from them (some 9 ms for 640 x 480 instead of 1 ms, and ten times
     the bytes)
     """
+    batch = Batch()
     known = {(stream.kind, stream.device): stream for stream in streams}
     for (kind, device), group in _by_device(items).items():
         if kind is WrenchFrame:
-            log_wrench(rec, device, group, start_ns)
+            log_wrench(batch, device, group, start_ns)
         elif kind is TactileFrame:
-            log_tactile(rec, device, group, start_ns, known.get(("tactile", device)))
+            log_tactile(batch, device, group, start_ns, known.get(("tactile", device)))
         elif kind is ArmFrame:
-            log_arm(rec, device, group, start_ns, known.get(("arm", device)))
+            log_arm(batch, device, group, start_ns, known.get(("arm", device)))
         elif kind is HandFrame:
-            log_hand(rec, device, group, start_ns)
+            log_hand(batch, device, group, start_ns)
         elif kind is ColorFrame:
-            log_color(rec, device, group, start_ns, device in lossless)
+            log_color(batch, device, group, start_ns, device in lossless)
         elif kind is DepthFrame:
-            log_depth(rec, device, group, start_ns, device in lossless)
+            log_depth(batch, device, group, start_ns, device in lossless)
         elif kind is RawBytes:
-            log_raw(rec, device, group, start_ns)
+            log_raw(batch, device, group, start_ns)
         elif kind is LinkChange:
-            log_link(rec, device, group, start_ns)
+            log_link(batch, device, group, start_ns)
         elif kind is HealthReport:
-            log_health(rec, group, start_ns, streams)
+            log_health(batch, group, start_ns, streams)
         else:
             raise TypeError(f"no twin in deformscope.log.rig shows a {kind.__name__}")
+    return batch
 
 
 def _by_device(items: Sequence[Item]) -> dict[tuple[type, str], list[Any]]:

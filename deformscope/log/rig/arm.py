@@ -12,7 +12,7 @@ import pyarrow as pa
 import rerun as rr
 
 from deformscope.frames import ArmFrame, Stream
-from deformscope.log.rig.columns import frame_times, log_series, moments, root, scalars, singles, stamps
+from deformscope.log.rig.columns import Batch, frame_times, log_series, moments, root, scalars, singles, stamps
 from deformscope.palette import AXES, JOINTS
 
 QUANTITIES = (
@@ -77,20 +77,18 @@ def log_arm_stream(rec: rr.RecordingStream, stream: Stream) -> None:
                     rec.log(moved.entity_path, SOLID[name], static=True)
 
 
-def log_arm(
-    rec: rr.RecordingStream, device: str, frames: Sequence[ArmFrame], start_ns: int, stream: Stream | None
-) -> None:
+def log_arm(batch: Batch, device: str, frames: Sequence[ArmFrame], start_ns: int, stream: Stream | None) -> None:
     times = frame_times(frames, start_ns)
     for quantity in QUANTITIES:
         rows = [getattr(frame, quantity) for frame in frames]
-        rec.send_columns(root("arm", device, quantity), times, scalars(rows))
+        batch.send_columns(root("arm", device, quantity), times, scalars(rows))
     queued = singles("ArmFrame", "queued", [frame.queued for frame in frames], pa.int64())
-    rec.send_columns(root("arm", device), times, [*stamps(frames), *queued])
+    batch.send_columns(root("arm", device), times, [*stamps(frames), *queued])
     if stream is not None and stream.urdf is not None:
-        _log_pose(rec, device, frames, start_ns, shape_of(stream.urdf, device))
+        _log_pose(batch, device, frames, start_ns, shape_of(stream.urdf, device))
 
 
-def _log_pose(rec: rr.RecordingStream, device: str, frames: Sequence[ArmFrame], start_ns: int, shape: Shape) -> None:
+def _log_pose(batch: Batch, device: str, frames: Sequence[ArmFrame], start_ns: int, shape: Shape) -> None:
     """All joints of all frames in one call: rows of one entity, each about another pair of frames."""
     names = [*shape.joints, *(name for name, _, _ in shape.fingers)]
     values = []
@@ -110,4 +108,4 @@ def _log_pose(rec: rr.RecordingStream, device: str, frames: Sequence[ArmFrame], 
         child_frame=found.field("child_frame").to_pylist(),
     )
     when = [frame.stamp.host_ns for frame in frames for _ in names]
-    rec.send_columns(root("display/arm", device, "joints"), moments(when, start_ns), columns)
+    batch.send_columns(root("display/arm", device, "joints"), moments(when, start_ns), columns)

@@ -14,28 +14,24 @@ from deformscope.arrays import ImageArray
 from deformscope.frames import ColorFrame, DepthFrame, Frame
 from deformscope.images import encode_jpeg, encode_png
 from deformscope.log.canvas import TEXT
-from deformscope.log.rig.columns import frame_times, moments, root, singles, stamps
+from deformscope.log.rig.columns import Batch, frame_times, moments, root, singles, stamps
 from deformscope.palette import BACKGROUND
 
 LOOK_EVERY, RARE, STEP_M = 8, 0.01, 0.05
 """Of a depth image: which pixels its range is from, the share that may lie beyond, the range's steps [m]."""
 
 
-def log_color(
-    rec: rr.RecordingStream, device: str, frames: Sequence[ColorFrame], start_ns: int, lossless: bool
-) -> None:
+def log_color(batch: Batch, device: str, frames: Sequence[ColorFrame], start_ns: int, lossless: bool) -> None:
     columns = _color_columns([frame.image for frame in frames], lossless)
-    rec.send_columns(root("color", device), frame_times(frames, start_ns), [*columns, *stamps(frames)])
+    batch.send_columns(root("color", device), frame_times(frames, start_ns), [*columns, *stamps(frames)])
 
 
-def log_depth(
-    rec: rr.RecordingStream, device: str, frames: Sequence[DepthFrame], start_ns: int, lossless: bool
-) -> None:
+def log_depth(batch: Batch, device: str, frames: Sequence[DepthFrame], start_ns: int, lossless: bool) -> None:
     colored: list[Frame] = [frame for frame in frames if frame.color is not None]
     if colored:
         images = [frame.color for frame in frames if frame.color is not None]
         columns = _color_columns(images, lossless)
-        rec.send_columns(root("depth", device, "color"), frame_times(colored, start_ns), columns)
+        batch.send_columns(root("depth", device, "color"), frame_times(colored, start_ns), columns)
     reach = _range(frames[0].depth, frames[0].unit_m)
     columns = [
         *rr.EncodedDepthImage.columns(
@@ -49,8 +45,8 @@ def log_depth(
         *singles("DepthFrame", "colored", [frame.color is not None for frame in frames], pa.bool_()),
         *stamps(frames),
     ]
-    rec.send_columns(root("depth", device), frame_times(frames, start_ns), columns)
-    _log_scale(rec, device, frames[0], reach, start_ns)
+    batch.send_columns(root("depth", device), frame_times(frames, start_ns), columns)
+    _log_scale(batch, device, frames[0], reach, start_ns)
 
 
 def _range(depth: ImageArray, unit_m: float) -> tuple[float, float]:
@@ -64,13 +60,11 @@ def _range(depth: ImageArray, unit_m: float) -> tuple[float, float]:
     return float(low * STEP_M / unit_m), float(high * STEP_M / unit_m)
 
 
-def _log_scale(
-    rec: rr.RecordingStream, device: str, frame: DepthFrame, reach: tuple[float, float], start_ns: int
-) -> None:
+def _log_scale(batch: Batch, device: str, frame: DepthFrame, reach: tuple[float, float], start_ns: int) -> None:
     """The colours with their distances: a picture that is larger than the image, and behind it."""
     png = _scale_png(reach[0] * frame.unit_m, reach[1] * frame.unit_m, frame.depth.shape[:2])
     columns = rr.EncodedImage.columns(blob=[png], draw_order=[-30.0])
-    rec.send_columns(root("display/depth", device), moments([frame.stamp.host_ns], start_ns), columns)
+    batch.send_columns(root("display/depth", device), moments([frame.stamp.host_ns], start_ns), columns)
 
 
 @functools.lru_cache(maxsize=64)

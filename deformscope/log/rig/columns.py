@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,33 @@ from deformscope.arrays import FloatArray
 from deformscope.frames import Frame
 
 Columns = Iterable[rr.ComponentColumn]
+
+
+class Batch:
+    """Calls to rerun that are made ready once, images encoded, and sent to any number of streams."""
+
+    def __init__(self) -> None:
+        self.bytes = 0
+        self._calls: list[Callable[[rr.RecordingStream], None]] = []
+
+    def send_columns(self, path: str, times: Sequence[rr.TimeColumn], columns: Columns) -> None:
+        """As that of a stream."""
+        ready = list(columns)
+        self.bytes += sum(column.as_arrow_array().nbytes for column in ready)
+        self._calls.append(lambda rec: rec.send_columns(path, times, ready))
+
+    def log(self, path: str, entity: rr.AsComponents, *, static: bool) -> None:
+        """As that of a stream."""
+        self._calls.append(lambda rec: rec.log(path, entity, static=static))
+
+    def send(self, rec: rr.RecordingStream) -> None:
+        """Log all of it."""
+        for call in self._calls:
+            call(rec)
+
+
+Sink = rr.RecordingStream | Batch
+"""What a twin logs to."""
 
 
 def root(kind: str, device: str, *below: str) -> str:
@@ -69,6 +96,6 @@ def scalars(rows: Sequence[FloatArray]) -> Columns:
     return [rr.ComponentColumn(rr.Scalars.descriptor_scalars(), batch, lengths=[len(row) for row in rows])]
 
 
-def log_series(rec: rr.RecordingStream, path: str, names: Sequence[str], colors: Sequence[tuple[int, ...]]) -> None:
+def log_series(rec: Sink, path: str, names: Sequence[str], colors: Sequence[tuple[int, ...]]) -> None:
     """Names and colours of the series at a path, which hold throughout."""
     rec.log(path, rr.SeriesLines(names=list(names), colors=list(colors), widths=[1.5] * len(names)), static=True)

@@ -8,7 +8,7 @@ import pyarrow as pa
 import rerun as rr
 
 from deformscope.frames import HandFrame, Stream
-from deformscope.log.rig.columns import frame_times, lists, log_series, root, scalars, stamps
+from deformscope.log.rig.columns import Batch, frame_times, lists, log_series, root, scalars, stamps
 from deformscope.palette import JOINTS
 
 QUANTITIES = ("position_deg", "velocity_deg_s", "temperature_c")
@@ -20,10 +20,10 @@ def log_hand_stream(rec: rr.RecordingStream, stream: Stream) -> None:
         log_series(rec, root("hand", stream.device, quantity), names, JOINTS[:count])
 
 
-def log_hand(rec: rr.RecordingStream, device: str, frames: Sequence[HandFrame], start_ns: int) -> None:
+def log_hand(batch: Batch, device: str, frames: Sequence[HandFrame], start_ns: int) -> None:
     times = frame_times(frames, start_ns)
     for quantity in QUANTITIES:
         rows = [getattr(frame, quantity) for frame in frames]
-        rec.send_columns(root("hand", device, quantity), times, scalars(rows))
+        batch.send_columns(root("hand", device, quantity), times, scalars(rows))
     states = lists("HandFrame", "state", [frame.state for frame in frames], pa.string())
-    rec.send_columns(root("hand", device), times, [*stamps(frames), *states])
+    batch.send_columns(root("hand", device), times, [*stamps(frames), *states])

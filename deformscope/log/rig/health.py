@@ -10,7 +10,7 @@ import pyarrow as pa
 import rerun as rr
 
 from deformscope.frames import HealthReport, Stream
-from deformscope.log.rig.columns import lists, moments, root, singles
+from deformscope.log.rig.columns import Batch, lists, moments, root, singles
 from deformscope.palette import BAD, GOOD, IDLE, WARN
 from deformscope_drivers.health import Health, Link
 
@@ -48,16 +48,14 @@ def log_health_stream(rec: rr.RecordingStream, device: str) -> None:
     rec.log(root("health", device), colored, static=True)
 
 
-def log_health(
-    rec: rr.RecordingStream, reports: Sequence[HealthReport], start_ns: int, streams: Sequence[Stream]
-) -> None:
+def log_health(batch: Batch, reports: Sequence[HealthReport], start_ns: int, streams: Sequence[Stream]) -> None:
     known = {stream.device: stream for stream in streams}
     looks: dict[str, list[tuple[int, Health]]] = {}
     for report in reports:
         for device, health in report.devices:
             looks.setdefault(device, []).append((report.host_ns, health))
     for device, seen in looks.items():
-        _log_device(rec, device, seen, start_ns, known.get(device))
+        _log_device(batch, device, seen, start_ns, known.get(device))
     when = [report.host_ns for report in reports]
     names = [[device for device, _ in report.devices] for report in reports]
     columns = [
@@ -67,7 +65,7 @@ def log_health(
         *singles("HealthReport", "host_ns", when, pa.int64()),
         *lists("HealthReport", "devices", names, pa.string()),
     ]
-    rec.send_columns("health", moments(when, start_ns), columns)
+    batch.send_columns("health", moments(when, start_ns), columns)
 
 
 def table(report: HealthReport, streams: dict[str, Stream]) -> str:
@@ -91,7 +89,7 @@ def table(report: HealthReport, streams: dict[str, Stream]) -> str:
 
 
 def _log_device(
-    rec: rr.RecordingStream, device: str, looks: Sequence[tuple[int, Health]], start_ns: int, stream: Stream | None
+    batch: Batch, device: str, looks: Sequence[tuple[int, Health]], start_ns: int, stream: Stream | None
 ) -> None:
     health = [one for _, one in looks]
     clocks = [[] if one.clock is None else [json.dumps(dataclasses.asdict(one.clock))] for one in health]
@@ -108,4 +106,4 @@ def _log_device(
     ]
     for counter in COUNTERS:
         columns += singles("Health", counter, [getattr(one, counter) for one in health], pa.int64())
-    rec.send_columns(root("health", device), moments([at for at, _ in looks], start_ns), columns)
+    batch.send_columns(root("health", device), moments([at for at, _ in looks], start_ns), columns)

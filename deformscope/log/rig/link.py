@@ -8,7 +8,7 @@ import pyarrow as pa
 import rerun as rr
 
 from deformscope.frames import LinkChange, RawBytes
-from deformscope.log.rig.columns import blobs, moments, root, singles
+from deformscope.log.rig.columns import Batch, blobs, moments, root, singles
 from deformscope.palette import BAD, GOOD, IDLE, WARN
 from deformscope_drivers.health import Link
 
@@ -21,7 +21,7 @@ def log_link_stream(rec: rr.RecordingStream, device: str) -> None:
     rec.log(root("link", device), colored, static=True)
 
 
-def log_link(rec: rr.RecordingStream, device: str, changes: Sequence[LinkChange], start_ns: int) -> None:
+def log_link(batch: Batch, device: str, changes: Sequence[LinkChange], start_ns: int) -> None:
     events = [change.event for change in changes]
     told = [f"{event.link}: {event.reason}" if event.reason else str(event.link) for event in events]
     columns = [
@@ -31,10 +31,10 @@ def log_link(rec: rr.RecordingStream, device: str, changes: Sequence[LinkChange]
         *singles("LinkEvent", "link", [str(event.link) for event in events], pa.string()),
         *singles("LinkEvent", "reason", [event.reason for event in events], pa.string()),
     ]
-    rec.send_columns(root("link", device), moments([event.host_ns for event in events], start_ns), columns)
+    batch.send_columns(root("link", device), moments([event.host_ns for event in events], start_ns), columns)
 
 
-def log_raw(rec: rr.RecordingStream, device: str, pieces: Sequence[RawBytes], start_ns: int) -> None:
+def log_raw(batch: Batch, device: str, pieces: Sequence[RawBytes], start_ns: int) -> None:
     for way, sent in (("received", False), ("sent", True)):
         those = [piece for piece in pieces if piece.sent is sent]
         if those:
@@ -43,4 +43,4 @@ def log_raw(rec: rr.RecordingStream, device: str, pieces: Sequence[RawBytes], st
                 *singles("RawBytes", "host_ns", when, pa.int64()),
                 *blobs("RawBytes", "data", [piece.data for piece in those]),
             ]
-            rec.send_columns(root("raw", device, way), moments(when, start_ns), columns)
+            batch.send_columns(root("raw", device, way), moments(when, start_ns), columns)

@@ -12,7 +12,7 @@ import rerun as rr
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.frames import Pad, Stream, TactileFrame
 from deformscope.log.canvas import TEXT
-from deformscope.log.rig.columns import frame_times, lists, log_series, moments, root, scalars, stamps
+from deformscope.log.rig.columns import Batch, Sink, frame_times, lists, log_series, moments, root, scalars, stamps
 from deformscope.palette import BACKGROUND, JOINTS, colors, round_up
 
 FINGER_GAP, PART_GAP = 5, 4
@@ -127,7 +127,7 @@ def log_tactile_stream(rec: rr.RecordingStream, stream: Stream) -> None:
 
 
 def log_tactile(
-    rec: rr.RecordingStream, device: str, frames: Sequence[TactileFrame], start_ns: int, stream: Stream | None
+    batch: Batch, device: str, frames: Sequence[TactileFrame], start_ns: int, stream: Stream | None
 ) -> None:
     times = frame_times(frames, start_ns)
     shapes = [[side for pad in frame.pressure_pa for side in pad.shape] for frame in frames]
@@ -137,18 +137,18 @@ def log_tactile(
         *lists("TactileFrame", "pressure_pa", [_texels_pa(frame) for frame in frames], pa.float64()),
         *lists("TactileFrame", "shape", shapes, pa.int64()),
     ]
-    rec.send_columns(root("tactile", device, "peak_kpa"), times, scalars([_peaks_kpa(frame) for frame in frames]))
-    rec.send_columns(root("tactile", device), times, columns)
+    batch.send_columns(root("tactile", device, "peak_kpa"), times, scalars([_peaks_kpa(frame) for frame in frames]))
+    batch.send_columns(root("tactile", device), times, columns)
     if stream is not None and stream.pads:
         hand = Hand.of(stream.pads)
     elif frames[0].pressure_pa:
         hand = Hand.of_shapes([pad.shape for pad in frames[0].pressure_pa])
-        _log_hand(rec, device, hand)
+        _log_hand(batch, device, hand)
     else:
         return
     drawn = [frame for frame in frames if [pad.shape for pad in frame.pressure_pa] == hand.shapes]
     if drawn:
-        _log_pictures(rec, device, hand, drawn, start_ns, stream)
+        _log_pictures(batch, device, hand, drawn, start_ns, stream)
 
 
 def _texels_pa(frame: TactileFrame) -> FloatArray:
@@ -161,7 +161,7 @@ def _peaks_kpa(frame: TactileFrame) -> FloatArray:
     return np.array([np.max(pad, initial=0.0) * 1e-3 for pad in frame.pressure_pa])
 
 
-def _log_hand(rec: rr.RecordingStream, device: str, hand: Hand) -> None:
+def _log_hand(rec: Sink, device: str, hand: Hand) -> None:
     """What holds throughout: names, places, sizes."""
     path = root("display/tactile", device)
     names = [pad.name for pad in hand.pads]
@@ -184,15 +184,13 @@ def _log_hand(rec: rr.RecordingStream, device: str, hand: Hand) -> None:
     _log_text(rec, f"{path}/scale", ticks, None)
 
 
-def _log_text(
-    rec: rr.RecordingStream, path: str, places: Sequence[tuple[float, float]], labels: Sequence[str] | None
-) -> None:
+def _log_text(rec: Sink, path: str, places: Sequence[tuple[float, float]], labels: Sequence[str] | None) -> None:
     points = rr.Points2D(places, radii=0.01, colors=TEXT, labels=labels, show_labels=True, draw_order=60.0)
     rec.log(path, points, static=True)
 
 
 def _log_pictures(
-    rec: rr.RecordingStream,
+    batch: Batch,
     device: str,
     hand: Hand,
     frames: Sequence[TactileFrame],
@@ -207,16 +205,14 @@ def _log_pictures(
     share = np.stack([_texels_pa(frame) for frame in frames]) * (1e-3 / end_kpa)
     picture = np.full((len(frames), hand.rows * hand.columns, 3), BACKGROUND, np.uint8)
     picture[:, hand.places()] = colors(share.ravel()).reshape(*share.shape, 3)
-    rec.send_columns(f"{path}/picture", times, rr.Image.columns(buffer=list(picture.reshape(len(picture), -1))))
-    _send_labels(rec, f"{path}/peak", times, [[f"{peak:.2f} kPa" for peak in row] for row in peaks_kpa])
-    _send_labels(rec, f"{path}/scale", times, [[f"{end_kpa * at:.3g} kPa" for at in (0.0, 0.5, 1.0)]] * len(frames))
+    batch.send_columns(f"{path}/picture", times, rr.Image.columns(buffer=list(picture.reshape(len(picture), -1))))
+    _send_labels(batch, f"{path}/peak", times, [[f"{peak:.2f} kPa" for peak in row] for row in peaks_kpa])
+    _send_labels(batch, f"{path}/scale", times, [[f"{end_kpa * at:.3g} kPa" for at in (0.0, 0.5, 1.0)]] * len(frames))
 
 
-def _send_labels(
-    rec: rr.RecordingStream, path: str, times: Sequence[rr.TimeColumn], labels: Sequence[Sequence[str]]
-) -> None:
+def _send_labels(batch: Batch, path: str, times: Sequence[rr.TimeColumn], labels: Sequence[Sequence[str]]) -> None:
     flat = [label for row in labels for label in row]
-    rec.send_columns(path, times, rr.Points2D.columns(labels=flat).partition([len(row) for row in labels]))
+    batch.send_columns(path, times, rr.Points2D.columns(labels=flat).partition([len(row) for row in labels]))
 
 
 def _tints(count: int) -> list[tuple[int, ...]]:

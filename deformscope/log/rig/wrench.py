@@ -8,7 +8,7 @@ import pyarrow as pa
 import rerun as rr
 
 from deformscope.frames import Stream, WrenchFrame
-from deformscope.log.rig.columns import frame_times, lists, log_series, root, scalars, singles, stamps
+from deformscope.log.rig.columns import Batch, frame_times, lists, log_series, root, scalars, singles, stamps
 from deformscope.palette import AXES
 
 
@@ -21,7 +21,7 @@ def log_wrench_stream(rec: rr.RecordingStream, stream: Stream) -> None:
             log_series(rec, root("wrench", stream.device, quantity, str(channel)), names, AXES)
 
 
-def log_wrench(rec: rr.RecordingStream, device: str, frames: Sequence[WrenchFrame], start_ns: int) -> None:
+def log_wrench(batch: Batch, device: str, frames: Sequence[WrenchFrame], start_ns: int) -> None:
     for quantity in ("force_n", "torque_nm"):
         measured = [frame for frame in frames if getattr(frame, quantity) is not None]
         if not measured:
@@ -30,11 +30,11 @@ def log_wrench(rec: rr.RecordingStream, device: str, frames: Sequence[WrenchFram
         rows = [getattr(frame, quantity) for frame in measured]
         for channel in range(max(len(row) for row in rows)):
             path = root("wrench", device, quantity, str(channel))
-            rec.send_columns(path, times, scalars([row[channel] for row in rows]))
+            batch.send_columns(path, times, scalars([row[channel] for row in rows]))
     columns = [
         *stamps(frames),
         *lists("WrenchFrame", "counts", [frame.counts for frame in frames], pa.int64()),
         *singles("WrenchFrame", "overload", [frame.overload for frame in frames], pa.bool_()),
         *singles("WrenchFrame", "usable", [frame.usable for frame in frames], pa.bool_()),
     ]
-    rec.send_columns(root("wrench", device), frame_times(frames, start_ns), columns)
+    batch.send_columns(root("wrench", device), frame_times(frames, start_ns), columns)
