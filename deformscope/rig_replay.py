@@ -44,6 +44,8 @@ MEASURED = (
     *("EncodedImage:blob", "EncodedDepthImage:blob", "RawBytes:", "LinkEvent:", "HealthReport:", "Health:"),
 )
 """What items are made of; all else is there to be looked at."""
+STAMPS = ("Stamp:host_ns", "RawBytes:host_ns", "LinkEvent:host_ns", "HealthReport:host_ns")
+"""One of these every item has, and once."""
 CONTENTS = tuple(f"/{kind}/**" for kind in KINDS)
 
 _PART = re.compile(r"(?:[^/\\]|\\.)+")
@@ -56,7 +58,7 @@ Cells = dict[str, Any]
 """What one item is made of: arrays, or lists of words, by the component's name below the item's entity."""
 
 Key = tuple[str, str, int]
-"""Kind, device, and the place in its stream, or what tells apart the items that have none."""
+"""Kind, device, and the place in its stream; the time [ns] of a report, the row of what else may come at one moment."""
 
 
 def read_items(path: Path, *, trust: bool = False) -> Iterator[Item]:
@@ -125,31 +127,27 @@ def _times(chunk: Chunk) -> list[int]:
 
 
 def _rows(chunk: Chunk) -> Iterator[tuple[int, bytes | None, Key, Cells]]:
-    """(time [ns], row id, key, cells) of each row. The row id is there where the row is the item's own: its stamp's."""
+    """(time [ns], row id, key, cells) of each row. The row id is there in that part of an item which has its stamp."""
     kind, *names = (_unescaped(part) for part in _PART.findall(chunk.entity_path))
     device, below = (names[0], names[1:]) if names else ("", [])
+    if kind == "raw":
+        kind, below = "/".join([kind, *below]), []
+    elif kind == "health" and device:
+        device, below = "", [device]
     batch = chunk.to_record_batch()
     times = _times(chunk)
     frames = batch.column("frame").to_pylist() if "frame" in chunk.timeline_names else times
     ids = batch.column("rerun.controls.RowId").to_pylist()
-    cells = {
-        "/".join([*below, name] if kind != "raw" else [name]): _cells(batch.column(name))
-        for name in batch.schema.names
-        if name.startswith(MEASURED)
-    }
+    cells = {"/".join([*below, name]): _cells(batch.column(name)) for name in batch.schema.names if _measured(name)}
+    stamped = next((name for name in cells if name in STAMPS), None)
     for row, (when, frame, row_id) in enumerate(zip(times, frames, ids, strict=True)):
         found = {name: cell[row] for name, cell in cells.items() if cell[row] is not None}
-        if kind == "raw":
-            # Two pieces may come at one moment: no two rows are one item.
-            yield when, row_id, (f"raw/{below[0]}", device, int.from_bytes(row_id, "big")), found
-        elif kind == "health" and device:
-            yield when, None, ("health", "", when), {f"{device}/{name}": cell for name, cell in found.items()}
-        elif kind == "link":
-            yield when, row_id, (kind, device, int.from_bytes(row_id, "big")), found
-        elif kind == "health":
-            yield when, row_id, (kind, device, when), found
-        else:
-            yield when, row_id if not below else None, (kind, device, frame), found
+        place = frame if kind in FRAMES or kind == "health" else int.from_bytes(row_id, "big")
+        yield when, row_id if stamped in found else None, (kind, device, place), found
+
+
+def _measured(name: str) -> bool:
+    return name.startswith(MEASURED)
 
 
 def _cells(column: Any) -> list[Any]:

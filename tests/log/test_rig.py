@@ -6,7 +6,9 @@ import dataclasses
 import itertools
 import logging
 import random
+import subprocess
 from collections.abc import Collection, Iterator, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -156,6 +158,21 @@ def test_every_kind_comes_back_equal(tmp_path: Path, name: str, known: bool) -> 
     expected = ALONE[name]
     record(tmp_path / "run.rrd", [expected], rig.STREAMS if known else (), {"front", "above"})
     assert_same(back(tmp_path / "run.rrd"), sorted(expected, key=rig.host_ns))
+
+
+def test_a_compacted_recording_is_the_same(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """rerun's own tool cuts an entity's rows into portions by size, and puts small ones together."""
+    pieces: list[Item] = [RawBytes(rig.ns(0.2), bytes([piece]), False, "fingertip") for piece in range(50)]
+    expected = rig.items(1.2, SMALL) + pieces
+    record(tmp_path / "run.rrd", list(rig.batches(expected)), rig.STREAMS, {"front"})
+    package = find_spec("rerun_cli")
+    assert package is not None
+    command = [Path(package.origin or "").parent / "rerun", "rrd", "optimize", tmp_path / "run.rrd"]
+    subprocess.run([*command, "-o", tmp_path / "small.rrd"], check=True, capture_output=True)
+    assert (tmp_path / "small.rrd").stat().st_size < 0.8 * (tmp_path / "run.rrd").stat().st_size
+    with caplog.at_level(logging.WARNING):
+        assert_same(back(tmp_path / "small.rrd"), back(tmp_path / "run.rrd"))
+    assert "in part" not in caplog.text
 
 
 def test_a_batch_may_have_any_order(tmp_path: Path) -> None:
