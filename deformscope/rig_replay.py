@@ -134,6 +134,8 @@ def _rows(chunk: Chunk) -> Iterator[tuple[int, bytes | None, Key, Cells]]:
         kind, below = "/".join([kind, *below]), []
     elif kind == "health" and device:
         device, below = "", [device]
+    if kind in FRAMES and "frame" not in chunk.timeline_names:
+        return  # where a plot breaks off
     batch = chunk.to_record_batch()
     times = _times(chunk)
     frames = batch.column("frame").to_pylist() if "frame" in chunk.timeline_names else times

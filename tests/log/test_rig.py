@@ -264,6 +264,20 @@ def test_times(tmp_path: Path) -> None:
     assert batch.column("session").cast("int64").to_pylist() == [170_000_000]
 
 
+def test_a_plot_breaks_off_where_the_link_was_lost(tmp_path: Path) -> None:
+    frames = [rig.hand(index) for index in (38, 39, 60, 61)]
+    record(tmp_path / "run.rrd", [[*frames, *rig.links()]], rig.STREAMS)
+    rows = []
+    for chunk in RrdReader(tmp_path / "run.rrd").stream().filter(content=["/hand/hand/position_deg"]):
+        if not chunk.is_static:
+            batch = chunk.to_record_batch()
+            times = batch.column("session").cast("int64").to_pylist()
+            rows += zip(times, map(len, batch.column("Scalars:scalars").to_pylist()), strict=True)
+    expected = [(3_800_000_000, 7), (3_900_000_000, 7), (4_000_000_000, 0), (6_000_000_000, 7), (6_100_000_000, 7)]
+    assert sorted(rows) == expected
+    assert_same([item for item in back(tmp_path / "run.rrd") if not isinstance(item, LinkChange)], frames)
+
+
 # What is shown ------------------------------------------------------------------------------------------------------
 
 

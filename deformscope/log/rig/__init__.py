@@ -105,7 +105,7 @@ def prepare_items(
         elif kind is RawBytes:
             log_raw(batch, device, group, start_ns)
         elif kind is LinkChange:
-            log_link(batch, device, group, start_ns)
+            log_link(batch, device, group, start_ns, streams)
         elif kind is HealthReport:
             log_health(batch, group, start_ns, streams)
         else:

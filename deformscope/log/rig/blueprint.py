@@ -9,6 +9,7 @@ import rerun.blueprint as rrb
 from deformscope.frames import Stream
 from deformscope.log.rig.arm import shape_of
 from deformscope.log.rig.columns import root
+from deformscope.log.rig.plotted import plotted
 from deformscope.log.rig.tactile import Hand
 from deformscope.palette import BACKGROUND
 
@@ -84,19 +85,7 @@ def _pictures(stream: Stream) -> list[rrb.View]:
 
 
 def _plots(stream: Stream) -> list[rrb.View]:
-    if stream.kind == "wrench":
-        return [
-            _plot(root("wrench", stream.device, quantity, str(channel)), _named(stream, f"{title}{number} [{unit}]"))
-            for channel in range(stream.channels)
-            for number in ("" if stream.channels == 1 else f" {channel + 1}",)
-            for quantity, title, unit in (("force_n", "force", "N"), ("torque_nm", "torque", "N m"))
-            if quantity == "force_n" or stream.torques
-        ]
-    if stream.kind == "hand":
-        return [_plot(root("hand", stream.device, "position_deg"), _named(stream, "joint angles [deg]"))]
-    if stream.kind == "arm":
-        return [_plot(root("arm", stream.device, "joint_deg"), _named(stream, "joint angles [deg]"))]
-    return []
+    return [_plot(path, _named(stream, title)) for path, title in plotted(stream)]
 
 
 def _named(stream: Stream, what: str) -> str:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 import pyarrow as pa
 import rerun as rr
 
-from deformscope.frames import LinkChange, RawBytes
-from deformscope.log.rig.columns import Batch, blobs, moments, root, singles
+from deformscope.frames import LinkChange, RawBytes, Stream
+from deformscope.log.rig.columns import Batch, blobs, moments, root, scalars, singles
+from deformscope.log.rig.plotted import plotted
 from deformscope.palette import BAD, GOOD, IDLE, WARN
 from deformscope_drivers.health import Link
 
@@ -21,7 +23,9 @@ def log_link_stream(rec: rr.RecordingStream, device: str) -> None:
     rec.log(root("link", device), colored, static=True)
 
 
-def log_link(batch: Batch, device: str, changes: Sequence[LinkChange], start_ns: int) -> None:
+def log_link(
+    batch: Batch, device: str, changes: Sequence[LinkChange], start_ns: int, streams: Sequence[Stream]
+) -> None:
     events = [change.event for change in changes]
     told = [f"{event.link}: {event.reason}" if event.reason else str(event.link) for event in events]
     columns = [
@@ -32,6 +36,10 @@ def log_link(batch: Batch, device: str, changes: Sequence[LinkChange], start_ns:
         *singles("LinkEvent", "reason", [event.reason for event in events], pa.string()),
     ]
     batch.send_columns(root("link", device), moments([event.host_ns for event in events], start_ns), columns)
+    ends = [event.host_ns for event in events if event.link != Link.CONNECTED]
+    for path, _ in [plot for stream in streams if stream.device == device for plot in plotted(stream)]:
+        if ends:  # a line goes no further: nobody knows what was between
+            batch.send_columns(path, moments(ends, start_ns), scalars([np.zeros(0)] * len(ends)))
 
 
 def log_raw(batch: Batch, device: str, pieces: Sequence[RawBytes], start_ns: int) -> None:

@@ -101,24 +101,22 @@ class Hand:
         ]
 
     def names(self) -> list[tuple[float, float, str]]:
-        """(x, y, text) [mm]: the fingers' names over them and the parts' names beside them, or each pad's over it."""
-        (x, y), found = self.texel_mm, {}
+        """(x, y, text) [mm]: the fingers' names over them and the parts' beside them, else each pad's over it."""
+        (x, y), placed = self.texel_mm, list(zip(self.pads, self.corners, strict=True))
+        over = [((left + pad.columns / 2) * x, (top - OVER) * y) for pad, (top, left) in placed]
         split = [pad.name.rpartition("_") for pad in self.pads]
         fingers = {(pad.finger, finger) for pad, (finger, _, _) in zip(self.pads, split, strict=True)}
         parts = {(pad.part, part) for pad, (_, _, part) in zip(self.pads, split, strict=True)}
-        together = len(fingers) == len(dict(fingers)) and len(parts) == len(dict(parts)) > 1
-        for pad, (top, left), (finger, _, part) in zip(self.pads, self.corners, split, strict=True):
-            over = (left + pad.columns / 2) * x, (top - OVER) * y
-            if not together:
-                found[pad.name] = (*over, pad.name)
-                continue
-            if pad.part == max(
-                self.pads[at].part for at in range(len(self.pads)) if self.pads[at].finger == pad.finger
-            ):
-                found[finger] = (*over, finger)
+        if len(fingers) > len(dict(fingers)) or len(parts) > len(dict(parts)) or len(parts) == 1:
+            return [(*place, pad.name) for place, pad in zip(over, self.pads, strict=True)]
+        tops = {finger: min(top for pad, (top, _) in placed if pad.finger == finger) for finger, _ in fingers}
+        found = []
+        for (pad, (top, left)), place, (finger, _, part) in zip(placed, over, split, strict=True):
+            if top == tops[pad.finger]:
+                found.append((*place, finger))
             if left == 0:
-                found[part] = (-BESIDE * x, (top + pad.rows / 2 - OVER / 2) * y, part)
-        return list(found.values())
+                found.append((-BESIDE * x, (top + pad.rows / 2 - OVER / 2) * y, part))
+        return found
 
 
 def log_tactile_stream(rec: rr.RecordingStream, stream: Stream) -> None:
