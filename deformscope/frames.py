@@ -173,7 +173,8 @@ class Stream:
     """What is known of a device before its first frame.
 
     simulated: it is a double, no device; pads: of a tactile sensor; urdf: of an arm; serial: as the device tells it
-    channels: of a force sensor; fastest_hz: the rate that it was set to
+    channels: of a force sensor; torques: whether it measures them; fastest_hz: the rate that it was set to
+    full_scale_pa: of a tactile sensor: the pressure of its largest count [Pa], 0 where that is not known
     """
 
     device: str
@@ -185,4 +186,6 @@ class Stream:
     pads: tuple[Pad, ...] = ()
     urdf: Path | None = None
     channels: int = 1
+    torques: bool = False
     fastest_hz: float = 0.0
+    full_scale_pa: float = 0.0

@@ -15,6 +15,11 @@ from deformscope.arrays import ImageArray
 from deformscope.errors import InputError
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+JPEG_QUALITY = 90
+NOISY = (
+    *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY),
+    *(cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_SUB),
+)
 
 # One clear line reaches the user; the decoders would print theirs first.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
@@ -49,13 +54,23 @@ def decode_image(encoded: bytes, where: object) -> ImageArray:
     return pixels if pixels.ndim == 2 else to_rgb(pixels)
 
 
-def encode_png(image: ImageArray) -> bytes:
-    """(H, W) grey or (H, W, 3) RGB, uint8 or uint16, as PNG without loss; fast rather than small."""
+def encode_png(image: ImageArray, *, noisy: bool = False) -> bytes:
+    """(H, W) grey or (H, W, 3) RGB, uint8 or uint16, as PNG without loss; fast rather than small.
+
+    noisy: from a sensor, hence without repetitions to look for: half the time and no more bytes
+    """
     swapped = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
-    done, encoded = cv2.imencode(".png", np.ascontiguousarray(swapped), [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    options = [cv2.IMWRITE_PNG_COMPRESSION, 1, *(NOISY if noisy else ())]
+    done, encoded = cv2.imencode(".png", np.ascontiguousarray(swapped), options)
     if not done:
         raise ValueError(f"no PNG can be made of an image of shape {image.shape} and type {image.dtype}")
     return encoded.tobytes()
+
+
+def encode_jpeg(image: ImageArray) -> bytes:
+    """(H, W) grey or (H, W, 3) RGB uint8 as JPEG of quality 90: small, fast, and not quite what it was."""
+    swapped = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    return cv2.imencode(".jpg", np.ascontiguousarray(swapped), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
 
 
 def to_rgb(bgr: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> ImageArray:

@@ -20,6 +20,22 @@ REST: Rgb = (30, 190, 80)
 LOST: Rgb = (245, 245, 245)
 HELD: Rgb = (255, 200, 0)
 
+# Of plots: x, y, z as every robotics tool has them; joints as far apart as nine lines can be.
+AXES: tuple[Rgb, ...] = ((235, 70, 70), (80, 200, 90), (80, 140, 255))
+JOINTS: tuple[Rgb, ...] = (
+    *((86, 180, 233), (230, 159, 0), (0, 190, 140), (240, 228, 66), (225, 95, 60), (204, 121, 167), (150, 150, 255)),
+    *((190, 190, 190), (140, 200, 80)),
+)
+
+BACKGROUND: Rgb = (30, 33, 38)
+"""Behind pictures that do not fill their view."""
+
+# Of a device's state.
+GOOD: Rgb = (40, 150, 70)
+WARN: Rgb = (215, 140, 0)
+BAD: Rgb = (200, 40, 40)
+IDLE: Rgb = (110, 115, 125)
+
 
 def colors(share: FloatArray) -> ColorArray:
     """(n, 3) RGB for (n,) shares of the scale, 0 to 1, dark violet to yellow."""

@@ -81,7 +81,7 @@ class Replay:
     def read_pair_bytes(self) -> list[bytes]:
         """The pair files as they were, in the order of their names."""
         found: dict[str, bytes] = {}
-        for chunk in self._chunks(PAIR, f"{PAIR}/**"):
+        for chunk in self.chunks(PAIR, f"{PAIR}/**"):
             for row in _rows_of(chunk):
                 if "blob" in row.values:
                     found[chunk.entity_path] = _bytes(row.values["blob"])
@@ -128,7 +128,7 @@ class Replay:
                 yield pending.pop(frame)
 
     def _images(self) -> Iterator[Chunk]:
-        return (chunk for chunk in self._chunks(IMAGE) if BLOB in chunk.to_record_batch().schema.names)
+        return (chunk for chunk in self.chunks(IMAGE) if BLOB in chunk.to_record_batch().schema.names)
 
     def _stamp(self, row: Row) -> Stamp:
         if "host_ns" not in row.values:
@@ -176,7 +176,8 @@ class Replay:
             warnings.filterwarnings("ignore", "RRD file has no footer")
             return RrdReader(self.path)
 
-    def _chunks(self, *contents: str) -> Iterator[Chunk]:
+    def chunks(self, *contents: str) -> Iterator[Chunk]:
+        """The portions of these entities, in any order."""
         reader = self._reader()
         store = next(entry for entry in reader.recordings() if _ours(entry.application_id))
         try:
@@ -185,7 +186,7 @@ class Replay:
             raise _unreadable(self.path) from error
 
     def _rows(self, entity: str) -> list[Row]:
-        return [row for chunk in self._chunks(entity) for row in _rows_of(chunk)]
+        return [row for chunk in self.chunks(entity) for row in _rows_of(chunk)]
 
     def _json(self, entity: str, name: str) -> dict[str, Any]:
         for row in self._rows(entity):

@@ -20,7 +20,7 @@ ABOVE_FRAMES = tuple(
     f"deformscope.{name}"
     for name in (
         *("sources", "replay", "log", "recorder", "session", "experiments", "cli", "config", "lab", "bench"),
-        *("closeup", "pictures", "report"),
+        *("closeup", "pictures", "report", "rig_replay", "rig_streams"),
     )
 )
 FORBIDDEN = {
@@ -29,6 +29,12 @@ FORBIDDEN = {
     # Stages are pure: arrays in, frozen results out.
     "deformscope.stages": ("deformscope.frames", *ABOVE_FRAMES, "rerun", "tyro", "rich"),
     "deformscope.frames": ("deformscope.stages", *ABOVE_FRAMES, "rerun", "tyro", "rich"),
+    # What is recorded of a rig can be read back without what logs and shows it.
+    "deformscope.rig_streams": ("numpy", "deformscope.stages", "deformscope.log", "rerun", "tyro", "rich"),
+    "deformscope.rig_replay": (
+        *("deformscope.stages", "deformscope.log", "deformscope.recorder", "deformscope.session", "deformscope.lab"),
+        *("deformscope.experiments", "deformscope.cli"),
+    ),
     "deformscope.sources": ("deformscope.lab", "deformscope.stages", "deformscope.log", "deformscope.experiments"),
     "deformscope.log": ("deformscope.session", "deformscope.experiments", "deformscope.cli", "deformscope.lab"),
     # Pictures go into recordings and reports alike.

@@ -6,6 +6,7 @@ import os
 import signal
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -15,10 +16,12 @@ import rerun as rr
 from rerun.experimental import ViewerClient
 
 from deformscope import live
+from deformscope.frames import ArmFrame, HealthReport
+from deformscope.log.rig import log_items, log_streams, rig_blueprint
 from deformscope.recorder import Recorder
 from deformscope.session import Step, run
 from deformscope.sources import open_source
-from tests.log import synthetic
+from tests.log import synthetic, synthetic_rig
 from tests.test_closeup import poked
 from tools import screenshot
 from tools.screenshot import LAVAPIPE, headless_viewer, shoot
@@ -92,6 +95,41 @@ def test_pokes_of_a_surface(tmp_path: Path, viewer: ViewerClient) -> None:
     assert shoot(viewer, path, tmp_path) == []
     for shot in tmp_path.glob("*.png"):
         assert cv2.imread(str(shot)).std() > 8, shot.name
+
+
+@pytest.mark.parametrize("kinds", [("wrench", "tactile", "arm", "hand", "color", "depth"), ("tactile",), ("wrench",)])
+def test_a_rig(tmp_path: Path, viewer: ViewerClient, kinds: tuple[str, ...]) -> None:
+    """A double's views say so, every view shows something, and none is about a device that is not there."""
+    path = tmp_path / "run.rrd"
+    streams = [replace(stream, urdf=synthetic_rig.URDF) for stream in synthetic_rig.STREAMS if stream.kind in kinds]
+    names = {stream.device for stream in streams}
+    items = [
+        replace(item, joint_deg=item.joint_deg[:2] - 100, finger=item.finger[:1])
+        if isinstance(item, ArmFrame)
+        else item
+        for item in synthetic_rig.items(3.0, (48, 64))
+        if isinstance(item, HealthReport) or item.device in names
+    ]
+    rec = rr.RecordingStream("deformscope-rig", recording_id="rig")
+    rec.set_sinks(rr.FileSink(path))
+    rec.send_blueprint(rig_blueprint(streams))
+    log_streams(rec, streams)
+    for batch in synthetic_rig.batches(items):
+        log_items(rec, batch, synthetic_rig.START_NS, streams)
+    rec.flush(timeout_sec=10)
+    rec.disconnect()
+    assert shoot(viewer, path, tmp_path, session_s=2.9) == []
+    views = {view.name for view in viewer.get_state().views}
+    plotted = sum(stream.kind in ("wrench", "hand", "arm") for stream in streams)
+    pictures = sum(stream.kind in ("tactile", "arm", "color", "depth") for stream in streams)
+    assert len(views) == plotted + pictures + 2
+    told = {f"{stream.device}:": stream.simulated for stream in streams}
+    assert all(("(SIMULATED)" in name) == told[name.split()[0]] for name in views - {"Devices", "State over time"})
+    for shot in tmp_path.glob("*.png"):
+        assert cv2.imread(str(shot)).std() > 8, shot.name
+    if "arm" in kinds:
+        arm = cv2.imread(str(tmp_path / "jaco__pose__SIMULATED_.png"))
+        assert (arm.min(axis=2) > 110).mean() > 0.005  # its links, lighter than the floor
 
 
 def test_a_native_viewer_gets_the_run_and_outlives_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

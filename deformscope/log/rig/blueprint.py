@@ -1,0 +1,147 @@
+"""What a person sees of a rig: pictures above, plots and the devices' health below, and only what is there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import rerun.blueprint as rrb
+
+from deformscope.frames import Stream
+from deformscope.log.rig.arm import shape_of
+from deformscope.log.rig.columns import root
+from deformscope.log.rig.plotted import plotted
+from deformscope.log.rig.tactile import Hand
+from deformscope.palette import BACKGROUND
+
+WINDOW_S = 10.0
+"""How far back the plots show."""
+FLOOR = [88, 94, 104]
+PICTURES_A_ROW, PLOTS_A_ROW, FEW = 4, 3, 2
+
+
+def rig_blueprint(streams: Sequence[Stream]) -> rrb.Blueprint:
+    """The views of these devices; of doubles they say SIMULATED."""
+    pictures = [view for stream in streams for view in _pictures(stream)]
+    plots = [view for stream in streams for view in _plots(stream)]
+    health = [_health(streams)] if streams else []
+    time = rrb.TimePanel(timeline="session", state="collapsed", play_state="following")
+    return rrb.Blueprint(
+        _beside(pictures, plots, health) if _few(pictures, plots) else _stacked(pictures, plots, health, len(streams)),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        time,
+    )
+
+
+def _few(pictures: Sequence[rrb.View], plots: Sequence[rrb.View]) -> bool:
+    return 1 <= len(pictures) <= FEW and len(plots) <= FEW
+
+
+def _beside(pictures: Sequence[rrb.View], plots: Sequence[rrb.View], health: Sequence[rrb.Container]) -> rrb.Container:
+    """Pictures over the whole height, and the numbers in a column of their own."""
+    numbers = rrb.Vertical(*plots, *health, row_shares=[1.0] * len(plots) + [1.4] * len(health))
+    return rrb.Horizontal(*pictures, numbers, column_shares=[1.0] * len(pictures) + [1.1])
+
+
+def _stacked(
+    pictures: Sequence[rrb.View], plots: Sequence[rrb.View], health: Sequence[rrb.Container], devices: int
+) -> rrb.Container:
+    """Pictures in rows above, plots and health side by side below them; without pictures health is below the plots."""
+    health_share = min(max(3.0, 0.73 * devices), 6.0)  # room for a row and a lane each
+    plots_share = max(3.0 * _row_count(plots, PLOTS_A_ROW), health_share)
+    laid = [_rows(plots, PLOTS_A_ROW)] if plots else []
+    if not pictures:
+        return rrb.Vertical(*laid, *health, row_shares=[plots_share] * len(laid) + [health_share] * len(health))
+    above, numbers = _rows(pictures, PICTURES_A_ROW), [*laid, *health]
+    shares = [min(len(plots), PLOTS_A_ROW) + 1.0, 2.5] if laid else [1.0]
+    below = rrb.Horizontal(*numbers, column_shares=shares[: len(numbers)])
+    return rrb.Vertical(above, below, row_shares=[4.0 * _row_count(pictures, PICTURES_A_ROW), plots_share])
+
+
+def _row_count(views: Sequence[rrb.View], most: int) -> int:
+    return -(-len(views) // most)
+
+
+def _rows(views: Sequence[rrb.View], most: int) -> rrb.Container | rrb.View:
+    """Side by side; in more than one row where there are too many for one, and then evenly."""
+    wide = -(-len(views) // _row_count(views, most))
+    lines = [views[first : first + wide] for first in range(0, len(views), wide)]
+    laid = [rrb.Horizontal(*line) if len(line) > 1 else line[0] for line in lines]
+    return rrb.Vertical(*laid) if len(laid) > 1 else laid[0]
+
+
+def _pictures(stream: Stream) -> list[rrb.View]:
+    if stream.kind == "arm" and stream.urdf is not None:
+        return [_arm_view(stream)]
+    if stream.kind == "tactile":
+        return [_tactile_view(stream)]
+    if stream.kind == "color":
+        return [rrb.Spatial2DView(origin=root("color", stream.device), name=_named(stream, "color"))]
+    if stream.kind == "depth":
+        origin = root("depth", stream.device)
+        contents = [f"+ /{origin}", f"+ /{root('display/depth', stream.device)}"]
+        return [rrb.Spatial2DView(contents=contents, name=_named(stream, "depth [m]"))]
+    return []
+
+
+def _plots(stream: Stream) -> list[rrb.View]:
+    return [_plot(path, _named(stream, title)) for path, title in plotted(stream)]
+
+
+def _named(stream: Stream, what: str) -> str:
+    return f"{stream.device}: {what}{' (SIMULATED)' if stream.simulated else ''}"
+
+
+def _plot(origin: str, name: str) -> rrb.View:
+    now = rrb.TimeRangeBoundary.cursor_relative()
+    window = rrb.TimeRangeBoundary.cursor_relative(seconds=-WINDOW_S)
+    return rrb.TimeSeriesView(
+        contents=[f"+ /{origin}"],
+        origin=origin,
+        name=name,
+        plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop),
+        time_ranges=[rrb.VisibleTimeRange("session", start=window, end=now)],
+        axis_x=rrb.archetypes.TimeAxis(view_range=rrb.TimeRange(start=window, end=now)),
+    )
+
+
+def _tactile_view(stream: Stream) -> rrb.View:
+    bounds = None
+    if stream.pads:
+        x_mm, y_mm = Hand.of(stream.pads).bounds_mm
+        bounds = rrb.VisualBounds2D(x_range=list(x_mm), y_range=list(y_mm))
+    return rrb.Spatial2DView(
+        origin=root("display/tactile", stream.device),
+        name=_named(stream, "pressure [kPa]"),
+        visual_bounds=bounds,
+        background=list(BACKGROUND),
+    )
+
+
+def _arm_view(stream: Stream) -> rrb.View:
+    """Seen from the front and above, near enough that the stretched arm just fits."""
+    assert stream.urdf is not None
+    shape = shape_of(stream.urdf, stream.device)
+    reach = shape.reach_m
+    return rrb.Spatial3DView(
+        origin=root("display/arm", stream.device),
+        name=_named(stream, "pose"),
+        spatial_information=rrb.SpatialInformation(target_frame=shape.base),
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital,
+            position=[0.9 * reach, -0.85 * reach, 0.75 * reach],
+            look_target=[0.0, 0.0, 0.36 * reach],
+            eye_up=[0.0, 0.0, 1.0],
+        ),
+        line_grid=rrb.LineGrid3D(visible=True, spacing=0.1, color=FLOOR),
+        background=list(BACKGROUND),
+    )
+
+
+def _health(streams: Sequence[Stream]) -> rrb.Container:
+    table = rrb.TextDocumentView(contents=["+ /health"], origin="health", name="Devices")
+    devices = sorted({stream.device for stream in streams})
+    lanes = rrb.StateTimelineView(
+        contents=[f"+ /{root('health', device)}" for device in devices], origin="health", name="State over time"
+    )
+    return rrb.Vertical(table, lanes, row_shares=[len(devices) + 3.8, 1.75 * len(devices) + 2.5])

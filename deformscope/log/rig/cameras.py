@@ -1,0 +1,98 @@
+"""Images: colour as JPEG or without loss, depth always without loss."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+
+from deformscope.arrays import ImageArray
+from deformscope.frames import ColorFrame, DepthFrame, Frame
+from deformscope.images import encode_jpeg, encode_png
+from deformscope.log.canvas import TEXT
+from deformscope.log.rig.columns import Batch, frame_times, moments, root, singles, stamps
+from deformscope.palette import BACKGROUND
+
+LOOK_EVERY, RARE, STEP_M = 8, 0.01, 0.05
+"""Of a depth image: which pixels its range is from, the share that may lie beyond, the range's steps [m]."""
+
+
+def log_color(batch: Batch, device: str, frames: Sequence[ColorFrame], start_ns: int, lossless: bool) -> None:
+    columns = _color_columns([frame.image for frame in frames], lossless)
+    batch.send_columns(root("color", device), frame_times(frames, start_ns), [*columns, *stamps(frames)])
+
+
+def log_depth(batch: Batch, device: str, frames: Sequence[DepthFrame], start_ns: int, lossless: bool) -> None:
+    colored: list[Frame] = [frame for frame in frames if frame.color is not None]
+    if colored:
+        images = [frame.color for frame in frames if frame.color is not None]
+        columns = _color_columns(images, lossless)
+        batch.send_columns(root("depth", device, "color"), frame_times(colored, start_ns), columns)
+    reach = _range(frames[0].depth, frames[0].unit_m)
+    columns = [
+        *rr.EncodedDepthImage.columns(
+            blob=[encode_png(frame.depth, noisy=True) for frame in frames],
+            media_type=["image/png"] * len(frames),
+            meter=[1.0 / frame.unit_m for frame in frames],
+            colormap=[rr.components.Colormap.Turbo] * len(frames),
+            depth_range=[reach] * len(frames),
+        ),
+        *singles("DepthFrame", "unit_m", [frame.unit_m for frame in frames], pa.float64()),
+        *singles("DepthFrame", "colored", [frame.color is not None for frame in frames], pa.bool_()),
+        *stamps(frames),
+    ]
+    batch.send_columns(root("depth", device), frame_times(frames, start_ns), columns)
+    _log_scale(batch, device, frames[0], reach, start_ns)
+
+
+def _range(depth: ImageArray, unit_m: float) -> tuple[float, float]:
+    """The nearest and farthest that colours tell apart, in the image's own unit: whole steps, so that they stay put."""
+    seen = depth[::LOOK_EVERY, ::LOOK_EVERY]
+    seen = seen[seen > 0]
+    if not seen.size:
+        return 0.0, 1.0 / unit_m
+    near, far = np.quantile(seen, (RARE, 1 - RARE)) * unit_m / STEP_M
+    low, high = np.floor(near), max(np.ceil(far), np.floor(near) + 1)
+    return float(low * STEP_M / unit_m), float(high * STEP_M / unit_m)
+
+
+def _log_scale(batch: Batch, device: str, frame: DepthFrame, reach: tuple[float, float], start_ns: int) -> None:
+    """The colours with their distances: a picture that is larger than the image, and behind it."""
+    png = _scale_png(reach[0] * frame.unit_m, reach[1] * frame.unit_m, frame.depth.shape[:2])
+    columns = rr.EncodedImage.columns(blob=[png], draw_order=[-30.0])
+    batch.send_columns(root("display/depth", device), moments([frame.stamp.host_ns], start_ns), columns)
+
+
+@functools.lru_cache(maxsize=64)
+def _scale_png(low_m: float, high_m: float, shape: tuple[int, int]) -> bytes:
+    """Room for the image, below it a bar of colours, and below that three numbers."""
+    height, width = shape
+    size = width / 640
+    top = height + round(10 * size)
+    bar = top + round(18 * size)
+    picture = np.full((bar + round(36 * size), width, 3), BACKGROUND, np.uint8)
+    picture[top:bar] = cv2.applyColorMap(np.linspace(0, 255, width).astype(np.uint8)[None], cv2.COLORMAP_TURBO)[
+        ..., ::-1
+    ]
+    for share in (0.0, 0.5, 1.0):
+        words = f"{low_m + share * (high_m - low_m):.3g} m"
+        (length, _), _ = cv2.getTextSize(words, cv2.FONT_HERSHEY_SIMPLEX, 0.8 * size, max(1, round(2 * size)))
+        place = round(share * (width - length)), bar + round(28 * size)
+        thick = max(1, round(2 * size))
+        cv2.putText(picture, words, place, cv2.FONT_HERSHEY_SIMPLEX, 0.8 * size, TEXT, thick, cv2.LINE_AA)
+    return encode_png(picture)
+
+
+def _color_columns(images: Sequence[ImageArray], lossless: bool) -> list[rr.ComponentColumn]:
+    """JPEG holds 8 bits and loses some: 16 bits go without loss whatever was asked for."""
+    exact = [lossless or image.dtype != np.uint8 for image in images]
+    encoded = [
+        encode_png(image, noisy=True) if png else encode_jpeg(image) for image, png in zip(images, exact, strict=True)
+    ]
+    return list(
+        rr.EncodedImage.columns(blob=encoded, media_type=["image/png" if png else "image/jpeg" for png in exact])
+    )

@@ -1,0 +1,101 @@
+"""Columns of a batch: one call to rerun for many rows of an entity."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import rerun as rr
+
+from deformscope.arrays import FloatArray
+from deformscope.frames import Frame
+
+Columns = Iterable[rr.ComponentColumn]
+
+
+class Batch:
+    """Calls to rerun that are made ready once, images encoded, and sent to any number of streams."""
+
+    def __init__(self) -> None:
+        self.bytes = 0
+        self._calls: list[Callable[[rr.RecordingStream], None]] = []
+
+    def send_columns(self, path: str, times: Sequence[rr.TimeColumn], columns: Columns) -> None:
+        """As that of a stream."""
+        ready = list(columns)
+        self.bytes += sum(column.as_arrow_array().nbytes for column in ready)
+        self._calls.append(lambda rec: rec.send_columns(path, times, ready))
+
+    def log(self, path: str, entity: rr.AsComponents, *, static: bool) -> None:
+        """As that of a stream."""
+        self._calls.append(lambda rec: rec.log(path, entity, static=static))
+
+    def send(self, rec: rr.RecordingStream) -> None:
+        """Log all of it."""
+        for call in self._calls:
+            call(rec)
+
+
+Sink = rr.RecordingStream | Batch
+"""What a twin logs to."""
+
+
+def root(kind: str, device: str, *below: str) -> str:
+    """The entity of a device, whatever letters its name has."""
+    return "/".join([kind, rr.escape_entity_path_part(device), *below])
+
+
+def moments(host_ns: Sequence[int], start_ns: int) -> list[rr.TimeColumn]:
+    """Times of rows that are no frames."""
+    return [rr.TimeColumn("session", duration=(np.array(host_ns, np.int64) - start_ns).astype("timedelta64[ns]"))]
+
+
+def frame_times(frames: Sequence[Frame], start_ns: int) -> list[rr.TimeColumn]:
+    """Times of frames: the moment, and the place in the device's stream."""
+    indices = np.array([frame.index for frame in frames], np.int64)
+    return [*moments([frame.stamp.host_ns for frame in frames], start_ns), rr.TimeColumn("frame", sequence=indices)]
+
+
+def stamps(frames: Sequence[Frame]) -> list[rr.ComponentColumn]:
+    """Stamps as integers: none of their digits is lost. A device without a clock has empty ticks."""
+    ticks = [[] if frame.stamp.device_ticks is None else [frame.stamp.device_ticks] for frame in frames]
+    return [
+        *singles("Stamp", "host_ns", [frame.stamp.host_ns for frame in frames], pa.int64()),
+        *lists("Stamp", "device_ticks", ticks, pa.int64()),
+    ]
+
+
+def singles(archetype: str, name: str, values: Sequence[Any], kind: pa.DataType) -> Columns:
+    """One value a row."""
+    return rr.DynamicArchetype.columns(archetype=archetype, components={name: pa.array(values, kind)})
+
+
+def lists(archetype: str, name: str, rows: Sequence[Any], kind: pa.DataType) -> Columns:
+    """Any number of values a row; rows: sequences or (n,) arrays."""
+    lengths = [len(row) for row in rows]
+    if rows and isinstance(rows[0], np.ndarray):
+        flat = pa.array(np.concatenate(rows), kind)
+    else:
+        flat = pa.array([value for row in rows for value in row], kind)
+    return rr.DynamicArchetype.columns(archetype=archetype, components={name: flat}).partition(lengths)
+
+
+def blobs(archetype: str, name: str, rows: Sequence[bytes]) -> Columns:
+    """Bytes, any number a row."""
+    flat = pa.array(np.frombuffer(b"".join(rows), np.uint8), pa.uint8())
+    return rr.DynamicArchetype.columns(archetype=archetype, components={name: flat}).partition([len(r) for r in rows])
+
+
+def scalars(rows: Sequence[FloatArray]) -> Columns:
+    """One (n,) array a row, as a plot shows it: n series, float64."""
+    flat: npt.NDArray[np.float64] = np.concatenate(rows).astype(np.float64, copy=False)
+    batch = rr.components.ScalarBatch(flat)
+    return [rr.ComponentColumn(rr.Scalars.descriptor_scalars(), batch, lengths=[len(row) for row in rows])]
+
+
+def log_series(rec: Sink, path: str, names: Sequence[str], colors: Sequence[tuple[int, ...]]) -> None:
+    """Names and colours of the series at a path, which hold throughout."""
+    rec.log(path, rr.SeriesLines(names=list(names), colors=list(colors), widths=[1.5] * len(names)), static=True)

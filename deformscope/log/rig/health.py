@@ -1,0 +1,109 @@
+"""How the devices do: a table in words, coloured lanes over time, and every counter as a number."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Sequence
+
+import pyarrow as pa
+import rerun as rr
+
+from deformscope.frames import HealthReport, Stream
+from deformscope.log.rig.columns import Batch, lists, moments, root, singles
+from deformscope.palette import BAD, GOOD, IDLE, WARN
+from deformscope_drivers.health import Health, Link
+
+STALE_S = 1.0
+"""A reading older than this, or than STALE_READINGS at the stream's own rate, whichever is longer, is stale."""
+STALE_READINGS = 5.0
+
+COUNTERS = ("received", "lost", "dropped", "skipped_bytes", "resyncs", "reconnects")
+COLORS = {
+    "ok": GOOD,
+    "waiting": IDLE,
+    "closed": IDLE,
+    "stale": WARN,
+    "stuck": WARN,
+    "LOST": BAD,
+    "FAILED": BAD,
+}
+HEAD = ("device", "state", "Hz", "received", "lost", "dropped", "refused", "bad bytes", "relinked", "why")
+
+
+def word(health: Health, stream: Stream | None) -> str:
+    """The state of a device in one word."""
+    if health.link != Link.CONNECTED:
+        return {Link.LOST: "LOST", Link.FAILED: "FAILED", Link.CLOSED: "closed"}[health.link]
+    if health.age_s is None:
+        return "waiting"
+    fastest_hz = stream.fastest_hz if stream is not None else 0.0
+    if health.age_s > max(STALE_S, STALE_READINGS / fastest_hz if fastest_hz > 0 else 0.0):
+        return "stale"
+    return "stuck" if health.stuck else "ok"
+
+
+def log_health_stream(rec: rr.RecordingStream, device: str) -> None:
+    colored = rr.StateConfiguration(values=list(COLORS), colors=list(COLORS.values()))
+    rec.log(root("health", device), colored, static=True)
+
+
+def log_health(batch: Batch, reports: Sequence[HealthReport], start_ns: int, streams: Sequence[Stream]) -> None:
+    known = {stream.device: stream for stream in streams}
+    looks: dict[str, list[tuple[int, Health]]] = {}
+    for report in reports:
+        for device, health in report.devices:
+            looks.setdefault(device, []).append((report.host_ns, health))
+    for device, seen in looks.items():
+        _log_device(batch, device, seen, start_ns, known.get(device))
+    when = [report.host_ns for report in reports]
+    names = [[device for device, _ in report.devices] for report in reports]
+    columns = [
+        *rr.TextDocument.columns(
+            text=[table(report, known) for report in reports], media_type=["text/markdown"] * len(reports)
+        ),
+        *singles("HealthReport", "host_ns", when, pa.int64()),
+        *lists("HealthReport", "devices", names, pa.string()),
+    ]
+    batch.send_columns("health", moments(when, start_ns), columns)
+
+
+def table(report: HealthReport, streams: dict[str, Stream]) -> str:
+    """The devices as a Markdown table, trouble in bold."""
+    lines = [f"| {' | '.join(HEAD)} |", f"|{' --- |' * len(HEAD)}"]
+    for device, health in report.devices:
+        stream = streams.get(device)
+        state = word(health, stream)
+        name = f"{device} (SIMULATED)" if stream is not None and stream.simulated else device
+        refused = sum(health.refused.values())
+        reasons = ", ".join(f"{reason} {count}" for reason, count in health.refused.items())
+        numbers = (health.received, health.lost, health.dropped)
+        cells = [
+            *(name, state if state in ("ok", "waiting", "closed") else f"**{state}**", f"{health.rate_hz:.4g}"),
+            *(f"{number:,}".replace(",", " ") for number in numbers),
+            f"{refused} ({reasons})" if refused else "0",
+            *(str(health.skipped_bytes), str(health.reconnects), health.reason),
+        ]
+        lines.append(f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |")
+    return "\n".join(lines)
+
+
+def _log_device(
+    batch: Batch, device: str, looks: Sequence[tuple[int, Health]], start_ns: int, stream: Stream | None
+) -> None:
+    health = [one for _, one in looks]
+    clocks = [[] if one.clock is None else [json.dumps(dataclasses.asdict(one.clock))] for one in health]
+    columns = [
+        *rr.StateChange.columns(state=[word(one, stream) for one in health]),
+        *singles("Health", "link", [str(one.link) for one in health], pa.string()),
+        *singles("Health", "reason", [one.reason for one in health], pa.string()),
+        *singles("Health", "rate_hz", [one.rate_hz for one in health], pa.float64()),
+        *lists("Health", "age_s", [[] if one.age_s is None else [one.age_s] for one in health], pa.float64()),
+        *singles("Health", "stuck", [one.stuck for one in health], pa.bool_()),
+        *singles("Health", "refused", [json.dumps(dict(one.refused)) for one in health], pa.string()),
+        *singles("Health", "extra", [json.dumps(dict(one.extra)) for one in health], pa.string()),
+        *lists("Health", "clock", clocks, pa.string()),
+    ]
+    for counter in COUNTERS:
+        columns += singles("Health", counter, [getattr(one, counter) for one in health], pa.int64())
+    batch.send_columns(root("health", device), moments([at for at, _ in looks], start_ns), columns)

@@ -1,0 +1,54 @@
+"""A device's wire: the bytes that went over it, and when it was there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+
+from deformscope.frames import LinkChange, RawBytes, Stream
+from deformscope.log.rig.columns import Batch, blobs, moments, root, scalars, singles
+from deformscope.log.rig.plotted import plotted
+from deformscope.palette import BAD, GOOD, IDLE, WARN
+from deformscope_drivers.health import Link
+
+COLORS = {Link.CONNECTED: GOOD, Link.LOST: WARN, Link.FAILED: BAD, Link.CLOSED: IDLE}
+LEVELS = {Link.CONNECTED: "INFO", Link.LOST: "WARN", Link.FAILED: "ERROR", Link.CLOSED: "INFO"}
+
+
+def log_link_stream(rec: rr.RecordingStream, device: str) -> None:
+    colored = rr.StateConfiguration(values=[str(link) for link in COLORS], colors=list(COLORS.values()))
+    rec.log(root("link", device), colored, static=True)
+
+
+def log_link(
+    batch: Batch, device: str, changes: Sequence[LinkChange], start_ns: int, streams: Sequence[Stream]
+) -> None:
+    events = [change.event for change in changes]
+    told = [f"{event.link}: {event.reason}" if event.reason else str(event.link) for event in events]
+    columns = [
+        *rr.TextLog.columns(text=told, level=[LEVELS[event.link] for event in events]),
+        *rr.StateChange.columns(state=[str(event.link) for event in events]),
+        *singles("LinkEvent", "host_ns", [event.host_ns for event in events], pa.int64()),
+        *singles("LinkEvent", "link", [str(event.link) for event in events], pa.string()),
+        *singles("LinkEvent", "reason", [event.reason for event in events], pa.string()),
+    ]
+    batch.send_columns(root("link", device), moments([event.host_ns for event in events], start_ns), columns)
+    ends = [event.host_ns for event in events if event.link != Link.CONNECTED]
+    for path, _ in [plot for stream in streams if stream.device == device for plot in plotted(stream)]:
+        if ends:  # a line goes no further: nobody knows what was between
+            batch.send_columns(path, moments(ends, start_ns), scalars([np.zeros(0)] * len(ends)))
+
+
+def log_raw(batch: Batch, device: str, pieces: Sequence[RawBytes], start_ns: int) -> None:
+    for way, sent in (("received", False), ("sent", True)):
+        those = [piece for piece in pieces if piece.sent is sent]
+        if those:
+            when = [piece.host_ns for piece in those]
+            columns = [
+                *singles("RawBytes", "host_ns", when, pa.int64()),
+                *blobs("RawBytes", "data", [piece.data for piece in those]),
+            ]
+            batch.send_columns(root("raw", device, way), moments(when, start_ns), columns)
