@@ -1,0 +1,68 @@
+"""What each command can be told: one frozen dataclass a command, whose fields are its flags.
+
+A field's docstring is the flag's help. What one value must look like is checked where it is parsed (`ValueError`, which
+the command line reports with the flag's name), what values must satisfy together where the dataclass is made
+(`InputError`). Nothing heavy is imported here: `--help` shows these classes.
+"""
+
+from __future__ import annotations
+
+from deformscope.config.bench import BenchConfig
+from deformscope.config.calibrate import (
+    AxesConfig,
+    BetaConfig,
+    BothConfig,
+    PredictConfig,
+    SearchOptions,
+    SummaryOptions,
+    ThetaConfig,
+    YieldConfig,
+)
+from deformscope.config.flags import PokeText, parse_poke, parse_pokes
+from deformscope.config.images import FlowConfig, ImageOptions
+from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions, Written
+from deformscope.config.reproduce import CoverageConfig, CubesConfig, FoamsConfig, PokesConfig
+from deformscope.config.rigs import (
+    DevicesConfig,
+    DoctorConfig,
+    DoubleConfig,
+    LiveConfig,
+    RecordConfig,
+    RigRunOptions,
+    VerifyConfig,
+)
+from deformscope.config.runs import DemoConfig, ReplayConfig
+
+__all__ = [
+    "AxesConfig",
+    "BenchConfig",
+    "BetaConfig",
+    "BothConfig",
+    "CommandOptions",
+    "CoverageConfig",
+    "CubesConfig",
+    "DemoConfig",
+    "DevicesConfig",
+    "DoctorConfig",
+    "DoubleConfig",
+    "FlowConfig",
+    "FoamsConfig",
+    "ImageOptions",
+    "LiveConfig",
+    "OutputOptions",
+    "PokeText",
+    "PokesConfig",
+    "PredictConfig",
+    "RecordConfig",
+    "RecordedOptions",
+    "ReplayConfig",
+    "RigRunOptions",
+    "SearchOptions",
+    "SummaryOptions",
+    "ThetaConfig",
+    "VerifyConfig",
+    "Written",
+    "YieldConfig",
+    "parse_poke",
+    "parse_pokes",
+]

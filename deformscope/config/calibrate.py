@@ -1,0 +1,440 @@
+"""`deformscope calibrate ...` and `deformscope predict`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import OmitArgPrefixes, Positional, arg
+
+from deformscope.config.flags import (
+    POKE_EXAMPLE,
+    CountFlag,
+    FileFlag,
+    JsonFlag,
+    ModelFlag,
+    PictureFlag,
+    PokesFlag,
+    PositiveFlag,
+    ReportFlag,
+    SelectFlag,
+    ShareFlag,
+    Sources,
+    SpanFlag,
+    one_word,
+    positive,
+    unset,
+)
+from deformscope.config.images import ImageOptions
+from deformscope.config.options import (
+    BETA_LIMIT,
+    CommandOptions,
+    OutputOptions,
+    RecordedOptions,
+    Written,
+    check_alpha,
+    check_cluster_size,
+    check_level,
+    check_seed,
+    check_sources,
+    check_span,
+    check_suffix,
+    check_unit,
+    written_json,
+)
+from deformscope.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class SearchOptions:
+    """How the parameter is searched, and how sure of it to be."""
+
+    method: Literal["sweep", "gradient"] = "sweep"
+    """Try --candidates values over the range (Thesis Algorithm 3), or follow the error downhill (Algorithm 2)."""
+    candidates: int = 100
+    """Values that the sweep tries."""
+    level: float = 0.9
+    """Confidence level of the interval."""
+    noise_px: PositiveFlag = None
+    """Standard deviation of a measured position [px]; default: measured in the images."""
+    noise_m: PositiveFlag = None
+    """Standard deviation of a measured position [m]; default: what the pair file says."""
+    joint: bool = False
+    """Fit one value to all pairs together."""
+    volume: Literal["scale", "project"] = "scale"
+    """How theta conserves volume: as Thesis eq. 3.17, or by a projection that stays stable in overlapping clusters."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where the simulation runs; auto: on the GPU where there is one."""
+
+    def __post_init__(self) -> None:
+        if self.candidates < 3:
+            raise InputError("at least 3 --candidates", str(self.candidates))
+        check_level(self.level)
+        if self.noise_px is not None and self.noise_m is not None:
+            raise InputError("--noise-px or --noise-m", "both", "leave one out")
+
+
+@dataclass(frozen=True, slots=True)
+class ModelOptions:
+    """What is left for predictions."""
+
+    save: ModelFlag = None
+    """Write the fitted model, which `deformscope predict` can poke (.npz, no pickle)."""
+
+    def __post_init__(self) -> None:
+        check_suffix("--save", self.save, ".npz")
+
+
+@dataclass(frozen=True, slots=True)
+class SummaryOptions:
+    """The result to look at and to pass on, without a viewer."""
+
+    picture: PictureFlag = None
+    """Draw particles, where the model is wrong, error curve and posterior in one picture. An existing file is
+    replaced."""
+    report: ReportFlag = None
+    """Write all that was found, with pictures, settings and provenance, as one HTML page that needs nothing else. An
+    existing file is replaced."""
+
+    def __post_init__(self) -> None:
+        check_suffix("--picture", self.picture, ".png")
+        check_suffix("--report", self.report, ".html")
+
+    @property
+    def wanted(self) -> bool:
+        """Whether there is anything to write."""
+        return self.picture is not None or self.report is not None
+
+    def writes(self) -> tuple[Written, ...]:
+        named = (("--picture", self.picture), ("--report", self.report))
+        return tuple(Written(flag, path) for flag, path in named if path is not None)
+
+
+@dataclass(frozen=True, slots=True)
+class LayersFlags:
+    """Pokes of a surface: pair files of surface points, z up, whose held points were pressed down."""
+
+    thickness_m: PositiveFlag = None
+    """Thickness of the material below the surface, which rests on the ground [m]. With it a lattice of layers is fitted
+    to all pokes together; without, the points themselves are the particles."""
+    spacing_m: PositiveFlag = None
+    """Spacing of that lattice [m]; default: a quarter of the tip's width."""
+
+    def __post_init__(self) -> None:
+        if self.spacing_m is not None and self.thickness_m is None:
+            raise InputError("--thickness-m with --spacing-m", "none", "--thickness-m 0.05")
+
+
+@dataclass(frozen=True, slots=True)
+class MotionFlags:
+    """All frames of a sequence in one fit."""
+
+    whole_motion: bool = False
+    """Fit all frames together instead of the last one; the interval knows that frames share their errors."""
+    select: SelectFlag = None
+    """What to choose by the error on particles left out, of cluster-size, held, alpha and dt. alpha and dt leave static
+    states as they are: time stepping through the frames tells them, if the motion was fast."""
+
+    def __post_init__(self) -> None:
+        if self.select is not None and not self.whole_motion:
+            raise InputError("--whole-motion with --select", "no --whole-motion", "add --whole-motion")
+
+
+class CalibrateOptions(RecordedOptions):
+    """What `calibrate beta` and `calibrate theta` read and write."""
+
+    __slots__ = ()
+    sources: tuple[str, ...]
+    images: ImageOptions
+    model: ModelOptions
+    summary: SummaryOptions
+
+    def writes(self) -> tuple[Written, ...]:
+        save = self.model.save
+        model = () if save is None else (Written("--save", save, replace=self.output.overwrite),)
+        return (*model, *self.summary.writes(), *self.output.writes())
+
+    def reads(self) -> tuple[str, ...]:
+        return self.sources if self.images.mask is None else (*self.sources, str(self.images.mask))
+
+
+@dataclass(frozen=True, slots=True)
+class BetaConfig(CalibrateOptions):
+    """Find beta, the share of linear deformation, from images or from pairs of rest and deformed positions."""
+
+    sources: Sources
+    """A video, a folder of frames, images in the order given, pair files (.npz), or a recording (.rrd)."""
+    cluster_size: CountFlag = None
+    """Particles along each side of a cluster; default: 3, and with --thickness-m the one with the least error on pokes
+    left out."""
+    mode: Literal["linear", "quadratic"] = "linear"
+    """How a cluster may deform."""
+    alpha: float = 1.0
+    """Stiffness of the pull to the goal positions."""
+    theta: ShareFlag = None
+    """Volume conservation, which stays as it is; default: 0, and with --thickness-m it is fitted too."""
+    beta_range: SpanFlag = (0.0, 0.99)
+    """Range in which beta is searched."""
+    search: OmitArgPrefixes[SearchOptions] = field(default_factory=SearchOptions)
+    layers: OmitArgPrefixes[LayersFlags] = field(default_factory=LayersFlags)
+    motion: OmitArgPrefixes[MotionFlags] = field(default_factory=MotionFlags)
+    images: OmitArgPrefixes[ImageOptions] = field(default_factory=ImageOptions)
+    model: OmitArgPrefixes[ModelOptions] = field(default_factory=ModelOptions)
+    summary: OmitArgPrefixes[SummaryOptions] = field(default_factory=SummaryOptions)
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def __post_init__(self) -> None:
+        check_sources(self.sources)
+        check_cluster_size(self.cluster_size)
+        check_alpha(self.alpha)
+        if self.theta is not None:
+            check_unit("--theta", self.theta)
+        if self.layers.thickness_m is not None and self.mode != "linear":
+            raise InputError("--mode linear with --thickness-m", self.mode)
+        check_span("--beta-range", self.beta_range, BETA_LIMIT)
+
+    @property
+    def fitted_cluster_size(self) -> int:
+        """Particles along each side of a cluster where no layers are fitted."""
+        return 3 if self.cluster_size is None else self.cluster_size
+
+    @property
+    def fitted_theta(self) -> float:
+        """Volume conservation where no layers are fitted."""
+        return 0.0 if self.theta is None else self.theta
+
+
+@dataclass(frozen=True, slots=True)
+class ThetaConfig(CalibrateOptions):
+    """Find theta, how strongly volume is conserved, from images or from pairs of rest and deformed positions."""
+
+    sources: Sources
+    """A video, a folder of frames, images in the order given, pair files (.npz), or a recording (.rrd)."""
+    cluster_size: CountFlag = None
+    """Particles along each side of a cluster; default: one cluster holds all particles (Thesis 5.1)."""
+    mode: Literal["linear", "quadratic"] = "quadratic"
+    """How a cluster may deform."""
+    alpha: float = 1.0
+    """Stiffness of the pull to the goal positions."""
+    beta: float = 0.99
+    """Share of deformation, which stays as it is."""
+    theta_range: SpanFlag = (0.0, 1.0)
+    """Range in which theta is searched."""
+    search: OmitArgPrefixes[SearchOptions] = field(default_factory=SearchOptions)
+    images: OmitArgPrefixes[ImageOptions] = field(default_factory=ImageOptions)
+    model: OmitArgPrefixes[ModelOptions] = field(default_factory=ModelOptions)
+    summary: OmitArgPrefixes[SummaryOptions] = field(default_factory=SummaryOptions)
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def __post_init__(self) -> None:
+        check_sources(self.sources)
+        check_cluster_size(self.cluster_size)
+        check_alpha(self.alpha)
+        check_unit("--beta", self.beta)
+        check_span("--theta-range", self.theta_range)
+
+    @property
+    def single_cluster(self) -> bool:
+        """Whether one cluster holds all particles."""
+        return self.cluster_size is None
+
+
+@dataclass(frozen=True, slots=True)
+class BothConfig(CommandOptions):
+    """Find beta and theta together from pairs of rest and deformed positions: their joint posterior. Volume is
+    conserved by projection, which stays stable in overlapping clusters."""
+
+    sources: Annotated[tuple[str, ...], Positional, arg(metavar="PAIR.npz...", help_behavior_hint="")]
+    """Pair files."""
+    cluster_size: CountFlag = 3
+    """Particles along each side of a cluster; 0: one cluster holds all particles."""
+    mode: Literal["linear", "quadratic"] = "linear"
+    """How a cluster may deform."""
+    beta_range: SpanFlag = (0.0, 0.99)
+    """Range in which beta is searched."""
+    theta_range: SpanFlag = (0.0, 1.0)
+    """Range in which theta is searched."""
+    level: float = 0.9
+    """Confidence level of the intervals."""
+    noise_m: PositiveFlag = None
+    """Standard deviation of a measured position [m]; default: what the pair file says."""
+    joint: bool = False
+    """Fit one beta and one theta to all pairs together."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where the simulation runs; auto: on the GPU where there is one."""
+    seed: int = 0
+    """Seed of every random number."""
+    picture: PictureFlag = None
+    """Draw the joint posterior (of several pairs, that of the first). An existing file is replaced."""
+    json: JsonFlag = None
+    """Write the result as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+
+    def __post_init__(self) -> None:
+        check_sources(self.sources)
+        if other := next((source for source in self.sources if Path(source).suffix.lower() != ".npz"), None):
+            raise InputError("pair files (.npz)", repr(other), "calibrate beta or theta for images")
+        if self.cluster_size not in (0, None) and (self.cluster_size or 0) < 2:
+            raise InputError("a --cluster-size of 2 or more, or 0", str(self.cluster_size))
+        check_level(self.level)
+        check_seed(self.seed)
+        check_suffix("--picture", self.picture, ".png")
+        check_span("--beta-range", self.beta_range, BETA_LIMIT)
+        check_span("--theta-range", self.theta_range)
+
+    def reads(self) -> tuple[str, ...]:
+        return self.sources
+
+    def writes(self) -> tuple[Written, ...]:
+        picture = () if self.picture is None else (Written("--picture", self.picture),)
+        return (*picture, *written_json(self.json))
+
+    def json_target(self) -> str | None:
+        return self.json
+
+
+# deformscope predict -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class PredictConfig(CommandOptions):
+    """Poke a fitted model where, how hard and with what it was not poked: deformed particles, depth and force."""
+
+    source: Annotated[Path, Positional, arg(metavar="MODEL.npz")]
+    """A model that `deformscope calibrate ... --save` has written."""
+    poke: PokesFlag = ()
+    """What to do, such as 'at=0.28,0.2 tip=flat size=0.03x0.03 force=5' in metres and newtons; several with ; between
+    them. tip is flat (sides), disc or sphere (diameter), by default the one of the fit; give a depth or a force."""
+    against: Annotated[tuple[Path, ...], arg(metavar="PAIR.npz...")] = ()
+    """Pokes that were measured but not fitted: each is predicted from its place, tip and depth, and compared, beside a
+    rigid body, a half-space in closed form and linear finite elements."""
+    points: FileFlag = None
+    """Points of the surface (.npz with `points (n, 3)`) whose deformed positions are wanted too."""
+    out: Annotated[Path | None, one_word("FILE.npz", Path), unset] = None
+    """Every particle of every poke: rest_0, deformed_0, rest_1... An existing file is replaced."""
+    picture: PictureFlag = None
+    """Draw the dents and, with --against, measured beside predicted. An existing file is replaced."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where the simulation runs; auto: on the GPU where there is one."""
+    json: JsonFlag = None
+    """Write the predictions as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+
+    def __post_init__(self) -> None:
+        if not self.poke and not self.against:
+            raise InputError("a --poke or pokes to compare with --against", "neither", f"--poke {POKE_EXAMPLE}")
+        check_suffix("--out", self.out, ".npz")
+        check_suffix("--picture", self.picture, ".png")
+
+    def reads(self) -> tuple[str, ...]:
+        return (str(self.source), *(str(path) for path in self.against))
+
+    def writes(self) -> tuple[Written, ...]:
+        out = () if self.out is None else (Written("--out", self.out),)
+        picture = () if self.picture is None else (Written("--picture", self.picture),)
+        return (*out, *picture, *written_json(self.json))
+
+    def json_target(self) -> str | None:
+        return self.json
+
+
+# deformscope calibrate axes and yield --------------------------------------------------------------------------------
+
+
+def parse_creep(text: str) -> float | str:
+    """`none`, `fit`, or a rate above 0 [1/s]."""
+    if text in ("none", "fit"):
+        return text
+    try:
+        return positive(text)
+    except ValueError:
+        raise ValueError(f"expected none, fit or a rate above 0 in 1/s; got {text!r}") from None
+
+
+CreepFlag = Annotated[float | str, one_word("none|fit|RATE", parse_creep)]
+
+
+@dataclass(frozen=True, slots=True)
+class AxesConfig(CommandOptions):
+    """Find a beta along each axis of a material from pairs of rest and deformed positions: one fit to all of them."""
+
+    sources: Annotated[tuple[str, ...], Positional, arg(metavar="PAIR.npz...", help_behavior_hint="")]
+    """Pair files."""
+    turn_deg: float = 0.0
+    """Angle of the material's first axis to x, in the plane of x and y [degrees]."""
+    cluster_size: int = 3
+    """Particles along each side of a cluster."""
+    level: float = 0.9
+    """Confidence level of the intervals."""
+    noise_m: PositiveFlag = None
+    """Standard deviation of a measured position [m]; default: what the pair files say."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where the simulation runs; auto: on the GPU where there is one."""
+    seed: int = 0
+    """Seed of every random number."""
+    json: JsonFlag = None
+    """Write the result as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+
+    def __post_init__(self) -> None:
+        if not self.sources:
+            raise InputError("at least one PAIR.npz", "none", "a pair file with rest, deformed and held")
+        check_cluster_size(self.cluster_size)
+        check_level(self.level)
+        check_seed(self.seed)
+
+    def reads(self) -> tuple[str, ...]:
+        return self.sources
+
+    def writes(self) -> tuple[Written, ...]:
+        return written_json(self.json)
+
+    def json_target(self) -> str | None:
+        return self.json
+
+
+@dataclass(frozen=True, slots=True)
+class YieldConfig(CommandOptions):
+    """Find the strain at which a thing yields from its motion: loaded, and let go."""
+
+    source: Annotated[Path, Positional, arg(metavar="MOTION.npz")]
+    """rest (K, d), motion (T, K, d) [m], held (n,) or (T, K), and dt [s] for creep."""
+    beta: PositiveFlag = None
+    """Share of linear deformation; default: found along with the yield strain."""
+    creep: CreepFlag = "none"
+    """How fast it flows [1/s]: none, as long as it takes in every frame; fit, found too; or a rate."""
+    maximum: PositiveFlag = None
+    """Largest plastic strain; default: no bound."""
+    theta: float = 0.0
+    """Volume conservation (by projection), which stays as it is."""
+    cluster_size: int = 3
+    """Particles along each side of a cluster."""
+    level: float = 0.9
+    """Confidence level of the intervals."""
+    noise_m: PositiveFlag = None
+    """Standard deviation of a measured position [m]; default: what the file says, else the residuals."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where the simulation runs; auto: on the GPU where there is one."""
+    seed: int = 0
+    """Seed of every random number."""
+    picture: PictureFlag = None
+    """Draw the error over the yield strain, and the residuals of the frames. An existing file is replaced."""
+    json: JsonFlag = None
+    """Write the result as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+
+    def __post_init__(self) -> None:
+        if self.beta is not None and self.beta > BETA_LIMIT:
+            raise InputError(f"a --beta of at most {BETA_LIMIT:g}", str(self.beta))
+        check_suffix("--picture", self.picture, ".png")
+        check_unit("--theta", self.theta)
+        check_cluster_size(self.cluster_size)
+        check_level(self.level)
+        check_seed(self.seed)
+
+    def reads(self) -> tuple[str, ...]:
+        return (str(self.source),)
+
+    def writes(self) -> tuple[Written, ...]:
+        picture = () if self.picture is None else (Written("--picture", self.picture),)
+        return (*picture, *written_json(self.json))
+
+    def json_target(self) -> str | None:
+        return self.json

@@ -1,0 +1,104 @@
+"""How images become particles; `deformscope flow`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from deformscope.config.flags import (
+    FileFlag,
+    GridFlag,
+    HeldFlag,
+    HeldPart,
+    JsonFlag,
+    PictureFlag,
+    PositiveFlag,
+    RectangleFlag,
+)
+from deformscope.config.options import CommandOptions, Written, check_suffix, written_json
+from deformscope.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class ImageOptions:
+    """How images become particles. Pair files need none of these."""
+
+    roi: RectangleFlag = None
+    """Region of the image that holds the thing [px]; default: all of it."""
+    grid: GridFlag = None
+    """Rows and columns of particles over the region, such as 7x15."""
+    spacing_px: PositiveFlag = None
+    """Distance of neighbouring particles [px], instead of --grid."""
+    mask: FileFlag = None
+    """Image that is not black where the thing is; particles stand there alone. It is left out of a sequence that holds
+    it."""
+    px_per_cm: PositiveFlag = None
+    """Scale of the image [px/cm]; with it lengths are told in metres too."""
+    stride: int = 1
+    """Take every n-th frame."""
+    fps: PositiveFlag = None
+    """Frames a second of images that do not say; default: what the video says."""
+    flow: Literal["dis", "farneback"] = "dis"
+    """Method of the dense optical flow."""
+    held: HeldFlag = None
+    """Particles whose motion is taken from the images and prescribed, out of top, bottom, left, right, border and
+    contact. Default: bottom,contact where --contact is given, else top,bottom."""
+    contact: RectangleFlag = None
+    """Footprint of the tool in the first image [px]; the particles inside are `contact`."""
+
+    def __post_init__(self) -> None:
+        if self.grid is not None and self.spacing_px is not None:
+            raise InputError("--grid or --spacing-px", "both", "leave one out")
+        if self.stride < 1:
+            raise InputError("a --stride of 1 or more", str(self.stride))
+        if self.held is not None and "contact" in self.held and self.contact is None:
+            raise InputError("--contact X,Y,WIDTH,HEIGHT with --held contact", "no --contact")
+        if self.held is not None and "contact" not in self.held and self.contact is not None:
+            held = ",".join((*self.held, "contact"))
+            raise InputError("contact among --held with --contact", f"--held {','.join(self.held)}", f"--held {held}")
+
+    def held_parts(self) -> tuple[HeldPart, ...]:
+        """The parts to hold: those asked for, else what stands still and what pushes."""
+        if self.held is not None:
+            return self.held
+        return ("bottom", "contact") if self.contact is not None else ("top", "bottom")
+
+
+# deformscope flow ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class FlowConfig(CommandOptions):
+    """Dense optical flow of two images: where each pixel of BEFORE has gone in AFTER."""
+
+    before: Annotated[Path, Positional, arg(metavar="BEFORE")]
+    """The first image."""
+    after: Annotated[Path, Positional, arg(metavar="AFTER")]
+    """The second image, of the same size."""
+    out: Annotated[Path, arg(metavar="FILE.npz")]
+    """Where `flow_px (height, width, 2)` in (x, y) [px] goes. An existing file is replaced."""
+    method: Literal["dis", "farneback"] = "dis"
+    """Dense inverse search, or Farneback's polynomials."""
+    backward: bool = False
+    """Write `backward_px`, the flow from AFTER to BEFORE, as well."""
+    picture: PictureFlag = None
+    """Draw the flow as arrows and colour. An existing file is replaced."""
+    json: JsonFlag = None
+    """Write the numbers of the table as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+
+    def __post_init__(self) -> None:
+        check_suffix("--out", self.out, ".npz")
+        check_suffix("--picture", self.picture, ".png")
+
+    def reads(self) -> tuple[str, ...]:
+        return str(self.before), str(self.after)
+
+    def writes(self) -> tuple[Written, ...]:
+        picture = () if self.picture is None else (Written("--picture", self.picture),)
+        return (Written("--out", self.out), *picture, *written_json(self.json))
+
+    def json_target(self) -> str | None:
+        return self.json

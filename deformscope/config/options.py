@@ -1,0 +1,134 @@
+"""What every command's options can be asked, what most commands leave behind, and what several commands check."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from deformscope.config.flags import FileFlag, JsonFlag, Span
+from deformscope.errors import InputError
+
+# What several commands check -----------------------------------------------------------------------------------------
+
+
+def check_sources(sources: tuple[str, ...]) -> None:
+    if not sources:
+        raise InputError("at least one SOURCE", "none", "a video, a folder of frames, images, or pair files (.npz)")
+
+
+def check_unit(flag: str, value: float) -> None:
+    if not 0 <= value <= 1:
+        raise InputError(f"a {flag} between 0 and 1", str(value))
+
+
+BETA_LIMIT = 0.9999
+"""Highest beta that can be searched (`deformscope.stages.calibrate.BETA_LIMIT`, which would import numpy here)."""
+
+
+def check_span(flag: str, span: Span, limit: float = 1.0) -> None:
+    lowest, highest = span
+    if not lowest < highest:
+        raise InputError(f"a {flag} that rises", f"{lowest:g},{highest:g}", f"{flag} {highest:g},{lowest:g}")
+    if lowest < 0 or highest > limit:  # neither is NaN: `finite` has seen to that
+        raise InputError(f"a {flag} within 0,{limit:g}", f"{lowest:g},{highest:g}")
+
+
+def check_alpha(alpha: float) -> None:
+    if not 0 < alpha <= 1:
+        raise InputError("an --alpha above 0 and at most 1", str(alpha))
+
+
+def check_cluster_size(size: int | None) -> None:
+    if size is not None and size < 2:
+        raise InputError("a --cluster-size of 2 or more", str(size))
+
+
+def check_level(level: float) -> None:
+    if not 0 < level < 1:
+        raise InputError("a --level between 0 and 1", str(level), "--level 0.9")
+
+
+def check_seed(seed: int) -> None:
+    if seed < 0:
+        raise InputError("a --seed of 0 or more", str(seed))
+
+
+def check_suffix(flag: str, path: Path | None, suffix: str) -> None:
+    if path is not None and path.suffix != suffix:
+        raise InputError(f"a file that ends in {suffix} after {flag}", repr(str(path)))
+
+
+# What every command's options can be asked ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """A file that a command will write.
+
+    flag: the flag that names it; replace: whether a file that is there already may go
+    """
+
+    flag: str
+    path: Path
+    replace: bool = True
+
+
+class CommandOptions:
+    """What the command line asks of any command's options before it runs the command."""
+
+    __slots__ = ()
+
+    def reads(self) -> tuple[str, ...]:
+        """The sources, none of which may be written over."""
+        return ()
+
+    def writes(self) -> tuple[Written, ...]:
+        """The files to come; all are checked before any heavy work."""
+        return ()
+
+    def json_target(self) -> str | None:
+        """Where the JSON goes: a path, `-` for stdout, None for nowhere."""
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class OutputOptions:
+    """What is left behind and what is shown."""
+
+    json: JsonFlag = None
+    """Write the result as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+    record: FileFlag = None
+    """Write a rerun recording (.rrd). Without it nothing is recorded."""
+    viewer: Literal["auto", "native", "page", "none"] = "auto"
+    """Show every stage live: in rerun's window, on a web page, or not at all; auto: the window where there is a
+    display."""
+    overwrite: bool = False
+    """Replace a recording that exists; without it an existing one is refused."""
+    seed: int = 0
+    """Seed of every random number."""
+
+    def __post_init__(self) -> None:
+        check_suffix("--record", self.record, ".rrd")
+        check_seed(self.seed)
+
+    def writes(self) -> tuple[Written, ...]:
+        record = () if self.record is None else (Written("--record", self.record, replace=self.overwrite),)
+        return (*record, *written_json(self.json))
+
+
+class RecordedOptions(CommandOptions):
+    """A command whose outputs are its `OutputOptions`."""
+
+    __slots__ = ()
+    output: OutputOptions
+
+    def writes(self) -> tuple[Written, ...]:
+        return self.output.writes()
+
+    def json_target(self) -> str | None:
+        return self.output.json
+
+
+def written_json(target: str | None) -> tuple[Written, ...]:
+    return () if target is None or target == "-" else (Written("--json", Path(target)),)

@@ -1,0 +1,156 @@
+"""`deformscope reproduce ...` and `deformscope coverage`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import arg
+
+from deformscope.config.flags import CountFlag, JsonFlag, one_word, unset
+from deformscope.config.options import (
+    CommandOptions,
+    Written,
+    check_cluster_size,
+    check_level,
+    check_seed,
+    written_json,
+)
+from deformscope.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class CubesConfig(CommandOptions):
+    """The thesis's experiment 3.A: theta of cubes of known Poisson's ratio, with figures 3.10 and 3.11, table 3.2, and
+    overlapping clusters beside one cluster."""
+
+    pairs: Annotated[tuple[Path, ...], arg(metavar="FILE...", help_behavior_hint="")] = ()
+    """Cubes from pair files (.npz) with `nu`, instead of the thesis's 45 made with finite elements."""
+    out: Annotated[Path, arg(metavar="DIR")] = Path("runs/cubes")
+    """Folder for the figures (PNG), tables (CSV) and cubes.json; files there are replaced."""
+    quick: bool = False
+    """The 15 cubes of 6^3 particles alone."""
+    method: Literal["sweep", "gradient"] = "sweep"
+    """How theta is searched: all values at once (Thesis Algorithm 3), or downhill (Algorithm 2)."""
+    cluster_size: int = 2
+    """Particles along each side of the overlapping clusters."""
+    compare: Literal["deepest", "all", "none"] = "deepest"
+    """Cubes that overlapping clusters are fitted to: the deepest pressed of each kind, all, or none."""
+    level: float = 0.9
+    """Confidence level of the intervals."""
+    workers: CountFlag = None
+    """Processes; default: one a core."""
+    seed: int = 0
+    """Seed of every random number."""
+    json: JsonFlag = None
+    """Write cubes.json here too; with -, stdout is the JSON alone. An existing file is replaced."""
+
+    def __post_init__(self) -> None:
+        if self.pairs and self.quick:
+            raise InputError("--pairs or --quick", "both", "leave one out")
+        check_cluster_size(self.cluster_size)
+        check_level(self.level)
+        if self.workers is not None and self.workers < 1:
+            raise InputError("--workers of 1 or more", str(self.workers))
+        check_seed(self.seed)
+
+    def reads(self) -> tuple[str, ...]:
+        return tuple(str(path) for path in self.pairs)
+
+    def writes(self) -> tuple[Written, ...]:
+        return written_json(self.json)
+
+    def json_target(self) -> str | None:
+        return self.json
+
+
+# deformscope reproduce pokes -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class PokesConfig(CommandOptions):
+    """Pokes of finite element slabs that were not fitted, predicted and compared with a rigid body, a half-space and
+    linear finite elements."""
+
+    out: Annotated[Path, arg(metavar="DIR")] = Path("runs/pokes")
+    """Folder of dents.png and pokes.csv; made where it is not there. What it holds of these is replaced."""
+    quick: bool = False
+    """The slab of one modulus alone."""
+    json: JsonFlag = None
+    """Write all of it as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+
+    def writes(self) -> tuple[Written, ...]:
+        return written_json(self.json)
+
+    def json_target(self) -> str | None:
+        return self.json
+
+
+# deformscope reproduce foams -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class FoamsConfig(CommandOptions):
+    """Experiment 3.B: beta of five virtual foams from images of a push, with figure 3.14 and the force. Some 3 minutes
+    on one core."""
+
+    out: Annotated[Path, arg(metavar="DIR")] = Path("runs/foams")
+    """Folder of the figures and of foams.csv; made where it is not there. What it holds of these is replaced."""
+    quick: bool = False
+    """The softest and the firmest foam alone, fewer images, in some 30 s."""
+    keep_images: bool = False
+    """Keep the images in DIR/images, a folder a foam, as `calibrate beta` takes them."""
+    seed: int = 0
+    """Seed of the speckles, of the camera's noise and of the intervals."""
+    json: JsonFlag = None
+    """Write all of it as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+
+    def __post_init__(self) -> None:
+        check_seed(self.seed)
+
+    def writes(self) -> tuple[Written, ...]:
+        return written_json(self.json)
+
+    def json_target(self) -> str | None:
+        return self.json
+
+
+# deformscope coverage ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class CoverageConfig(CommandOptions):
+    """Count how often the intervals hold the truth: random objects under each kind of noise, data that tell nothing,
+    and unseen pokes of finite element bodies."""
+
+    objects: int = 1000
+    """Random objects for each kind of noise; a fifth as many with beta = 0, near 1, and of finite elements."""
+    quick: bool = False
+    """15 objects each: what it looks like, in a minute."""
+    level: float = 0.9
+    """Confidence level of the intervals."""
+    jobs: int = 2
+    """Processes that share the work."""
+    seed: int = 0
+    """Seed of every random number."""
+    out: Annotated[Path | None, one_word("DIR", Path), unset] = None
+    """Folder for the rank histogram (coverage.png); made where there is none."""
+    json: JsonFlag = None
+    """Write the tables as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+
+    def __post_init__(self) -> None:
+        if self.objects < 5:
+            raise InputError("5 --objects or more", str(self.objects))
+        check_level(self.level)
+        if self.jobs < 1:
+            raise InputError("--jobs of 1 or more", str(self.jobs))
+        check_seed(self.seed)
+        if self.out is not None and self.out.exists() and not self.out.is_dir():
+            raise InputError("a folder after --out", "a file", where=self.out)
+
+    def writes(self) -> tuple[Written, ...]:
+        return written_json(self.json)
+
+    def json_target(self) -> str | None:
+        return self.json

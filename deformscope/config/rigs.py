@@ -1,0 +1,121 @@
+"""What is plugged in: `deformscope devices`, `doctor`, `record`, `live`, `verify` and `double`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import OmitArgPrefixes, Positional, arg
+
+from deformscope.config.flags import JsonFlag, PositiveFlag, one_word, positive
+from deformscope.config.options import CommandOptions, OutputOptions, Written, written_json
+from deformscope.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class DevicesConfig(CommandOptions):
+    """List what is plugged into this machine: port, serial number, firmware, health. Devices that are known by their
+    USB identity, and doubles that run, are opened for a moment and asked; nothing moves."""
+
+    probe: bool = True
+    """Open what is known and ask it; --no-probe tells only what the system knows."""
+    json: JsonFlag = None
+    """Write the list as JSON; with -, stdout is the JSON alone."""
+
+    def writes(self) -> tuple[Written, ...]:
+        return written_json(self.json)
+
+    def json_target(self) -> str | None:
+        return self.json
+
+
+@dataclass(frozen=True, slots=True)
+class DoctorConfig(CommandOptions):
+    """Try a rig: its file, every device of it for a few seconds, the disk; say what is wrong and what to do. Nothing
+    moves."""
+
+    rig: Annotated[str, Positional, arg(metavar="RIG")] = ""
+    """A rig file (.toml), or lab:NAME."""
+    example: bool = False
+    """Print a rig file to start from, and do nothing else."""
+    seconds: Annotated[float, one_word("NUMBER", positive)] = 2.0
+    """How long every device is listened to [s]."""
+    json: JsonFlag = None
+    """Write what was found as JSON; with -, stdout is the JSON alone."""
+
+    def __post_init__(self) -> None:
+        if not self.rig and not self.example:
+            raise InputError("a rig file, or lab:NAME", "none", "deformscope doctor --example > rig.toml")
+
+    def reads(self) -> tuple[str, ...]:
+        return (self.rig,) if self.rig else ()
+
+    def writes(self) -> tuple[Written, ...]:
+        return written_json(self.json)
+
+    def json_target(self) -> str | None:
+        return self.json
+
+
+@dataclass(frozen=True, slots=True)
+class RigRunOptions(CommandOptions):
+    """A rig that is recorded or watched until its time is over, or until Ctrl-C."""
+
+    rig: Annotated[str, Positional, arg(metavar="RIG")]
+    """A rig file (.toml), or lab:NAME."""
+    seconds: PositiveFlag = None
+    """How long [s]; default: until Ctrl-C."""
+    label: str = ""
+    """What is being recorded, in your words; kept in the recording."""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def reads(self) -> tuple[str, ...]:
+        return (self.rig,)
+
+    def writes(self) -> tuple[Written, ...]:
+        return self.output.writes()
+
+    def json_target(self) -> str | None:
+        return self.output.json
+
+
+@dataclass(frozen=True, slots=True)
+class RecordConfig(RigRunOptions):
+    """Record all devices of a rig, with every byte of their wires and what was lost. Without --record the file is
+    runs/NAME-<stamp>.rrd. Ctrl-C ends it cleanly. No viewer, unless --viewer asks for one."""
+
+
+@dataclass(frozen=True, slots=True)
+class LiveConfig(RigRunOptions):
+    """Watch all devices of a rig in rerun's window; with --record, record them as well."""
+
+
+@dataclass(frozen=True, slots=True)
+class VerifyConfig(CommandOptions):
+    """Say whether a recording is whole: its bytes against its ledger, its structure, and what it counted as lost."""
+
+    recording: Annotated[Path, Positional, arg(metavar="FILE.rrd")]
+    """The recording."""
+    json: JsonFlag = None
+    """Write the findings as JSON; with -, stdout is the JSON alone."""
+
+    def reads(self) -> tuple[str, ...]:
+        return (str(self.recording),)
+
+    def writes(self) -> tuple[Written, ...]:
+        return written_json(self.json)
+
+    def json_target(self) -> str | None:
+        return self.json
+
+
+@dataclass(frozen=True, slots=True)
+class DoubleConfig(CommandOptions):
+    """Run simulated devices that speak the real bytes at the real pace, until Ctrl-C; prints the rig file that reaches
+    them from another terminal."""
+
+    what: Annotated[tuple[str, ...], Positional, arg(metavar="DRIVER|RIG")]
+    """Drivers (optoforce, dsa, sdh), or a rig file or lab:NAME whose byte-stream devices are to be doubled."""
+    seconds: PositiveFlag = None
+    """How long [s]; default: until Ctrl-C."""
