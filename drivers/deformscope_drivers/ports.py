@@ -46,8 +46,9 @@ def find_serial() -> list[Found]:
     for port in sorted(list_ports.comports(include_links=False), key=lambda port: port.device):
         if port.vid is None and "ttyS" in port.device:
             continue  # motherboards announce ports that do not exist
-        driver = "optoforce" if (port.vid, port.pid) == OPTOFORCE_USB else ""
         name = port.product or port.description or ""
+        # The identity is that of a chip maker's example, which others use too: the name decides.
+        driver = "optoforce" if (port.vid, port.pid) == OPTOFORCE_USB and "optoforce" in name.lower() else ""
         note = "" if driver else SERIAL_ADAPTER
         found.append(Found(driver, _stable_name(Path(port.device)), name, port.serial_number or "", note=note))
     return found

@@ -33,6 +33,8 @@ class Wire(ABC):
     """
 
     port: str
+    is_bus = False
+    """Whether `port` goes into a configuration's `bus`."""
 
     def __init__(self, double: Double) -> None:
         self.double = double
@@ -200,6 +202,8 @@ class CanWire(Wire):
 
     bus: as for `CanTransport`; `port` is the same. padded: fill the last frame of a piece up with zeros
     """
+
+    is_bus = True
 
     def __init__(
         self,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ipaddress
 import math
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from deformscope_drivers.jaco.kinematics import CHAINS
 from deformscope_drivers.jaco.library import PREFIXES, Connection
@@ -74,7 +73,7 @@ class JacoConfig:
     open_attempts: how often an arm that is not found (1015) is sought before opening fails
     """
 
-    library: Path | str | None = None
+    library: str | None = None
     connection: Connection = "usb"
     ethernet: EthernetAddresses = field(default_factory=EthernetAddresses)
     serial: str | None = None

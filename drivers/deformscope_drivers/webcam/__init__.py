@@ -7,13 +7,14 @@ with Webcam(WebcamConfig(port="/dev/v4l/by-id/usb-046d_HD_Pro_Webcam_C920-video-
 
 from deformscope_drivers.webcam.device import Webcam, WebcamConfig
 from deformscope_drivers.webcam.discovery import discover
-from deformscope_drivers.webcam.files import ImageFolder, VideoFile
+from deformscope_drivers.webcam.files import ImageFolder, PlaybackConfig, VideoFile
 from deformscope_drivers.webcam.image import ColorImage
 from deformscope_drivers.webcam.synthetic import SyntheticCamera, SyntheticCameraConfig
 
 __all__ = [
     "ColorImage",
     "ImageFolder",
+    "PlaybackConfig",
     "SyntheticCamera",
     "SyntheticCameraConfig",
     "VideoFile",

@@ -7,8 +7,9 @@ import math
 import re
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,16 @@ UNREADABLE = "unreadable"
 Picture = NDArray[np.uint8]
 
 
+@dataclass(frozen=True, slots=True)
+class PlaybackConfig:
+    """A file in a camera's place, as a rig file names it. path: the file or folder; the rest as `Playback` has it"""
+
+    path: str = ""
+    fps: float | None = None
+    real_time: bool = True
+    loop: bool = False
+
+
 class Playback(Device[ColorImage]):
     """Pictures of a file, as from a camera.
 
@@ -38,6 +49,13 @@ class Playback(Device[ColorImage]):
     """
 
     queue_readings: ClassVar[int] = QUEUE_IMAGES
+
+    @classmethod
+    def configured(cls, config: PlaybackConfig) -> Self:
+        """The same from a rig file's section."""
+        if not config.path:
+            raise NotConnected("a file or a folder of pictures", "none", 'path = "FILE"')
+        return cls(config.path, fps=config.fps, real_time=config.real_time, loop=config.loop)
 
     def __init__(
         self,
