@@ -71,6 +71,12 @@ def check_ledger(recording: Path) -> list[str]:
     return problems or ["the recording differs from what was recorded"]
 
 
+def read_counts(recording: Path) -> dict[str, int]:
+    """What the ledger says was recorded, by kind; raises FileNotFoundError where there is none."""
+    content = json.loads(ledger_path(recording).read_text(encoding="utf-8"))
+    return {str(name): int(count) for name, count in content.get("counts", {}).items()}
+
+
 def _digest(path: Path) -> tuple[int, str, list[str]]:
     """Size in bytes, SHA-256 of the whole, SHA-256 of each block."""
     whole = hashlib.sha256()

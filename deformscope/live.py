@@ -60,7 +60,7 @@ def start_viewer(kind: Literal["native", "page"]) -> Viewer:
     if kind == "native" and sys.platform.startswith("linux") and not _has_display():
         raise InputError("a display for the viewer's window", "none (DISPLAY is unset)", "--viewer page or none")
     port = _free_port()
-    command = [str(_executable()), "--bind", LOOPBACK, "--port", str(port)]
+    command = [str(viewer_executable()), "--bind", LOOPBACK, "--port", str(port)]
     page = ""
     if kind == "page":
         page_port = _free_port()
@@ -112,7 +112,7 @@ def _has_display() -> bool:
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")) or "--headless" in window_options()
 
 
-def _executable() -> Path:
+def viewer_executable() -> Path:
     """The viewer of the installed wheel: never another version from the search path."""
     package = importlib.util.find_spec("rerun_cli")
     folder = Path(package.origin or "").parent if package is not None else Path()

@@ -15,18 +15,18 @@ import shutil
 import threading
 import time
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from deformscope import provenance
 from deformscope.arrays import ImageArray
 from deformscope.errors import InputError
-from deformscope.frames import ColorFrame
+from deformscope.frames import ColorFrame, Frame, HealthReport, Item, LinkChange, RawBytes, Stream
 from deformscope.images import encode_png
 from deformscope.ledger import ledger_path, write_ledger
 from deformscope.live import LiveFeed, Viewer, ViewerKind, start_viewer, wait_for_viewer
@@ -36,13 +36,16 @@ if TYPE_CHECKING:
     import rerun as rr
 
     from deformscope.log.blueprint import Layout
+
+    RecordingLayout = Layout | Literal["rig"]
     from deformscope.log.canvas import Canvas
 
-APPLICATIONS: dict[Layout, str] = {
+APPLICATIONS: dict[RecordingLayout, str] = {
     "images": "deformscope",
     "flow": "deformscope-flow",
     "pair": "deformscope-pair",
     "pair-3d": "deformscope-pair-3d",
+    "rig": "deformscope-rig",
 }
 """rerun's application of each layout: a viewer keeps one set of views an application, and these differ."""
 SUFFIX = ".rrd"
@@ -81,6 +84,7 @@ class Recorder:
     file: an `.rrd` to make; None = none. viewer: a window, a page for a browser, or none. Without file and viewer
     it does nothing, and rerun is not even imported.
     settings: everything that decides the results, JSON-able; layout: which views a viewer opens with
+    variant: tells apart recordings of one layout whose views differ: a viewer keeps one set of views an application
     deterministic: two runs of one input give recordings that `rerun rrd compare --unordered` finds equal; leaves
     out what differs between runs (start time, command line, versions, git state) and writes in larger portions
     """
@@ -91,14 +95,16 @@ class Recorder:
         viewer: ViewerKind = "none",
         settings: Mapping[str, object] | None = None,
         *,
-        layout: Layout = "images",
+        layout: RecordingLayout = "images",
         overwrite: bool = False,
         deterministic: bool = False,
+        variant: str = "",
     ) -> None:
         self._target = None if file is None else Path(file)
         self._viewer_kind = viewer
         self._settings = dict(settings or {})
-        self._layout: Layout = layout
+        self._layout: RecordingLayout = layout
+        self._application = f"{APPLICATIONS[layout]}-{variant}" if variant else APPLICATIONS[layout]
         self._overwrite = overwrite
         self._deterministic = deterministic
         self._part: Path | None = None
@@ -112,6 +118,9 @@ class Recorder:
         self._arranged = False
         self._range: tuple[float, float] | None = None
         self._frames = self._steps = self._inputs = 0
+        self._streams: tuple[Stream, ...] = ()
+        self._lossless: frozenset[str] = frozenset()
+        self._counts: dict[str, int] = {}
         self._beat_at = self._beats = 0.0
         self._broken = False
         self._finished: RecordingSummary | None = None
@@ -191,6 +200,37 @@ class Recorder:
 
         self._emit(log, sum(_size(result) for result in step.results))
 
+    def start_rig(self, streams: Sequence[Stream], start_ns: int, lossless: Collection[str] = ()) -> None:
+        """From here on it is the devices of a rig that are recorded.
+
+        start_ns: the host's clock at session time 0; lossless: devices whose colour images stages will compute on
+        """
+        self._streams, self._first_ns, self._lossless = tuple(streams), start_ns, frozenset(lossless)
+        if not self.active:
+            return
+        from deformscope.log.rig import log_streams, rig_blueprint
+
+        views, told = rig_blueprint(self._streams), self._streams
+        self._emit(lambda rec: rec.send_blueprint(views), 0)
+        self._emit(lambda rec: log_streams(rec, told), 0)
+
+    def write_items(self, items: Sequence[Item]) -> None:
+        """Record a batch of what a rig's devices gave, without loss."""
+        if self._file is not None:
+            self._beat()
+        if not items:
+            return
+        for item in items:
+            kind = _counted_as(item)
+            self._counts[kind] = self._counts.get(kind, 0) + 1
+        self._frames += sum(isinstance(item, Frame) for item in items)
+        if not self.active:
+            return
+        from deformscope.log.rig import prepare_items
+
+        batch = prepare_items(items, self._first_ns, self._streams, self._lossless)
+        self._emit(batch.send, sum(_item_size(item) for item in items))
+
     def write_input(self, name: str, content: bytes | ImageArray) -> None:
         """Record an input that is no frame, without loss, at `input/NAME`.
 
@@ -218,16 +258,20 @@ class Recorder:
 
     def _open(self) -> None:
         os.environ.setdefault("RUST_LOG", "off")  # what rerun would print, this recorder notices and says itself
+        if self._layout == "rig":
+            from deformscope.log.rig import warm_up
+
+            warm_up()  # before any device is opened: a second's delay in a session would overflow its queues
         recording_id = "deterministic" if self._deterministic else uuid.uuid4().hex
         told = _provenance(self._settings, brief=self._deterministic)
         if self._viewer_kind != "none":
             viewer = start_viewer(self._viewer_kind)
             self._viewer = viewer
-            application = APPLICATIONS[self._layout]
+            application = self._application
             self._feed = LiveFeed(lambda closing: _live_stream(application, recording_id, viewer, told, closing))
             self._feed.start()
         if self._part is not None:
-            self._file = _file_stream(APPLICATIONS[self._layout], recording_id, self._part, self._deterministic)
+            self._file = _file_stream(self._application, recording_id, self._part, self._deterministic)
             self._file.send_property("session", _any_values(told))
             if not self._deterministic and self._target is not None:
                 self._file.send_recording_name(self._target.stem)
@@ -248,6 +292,8 @@ class Recorder:
         self._arranged = True
         from deformscope.log.blueprint import blueprint
 
+        if self._layout == "rig":
+            raise ValueError("a rig's views come with start_rig")
         views = blueprint(self._layout, self._canvas)
         self._emit(lambda rec: rec.send_blueprint(views), 0)
 
@@ -308,7 +354,10 @@ class Recorder:
             failure = error
         dropped = self._close_live()
         if self._file is not None and not self._broken:
-            outcome = {"frames": self._frames, "steps": self._steps, "live_dropped": dropped, "complete": complete}
+            outcome: dict[str, object] = {"frames": self._frames, "steps": self._steps}
+            outcome |= {"live_dropped": dropped, "complete": complete}
+            if self._counts:
+                outcome["counts"] = json.dumps(self._counts)
             self._file.send_property("outcome", _any_values(outcome))
             try:
                 self._flush()
@@ -346,7 +395,8 @@ class Recorder:
         # An older recording's ledger goes first: a ledger that fits no recording must never stand beside one.
         ledger_path(self._target).unlink(missing_ok=True)
         part.replace(self._target)
-        write_ledger(self._target, {"frames": self._frames, "steps": self._steps, "inputs": self._inputs})
+        counts = {"frames": self._frames, "steps": self._steps, "inputs": self._inputs, **self._counts}
+        write_ledger(self._target, counts)
         _sync(self._target.parent)
         return self._target
 
@@ -462,6 +512,24 @@ def _size(result: object) -> int:
         return 0
     values = (getattr(result, field.name) for field in dataclasses.fields(result))
     return sum(value.nbytes for value in values if isinstance(value, np.ndarray))
+
+
+def _counted_as(item: Item) -> str:
+    """The count that an item of a rig belongs to: of its device, and of its kind."""
+    match item:
+        case RawBytes():
+            return f"{item.device}/{'sent' if item.sent else 'received'}"
+        case LinkChange():
+            return f"{item.device}/link"
+        case HealthReport():
+            return "health"
+        case _:
+            return f"{item.device}/frames"
+
+
+def _item_size(item: Item) -> int:
+    """Bytes that an item keeps alive."""
+    return len(item.data) if isinstance(item, RawBytes) else _size(item)
 
 
 def _provenance(settings: Mapping[str, object], *, brief: bool) -> dict[str, object]:

@@ -7,7 +7,7 @@ import json
 import logging
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -61,20 +61,20 @@ Key = tuple[str, str, int]
 """Kind, device, and the place in its stream; the time [ns] of a report, the row of what else may come at one moment."""
 
 
-def read_items(path: Path, *, trust: bool = False) -> Iterator[Item]:
+def read_items(path: Path, *, trust: bool = False, kinds: Sequence[str] = KINDS) -> Iterator[Item]:
     """The items of a recording in order of time; of one moment in the order in which they were recorded.
 
     Portions of a recording may lie in any order. Their times are read first; then an item waits only until nothing
     before it can come any more, so that a long recording is never held whole. JPEG images come as a viewer shows them;
     all else is equal to what was recorded. A frame that a crash cut off is left out, with a warning.
-    trust: skip the comparison with the ledger
+    trust: skip the comparison with the ledger; kinds: those of `KINDS` alone
     """
     replay = Replay(path, trust=trust)
-    starts = _Starts(replay)
+    starts = _Starts(replay, kinds)
     parts: dict[Key, Cells] = {}
     waiting: list[tuple[int, bytes, Key]] = []
     cut_off: Counter[tuple[str, str]] = Counter()
-    for chunk in _moving(replay):
+    for chunk in _moving(replay, kinds):
         for when, row_id, key, cells in _rows(chunk):
             parts.setdefault(key, {}).update(cells)
             if row_id is not None:
@@ -104,8 +104,8 @@ def read_streams(path: Path, *, trust: bool = False) -> tuple[Stream, ...]:
 class _Starts:
     """The earliest time of each portion that is still to come."""
 
-    def __init__(self, replay: Replay) -> None:
-        self._coming = [(min(_times(chunk), default=0), str(chunk.id)) for chunk in _moving(replay)]
+    def __init__(self, replay: Replay, kinds: Sequence[str]) -> None:
+        self._coming = [(min(_times(chunk), default=0), str(chunk.id)) for chunk in _moving(replay, kinds)]
         heapq.heapify(self._coming)
         self._done: set[str] = set()
 
@@ -117,8 +117,9 @@ class _Starts:
         return self._coming[0][0] if self._coming else None
 
 
-def _moving(replay: Replay) -> Iterator[Chunk]:
-    return (chunk for chunk in replay.chunks(*CONTENTS) if not chunk.is_static and "session" in chunk.timeline_names)
+def _moving(replay: Replay, kinds: Sequence[str]) -> Iterator[Chunk]:
+    contents = [f"/{kind}/**" for kind in kinds]
+    return (chunk for chunk in replay.chunks(*contents) if not chunk.is_static and "session" in chunk.timeline_names)
 
 
 def _times(chunk: Chunk) -> list[int]:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
-from deformscope.frames import ColorFrame
+from deformscope.frames import ColorFrame, HealthReport, Item
 
 SummaryT = TypeVar("SummaryT")
 SummaryT_co = TypeVar("SummaryT_co", covariant=True)
+
+BATCH_S = 0.1
+"""How long what devices give is gathered before it is recorded together: each call of a recorder's costs its time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +39,8 @@ class Recorder(Protocol):
 
     def write(self, step: Step) -> None: ...
 
+    def write_items(self, items: Sequence[Item]) -> None: ...
+
 
 def run(source: Iterable[ColorFrame], experiment: Experiment[SummaryT], recorder: Recorder) -> SummaryT:
     """Drive one experiment over one source to its end and return its summary."""
@@ -51,3 +56,31 @@ def run(source: Iterable[ColorFrame], experiment: Experiment[SummaryT], recorder
     except StopIteration as end:
         summary: SummaryT = end.value
         return summary
+
+
+class Rig(Protocol):
+    """Open devices (`deformscope.rig_source.RigSource`)."""
+
+    def take(self, wait_s: float) -> list[Item]: ...
+
+    def look(self) -> HealthReport: ...
+
+    def rest(self) -> list[Item]: ...
+
+    def close(self) -> None: ...
+
+
+def watch(rig: Rig, recorder: Recorder, ended: Callable[[Sequence[Item]], bool]) -> HealthReport:
+    """Record what the devices of a rig give until `ended` says so; it sees every batch. Nothing that came is left.
+
+    Returns the last look at the devices, closed by then: its counts are those of the whole session.
+    """
+    while True:
+        items = rig.take(BATCH_S)
+        recorder.write_items(items)
+        if ended(items):
+            break
+    rig.close()
+    last = rig.look()
+    recorder.write_items([*rig.rest(), last])
+    return last

@@ -134,3 +134,21 @@ def test_version_is_told_once() -> None:
     declared = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
 
     assert deformscope.__version__ == declared
+
+
+def test_a_driver_in_a_users_script_loads_nothing_of_ours() -> None:
+    script = """
+import sys
+import deformscope_drivers.dsa, deformscope_drivers.sdh, deformscope_drivers.optoforce, deformscope_drivers.jaco
+import deformscope_drivers.webcam, deformscope_drivers.depth_camera
+import deformscope_drivers.wires, deformscope_drivers.ports
+heavy = "rerun warp open3d sklearn scipy cv2 matplotlib skfem pyarrow rich tyro deformscope pytest".split()
+print(sorted(set(heavy) & set(sys.modules)))
+"""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    shown = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False, env=environment
+    )
+
+    assert shown.stderr == ""
+    assert shown.stdout == "[]\n"

@@ -40,7 +40,7 @@ def strict() -> Iterator[None]:
 
 
 def rrd(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [str(live._executable()), "rrd", *map(str, arguments)]
+    command = [str(live.viewer_executable()), "rrd", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
 

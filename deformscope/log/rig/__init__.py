@@ -43,10 +43,11 @@ from deformscope.log.rig.hand import log_hand, log_hand_stream
 from deformscope.log.rig.health import log_health, log_health_stream
 from deformscope.log.rig.link import log_link, log_link_stream, log_raw
 from deformscope.log.rig.tactile import log_tactile, log_tactile_stream
+from deformscope.log.rig.warm_up import nowhere, small_items
 from deformscope.log.rig.wrench import log_wrench, log_wrench_stream
 from deformscope.rig_streams import stream_json
 
-__all__ = ["Batch", "log_items", "log_streams", "prepare_items", "rig_blueprint"]
+__all__ = ["Batch", "log_items", "log_streams", "prepare_items", "rig_blueprint", "warm_up"]
 
 _STREAMS: dict[str, Callable[[rr.RecordingStream, Stream], None]] = {
     "wrench": log_wrench_stream,
@@ -111,6 +112,13 @@ def prepare_items(
         else:
             raise TypeError(f"no twin in deformscope.log.rig shows a {kind.__name__}")
     return batch
+
+
+def warm_up() -> None:
+    """Have rerun and the encoders do once, before any device is opened, what costs time the first time."""
+    rec = nowhere()
+    log_items(rec, list(small_items()), 0, ())
+    rec.disconnect()
 
 
 def _by_device(items: Sequence[Item]) -> dict[tuple[type, str], list[Any]]:

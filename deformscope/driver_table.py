@@ -1,0 +1,52 @@
+"""Which drivers a rig can name, and where each lives. Nothing here imports a driver before it is asked for."""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import dataclass
+from typing import Any
+
+from deformscope.frames import Kind
+
+
+@dataclass(frozen=True, slots=True)
+class Driver:
+    """One kind of device.
+
+    package, device, config: where its class (or what makes one of a configuration) and its configuration are
+    kind: of its frames; doubled: whether there is a simulated one
+    """
+
+    name: str
+    package: str
+    device: str
+    config: str
+    kind: Kind
+    doubled: bool = True
+
+    def make(self, config: Any) -> Any:
+        """A device with this configuration, closed."""
+        return self._find(self.device)(config)
+
+    def config_class(self) -> Any:
+        return self._find(self.config)
+
+    def _find(self, path: str) -> Any:
+        found: Any = importlib.import_module(self.package)
+        for name in path.split("."):
+            found = getattr(found, name)
+        return found
+
+
+_ALL = (
+    Driver("dsa", "deformscope_drivers.dsa", "Dsa", "DsaConfig", "tactile"),
+    Driver("sdh", "deformscope_drivers.sdh", "Sdh", "SdhConfig", "hand"),
+    Driver("optoforce", "deformscope_drivers.optoforce", "Optoforce", "OptoforceConfig", "wrench"),
+    Driver("jaco", "deformscope_drivers.jaco", "Jaco", "JacoConfig", "arm"),
+    Driver("webcam", "deformscope_drivers.webcam", "Webcam", "WebcamConfig", "color"),
+    Driver("depth_camera", "deformscope_drivers.depth_camera", "DepthCamera", "DepthCameraConfig", "depth"),
+    Driver("video_file", "deformscope_drivers.webcam", "VideoFile.configured", "PlaybackConfig", "color", False),
+    Driver("image_folder", "deformscope_drivers.webcam", "ImageFolder.configured", "PlaybackConfig", "color", False),
+)
+DRIVERS = {driver.name: driver for driver in _ALL}
+"""By the name that a rig file uses."""

@@ -1,0 +1,106 @@
+"""What the bench's doubles see and feel: a block of foam that a stick presses now and then, alike for all of them."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+
+from deformscope.arrays import BoolArray, FloatArray
+from deformscope_drivers.depth_camera import View
+from deformscope_drivers.webcam.synthetic import Picture
+
+PRESS_PERIOD_S, PRESS_S, PRESS_N = 4.0, 1.5, 6.0
+HEIGHT_PX, WIDTH_PX = 480, 640
+TABLE_M, FOAM_M = 0.60, 0.52
+"""Distances from the camera."""
+DENT_M, DENT_PX = 0.025, 60.0
+STICK_PX, STICK_M = 14, 0.10
+FOAM_PX = (80, 400, 120, 520)
+"""Top, bottom, left, right of the foam in the picture."""
+FOAM_RGB, TABLE_RGB = (235, 205, 90), (120, 122, 126)
+MIDDLE_PX = (240.0, 330.0)
+
+
+def pressed(time_s: float) -> float:
+    """How far the stick has gone, 0 to 1: up and down for 1.5 s out of every 4."""
+    phase = time_s % PRESS_PERIOD_S / PRESS_S
+    return math.sin(math.pi * phase) ** 2 if phase < 1.0 else 0.0
+
+
+def loads(time_s: float) -> tuple[float, float, float]:
+    """Loads on the stick's tip [N], up to 6 N, dragged a little sideways."""
+    normal = PRESS_N * pressed(time_s)
+    return 0.15 * normal * math.sin(math.pi * (time_s % PRESS_PERIOD_S)), 0.1 * normal, normal
+
+
+def view(time_s: float) -> View:
+    """What a depth camera has before it."""
+    return View(distances(time_s), picture(time_s))
+
+
+def distances(time_s: float) -> FloatArray:
+    """(480, 640) distances from the camera [m]: a table, the foam on it, the dent, the stick."""
+    share = pressed(time_s)
+    seen = _table_and_foam() + np.float32(DENT_M * share) * _dent()
+    lift = 0.04 * (1.0 - share)
+    seen[_stick()] = FOAM_M + DENT_M * share - STICK_M - lift
+    return seen
+
+
+def picture(time_s: float) -> Picture:
+    """(480, 640, 3) the same in colour, RGB."""
+    share = pressed(time_s)
+    shade = 1.0 - 0.45 * share * _dent()
+    seen = (_texture() * shade[..., None]).astype(np.uint8)
+    seen[_stick()] = (60, 60, 70)
+    return seen
+
+
+@cache
+def _grid() -> tuple[FloatArray, FloatArray]:
+    rows, columns = np.mgrid[0:HEIGHT_PX, 0:WIDTH_PX].astype(np.float32)
+    return rows, columns
+
+
+@cache
+def _foam() -> BoolArray:
+    rows, columns = _grid()
+    top, bottom, left, right = FOAM_PX
+    return (rows > top) & (rows < bottom) & (columns > left) & (columns < right)
+
+
+@cache
+def _dent() -> FloatArray:
+    """How deep it is at each pixel, 0 to 1."""
+    rows, columns = _grid()
+    away = np.hypot(rows - MIDDLE_PX[0], columns - MIDDLE_PX[1])
+    dent: FloatArray = (np.exp(-away / DENT_PX) * _foam()).astype(np.float32)
+    return dent
+
+
+@cache
+def _stick() -> BoolArray:
+    rows, columns = _grid()
+    stick: BoolArray = np.hypot(rows - MIDDLE_PX[0], columns - MIDDLE_PX[1]) < STICK_PX
+    return stick
+
+
+@cache
+def _background() -> FloatArray:
+    return np.where(_foam(), FOAM_M, TABLE_M).astype(np.float32)
+
+
+def _table_and_foam() -> FloatArray:
+    return _background().copy()
+
+
+@cache
+def _texture() -> FloatArray:
+    """Yellow foam with dark specks on a grey table."""
+    grains = np.random.default_rng(0).random((HEIGHT_PX // 4, WIDTH_PX // 4)).repeat(4, 0).repeat(4, 1)
+    light = (0.75 + 0.25 * grains)[..., None].astype(np.float32)
+    colours = np.where(_foam()[..., None], np.array(FOAM_RGB, np.float32), np.array(TABLE_RGB, np.float32))
+    texture: FloatArray = (colours * light).astype(np.float32)
+    return texture

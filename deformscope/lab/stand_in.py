@@ -1,0 +1,112 @@
+"""Doubles in the place of devices: what a rig file with `double = true` is given."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from deformscope.driver_table import DRIVERS
+from deformscope_drivers.device import Device
+from deformscope_drivers.doubles import Double
+from deformscope_drivers.wires import CanWire, PtyWire, TcpWire, Wire
+
+
+@contextlib.contextmanager
+def stand_in(driver: str, config: Any) -> Iterator[Device[Any]]:
+    """A device of this driver, closed, that a running double is behind; it runs until the end of the context.
+
+    config: as for the real device; its port is replaced, its bus is kept and shared with the double
+    """
+    if driver in WIRED:
+        with wire_of(driver, config) as wire:
+            told = config if config_bus(config) else dataclasses.replace(config, port=wire.port)
+            yield DRIVERS[driver].make(told)
+    else:
+        with _IN_PROCESS[driver](config) as device:
+            yield device
+
+
+@contextlib.contextmanager
+def wire_of(driver: str, config: Any) -> Iterator[Wire]:
+    """A running double of a byte-stream device, behind a CAN bus where the configuration names one, a socket where it
+    names one, else a pseudo terminal."""
+    double = WIRED[driver](config)
+    bus = config_bus(config)
+    wire: Wire
+    if bus:
+        wire = CanWire(double, bus, receive_id=config.receive_id, send_id=config.send_id, bitrate=config.bitrate)
+    elif config.port.startswith("socket:"):
+        wire = TcpWire(double)
+    else:
+        wire = PtyWire(double)
+    with wire:
+        yield wire
+
+
+def config_bus(config: Any) -> str:
+    """The CAN bus that a configuration names; empty where it names none, or its device knows none."""
+    return str(getattr(config, "bus", ""))
+
+
+# What each double is like ---------------------------------------------------------------------------------------------
+
+
+def _optoforce(config: Any) -> Double:
+    """A sensor on a stick that presses foam now and then. It is as sensitive as the rig file says."""
+    from deformscope.lab.bench_scene import loads
+    from deformscope_drivers.optoforce.double import OMD_20_SE_40N, OptoforceDouble, Sensors
+
+    sensitivities = config.sensitivities or (OMD_20_SE_40N,)
+    return OptoforceDouble(Sensors(scene=loads, sensitivity=sensitivities[0]))
+
+
+def _dsa(config: Any) -> Double:
+    from deformscope_drivers.dsa import DsaDouble
+
+    return DsaDouble(bytes_per_s=None) if config.port.startswith("socket:") else DsaDouble()
+
+
+def _sdh(config: Any) -> Double:
+    from deformscope.lab.operator import GraspingHand
+    from deformscope_drivers.sdh.double import Port
+
+    return GraspingHand(Port.RS232 if config.checksummed() else Port.CAN)
+
+
+@contextlib.contextmanager
+def _jaco(config: Any) -> Iterator[Device[Any]]:
+    from deformscope.lab.operator import moved_by_hand
+    from deformscope_drivers.jaco import Jaco, JacoDouble
+
+    arm = JacoDouble(config.model or "j2n6s300")
+    with moved_by_hand(arm):
+        yield Jaco(config, arm)
+
+
+@contextlib.contextmanager
+def _webcam(config: Any) -> Iterator[Device[Any]]:
+    from deformscope.lab.bench_scene import picture
+    from deformscope_drivers.webcam import SyntheticCamera, SyntheticCameraConfig
+
+    yield SyntheticCamera(picture, SyntheticCameraConfig(rate_hz=config.fps))
+
+
+@contextlib.contextmanager
+def _depth_camera(config: Any) -> Iterator[Device[Any]]:
+    from deformscope.lab.bench_scene import view
+    from deformscope_drivers.depth_camera import SyntheticDepthCamera
+
+    yield SyntheticDepthCamera(view)
+
+
+WIRED: dict[str, Callable[[Any], Double]] = {"optoforce": _optoforce, "dsa": _dsa, "sdh": _sdh}
+"""Byte-exact doubles, by driver: they go behind any wire."""
+
+_IN_PROCESS: dict[str, Callable[[Any], contextlib.AbstractContextManager[Device[Any]]]] = {
+    "jaco": _jaco,
+    "webcam": _webcam,
+    "depth_camera": _depth_camera,
+}
+"""Doubles behind the driver's own interface."""

@@ -1,0 +1,266 @@
+"""The rig file: which devices there are, where they are plugged in, and what the robot may do.
+
+TOML, read strictly: a key that nobody knows is an error, since a limit with a typing mistake would be no limit.
+`lab:NAME` names a simulated rig that came with the installation.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from deformscope.driver_table import DRIVERS, Driver
+from deformscope.errors import InputError
+
+LAB_SCHEME = "lab:"
+NAME_HINT = "letters, digits, - and _"
+
+
+@dataclass(frozen=True, slots=True)
+class RigDevice:
+    """One device of a rig.
+
+    name: as its frames and recordings call it; config: its driver's own configuration
+    double: run a simulated device in its place
+    """
+
+    name: str
+    driver: Driver
+    config: Any
+    double: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """How the depth camera sees, and where it stands.
+
+    device: which one of the devices; focal_px: (fx, fy); center_px: (cx, cy) [px]
+    distortion: OpenCV's k1, k2, p1, p2, k3; T_arm_camera: 4x4, camera to arm base [m]
+    """
+
+    device: str = ""
+    focal_px: tuple[float, float] | None = None
+    center_px: tuple[float, float] | None = None
+    distortion: tuple[float, ...] = ()
+    T_arm_camera: tuple[tuple[float, ...], ...] | None = None
+
+    def __post_init__(self) -> None:
+        if self.focal_px is not None:
+            _check(min(self.focal_px) > 0, "focal_px above 0", self.focal_px)
+        if self.T_arm_camera is not None:
+            _check_transform("T_arm_camera", self.T_arm_camera)
+
+
+@dataclass(frozen=True, slots=True)
+class Tool:
+    """What the arm pokes with.
+
+    length_m: from the arm's end to the tip; tip: its shape; radius_m: of the tip
+    T_ee_tip: 4x4, tip to the arm's end [m]; default: straight on along z by length_m
+    """
+
+    length_m: float = 0.1
+    tip: str = "sphere"
+    radius_m: float = 0.01
+    T_ee_tip: tuple[tuple[float, ...], ...] | None = None
+
+    def __post_init__(self) -> None:
+        _check(0 <= self.length_m <= 1, "length_m between 0 and 1", self.length_m)
+        _check(self.tip in ("sphere", "disc", "flat"), 'tip = "sphere", "disc" or "flat"', repr(self.tip))
+        _check(0 < self.radius_m <= 0.2, "radius_m above 0 and up to 0.2", self.radius_m)
+        if self.T_ee_tip is not None:
+            _check_transform("T_ee_tip", self.T_ee_tip)
+
+
+@dataclass(frozen=True, slots=True)
+class Workspace:
+    """Where the tip may go, and how hard and fast it may touch. The defaults are far below harm.
+
+    low_m, high_m: corners of a box in the arm's base frame [m]
+    target_force_n, soft_stop_n, hard_stop_n: pressed with, backed away at, stopped at [N]
+    contact_speed_m_s: in the last 3 cm before contact and in it; travel_speed_m_s: elsewhere [m/s]
+    """
+
+    low_m: tuple[float, float, float] | None = None
+    high_m: tuple[float, float, float] | None = None
+    target_force_n: float = 3.0
+    soft_stop_n: float = 8.0
+    hard_stop_n: float = 15.0
+    contact_speed_m_s: float = 0.02
+    travel_speed_m_s: float = 0.05
+
+    def __post_init__(self) -> None:
+        _check((self.low_m is None) == (self.high_m is None), "both low_m and high_m, or neither", "one of them")
+        if self.low_m is not None and self.high_m is not None:
+            rising = all(low < high for low, high in zip(self.low_m, self.high_m, strict=True))
+            _check(rising, "low_m below high_m in every axis", f"{self.low_m}, {self.high_m}")
+        forces = self.target_force_n, self.soft_stop_n, self.hard_stop_n
+        _check(0 < forces[0] < forces[1] < forces[2], "0 < target_force_n < soft_stop_n < hard_stop_n", forces)
+        _check(forces[2] <= 50, "hard_stop_n up to 50", forces[2])
+        speeds = self.contact_speed_m_s, self.travel_speed_m_s
+        _check(0 < speeds[0] <= speeds[1] <= 0.2, "0 < contact_speed_m_s <= travel_speed_m_s <= 0.2", speeds)
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """How the rig is recorded.
+
+    folder: where recordings go that are not named; raw: keep the bytes of every wire beside what they mean
+    lossless: cameras whose colour images something is computed from (PNG, ten times the bytes of JPEG)
+    """
+
+    folder: str = "runs"
+    raw: bool = True
+    lossless: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """A rig as its file says it.
+
+    name: of the file, for titles; text: the file, for recordings
+    """
+
+    name: str
+    text: str
+    devices: tuple[RigDevice, ...]
+    camera: Camera = field(default_factory=Camera)
+    tool: Tool = field(default_factory=Tool)
+    workspace: Workspace = field(default_factory=Workspace)
+    record: Record = field(default_factory=Record)
+
+
+def load_rig(where: str | Path) -> Rig:
+    """Read a rig file, or the simulated rig `lab:NAME`. Raises InputError, which says what is wrong and where."""
+    text = str(where)
+    if text.startswith(LAB_SCHEME):
+        return parse_rig(_scenario(text.removeprefix(LAB_SCHEME)), text)
+    path = Path(text).expanduser()
+    try:
+        content = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        came = (getattr(error, "strerror", None) or "a file that is no text").lower()
+        raise InputError("a rig file (TOML), or lab:NAME", came, "deformscope doctor --example", path) from error
+    return parse_rig(content, text)
+
+
+def scenario_names() -> list[str]:
+    """The simulated rigs that came with the installation."""
+    folder = resources.files("deformscope") / "lab" / "scenarios"
+    return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
+
+
+def parse_rig(text: str, where: str) -> Rig:
+    """A rig out of a file's text; where: its name, for messages."""
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError("a rig file in TOML", str(error), "https://toml.io", where) from error
+    try:
+        return _rig(content, text, where)
+    except InputError as error:
+        raise InputError.about(error, where) from error
+
+
+def _rig(content: dict[str, Any], text: str, where: str) -> Rig:
+    sections = {"camera": Camera, "tool": Tool, "workspace": Workspace, "record": Record}
+    _check_keys(content, ("devices", *sections), "the rig file")
+    devices = content.get("devices")
+    if not isinstance(devices, dict) or not devices:
+        raise InputError("at least one [devices.NAME] section", "none")
+    read = {
+        name: _read(kind, content[name], f"[{name}]")
+        for name, kind in sections.items()
+        if content.get(name) is not None
+    }
+    rig = Rig(Path(where).stem, text, tuple(_device(name, told) for name, told in devices.items()), **read)
+    if rig.camera.device and rig.camera.device not in devices:
+        raise InputError(f"[camera] device out of {', '.join(devices)}", repr(rig.camera.device))
+    if unknown := [name for name in rig.record.lossless if name not in devices]:
+        raise InputError(f"[record] lossless out of {', '.join(devices)}", ", ".join(map(repr, unknown)))
+    return rig
+
+
+def _device(name: str, told: object) -> RigDevice:
+    section = f"[devices.{name}]"
+    if not name.replace("-", "").replace("_", "").isalnum():
+        raise InputError(f"a device's name of {NAME_HINT}", repr(name))
+    if not isinstance(told, dict):
+        raise InputError(f"a section {section}", type(told).__name__)
+    rest = dict(told)
+    driver = DRIVERS.get(str(rest.pop("driver", "")))
+    if driver is None:
+        raise InputError(f"{section} driver out of {', '.join(DRIVERS)}", repr(told.get("driver", "nothing")))
+    double = rest.pop("double", False)
+    if not isinstance(double, bool):
+        raise InputError(f"{section} double = true or false", repr(double))
+    if double and not driver.doubled:
+        raise InputError(f"{section} without double: {driver.name} needs none", "double = true")
+    return RigDevice(name, driver, _read(driver.config_class(), rest, section), double)
+
+
+def _read(kind: Any, told: object, section: str) -> Any:
+    """A section as its dataclass, strictly: known keys, right types, values that its checks accept."""
+    import msgspec
+
+    if not isinstance(told, dict):
+        raise InputError(f"a section {section}", type(told).__name__)
+    _check_keys(told, [entry.name for entry in dataclasses.fields(kind) if entry.init], section)
+    try:
+        return msgspec.convert(told, kind)
+    except msgspec.ValidationError as error:
+        raise InputError(f"{section} as its keys want it", _words(error)) from error
+    except InputError as error:
+        raise InputError(f"{section} that makes sense", str(error).removeprefix("expected ")) from error
+    except Exception as error:  # a driver's own check; its errors are not of one kind
+        raise InputError(f"{section} that its driver accepts", " ".join(str(error).split())) from error
+
+
+def _check_keys(told: Mapping[str, Any], known: Any, section: str) -> None:
+    import difflib
+
+    if unknown := [key for key in told if key not in known]:
+        near = difflib.get_close_matches(unknown[0], known, n=1)
+        hint = f"{near[0]}" if near else ", ".join(known)
+        raise InputError(f"known keys in {section}", ", ".join(map(repr, unknown)), hint)
+
+
+def _words(error: Exception) -> str:
+    """msgspec's `Expected int, got str - at $.speed`, in the words of a rig file."""
+    text = str(error)
+    what, at, place = text.partition(" - at `$.")
+    return f"{place.rstrip('`')}: {what[0].lower()}{what[1:]}" if at else text
+
+
+def _check(right: bool, expected: str, came: object) -> None:
+    if not right:
+        raise InputError(expected, str(came))
+
+
+def _check_transform(name: str, rows: tuple[tuple[float, ...], ...]) -> None:
+    """A rigid 4x4: rows of a rotation, a translation within 10 m, and 0 0 0 1."""
+    _check(len(rows) == 4 and all(len(row) == 4 for row in rows), f"{name} of 4 rows of 4 numbers", rows)
+    _check(all(math.isfinite(value) for row in rows for value in row), f"{name} of finite numbers", rows)
+    _check(tuple(rows[3]) == (0, 0, 0, 1), f"{name} whose last row is 0 0 0 1", rows[3])
+    turn = [row[:3] for row in rows[:3]]
+    for first in range(3):
+        for second in range(3):
+            product = sum(a * b for a, b in zip(turn[first], turn[second], strict=True))
+            _check(abs(product - (first == second)) < 1e-3, f"{name} whose rotation is one", f"rows {turn}")
+    (a, b, c), (d, e, f), (g, h, i) = turn
+    turns_right = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) > 0
+    _check(turns_right, f"{name} that is no mirror image", f"rows {turn}")
+    _check(max(abs(row[3]) for row in rows[:3]) < 10, f"{name} in metres", [row[3] for row in rows[:3]])
+
+
+def _scenario(name: str) -> str:
+    names = scenario_names()
+    if name not in names:
+        raise InputError("a simulated rig", f"lab:{name}", "one of " + ", ".join(f"lab:{one}" for one in names))
+    return (resources.files("deformscope") / "lab" / "scenarios" / f"{name}.toml").read_text(encoding="utf-8")

@@ -1,0 +1,176 @@
+"""A rig as a source: its devices opened together, and what all of them gave since the last look, in order of time."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import threading
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any
+
+from deformscope.driver_table import Driver
+from deformscope.errors import InputError
+from deformscope.frames import Frame, HealthReport, Item, LinkChange, RawBytes, Stream
+from deformscope.measured import describe, to_frame
+from deformscope_drivers.clock import monotonic_ns
+from deformscope_drivers.device import Device, RawChunk
+from deformscope_drivers.errors import DeviceError
+from deformscope_drivers.health import Health, LinkEvent
+from deformscope_drivers.subscription import Subscription
+
+HEALTH_PERIOD_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class RigMember:
+    """A device to be opened. device: closed yet; simulated: a double stands in for it"""
+
+    name: str
+    driver: Driver
+    device: Device[Any]
+    simulated: bool = False
+
+
+@dataclass(slots=True)
+class _Opened:
+    """An open device, its queues, and the index of its next frame."""
+
+    member: RigMember
+    readings: Subscription[Any]
+    raw: Subscription[RawChunk] | None
+    events: Subscription[LinkEvent]
+    index: int = 0
+    failure: str = ""
+
+
+class RigSource:
+    """`with RigSource(members) as source: while ...: items = source.take(0.1)`.
+
+    Nothing that a device gives between opening and closing is left out: what its queue had to drop is counted.
+    raw: also the bytes of every wire
+    """
+
+    def __init__(self, members: Sequence[RigMember], *, raw: bool = True) -> None:
+        self.start_ns = 0
+        self._members = tuple(members)
+        self._raw = raw
+        self._opened: list[_Opened] = []
+        self._stop = threading.Event()
+        self._health_at = 0.0
+
+    def __enter__(self) -> RigSource:
+        """Open all devices side by side; the first that fails closes them all. Raises InputError naming it."""
+        self.start_ns = monotonic_ns()
+        for member in self._members:  # before they open, so that nothing is missed
+            device = member.device
+            raw = device.raw() if self._raw else None
+            self._opened.append(_Opened(member, device.readings(), raw, device.events()))
+        failures: dict[str, Exception] = {}
+
+        def open_one(member: RigMember) -> None:
+            try:
+                member.device.open()
+            except Exception as error:
+                failures[member.name] = error
+
+        with ThreadPoolExecutor(max_workers=max(len(self._members), 1)) as pool:
+            list(pool.map(open_one, self._members))
+        if failures:
+            self.close()
+            name, error = next(iter(failures.items()))
+            if not isinstance(error, DeviceError | OSError):
+                raise error
+            raise InputError.about(error, f"device {name}") from error
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def streams(self) -> tuple[Stream, ...]:
+        """What is known of every device; only while open."""
+        return tuple(
+            describe(member.name, member.driver, member.device, simulated=member.simulated) for member in self._members
+        )
+
+    @property
+    def failures(self) -> dict[str, str]:
+        """Devices that ended for good, and why."""
+        return {opened.member.name: opened.failure for opened in self._opened if opened.failure}
+
+    def take(self, wait_s: float) -> list[Item]:
+        """Wait, then all that came since the last call, in order of time; now and then with everyone's health."""
+        self._stop.wait(wait_s)
+        items: list[Item] = []
+        for opened in self._opened:
+            items += self._take_from(opened)
+        if time.monotonic() - self._health_at >= HEALTH_PERIOD_S:
+            self._health_at = time.monotonic()
+            items.append(self.look())
+        return sorted(items, key=host_ns)
+
+    def look(self) -> HealthReport:
+        """How all devices do."""
+        reports = tuple((member.name, member.device.health()) for member in self._members)
+        return HealthReport(monotonic_ns(), tuple((name, _plain(health)) for name, health in reports))
+
+    def interrupt(self) -> None:
+        """End the wait of a `take`."""
+        self._stop.set()
+
+    def close(self) -> None:
+        """Close all devices, however many of them fail at it; what they gave last can still be taken."""
+        for member in self._members:
+            with contextlib.suppress(DeviceError, OSError):
+                member.device.close()
+
+    def rest(self) -> list[Item]:
+        """After `close`: what the queues still hold."""
+        items: list[Item] = []
+        for opened in self._opened:
+            items += self._take_from(opened)
+        return sorted(items, key=host_ns)
+
+    def _take_from(self, opened: _Opened) -> list[Item]:
+        name, items = opened.member.name, list[Item]()
+        for reading in _all(opened.readings, opened):
+            items.append(to_frame(opened.member.driver.kind, reading, opened.index, name, opened.member.device))
+            opened.index += 1
+        items += [LinkChange(event, name) for event in _all(opened.events, opened)]
+        if opened.raw is not None:
+            items += [RawBytes(c.host_ns, c.data, c.sent, name) for c in _all(opened.raw, opened)]
+        return items
+
+
+def host_ns(item: Item) -> int:
+    """When an item was taken, on the host's clock [ns]."""
+    if isinstance(item, RawBytes | HealthReport):
+        return item.host_ns
+    if isinstance(item, LinkChange):
+        return item.event.host_ns
+    return item.stamp.host_ns
+
+
+def is_frame(item: Item) -> bool:
+    """Whether an item is a device's frame, and no byte, link change or report."""
+    return isinstance(item, Frame)
+
+
+def _all(queue: Subscription[Any], opened: _Opened) -> list[Any]:
+    """All that waits; why the device ended is kept once nothing does."""
+    try:
+        return queue.take()
+    except Exception as error:
+        opened.failure = " ".join(str(error).split()) or type(error).__name__
+        return []
+
+
+def _plain(health: Health) -> Health:
+    """A look that no later count changes."""
+    return dataclasses.replace(health, refused=dict(health.refused), extra=dict(health.extra))

@@ -1,0 +1,133 @@
+"""A rig of doubles as a source: everything that came is taken once, in order, whatever happens to the cables."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+
+import pytest
+
+from deformscope.driver_table import DRIVERS
+from deformscope.errors import InputError
+from deformscope.frames import HealthReport, Item, LinkChange, RawBytes, TactileFrame, WrenchFrame
+from deformscope.lab.stand_in import stand_in, wire_of
+from deformscope.rig_source import RigMember, RigSource, host_ns
+from deformscope.session import watch
+from deformscope_drivers.health import Link
+from deformscope_drivers.optoforce.protocol import Decoder, Reading
+
+PATIENCE_S = 20.0
+
+
+@contextlib.contextmanager
+def doubled(driver: str, name: str, **settings: object) -> Iterator[RigMember]:
+    config = DRIVERS[driver].config_class()(**settings)
+    with stand_in(driver, config) as device:
+        yield RigMember(name, DRIVERS[driver], device, simulated=True)
+
+
+def gather(source: RigSource, until: Callable[[list[Item]], bool]) -> list[Item]:
+    """Take until a condition on all that was taken; fails the test where it stays away."""
+    items: list[Item] = []
+    end = time.monotonic() + PATIENCE_S
+    while not until(items):
+        assert time.monotonic() < end, Counter(type(item).__name__ for item in items)
+        items += source.take(0.02)
+    return items
+
+
+def frames_of(items: Sequence[Item], device: str) -> list[Item]:
+    return [
+        item for item in items if not isinstance(item, RawBytes | LinkChange | HealthReport) and item.device == device
+    ]
+
+
+def test_frames_bytes_and_health_of_all_devices_in_order_of_time() -> None:
+    with doubled("optoforce", "tip") as tip, doubled("dsa", "pads") as pads, RigSource([tip, pads]) as source:
+        items = gather(source, lambda seen: len(frames_of(seen, "tip")) > 300 and len(frames_of(seen, "pads")) > 5)
+        last = source.look()
+        streams = {stream.device: stream for stream in source.streams}
+    batches = frames_of(items, "tip")
+
+    assert all(isinstance(frame, WrenchFrame) for frame in batches)
+    assert [frame.index for frame in batches] == list(range(len(batches)))
+    assert all(isinstance(frame, TactileFrame) for frame in frames_of(items, "pads"))
+    assert dict(last.devices)["tip"].dropped == 0
+    assert dict(last.devices)["tip"].lost == 0
+    assert any(isinstance(item, HealthReport) for item in items)
+    assert streams["pads"].kind == "tactile"
+    assert [pad.rows * pad.columns for pad in streams["pads"].pads] == [84, 78] * 3
+    assert streams["tip"].simulated
+
+
+def test_the_raw_bytes_say_what_the_frames_say() -> None:
+    with doubled("optoforce", "tip") as tip, RigSource([tip]) as source:
+        items = gather(source, lambda seen: len(frames_of(seen, "tip")) > 200)
+        source.close()
+        items += source.rest()
+    data = b"".join(item.data for item in items if isinstance(item, RawBytes) and not item.sent)
+    counters = [event.counter for event in Decoder().feed(data) if isinstance(event, Reading)]
+    frames = [frame.stamp.device_ticks for frame in frames_of(items, "tip")]
+
+    assert len(counters) > 200
+    assert [ticks % 65536 for ticks in frames] == counters
+
+
+def test_a_device_that_cannot_be_opened_closes_the_others_and_is_named() -> None:
+    config = DRIVERS["optoforce"].config_class()(port="/dev/ttyNONE")
+    missing = RigMember("wrist", DRIVERS["optoforce"], DRIVERS["optoforce"].make(config))
+    before = threading.active_count()
+    with doubled("optoforce", "tip") as tip:
+        running = threading.active_count()
+        with pytest.raises(InputError, match="device wrist"), RigSource([tip, missing]):
+            pass
+        assert not tip.device.is_open
+        assert threading.active_count() == running
+    assert threading.active_count() == before
+
+
+def test_a_cable_pulled_out_is_an_item_and_the_others_go_on() -> None:
+    config = DRIVERS["optoforce"].config_class()()
+    with wire_of("optoforce", config) as wire, doubled("dsa", "pads") as pads:
+        device = DRIVERS["optoforce"].make(DRIVERS["optoforce"].config_class()(port=wire.port))
+        with RigSource([RigMember("tip", DRIVERS["optoforce"], device), pads]) as source:
+            gather(source, lambda seen: len(frames_of(seen, "tip")) > 10)
+            wire.unplug()
+            lost = gather(source, lambda seen: bool(changes(seen)) and len(frames_of(seen, "pads")) > 3)
+            wire.plug()
+            found = gather(source, lambda seen: len(frames_of(seen, "tip")) > 10)
+
+    assert changes(lost)[0] is Link.LOST
+    assert changes(found)[-1] is Link.CONNECTED
+
+
+def changes(items: Sequence[Item]) -> list[Link]:
+    return [item.event.link for item in items if isinstance(item, LinkChange) and item.device == "tip"]
+
+
+class Keeper:
+    """A recorder that keeps all."""
+
+    def __init__(self) -> None:
+        self.items: list[Item] = []
+
+    def write_items(self, items: Sequence[Item]) -> None:
+        self.items += items
+
+
+def test_watching_leaves_nothing_behind() -> None:
+    keeper = Keeper()
+    with doubled("optoforce", "tip") as tip, RigSource([tip]) as source:
+        watch(source, keeper, lambda items: len(frames_of(keeper.items, "tip")) > 200)
+        health = tip.device.health()
+    frames = frames_of(keeper.items, "tip")
+
+    assert [frame.index for frame in frames] == list(range(len(frames)))
+    assert health.received == len(frames)
+    assert health.dropped == 0
+    assert not source.failures
+    assert [host_ns(item) for item in frames] == sorted(host_ns(item) for item in frames)
+    assert changes(keeper.items)[-1] is Link.CLOSED
