@@ -3,7 +3,7 @@
     deformscope --help
     deformscope flow before.png after.png --out flow.npz
 
-To add a command: a frozen dataclass of its flags in `deformscope/config.py`, a file here with `run(config)` that
+To add a command: a frozen dataclass of its flags in `deformscope/config/`, a file here with `run(config)` that
 imports what is heavy inside, and a line in `COMMANDS`.
 """
 
@@ -77,6 +77,12 @@ COMMANDS: dict[str, Command] = {
         "deformscope.cli.reproduce_pokes",
     ),
     "coverage": Command("how often the intervals hold the truth", "CoverageConfig", "deformscope.cli.coverage"),
+    "devices": Command("what is plugged in, and how it does", "DevicesConfig", "deformscope.cli.devices"),
+    "doctor": Command("whether a rig would work, and what to do if not", "DoctorConfig", "deformscope.cli.doctor"),
+    "record": Command("record all devices of a rig", "RecordConfig", "deformscope.cli.record", "record"),
+    "live": Command("watch all devices of a rig", "LiveConfig", "deformscope.cli.record", "live"),
+    "verify": Command("whether a recording is whole", "VerifyConfig", "deformscope.cli.verify"),
+    "double": Command("run simulated devices on real transports", "DoubleConfig", "deformscope.cli.double"),
     "bench": Command("what MSM costs on this machine", "BenchConfig", "deformscope.cli.bench"),
 }
 """By name; a name of two words (`calibrate beta`) makes a group."""

@@ -39,6 +39,11 @@ def console() -> Console:
     return Console(stderr=True, highlight=False)
 
 
+def say(remark: str) -> None:
+    """One line of progress or a remark, on stderr; never folded."""
+    print(remark, file=sys.stderr, flush=True)
+
+
 def show_table(title: str, rows: Sequence[tuple[str, str]]) -> None:
     """Tell a result as a short table of names and values, on stdout; on stderr where `--json -` has taken stdout.
 

@@ -1,0 +1,131 @@
+"""`deformscope devices`: what is plugged in, and how it does.
+
+deformscope devices
+deformscope devices --no-probe --json -
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from deformscope.cli.common import say, show_table, write_json
+from deformscope.config import DevicesConfig
+
+PROBE_S = 1.0
+LISTEN_S = 0.5
+
+NOTHING = """No device was found on this machine. What to look at:
+  cable and power; then: lsusb, ls -l /dev/serial/by-id /dev/video* , ip -details link show type can
+  the SDH's hand and tactile controller sit behind plain serial adapters, which are listed once they are plugged in
+  in a container or virtual machine, the device must be passed through
+Without hardware: deformscope double optoforce (in another terminal), or deformscope record lab:bench"""
+
+
+@dataclass(frozen=True, slots=True)
+class Listed:
+    """One line of the list. health: `ok at 1000/s`, or why not; empty where nothing was asked"""
+
+    driver: str
+    port: str
+    name: str
+    serial: str
+    firmware: str
+    health: str
+    note: str
+
+
+def run(config: DevicesConfig) -> None:
+    """List what is plugged in, and ask what can be asked without harm."""
+    found = [_listed(one, config.probe) for one in _found()]
+    write_json([dataclasses.asdict(one) for one in found], config.json)
+    if not found:
+        print(NOTHING)
+        return
+    for one in found:
+        rows = {
+            "driver": one.driver or "unknown",
+            "name": one.name,
+            "serial": one.serial,
+            "firmware": one.firmware,
+            "health": one.health,
+            "note": one.note,
+        }
+        show_table(one.port, [(what, told) for what, told in rows.items() if told])
+
+
+def _found() -> list[Any]:
+    """All that any search finds; a search that fails says so and does not hide the others."""
+    from deformscope_drivers.depth_camera import discover as find_depth_cameras
+    from deformscope_drivers.ports import find_can, find_doubles, find_serial, find_usb_arms
+    from deformscope_drivers.webcam import discover as find_webcams
+
+    searches: list[Callable[[], list[Any]]] = [
+        find_doubles,
+        find_serial,
+        find_can,
+        find_usb_arms,
+        lambda: list(find_webcams()),
+        lambda: list(find_depth_cameras()),
+    ]
+    found: list[Any] = []
+    for search in searches:
+        try:
+            found += search()
+        except Exception as error:
+            say(f"a search failed: {' '.join(str(error).split()) or type(error).__name__}")
+    return found
+
+
+def _listed(found: Any, probe: bool) -> Listed:
+    serial, firmware, health = found.serial, found.firmware, ""
+    if probe and found.driver in PROBES:
+        serial_told, firmware_told, health = _ask(found)
+        serial, firmware = serial_told or serial, firmware_told or firmware
+    return Listed(found.driver, found.port, found.name, serial, firmware, health, found.note)
+
+
+def _ask(found: Any) -> tuple[str, str, str]:
+    """Serial number, firmware and health of a device that is opened for a moment. Nothing moves."""
+    from deformscope.driver_table import DRIVERS
+    from deformscope_drivers.errors import Busy, DeviceError
+
+    driver = DRIVERS[found.driver]
+    try:
+        with driver.make(PROBES[found.driver](driver.config_class(), found.port)) as device:
+            told = device.identity()
+            serial = told.serial or _asked_serial(device)
+            try:
+                device.next(PROBE_S)
+            except DeviceError as error:
+                return serial, told.firmware, f"silent: {error}"
+            time.sleep(LISTEN_S)
+            health = device.health()
+            bad = f", {health.skipped_bytes} bad bytes" if health.skipped_bytes else ""
+            return serial, told.firmware, f"ok, {health.rate_hz:.4g} readings a second{bad}"
+    except Busy:
+        return "", "", "in use by another program"
+    except DeviceError as error:
+        return "", "", f"does not answer: {error}"
+
+
+def _asked_serial(device: Any) -> str:
+    """A serial number that is told only when asked for; empty where it is not told at all."""
+    from deformscope_drivers.errors import DeviceError
+
+    try:
+        return str(device.serial_number())
+    except (AttributeError, DeviceError):
+        return ""
+
+
+def _by_port(config: Any, port: str) -> Any:
+    is_bus = not port.startswith("/") and "://" not in port
+    return config(bus=port) if is_bus else config(port=port)
+
+
+PROBES: dict[str, Callable[[Any, str], Any]] = {"optoforce": _by_port, "dsa": _by_port, "sdh": _by_port}
+"""Drivers that can be asked by their port alone, without anything moving."""

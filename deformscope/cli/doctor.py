@@ -1,0 +1,121 @@
+"""`deformscope doctor`: whether a rig would work, and what to do if not.
+
+deformscope doctor rig.toml
+deformscope doctor --example > rig.toml
+"""
+
+from __future__ import annotations
+
+import shutil
+import time
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from deformscope.cli.common import say, write_json
+from deformscope.cli.rigs import members_of
+from deformscope.config import DoctorConfig
+from deformscope.errors import InputError
+
+if TYPE_CHECKING:
+    from deformscope.rig import Rig
+    from deformscope.rig_source import RigMember
+    from deformscope_drivers.health import Health
+
+FREE_BYTES_WANTED = 5 << 30
+RATE_SHARE = 0.8
+Verdict = Literal["ok", "look", "FAIL"]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that was looked at. what: its name; verdict: `look` = works, but read it; told: in words"""
+
+    what: str
+    verdict: Verdict
+    told: str
+
+
+class Unfit(InputError):
+    """The rig would not work as it is."""
+
+
+def run(config: DoctorConfig) -> None:
+    """Look at everything, tell all of it, and raise Unfit where something fails."""
+    from deformscope.rig import load_rig
+
+    if config.example:
+        print((resources.files("deformscope") / "lab" / "rig-example.toml").read_text(encoding="utf-8"), end="")
+        return
+    rig = load_rig(config.rig)
+    findings = [Finding("rig file", "ok", f"{len(rig.devices)} devices"), *_sections(rig), _disk(rig)]
+    with members_of(rig) as members:
+        for member in members:
+            say(f"listening to {member.name}")
+            findings += _device(member, config.seconds)
+    width = max(len(finding.what) for finding in findings)
+    print("\n".join(f"{f.verdict:<5} {f.what:<{width}}  {f.told}" for f in findings), flush=True)
+    write_json({"rig": config.rig, "findings": findings}, config.json)
+    if failed := [finding.what for finding in findings if finding.verdict == "FAIL"]:
+        raise Unfit("a rig that works", f"trouble with {', '.join(failed)}", "what stands behind FAIL", config.rig)
+
+
+def _sections(rig: Rig) -> list[Finding]:
+    """What a robot that moves by itself will want, and this file does not say."""
+    findings = []
+    arms = [entry.name for entry in rig.devices if entry.driver.kind == "arm"]
+    if arms and rig.workspace.low_m is None:
+        told = "no box: nothing will move by itself. Add low_m and high_m to [workspace]"
+        findings.append(Finding("workspace", "look", told))
+    if any(entry.driver.kind == "depth" for entry in rig.devices):
+        if rig.camera.focal_px is None:
+            findings.append(
+                Finding("camera", "look", "no focal_px, center_px: the camera's own are used, if it has any")
+            )
+        if arms and rig.camera.T_arm_camera is None:
+            findings.append(Finding("camera", "look", "no T_arm_camera: what it sees cannot be touched"))
+    return findings
+
+
+def _disk(rig: Rig) -> Finding:
+    """Whether a long recording has room."""
+    folder = Path(rig.record.folder).absolute()
+    while not folder.exists():
+        folder = folder.parent
+    free = shutil.disk_usage(folder).free
+    verdict: Verdict = "ok" if free > FREE_BYTES_WANTED else "look"
+    return Finding("disk", verdict, f"{free / 1e9:.1f} GB free for {rig.record.folder}")
+
+
+def _device(member: RigMember, seconds: float) -> list[Finding]:
+    """Open one device and listen to it."""
+    from deformscope_drivers.errors import DeviceError
+
+    name = f"{member.name} ({member.driver.name}{', double' if member.simulated else ''})"
+    try:
+        with member.device as device:
+            told = device.identity()
+            device.next(max(seconds, 1.0))
+            time.sleep(seconds)
+            health = device.health()
+    except (DeviceError, OSError) as error:
+        return [Finding(name, "FAIL", " ".join(str(error).split()))]
+    who = " ".join(part for part in (told.model, told.serial, told.firmware) if part)
+    findings = [Finding(name, "ok", f"{health.rate_hz:.4g} readings a second{', ' + who if who else ''}")]
+    return findings + [Finding(name, "look", told) for told in _doubts(health)]
+
+
+def _doubts(health: Health) -> list[str]:
+    """What a healthy device does not show."""
+    doubts = []
+    if health.skipped_bytes:
+        reasons = ", ".join(f"{count} {reason}" for reason, count in health.refused.items()) or "noise"
+        doubts.append(f"{health.skipped_bytes} bytes fit no frame ({reasons}): cable, ground, baud rate")
+    if health.lost:
+        doubts.append(f"{health.lost} readings were lost on the way: USB hub, load of this machine")
+    if health.reconnects:
+        doubts.append(f"the link was lost and found {health.reconnects} times: cable, power")
+    if health.stuck:
+        doubts.append("the same reading again and again: is the sensor plugged into its box?")
+    return doubts

@@ -1,0 +1,65 @@
+"""`deformscope double`: simulated devices on real transports, for whoever has no hardware at hand.
+
+deformscope double optoforce dsa
+deformscope double lab:bench
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from deformscope.cli.common import say
+from deformscope.cli.rigs import until_interrupted
+from deformscope.config import DoubleConfig
+from deformscope.errors import InputError
+
+if TYPE_CHECKING:
+    from deformscope_drivers.wires import Wire
+
+
+def run(config: DoubleConfig) -> None:
+    """Run doubles until Ctrl-C, and print the rig that reaches them."""
+    from deformscope_drivers.announce import announced
+
+    with until_interrupted() as asked, contextlib.ExitStack() as stack:
+        for name, driver, wire in stack.enter_context(_wires(config.what)):
+            stack.enter_context(announced(driver, wire.port, name))
+            key = "bus" if wire.is_bus else "port"
+            print(f'[devices.{name}]\ndriver = "{driver}"\n{key} = "{wire.port}"\n', flush=True)
+        say("doubles are running: Ctrl-C ends them")
+        asked.wait(config.seconds)
+
+
+@contextlib.contextmanager
+def _wires(what: tuple[str, ...]) -> Iterator[list[tuple[str, str, Wire]]]:
+    from deformscope.driver_table import DRIVERS
+    from deformscope.lab.stand_in import WIRED, wire_of
+
+    with contextlib.ExitStack() as stack:
+        running = []
+        for name, driver, settings in _wanted(what):
+            if driver not in WIRED:
+                known = ", ".join(WIRED)
+                raise InputError(f"drivers that speak bytes: {known}; a rig file; or lab:NAME", repr(driver))
+            config = settings if settings is not None else DRIVERS[driver].config_class()()
+            running.append((name, driver, stack.enter_context(wire_of(driver, config))))
+        yield running
+
+
+def _wanted(what: tuple[str, ...]) -> list[tuple[str, str, Any]]:
+    """Name, driver and configuration of every double asked for; None = as the driver has it."""
+    from deformscope.driver_table import DRIVERS
+    from deformscope.lab.stand_in import WIRED
+    from deformscope.rig import load_rig
+
+    wanted: list[tuple[str, str, Any]] = []
+    for word in what:
+        if word in DRIVERS:
+            number = sum(driver == word for _, driver, _ in wanted)
+            wanted.append((word if not number else f"{word}-{number + 1}", word, None))
+        else:
+            rig = load_rig(word)
+            wanted += [(d.name, d.driver.name, d.config) for d in rig.devices if d.driver.name in WIRED]
+    return wanted

@@ -1,0 +1,160 @@
+"""`deformscope record` and `deformscope live`: all devices of a rig, into a file and onto the screen.
+
+deformscope record rig.toml
+deformscope record lab:bench --seconds 20 --record r.rrd
+deformscope live rig.toml --record r.rrd
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import time
+from collections.abc import Callable, Sequence
+from datetime import datetime
+from pathlib import Path
+from threading import Event
+from typing import TYPE_CHECKING
+
+from deformscope.cli.common import make_folder, resolve_viewer, say, show_table, write_json
+from deformscope.cli.rigs import members_of, until_interrupted
+from deformscope.config import LiveConfig, RecordConfig, RigRunOptions
+from deformscope.errors import InputError
+
+if TYPE_CHECKING:
+    from deformscope.frames import HealthReport, Item
+    from deformscope.recorder import RecordingSummary
+    from deformscope.rig import Rig
+    from deformscope_drivers.health import Health
+
+TELL_EVERY_S = 10.0
+
+
+def record(config: RecordConfig) -> None:
+    """Record a rig, headless unless a viewer is asked for."""
+    viewer = "none" if config.output.viewer == "auto" else config.output.viewer
+    _run(dataclasses.replace(config, output=dataclasses.replace(config.output, viewer=viewer)), always_record=True)
+
+
+def live(config: LiveConfig) -> None:
+    """Watch a rig in rerun's window, and record it if asked to."""
+    viewer = "native" if config.output.viewer == "auto" else config.output.viewer
+    _run(dataclasses.replace(config, output=dataclasses.replace(config.output, viewer=viewer)), always_record=False)
+
+
+def _run(config: RigRunOptions, *, always_record: bool) -> None:
+    from deformscope.recorder import Recorder
+    from deformscope.rig import load_rig
+    from deformscope.rig_source import RigSource
+    from deformscope.session import watch
+
+    rig = load_rig(config.rig)
+    file = config.output.record
+    if file is None and always_record:
+        file = _new_file(rig)
+    settings = {"rig": rig.text, "rig_name": rig.name, "label": config.label, "seed": config.output.seed}
+    settings["simulated"] = [entry.name for entry in rig.devices if entry.double]
+    viewer = resolve_viewer(config.output.viewer)
+    with (
+        until_interrupted() as asked,
+        Recorder(
+            file, viewer, settings, layout="rig", overwrite=config.output.overwrite, variant=_variant(rig)
+        ) as recorder,
+        members_of(rig) as members,
+    ):
+        say(f"opening {', '.join(member.name for member in members)}")
+        with RigSource(members, raw=rig.record.raw) as source:
+            recorder.start_rig(source.streams, source.start_ns, rig.record.lossless)
+            where = "" if file is None else f" into {file}"
+            say(f"recording{where}: Ctrl-C ends it" if file else "watching: Ctrl-C ends it")
+            end = _Ending(asked, config.seconds)
+            last = watch(source, recorder, end)
+            failures = dict(source.failures)
+    _tell(config, recorder.summary(), last, failures)
+    if failures:
+        name, reason = next(iter(failures.items()))
+        raise InputError(f"device {name} to last until the end", reason, "the recording holds what came before")
+
+
+class _Ending:
+    """Whether a recording's time is over; tells now and then how it goes."""
+
+    def __init__(self, asked: Event, seconds: float | None) -> None:
+        self._last: HealthReport | None = None
+        self._asked = asked
+        self._until = None if seconds is None else time.monotonic() + seconds
+        self._told_at = time.monotonic()
+
+    def __call__(self, items: Sequence[Item]) -> bool:
+        from deformscope.frames import HealthReport, LinkChange
+
+        for item in items:
+            if isinstance(item, HealthReport):
+                self._last = item
+            elif isinstance(item, LinkChange):
+                reason = f": {item.event.reason}" if item.event.reason else ""
+                say(f"{item.device}: {item.event.link}{reason}")
+        if self._last is not None and time.monotonic() - self._told_at > TELL_EVERY_S:
+            self._told_at = time.monotonic()
+            rates = ", ".join(f"{name} {health.rate_hz:.4g}/s" for name, health in self._last.devices)
+            say(rates)
+        return self._asked.is_set() or (self._until is not None and time.monotonic() >= self._until)
+
+
+def _tell(config: RigRunOptions, summary: RecordingSummary, last: HealthReport, failures: dict[str, str]) -> None:
+    """What was recorded, device by device, on the screen and as JSON."""
+    devices = dict(last.devices)
+    rows = [(name, _in_words(health, failures.get(name))) for name, health in devices.items()]
+    if summary.path is not None:
+        rows.append(("recording", f"{summary.path} ({summary.bytes / 1e6:.1f} MB)"))
+    show_table(config.label or config.rig, rows)
+    found = {
+        "recording": summary.path,
+        "frames": summary.frames,
+        "bytes": summary.bytes,
+        "live_dropped": summary.dropped,
+        "devices": devices,
+        "failures": failures,
+    }
+    write_json(found, config.output.json)
+
+
+def _in_words(health: Health, failure: str | None) -> str:
+    parts = [f"{health.received} readings"]
+    parts += [f"{count} {what}" for what, count in losses(health).items() if count]
+    if failure:
+        parts.append(f"FAILED: {failure}")
+    return ", ".join(parts)
+
+
+def losses(health: Health) -> dict[str, int]:
+    """What was lost, in the order in which it matters."""
+    return {
+        "lost on the way": health.lost,
+        "dropped here": health.dropped,
+        "frames refused": sum(health.refused.values()),
+        "bytes skipped": health.skipped_bytes,
+        "reconnects": health.reconnects,
+    }
+
+
+def _variant(rig: Rig) -> str:
+    """The same for rigs with the same devices, which have the same views."""
+    devices = repr([(entry.name, entry.driver.name) for entry in rig.devices])
+    return hashlib.sha256(devices.encode()).hexdigest()[:8]
+
+
+def _new_file(rig: Rig) -> Path:
+    """A name that no earlier run took."""
+    folder = Path(rig.record.folder)
+    make_folder(folder)
+    return unused(folder / f"{rig.name.replace(':', '-')}-{datetime.now():%Y%m%d-%H%M%S}.rrd", Path.exists)
+
+
+def unused(path: Path, taken: Callable[[Path], bool]) -> Path:
+    """The path, or with a number where it is taken."""
+    for number in range(1, 100):
+        found = path if number == 1 else path.with_stem(f"{path.stem}-{number}")
+        if not taken(found):
+            return found
+    raise InputError("fewer recordings in one second", "100", where=path)

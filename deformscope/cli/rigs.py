@@ -1,0 +1,58 @@
+"""What the commands about rigs share: devices made from a rig file, doubles where it asks for them, and Ctrl-C."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+from collections.abc import Iterator
+from types import FrameType
+from typing import TYPE_CHECKING
+
+from deformscope.cli.common import say
+
+if TYPE_CHECKING:
+    from deformscope.rig import Rig
+    from deformscope.rig_source import RigMember
+
+
+@contextlib.contextmanager
+def members_of(rig: Rig) -> Iterator[tuple[RigMember, ...]]:
+    """The rig's devices, closed; doubles run for those that the rig wants doubled, until the end of the context."""
+    from deformscope.lab.stand_in import stand_in
+    from deformscope.rig_source import RigMember
+
+    with contextlib.ExitStack() as stack:
+        members = []
+        for entry in rig.devices:
+            if entry.double:
+                device = stack.enter_context(stand_in(entry.driver.name, entry.config))
+            else:
+                device = entry.driver.make(entry.config)
+            members.append(RigMember(entry.name, entry.driver, device, simulated=entry.double))
+        yield tuple(members)
+
+
+@contextlib.contextmanager
+def until_interrupted() -> Iterator[threading.Event]:
+    """An event that Ctrl-C (or a request to end) sets once; the second Ctrl-C interrupts as usual."""
+    asked = threading.Event()
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        if asked.is_set():
+            raise KeyboardInterrupt
+        asked.set()
+        say("ending; Ctrl-C again to leave at once")
+
+    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        for number in kept:
+            signal.signal(number, stop)
+    except ValueError:  # not in the main thread: whoever runs this there ends it by other means
+        yield asked
+        return
+    try:
+        yield asked
+    finally:
+        for number, handler in kept.items():
+            signal.signal(number, handler)

@@ -1,0 +1,243 @@
+"""`record`, `verify`, `doctor`, `devices`, `double`, as a user runs them, on doubles over real transports."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+import pytest
+
+from deformscope.cli import main
+from deformscope.frames import HealthReport, RawBytes, WrenchFrame
+from deformscope.ledger import check_ledger
+from deformscope.rig_replay import read_items
+
+SMALL = """
+[devices.tip]
+driver = "optoforce"
+double = true
+sensitivity = { counts_at_nominal = [16037.0, 16037.0, 16037.0], nominal = [40.0, 40.0, 40.0] }
+
+[devices.pads]
+driver = "dsa"
+double = true
+"""
+PATIENCE_S = 60.0
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    path = tmp_path / "rig.toml"
+    path.write_text(SMALL)
+    return path
+
+
+@pytest.fixture
+def started() -> Iterator[list[subprocess.Popen[str]]]:
+    """Processes that a test starts; whatever is left of them is ended."""
+    processes: list[subprocess.Popen[str]] = []
+    yield processes
+    for process in processes:
+        if process.poll() is None:
+            process.kill()
+        process.wait(PATIENCE_S)
+        for stream in (process.stdout, process.stderr):
+            if stream is not None:
+                stream.close()
+
+
+def start(started: list[subprocess.Popen[str]], *arguments: str | Path, cwd: Path) -> subprocess.Popen[str]:
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+        "PYTHONUNBUFFERED": "1",
+        "XDG_RUNTIME_DIR": str(cwd),
+    }
+    process = subprocess.Popen(
+        [sys.executable, "-m", "deformscope", *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=cwd,
+        env=environment,
+    )
+    started.append(process)
+    return process
+
+
+def wait_for(stream: IO[str] | None, words: str) -> str:
+    """Read lines until one holds the words."""
+    assert stream is not None
+    until = time.monotonic() + PATIENCE_S
+    seen = ""
+    while time.monotonic() < until and (line := stream.readline()):
+        seen += line
+        if words in line:
+            return line
+    raise AssertionError(f"{words!r} was not said; but: {seen}")
+
+
+def test_a_bench_of_doubles_is_recorded_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, told = tmp_path / "r.rrd", tmp_path / "r.json"
+
+    assert main(["record", "lab:bench", "--seconds", "3", "--record", str(file), "--json", str(told)]) == 0
+    found = json.loads(told.read_text())
+
+    assert found["recording"] == str(file)
+    assert set(found["devices"]) == {"tip", "wrist", "pads", "hand", "arm", "camera", "depth"}
+    for name, health in found["devices"].items():
+        assert health["received"] > 5, name
+        assert health["dropped"] == health["skipped_bytes"] == 0, (name, health)
+        if name not in ("camera", "depth"):  # on a busy machine a simulated scene may be drawn too late, and says so
+            assert health["lost"] == 0, (name, health)
+    assert found["devices"]["tip"]["received"] > 2000
+    assert check_ledger(file) == []
+    capsys.readouterr()
+
+    assert main(["verify", str(file), "--json", "-"]) == 0
+    verified = json.loads(capsys.readouterr().out)
+    assert verified["ok"]
+    # What each device gave is what the file holds.
+    for name, health in found["devices"].items():
+        assert verified["counts"][f"{name}/frames"] == health["received"], name
+
+
+def test_frames_and_bytes_in_the_file_agree(rig: Path, tmp_path: Path) -> None:
+    from deformscope_drivers.optoforce.protocol import Decoder, Reading
+
+    file = tmp_path / "r.rrd"
+    assert main(["record", str(rig), "--seconds", "1.5", "--record", str(file)]) == 0
+    items = list(read_items(file))
+    data = b"".join(
+        item.data for item in items if isinstance(item, RawBytes) and item.device == "tip" and not item.sent
+    )
+    readings = [event for event in Decoder().feed(data) if isinstance(event, Reading)]
+    frames = [item for item in items if isinstance(item, WrenchFrame)]
+
+    assert len(frames) == len(readings) > 1000
+    assert [tuple(frame.counts) for frame in frames] == [tuple(reading.counts[0]) for reading in readings]
+    assert dict([item for item in items if isinstance(item, HealthReport)][-1].devices)["tip"].received == len(frames)
+
+
+def test_ctrl_c_ends_a_recording_cleanly(rig: Path, tmp_path: Path, started: list[subprocess.Popen[str]]) -> None:
+    process = start(started, "record", rig, "--record", "r.rrd", cwd=tmp_path)
+    wait_for(process.stderr, "Ctrl-C ends it")
+    time.sleep(1.0)
+    process.send_signal(signal.SIGINT)
+
+    assert process.wait(PATIENCE_S) == 0
+    assert check_ledger(tmp_path / "r.rrd") == []
+    assert main(["verify", str(tmp_path / "r.rrd")]) == 0
+
+
+def test_what_was_written_before_a_kill_is_readable(
+    rig: Path, tmp_path: Path, started: list[subprocess.Popen[str]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    process = start(started, "record", rig, "--record", "r.rrd", cwd=tmp_path)
+    wait_for(process.stderr, "Ctrl-C ends it")
+    time.sleep(3.0)
+    process.kill()
+    process.wait(PATIENCE_S)
+    (part,) = tmp_path.glob("*.part.rrd")
+    frames = [item for item in read_items(part) if isinstance(item, WrenchFrame)]
+
+    assert not (tmp_path / "r.rrd").exists()
+    assert len(frames) > 1000
+    assert [frame.index for frame in frames] == list(range(len(frames)))
+    assert main(["verify", str(part)]) != 0
+    assert "cut short" in capsys.readouterr().err
+
+
+def test_two_recordings_of_one_device_do_not_mix(
+    tmp_path: Path, started: list[subprocess.Popen[str]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    double = start(started, "double", "optoforce", cwd=tmp_path)
+    wait_for(double.stdout, "[devices.optoforce]")
+    rig = tmp_path / "rig.toml"
+    port = wait_for(double.stdout, "port")
+    rig.write_text(f'[devices.optoforce]\ndriver = "optoforce"\n{port}')
+    first = start(started, "record", rig, "--record", "first.rrd", cwd=tmp_path)
+    wait_for(first.stderr, "Ctrl-C ends it")
+
+    assert main(["record", str(rig), "--seconds", "1", "--record", str(tmp_path / "second.rrd")]) != 0
+    said = capsys.readouterr().err
+    assert "another program" in said
+    assert "device optoforce" in said
+    assert not list(tmp_path.glob("second*"))
+    first.send_signal(signal.SIGINT)
+    assert first.wait(PATIENCE_S) == 0
+    assert main(["verify", str(tmp_path / "first.rrd")]) == 0
+
+
+def test_a_flipped_bit_is_found(rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "r.rrd"
+    assert main(["record", str(rig), "--seconds", "1", "--record", str(file)]) == 0
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 4
+    file.write_bytes(content)
+
+    assert main(["verify", str(file)]) != 0
+    assert "differ from what was recorded" in capsys.readouterr().err
+
+
+def test_doctor_says_what_works_and_what_does_not(
+    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["doctor", str(rig), "--seconds", "0.5"]) == 0
+    assert "ok    tip (optoforce, double)" in capsys.readouterr().out
+    broken = tmp_path / "broken.toml"
+    broken.write_text(SMALL.replace("double = true\nsens", 'port = "/dev/ttyNONE"\nsens'))
+
+    assert main(["doctor", str(broken), "--seconds", "0.5", "--json", str(tmp_path / "d.json")]) != 0
+    findings = {entry["what"]: entry for entry in json.loads((tmp_path / "d.json").read_text())["findings"]}
+    assert findings["tip (optoforce)"]["verdict"] == "FAIL"
+    assert "/dev/ttyNONE" in findings["tip (optoforce)"]["told"]
+    assert findings["pads (dsa, double)"]["verdict"] == "ok"
+
+
+def test_the_example_of_doctor_is_a_rig_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from deformscope.rig import parse_rig
+
+    assert main(["doctor", "--example"]) == 0
+    assert len(parse_rig(capsys.readouterr().out, "example").devices) == 6
+
+
+def test_devices_lists_running_doubles_with_serial_and_health(
+    tmp_path: Path,
+    started: list[subprocess.Popen[str]],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    double = start(started, "double", "optoforce", "dsa", cwd=tmp_path)
+    wait_for(double.stdout, "[devices.dsa]")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+
+    assert main(["devices", "--json", "-"]) == 0
+    found = {entry["driver"]: entry for entry in json.loads(capsys.readouterr().out) if "double" in entry["note"]}
+    assert found["optoforce"]["serial"] == "ISE0A129"
+    assert found["optoforce"]["health"].startswith("ok, ")
+    assert found["dsa"]["serial"] == "4321"
+    assert found["dsa"]["firmware"] == "269"
+    double.send_signal(signal.SIGINT)
+    assert double.wait(PATIENCE_S) == 0
+    assert main(["devices", "--json", "-"]) == 0
+    assert not [entry for entry in json.loads(capsys.readouterr().out) if "double" in entry["note"]]
+
+
+def test_devices_on_a_machine_with_none_helps(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from deformscope.cli import devices
+
+    monkeypatch.setattr(devices, "_found", list)
+
+    assert main(["devices"]) == 0
+    said = capsys.readouterr().out
+    assert "No device was found" in said
+    assert "record lab:bench" in said
