@@ -7,6 +7,7 @@ deformscope double lab:bench
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,9 @@ from deformscope.errors import InputError
 
 if TYPE_CHECKING:
     from deformscope_drivers.wires import Wire
+
+SHARED_BUS, FIRST_PORT = "udp_multicast:239.74.163.2", 43113
+"""A CAN bus that other processes of this host reach."""
 
 
 def run(config: DoubleConfig) -> None:
@@ -35,15 +39,17 @@ def run(config: DoubleConfig) -> None:
 @contextlib.contextmanager
 def _wires(what: tuple[str, ...]) -> Iterator[list[tuple[str, str, Wire]]]:
     from deformscope.driver_table import DRIVERS
-    from deformscope.lab.stand_in import WIRED, wire_of
+    from deformscope.lab.stand_in import WIRED, config_bus, wire_of
 
     with contextlib.ExitStack() as stack:
-        running = []
+        running: list[tuple[str, str, Wire]] = []
         for name, driver, settings in _wanted(what):
             if driver not in WIRED:
                 known = ", ".join(WIRED)
                 raise InputError(f"drivers that speak bytes: {known}; a rig file; or lab:NAME", repr(driver))
             config = settings if settings is not None else DRIVERS[driver].config_class()()
+            if config_bus(config).startswith("virtual:"):  # within one process alone
+                config = dataclasses.replace(config, bus=f"{SHARED_BUS}?port={FIRST_PORT + len(running)}")
             running.append((name, driver, stack.enter_context(wire_of(driver, config))))
         yield running
 

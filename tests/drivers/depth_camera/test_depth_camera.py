@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deformscope_drivers.contract import Bench, DeviceContract, open_things, wait_until
+from deformscope_drivers.contract import Bench, DeviceContract, nothing_left_since, open_things, wait_until
 from deformscope_drivers.depth_camera import DepthCamera, DepthCameraConfig, Intrinsics
 from deformscope_drivers.device import Reconnect
 from deformscope_drivers.errors import DeviceError, LibraryMissing, LinkLost, NotConnected, SettingsRefused
@@ -95,7 +95,7 @@ def test_what_the_camera_does_not_do_is_refused(config: DepthCameraConfig, asked
     assert asked in str(caught.value)
     assert came in str(caught.value)
     assert str(caught.value).endswith("Dummy")
-    assert open_things() == before
+    wait_until(lambda: nothing_left_since(before))
 
 
 @pytest.mark.parametrize("port", ["nobody", ""])
@@ -173,7 +173,7 @@ def test_a_camera_that_is_closed_leaves_no_process() -> None:
 
     with pytest.raises(ProcessLookupError):
         os.kill(process, 0)
-    assert open_things() == before
+    wait_until(lambda: nothing_left_since(before))
 
 
 # Recordings ----------------------------------------------------------------------------------------------------------
