@@ -1,0 +1,108 @@
+"""What is known of a surface after each touch: the maps, why the next touch goes where it goes, and what a touch told.
+
+Maps are on one grid over the surface: arrays (rows, columns) = (y, x), cell centres at (i + 0.5) cells. The surface
+frame has x, y in the table's plane and z up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceSeen:
+    """The surface as the camera saw it, and as the world Gaussian process has it (Thesis eq. 4.3, 4.4).
+
+    points_m: (n, 3) filtered points; height_m, deviation_m: (rows, columns); cell_m: of the grid
+    """
+
+    points_m: FloatArray
+    height_m: FloatArray
+    deviation_m: FloatArray
+    cell_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class TouchTold:
+    """What one touch told.
+
+    number: from 0; xyz_m: (3,) contact; normal: (3,) unit, out of the surface
+    approach_m, approach_n: (n,) way of the tip along the normal from the first reading [m] and force along it [N]
+    fitted_n: (n,) the fitted force at each [N]; contact_m: where contact began on the same way
+    stiffness_n_per_mm, stiffness_interval: apparent, at the set force; rigid: a lower bound
+    modulus_pa: corrected for the tip and the layer, None = not told; depth_m, peak_force_n: of the dent
+    beta, beta_interval, beta_verdict: of the MSM fitted to the dent, None = not fitted
+    observed_m: (k, 3) raw points around the dent; simulated_m: (p, 3) particles of the fitted model there
+    """
+
+    number: int
+    xyz_m: FloatArray
+    normal: FloatArray
+    approach_m: FloatArray
+    approach_n: FloatArray
+    fitted_n: FloatArray
+    contact_m: float
+    stiffness_n_per_mm: float
+    stiffness_interval: tuple[float, float]
+    rigid: bool
+    modulus_pa: float | None
+    depth_m: float
+    peak_force_n: float
+    beta: float | None
+    beta_interval: tuple[float, float] | None
+    beta_verdict: str
+    observed_m: FloatArray
+    simulated_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class MapsKnown:
+    """The maps after a number of touches.
+
+    stiffness_n_per_mm: (rows, columns) median; stiffness_log_sd: of its logarithm
+    beta, beta_sd: (rows, columns), None before two touches gave one
+    labels: (rows, columns) region of each cell, 0 the softest; label_probability: of that label; region_count
+    verdict: "regions" or "gradual"; truth_labels: where it is known; truth_log_stiffness: likewise
+    contacts_m: (n, 2) touches so far; tip_radius_m: of what touched
+    """
+
+    touches: int
+    cell_m: float
+    stiffness_n_per_mm: FloatArray
+    stiffness_log_sd: FloatArray
+    beta: FloatArray | None
+    beta_sd: FloatArray | None
+    labels: IntArray
+    label_probability: FloatArray
+    region_count: int
+    verdict: str
+    contacts_m: FloatArray
+    tip_radius_m: float
+    truth_labels: IntArray | None = None
+    iou: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class NextTouch:
+    """Where the next touch goes, and why.
+
+    target_m: (2,), None = no further touch; gain, cost_s: (rows, columns) expected gain and time [s], gain None where no
+    planner computed one; excluded: cells that may not be touched; reason: in words; stop_reason: why none follows
+    """
+
+    target_m: FloatArray | None
+    gain: FloatArray | None
+    cost_s: FloatArray | None
+    excluded: BoolArray
+    reason: str
+    stop_reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseBegan:
+    """The robot began something. name: look, travel, approach, press, dwell, retreat, plan, stopped"""
+
+    name: str
+    touch: int
