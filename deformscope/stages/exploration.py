@@ -88,8 +88,9 @@ class MapsKnown:
 class NextTouch:
     """Where the next touch goes, and why.
 
-    target_m: (2,), None = no further touch
-    gain, cost_s: (rows, columns) expected gain and time [s], None where no planner computed one; excluded: cells that may not be touched; reason: in words; stop_reason: why none follows
+    target_m: (2,), None = no further touch; excluded: cells that may not be touched
+    gain, cost_s: (rows, columns) expected gain and time [s], None where no planner computed one
+    reason: in words; stop_reason: why none follows
     """
 
     target_m: FloatArray | None
