@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import threading
 import time
@@ -77,8 +76,12 @@ class RigSource:
             except Exception as error:
                 failures[member.name] = error
 
-        with ThreadPoolExecutor(max_workers=max(len(self._members), 1)) as pool:
-            list(pool.map(open_one, self._members))
+        try:
+            with ThreadPoolExecutor(max_workers=max(len(self._members), 1)) as pool:
+                list(pool.map(open_one, self._members))
+        except BaseException:  # Ctrl-C: without an __exit__ to come, nobody else would close them
+            self.close()
+            raise
         if failures:
             self.close()
             name, error = next(iter(failures.items()))
@@ -126,9 +129,11 @@ class RigSource:
 
     def close(self) -> None:
         """Close all devices, however many of them fail at it; what they gave last can still be taken."""
-        for member in self._members:
-            with contextlib.suppress(DeviceError, OSError):
-                member.device.close()
+        for opened in self._opened:
+            try:
+                opened.member.device.close()
+            except Exception as error:  # an arm that was not told to stop must not pass in silence
+                opened.failure = " ".join(str(error).split()) or type(error).__name__
 
     def rest(self) -> list[Item]:
         """After `close`: what the queues still hold."""

@@ -7,6 +7,8 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import pytest
 
@@ -16,6 +18,7 @@ from deformscope.frames import HealthReport, Item, LinkChange, RawBytes, Tactile
 from deformscope.lab.stand_in import stand_in, wire_of
 from deformscope.rig_source import RigMember, RigSource, host_ns
 from deformscope.session import watch
+from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.health import Link
 from deformscope_drivers.optoforce.protocol import Decoder, Reading
 
@@ -131,3 +134,31 @@ def test_watching_leaves_nothing_behind() -> None:
     assert not source.failures
     assert [host_ns(item) for item in frames] == sorted(host_ns(item) for item in frames)
     assert changes(keeper.items)[-1] is Link.CLOSED
+
+
+def test_ctrl_c_while_devices_open_closes_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Interrupted(ThreadPoolExecutor):
+        def map(self, *arguments: Any, **options: Any) -> Any:
+            list(super().map(*arguments, **options))
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("deformscope.rig_source.ThreadPoolExecutor", Interrupted)
+    with doubled("optoforce", "tip") as tip:
+        with pytest.raises(KeyboardInterrupt), RigSource([tip]):
+            pass
+        assert not tip.device.is_open
+
+
+def test_a_device_that_does_not_close_well_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    with doubled("optoforce", "tip") as tip:
+        source = RigSource([tip])
+        with source:
+            close = tip.device.close
+
+            def fail() -> None:
+                close()
+                raise DeviceError("an arm that stopped", "one that did not")
+
+            monkeypatch.setattr(tip.device, "close", fail)
+        assert "one that did not" in source.failures["tip"]
+        monkeypatch.undo()

@@ -27,6 +27,8 @@ def run(config: DoubleConfig) -> None:
     """Run doubles until Ctrl-C, and print the rig that reaches them."""
     from deformscope_drivers.announce import announced
 
+    if not config.what:
+        raise InputError("drivers to double", "none", "deformscope double optoforce dsa, or lab:bench")
     with until_interrupted() as asked, contextlib.ExitStack() as stack:
         for name, driver, wire in stack.enter_context(_wires(config.what)):
             stack.enter_context(announced(driver, wire.port, name))

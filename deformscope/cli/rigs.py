@@ -10,6 +10,7 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 from deformscope.cli.common import say
+from deformscope.errors import InputError
 
 if TYPE_CHECKING:
     from deformscope.rig import Rig
@@ -21,21 +22,25 @@ def members_of(rig: Rig) -> Iterator[tuple[RigMember, ...]]:
     """The rig's devices, closed; doubles run for those that the rig wants doubled, until the end of the context."""
     from deformscope.lab.stand_in import stand_in
     from deformscope.rig_source import RigMember
+    from deformscope_drivers.errors import DeviceError
 
     with contextlib.ExitStack() as stack:
         members = []
         for entry in rig.devices:
-            if entry.double:
-                device = stack.enter_context(stand_in(entry.driver.name, entry.config))
-            else:
-                device = entry.driver.make(entry.config)
+            try:
+                if entry.double:
+                    device = stack.enter_context(stand_in(entry.driver.name, entry.config))
+                else:
+                    device = entry.driver.make(entry.config)
+            except DeviceError as error:  # as where neither port nor bus is named
+                raise InputError.about(error, f"device {entry.name}") from error
             members.append(RigMember(entry.name, entry.driver, device, simulated=entry.double))
         yield tuple(members)
 
 
 @contextlib.contextmanager
 def until_interrupted() -> Iterator[threading.Event]:
-    """An event that Ctrl-C (or a request to end) sets once; the second Ctrl-C interrupts as usual."""
+    """An event that Ctrl-C, a request to end or a closed terminal sets once; the second Ctrl-C interrupts as usual."""
     asked = threading.Event()
 
     def stop(number: int, frame: FrameType | None) -> None:
@@ -44,7 +49,7 @@ def until_interrupted() -> Iterator[threading.Event]:
         asked.set()
         say("ending; Ctrl-C again to leave at once")
 
-    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     try:
         for number in kept:
             signal.signal(number, stop)

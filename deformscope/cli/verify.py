@@ -15,6 +15,7 @@ from deformscope.errors import InputError
 from deformscope.ledger import check_ledger, read_counts
 
 VERIFY_TIMEOUT_S = 600.0
+WHOLE = "every byte is as it was recorded"
 
 
 class Damaged(InputError):
@@ -27,7 +28,7 @@ def run(config: VerifyConfig) -> None:
     if not path.is_file():
         raise InputError("a recording (.rrd)", "a folder" if path.is_dir() else "nothing there", where=path)
     problems: list[str] = []
-    ledger = "every byte is as it was recorded"
+    ledger = WHOLE
     try:
         problems += check_ledger(path)
         ledger = "DIFFERS" if problems else ledger
@@ -39,17 +40,18 @@ def run(config: VerifyConfig) -> None:
     outcome = _outcome(path)
     if not outcome.get("complete"):
         problems.append("the run did not end by itself: it was cut short or failed")
-    counts = read_counts(path) if not ledger.startswith("none") else {}
+    counts = read_counts(path) if ledger == WHOLE else {}  # a damaged ledger tells nothing
+    losses = _loss_rows(path)
     rows = [
         ("bytes", ledger),
         ("structure", structure or "readable to the end"),
         ("run", "complete" if outcome.get("complete") else "NOT complete"),
         *((name, str(count)) for name, count in sorted(counts.items()) if count),
-        *_loss_rows(path),
+        *losses,
     ]
     show_table(str(path), rows)
     found: dict[str, Any] = {"recording": path, "ok": not problems, "problems": problems, "counts": counts}
-    write_json({**found, "outcome": outcome, "losses": dict(_loss_rows(path))}, config.json)
+    write_json({**found, "outcome": outcome, "losses": dict(losses)}, config.json)
     if problems:
         raise Damaged("a whole recording", "; ".join(problems), "deformscope replay reads what there is", path)
 

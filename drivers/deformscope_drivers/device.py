@@ -467,7 +467,10 @@ class Device(ABC, Generic[MeasurementT]):
 
     def _end(self, failure: BaseException | None, reason: str = "") -> None:
         self._closing.set()
-        self._disconnect_quietly()
+        try:
+            self._disconnect_quietly()
+        except Exception as error:  # whatever happens, readers that wait come to their end
+            failure = failure or error
         if failure is None:
             self._tell(Link.CLOSED, reason)
         else:

@@ -76,20 +76,22 @@ class SerialTransport(Transport):
         self._wake_lock = threading.Lock()  # a descriptor that was closed may be another's the next moment
 
     def open(self) -> None:
+        import termios
+
         import serial
 
         try:
             self._serial = serial.serial_for_url(
                 self.name, baudrate=self._baudrate, timeout=0, write_timeout=WRITE_TIMEOUT_S, exclusive=True
             )
-        except (serial.SerialException, OSError, ValueError) as error:
+        except (serial.SerialException, OSError, ValueError, termios.error) as error:
             raise _not_opened(error, self.name) from error
         try:
             self._descriptor = self._serial.fileno()
         except (OSError, AttributeError, NotImplementedError):
             self._descriptor = -1  # a URL whose bytes come from a thread of its own
         self._wake_read, self._wake_write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
-        with contextlib.suppress(serial.SerialException, OSError):
+        with contextlib.suppress(serial.SerialException, OSError, termios.error):  # termios.error is no OSError
             self._serial.reset_input_buffer()
 
     def close(self) -> None:

@@ -174,6 +174,7 @@ class TcpWire(Wire):
             if self._client is not None:
                 self._client.close()
             self._client, _ = self._server.accept()
+            self._client.setblocking(False)  # a host that connects and never reads must not hold the double up
             self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             return b""
         if self._client is None or self._client not in ready:
@@ -191,10 +192,9 @@ class TcpWire(Wire):
         if self._client is None:
             return 0
         try:
-            self._client.sendall(data)
-        except OSError:
+            return self._client.send(data)
+        except OSError:  # gone, or nobody reads and the socket is full
             return 0
-        return len(data)
 
 
 class CanWire(Wire):

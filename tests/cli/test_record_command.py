@@ -241,3 +241,40 @@ def test_devices_on_a_machine_with_none_helps(
     said = capsys.readouterr().out
     assert "No device was found" in said
     assert "record lab:bench" in said
+
+
+@pytest.mark.parametrize("command", ["doctor", "record"])
+def test_a_device_without_a_port_is_named(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text(f'[devices.hand]\ndriver = "sdh"\n[record]\nfolder = "{tmp_path}"\n')
+
+    assert main([command, str(path)]) == 2
+    told = capsys.readouterr().err
+    assert "expected a port or a bus; got neither" in told
+    assert "device hand" in told
+
+
+def test_double_wants_to_know_what(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["double"]) == 2
+    assert "deformscope double optoforce" in capsys.readouterr().err
+
+
+def test_a_damaged_ledger_is_told(rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording = tmp_path / "r.rrd"
+    assert main(["record", str(rig), "--seconds", "0.5", "--record", str(recording)]) == 0
+    recording.with_name("r.rrd.ledger").write_text("{")
+
+    assert main(["verify", str(recording)]) == 2
+    assert "the ledger cannot be read" in capsys.readouterr().err
+
+
+def test_a_closed_terminal_ends_a_recording_cleanly(
+    rig: Path, tmp_path: Path, started: list[subprocess.Popen[str]]
+) -> None:
+    recording = tmp_path / "r.rrd"
+    process = start(started, "record", rig, "--record", recording, cwd=tmp_path)
+    wait_for(process.stderr, "Ctrl-C ends it")
+    process.send_signal(signal.SIGHUP)
+
+    assert process.wait(PATIENCE_S) == 0
+    assert check_ledger(recording) == []

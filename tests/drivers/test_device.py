@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import socket
 import threading
 import time
 from collections.abc import Iterable, Iterator
@@ -403,3 +404,51 @@ def test_a_poll_at_the_end_closes_it() -> None:
         book.poll()
     book.close()
     assert not book.is_open
+
+
+def test_a_port_that_goes_while_it_is_opened_is_not_connected(wire: PtyWire, monkeypatch: pytest.MonkeyPatch) -> None:
+    import termios
+
+    def gone(*arguments: object) -> None:
+        raise termios.error(5, "Input/output error")  # which is no OSError
+
+    transport = SerialTransport(wire.port, 115200)
+    monkeypatch.setattr(termios, "tcflush", gone)
+    monkeypatch.setattr(termios, "tcsetattr", gone)
+    with pytest.raises(NotConnected):
+        transport.open()
+    transport.close()
+
+
+def test_a_host_that_never_reads_does_not_hold_a_double_up() -> None:
+    class Flood(ToyDouble):
+        def next_ns(self, now_ns: int) -> int | None:
+            return now_ns
+
+        def due(self, now_ns: int) -> bytes:
+            return bytes(1 << 20)
+
+    wire = TcpWire(Flood())
+    wire.plug()
+    with socket.create_connection(("127.0.0.1", int(wire.port.rsplit(":", 1)[1]))):
+        wait_until(lambda: wire.lost_bytes > 64 << 20)
+        ended = threading.Thread(target=wire.unplug, daemon=True)
+        ended.start()
+        ended.join(5.0)
+        assert not ended.is_alive()
+
+
+def test_readers_end_whatever_closing_raises(wire: PtyWire, monkeypatch: pytest.MonkeyPatch) -> None:
+    device = toy(wire).open()
+    readings = device.readings()
+    close = device._disconnect
+
+    def fail() -> None:
+        close()
+        raise ValueError("unforeseen")
+
+    monkeypatch.setattr(device, "_disconnect", fail)
+    device.close()
+
+    assert readings.ended
+    assert device.link is Link.FAILED
