@@ -50,8 +50,8 @@ TABLE_N_PER_M = 2e5
 """Stiffness of the table's top, which a tip meets beside the slab or through it."""
 
 MOST_ROUNDS = 30
-MOST_PATCHES = 24
-"""Meshes that are kept (30 MB each); the oldest goes first."""
+MOST_PATCHES = 3
+"""Meshes that are kept (0.25 GB each); the oldest goes first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,8 @@ class Contact:
     gap_m: from tip to foam, along the normal; 0 in contact [m]
     force_n: (3,) on the tip [N]: opposite to the sum of the nodes' forces, and what the table adds
     place_m: (n, 3) nodes in contact, at rest [m]; node_force_n: (n,) what each carries, along the normal [N]
-    patch: the mesh that it was solved on, None beyond reach of the foam; node: (n,) their place in it
+    tip: which; mesh_m: (2,) the place that the mesh was made for [m], None where the tip is far from the foam;
+    node: (n,) the nodes' numbers in it
     """
 
     center_m: FloatArray
@@ -73,7 +74,8 @@ class Contact:
     force_n: FloatArray
     place_m: FloatArray
     node_force_n: FloatArray
-    patch: Patch | None
+    tip: RigidTip
+    mesh_m: FloatArray | None
     node: IntArray
 
     @property
@@ -150,16 +152,19 @@ class SlabWorld:
 
     def prepare(self, tip: RigidTip, xy_m: FloatArray) -> Patch:
         """Make the mesh for touches at a place (2,) [m] now, so that the first press there does not have to."""
-        xy_m = np.asarray(xy_m, dtype=np.float64)
-        half = max(tip.half or (tip.radius or 0.0,))
-        fine = FINE * min(tip.half or (tip.radius or 0.0,))
         # a ball rests on a few nodes anyway; a flat tip's edge must stay on its own nodes
-        drift = (1.0 if tip.radius is not None else 0.25) * MARGIN * fine
-        for kept, patch in self._patches:
-            if kept == tip and (np.abs(patch.xy_m - xy_m) <= drift + 1e-9).all():
+        return self._patch(tip, xy_m, drift_m=(1.0 if tip.radius is not None else 0.25) * MARGIN * _fine_m(tip))
+
+    def _patch(self, tip: RigidTip, xy_m: FloatArray, drift_m: float) -> Patch:
+        """The latest mesh for a tip within a drift of a place, or else a new one made for just there."""
+        xy_m = np.clip(np.asarray(xy_m, dtype=np.float64), 0.0, self.scene.size_m)
+        for kept, patch in reversed(self._patches):
+            if kept == tip and (np.abs(patch.xy_m - xy_m) <= drift_m).all():
                 return patch
-        patch = Patch(self.scene, np.clip(xy_m, 0.0, self.scene.size_m), half + MARGIN * fine, fine)
-        self._patches = [*self._patches[-MOST_PATCHES + 1 :], (tip, patch)]
+        fine = _fine_m(tip)
+        self._patches = self._patches[-MOST_PATCHES + 1 :]  # before the next is made
+        patch = Patch(self.scene, xy_m, _half_m(tip) + MARGIN * fine, fine)
+        self._patches.append((tip, patch))
         return patch
 
     def press(self, tip: RigidTip, center_m: FloatArray) -> Contact:
@@ -171,7 +176,7 @@ class SlabWorld:
         center = np.asarray(center_m, dtype=np.float64)
         if center.shape != (3,) or not np.isfinite(center).all():
             raise InputError("a place of three finite numbers", str(center_m))
-        half = max(tip.half or (tip.radius or 0.0,))
+        half = _half_m(tip)
         inside = ((center[:2] > -half) & (center[:2] < np.asarray(self.scene.size_m) + half)).all()
         lowest = _lowest(tip, center, self.scene.normal(center[:2]))
         depth = float((self.scene.foam_height_m(lowest[:2]) - lowest[2]) * self.scene.normal(lowest[:2])[2])
@@ -188,18 +193,17 @@ class SlabWorld:
         node = np.flatnonzero(force > 0.0)
         on_tip = patch.normal * force.sum() + self._table(tip, center)
         gap = 0.0 if len(node) else float(-overlap[np.isfinite(overlap)].max(initial=-np.inf))
-        return Contact(
-            center, patch.normal, depth, gap, on_tip, patch.candidate_m[node], force[node], patch, node
-        )
+        place = patch.candidate_m[node]
+        return Contact(center, patch.normal, depth, gap, on_tip, place, force[node], tip, patch.xy_m, node)
 
     def displaced_m(self, contact: Contact, xy_m: FloatArray) -> FloatArray:
         """(..., 3) how material points of the surface, at rest at (..., 2), have moved [m]; 0 far from the touch."""
         xy_m = np.asarray(xy_m, dtype=np.float64)
         moved = np.zeros((*xy_m.shape[:-1], 3))
-        if contact.patch is None or not len(contact.node):
-            return moved
-        near = (np.abs(xy_m - contact.patch.xy_m) < 2.5 * self.scene.thickness_m + contact.patch.reach_m).all(axis=-1)
-        moved[near] = contact.patch.displaced_m(contact.node_force_n, contact.node, xy_m[near])
+        if contact.mesh_m is not None and len(contact.node):
+            patch = self._patch(contact.tip, contact.mesh_m, drift_m=0.0)
+            near = (np.abs(xy_m - patch.xy_m) < 2.5 * self.scene.thickness_m + patch.reach_m).all(axis=-1)
+            moved[near] = patch.displaced_m(contact.node_force_n, contact.node, xy_m[near])
         return moved
 
     def _beside(self, tip: RigidTip, center: FloatArray, depth: float) -> Contact:
@@ -207,14 +211,21 @@ class SlabWorld:
         nothing = np.zeros(0, dtype=np.int64)
         upward = np.array([0.0, 0.0, 1.0])
         force = self._table(tip, center)
-        return Contact(
-            center, upward, depth, max(0.0, -depth), force, np.zeros((0, 3)), np.zeros(0), None, nothing
-        )
+        gap = max(0.0, -depth)
+        return Contact(center, upward, depth, gap, force, np.zeros((0, 3)), np.zeros(0), tip, None, nothing)
 
     def _table(self, tip: RigidTip, center: FloatArray) -> FloatArray:
         """What the table pushes back where a tip reaches it."""
         below = -float(_lowest(tip, center, np.array([0.0, 0.0, 1.0]))[2])
         return np.array([0.0, 0.0, TABLE_N_PER_M * max(0.0, below)])
+
+
+def _half_m(tip: RigidTip) -> float:
+    return max(tip.half or (tip.radius or 0.0,))
+
+
+def _fine_m(tip: RigidTip) -> float:
+    return FINE * min(tip.half or (tip.radius or 0.0,))
 
 
 def _lowest(tip: RigidTip, center: FloatArray, normal: FloatArray) -> FloatArray:
