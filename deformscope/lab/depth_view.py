@@ -102,7 +102,7 @@ class DepthView:
         self._ray = ray  # (H, W, 3), a length of 1 along the view, so that hits come as depth
         self._length = np.linalg.norm(ray, axis=-1)
         eye = np.broadcast_to(self.surface_from_camera[:3, 3], ray.shape)
-        self._cast = o3d.core.Tensor(np.concatenate([eye, ray], axis=-1).astype(np.float32))
+        self._cast = o3d.core.Tensor.from_numpy(np.concatenate([eye, ray], axis=-1).astype(np.float32))
         axes = [np.linspace(0.0, side, round(side / SPACING_M) + 1) for side in scene.size_m]
         self.places_m: FloatArray = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
         self._rest = np.column_stack([self.places_m, scene.foam_height_m(self.places_m)])
@@ -154,10 +154,12 @@ class DepthView:
         foot = vertex[self._edge] * (1.0, 1.0, 0.0)
         mesh = o3d.t.geometry.RaycastingScene()
         points = np.concatenate([vertex, foot]).astype(np.float32)
-        foam = mesh.add_triangles(o3d.core.Tensor(points), o3d.core.Tensor(self._triangles))
+        foam = mesh.add_triangles(o3d.core.Tensor.from_numpy(points), o3d.core.Tensor.from_numpy(self._triangles))
         low, high = -TABLE_M, np.asarray(self.scene.size_m) + TABLE_M
         corners = np.array([[low, low, 0], [high[0], low, 0], [high[0], high[1], 0], [low, high[1], 0]], np.float32)
-        mesh.add_triangles(o3d.core.Tensor(corners), o3d.core.Tensor(np.array([[0, 1, 2], [0, 2, 3]], np.uint32)))
+        mesh.add_triangles(
+            o3d.core.Tensor.from_numpy(corners), o3d.core.Tensor.from_numpy(np.array([[0, 1, 2], [0, 2, 3]], np.uint32))
+        )
         hit = mesh.cast_rays(self._cast, nthreads=1)
         depth = hit["t_hit"].numpy().astype(np.float64)
         normal = hit["primitive_normals"].numpy().astype(np.float64)
@@ -194,9 +196,7 @@ class DepthView:
         return slice(low[1], high[1]), slice(low[0], high[0])
 
 
-def _enter(
-    capsule: Capsule, eye: FloatArray, ray: FloatArray, length: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def _enter(capsule: Capsule, eye: FloatArray, ray: FloatArray, length: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Where rays (..., 3) from `eye` first meet a capsule: (...,) multiples of the ray, inf where they do not, and
     (..., 3) its outward normal there."""
     axis = capsule.end_m - capsule.start_m

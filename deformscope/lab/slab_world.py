@@ -28,7 +28,7 @@ from scipy.sparse import csc_array, eye_array, kron
 from scipy.sparse.linalg import splu
 from skfem import Basis, ElementHex1, MeshHex
 
-from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.lab.elasticity import dissected, stiffness_of
 from deformscope.lab.scenes import Scene
@@ -49,6 +49,10 @@ MARGIN = 1.0
 TABLE_N_PER_M = 2e5
 """Stiffness of the table's top, which a tip meets beside the slab or through it."""
 
+CLEAR_M = 2e-4
+"""Farther from the surface than that, a tip needs no mesh."""
+
+FOOT_ROUNDS = 3
 MOST_ROUNDS = 30
 MOST_PATCHES = 3
 """Meshes that are kept (0.25 GB each); the oldest goes first."""
@@ -95,9 +99,7 @@ class Patch:
 
     def __init__(self, scene: Scene, xy_m: FloatArray, reach_m: float, fine_m: float) -> None:
         self.xy_m, self.reach_m, self.normal = np.array(xy_m, dtype=np.float64), reach_m, scene.normal(xy_m)
-        axes = [
-            _spread(self.xy_m[i], reach_m, fine_m, REACH * scene.thickness_m, scene.size_m[i]) for i in range(2)
-        ]
+        axes = [_spread(self.xy_m[i], reach_m, fine_m, REACH * scene.thickness_m, scene.size_m[i]) for i in range(2)]
         axes.append(_downward(scene.thickness_m, 0.7 * fine_m))
         self._axes = (axes[0], axes[1])
         flat = MeshHex.init_tensor(*axes)
@@ -132,6 +134,12 @@ class Patch:
         corners = np.flatnonzero(top)
         self._top: IntArray = corners[np.lexsort(flat_at[corners, 1::-1].T)]
 
+    def push_out(self, overlap: FloatArray) -> FloatArray:
+        """(n,) forces along the normal [N] that keep the candidates out of a tip which each overlaps so far [m]."""
+        if not (overlap > 0.0).any():
+            return np.zeros(len(overlap))
+        return _without_pull(self.compliance, overlap)
+
     def displaced_m(self, node_force_n: FloatArray, node: IntArray, xy_m: FloatArray) -> FloatArray:
         """(n, 3) how the surface at (n, 2) moves when `node` of the candidates are pushed down along the normal."""
         load = np.zeros(len(self._order))
@@ -148,7 +156,6 @@ class SlabWorld:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self._patches: list[tuple[RigidTip, Patch]] = []
-        self._under: tuple[Patch, BoolArray] | None = None
 
     def prepare(self, tip: RigidTip, xy_m: FloatArray) -> Patch:
         """Make the mesh for touches at a place (2,) [m] now, so that the first press there does not have to."""
@@ -170,29 +177,26 @@ class SlabWorld:
     def press(self, tip: RigidTip, center_m: FloatArray) -> Contact:
         """What a tip feels at a place, held still there.
 
-        center_m: (3,) the middle of a ball, or of a flat tip's face, in the surface frame [m]. A flat tip lies along the
-        rest surface below it.
+        center_m: (3,) the middle of a ball, or of a flat tip's face, in the surface frame [m]. A flat tip lies
+        along the rest surface below it.
         """
         center = np.asarray(center_m, dtype=np.float64)
         if center.shape != (3,) or not np.isfinite(center).all():
             raise InputError("a place of three finite numbers", str(center_m))
-        half = _half_m(tip)
-        inside = ((center[:2] > -half) & (center[:2] < np.asarray(self.scene.size_m) + half)).all()
-        lowest = _lowest(tip, center, self.scene.normal(center[:2]))
-        depth = float((self.scene.foam_height_m(lowest[:2]) - lowest[2]) * self.scene.normal(lowest[:2])[2])
-        if not inside or depth < -0.02:
-            return self._beside(tip, center, depth if inside else -float(lowest[2]))
-        patch = self.prepare(tip, center[:2])
-        overlap = _overlap(tip, center, patch)
-        force = np.zeros(len(overlap))
-        under = np.flatnonzero(overlap > 0.0)
-        if len(under):
-            previous = self._under[1] if self._under is not None and self._under[0] is patch else overlap > 0.0
-            force, touching = _without_pull(patch.compliance, overlap, previous)
-            self._under = (patch, touching)
+        foot, normal = self._foot(center)
+        depth = (tip.radius or 0.0) - float((center - foot) @ normal)
+        table = np.array([0.0, 0.0, TABLE_N_PER_M * max(0.0, (tip.radius or 0.0) - float(center[2]))])
+        near = self._reaches(tip, center, normal)
+        if near < -CLEAR_M:
+            nothing = np.zeros(0, dtype=np.int64)
+            gap = min(-near, max(0.0, float(center[2]) - (tip.radius or 0.0)))
+            return Contact(center, normal, depth, gap, table, np.zeros((0, 3)), np.zeros(0), tip, None, nothing)
+        patch = self.prepare(tip, foot[:2])
+        overlap = _overlap(tip, center, patch.normal, patch.candidate_m)
+        force = patch.push_out(overlap)
         node = np.flatnonzero(force > 0.0)
-        on_tip = patch.normal * force.sum() + self._table(tip, center)
-        gap = 0.0 if len(node) else float(-overlap[np.isfinite(overlap)].max(initial=-np.inf))
+        gap = 0.0 if len(node) else max(0.0, -float(overlap.max()))
+        on_tip = patch.normal * force.sum() + table
         place = patch.candidate_m[node]
         return Contact(center, patch.normal, depth, gap, on_tip, place, force[node], tip, patch.xy_m, node)
 
@@ -206,18 +210,22 @@ class SlabWorld:
             moved[near] = patch.displaced_m(contact.node_force_n, contact.node, xy_m[near])
         return moved
 
-    def _beside(self, tip: RigidTip, center: FloatArray, depth: float) -> Contact:
-        """A tip that touches no foam."""
-        nothing = np.zeros(0, dtype=np.int64)
-        upward = np.array([0.0, 0.0, 1.0])
-        force = self._table(tip, center)
-        gap = max(0.0, -depth)
-        return Contact(center, upward, depth, gap, force, np.zeros((0, 3)), np.zeros(0), tip, None, nothing)
+    def _foot(self, center: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(3,) the place of the rest surface whose normal goes through a point, and (3,) that normal."""
+        foot = center
+        normal = self.scene.normal(center[:2])
+        for _ in range(FOOT_ROUNDS):
+            foot = np.append(foot[:2], self.scene.foam_height_m(foot[:2]))
+            normal = self.scene.normal(foot[:2])
+            foot = center - ((center - foot) @ normal) * normal
+        return foot, normal
 
-    def _table(self, tip: RigidTip, center: FloatArray) -> FloatArray:
-        """What the table pushes back where a tip reaches it."""
-        below = -float(_lowest(tip, center, np.array([0.0, 0.0, 1.0]))[2])
-        return np.array([0.0, 0.0, TABLE_N_PER_M * max(0.0, below)])
+    def _reaches(self, tip: RigidTip, center: FloatArray, normal: FloatArray) -> float:
+        """How far the rest surface reaches into a tip, about [m]; negative: how far it is away; -inf beside it."""
+        side = np.linspace(-1.0, 1.0, 9) * _half_m(tip)
+        # what is beside the slab counts where the slab ends
+        xy = np.clip(center[:2] + np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2), 0.0, self.scene.size_m)
+        return float(_overlap(tip, center, normal, np.column_stack([xy, self.scene.foam_height_m(xy)])).max())
 
 
 def _half_m(tip: RigidTip) -> float:
@@ -228,15 +236,9 @@ def _fine_m(tip: RigidTip) -> float:
     return FINE * min(tip.half or (tip.radius or 0.0,))
 
 
-def _lowest(tip: RigidTip, center: FloatArray, normal: FloatArray) -> FloatArray:
-    """(3,) the tip's point that is farthest down along a normal."""
-    return center - (tip.radius or 0.0) * normal
-
-
-def _overlap(tip: RigidTip, center: FloatArray, patch: Patch) -> FloatArray:
-    """(n,) how far each candidate reaches into the tip along the normal at rest [m]; -inf beside the tip."""
-    frame = _frame(patch.normal)
-    aside = (patch.candidate_m - center) @ frame.T
+def _overlap(tip: RigidTip, center: FloatArray, normal: FloatArray, points: FloatArray) -> FloatArray:
+    """(n,) how far points (n, 3) of the rest surface reach into the tip along a normal [m]; -inf beside the tip."""
+    aside = (points - center) @ _frame(normal).T
     if tip.half is not None:
         slack = 0.3 * FINE * min(tip.half)
         covered = (np.abs(aside[:, :2]) <= np.asarray(tip.half) + slack).all(axis=1)
@@ -246,32 +248,30 @@ def _overlap(tip: RigidTip, center: FloatArray, patch: Patch) -> FloatArray:
     return np.where(squared < radius**2, aside[:, 2] + np.sqrt(np.maximum(radius**2 - squared, 0.0)), -np.inf)
 
 
-def _without_pull(compliance: FloatArray, overlap: FloatArray, under: BoolArray) -> tuple[FloatArray, BoolArray]:
-    """(n,) forces f >= 0 that leave gaps C f - overlap >= 0, one of the two zero at each node, and where f > 0.
+def _without_pull(compliance: FloatArray, overlap: FloatArray) -> FloatArray:
+    """(n,) forces f >= 0 that leave gaps C f - overlap >= 0, one of the two zero at each node.
 
-    A primal-dual active set (Hintermueller, Ito and Kunisch 2002) from a first guess `under`; should it run in circles,
-    non-negative least squares. The answer is unique, whatever the guess.
+    A primal-dual active set (Hintermueller, Ito and Kunisch 2002); should it run in circles, non-negative least
+    squares.
     """
     possible = np.isfinite(overlap)
-    under = under & possible
     wanted = np.where(possible, overlap, 0.0)
-    scale = float(wanted.max())
+    under = wanted > 0.0
     for _ in range(MOST_ROUNDS):
         force = np.zeros(len(overlap))
         index = np.flatnonzero(under)
-        if len(index):
-            force[index] = cho_solve(cho_factor(compliance[np.ix_(index, index)]), wanted[index])
-        short = compliance @ force < wanted - 1e-9 * scale
-        now = np.where(under, force > 0.0, short & possible)
+        force[index] = cho_solve(cho_factor(compliance[np.ix_(index, index)]), wanted[index])
+        short = possible & (compliance @ force < wanted - 1e-9 * wanted.max())
+        now = np.where(under, force > 0.0, short)
         if (now == under).all():
-            return force, under
+            return force
         under = now
     at = np.flatnonzero(possible)
     # f minimises |R f - R^-T overlap|^2 with C = R^T R
     factor = np.linalg.cholesky(compliance[np.ix_(at, at)]).T
     force = np.zeros(len(overlap))
     force[at] = nnls(factor, np.linalg.solve(factor.T, wanted[at]))[0]
-    return force, force > 0.0
+    return force
 
 
 def _frame(normal: FloatArray) -> FloatArray:
