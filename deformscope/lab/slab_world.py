@@ -52,6 +52,9 @@ TABLE_N_PER_M = 2e5
 CLEAR_M = 2e-4
 """Farther from the surface than that, a tip needs no mesh."""
 
+SAMPLES = 5
+"""Along each side of an element, of the modulus in it."""
+
 FOOT_ROUNDS = 3
 MOST_ROUNDS = 30
 MOST_PATCHES = 3
@@ -109,7 +112,7 @@ class Patch:
         node = basis.nodal_dofs[0]  # of each corner of the mesh
         at_rest, flat_at = np.empty((basis.N, 3)), np.empty((basis.N, 3))
         at_rest[node], flat_at[node] = place.T, flat.p.T
-        modulus = scene.modulus_pa(place[:2, flat.t].mean(axis=1).T)
+        modulus = _mean_modulus_pa(scene, place[:2, flat.t])
         # along two tangents and the normal, so that a push along the normal is one unknown
         frame = _frame(self.normal)
         turn = kron(eye_array(basis.N), csc_array(frame.T), format="csr")
@@ -272,6 +275,15 @@ def _without_pull(compliance: FloatArray, overlap: FloatArray) -> FloatArray:
     force = np.zeros(len(overlap))
     force[at] = nnls(factor, np.linalg.solve(factor.T, wanted[at]))[0]
     return force
+
+
+def _mean_modulus_pa(scene: Scene, corner_m: FloatArray) -> FloatArray:
+    """(E,) the mean over each element, (2, 8, E) its corners [m]: what counts where a border between two foams goes
+    through from top to bottom, and both are pressed down alike."""
+    low, side = corner_m.min(axis=1), np.ptp(corner_m, axis=1)
+    share = (np.arange(SAMPLES) + 0.5) / SAMPLES
+    spots = np.stack(np.meshgrid(share, share), axis=-1).reshape(-1, 1, 2)
+    return np.asarray(scene.modulus_pa(low.T + spots * side.T).mean(axis=0))
 
 
 def _frame(normal: FloatArray) -> FloatArray:

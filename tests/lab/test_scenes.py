@@ -114,7 +114,9 @@ def test_other_hardnesses_come_by_name() -> None:
     assert built_in("disc-80-160", 1).region_count == 2
 
 
-@pytest.mark.parametrize("name", ["", "two", "two-60", "homogeneous-60-70", "gradient-3", "disk", "two-0-60", "Two-6-7"])
+@pytest.mark.parametrize(
+    "name", ["", "two", "two-60", "homogeneous-60-70", "gradient-3", "disk", "two-0-60", "Two-6-7"]
+)
 def test_what_is_no_scene_is_refused(name: str) -> None:
     with pytest.raises(InputError, match="expected"):
         built_in(name)

