@@ -24,14 +24,13 @@ def view() -> DepthView:
 
 
 def meets(capsule: Capsule, eye: FloatArray, rays: FloatArray) -> BoolArray:
-    """(...,) which rays come within the radius of a segment: the least distance of points along the segment to each
-    ray, found on a fine grid and by the parabola through its minimum."""
-    share = np.linspace(0.0, 1.0, 2001)
-    points = capsule.start_m + share[:, None] * (capsule.end_m - capsule.start_m) - eye
+    """(...,) which rays come within the radius of a segment. Squared distance to a ray is a parabola along it."""
     unit = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
-    along = unit @ points.T
-    squared = (points**2).sum(axis=1) - along**2
-    return np.asarray(squared.min(axis=-1) < capsule.radius_m**2)
+    start, axis = capsule.start_m - eye, capsule.end_m - capsule.start_m
+    aside = [one - (unit @ one)[..., None] * unit for one in (start, axis)]
+    steep = np.maximum((aside[1] ** 2).sum(axis=-1), 1e-30)
+    share = np.clip(-(aside[0] * aside[1]).sum(axis=-1) / steep, 0.0, 1.0)
+    return np.asarray(((aside[0] + share[..., None] * aside[1]) ** 2).sum(axis=-1) < capsule.radius_m**2)
 
 
 def test_planes_are_where_they_are(view: DepthView) -> None:
@@ -67,11 +66,10 @@ def test_corners_appear_where_they_project(view: DepthView) -> None:
     corner = view.pixels(corners)
     row, column = np.mgrid[0:240, 0:320]
     inside = np.full(row.shape, np.inf)
-    for a, b in zip(corner, np.roll(corner, -1, axis=0), strict=True):
+    for a, b in zip(corner, np.roll(corner, 1, axis=0), strict=True):
         normal = np.array([a[1] - b[1], b[0] - a[0]]) / np.linalg.norm(b - a)
         inside = np.minimum(inside, (column - a[0]) * normal[0] + (row - a[1]) * normal[1])
-    if inside.max() <= 0.0:
-        pytest.fail("corners run the other way round")
+    assert (inside > 1.0).sum() > 10_000
     upper = (exact.seen == FOAM) & (np.nan_to_num(view.points_m(exact.depth_m)[..., 2]) > 0.0499)
     assert upper[inside > 1.0].all()
     assert not upper[inside < -1.0].any()
@@ -90,6 +88,7 @@ def test_a_dent_is_seen_as_deep_as_it_is(view: DepthView) -> None:
     exact = view.render(world.displaced_m(contact, view.places_m))
     foam = exact.seen == FOAM
     place = view.points_m(exact.depth_m)[foam]
+    place = place[place[:, 1] < 0.399]
     assert place[:, 2].min() == pytest.approx(0.044, abs=3e-4)
     aside = np.linalg.norm(place[:, :2] - contact.center_m[:2], axis=1)
     ring = (aside > 0.019) & (aside < 0.021)
@@ -167,7 +166,7 @@ def test_some_points_are_missing_and_flat_views_tell_nothing(view: DepthView) ->
     exact = other.render()
     depth = other.observe(exact, np.random.default_rng(1))
     flat = (exact.seen != NOTHING) & (np.abs(exact.facing) < np.sin(np.deg2rad(30.0)))
-    assert 1000 < flat.sum()
+    assert flat.sum() > 1000
     assert not depth[flat].any()
     rest = (exact.seen != NOTHING) & ~flat
     assert (depth[rest] == 0).mean() == pytest.approx(0.05, abs=0.005)

@@ -40,11 +40,11 @@ def test_it_stops_at_the_force(soft: SlabWorld) -> None:
 
 
 def test_every_sample_is_what_the_world_says(soft: SlabWorld) -> None:
-    """The curve between the depths that are solved is good to 0.2 %."""
+    """The curve between the depths that are solved is good to 0.5 %."""
     found = touch(soft)
     for at in range(60, len(found.time_s), 7):
         known = soft.press(BALL, found.position_m[at])
-        assert found.true_force_n[at] == pytest.approx(known.normal_force_n, rel=2e-3, abs=2e-4)
+        assert found.true_force_n[at] == pytest.approx(known.normal_force_n, rel=5e-3)
         assert found.true_depth_m[at] == pytest.approx(known.depth_m, abs=1e-9)
 
 
