@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import open3d as o3d
 
-from deformscope.arrays import BoolArray, FloatArray
+from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.lab.scenes import Scene
 from deformscope_drivers.depth_camera.image import Intrinsics
@@ -31,6 +31,12 @@ COLOR = np.array([[0, 0, 0], [92, 84, 76], [206, 196, 150], [70, 74, 82]], dtype
 
 SPACING_M = 0.003
 """Between the vertices of the foam's surface."""
+
+STILL_M = 1e-5
+"""What has moved less is not cast again."""
+
+CORNERS = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.uint32)
+"""A rectangle's two triangles."""
 
 TABLE_M = 0.6
 """How far the table goes beyond the slab."""
@@ -102,12 +108,13 @@ class DepthView:
         self._ray = ray  # (H, W, 3), a length of 1 along the view, so that hits come as depth
         self._length = np.linalg.norm(ray, axis=-1)
         eye = np.broadcast_to(self.surface_from_camera[:3, 3], ray.shape)
-        self._cast = o3d.core.Tensor.from_numpy(np.concatenate([eye, ray], axis=-1).astype(np.float32))
+        self._cast = np.concatenate([eye, ray], axis=-1).astype(np.float32)
         axes = [np.linspace(0.0, side, round(side / SPACING_M) + 1) for side in scene.size_m]
         self.places_m: FloatArray = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
         self._rest = np.column_stack([self.places_m, scene.foam_height_m(self.places_m)])
-        self._triangles, self._edge = _triangles(len(axes[0]), len(axes[1]))
-        self._still: Rendered | None = None
+        self._grid = (len(axes[0]), len(axes[1]))
+        self._still = self._all(self._rest)
+        self._still_m = self.points_m(self._still.depth_m)
 
     def render(self, displaced_m: FloatArray | None = None, capsules: Sequence[Capsule] = ()) -> Rendered:
         """The exact picture.
@@ -116,12 +123,7 @@ class DepthView:
         """
         if displaced_m is not None and np.shape(displaced_m) != self._rest.shape:
             raise InputError(f"displacements of shape {self._rest.shape}", str(np.shape(displaced_m)), "places_m")
-        if displaced_m is None or not np.any(displaced_m):
-            if self._still is None:
-                self._still = self._surface(self._rest)
-            picture = self._still
-        else:
-            picture = self._surface(self._rest + displaced_m)
+        picture = self._still if displaced_m is None else self._dented(displaced_m)
         depth, seen, facing = picture.depth_m.copy(), picture.seen.copy(), picture.facing.copy()
         for capsule in capsules:
             self._cover(capsule, depth, seen, facing)
@@ -149,25 +151,52 @@ class DepthView:
         focal = np.array([self.intrinsics.fx_px, self.intrinsics.fy_px])
         return np.asarray(focal * inside[:, :2] / inside[:, 2:] + (self.intrinsics.cx_px, self.intrinsics.cy_px))
 
-    def _surface(self, vertex: FloatArray) -> Rendered:
+    def _all(self, vertex: FloatArray) -> Rendered:
         """Foam and table, without the robot."""
-        foot = vertex[self._edge] * (1.0, 1.0, 0.0)
-        mesh = o3d.t.geometry.RaycastingScene()
-        points = np.concatenate([vertex, foot]).astype(np.float32)
-        foam = mesh.add_triangles(o3d.core.Tensor.from_numpy(points), o3d.core.Tensor.from_numpy(self._triangles))
+        foam, edge = _triangles(*self._grid)
         low, high = -TABLE_M, np.asarray(self.scene.size_m) + TABLE_M
-        corners = np.array([[low, low, 0], [high[0], low, 0], [high[0], high[1], 0], [low, high[1], 0]], np.float32)
-        mesh.add_triangles(
-            o3d.core.Tensor.from_numpy(corners), o3d.core.Tensor.from_numpy(np.array([[0, 1, 2], [0, 2, 3]], np.uint32))
-        )
-        hit = mesh.cast_rays(self._cast, nthreads=1)
+        corners = np.array([[low, low, 0.0], [high[0], low, 0.0], [high[0], high[1], 0.0], [low, high[1], 0.0]])
+        meshes = [(np.concatenate([vertex, vertex[edge] * (1.0, 1.0, 0.0)]), foam), (corners, CORNERS)]
+        depth, facing, mesh = self._hits(meshes, (slice(None), slice(None)))
+        seen = np.where(np.isnan(depth), NOTHING, np.where(mesh == 0, FOAM, TABLE)).astype(np.uint8)
+        return Rendered(depth, np.zeros((*depth.shape, 3), np.uint8), seen, facing)
+
+    def _dented(self, displaced: FloatArray) -> Rendered:
+        """As `_all`, but cast again only where the surface has moved, unless that is at its edge."""
+        moved = (np.abs(displaced).max(axis=1) > STILL_M).reshape(self._grid)
+        if not moved.any():
+            return self._still
+        box = [np.flatnonzero(moved.any(axis=1 - axis)) for axis in (0, 1)]
+        low, high = ([int(one[end]) for one in box] for end in (0, -1))
+        if min(low) <= 1 or any(high[i] >= self._grid[i] - 2 for i in (0, 1)):
+            return self._all(self._rest + displaced)
+        number = np.arange(len(self._rest)).reshape(self._grid)[low[0] - 1 : high[0] + 2, low[1] - 1 : high[1] + 2]
+        corner_m = self._rest[number[[0, -1], [0, -1]], :2]
+        vertex = (self._rest + displaced)[number.ravel()]
+        part = self._part(self.pixels(np.concatenate([vertex, self._rest[number.ravel()]])), 2.0)
+        depth, facing, _ = self._hits([(vertex, _upper(*number.shape))], part)
+        still, place = self._still.depth_m[part], self._still_m[part][..., :2]
+        inside = (self._still.seen[part] == FOAM) & ((place > corner_m[0]) & (place < corner_m[1])).all(axis=-1)
+        new = ~np.isnan(depth) & (inside | (depth < still))
+        found = (self._still.depth_m.copy(), self._still.seen.copy(), self._still.facing.copy())
+        for whole, value in zip(found, (depth, np.full(depth.shape, FOAM), facing), strict=True):
+            whole[part] = np.where(new, value, whole[part])
+        return Rendered(found[0], self._still.color, found[1], found[2])
+
+    def _hits(
+        self, meshes: list[tuple[FloatArray, npt.NDArray[np.uint32]]], part: tuple[slice, slice]
+    ) -> tuple[FloatArray, FloatArray, IntArray]:
+        """What the rays of a part of the picture meet first: depth [m], nan where nothing; cosine; which mesh."""
+        world = o3d.t.geometry.RaycastingScene()
+        for vertex, triangle in meshes:
+            points = o3d.core.Tensor.from_numpy(vertex.astype(np.float32))
+            world.add_triangles(points, o3d.core.Tensor.from_numpy(triangle))
+        hit = world.cast_rays(o3d.core.Tensor.from_numpy(np.ascontiguousarray(self._cast[part])), nthreads=1)
         depth = hit["t_hit"].numpy().astype(np.float64)
+        depth[~np.isfinite(depth)] = np.nan
         normal = hit["primitive_normals"].numpy().astype(np.float64)
-        seen = np.where(hit["geometry_ids"].numpy() == foam, FOAM, TABLE).astype(np.uint8)
-        seen[~np.isfinite(depth)] = NOTHING
-        facing = np.where(seen == NOTHING, 0.0, (normal * self._ray).sum(axis=-1) / self._length)
-        nothing = np.zeros((*depth.shape, 3), np.uint8)
-        return Rendered(np.where(seen == NOTHING, np.nan, depth), nothing, seen, facing)
+        facing = np.where(np.isnan(depth), 0.0, (normal * self._ray[part]).sum(axis=-1) / self._length[part])
+        return depth, facing, hit["geometry_ids"].numpy().astype(np.int64)
 
     def _cover(self, capsule: Capsule, depth: FloatArray, seen: npt.NDArray[np.uint8], facing: FloatArray) -> None:
         """Put a capsule into a picture wherever it is nearer."""
@@ -181,18 +210,20 @@ class DepthView:
 
     def _window(self, capsule: Capsule) -> tuple[slice, slice]:
         """Rows and columns that hold every pixel of a capsule."""
-        whole = (slice(0, self.config.height), slice(0, self.config.width))
         ends = np.stack([capsule.start_m, capsule.end_m])
-        away = (ends - self.surface_from_camera[:3, 3]) @ self.surface_from_camera[:3, 2]
+        inside = (ends - self.surface_from_camera[:3, 3]) @ self.surface_from_camera[:3, :3]
+        away = inside[:, 2]
         if (away < 4.0 * capsule.radius_m).any():
-            return whole
+            return slice(None), slice(None)
         # a ball of radius r at depth z appears within f r / (z - r) (1 + tan^2) of its middle
-        wide = (ends - self.surface_from_camera[:3, 3]) @ self.surface_from_camera[:3, :3]
-        tangent = (wide[:, :2] ** 2).sum(axis=1) / wide[:, 2] ** 2
+        tangent = (inside[:, :2] ** 2).sum(axis=1) / away**2
         reach = self.intrinsics.fx_px * capsule.radius_m / (away - capsule.radius_m) * (1.0 + tangent) * 1.2 + 2.0
-        pixel = self.pixels(ends)
-        low = np.clip(np.floor((pixel - reach[:, None]).min(axis=0)), 0, None).astype(int)
-        high = np.clip(np.ceil((pixel + reach[:, None]).max(axis=0)) + 1, 0, None).astype(int)
+        return self._part(self.pixels(ends), reach[:, None])
+
+    def _part(self, pixel: FloatArray, around: float | FloatArray) -> tuple[slice, slice]:
+        """Rows and columns that hold all of some pixels (n, 2), and what is around them."""
+        low = np.clip(np.floor((pixel - around).min(axis=0)), 0, None).astype(int)
+        high = np.clip(np.ceil((pixel + around).max(axis=0)) + 1, 0, None).astype(int)
         return slice(low[1], high[1]), slice(low[0], high[0])
 
 
@@ -238,14 +269,19 @@ def _looking(middle: FloatArray, distance: float, elevation_deg: float) -> Float
     return pose
 
 
-def _triangles(columns: int, rows: int) -> tuple[npt.NDArray[np.uint32], npt.NDArray[np.int64]]:
-    """Triangles of a surface's grid (last axis fastest) and of its sides down to as many feet as the edge has
-    vertices; and the edge's vertices, in a ring."""
+def _upper(columns: int, rows: int) -> npt.NDArray[np.uint32]:
+    """(m, 3) triangles between the vertices of a grid, last axis fastest."""
     number = np.arange(columns * rows).reshape(columns, rows)
     a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
-    upper = np.concatenate([np.stack([a, b, c], axis=-1).reshape(-1, 3), np.stack([a, c, d], axis=-1).reshape(-1, 3)])
+    both = [np.stack(three, axis=-1).reshape(-1, 3) for three in ((a, b, c), (a, c, d))]
+    return np.concatenate(both).astype(np.uint32)
+
+
+def _triangles(columns: int, rows: int) -> tuple[npt.NDArray[np.uint32], IntArray]:
+    """Those of a grid and of its sides, down to as many feet as its edge has vertices; and those vertices, in a ring."""
+    number = np.arange(columns * rows).reshape(columns, rows)
     edge = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])
     foot = number.size + np.arange(len(edge))
     after, foot_after = np.roll(edge, -1), np.roll(foot, -1)
     sides = np.concatenate([np.stack([edge, foot, foot_after], axis=-1), np.stack([edge, foot_after, after], axis=-1)])
-    return np.concatenate([upper, sides]).astype(np.uint32), edge
+    return np.concatenate([_upper(columns, rows), sides.astype(np.uint32)]), edge

@@ -37,10 +37,10 @@ from deformscope.lab.slab import RigidTip
 FINE = 0.2
 """Size of the elements under a tip, as a share of its half width."""
 
-GROWTH_ASIDE, GROWTH_DOWN = 1.6, 1.7
+GROWTH_ASIDE, GROWTH_DOWN = 1.8, 1.7
 """Ratio of neighbouring elements away from the tip."""
 
-REACH = 1.8
+REACH = 1.6
 """The mesh goes this many thicknesses beyond the tip; a free side there changes the force by less than 0.2 %."""
 
 MARGIN = 1.0

@@ -100,6 +100,26 @@ def test_a_dent_is_seen_as_deep_as_it_is(view: DepthView) -> None:
     np.testing.assert_array_equal(exact.depth_m[exact.seen == TABLE], still.depth_m[exact.seen == TABLE])
 
 
+def test_what_has_not_moved_need_not_be_cast_again(view: DepthView) -> None:
+    """A dent cast by itself into the picture at rest is the picture of the whole dented slab."""
+    world = SlabWorld(FLAT)
+    contact = world.press(RigidTip(radius=0.01), np.array([0.25, 0.2, 0.06 - 0.008]))
+    displaced = world.displaced_m(contact, view.places_m)
+    part, whole = view.render(displaced), view._all(view._rest + displaced)
+    np.testing.assert_array_equal(part.seen, whole.seen)
+    np.testing.assert_allclose(part.depth_m, whole.depth_m, atol=1.5e-5)
+    assert np.nanmax(np.abs(part.depth_m - view.render().depth_m)) > 0.005
+
+
+def test_a_dent_at_the_slabs_edge_moves_its_wall(view: DepthView) -> None:
+    world = SlabWorld(FLAT)
+    contact = world.press(RigidTip(radius=0.01), np.array([0.3, 0.395, 0.06 - 0.006]))
+    still, dented = view.render(), view.render(world.displaced_m(contact, view.places_m))
+    np.testing.assert_array_equal(dented.seen, still.seen)
+    assert view.points_m(still.depth_m)[still.seen == FOAM][:, 1].max() < 0.40001
+    assert view.points_m(dented.depth_m)[still.seen == FOAM][:, 1].max() > 0.4001
+
+
 CAPSULES = [
     Capsule(np.array([0.3, 0.2, 0.06]), np.array([0.3, 0.2, 0.16]), 0.008),
     Capsule(np.array([0.1, 0.3, 0.2]), np.array([0.45, -0.1, 0.4]), 0.04),

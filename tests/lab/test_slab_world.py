@@ -54,6 +54,24 @@ def sneddon_n(depth_m: float, radius_m: float, modulus_pa: float) -> float:
     return float(modulus_pa / (1 - POISSON**2) * (0.5 * (a**2 + radius_m**2) * logarithm - a * radius_m))
 
 
+@pytest.mark.parametrize("depth_m", [0.001, 0.002, 0.004, 0.007])
+def test_a_ball_on_a_slab_that_is_glued_down(even: SlabWorld, depth_m: float) -> None:
+    """Hertz's paraboloid on a bonded layer (Dimitriadis et al. 2002, eq. 13), times what makes it a ball."""
+    nu = POISSON
+    alpha = -(1.2876 - 1.4678 * nu + 1.3442 * nu**2) / (1.0 - nu)
+    beta = (0.6387 - 1.0277 * nu + 1.5164 * nu**2) / (1.0 - nu)
+    ratio = np.sqrt(0.01 * depth_m) / 0.05
+    terms = [
+        1.0,
+        -2.0 * alpha / np.pi,
+        4.0 * alpha**2 / np.pi**2,
+        -8.0 / np.pi**3 * (alpha**3 + 4.0 * np.pi**2 / 15.0 * beta),
+        16.0 * alpha / np.pi**4 * (alpha**3 + 3.0 * np.pi**2 / 5.0 * beta),
+    ]
+    known = sneddon_n(depth_m, 0.01, FOAM_PA) * sum(term * ratio**power for power, term in enumerate(terms))
+    assert even.press(BALL, over(MIDDLE, depth_m)).normal_force_n == pytest.approx(known, rel=0.05)
+
+
 @pytest.mark.slow
 def test_a_ball_on_a_thick_slab_follows_hertz() -> None:
     """At 60 radii of thickness: within 3.5 % of Sneddon, and of Hertz where the two are the same."""
@@ -84,16 +102,17 @@ def test_a_finer_mesh_changes_the_force_little(beside_m: float | None, monkeypat
     np.testing.assert_allclose(coarse, fine, rtol=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tip", [BALL, RigidTip((0.01, 0.01))], ids=["ball", "flat"])
 def test_it_agrees_with_quadratic_elements(tip: RigidTip, even: SlabWorld) -> None:
     """`lab.slab` has other elements, another mesh and another contact algorithm."""
     slab = Slab((0.6, 0.4, 0.05), FOAM_PA, POISSON)
-    points = np.array([[0.34, 0.2, 0.05], [0.3, 0.26, 0.05]])
+    points = np.array([[0.315, 0.2, 0.05], [0.3, 0.225, 0.05], [0.34, 0.2, 0.05], [0.3, 0.26, 0.05]])
     known = press(slab, (0.3, 0.2), tip, points, depth=0.004, finest=0.005)
     contact = even.press(tip, np.append(MIDDLE, 0.05 - 0.004 + (tip.radius or 0.0)))
     assert contact.normal_force_n == pytest.approx(known.force, rel=0.06)
     moved = even.displaced_m(contact, points[:, :2])
-    np.testing.assert_allclose(moved, known.displaced, atol=0.08 * np.abs(known.displaced).max())
+    np.testing.assert_allclose(moved, known.displaced, atol=0.01 * 0.004)
 
 
 def test_force_is_the_slope_of_the_energy(even: SlabWorld) -> None:
