@@ -278,7 +278,7 @@ def _upper(columns: int, rows: int) -> npt.NDArray[np.uint32]:
 
 
 def _triangles(columns: int, rows: int) -> tuple[npt.NDArray[np.uint32], IntArray]:
-    """Those of a grid and of its sides, down to as many feet as its edge has vertices; and those vertices, in a ring."""
+    """Those of a grid and of its sides, down to as many feet as its edge has vertices; those vertices, in a ring."""
     number = np.arange(columns * rows).reshape(columns, rows)
     edge = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])
     foot = number.size + np.arange(len(edge))

@@ -34,10 +34,10 @@ from deformscope.lab.elasticity import dissected, stiffness_of
 from deformscope.lab.scenes import Scene
 from deformscope.lab.slab import RigidTip
 
-FINE = 0.2
+FINE = 0.15
 """Size of the elements under a tip, as a share of its half width."""
 
-GROWTH_ASIDE, GROWTH_DOWN = 1.8, 1.7
+GROWTH_ASIDE, GROWTH_DOWN = 2.0, 1.9
 """Ratio of neighbouring elements away from the tip."""
 
 REACH = 1.6
@@ -45,6 +45,9 @@ REACH = 1.6
 
 MARGIN = 1.0
 """Elements between a tip and the edge of what it may touch: how far it may drift before a new mesh is made."""
+
+FLAT_DRIFT = 0.25
+"""Share of that for a flat tip: it keeps to its nodes meanwhile."""
 
 TABLE_N_PER_M = 2e5
 """Stiffness of the table's top, which a tip meets beside the slab or through it."""
@@ -94,16 +97,19 @@ class Contact:
 class Patch:
     """The foam around one place, its equations factorised: what tips of one kind can touch there.
 
-    xy_m: (2,) the place [m]; reach_m: farthest from it, along x and y, that a tip's edge may come [m]; fine_m: size of
-    the elements there [m]
+    xy_m: (2,) the place [m]; reach_m: (2,) farthest from it, along x and y, that a tip's edge may come [m]
+    fine_m: (2,) size of the elements there [m]
     normal: (3,) of the rest surface at the place; candidate_m: (n, 3) nodes that a tip may touch, at rest [m]
     compliance: (n, n) how far each moves down along the normal, for a unit push on each down along it [m/N]
     """
 
-    def __init__(self, scene: Scene, xy_m: FloatArray, reach_m: float, fine_m: float) -> None:
+    def __init__(self, scene: Scene, xy_m: FloatArray, reach_m: FloatArray, fine_m: FloatArray) -> None:
         self.xy_m, self.reach_m, self.normal = np.array(xy_m, dtype=np.float64), reach_m, scene.normal(xy_m)
-        axes = [_spread(self.xy_m[i], reach_m, fine_m, REACH * scene.thickness_m, scene.size_m[i]) for i in range(2)]
-        axes.append(_downward(scene.thickness_m, 0.7 * fine_m))
+        axes = [
+            _spread(float(self.xy_m[i]), reach_m[i], fine_m[i], REACH * scene.thickness_m, scene.size_m[i])
+            for i in range(2)
+        ]
+        axes.append(_downward(scene.thickness_m, 0.7 * float(fine_m.min())))
         self._axes = (axes[0], axes[1])
         flat = MeshHex.init_tensor(*axes)
         place = flat.p.copy()
@@ -163,13 +169,13 @@ class SlabWorld:
     def prepare(self, tip: RigidTip, xy_m: FloatArray) -> Patch:
         """Make the mesh for touches at a place (2,) [m] now, so that the first press there does not have to."""
         # a ball rests on a few nodes anyway; a flat tip's edge must stay on its own nodes
-        return self._patch(tip, xy_m, drift_m=(1.0 if tip.radius is not None else 0.25) * MARGIN * _fine_m(tip))
+        return self._patch(tip, xy_m, drift_m=(1.0 if tip.radius is not None else FLAT_DRIFT) * MARGIN * _fine_m(tip))
 
-    def _patch(self, tip: RigidTip, xy_m: FloatArray, drift_m: float) -> Patch:
+    def _patch(self, tip: RigidTip, xy_m: FloatArray, drift_m: FloatArray | float) -> Patch:
         """The latest mesh for a tip within a drift of a place, or else a new one made for just there."""
         xy_m = np.clip(np.asarray(xy_m, dtype=np.float64), 0.0, self.scene.size_m)
         for kept, patch in reversed(self._patches):
-            if kept == tip and (np.abs(patch.xy_m - xy_m) <= drift_m).all():
+            if kept == tip and (np.abs(patch.xy_m - xy_m) <= drift_m + 1e-9).all():
                 return patch
         fine = _fine_m(tip)
         self._patches = self._patches[-MOST_PATCHES + 1 :]  # before the next is made
@@ -225,26 +231,30 @@ class SlabWorld:
 
     def _reaches(self, tip: RigidTip, center: FloatArray, normal: FloatArray) -> float:
         """How far the rest surface reaches into a tip, about [m]; negative: how far it is away; -inf beside it."""
-        side = np.linspace(-1.0, 1.0, 9) * _half_m(tip)
+        side = np.linspace(-1.0, 1.0, 9)
+        spots = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
         # what is beside the slab counts where the slab ends
-        xy = np.clip(center[:2] + np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2), 0.0, self.scene.size_m)
+        xy = np.clip(center[:2] + _half_m(tip) * spots, 0.0, self.scene.size_m)
         return float(_overlap(tip, center, normal, np.column_stack([xy, self.scene.foam_height_m(xy)])).max())
 
 
-def _half_m(tip: RigidTip) -> float:
-    return max(tip.half or (tip.radius or 0.0,))
+def _half_m(tip: RigidTip) -> FloatArray:
+    """(2,) how far a tip reaches along x and y."""
+    return np.array(tip.half or (tip.radius, tip.radius), dtype=np.float64)
 
 
-def _fine_m(tip: RigidTip) -> float:
-    return FINE * min(tip.half or (tip.radius or 0.0,))
+def _fine_m(tip: RigidTip) -> FloatArray:
+    """(2,) size of the elements under a tip; a flat one ends where elements do."""
+    half = _half_m(tip)
+    fine = FINE * half.min()
+    return half / np.ceil(half / fine) if tip.half is not None else np.full(2, fine)
 
 
 def _overlap(tip: RigidTip, center: FloatArray, normal: FloatArray, points: FloatArray) -> FloatArray:
     """(n,) how far points (n, 3) of the rest surface reach into the tip along a normal [m]; -inf beside the tip."""
     aside = (points - center) @ _frame(normal).T
     if tip.half is not None:
-        slack = 0.3 * FINE * min(tip.half)
-        covered = (np.abs(aside[:, :2]) <= np.asarray(tip.half) + slack).all(axis=1)
+        covered = (np.abs(aside[:, :2]) <= _half_m(tip) + 1.1 * FLAT_DRIFT * _fine_m(tip)).all(axis=1)
         return np.where(covered, aside[:, 2], -np.inf)
     radius = float(tip.radius or 0.0)
     squared = (aside[:, :2] ** 2).sum(axis=1)

@@ -69,20 +69,20 @@ def test_a_ball_on_a_slab_that_is_glued_down(even: SlabWorld, depth_m: float) ->
         16.0 * alpha / np.pi**4 * (alpha**3 + 3.0 * np.pi**2 / 5.0 * beta),
     ]
     known = sneddon_n(depth_m, 0.01, FOAM_PA) * sum(term * ratio**power for power, term in enumerate(terms))
-    assert even.press(BALL, over(MIDDLE, depth_m)).normal_force_n == pytest.approx(known, rel=0.05)
+    assert even.press(BALL, over(MIDDLE, depth_m)).normal_force_n == pytest.approx(known, rel=0.02)
 
 
 @pytest.mark.slow
 def test_a_ball_on_a_thick_slab_follows_hertz() -> None:
-    """At 60 radii of thickness: within 3.5 % of Sneddon, and of Hertz where the two are the same."""
+    """At 60 radii of thickness: within 5 % of Sneddon, and of Hertz where the two are the same."""
     thick = 0.6
     world = SlabWorld(foam(thickness_m=thick, size_m=(2.5, 2.5)))
     middle = np.array([1.25, 1.25])
     for depth in (0.002, 0.004, 0.007, 0.012):
         force = world.press(BALL, over(middle, depth, thick)).normal_force_n
-        assert force == pytest.approx(sneddon_n(depth, 0.01, FOAM_PA), rel=0.035)
+        assert force == pytest.approx(sneddon_n(depth, 0.01, FOAM_PA), rel=0.05)
     hertz = 4 / 3 * FOAM_PA / (1 - POISSON**2) * np.sqrt(0.01) * 0.002**1.5
-    assert world.press(BALL, over(middle, 0.002, thick)).normal_force_n == pytest.approx(hertz, rel=0.03)
+    assert world.press(BALL, over(middle, 0.002, thick)).normal_force_n == pytest.approx(hertz, rel=0.05)
 
 
 @pytest.mark.slow
@@ -95,7 +95,7 @@ def test_a_finer_mesh_changes_the_force_little(beside_m: float | None, monkeypat
 
     depths = (0.001, 0.002, 0.004, 0.007)
     coarse = [SlabWorld(foam(modulus)).press(BALL, over(MIDDLE, depth)).normal_force_n for depth in depths]
-    for name, value in {"FINE": 0.14, "GROWTH_ASIDE": 1.4, "GROWTH_DOWN": 1.45}.items():
+    for name, value in {"FINE": 0.12, "GROWTH_ASIDE": 1.4, "GROWTH_DOWN": 1.45}.items():
         monkeypatch.setattr(slab_world, name, value)
     finer = SlabWorld(foam(modulus))
     fine = [finer.press(BALL, over(MIDDLE, depth)).normal_force_n for depth in depths]
@@ -224,9 +224,18 @@ def test_a_press_depends_on_no_other_press(halves: SlabWorld) -> None:
 def test_a_little_drift_changes_little(even: SlabWorld) -> None:
     """The ball then rests on the same mesh, off its middle."""
     even.prepare(BALL, MIDDLE)
-    centred, drifted = (even.press(BALL, over(MIDDLE + aside, 0.005)) for aside in (0.0, 0.0015))
+    centred, drifted = (even.press(BALL, over(MIDDLE + aside, 0.005)) for aside in (0.0, 0.0012))
     np.testing.assert_array_equal(drifted.mesh_m, MIDDLE)
     assert drifted.normal_force_n == pytest.approx(centred.normal_force_n, rel=0.03)
+
+
+def test_a_flat_tip_keeps_its_footprint_while_it_drifts() -> None:
+    """King 1987: a square of side 2a on a half-space, 2.02 sqrt(4 a^2 / pi) E* d; a slab is stiffer."""
+    world, tip = SlabWorld(foam()), RigidTip((0.01, 0.006))
+    forces = [world.press(tip, np.append(MIDDLE + aside, 0.049)).normal_force_n for aside in (0.0, 2e-4, -2e-4)]
+    np.testing.assert_allclose(forces, forces[0], rtol=1e-3)
+    half_space = 2.02 * np.sqrt(4 * 0.01 * 0.006 / np.pi) * FOAM_PA / (1 - POISSON**2) * 0.001
+    assert 1.05 * half_space < forces[0] < 1.35 * half_space
 
 
 def test_an_old_contact_can_still_be_seen(even: SlabWorld) -> None:
