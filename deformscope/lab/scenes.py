@@ -209,11 +209,20 @@ class Scene:
         return self.label(self.cells_m())
 
 
-BUILT_IN = (
-    *("homogeneous-60", "homogeneous-110", "two-60-150", "two-110-150", "two-150-rigid", "three-60-110-rigid"),
-    *("disc", "gradient", "bumpy", "soft-spot", "wavy"),
-)
-"""Thesis table 4.1's six, and what it did not try."""
+BUILT_IN = {
+    "homogeneous-60": "one foam of 60 N",
+    "homogeneous-110": "one foam of 110 N",
+    "two-60-150": "two foams, 60 and 150 N, that meet along a tilted line",
+    "two-110-150": "two foams, 110 and 150 N, that meet along a tilted line",
+    "two-150-rigid": "a foam of 150 N beside something rigid",
+    "three-60-110-rigid": "foams of 60 and 110 N and something rigid, as stripes or as a T",
+    "disc": "a disc of 16 to 20 cm in another foam, 30 and 200 N either way round",
+    "gradient": "foam whose modulus rises evenly from corner to corner, without regions",
+    "bumpy": "two foams, 60 and 150 N, under a surface that is not flat",
+    "soft-spot": "a spot of 10 to 12 cm and 60 N in a foam of 150 N",
+    "wavy": "two foams, 60 and 150 N, that meet along a wave",
+}
+"""Scenes by name, and what they are: thesis table 4.1's six, and what it did not try."""
 
 PIECES = {"disc": ("30", "200"), "bumpy": ("60", "150"), "soft-spot": ("150", "60"), "wavy": ("60", "150")}
 """Hardness [N] of the pieces where the name does not tell; 30 and 200 N are 19 and 123 kPa."""

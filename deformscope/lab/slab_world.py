@@ -6,10 +6,13 @@
     contact.force_n, contact.depth_m           # on the tip, and how far it has sunk
     world.displaced_m(contact, xy_m)           # how the surface has moved there, for the camera
 
-What only the neighbourhood of a touch feels is solved there alone: a mesh around the touch, of 2 mm under a tip of 2 cm
-and coarser with distance, glued to the table, with the foams as they lie and the surface as high as it is. Its
-equations are factorised once (0.3 to 0.6 s), the nodes that a tip may touch come last, and what is left of the factors
-there is their dense stiffness. A press is then a complementarity problem of about 100 nodes (under 1 ms).
+What only the neighbourhood of a touch feels is solved there alone: a mesh around the touch, of 1.5 mm under a tip of
+2 cm and coarser with distance, glued to the table, with the foams as they lie and the surface as high as it is. Its
+equations are factorised once (0.6 s), the nodes that a tip may touch come last, and what is left of the factors there
+is their dense stiffness. A press is then a complementarity problem of about 200 nodes (0.5 ms).
+
+A ball of 2 cm on 5 cm of foam: force within 2 % of the closed form for a bonded layer from 0.5 to 7 mm, within 3 % of
+finer meshes, also near a border; far less deep a single node carries it all.
 
 What is left out: friction, speed (foam creeps), large strain, and that a deep dent's wall is pushed aside as well as
 down (the gap is closed along the rest surface's normal). `tests/lab/test_slab_world.py` compares with Hertz and with

@@ -112,7 +112,7 @@ def test_it_agrees_with_quadratic_elements(tip: RigidTip, even: SlabWorld) -> No
     contact = even.press(tip, np.append(MIDDLE, 0.05 - 0.004 + (tip.radius or 0.0)))
     assert contact.normal_force_n == pytest.approx(known.force, rel=0.06)
     moved = even.displaced_m(contact, points[:, :2])
-    np.testing.assert_allclose(moved, known.displaced, atol=0.01 * 0.004)
+    np.testing.assert_allclose(moved, known.displaced, atol=0.02 * 0.004)
 
 
 def test_force_is_the_slope_of_the_energy(even: SlabWorld) -> None:
