@@ -96,7 +96,7 @@ class ElasticBox:
             raise InputError("a Young's modulus above 0", f"{modulus.min():g}")
         if not ((ratio >= 0.0) & (ratio < 0.5)).all():
             raise InputError("a Poisson's ratio from 0 to below 0.5", f"{ratio.min():g} to {ratio.max():g}")
-        self.stiffness = self._assemble(modulus, ratio)
+        self.stiffness = stiffness_of(self._basis, modulus, ratio)
 
     def plane(self, axis: int, value: float) -> BoolArray:
         """(N,) the nodes whose coordinate along `axis` (0, 1, 2) is `value` [m]."""
@@ -142,28 +142,6 @@ class ElasticBox:
             raise InputError(f"one number, or {len(self.centres)}, one an element", str(given.shape))
         return np.broadcast_to(given, (len(self.centres),))
 
-    def _assemble(self, young: FloatArray, poisson: FloatArray) -> csr_array:
-        """K of 3 N unknowns, node by node: the integral of lambda tr(e) tr(e') + 2 mu e : e'."""
-        lame = (young * poisson / ((1.0 + poisson) * (1.0 - 2.0 * poisson)))[:, None, None, None, None]
-        shear = (0.5 * young / (1.0 + poisson))[:, None, None, None, None]
-        weight = self._basis.dx
-        count, at = weight.shape
-        functions = len(self._basis.basis)
-        slope = np.empty((count, at, functions, 3))
-        for number, (function, *_) in enumerate(self._basis.basis):
-            slope[:, :, number] = np.moveaxis(np.broadcast_to(function.grad, (3, count, at)), 0, -1)
-        slope = slope.reshape(count, at, 3 * functions)
-        product = np.swapaxes(slope * weight[:, :, None], 1, 2) @ slope
-        product = product.reshape(count, functions, 3, functions, 3)  # of d_i a and d_j b
-        local = lame * product + shear * np.swapaxes(product, 2, 4)
-        trace = np.einsum("eaibi->eab", product) * shear[:, :, :, 0, 0]
-        for i in range(3):
-            local[:, :, i, :, i] += trace
-        place = (3 * self._basis.element_dofs.T[:, :, None] + np.arange(3)).reshape(count, -1).astype(np.int32)
-        row, column = np.broadcast_arrays(place[:, :, None], place[:, None, :])
-        size = 3 * len(self.nodes)
-        return csr_array((local.ravel(), (row.ravel(), column.ravel())), shape=(size, size))
-
 
 class HeldBox:
     """A box with some displacements prescribed, ready to be solved for any values of them (`ElasticBox.hold`)."""
@@ -176,7 +154,7 @@ class HeldBox:
             raise InputError("a box held against every rigid motion", "one that is free to move", "hold more nodes")
         self.box, self.held = box, held
         self._free = np.flatnonzero(~held.ravel())
-        self._free = self._free[_dissected(box.nodes[self._free // 3], box.axes)]
+        self._free = self._free[dissected(box.nodes[self._free // 3], box.axes)]
         own = box.stiffness[self._free]
         self._coupling = own[:, np.flatnonzero(held.ravel())]
         self._own = own[:, self._free]
@@ -224,6 +202,32 @@ class HeldBox:
         return np.stack(columns, axis=1)
 
 
+def stiffness_of(basis: Basis, young: FloatArray, poisson: FloatArray) -> csr_array:
+    """K of 3 N unknowns, node by node: the integral of lambda tr(e) tr(e') + 2 mu e : e'.
+
+    basis: scalar elements with N nodes; young, poisson: (E,) of each element, [Pa] and a ratio
+    """
+    lame = (young * poisson / ((1.0 + poisson) * (1.0 - 2.0 * poisson)))[:, None, None, None, None]
+    shear = (0.5 * young / (1.0 + poisson))[:, None, None, None, None]
+    weight = basis.dx
+    count, at = weight.shape
+    functions = len(basis.basis)
+    slope = np.empty((count, at, functions, 3))
+    for number, (function, *_) in enumerate(basis.basis):
+        slope[:, :, number] = np.moveaxis(np.broadcast_to(function.grad, (3, count, at)), 0, -1)
+    slope = slope.reshape(count, at, 3 * functions)
+    product = np.swapaxes(slope * weight[:, :, None], 1, 2) @ slope
+    product = product.reshape(count, functions, 3, functions, 3)  # of d_i a and d_j b
+    local = lame * product + shear * np.swapaxes(product, 2, 4)
+    trace = np.einsum("eaibi->eab", product) * shear[:, :, :, 0, 0]
+    for i in range(3):
+        local[:, :, i, :, i] += trace
+    place = (3 * basis.element_dofs.T[:, :, None] + np.arange(3)).reshape(count, -1).astype(np.int32)
+    row, column = np.broadcast_arrays(place[:, :, None], place[:, None, :])
+    size = 3 * basis.N
+    return csr_array((local.ravel(), (row.ravel(), column.ravel())), shape=(size, size))
+
+
 def _rigid_motions(nodes: FloatArray) -> FloatArray:
     """(N, 3, 6) displacements of three translations and three small turns, of size 1."""
     place = (nodes - nodes.mean(axis=0)) / float(np.ptp(nodes, axis=0).max())
@@ -231,7 +235,7 @@ def _rigid_motions(nodes: FloatArray) -> FloatArray:
     return np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=-1)
 
 
-def _dissected(nodes: FloatArray, axes: tuple[FloatArray, ...]) -> IntArray:
+def dissected(nodes: FloatArray, axes: tuple[FloatArray, ...]) -> IntArray:
     """An order of unknowns with little fill-in: nested dissection by planes of the mesh (George 1973).
 
     nodes: (n, 3) node of each unknown. Elements do not reach over a plane of corners, so that what lies on either side

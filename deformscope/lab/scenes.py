@@ -1,0 +1,336 @@
+"""The laboratory's scenes: slabs of foam on a table, glued together from pieces whose places a seed draws.
+
+    scene = built_in("two-60-150", seed=3)
+    scene.modulus_pa(xy_m), scene.label(xy_m), scene.height_m(xy_m)      # anywhere on the slab
+    scene.truth()                                                        # the labels of the map's cells
+
+Everything is in the *surface frame*: x and y along the table's edges, z up, the table's top at z = 0, the slab's corner
+at the origin. Pieces reach from top to bottom, and meet sharply.
+
+**Hardness** is the force that presses a plate of 324 cm2 into the foam by 40 % (ISO 2439). A fingertip of 3 N strains
+foam less than that, below its plateau, so that it meets the *initial* modulus: the plate's stress at 40 % is taken for
+the plateau's, and the plateau for 5 % of the initial modulus (Gibson and Ashby 1997, chapter 5). 60, 110 and 150 N are
+then 37, 68 and 93 kPa. (The secant modulus, 4.6, 8.5 and 11.6 kPa, would let 3 N sink by more than 17 mm.)
+**Rigid** pieces have RIGID_PA, 1000 times the foam of 60 N. **Poisson's ratio** is 0.2 everywhere.
+
+`DRAWN` says what each scene draws from its seed, each evenly between two values. Other hardnesses come by name:
+`homogeneous-A`, `two-A-B`, `three-A-B-C`, `disc-A-B` (A around, B the disc), where a letter is a number of newtons or
+`rigid`.
+"""
+
+from __future__ import annotations
+
+import re
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.lab.foam import PLATE_M2
+
+PLATEAU_SHARE = 0.05
+"""Plateau stress over initial modulus of conventional foam (Gibson and Ashby)."""
+
+POISSON = 0.2
+CELL_M = 0.005
+"""Side of the map's cells."""
+
+SIZE_M = (0.6, 0.4)
+THICKNESS_M = 0.05
+
+
+def initial_modulus_pa(hardness_n: float) -> float:
+    """The modulus that a light touch meets, of foam of an ISO 2439 hardness [N]."""
+    return hardness_n / PLATE_M2 / PLATEAU_SHARE
+
+
+RIGID_PA = 1000.0 * initial_modulus_pa(60.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """What a scene draws from its seed, evenly from `low` to `high`."""
+
+    what: str
+    low: float
+    high: float
+    unit: str
+
+
+_BORDER = (Range("border x", 0.22, 0.38, "m"), Range("border tilt", -15.0, 15.0, "deg"), Range("turned", 0, 2, "half"))
+_STRIPES_OR_T = (
+    Range("pattern", 0, 2, "stripes below 1, else T"),
+    Range("first border x", 0.17, 0.23, "m"),
+    Range("second border x", 0.37, 0.43, "m"),
+    Range("first border tilt", -12.0, 12.0, "deg"),
+    Range("second border tilt", -12.0, 12.0, "deg"),
+    Range("stem x", 0.22, 0.38, "m"),
+    Range("stem tilt", -15.0, 15.0, "deg"),
+    Range("bar y", 0.16, 0.24, "m"),
+    Range("bar tilt", -15.0, 15.0, "deg"),
+    Range("turned", 0, 2, "half"),
+    Range("order", 0, 6, "permutation of the pieces"),
+)
+_DISC = (Range("centre x", 0.17, 0.43, "m"), Range("centre y", 0.14, 0.26, "m"))
+
+DRAWN: dict[str, tuple[Range, ...]] = {
+    "homogeneous": (Range("hardness", 0.9, 1.1, "of the nominal one"),),
+    "two": _BORDER,
+    "three": _STRIPES_OR_T,
+    "disc": (*_DISC, Range("radius", 0.08, 0.10, "m"), Range("inside out", 0, 2, "half")),
+    "gradient": (
+        Range("direction", 0.0, 360.0, "deg"),
+        Range("softest", 45.0, 65.0, "N"),
+        Range("firmest", 140.0, 180.0, "N"),
+    ),
+    "bumpy": (
+        *_BORDER,
+        *(Range(f"wave {i} height", 0.002, 0.004, "m") for i in (1, 2, 3)),
+        *(Range(f"wave {i} length", 0.16, 0.30, "m") for i in (1, 2, 3)),
+        *(Range(f"wave {i} direction", 0.0, 180.0, "deg") for i in (1, 2, 3)),
+        *(Range(f"wave {i} phase", 0.0, 360.0, "deg") for i in (1, 2, 3)),
+    ),
+    "soft-spot": (
+        Range("centre x", 0.08, 0.52, "m"),
+        Range("centre y", 0.08, 0.32, "m"),
+        Range("radius", 0.05, 0.06, "m"),
+    ),
+    "wavy": (
+        *_BORDER,
+        Range("wave height", 0.02, 0.04, "m"),
+        Range("wave length", 0.18, 0.30, "m"),
+        Range("wave phase", 0.0, 360.0, "deg"),
+    ),
+}
+"""What each kind of scene draws. "turned" below 1 leaves the pieces' order as named from the left, else reverses it."""
+
+Places = Callable[[FloatArray], FloatArray]
+Labels = Callable[[FloatArray], IntArray]
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """One material. name: hardness in N, or "rigid"; modulus_pa: its Young's modulus [Pa]"""
+
+    name: str
+    modulus_pa: float
+    rigid: bool = False
+
+    @classmethod
+    def named(cls, name: str, times: float = 1.0) -> Piece:
+        """Of a hardness in N ("110"), times a factor, or "rigid"."""
+        if name == "rigid":
+            return cls(name, RIGID_PA, rigid=True)
+        return cls(name, times * initial_modulus_pa(float(name)))
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A slab on the table.
+
+    pieces: the materials, by label; empty where the modulus varies everywhere (`gradient`)
+    size_m: (x, y) [m]; thickness_m: before any bumps [m]; poisson: Poisson's ratio
+    drawn: what the seed gave, by name
+    base_from_surface: (4, 4) takes points of the surface frame into the arm's base frame: the arm stands beside the
+    long edge at y = 0
+    """
+
+    name: str
+    seed: int
+    pieces: tuple[Piece, ...]
+    drawn: dict[str, float]
+    size_m: tuple[float, float] = SIZE_M
+    thickness_m: float = THICKNESS_M
+    poisson: float = POISSON
+    base_from_surface: FloatArray = field(default_factory=lambda: _moved(-0.30, 0.25, 0.0))
+    _label: Labels | None = None
+    _modulus: Places | None = None
+    _bumps: Places | None = None
+
+    @property
+    def region_count(self) -> int:
+        """How many regions there are; 0 where there are none, because the modulus varies everywhere."""
+        return len(self.pieces)
+
+    @property
+    def rigid(self) -> tuple[int, ...]:
+        """Labels of the rigid regions."""
+        return tuple(label for label, piece in enumerate(self.pieces) if piece.rigid)
+
+    def label(self, xy_m: FloatArray) -> IntArray:
+        """(...,) the region of each place (..., 2); -1 beside the slab, and everywhere where there are no regions."""
+        xy_m = np.asarray(xy_m, dtype=np.float64)
+        beside = ((xy_m < 0.0) | (xy_m > self.size_m)).any(axis=-1)
+        if not self.pieces:
+            return np.full(beside.shape, -1)
+        found = np.zeros(beside.shape, dtype=np.int64) if self._label is None else self._label(xy_m)
+        return np.where(beside, -1, found)
+
+    def modulus_pa(self, xy_m: FloatArray) -> FloatArray:
+        """(...,) Young's modulus at places (..., 2) [Pa]; beside the slab, that of its nearest edge."""
+        xy_m = np.clip(np.asarray(xy_m, dtype=np.float64), 0.0, self.size_m)
+        if self._modulus is not None:
+            return self._modulus(xy_m)
+        return np.array([piece.modulus_pa for piece in self.pieces])[self.label(xy_m)]
+
+    def height_m(self, xy_m: FloatArray) -> FloatArray:
+        """(...,) height of the rest surface over the table [m]; 0 beside the slab."""
+        xy_m = np.asarray(xy_m, dtype=np.float64)
+        beside = ((xy_m < 0.0) | (xy_m > self.size_m)).any(axis=-1)
+        return np.where(beside, 0.0, self.foam_height_m(xy_m))
+
+    def foam_height_m(self, xy_m: FloatArray) -> FloatArray:
+        """As `height_m`, but as if the slab went on beside its edges."""
+        xy_m = np.asarray(xy_m, dtype=np.float64)
+        bumps = 0.0 if self._bumps is None else self._bumps(xy_m)
+        return np.broadcast_to(self.thickness_m + bumps, xy_m.shape[:-1])
+
+    def normal(self, xy_m: FloatArray) -> FloatArray:
+        """(..., 3) unit normal of the rest surface, upwards."""
+        xy_m = np.asarray(xy_m, dtype=np.float64)
+        slope = np.zeros(xy_m.shape)
+        for axis in (0, 1):
+            step = np.zeros(2)
+            step[axis] = 1e-4
+            slope[..., axis] = (self.foam_height_m(xy_m + step) - self.foam_height_m(xy_m - step)) / 2e-4
+        upward = np.concatenate([-slope, np.ones((*slope.shape[:-1], 1))], axis=-1)
+        return np.asarray(upward / np.linalg.norm(upward, axis=-1, keepdims=True))
+
+    def cells_m(self) -> FloatArray:
+        """(rows, columns, 2) centres of the map's cells [m]; rows along y, columns along x."""
+        x, y = (CELL_M * (np.arange(round(side / CELL_M)) + 0.5) for side in self.size_m)
+        return np.stack(np.meshgrid(x, y), axis=-1)
+
+    def truth(self) -> IntArray:
+        """(rows, columns) the label of each cell's centre."""
+        return self.label(self.cells_m())
+
+
+BUILT_IN = {
+    "homogeneous-60": "one foam of 60 N",
+    "homogeneous-110": "one foam of 110 N",
+    "two-60-150": "two foams, 60 and 150 N, that meet along a tilted line",
+    "two-110-150": "two foams, 110 and 150 N, that meet along a tilted line",
+    "two-150-rigid": "a foam of 150 N beside something rigid",
+    "three-60-110-rigid": "foams of 60 and 110 N and something rigid, as stripes or as a T",
+    "disc": "a disc of 16 to 20 cm in another foam, 30 and 200 N either way round",
+    "gradient": "foam whose modulus rises evenly from corner to corner, without regions",
+    "bumpy": "two foams, 60 and 150 N, under a surface that is not flat",
+    "soft-spot": "a spot of 10 to 12 cm and 60 N in a foam of 150 N",
+    "wavy": "two foams, 60 and 150 N, that meet along a wave",
+}
+"""Scenes by name, and what they are: thesis table 4.1's six, and what it did not try."""
+
+PIECES = {"disc": ("30", "200"), "bumpy": ("60", "150"), "soft-spot": ("150", "60"), "wavy": ("60", "150")}
+"""Hardness [N] of the pieces where the name does not tell; 30 and 200 N are 19 and 123 kPa."""
+
+COUNT = {"homogeneous": 1, "two": 2, "three": 3, "disc": 2, "bumpy": 2, "soft-spot": 2, "wavy": 2}
+
+
+def built_in(name: str, seed: int = 0) -> Scene:
+    """The scene of a name (`BUILT_IN`, or one with other hardnesses), laid out by a seed."""
+    kind, pieces = _parsed(name)
+    # each name has its own stream, so that equal seeds of two scenes are not the same layout
+    random = np.random.default_rng([seed, zlib.crc32(name.encode())])
+    drawn = {one.what: float(random.uniform(one.low, one.high)) for one in DRAWN[kind]}
+    if kind == "gradient":
+        return Scene(name, seed, (), drawn, _modulus=_graded(drawn))
+    times = drawn.get("hardness", 1.0)
+    materials = tuple(Piece.named(piece, times) for piece in pieces)
+    bumps = _bumps(drawn) if kind == "bumpy" else None
+    return Scene(name, seed, materials, drawn, _label=_layout(kind, drawn), _bumps=bumps)
+
+
+def _parsed(name: str) -> tuple[str, tuple[str, ...]]:
+    """Kind of scene, and the names of its pieces."""
+    kind, piece = "|".join(sorted(DRAWN)), r"(?:rigid|[1-9]\d{0,3})"
+    found = re.fullmatch(rf"({kind})((?:-{piece})*)", name)
+    expected = f"a scene: {', '.join(BUILT_IN)}, or one with other hardnesses"
+    if found is None:
+        raise InputError(expected, repr(name), "two-80-200, three-60-110-rigid")
+    pieces = tuple(found[2].split("-")[1:]) or PIECES.get(found[1], ())
+    if len(pieces) != COUNT.get(found[1], 0):
+        raise InputError(f"{COUNT.get(found[1], 0)} hardnesses in {found[1]}", repr(name), "two-80-200")
+    return found[1], pieces
+
+
+def _layout(kind: str, drawn: dict[str, float]) -> Labels:
+    """Which piece is where: the first named is left of a border, or around a disc, unless turned."""
+    if kind == "homogeneous":
+        return lambda xy: np.zeros(np.shape(xy)[:-1], dtype=np.int64)
+    if kind == "three":
+        return _three(drawn)
+    swapped = drawn.get("turned", drawn.get("inside out", 0.0)) >= 1.0
+    if kind in ("disc", "soft-spot"):
+        centre, radius = np.array([drawn["centre x"], drawn["centre y"]]), drawn["radius"]
+        return lambda xy: ((np.linalg.norm(xy - centre, axis=-1) < radius) ^ swapped).astype(np.int64)
+    wave = (drawn["wave height"], drawn["wave length"], drawn["wave phase"]) if kind == "wavy" else (0.0, 1.0, 0.0)
+    beyond = _border(drawn["border x"], SIZE_M[1] / 2, drawn["border tilt"], wave)
+    return lambda xy: ((beyond(xy) > 0.0) ^ swapped).astype(np.int64)
+
+
+def _three(drawn: dict[str, float]) -> Labels:
+    """Three stripes, or one piece beside two that share the rest."""
+    order = [(0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0)][min(int(drawn["order"]), 5)]
+    turned, middle = drawn["turned"] >= 1.0, SIZE_M[1] / 2
+    if drawn["pattern"] < 1.0:
+        first = _border(drawn["first border x"], middle, drawn["first border tilt"])
+        second = _border(drawn["second border x"], middle, drawn["second border tilt"])
+        return lambda xy: np.array(order)[(first(xy) > 0.0).astype(np.int64) + (second(xy) > 0.0)]
+    stem = _border(drawn["stem x"], middle, drawn["stem tilt"])
+    bar = _border(SIZE_M[0] / 2, drawn["bar y"], 90.0 + drawn["bar tilt"])
+
+    def label(xy: FloatArray) -> IntArray:
+        whole = (stem(xy) > 0.0) == turned
+        return np.array(order)[np.where(whole, 0, np.where(bar(xy) > 0.0, 1, 2))]
+
+    return label
+
+
+def _border(x_m: float, y_m: float, tilt_deg: float, wave: tuple[float, float, float] = (0.0, 1.0, 0.0)) -> Places:
+    """How far places are to the right of a line through (x, y), tilted from the y axis; or of a wave along it."""
+    tilt = np.deg2rad(tilt_deg)
+    along, across = np.array([-np.sin(tilt), np.cos(tilt)]), np.array([np.cos(tilt), np.sin(tilt)])
+    height, length, phase = wave[0], wave[1], np.deg2rad(wave[2])
+
+    def beyond(xy: FloatArray) -> FloatArray:
+        aside = np.asarray(xy) - (x_m, y_m)
+        return np.asarray(aside @ across - height * np.sin(2.0 * np.pi * (aside @ along) / length + phase))
+
+    return beyond
+
+
+def _graded(drawn: dict[str, float]) -> Places:
+    """The logarithm of the modulus rises evenly along a direction, from corner to corner."""
+    turn = np.deg2rad(drawn["direction"])
+    direction, middle = np.array([np.cos(turn), np.sin(turn)]), np.array(SIZE_M) / 2
+    reach = float(np.abs(direction) @ middle)
+    low, high = np.log(initial_modulus_pa(drawn["softest"])), np.log(initial_modulus_pa(drawn["firmest"]))
+    return lambda xy: np.exp(low + (high - low) * 0.5 * (1.0 + (xy - middle) @ direction / reach))
+
+
+def _bumps(drawn: dict[str, float]) -> Places:
+    """Three waves added up [m]."""
+
+    def rise(xy: FloatArray) -> FloatArray:
+        total = np.zeros(np.shape(xy)[:-1])
+        for i in (1, 2, 3):
+            height, length, direction, phase = (
+                drawn[f"wave {i} {what}"] for what in ("height", "length", "direction", "phase")
+            )
+            turn = np.deg2rad(direction)
+            along = xy @ np.array([np.cos(turn), np.sin(turn)])
+            total += height * np.sin(2.0 * np.pi * along / length + np.deg2rad(phase))
+        return total
+
+    return rise
+
+
+def _moved(x: float, y: float, z: float) -> FloatArray:
+    """(4, 4) a shift."""
+    frame = np.eye(4)
+    frame[:3, 3] = (x, y, z)
+    return frame
