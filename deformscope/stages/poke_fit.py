@@ -59,6 +59,8 @@ class SeenPoke:
     at: (3,) the middle of what was touched, at rest [m]; depth: mean displacement of what was touched, downwards [m]
     touched, touched_by: (m, 3) rest and displacement of the touched points; points, moved: (n, 3) of all points seen
     noise: (n,) [m] or None; force: [N] or None
+    heights_only: `points` are places where a camera saw the surface afterwards, and of `moved` it tells the height
+    alone, not which point of the material stands there
     """
 
     at: FloatArray
@@ -70,6 +72,12 @@ class SeenPoke:
     moved: FloatArray
     noise: FloatArray | None
     force: float | None
+    heights_only: bool = False
+
+    @property
+    def components(self) -> int:
+        """How many coordinates of each point's displacement were seen."""
+        return 1 if self.heights_only else 3
 
 
 def seen_poke(seen: Observation) -> SeenPoke:
@@ -143,7 +151,7 @@ class PosedPoke:
         weights, inside = layers.interpolation(poke.points[:, :2])
         away = np.abs(poke.points[:, :2] - poke.at[:2]).max(axis=1) - 0.5 * max(poke.tip.size)
         self.near = np.flatnonzero(inside & (away <= NEAR_SHARE * surface.thickness))
-        self.inside, self.weights = inside, weights
+        self.inside, self.weights, self._layers = inside, weights, layers
         if not len(self.near):
             raise InputError("surface points near the poke", "none within the lattice", "points around the contact")
         self.state: Held | None = None
@@ -162,8 +170,17 @@ class PosedPoke:
 
     def moved(self, state: Held) -> FloatArray:
         """Simulated displacement of every point of the surface, (B, n, 3) [m]; beyond the lattice it is still."""
-        every = [np.asarray(self.weights @ (one - self.scene.rest)) for one in state.position]
+        every = [self._seen(one - self.scene.rest) for one in state.position]
         return np.where(self.inside[:, None], np.stack(every), 0.0)
+
+    def _seen(self, displacement: FloatArray) -> FloatArray:
+        """Displacement (n, 3) at the points, by that of the particles (K, 3); of heights alone, what stands there now."""
+        found = np.asarray(self.weights @ displacement)
+        if not self.poke.heights_only:
+            return found
+        weights, still = self._layers.interpolation(self.poke.points[:, :2] - found[:, :2])
+        height = np.where(still, weights @ displacement[:, 2], found[:, 2])
+        return np.column_stack([np.zeros((len(found), 2)), height])
 
     def reaction(self, state: Held) -> FloatArray:
         """Net force on the tip along its direction per unit of stiffness k, (B,) [m]."""
