@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_solve
-from scipy.linalg.lapack import dpotrf, dpotri
+from scipy.linalg.lapack import dpotrf, dtrtri
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 
@@ -29,14 +29,24 @@ MOST_SINES = 1600
 
 @dataclass(frozen=True, slots=True)
 class Weighed:
-    """What one group of points says. gram: (m, m), onto: (m,), square: sums over points of basis products, of value
-    times basis, and of squared values, each by 1 / noise^2; log_noise: sum of log noise^2; count: points"""
+    """What points say whose noise is known up to one factor. gram: (m, m), onto: (m,), square: sums over points of
+    basis products, of value times basis, and of squared values, each by 1 / noise^2; log_noise: sum of log noise^2;
+    count: points"""
 
     gram: FloatArray
     onto: FloatArray
     square: float
     log_noise: float
     count: int
+
+
+@dataclass(frozen=True, slots=True)
+class Listed:
+    """A few points whose noise is known. basis: (k, m) and value: (k,), both by 1 / noise; log_noise: as above"""
+
+    basis: FloatArray
+    value: FloatArray
+    log_noise: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,42 +93,42 @@ class HilbertBasis:
         log_noise = float(2.0 * np.log(noise).sum())
         return Weighed(gram, onto, float(weight @ value**2), log_noise, len(value))
 
-    def trial(self, groups: tuple[Weighed, Weighed], sigma_e: float, length: float, scale: float) -> Trial:
-        """The log marginal likelihood; the noise of the first group is multiplied by `scale`, of the second not."""
+    def list(self, places: FloatArray, value: FloatArray, noise: FloatArray) -> Listed:
+        """Points (k, 2) as they are, with values (k,) and noise (k,)."""
+        angle = 0.5 * np.pi * (places - self.middle + self.wall) / self.wall
+        sine = np.prod(np.sin(angle[:, None] * self.number), axis=2) / np.sqrt(np.prod(self.wall))
+        return Listed(sine / noise[:, None], value / noise, float(2.0 * np.log(noise).sum()))
+
+    def trial(self, free: Weighed, known: Listed, sigma_e: float, length: float, scale: float) -> Trial:
+        """The log marginal likelihood; the noise of the free points is multiplied by `scale`, of the known ones not."""
         density = 2.0 * np.pi * (sigma_e * length) ** 2 * np.exp(-0.5 * length**2 * self.frequency2)
         root = np.sqrt(density)
-        free, known = groups
         by = scale**-2.0
-        gram = by * free.gram + known.gram
-        onto = root * (by * free.onto + known.onto)
-        inner = root[:, None] * gram * root
+        listed = known.basis * root
+        inner = free.gram * (by * root[:, None])
+        inner *= root
+        if len(listed):
+            inner += listed.T @ listed
         inner.flat[:: len(root) + 1] += 1.0
-        factor, failed = dpotrf(inner, lower=1, clean=0)
+        onto = by * root * free.onto + listed.T @ known.value
+        factor, failed = dpotrf(inner, lower=1, clean=1, overwrite_a=1)
         if failed:
             return Trial(-np.inf, np.zeros(3))
-        weight = cho_solve((factor, True), onto)
-        count = free.count + known.count
-        value = -0.5 * (
-            by * free.square
-            + known.square
-            - onto @ weight
-            + free.log_noise
-            + known.log_noise
-            - free.count * np.log(by)
-            + 2.0 * np.log(np.diag(factor)).sum()
-            + count * np.log(2.0 * np.pi)
-        )
-        covariance, _ = dpotri(factor, lower=1, overwrite_c=1)
-        by_density = 0.5 * (weight**2 + np.diag(covariance) - 1.0)
+        weight = cho_solve((factor, True), onto, check_finite=False)
+        logs = free.log_noise + known.log_noise - free.count * np.log(by) + 2.0 * np.log(np.diag(factor)).sum()
+        count = free.count + len(known.value)
+        square = by * free.square + float(known.value @ known.value) - float(onto @ weight)
+        value = -0.5 * (square + logs + count * np.log(2.0 * np.pi))
+        inverse, _ = dtrtri(factor, lower=1, overwrite_c=1)
+        spread = np.einsum("ij,ij->j", inverse, inverse)  # the weights' posterior variances
+        by_density = 0.5 * (weight**2 + spread - 1.0)
         expected = root * weight
         left = free.square - 2.0 * expected @ free.onto + expected @ (free.gram @ expected)
-        lower = np.tril(covariance, -1)
-        scaled = root[:, None] * free.gram * root
-        spread = 2.0 * np.sum(lower * scaled) + np.diag(covariance) @ np.diag(scaled)
+        uncertain = len(root) - float(spread.sum()) - float(np.sum((inverse @ listed.T) ** 2))
         slope = [
             2.0 * by_density.sum(),
             by_density @ (2.0 - length**2 * self.frequency2),
-            by * (left + spread) - free.count,
+            by * left + uncertain - free.count,
         ]
         return Trial(float(value), np.array(slope))
 

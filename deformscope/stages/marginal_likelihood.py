@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from deformscope.arrays import FloatArray
 from deformscope.stages.gaussian_process import Kernel
-from deformscope.stages.hilbert_basis import MOST_SINES, HilbertBasis, Weighed
+from deformscope.stages.hilbert_basis import MOST_SINES, HilbertBasis, Listed, Weighed
 
 FLOOR_M = 1e-6
 """Heights are not told apart below this [m]: constant ones still have a scale."""
@@ -136,7 +136,7 @@ class _Search:
         while worse < 2:
             length = max(length, self.limits[0])
             basis = HilbertBasis(self.middle, self.half, length, length)
-            value = basis.trial(self._weighed(basis), sigma_e, length, scale).value
+            value = basis.trial(*self._weighed(basis), sigma_e, length, scale).value
             self.trials += 1
             worse = 0 if value > best else worse + 1
             if value > best:
@@ -154,7 +154,7 @@ class _Search:
         def cost(x: FloatArray) -> tuple[float, FloatArray]:
             self.trials += 1
             sigma_e, length, scale = np.exp(x)
-            found = basis.trial(weighed, sigma_e, length, scale)
+            found = basis.trial(*weighed, sigma_e, length, scale)
             if not np.isfinite(found.value):
                 return 1e300, np.zeros(3)
             away = (x - self.scales) / PRIOR_SPREAD
@@ -170,9 +170,10 @@ class _Search:
         away = ((x - self.scales) / PRIOR_SPREAD)[bounds[:, 0] < bounds[:, 1]]
         return x, float(0.5 * away @ away - found.fun)
 
-    def _weighed(self, basis: HilbertBasis) -> tuple[Weighed, Weighed]:
-        free, known = (basis.weigh(one.places, one.value, one.noise) for one in (self.free, self.known))
-        return free, known
+    def _weighed(self, basis: HilbertBasis) -> tuple[Weighed, Listed]:
+        free, known = self.free, self.known
+        listed = basis.list(known.places, known.value, known.noise)
+        return basis.weigh(free.places, free.value, free.noise), listed
 
 
 def roughness(points: Points) -> float:
