@@ -7,6 +7,7 @@ that a hundred points overrule them; they keep a handful of points from running 
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
 from deformscope.arrays import FloatArray
+from deformscope.errors import InputError
 from deformscope.stages.gaussian_process import Kernel
 from deformscope.stages.hilbert_basis import MOST_SINES, HilbertBasis, Listed, Weighed
 
@@ -26,10 +28,23 @@ LONGEST = 3.0
 COARSE = 1.7
 """Ratio of lengths in the rough look."""
 
+LESS_NOISE = float(np.log(4.0))
+"""How much less noise (in logs) is tried there too."""
+
 RANGE = (1.3, 1.5)
 """A basis serves lengths shorter and longer than the start by these factors."""
 
-MOST_ROUNDS = 8
+STRIDE = 1.5
+"""sigma_e and the noise move by at most this (in logs) in one round: a first step without a sense of scale goes no
+farther."""
+
+MOST_ROUNDS = 12
+
+NEAR_BOUND = 2e-3
+"""Nearer to a bound than this (in logs) is at it."""
+
+SETTLED = 1e-3
+"""Log likelihood that another step need not gain."""
 
 PRIOR_SPREAD = 1.5
 """Deviation of the priors of log sigma_e, log length and log noise scale, around the data's scales."""
@@ -38,6 +53,9 @@ FREEDOM = np.log(1e4)
 """sigma_e and the noise may be this far (in logs) from the data's scales."""
 
 NEIGHBOURS = 8
+
+HOPELESS = 1e9
+"""Stands for the log likelihood where equations cannot be solved (a sigma_e a million times the noise)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +93,15 @@ NAMES = ("sigma_e", "length", "noise_scale")
 
 
 def learn(free: Points, known: Points, given: Given) -> Learned:
-    """The likeliest hyper-parameters. free: points whose noise is known up to one factor; known: whose noise is known."""
+    """The likeliest hyper-parameters. free: points whose noise is known up to one factor; known: whose noise is known.
+
+    Where all are given nothing is tried, and the likelihood is NaN.
+    Raises InputError where a given sigma_w is too short for the others to be learned.
+    """
+    if not len(free.value):
+        given = dataclasses.replace(given, noise_scale=1.0)
+    if given.sigma_e is not None and given.sigma_w is not None and given.noise_scale is not None:
+        return Learned(Kernel(given.sigma_e, given.sigma_w), given.noise_scale, float("nan"), (), 0)
     places = np.concatenate([free.places, known.places])
     low, high = places.min(axis=0), places.max(axis=0)
     search = _Search(free, known, 0.5 * (low + high), 0.5 * (high - low))
@@ -97,11 +123,14 @@ class _Search:
         self.scales = np.log([max(float(value.std()), noise, FLOOR_M), 0.25 * longest / LONGEST, self.scale])
 
     def run(self, given: Given) -> Learned:
-        told = [
-            given.sigma_e,
-            None if given.sigma_w is None else Kernel(1.0, given.sigma_w).length_m,
-            given.noise_scale if len(self.free.value) else 1.0,
-        ]
+        length = None if given.sigma_w is None else Kernel(1.0, given.sigma_w).length_m
+        if length is not None and HilbertBasis.size(self.half, length / RANGE[0], length * RANGE[1]) > 4 * MOST_SINES:
+            raise InputError(
+                f"a sigma_w of {0.5 * np.sqrt(2.0) * self.limits[0]:.2g} m or more on this box, to learn the rest",
+                f"{given.sigma_w:.3g} m",
+                "give sigma_e and the noise too, or a smaller box",
+            )
+        told = [given.sigma_e, length, given.noise_scale]
         fixed = [None if one is None else float(np.log(one)) for one in told]
         low, high = self.scales - FREEDOM, self.scales + FREEDOM
         low[1], high[1] = np.log(self.limits)
@@ -110,65 +139,65 @@ class _Search:
             if one is not None:
                 low[i] = high[i] = one
         if fixed[1] is None:
-            start[1] = self._first_length(start)
+            start = self._first(start, fixed[2] is None)
         at, value = start, -np.inf
         for _ in range(MOST_ROUNDS):
             length = float(np.exp(at[1]))
             ends = length / RANGE[0], length * RANGE[1]
-            here = np.array([low, high])
+            here = np.clip(np.array([at - STRIDE, at + STRIDE]), low, high)
             here[:, 1] = np.clip(np.log(ends), low[1], high[1])
             at, value = self._climb(at, here.T, ends)
-            inside = here[0, 1] + 1e-3 < at[1] < here[1, 1] - 1e-3
-            if inside or at[1] <= low[1] + 1e-3 or at[1] >= high[1] - 1e-3:
+            stopped = (at <= here[0] + NEAR_BOUND) | (at >= here[1] - NEAR_BOUND)
+            for_good = (at <= low + NEAR_BOUND) | (at >= high - NEAR_BOUND)
+            if not (stopped & ~for_good).any():
                 break
         bound = [
             name
             for name, f, x, a, b in zip(NAMES, fixed, at, low, high, strict=True)
-            if f is None and (x <= a + 2e-3 or x >= b - 2e-3)
+            if f is None and (x <= a + NEAR_BOUND or x >= b - NEAR_BOUND)
         ]
         sigma_e, length, scale = (float(x) for x in np.exp(at))
         return Learned(Kernel.of_length(sigma_e, length), scale, value, tuple(bound), self.trials)
 
-    def _first_length(self, start: FloatArray) -> float:
-        """Logarithm of the best of a few lengths, from long to short."""
-        length, best, at, worse = 0.5 * self.limits[1] / LONGEST, -np.inf, float(start[1]), 0
-        sigma_e, scale = np.exp(start[0]), np.exp(start[2])
-        while worse < 2:
+    def _first(self, start: FloatArray, free_noise: bool) -> FloatArray:
+        """Where to start from: the best of a few lengths, from long to short, each with the noise that neighbours tell,
+        and with less, since a surface that is rough between neighbours looks like noise."""
+        length, best, at = 0.5 * self.limits[1] / LONGEST, -np.inf, start
+        while True:
             length = max(length, self.limits[0])
             basis = HilbertBasis(self.middle, self.half, length, length)
-            value = basis.trial(*self._weighed(basis), sigma_e, length, scale).value
-            self.trials += 1
-            worse = 0 if value > best else worse + 1
-            if value > best:
-                best, at = value, float(np.log(length))
+            weighed = self._weighed(basis)
+            for less in (0.0, LESS_NOISE) if free_noise else (0.0,):
+                here = np.array([start[0], np.log(length), start[2] - less])
+                value = basis.trial(*weighed, *(float(x) for x in np.exp(here))).value
+                self.trials += 1
+                if value > best:
+                    best, at = value, here
             if length <= self.limits[0]:
-                break
+                return at
             length /= COARSE
-        return at
 
     def _climb(self, start: FloatArray, bounds: FloatArray, ends: tuple[float, float]) -> tuple[FloatArray, float]:
         basis = HilbertBasis(self.middle, self.half, *ends)
         weighed = self._weighed(basis)
-        best = [-np.inf, start]
+        free = bounds[:, 0] < bounds[:, 1]
+        count = len(self.free.value) + len(self.known.value)
 
         def cost(x: FloatArray) -> tuple[float, FloatArray]:
+            """Negative log posterior and its slopes, a point."""
             self.trials += 1
             sigma_e, length, scale = np.exp(x)
             found = basis.trial(*weighed, sigma_e, length, scale)
-            if not np.isfinite(found.value):
-                return 1e300, np.zeros(3)
-            away = (x - self.scales) / PRIOR_SPREAD
-            free = bounds[:, 0] < bounds[:, 1]
-            if found.value > best[0]:
-                best[0] = found.value
-            return -found.value + 0.5 * float(away[free] @ away[free]), -found.slope + away / PRIOR_SPREAD
+            away = np.where(free, (x - self.scales) / PRIOR_SPREAD, 0.0)
+            value = found.value if np.isfinite(found.value) else -HOPELESS
+            return (0.5 * float(away @ away) - value) / count, (away / PRIOR_SPREAD - found.slope) / count
 
         first = np.clip(start, bounds[:, 0], bounds[:, 1])
-        options = {"ftol": 1e-7, "gtol": 1e-3, "maxiter": 60}
+        options = {"ftol": SETTLED / count, "gtol": 1e-2 * SETTLED, "maxiter": 60}
         found = minimize(cost, first, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
         x = np.asarray(found.x)
-        away = ((x - self.scales) / PRIOR_SPREAD)[bounds[:, 0] < bounds[:, 1]]
-        return x, float(0.5 * away @ away - found.fun)
+        away = np.where(free, (x - self.scales) / PRIOR_SPREAD, 0.0)
+        return x, float(0.5 * away @ away - found.fun * count)
 
     def _weighed(self, basis: HilbertBasis) -> tuple[Weighed, Listed]:
         free, known = self.free, self.known

@@ -120,6 +120,8 @@ def fit_surface(
     if within_m is not None:
         low, high = np.minimum(low, within_m[0]), np.maximum(high, within_m[1])
     given = Given(sigma_e_m, sigma_w_m, noise_scale)
+    if sigma_w_m is not None:
+        _check_box(Kernel(1.0, sigma_w_m), low, high)
     used = np.ones(len(free.value), dtype=bool)
     with threadpool_limits(1):  # the same digits whatever the machine's cores
         for last in range(OUTLIER_ROUNDS + 1):
@@ -146,7 +148,18 @@ def fit_surface(
 
 
 def _conditioned(learned: Learned, free: Points, known: Points, low: FloatArray, high: FloatArray) -> SparseProcess:
-    kernel = learned.kernel
+    _check_box(learned.kernel, low, high)
+    return SparseProcess(
+        learned.kernel,
+        np.concatenate([free.places, known.places]),
+        np.concatenate([free.value, known.value]),
+        np.concatenate([learned.noise_scale * free.noise, known.noise]),
+        low,
+        high,
+    )
+
+
+def _check_box(kernel: Kernel, low: FloatArray, high: FloatArray) -> None:
     inducing = float(np.prod((high - low) / (SPACING * kernel.length_m) + 1.0))
     if inducing > MOST_INDUCING:
         raise InputError(
@@ -154,14 +167,6 @@ def _conditioned(learned: Learned, free: Points, known: Points, low: FloatArray,
             f"length {kernel.length_m:.3g} m on {high[0] - low[0]:.3g} x {high[1] - low[1]:.3g} m",
             "a smaller box, or a longer sigma_w",
         )
-    return SparseProcess(
-        kernel,
-        np.concatenate([free.places, known.places]),
-        np.concatenate([free.value, known.value]),
-        np.concatenate([learned.noise_scale * free.noise, known.noise]),
-        low,
-        high,
-    )
 
 
 def _checked(points: FloatArray | None, noise: FloatArray | None, default: float | None) -> Points:
