@@ -183,7 +183,9 @@ def tactile_points(
     up to about the root of radius times depth beside its axis (Hertz), at most up to its equator.
     """
     if count < 1 or radius_m <= 0.0 or depth_m < 0.0:
-        raise InputError("a ball and a depth of 0 or more", f"radius {radius_m:g} m, depth {depth_m:g} m, {count} points")
+        raise InputError(
+            "a ball and a depth of 0 or more", f"radius {radius_m:g} m, depth {depth_m:g} m, {count} points"
+        )
     up = np.array([0.0, 0.0, 1.0]) if normal is None else np.asarray(normal, dtype=np.float64)
     up = up / np.linalg.norm(up)
     sink = 1.0 - np.sqrt(1.0 - (contact_radius_m(radius_m, depth_m) / radius_m) ** 2)

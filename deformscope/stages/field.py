@@ -27,8 +27,10 @@ from deformscope.stages.gaussian_process import Believed, Grid, Kernel
 FREEDOM = 3.0
 """Hyper-parameters lie within this many deviations of their priors."""
 
-BEYOND = 1.1
-"""Hyper-parameters are averaged over points this many deviations (times the root of their number) from the likeliest."""
+BEYOND = 1.4
+"""Hyper-parameters are averaged over points this many deviations (times the root of their number) from the likeliest.
+With 1.1, the usual choice, 89 % of values drawn from the priors lay in the 90 % bands; with 1.4, 90 % (3 to 20 touches,
+250 seeds)."""
 
 STEP = 1e-3
 """Step in logarithms over which the curvature of the posterior is taken."""

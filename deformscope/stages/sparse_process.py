@@ -62,7 +62,13 @@ class SparseProcess:
     """
 
     def __init__(
-        self, kernel: Kernel, places: FloatArray, value: FloatArray, noise: FloatArray, low: FloatArray, high: FloatArray
+        self,
+        kernel: Kernel,
+        places: FloatArray,
+        value: FloatArray,
+        noise: FloatArray,
+        low: FloatArray,
+        high: FloatArray,
     ) -> None:
         self.kernel = kernel
         self.axes = [Axis(float(low[d]), float(high[d]), kernel.length_m) for d in range(2)]

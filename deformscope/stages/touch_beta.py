@@ -69,7 +69,9 @@ class BallTouch:
     def __post_init__(self) -> None:
         if not (np.isfinite(self.lowest_m).all() and self.radius_m > 0.0 and self.depth_m > 0.0):
             raise InputError(
-                "a ball that has sunk in", f"radius {self.radius_m:g} m, depth {self.depth_m:g} m", "leave rigid touches"
+                "a ball that has sunk in",
+                f"radius {self.radius_m:g} m, depth {self.depth_m:g} m",
+                "leave rigid touches",
             )
 
 
