@@ -59,7 +59,7 @@ class Perceived:
     robot: int
 
 
-def back_project(depth_m: FloatArray, camera: Intrinsics, T_world_camera: FloatArray) -> FloatArray:  # noqa: N803
+def back_project(depth_m: FloatArray, camera: Intrinsics, T_world_camera: FloatArray) -> FloatArray:
     """Points (n, 3) [m] of a depth image (H, W) [m], row by row; pixels of 0 or NaN saw nothing.
 
     depth: along the camera's axis, not along the ray; T_world_camera: (4, 4), p_world = T_world_camera @ p_camera
@@ -153,7 +153,7 @@ def axial_noise_m(distance_m: FloatArray, incidence_rad: FloatArray | float = 0.
     return np.asarray(flat + 1e-4 / np.sqrt(distance) * steep**2 / (0.5 * np.pi - steep) ** 2)
 
 
-def height_noise_m(points: FloatArray, T_world_camera: FloatArray) -> FloatArray:  # noqa: N803
+def height_noise_m(points: FloatArray, T_world_camera: FloatArray) -> FloatArray:
     """(n,) deviation of the height of points (n, 3) on a level surface, from a camera's axial noise [m].
 
     An error of depth moves a point along its ray; a surface seen at an angle is then off by the ray's share along z.
@@ -207,7 +207,7 @@ def contact_radius_m(radius_m: float, depth_m: float) -> float:
 def perceive(
     depth_m: FloatArray,
     camera: Intrinsics,
-    T_world_camera: FloatArray,  # noqa: N803
+    T_world_camera: FloatArray,
     box: Box,
     *,
     links: Sequence[Capsule] = (),

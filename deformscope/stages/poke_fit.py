@@ -199,7 +199,7 @@ class PosedPoke:
         return np.where(self.inside[:, None], np.stack(every), 0.0)
 
     def _seen(self, displacement: FloatArray) -> FloatArray:
-        """Displacement (n, 3) at the points, by that of the particles (K, 3); of heights alone, what stands there now."""
+        """Displacement (n, 3) at the points, by the particles' (K, 3); of heights alone, what stands there now."""
         found = np.asarray(self.weights @ displacement)
         if not self.poke.heights_only:
             return found

@@ -48,8 +48,8 @@ class HeightProcess:
     learned: the hyper-parameters; level_m: mean of the process [m]
     noise_m: (n,) deviation of each point given, as it was used [m]; used: (n,) points that were not taken as outliers
     box_m: (low, high) places (x, y) within which the inducing points stand [m]
-    evidence: lower bound of the log marginal likelihood by the inducing points; equal to `learned.log_likelihood` within
-    1e-3 a point where both approximations hold
+    evidence: lower bound of the log marginal likelihood by the inducing points; where it is as high as
+    `learned.log_likelihood` both approximations hold
     """
 
     learned: Learned
@@ -124,18 +124,16 @@ def fit_surface(
         _check_box(Kernel(1.0, sigma_w_m), low, high)
     used = np.ones(len(free.value), dtype=bool)
     with threadpool_limits(1):  # the same digits whatever the machine's cores
-        for last in range(OUTLIER_ROUNDS + 1):
-            some = Points(free.places[used], free.value[used], free.noise[used])
-            learned = learn(some, known, given)
-            process = _conditioned(learned, some, known, low, high)
-            if outlier_sd is None or last == OUTLIER_ROUNDS:
-                break
+        learned, process = _learned(free, known, given, low, high)
+        for _ in range(OUTLIER_ROUNDS if outlier_sd is not None else 0):
             found = process.at(free.places)
             away = np.abs(free.value - found.mean)
             inside = away <= outlier_sd * np.hypot(learned.noise_scale * free.noise, found.deviation)
             if (inside == used).all() or inside.sum() + len(known.value) < FEWEST:
                 break
             used = inside
+            some = Points(free.places[used], free.value[used], free.noise[used])
+            learned, process = _learned(some, known, given, low, high)
     return HeightProcess(
         learned=learned,
         level_m=level,
@@ -147,9 +145,13 @@ def fit_surface(
     )
 
 
-def _conditioned(learned: Learned, free: Points, known: Points, low: FloatArray, high: FloatArray) -> SparseProcess:
+def _learned(
+    free: Points, known: Points, given: Given, low: FloatArray, high: FloatArray
+) -> tuple[Learned, SparseProcess]:
+    """Hyper-parameters, and the process with them."""
+    learned = learn(free, known, given)
     _check_box(learned.kernel, low, high)
-    return SparseProcess(
+    process = SparseProcess(
         learned.kernel,
         np.concatenate([free.places, known.places]),
         np.concatenate([free.value, known.value]),
@@ -157,6 +159,7 @@ def _conditioned(learned: Learned, free: Points, known: Points, low: FloatArray,
         low,
         high,
     )
+    return learned, process
 
 
 def _check_box(kernel: Kernel, low: FloatArray, high: FloatArray) -> None:

@@ -114,7 +114,7 @@ def test_too_few_points_and_touches_that_did_not_sink_in_are_refused(level: Heig
         touch(0.0)
     elsewhere = BallTouch(np.array([0.9, 0.9, 0.04]), RADIUS, 0.004)
     with pytest.raises(InputError):
-        fit_touch(level, of_our_own(0.5, 0.006) + [0.8, 0.8, 0.0], elsewhere, thickness_m=THICKNESS)
+        fit_touch(level, of_our_own(0.5, 0.006) + np.array([0.8, 0.8, 0.0]), elsewhere, thickness_m=THICKNESS)
 
 
 def test_the_thesiss_model_holds_its_lowest_point_and_says_what_its_trend_is(level: HeightProcess) -> None:
