@@ -92,9 +92,10 @@ class Learned:
 NAMES = ("sigma_e", "length", "noise_scale")
 
 
-def learn(free: Points, known: Points, given: Given) -> Learned:
+def learn(free: Points, known: Points, given: Given, start: Learned | None = None) -> Learned:
     """The likeliest hyper-parameters. free: points whose noise is known up to one factor; known: whose noise is known.
 
+    start: what was learned of nearly the same points, if anything; else a few lengths are looked at first
     Where all are given nothing is tried, and the likelihood is NaN.
     Raises InputError where a given sigma_w is too short for the others to be learned.
     """
@@ -105,7 +106,7 @@ def learn(free: Points, known: Points, given: Given) -> Learned:
     places = np.concatenate([free.places, known.places])
     low, high = places.min(axis=0), places.max(axis=0)
     search = _Search(free, known, 0.5 * (low + high), 0.5 * (high - low))
-    return search.run(given)
+    return search.run(given, start)
 
 
 class _Search:
@@ -122,7 +123,7 @@ class _Search:
         self.scale = noise / float(np.median(free.noise)) if len(free.noise) else 1.0
         self.scales = np.log([max(float(value.std()), noise, FLOOR_M), 0.25 * longest / LONGEST, self.scale])
 
-    def run(self, given: Given) -> Learned:
+    def run(self, given: Given, before: Learned | None) -> Learned:
         length = None if given.sigma_w is None else Kernel(1.0, given.sigma_w).length_m
         if length is not None and HilbertBasis.size(self.half, length / RANGE[0], length * RANGE[1]) > 4 * MOST_SINES:
             raise InputError(
@@ -138,7 +139,9 @@ class _Search:
         for i, one in enumerate(fixed):
             if one is not None:
                 low[i] = high[i] = one
-        if fixed[1] is None:
+        if before is not None:
+            start = np.log([before.kernel.sigma_e, before.kernel.length_m, before.noise_scale])
+        elif fixed[1] is None:
             start = self._first(start, fixed[2] is None)
         at, value = start, -np.inf
         for _ in range(MOST_ROUNDS):

@@ -133,7 +133,7 @@ def fit_surface(
                 break
             used = inside
             some = Points(free.places[used], free.value[used], free.noise[used])
-            learned, process = _learned(some, known, given, low, high)
+            learned, process = _learned(some, known, given, low, high, learned)
     return HeightProcess(
         learned=learned,
         level_m=level,
@@ -146,10 +146,15 @@ def fit_surface(
 
 
 def _learned(
-    free: Points, known: Points, given: Given, low: FloatArray, high: FloatArray
+    free: Points,
+    known: Points,
+    given: Given,
+    low: FloatArray,
+    high: FloatArray,
+    start: Learned | None = None,
 ) -> tuple[Learned, SparseProcess]:
     """Hyper-parameters, and the process with them."""
-    learned = learn(free, known, given)
+    learned = learn(free, known, given, start)
     _check_box(learned.kernel, low, high)
     process = SparseProcess(
         learned.kernel,

@@ -89,9 +89,9 @@ def test_on_linear_foam_beta_is_at_its_bound_for_soft_and_firm_alike() -> None:
     places = np.column_stack([x.ravel(), y.ravel()])
     surface = np.column_stack([places, np.full(len(places), THICKNESS)])
     before = world(1e-4)
-    for young in (40e3, 100e3):
+    for young in (20e3, 60e3):
         foam = slab.Slab((0.2, 0.2, THICKNESS), young, 0.3)
-        dent = slab.press(foam, (0.1, 0.1), slab.RigidTip(radius=RADIUS), surface, force=3.0, finest=0.004)
+        dent = slab.press(foam, (0.1, 0.1), slab.RigidTip(radius=RADIUS), surface, force=3.0)
         after = seen(np.random.default_rng(2), places, dent.displaced[:, 2], 1e-4)
         told = fit_touch(before, after, touch(dent.depth), thickness_m=THICKNESS).estimate
         assert told.verdict == "at-bound"
