@@ -174,9 +174,9 @@ def conclude(
         [distances(c.simulated, c.observed)[some] for c, some in zip(comparisons, free, strict=True)]
     )
     left = float(sum(np.sum(one.residual(one.settle([best.law])) ** 2) for one in fit.posed))
-    moved = float(sum(np.sum((one.poke.moved[one.near] / one.poke.depth) ** 2) for one in fit.posed))
+    moved = float(sum(np.sum(one.weighed(one.poke.moved) ** 2) for one in fit.posed))
     misfit = float(np.sqrt(np.mean(best.surface_error**2))) * float(np.mean([poke.depth for poke in fit.pokes]))
-    told = Identifiability(rise, 1.0 - left / moved, posterior.deviation(), misfit / np.sqrt(3.0))
+    told = Identifiability(rise, 1.0 - left / moved, posterior.deviation(), misfit / np.sqrt(fit.pokes[0].components))
     k = _stiffness(fit, profile, posterior, level)
     model = _model(fit, provenance)
     estimate = Estimate(
@@ -227,7 +227,7 @@ class _Profile:
         at = float(-np.log1p(-law.beta))
         low = float(-np.log1p(-bounds[0]))
         self.stretched = np.unique(np.clip(at + np.array(BESIDE), low, high))
-        self.residual: list[FloatArray] = [np.empty((0, len(one.near), 3)) for one in fit.posed]
+        self.residual: list[FloatArray] = [np.empty((0, len(one.places), 3)) for one in fit.posed]
         self.reaction, self.errors = np.empty((0, len(fit.posed))), np.empty((0, len(fit.posed)))
         self._take(self.stretched)
         for end in (low, high):
@@ -281,11 +281,11 @@ class _Profile:
         beta, law = -np.expm1(-fine), self.fit.best.law
         thetas = np.linspace(0.0, 1.0, THETAS) if self.by_theta is not None else np.array([law.theta])
         squares = np.zeros((len(thetas), FINE))
-        independent = 0.0
+        independent = 0.0  # values that tell something by themselves
         for place, one in enumerate(self.fit.posed):
-            points = one.poke.points[one.near]
             along = CubicSpline(self.stretched, self.residual[place], axis=0)(fine)
-            independent += _independent(points, one.poke.tip.width) / len(self.fit.posed)
+            patches = _independent(one.places, one.poke.misfit_over or one.poke.tip.width)
+            independent += one.poke.components * patches / len(self.fit.posed)
             for row, theta in enumerate(thetas):
                 shifted = along
                 if self.by_theta is not None and law.beta > 0.0:
@@ -294,7 +294,7 @@ class _Profile:
                 squares[row] += np.mean(np.sum(shifted**2, axis=2), axis=1) / one.poke.depth**2
         squares += NUMERICS**2
         # Gaussian errors of unknown size: its integral leaves a power of the sum of squares
-        value = logsumexp(-0.5 * 3.0 * independent * np.log(squares), axis=0)
+        value = logsumexp(-0.5 * independent * np.log(squares), axis=0)
         density = np.exp(value - value.max())
         density /= np.trapezoid(density, beta)
         return Posterior(beta, density), float(np.sqrt(2.0 * (value.max() - value.min())))

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 from scipy.optimize import least_squares
+from scipy.sparse import csr_array
 from scipy.spatial import ConvexHull, QhullError
 
 from deformscope.arrays import FloatArray, IntArray
@@ -59,6 +60,11 @@ class SeenPoke:
     at: (3,) the middle of what was touched, at rest [m]; depth: mean displacement of what was touched, downwards [m]
     touched, touched_by: (m, 3) rest and displacement of the touched points; points, moved: (n, 3) of all points seen
     noise: (n,) [m] or None; force: [N] or None
+    average_over: cells of this side, seen from above, whose mean displacement is compared in place of each point's [m]:
+    white noise of many points falls, and what is left is the misfit; None: every point by itself
+    misfit_over: points nearer than this share the model's misfit [m], None: the tip's width
+    heights_only: `points` are places where a camera saw the surface afterwards, and of `moved` it tells the height
+    alone, not which point of the material stands there
     """
 
     at: FloatArray
@@ -70,6 +76,14 @@ class SeenPoke:
     moved: FloatArray
     noise: FloatArray | None
     force: float | None
+    heights_only: bool = False
+    average_over: float | None = None
+    misfit_over: float | None = None
+
+    @property
+    def components(self) -> int:
+        """How many coordinates of each point's displacement were seen."""
+        return 1 if self.heights_only else 3
 
 
 def seen_poke(seen: Observation) -> SeenPoke:
@@ -143,9 +157,15 @@ class PosedPoke:
         weights, inside = layers.interpolation(poke.points[:, :2])
         away = np.abs(poke.points[:, :2] - poke.at[:2]).max(axis=1) - 0.5 * max(poke.tip.size)
         self.near = np.flatnonzero(inside & (away <= NEAR_SHARE * surface.thickness))
-        self.inside, self.weights = inside, weights
+        self.inside, self.weights, self._layers = inside, weights, layers
         if not len(self.near):
             raise InputError("surface points near the poke", "none within the lattice", "points around the contact")
+        self._average = None if poke.average_over is None else _cells(poke.points[self.near], poke.average_over)
+        self.places = self.compared(poke.points)
+        self._share = np.ones(len(self.places))
+        if self._average is not None:
+            count = np.diff(self._average.indptr)
+            self._share = np.sqrt(count / count.mean())
         self.state: Held | None = None
 
     def settle(self, laws: Sequence[Law]) -> Held:
@@ -156,14 +176,36 @@ class PosedPoke:
         return self.state
 
     def residual(self, state: Held) -> FloatArray:
-        """Simulated less seen displacement near the poke, in units of its depth, (B, n, 3)."""
-        left = self.moved(state) - self.poke.moved
-        return np.asarray(left[:, self.near] / self.poke.depth)
+        """Simulated less seen displacement near the poke, in units of its depth, (B, m, 3) at `places`."""
+        return self.weighed(self.moved(state) - self.poke.moved)
+
+    def weighed(self, displacement: FloatArray) -> FloatArray:
+        """Displacements (..., n, 3) of all points as they are compared, (..., m, 3), in units of the depth; a cell
+        counts by its points."""
+        return np.asarray(self.compared(displacement) * self._share[:, None] / self.poke.depth)
+
+    def compared(self, value: FloatArray) -> FloatArray:
+        """Values (..., n, 3) of all points at what is compared near the poke: each point, or means over cells."""
+        near = value[..., self.near, :]
+        if self._average is None:
+            return np.asarray(near)
+        flat = np.moveaxis(near, -2, 0).reshape(len(self.near), -1)
+        mean = np.asarray(self._average @ flat).reshape(-1, *near.shape[:-2], near.shape[-1])
+        return np.moveaxis(mean, 0, -2)
 
     def moved(self, state: Held) -> FloatArray:
         """Simulated displacement of every point of the surface, (B, n, 3) [m]; beyond the lattice it is still."""
-        every = [np.asarray(self.weights @ (one - self.scene.rest)) for one in state.position]
+        every = [self._seen(one - self.scene.rest) for one in state.position]
         return np.where(self.inside[:, None], np.stack(every), 0.0)
+
+    def _seen(self, displacement: FloatArray) -> FloatArray:
+        """Displacement (n, 3) at the points, by the particles' (K, 3); of heights alone, what stands there now."""
+        found = np.asarray(self.weights @ displacement)
+        if not self.poke.heights_only:
+            return found
+        weights, still = self._layers.interpolation(self.poke.points[:, :2] - found[:, :2])
+        height = np.where(still, weights @ displacement[:, 2], found[:, 2])
+        return np.column_stack([np.zeros((len(found), 2)), height])
 
     def reaction(self, state: Held) -> FloatArray:
         """Net force on the tip along its direction per unit of stiffness k, (B,) [m]."""
@@ -191,7 +233,7 @@ def fit_shape(
             laws = [law(x), *(law(x + step) for step in np.diag(steps))]
             states = [one.settle(laws) for one in posed]
             every = [
-                one.residual(state).reshape(len(laws), -1) / np.sqrt(len(one.near))
+                one.residual(state).reshape(len(laws), -1) / np.sqrt(len(one.places))
                 for one, state in zip(posed, states, strict=True)
             ]
             value = np.concatenate(every, axis=1)
@@ -229,6 +271,14 @@ def _covered(touched: FloatArray, places: FloatArray, spacing: float) -> IntArra
     if not inside.any():
         inside[np.argmin(np.linalg.norm(places - touched.mean(axis=0), axis=1))] = True
     return np.flatnonzero(inside)
+
+
+def _cells(points: FloatArray, side: float) -> csr_array:
+    """(m, n) the mean over the points (n, 3) of each occupied cell, seen from above."""
+    cell = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / side).astype(np.int64)
+    _, place, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
+    place = place.ravel()
+    return csr_array((1.0 / count[place], (place, np.arange(len(points)))), shape=(len(count), len(points)))
 
 
 def _between(place: FloatArray, value: FloatArray, wanted: FloatArray) -> FloatArray:

@@ -1,0 +1,246 @@
+"""From a depth image to the surface's points: back-projection, crop, outliers, reduction, the robot taken away.
+
+Everything is in one frame, that of the surface; `T_world_camera` and the robot's links are given in it. Points are
+(n, 3) [m]. Functions that choose among points return which to keep, so that noise or colour can follow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError, cKDTree
+
+from deformscope.arrays import BoolArray, FloatArray
+from deformscope.errors import InputError
+
+TACTILE_POINTS = 10
+"""Virtual points on the tip (Thesis 4.4)."""
+
+GOLDEN_ANGLE = float(np.pi * (3.0 - np.sqrt(5.0)))
+
+
+@dataclass(frozen=True, slots=True)
+class Intrinsics:
+    """A pinhole camera without distortion, z along its axis, x right, y down. focal, centre: (x, y) [px]"""
+
+    focal_px: tuple[float, float]
+    centre_px: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Capsule:
+    """A link of the arm, or a stick: all within `radius_m` of the line from `start_m` to `end_m` (3,) [m]."""
+
+    start_m: FloatArray
+    end_m: FloatArray
+    radius_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """low_m, high_m: corners (3,) of a box along the axes [m]"""
+
+    low_m: tuple[float, float, float]
+    high_m: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Perceived:
+    """What is left of a depth image. points_m: (n, 3); noise_m: (n,) deviation of each height [m]
+    seen, cropped, outliers, robot: how many points there were, lay outside the box, were alone, were the robot's"""
+
+    points_m: FloatArray
+    noise_m: FloatArray
+    seen: int
+    cropped: int
+    outliers: int
+    robot: int
+
+
+def back_project(depth_m: FloatArray, camera: Intrinsics, T_world_camera: FloatArray) -> FloatArray:
+    """Points (n, 3) [m] of a depth image (H, W) [m], row by row; pixels of 0 or NaN saw nothing.
+
+    depth: along the camera's axis, not along the ray; T_world_camera: (4, 4), p_world = T_world_camera @ p_camera
+    """
+    depth = np.asarray(depth_m, dtype=np.float64)
+    transform = np.asarray(T_world_camera, dtype=np.float64)
+    if depth.ndim != 2:
+        raise InputError("a depth image (H, W)", f"shape {depth.shape}")
+    if transform.shape != (4, 4) or not np.isfinite(transform).all():
+        raise InputError("T_world_camera (4, 4), finite", f"shape {transform.shape}")
+    row, column = np.nonzero(np.isfinite(depth) & (depth > 0.0))
+    z = depth[row, column]
+    x = (column - camera.centre_px[0]) / camera.focal_px[0] * z
+    y = (row - camera.centre_px[1]) / camera.focal_px[1] * z
+    return np.asarray(np.column_stack([x, y, z]) @ transform[:3, :3].T + transform[:3, 3])
+
+
+def within(points: FloatArray, box: Box) -> BoolArray:
+    """(n,) points inside a box, its faces included."""
+    return np.asarray(((points >= box.low_m) & (points <= box.high_m)).all(axis=1))
+
+
+def not_alone(points: FloatArray, *, neighbours: int = 20, ratio: float = 2.0) -> BoolArray:
+    """(n,) points that are no statistical outliers: whose mean distance to their nearest neighbours is at most the mean
+    of all points' plus `ratio` deviations (Rusu et al. 2008).
+
+    Few points (no more than `neighbours`) are all kept.
+    """
+    if len(points) <= neighbours:
+        return np.ones(len(points), dtype=bool)
+    distance, _ = cKDTree(points).query(points, k=neighbours + 1)
+    mean = distance[:, 1:].mean(axis=1)
+    return np.asarray(mean <= mean.mean() + ratio * mean.std())
+
+
+def reduce_to_grid(points: FloatArray, cell_m: float) -> tuple[FloatArray, FloatArray]:
+    """One point (m, 3) for each occupied cell seen from above: the mean of those in it; and how many these were (m,).
+
+    Noise that is independent from point to point falls by the root of the count; the cells' order is fixed.
+    """
+    if cell_m <= 0.0 or not np.isfinite(cell_m):
+        raise InputError("a cell above 0 m", f"{cell_m:g}")
+    cell = np.floor(points[:, :2] / cell_m).astype(np.int64)
+    _, place, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
+    place = place.ravel()
+    mean = np.column_stack([np.bincount(place, weights=points[:, d], minlength=len(count)) for d in range(3)])
+    return mean / count[:, None], count.astype(np.float64)
+
+
+# The robot ------------------------------------------------------------------------------------------------------------
+
+
+def beside_capsules(points: FloatArray, links: Sequence[Capsule], *, margin_m: float = 0.01) -> BoolArray:
+    """(n,) points that lie outside every link by more than a margin [m]."""
+    outside = np.ones(len(points), dtype=bool)
+    for link in links:
+        along = np.asarray(link.end_m) - np.asarray(link.start_m)
+        share = ((points - link.start_m) @ along / max(float(along @ along), 1e-30)).clip(0.0, 1.0)
+        away = np.linalg.norm(points - link.start_m - share[:, None] * along, axis=1)
+        outside &= away > link.radius_m + margin_m
+    return outside
+
+
+def beside_hull(points: FloatArray, hull_points: FloatArray, *, margin_m: float = 0.01) -> BoolArray:
+    """(n,) points that lie outside the convex hull of hull_points (k, 3) by more than a margin [m] (Thesis 4.4).
+
+    The margin is measured from the planes of the faces: at edges and corners the hull grows by a little more.
+    Raises InputError for hull points that span no volume.
+    """
+    try:
+        faces = ConvexHull(np.asarray(hull_points, dtype=np.float64)).equations
+    except (QhullError, ValueError) as error:
+        raise InputError(
+            "hull points that span a volume", f"{len(hull_points)} points that do not", "capsules for thin links"
+        ) from error
+    outside = np.zeros(len(points), dtype=bool)
+    for normal in faces:
+        outside |= points @ normal[:3] + normal[3] > margin_m
+    return outside
+
+
+# Noise and touch ------------------------------------------------------------------------------------------------------
+
+
+def axial_noise_m(distance_m: FloatArray, incidence_rad: FloatArray | float = 0.0) -> FloatArray:
+    """Deviation of a structured-light camera's depth along its axis [m] at distances and angles between the ray and the
+    surface's normal (Nguyen, Izadi and Lovell 2012, eq. 4; a Kinect, 0.4 to 3 m)."""
+    distance, angle = np.asarray(distance_m, dtype=np.float64), np.asarray(incidence_rad, dtype=np.float64)
+    flat = 0.0012 + 0.0019 * (distance - 0.4) ** 2
+    steep = np.minimum(angle, 0.48 * np.pi)
+    return np.asarray(flat + 1e-4 / np.sqrt(distance) * steep**2 / (0.5 * np.pi - steep) ** 2)
+
+
+def height_noise_m(points: FloatArray, T_world_camera: FloatArray) -> FloatArray:
+    """(n,) deviation of the height of points (n, 3) on a level surface, from a camera's axial noise [m].
+
+    An error of depth moves a point along its ray; a surface seen at an angle is then off by the ray's share along z.
+    """
+    transform = np.asarray(T_world_camera, dtype=np.float64)
+    ray = points - transform[:3, 3]
+    axial = ray @ transform[:3, 2]  # the camera's axis in the world
+    length = np.linalg.norm(ray, axis=1)
+    steepness = np.abs(ray[:, 2])
+    incidence = np.arccos(np.clip(steepness / length, 0.0, 1.0))
+    return np.asarray(axial_noise_m(axial, incidence) * steepness / axial)
+
+
+def tactile_points(
+    lowest_m: FloatArray,
+    radius_m: float,
+    depth_m: float,
+    *,
+    normal: FloatArray | None = None,
+    count: int = TACTILE_POINTS,
+) -> FloatArray:
+    """Virtual points (count, 3) [m] where a ball touches: on its surface around its foremost point (Thesis 4.4).
+
+    lowest_m: (3,) the ball's foremost point; depth_m: how far it is below where it first touched
+    normal: (3,) unit normal of the surface at rest, away from it, default up
+    They cover the cap that touches evenly, the foremost point among them: a ball sunk into an elastic body touches it
+    up to about the root of radius times depth beside its axis (Hertz), at most up to its equator.
+    """
+    if count < 1 or radius_m <= 0.0 or depth_m < 0.0:
+        raise InputError(
+            "a ball and a depth of 0 or more", f"radius {radius_m:g} m, depth {depth_m:g} m, {count} points"
+        )
+    up = np.array([0.0, 0.0, 1.0]) if normal is None else np.asarray(normal, dtype=np.float64)
+    up = up / np.linalg.norm(up)
+    sink = 1.0 - np.sqrt(1.0 - (contact_radius_m(radius_m, depth_m) / radius_m) ** 2)
+    rise = radius_m * sink * np.arange(count) / max(count - 1, 1)
+    away = np.sqrt(np.maximum(radius_m**2 - (radius_m - rise) ** 2, 0.0))
+    angle = GOLDEN_ANGLE * np.arange(count)
+    first = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
+    first /= np.linalg.norm(first)
+    second = np.cross(up, first)
+    around = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second
+    return np.asarray(np.asarray(lowest_m) + rise[:, None] * up + away[:, None] * around)
+
+
+def contact_radius_m(radius_m: float, depth_m: float) -> float:
+    """How far beside its axis a ball touches an elastic half-space, sqrt(R d) (Hertz), at most its radius [m]."""
+    return float(min(np.sqrt(radius_m * max(depth_m, 0.0)), radius_m))
+
+
+def perceive(
+    depth_m: FloatArray,
+    camera: Intrinsics,
+    T_world_camera: FloatArray,
+    box: Box,
+    *,
+    links: Sequence[Capsule] = (),
+    hulls: Sequence[FloatArray] = (),
+    margin_m: float = 0.01,
+    cell_m: float | None = None,
+    neighbours: int = 20,
+    ratio: float = 2.0,
+) -> Perceived:
+    """The surface's points in a depth image (H, W) [m]: cropped to a box, without the robot, without lone points, and
+    reduced to one point a cell where `cell_m` is given.
+
+    links, hulls: the arm and its stick, as capsules or as points (k, 3) whose convex hulls they fill [m]
+    Raises InputError where nothing is left.
+    """
+    points = back_project(depth_m, camera, T_world_camera)
+    seen = len(points)
+    points = points[within(points, box)]
+    cropped = seen - len(points)
+    kept = beside_capsules(points, links, margin_m=margin_m)
+    for hull in hulls:
+        kept &= beside_hull(points, hull, margin_m=margin_m)
+    robot = int(np.count_nonzero(~kept))
+    points = points[kept]
+    kept = not_alone(points, neighbours=neighbours, ratio=ratio)
+    outliers = int(np.count_nonzero(~kept))
+    points = points[kept]
+    if not len(points):
+        raise InputError(
+            "points of the surface in the depth image", f"none of {seen} seen", "check T_world_camera and the box"
+        )
+    noise = height_noise_m(points, T_world_camera)
+    if cell_m is not None:
+        points, count = reduce_to_grid(points, cell_m)
+        noise = height_noise_m(points, T_world_camera) / np.sqrt(count)
+    return Perceived(points, noise, seen, cropped, outliers, robot)

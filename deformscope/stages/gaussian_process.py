@@ -1,0 +1,94 @@
+"""What Gaussian processes share: the kernel of the thesis, what was learned, and how sure it is.
+
+The kernel is `sigma_e^2 exp(-|u - u'|^2 / sigma_w^2)` (Thesis eq. 4.5), without the usual half: its length scale, in
+the field's common sense `exp(-|u - u'|^2 / (2 l^2))`, is `l = sigma_w / sqrt(2)`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.errors import InputError
+
+CELL_M = 0.005
+"""Cells of maps are this wide [m] (Thesis 4.4)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Kernel:
+    """The squared exponential kernel (Thesis eq. 4.5). sigma_e: deviation of the process [its unit]; sigma_w: width,
+    sqrt(2) times the length scale [m]
+
+    Raises InputError for values that are not above 0.
+    """
+
+    sigma_e: float
+    sigma_w: float
+
+    def __post_init__(self) -> None:
+        for name in ("sigma_e", "sigma_w"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0.0):
+                raise InputError(f"a kernel's {name} above 0", f"{value:g}")
+
+    @classmethod
+    def of_length(cls, sigma_e: float, length_m: float) -> Kernel:
+        """The kernel of a length scale l [m]."""
+        return cls(sigma_e, float(np.sqrt(2.0)) * length_m)
+
+    @property
+    def length_m(self) -> float:
+        """The length scale l = sigma_w / sqrt(2) [m]."""
+        return self.sigma_w / float(np.sqrt(2.0))
+
+    def between(self, one: FloatArray, other: FloatArray) -> FloatArray:
+        """Covariances (n, m) between places (n, d) and (m, d) [m]."""
+        square = np.zeros((len(one), len(other)))
+        for a, b in zip(one.T, other.T, strict=True):
+            square += (a[:, None] - b) ** 2
+        return np.asarray(self.sigma_e**2 * np.exp(-square / self.sigma_w**2))
+
+
+@dataclass(frozen=True, slots=True)
+class Believed:
+    """Values at places, as a process tells them. mean, deviation: (n,), of the process itself, without noise"""
+
+    mean: FloatArray
+    deviation: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Cells of a map seen from above: rows along y, columns along x, all of one size.
+
+    origin_m: (x, y) of the corner of the first cell [m]; shape: (rows, columns); cell_m: side of a cell [m]
+    """
+
+    origin_m: tuple[float, float]
+    shape: tuple[int, int]
+    cell_m: float = CELL_M
+
+    @classmethod
+    def over(cls, low_m: tuple[float, float], high_m: tuple[float, float], cell_m: float = CELL_M) -> Grid:
+        """The cells that cover a box (x, y) to (x, y) [m]."""
+        columns, rows = (max(1, round((high_m[i] - low_m[i]) / cell_m)) for i in range(2))
+        return cls((float(low_m[0]), float(low_m[1])), (rows, columns), cell_m)
+
+    @property
+    def x_m(self) -> FloatArray:
+        """(columns,) centres [m]."""
+        return self.origin_m[0] + (np.arange(self.shape[1]) + 0.5) * self.cell_m
+
+    @property
+    def y_m(self) -> FloatArray:
+        """(rows,) centres [m]."""
+        return self.origin_m[1] + (np.arange(self.shape[0]) + 0.5) * self.cell_m
+
+    @property
+    def places_m(self) -> FloatArray:
+        """(rows * columns, 2) centres of the cells, row by row [m]."""
+        x, y = np.meshgrid(self.x_m, self.y_m)
+        return np.column_stack([x.ravel(), y.ravel()])
