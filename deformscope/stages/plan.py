@@ -1,0 +1,274 @@
+"""Where to touch next, and why: what each place would tell, what going there costs, and where not to go.
+
+`random-above`: any place whose field variance is above a threshold (Thesis 4.2); `max-variance`: the largest variance;
+`integrated-variance`: the largest drop of the mean variance (active learning Cohn, 1996); `regions`, the default:
+touches that fill the space first, then those that tell most about the map of regions (mutual information) per second.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, cast
+
+import numpy as np
+from scipy.special import ndtr, xlogy
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.stages.regions import Hypotheses, RegionPosterior
+from deformscope.stages.touches import MapGrid
+
+Planner = Literal["regions", "integrated-variance", "max-variance", "random-above"]
+PLANNERS: tuple[Planner, ...] = ("regions", "integrated-variance", "max-variance", "random-above")
+StopReason = Literal["budget", "nothing above the threshold", "little left to learn", "nowhere to go"]
+
+ALLOWED, OUT_OF_REACH, AT_BORDER, TOUCHED_BEFORE = range(4)
+"""Codes of `Plan.excluded`."""
+
+OUTCOMES = 40
+"""Bins of a touch's possible readings, over which information is counted."""
+
+
+@dataclass(frozen=True, slots=True)
+class FieldKernel:
+    """The field's Gaussian process: squared exponential of `sd` and `length_m`, noise of a touch, all in log
+    stiffness."""
+
+    sd: float = 0.5
+    length_m: float = 0.12
+    noise_sd: float = 0.08
+
+    def covariance(self, a: FloatArray, b: FloatArray) -> FloatArray:
+        """(n, m) between places (n, 2) and (m, 2) [m]."""
+        apart = ((a[:, None] - b[None]) ** 2).sum(axis=-1)
+        return cast(FloatArray, self.sd**2 * np.exp(-0.5 * apart / self.length_m**2))
+
+
+@dataclass(frozen=True, slots=True)
+class PlanOptions:
+    """planner; fill: touches that fill the space before regions are asked for; cell_m: of the places considered
+    border_m, apart_m: kept from the border and from earlier touches; touch_s, speed_m_s: what a touch and the way cost
+    threshold: of variance, as a share of the field's variance before any touch (Th, thesis 4.2)
+    least_gain: of information [nat], below which it stops; sure: the probability from which the number of regions is
+    no longer in doubt; budget: touches in all
+    """
+
+    planner: Planner = "regions"
+    fill: int = 4
+    cell_m: float = 0.02
+    border_m: float = 0.02
+    apart_m: float = 0.025
+    touch_s: float = 6.0
+    speed_m_s: float = 0.1
+    threshold: float = 0.06
+    least_gain: float = 0.02
+    sure: float = 0.8
+    budget: int = 12
+
+    def __post_init__(self) -> None:
+        if self.planner not in PLANNERS:
+            raise InputError(f"a planner of {', '.join(PLANNERS)}", self.planner)
+        if min(self.cell_m, self.touch_s, self.speed_m_s) <= 0.0 or self.budget < 1:
+            raise InputError("cells, times, speed and budget above 0", f"{self}")
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """The next touch. Maps are (rows, columns) of `grid`, whose cells are the places considered.
+
+    target_m: (2,) [m], None where it stops; stop: why it stops; gain: what each place would tell, nan where excluded;
+    unit: of gain; cost_s: time of the way and the touch; excluded: codes (ALLOWED, OUT_OF_REACH, AT_BORDER,
+    TOUCHED_BEFORE); reason: in words
+    """
+
+    grid: MapGrid
+    target_m: FloatArray | None
+    stop: StopReason | None
+    gain: FloatArray
+    unit: str
+    cost_s: FloatArray
+    excluded: IntArray
+    reason: str
+
+
+def plan_touch(
+    posterior: RegionPosterior,
+    kernel: FieldKernel,
+    options: PlanOptions,
+    *,
+    tip_m: FloatArray | None = None,
+    reachable: BoolArray | None = None,
+    seed: int = 0,
+) -> Plan:
+    """Where to touch next.
+
+    tip_m: (2,) where the tip is now, default the last touch, else the surface's corner [m]; reachable: (rows, columns)
+    of `posterior.grid`; seed: of the random planner
+    """
+    grid = MapGrid(posterior.grid.size_m, options.cell_m)
+    places = grid.centres_m
+    touched = np.array([touch.xy_m for touch in posterior.touches]).reshape(-1, 2)
+    tip = tip_m if tip_m is not None else touched[-1] if len(touched) else np.zeros(2)
+    excluded = _excluded(places, touched, posterior.grid, reachable, options)
+    cost = options.touch_s + np.hypot(*(places - tip).T) / options.speed_m_s
+    variance = _variance(kernel, touched, places)
+    gain, unit, score = _gain(posterior, kernel, options, places, touched, variance, cost, seed)
+    gain = np.where(excluded == ALLOWED, gain, np.nan)
+    stop = _stop(posterior, options, gain, unit, variance[excluded == ALLOWED] / kernel.sd**2)
+
+    target, reason = None, f"stopped: {stop}"
+    if stop is None:
+        best = int(np.nanargmax(np.where(excluded == ALLOWED, score, -np.inf)))
+        target = places[best]
+        reason = _why(posterior, options, unit, float(gain[best]), float(np.nanmax(gain)), float(cost[best]))
+    shape = grid.shape
+    return Plan(
+        grid, target, stop, gain.reshape(shape), unit, cost.reshape(shape), excluded.reshape(shape), reason
+    )
+
+
+def information(
+    hypotheses: Hypotheses, places_m: FloatArray, blur_m: float, noise_sd: float, range_sd: float = 4.0
+) -> FloatArray:
+    """(p,) mutual information of a touch at places (p, 2) with what the surface is [nat].
+
+    It is the entropy of the reading over all hypotheses less that under each (Lindley 1956), in bins.
+    """
+    mean, sd, weight = _predictions(hypotheses, places_m, blur_m, noise_sd)
+    low, high = (mean - range_sd * sd).min(axis=0), (mean + range_sd * sd).max(axis=0)
+    edges = low + (high - low) * np.linspace(0.0, 1.0, OUTCOMES + 1)[:, None]
+    # (bins, hypotheses, places): bins are even where most hypotheses have their readings, if levels are far apart
+    edges = _by_quantile(mean, sd, weight, edges)
+    chance = np.diff(ndtr((edges[:, None] - mean) / sd), axis=0)
+    together = np.einsum("bhp,h->bp", chance, weight)
+    entropy = -xlogy(together, together).sum(axis=0)
+    return cast(FloatArray, np.maximum(entropy + np.einsum("bhp,h->p", xlogy(chance, chance), weight), 0.0))
+
+
+def _by_quantile(mean: FloatArray, sd: FloatArray, weight: FloatArray, edges: FloatArray) -> FloatArray:
+    """Edges (bins + 1, p) of bins of even probability of all hypotheses together, from even ones."""
+    together = np.einsum("bhp,h->bp", ndtr((edges[:, None] - mean) / sd), weight)
+    wanted = np.linspace(0.0, 1.0, len(edges))
+    even = np.stack([np.interp(wanted, together[:, i], edges[:, i]) for i in range(edges.shape[1])], axis=1)
+    even[0], even[-1] = edges[0], edges[-1]
+    return cast(FloatArray, even)
+
+
+def _predictions(
+    hypotheses: Hypotheses, places: FloatArray, blur_m: float, noise_sd: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean and deviation (h, p) of a reading under each hypothesis, and their weights (h,)."""
+    means, variances, weights = [], [], []
+    for maps, level, cov, weight in hypotheses.maps:
+        shares = np.ones((1, len(places), 1)) if maps is None else maps.shares(places, blur_m)
+        means.append((shares @ level[..., None])[..., 0])
+        variances.append(((shares @ cov) * shares).sum(axis=-1))
+        weights.append(weight)
+    for field, share in hypotheses.smooth:
+        mean, variance = field.predict(places)
+        means.append(mean[None])
+        variances.append(variance[None])
+        weights.append(np.array([share]))
+    weight = np.concatenate(weights)
+    sd = np.sqrt(np.concatenate(variances) + noise_sd**2)
+    return np.concatenate(means), sd, weight / weight.sum()
+
+
+def _excluded(
+    places: FloatArray, touched: FloatArray, cells: MapGrid, reachable: BoolArray | None, options: PlanOptions
+) -> IntArray:
+    excluded = np.full(len(places), ALLOWED)
+    if len(touched):
+        nearest = np.hypot(*(places[:, None] - touched).transpose(2, 0, 1)).min(axis=1)
+        excluded[nearest < options.apart_m] = TOUCHED_BEFORE
+    inside = ((places > options.border_m) & (places < np.asarray(cells.size_m) - options.border_m)).all(axis=1)
+    excluded[~inside] = AT_BORDER
+    if reachable is not None:
+        if reachable.shape != cells.shape:
+            raise InputError(f"a reachability mask of {cells.shape}", f"{reachable.shape}")
+        last = np.asarray(cells.shape)[::-1] - 1
+        column, row = np.minimum((places / cells.cell_m).astype(int), last).T
+        excluded[~reachable[row, column]] = OUT_OF_REACH
+    return excluded
+
+
+def _variance(kernel: FieldKernel, touched: FloatArray, places: FloatArray) -> FloatArray:
+    """(p,) of the field after the touches (Thesis eq. 4.4)."""
+    return cast(FloatArray, kernel.sd**2 - (_explained(kernel, touched, places) ** 2).sum(axis=0))
+
+
+def _explained(kernel: FieldKernel, touched: FloatArray, places: FloatArray) -> FloatArray:
+    """(t, p) whitened covariances of touches and places."""
+    if not len(touched):
+        return np.zeros((0, len(places)))
+    own = kernel.covariance(touched, touched) + kernel.noise_sd**2 * np.eye(len(touched))
+    return cast(FloatArray, np.linalg.solve(np.linalg.cholesky(own), kernel.covariance(touched, places)))
+
+
+def _integrated_drop(kernel: FieldKernel, touched: FloatArray, places: FloatArray) -> FloatArray:
+    """(p,) by how much the mean variance over all places would drop."""
+    explained = _explained(kernel, touched, places)
+    covariance = kernel.covariance(places, places) - explained.T @ explained
+    return cast(FloatArray, (covariance**2).mean(axis=0) / (np.diagonal(covariance) + kernel.noise_sd**2))
+
+
+def _gain(
+    posterior: RegionPosterior,
+    kernel: FieldKernel,
+    options: PlanOptions,
+    places: FloatArray,
+    touched: FloatArray,
+    variance: FloatArray,
+    cost: FloatArray,
+    seed: int,
+) -> tuple[FloatArray, str, FloatArray]:
+    """Gain (p,), its unit, and the score (p,) whose largest is taken."""
+    if options.planner == "random-above":
+        above = variance / kernel.sd**2 > options.threshold
+        order = np.random.default_rng((seed, len(touched))).random(len(places))
+        return variance, "variance", np.where(above, order, -1.0)
+    if options.planner == "max-variance":
+        return variance, "variance", variance
+    drop = _integrated_drop(kernel, touched, places)
+    if options.planner == "integrated-variance":
+        return drop, "mean variance", drop
+    if _filling(posterior, options):
+        return drop, "mean variance", drop / cost
+    told = information(posterior.hypotheses(), places, posterior.prior.blur_m, kernel.noise_sd)
+    return told, "nat", told / cost
+
+
+def _filling(posterior: RegionPosterior, options: PlanOptions) -> bool:
+    """Too few touches, or nothing seen yet but one material: a search for boundaries would only stall."""
+    return len(posterior.touches) < options.fill or posterior.probability["1"] > 0.5
+
+
+def _stop(
+    posterior: RegionPosterior, options: PlanOptions, gain: FloatArray, unit: str, variance: FloatArray
+) -> StopReason | None:
+    """Why no further touch is made. While the number of regions is in doubt, only the budget and the reach end it."""
+    if len(posterior.touches) >= options.budget:
+        return "budget"
+    if not np.isfinite(gain).any():
+        return "nowhere to go"
+    if len(posterior.touches) < 3 or max(posterior.probability.values()) < options.sure:
+        return None
+    if variance.max() < options.threshold:
+        return "nothing above the threshold"
+    if unit == "nat" and np.nanmax(gain) < options.least_gain:
+        return "little left to learn"
+    return None
+
+
+def _why(
+    posterior: RegionPosterior, options: PlanOptions, unit: str, gain: float, most: float, cost_s: float
+) -> str:
+    """Why here, in words."""
+    if options.planner == "random-above":
+        return f"any place above the threshold: variance {gain:.3g}"
+    if options.planner == "max-variance":
+        return f"the least known place: variance {gain:.3g}"
+    if unit == "mean variance":
+        return f"fills the space: the mean variance drops by {gain:.2g} for {cost_s:.0f} s"
+    shares = ", ".join(f"{name}: {share:.0%}" for name, share in posterior.probability.items() if share >= 0.05)
+    return f"tells {gain:.2f} nat of the map (at most {most:.2f}) for {cost_s:.0f} s; regions {shares}"
