@@ -172,7 +172,7 @@ def explore(
     would have stopped."""
     posterior = RegionPosterior.before_touches(grid or MapGrid(), seed=seed)
     kernel = kernel or FieldKernel()
-    options = PlanOptions(planner=planner, budget=touches + 1, least_gain=-1.0, threshold=-1.0)
+    options = PlanOptions(planner=planner, budget=touches + 1)
     rng = np.random.default_rng((seed, 13))
     tip = np.array([rng.uniform(0.05, 0.3), rng.uniform(0.05, 0.35)]) * np.asarray(posterior.grid.size_m) / [0.6, 0.4]
     travel, found, stop_after = 0.0, [], None
@@ -189,7 +189,7 @@ def explore(
         plan = plan_touch(posterior, kernel, options, seed=seed)
         seconds = time.process_time() - start
         found.append(score(shown, truth, count, travel, seconds, (float(tip[0]), float(tip[1]))))
-        if stop_after is None and plan_touch(posterior, kernel, PlanOptions(planner=planner), seed=seed).stop:
+        if stop_after is None and plan.stop is not None:
             stop_after = count
         target = plan.target_m
     return tuple(found), stop_after

@@ -134,7 +134,9 @@ class Partitions:
         distance = np.empty((len(self), len(xy_m)))
         lines = family <= Family.LINE
         if lines.any():
-            distance[lines] = _line(latent[lines], family[lines] == Family.SQUARE_LINE, xy_m, self.size_m)
+            distance[lines] = _line(
+                latent[lines], family[lines] == Family.SQUARE_LINE, xy_m, self.size_m, exact
+            )
         blobs = family == Family.BLOB
         if blobs.any():
             distance[blobs] = _blob(latent[blobs], xy_m, self.size_m)
@@ -186,7 +188,9 @@ def _draw(rng: np.random.Generator, regions: int, size_m: tuple[float, float], c
     )
 
 
-def _line(latent: FloatArray, square: BoolArray, xy_m: FloatArray, size_m: tuple[float, float]) -> FloatArray:
+def _line(
+    latent: FloatArray, square: BoolArray, xy_m: FloatArray, size_m: tuple[float, float], exact: bool
+) -> FloatArray:
     """(n, p) distance to lines through a place anywhere on the surface, on which a sine may ride."""
     free = np.arctan2(latent[:, 0], latent[:, 1])
     angle = np.where(square, np.round(free / (np.pi / 2)) * (np.pi / 2) + LINE_TILT * latent[:, 2], free)
@@ -196,11 +200,13 @@ def _line(latent: FloatArray, square: BoolArray, xy_m: FloatArray, size_m: tuple
     phase = 2.0 * np.pi * ndtr(latent[:, 7])[:, None]
 
     normal = np.stack([np.cos(angle), np.sin(angle)])
-    across = xy_m @ normal - (through * normal.T).sum(axis=1)
-    along = xy_m @ np.stack([-normal[1], normal[0]])
-    turn = number * along.T + phase
-    slope = amplitude * number * np.cos(turn)
-    return cast(FloatArray, (across.T - amplitude * np.sin(turn)) / np.sqrt(1.0 + slope**2))
+    distance = (xy_m @ normal - (through * normal.T).sum(axis=1)).T.copy()
+    wavy = amplitude[:, 0] > 0.0
+    turn = number[wavy] * (xy_m @ np.stack([-normal[1], normal[0]])[:, wavy]).T + phase[wavy]
+    distance[wavy] -= amplitude[wavy] * np.sin(turn)
+    if exact:
+        distance[wavy] /= np.sqrt(1.0 + (amplitude[wavy] * number[wavy] * np.cos(turn)) ** 2)
+    return cast(FloatArray, distance)
 
 
 def _blob(latent: FloatArray, xy_m: FloatArray, size_m: tuple[float, float]) -> FloatArray:
@@ -217,7 +223,10 @@ def _blob(latent: FloatArray, xy_m: FloatArray, size_m: tuple[float, float]) -> 
     u = np.abs(cos * from_centre[..., 0] + sin * from_centre[..., 1]) / (radius * stretch)[:, None]
     v = np.abs(-sin * from_centre[..., 0] + cos * from_centre[..., 1]) / (radius / stretch)[:, None]
     # a place at 1 is on the border; the ray's length in these units turns the rest into metres
-    rho = np.maximum((u**power + v**power) ** (1.0 / power), 1e-9)
+    rho = np.hypot(u, v)
+    cornered = power[:, 0] > 2.0
+    rho[cornered] = (u[cornered] ** power[cornered] + v[cornered] ** power[cornered]) ** (1.0 / power[cornered])
+    rho = np.maximum(rho, 1e-9)
     away = np.maximum(np.hypot(from_centre[..., 0], from_centre[..., 1]), 1e-9 * radius[:, None])
     return cast(FloatArray, away * (1.0 - rho) / rho)
 

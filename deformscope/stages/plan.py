@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Literal, cast
 
 import numpy as np
-from scipy.special import ndtr, xlogy
+from scipy.special import ndtr, ndtri, xlogy
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
@@ -25,7 +25,7 @@ StopReason = Literal["budget", "nothing above the threshold", "little left to le
 ALLOWED, OUT_OF_REACH, AT_BORDER, TOUCHED_BEFORE = range(4)
 """Codes of `Plan.excluded`."""
 
-OUTCOMES = 40
+OUTCOMES = 16
 """Bins of a touch's possible readings, over which information is counted."""
 
 
@@ -76,7 +76,7 @@ class PlanOptions:
 class Plan:
     """The next touch. Maps are (rows, columns) of `grid`, whose cells are the places considered.
 
-    target_m: (2,) [m], None where it stops; stop: why it stops; gain: what each place would tell, nan where excluded;
+    target_m: (2,) the best place [m], None if there is none; stop: why no touch is worth it any more, None to go on; gain: what each place would tell, nan where excluded;
     unit: of gain; cost_s: time of the way and the touch; excluded: codes (ALLOWED, OUT_OF_REACH, AT_BORDER,
     TOUCHED_BEFORE); reason: in words
     """
@@ -112,46 +112,47 @@ def plan_touch(
     excluded = _excluded(places, touched, posterior.grid, reachable, options)
     cost = options.touch_s + np.hypot(*(places - tip).T) / options.speed_m_s
     variance = _variance(kernel, touched, places)
-    gain, unit, score = _gain(posterior, kernel, options, places, touched, variance, cost, seed)
-    gain = np.where(excluded == ALLOWED, gain, np.nan)
-    stop = _stop(posterior, options, gain, unit, variance[excluded == ALLOWED] / kernel.sd**2)
+    allowed = excluded == ALLOWED
+    gain, unit, score = _gain(posterior, kernel, options, places, allowed, touched, variance, cost, seed)
+    stop = _stop(posterior, options, gain, unit, variance[allowed] / kernel.sd**2)
 
     target, reason = None, f"stopped: {stop}"
-    if stop is None:
-        best = int(np.nanargmax(np.where(excluded == ALLOWED, score, -np.inf)))
+    if allowed.any():
+        best = int(np.nanargmax(np.where(allowed, score, -np.inf)))
         target = places[best]
-        reason = _why(posterior, options, unit, float(gain[best]), float(np.nanmax(gain)), float(cost[best]))
+        if stop is None:
+            reason = _why(posterior, options, unit, float(gain[best]), float(np.nanmax(gain)), float(cost[best]))
     shape = grid.shape
     return Plan(
         grid, target, stop, gain.reshape(shape), unit, cost.reshape(shape), excluded.reshape(shape), reason
     )
 
 
-def information(
-    hypotheses: Hypotheses, places_m: FloatArray, blur_m: float, noise_sd: float, range_sd: float = 4.0
-) -> FloatArray:
+def information(hypotheses: Hypotheses, places_m: FloatArray, blur_m: float, noise_sd: float) -> FloatArray:
     """(p,) mutual information of a touch at places (p, 2) with what the surface is [nat].
 
-    It is the entropy of the reading over all hypotheses less that under each (Lindley 1956), in bins.
+    It is the entropy of the reading over all hypotheses less that under each (Lindley 1956), in bins: a little less
+    than without them.
     """
     mean, sd, weight = _predictions(hypotheses, places_m, blur_m, noise_sd)
-    low, high = (mean - range_sd * sd).min(axis=0), (mean + range_sd * sd).max(axis=0)
-    edges = low + (high - low) * np.linspace(0.0, 1.0, OUTCOMES + 1)[:, None]
-    # (bins, hypotheses, places): bins are even where most hypotheses have their readings, if levels are far apart
-    edges = _by_quantile(mean, sd, weight, edges)
-    chance = np.diff(ndtr((edges[:, None] - mean) / sd), axis=0)
-    together = np.einsum("bhp,h->bp", chance, weight)
+    edges = _bin_edges(mean, sd, weight)
+    below = ndtr((edges[:, None] - mean) / sd)
+    chance = np.diff(below, axis=0, prepend=0.0, append=1.0)
+    together = np.tensordot(chance, weight, axes=(1, 0))
     entropy = -xlogy(together, together).sum(axis=0)
-    return cast(FloatArray, np.maximum(entropy + np.einsum("bhp,h->p", xlogy(chance, chance), weight), 0.0))
+    return cast(FloatArray, np.maximum(entropy + weight @ xlogy(chance, chance).sum(axis=0), 0.0))
 
 
-def _by_quantile(mean: FloatArray, sd: FloatArray, weight: FloatArray, edges: FloatArray) -> FloatArray:
-    """Edges (bins + 1, p) of bins of even probability of all hypotheses together, from even ones."""
-    together = np.einsum("bhp,h->bp", ndtr((edges[:, None] - mean) / sd), weight)
-    wanted = np.linspace(0.0, 1.0, len(edges))
-    even = np.stack([np.interp(wanted, together[:, i], edges[:, i]) for i in range(edges.shape[1])], axis=1)
-    even[0], even[-1] = edges[0], edges[-1]
-    return cast(FloatArray, even)
+def _bin_edges(mean: FloatArray, sd: FloatArray, weight: FloatArray) -> FloatArray:
+    """Edges (bins - 1, p) of bins that a reading falls into about equally often, whatever the hypothesis."""
+    spread = ndtri((np.arange(8) + 0.5) / 8.0)
+    reading = (mean[:, None] + sd[:, None] * spread[:, None]).reshape(-1, mean.shape[1])
+    order = np.argsort(reading, axis=0)
+    below = np.cumsum(np.repeat(weight / 8.0, 8)[order], axis=0)
+    wanted = np.arange(1, OUTCOMES) / OUTCOMES
+    at = [np.searchsorted(below[:, place], wanted) for place in range(reading.shape[1])]
+    chosen = np.take_along_axis(order, np.minimum(np.stack(at, axis=1), len(reading) - 1), axis=0)
+    return cast(FloatArray, np.take_along_axis(reading, chosen, axis=0))
 
 
 def _predictions(
@@ -217,24 +218,30 @@ def _gain(
     kernel: FieldKernel,
     options: PlanOptions,
     places: FloatArray,
+    allowed: BoolArray,
     touched: FloatArray,
     variance: FloatArray,
     cost: FloatArray,
     seed: int,
 ) -> tuple[FloatArray, str, FloatArray]:
-    """Gain (p,), its unit, and the score (p,) whose largest is taken."""
+    """Gain (p,), nan where not `allowed`, its unit, and the score (p,) whose largest is taken."""
+    known = np.where(allowed, variance, np.nan)
     if options.planner == "random-above":
         above = variance / kernel.sd**2 > options.threshold
         order = np.random.default_rng((seed, len(touched))).random(len(places))
-        return variance, "variance", np.where(above, order, -1.0)
+        return known, "variance", np.where(above, order, -1.0)
     if options.planner == "max-variance":
-        return variance, "variance", variance
-    drop = _integrated_drop(kernel, touched, places)
+        return known, "variance", variance
+    drop = np.where(allowed, _integrated_drop(kernel, touched, places), np.nan)
     if options.planner == "integrated-variance":
         return drop, "mean variance", drop
     if _filling(posterior, options):
         return drop, "mean variance", drop / cost
-    told = information(posterior.hypotheses(), places, posterior.prior.blur_m, kernel.noise_sd)
+    told = np.full(len(places), np.nan)
+    if allowed.any():
+        told[allowed] = information(
+            posterior.hypotheses(), places[allowed], posterior.prior.blur_m, kernel.noise_sd
+        )
     return told, "nat", told / cost
 
 

@@ -164,7 +164,7 @@ class RegionPosterior:
         prior = np.array([self.prior.one, self.prior.two, self.prior.three, self.prior.gradual])
         with np.errstate(divide="ignore"):
             logs = np.log(prior) + np.array(evidence)
-        shares = np.exp(logs - logsumexp(logs))
+        shares = np.maximum(np.exp(logs - logsumexp(logs)), 1e-9)  # nothing is certain
         return dict(zip(("1", "2", "3", "gradual"), shares.tolist(), strict=True))
 
     @property
@@ -177,7 +177,7 @@ class RegionPosterior:
         return "gradual" if self.probability["gradual"] > 0.5 else "regions"
 
     def hypotheses(self, count: int = 300) -> Hypotheses:
-        """`count` maps in all, drawn in proportion to the probability of their number of regions."""
+        """About `count` maps, in proportion to the probability of their number of regions."""
         readings = _readings(self.touches, self.prior)
         _, level, cov = self._one_region
         found: list[tuple[Partitions | None, FloatArray, FloatArray, FloatArray]] = [
@@ -185,8 +185,9 @@ class RegionPosterior:
         ]
         for one in self.particles:
             share = self.probability[str(one.maps.regions)]
-            number = int(np.ceil(count * share))
-            if share > 1e-3:
+            number = int(np.ceil(count * share / max(1.0 - self.probability["gradual"], 1e-12)))
+            if number > 0.01 * count or one.maps.regions == self.region_count:
+                number = max(number, 20)
                 maps, level, cov = self._draw(one, number, readings)
                 found.append((maps, level, cov, np.full(number, share / number)))
         weights = np.exp([one.log_evidence for one in self._smooth])
