@@ -89,6 +89,7 @@ class Job:
     planner: Planner
     touches: int = 12
     noise: float = NOISE
+    cell_m: float = 0.005
 
 
 def scene_truth(scene: str, seed: int, grid: MapGrid | None = None) -> Truth:
@@ -198,10 +199,11 @@ def explore(
 def run_job(job: Job) -> Run:
     """One synthetic scene and seed; for processes side by side."""
     with threadpool_limits(1):
-        truth = scene_truth(job.scene, job.seed)
-        world = synthetic_world(truth, job.seed, noise=job.noise)
+        grid = MapGrid(cell_m=job.cell_m)
+        truth = scene_truth(job.scene, job.seed, grid)
+        world = synthetic_world(truth, job.seed, grid, noise=job.noise)
         kernel = FieldKernel(noise_sd=job.noise)
-        after, stop = explore(world, truth, job.planner, job.touches, seed=job.seed, kernel=kernel)
+        after, stop = explore(world, truth, job.planner, job.touches, grid=grid, seed=job.seed, kernel=kernel)
     return Run(job.scene, job.seed, job.planner, stop, after)
 
 

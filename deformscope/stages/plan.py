@@ -15,7 +15,7 @@ from scipy.special import ndtr, ndtri, xlogy
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.regions import Hypotheses, RegionPosterior
+from deformscope.stages.regions import Hypotheses, RegionPosterior, ranked_labels
 from deformscope.stages.touches import MapGrid
 
 Planner = Literal["regions", "integrated-variance", "max-variance", "random-above"]
@@ -134,22 +134,58 @@ def information(hypotheses: Hypotheses, places_m: FloatArray, blur_m: float, noi
     It is the entropy of the reading over all hypotheses less that under each (Lindley 1956), in bins: a little less
     than without them.
     """
-    mean, sd, weight = _predictions(hypotheses, places_m, blur_m, noise_sd)
-    edges = _bin_edges(mean, sd, weight)
-    below = ndtr((edges[:, None] - mean) / sd)
-    chance = np.diff(below, axis=0, prepend=0.0, append=1.0)
+    chance, weight = _outcomes(hypotheses, places_m, blur_m, noise_sd, OUTCOMES)
     together = np.tensordot(chance, weight, axes=(1, 0))
     entropy = -xlogy(together, together).sum(axis=0)
     return cast(FloatArray, np.maximum(entropy + weight @ xlogy(chance, chance).sum(axis=0), 0.0))
 
 
-def _bin_edges(mean: FloatArray, sd: FloatArray, weight: FloatArray) -> FloatArray:
+def label_gain(
+    hypotheses: Hypotheses, places_m: FloatArray, cells_m: FloatArray, blur_m: float, noise_sd: float
+) -> FloatArray:
+    """(p,) by how much a touch at places (p, 2) is expected to raise the share of cells (c, 2) with the right label.
+
+    A label is right if the number of regions is, too; each region of a map counts the same, however small. The share
+    is that of the best labels after the touch, over all its outcomes.
+    """
+    outcomes = OUTCOMES // 2
+    chance, weight = _outcomes(hypotheses, places_m, blur_m, noise_sd, outcomes)
+    joint = np.ascontiguousarray(np.swapaxes(chance * weight[:, None], 1, 2)).reshape(-1, len(weight))
+    best, best_now = np.zeros((len(joint), len(cells_m))), np.zeros(len(cells_m))
+    start = 0
+    for maps, level, _, _ in hypotheses.maps:
+        regions = level.shape[1]
+        here = slice(start, start + len(level))
+        start += len(level)
+        labels = np.zeros((1, len(cells_m)), dtype=np.int8) if maps is None else ranked_labels(maps, level, cells_m)
+        for rank in range(regions):
+            is_rank = labels == rank
+            credit = is_rank / np.maximum(regions * is_rank.mean(axis=1, keepdims=True), 1e-9)
+            np.maximum(best, joint[:, here] @ credit, out=best)
+            np.maximum(best_now, weight[here] @ credit, out=best_now)
+    smooth = np.full((1, len(cells_m)), 1.0)
+    np.maximum(best, joint[:, start:].sum(axis=1, keepdims=True) @ smooth, out=best)
+    np.maximum(best_now, weight[start:].sum() * smooth[0], out=best_now)
+    after = best.reshape(outcomes, len(places_m), -1).sum(axis=0).mean(axis=1)
+    return cast(FloatArray, np.maximum(after - best_now.mean(), 0.0))
+
+
+def _outcomes(
+    hypotheses: Hypotheses, places: FloatArray, blur_m: float, noise_sd: float, count: int
+) -> tuple[FloatArray, FloatArray]:
+    """(count, h, p) probability of each outcome of a touch under each hypothesis, and the hypotheses' weights (h,)."""
+    mean, sd, weight = _predictions(hypotheses, places, blur_m, noise_sd)
+    below = ndtr((_bin_edges(mean, sd, weight, count)[:, None] - mean) / sd)
+    return np.diff(below, axis=0, prepend=0.0, append=1.0), weight
+
+
+def _bin_edges(mean: FloatArray, sd: FloatArray, weight: FloatArray, count: int) -> FloatArray:
     """Edges (bins - 1, p) of bins that a reading falls into about equally often, whatever the hypothesis."""
     spread = ndtri((np.arange(8) + 0.5) / 8.0)
     reading = (mean[:, None] + sd[:, None] * spread[:, None]).reshape(-1, mean.shape[1])
     order = np.argsort(reading, axis=0)
     below = np.cumsum(np.repeat(weight / 8.0, 8)[order], axis=0)
-    wanted = np.arange(1, OUTCOMES) / OUTCOMES
+    wanted = np.arange(1, count) / count
     at = [np.searchsorted(below[:, place], wanted) for place in range(reading.shape[1])]
     chosen = np.take_along_axis(order, np.minimum(np.stack(at, axis=1), len(reading) - 1), axis=0)
     return cast(FloatArray, np.take_along_axis(reading, chosen, axis=0))
@@ -242,7 +278,16 @@ def _gain(
         told[allowed] = information(
             posterior.hypotheses(), places[allowed], posterior.prior.blur_m, kernel.noise_sd
         )
-    return told, "nat", told / cost
+    import os
+    mode = os.environ.get("MODE", "mi")
+    if mode == "mi":
+        return told, "nat", told / cost
+    top = np.argsort(-np.nan_to_num(told, nan=-1.0) / (cost if mode == "risk" else 1))[:TOP]
+    cells = MapGrid(posterior.grid.size_m, 0.025).centres_m
+    risk = np.full(len(places), -1.0)
+    risk[top] = label_gain(posterior.hypotheses(), places[top], cells, posterior.prior.blur_m, kernel.noise_sd)
+    return told, "nat", np.where(risk > 0, risk / cost, -1.0)
+TOP = 100
 
 
 def _filling(posterior: RegionPosterior, options: PlanOptions) -> bool:

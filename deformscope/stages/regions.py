@@ -26,6 +26,9 @@ from deformscope.stages.touches import MapGrid, Touch
 RegionVerdict = Literal["regions", "gradual"]
 
 MOST_REGIONS = 3
+MOVES = 24
+TEMPERS = (1.0, 4.0, 16.0, 64.0, 256.0)
+"""Factors on the variance of the newest touch, where it comes as a surprise."""
 SMOOTH_LENGTHS_M = (0.2, 0.35, 0.6)
 SMOOTH_SDS = (0.25, 0.6)
 SLOPES_PER_M = (1.0, 3.0)
@@ -132,6 +135,7 @@ class RegionPosterior:
     prior: RegionPrior
     touches: tuple[Touch, ...]
     particles: tuple[_Particles, ...]
+    particle_count: int
     seed: int
 
     @classmethod
@@ -145,7 +149,7 @@ class RegionPosterior:
             _Particles(maps, np.full(len(maps), -np.log(len(maps))), np.zeros(len(maps)), 0.0)
             for maps in (_prior_maps(seed, k, grid.size_m, 4 * particle_count) for k in range(2, MOST_REGIONS + 1))
         )
-        return cls(grid, prior or RegionPrior(), (), particles, seed)
+        return cls(grid, prior or RegionPrior(), (), particles, particle_count, seed)
 
     def with_touch(self, touch: Touch) -> RegionPosterior:
         """After one more touch."""
@@ -154,7 +158,7 @@ class RegionPosterior:
         particles = []
         for one in self.particles:
             rng = np.random.default_rng((self.seed, len(touches), one.maps.regions))
-            particles.append(_update(rng, one, readings, self.prior))
+            particles.append(_update(rng, one, readings, self.prior, self.particle_count))
         return replace(self, touches=touches, particles=tuple(particles))
 
     @cached_property
@@ -201,7 +205,7 @@ class RegionPosterior:
         mean, square = np.zeros(len(centres)), np.zeros(len(centres))
         probability, level, cov = np.ones((1, len(centres))), *(part for part in hypotheses.maps[0][1:3])
         for maps, levels, covs, weight in hypotheses.maps:
-            labels = np.zeros((1, len(centres)), dtype=np.int8) if maps is None else _ranked(maps, levels, centres)
+            labels = np.zeros((1, len(centres)), dtype=np.int8) if maps is None else ranked_labels(maps, levels, centres)
             levels, covs = _sorted(levels, covs)
             variance = np.diagonal(covs, axis1=1, axis2=2)
             shares = np.stack([weight @ (labels == rank) for rank in range(levels.shape[1])])
@@ -400,15 +404,17 @@ def _levels(
     return log_likelihood, level, cov
 
 
-def _update(rng: np.random.Generator, old: _Particles, readings: _Readings, prior: RegionPrior) -> _Particles:
+def _update(
+    rng: np.random.Generator, old: _Particles, readings: _Readings, prior: RegionPrior, keep: int
+) -> _Particles:
     """Reweight the maps by the newest touch; where few are left, its noise is first taken as larger and the maps move
-    in between (tempering)."""
+    in between (tempering, in four steps at most). keep: maps that are left once they move"""
     maps, log_weight, before, log_evidence = old.maps, old.log_weight, old.log_likelihood, old.log_evidence
-    least = 0.3 * min(len(maps), 1200)
-    noise = 1.0
+    least = 0.3 * min(len(maps), keep)
+    noise = 2.0 * TEMPERS[-1]
     while True:
         shares = maps.shares(readings.xy_m, prior.blur_m)
-        for noise in (1.0, 4.0, 16.0, 64.0, 256.0):
+        for noise in (temper for temper in TEMPERS if temper < noise):
             now, _, _ = _levels(shares, readings, prior, noise)
             joint = log_weight + now - before
             gained = float(logsumexp(joint))
@@ -419,14 +425,11 @@ def _update(rng: np.random.Generator, old: _Particles, readings: _Readings, prio
         log_weight = joint - gained
         before = now
         if size < least or noise > 1.0:
-            kept = _systematic(np.exp(log_weight), min(len(maps), 1200), float(rng.random()))
+            kept = _systematic(np.exp(log_weight), min(len(maps), keep), float(rng.random()))
             maps, before = _move(rng, maps.take(kept), now[kept], readings, prior, noise)
             log_weight = np.full(len(maps), -np.log(len(maps)))
         if noise == 1.0:
             return _Particles(maps, log_weight, before, log_evidence)
-
-
-MOVES = 24
 
 
 def _move(
@@ -456,7 +459,7 @@ def _systematic(weight: FloatArray, count: int, start: float) -> IntArray:
     )
 
 
-def _ranked(maps: Partitions, level: FloatArray, xy_m: FloatArray) -> IntArray:
+def ranked_labels(maps: Partitions, level: FloatArray, xy_m: FloatArray) -> IntArray:
     """(n, p) labels by level: 0 is the softest."""
     rank = np.argsort(np.argsort(level, axis=1), axis=1)
     return cast(IntArray, np.take_along_axis(rank, maps.labels(xy_m).astype(np.intp), axis=1).astype(np.int8))
