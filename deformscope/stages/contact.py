@@ -255,18 +255,18 @@ def _loaded(
     """
     smooth = np.convolve(np.pad(force, 2, mode="edge"), np.full(5, 0.2), mode="valid")
     rising = smooth - np.median(smooth[: max(5, len(force) // 20)])
-    if rising.max() <= 0.0:
-        raise InputError("an approach that ends in contact", "no force along the normal", "check the normal's sign")
     free = np.arange(len(force)) < np.argmax(rising > 0.02 * rising.max())
     free[:5] = True
     offset = float(np.median(force[free]))
     measured = float(np.median(np.abs(force[free] - offset))) / 0.6745
     noise = force_sd_n if force_sd_n is not None else max(measured, 1e-3)
     force = force - offset
-    peak_at = int(np.argmax(smooth))
-    peak = float(smooth[peak_at] - offset)
+    about = max(int(np.argmax(smooth)) - 3, 0)
+    peak_at = about + int(np.argmax(force[about : about + 7]))  # a mean over time lags behind a steep rise
+    peak = float(force[peak_at])
     if peak < 10.0 * noise:
-        raise InputError(f"a force well above its noise of {noise:.2g} N", f"{peak:.2g} N", "press harder")
+        came, try_this = f"{peak:.2g} N along the normal", "press harder, or check the normal's sign"
+        raise InputError(f"a force well above its noise of {noise:.2g} N", came, try_this)
     least = max(LOADED * min(peak, set_force_n), 3.0 * noise)
     below = np.flatnonzero(smooth[:peak_at] - offset < least)
     loaded = np.zeros(len(force), dtype=bool)

@@ -292,7 +292,7 @@ TOP = 100
 
 def _filling(posterior: RegionPosterior, options: PlanOptions) -> bool:
     """Too few touches, or nothing seen yet but one material: a search for boundaries would only stall."""
-    return len(posterior.touches) < options.fill or posterior.probability["1"] > 0.5
+    return len(posterior.touches) < int(__import__("os").environ.get("FILL", "4")) or posterior.probability["1"] > 0.5
 
 
 def _stop(
