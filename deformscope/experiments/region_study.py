@@ -65,6 +65,7 @@ class After:
     field_rms: float
     ordered: bool
     rigid_found: bool | None
+    probability: dict[str, float]
     seconds: float
     xy_m: tuple[float, float]
 
@@ -215,7 +216,7 @@ def score(
     if truth.labels is None:
         nothing = (np.nan, np.nan, np.nan)
         return After(
-            touches, travel_m, shown.region_count, shown.verdict, *nothing, rms, True, None, seconds, xy_m
+            touches, travel_m, shown.region_count, shown.verdict, *nothing, rms, True, None, shown.probability, seconds, xy_m
         )
     # a verdict "gradual" calls no regions
     labels = shown.labels if shown.verdict == "regions" else np.zeros_like(shown.labels)
@@ -237,6 +238,7 @@ def score(
         rms,
         bool(np.all(np.diff(levels) > 0.0)),
         bool(shown.rigid.any()) if rigid.any() else None,
+        shown.probability,
         seconds,
         xy_m,
     )

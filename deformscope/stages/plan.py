@@ -2,7 +2,7 @@
 
 `random-above`: any place whose field variance is above a threshold (Thesis 4.2); `max-variance`: the largest variance;
 `integrated-variance`: the largest drop of the mean variance (active learning Cohn, 1996); `regions`, the default:
-touches that fill the space first, then those that tell most about the map of regions (mutual information) per second.
+touches that fill the space first, then those that are expected to put most of the map's labels right, per second.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import Literal, cast
 
 import numpy as np
 from scipy.special import ndtr, ndtri, xlogy
+from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
@@ -26,7 +27,14 @@ ALLOWED, OUT_OF_REACH, AT_BORDER, TOUCHED_BEFORE = range(4)
 """Codes of `Plan.excluded`."""
 
 OUTCOMES = 16
-"""Bins of a touch's possible readings, over which information is counted."""
+"""Bins of a touch's possible readings, over which information is counted; half of them for labels."""
+
+CONTENDERS = 100
+"""Places, those that tell most about the map per second, for which the gain in labels is worked out."""
+
+LABEL_CELL_M = 0.025
+LEVEL_WORTH = 0.02
+"""What a nat about the levels counts beside the share of cells with the right label."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +57,7 @@ class PlanOptions:
     """planner; fill: touches that fill the space before regions are asked for; cell_m: of the places considered
     border_m, apart_m: kept from the border and from earlier touches; touch_s, speed_m_s: what a touch and the way cost
     threshold: of variance, as a share of the field's variance before any touch (Th, thesis 4.2)
-    least_gain: of information [nat], below which it stops; sure: the probability from which the number of regions is
+    least_gain: expected gain in the share of cells with the right label, below which it stops; sure: the probability from which the number of regions is
     no longer in doubt; budget: touches in all
     """
 
@@ -61,7 +69,7 @@ class PlanOptions:
     touch_s: float = 6.0
     speed_m_s: float = 0.1
     threshold: float = 0.06
-    least_gain: float = 0.02
+    least_gain: float = 0.005
     sure: float = 0.8
     budget: int = 12
 
@@ -113,7 +121,8 @@ def plan_touch(
     cost = options.touch_s + np.hypot(*(places - tip).T) / options.speed_m_s
     variance = _variance(kernel, touched, places)
     allowed = excluded == ALLOWED
-    gain, unit, score = _gain(posterior, kernel, options, places, allowed, touched, variance, cost, seed)
+    with threadpool_limits(1):
+        gain, unit, score = _gain(posterior, kernel, options, places, allowed, touched, variance, cost, seed)
     stop = _stop(posterior, options, gain, unit, variance[allowed] / kernel.sd**2)
 
     target, reason = None, f"stopped: {stop}"
@@ -168,6 +177,13 @@ def label_gain(
     np.maximum(best_now, weight[start:].sum() * smooth[0], out=best_now)
     after = best.reshape(outcomes, len(places_m), -1).sum(axis=0).mean(axis=1)
     return cast(FloatArray, np.maximum(after - best_now.mean(), 0.0))
+
+
+def level_information(hypotheses: Hypotheses, places_m: FloatArray, blur_m: float, known_sd: float) -> FloatArray:
+    """(p,) information of a touch at places (p, 2) about the levels, were the map known [nat]; a level that is known to
+    `known_sd` is worth little more."""
+    _, sd, weight = _predictions(hypotheses, places_m, blur_m, known_sd)
+    return cast(FloatArray, weight @ np.log(sd / known_sd))
 
 
 def _outcomes(
@@ -273,26 +289,27 @@ def _gain(
         return drop, "mean variance", drop
     if _filling(posterior, options):
         return drop, "mean variance", drop / cost
-    told = np.full(len(places), np.nan)
+    gain = np.full(len(places), np.nan)
     if allowed.any():
-        told[allowed] = information(
-            posterior.hypotheses(), places[allowed], posterior.prior.blur_m, kernel.noise_sd
-        )
-    import os
-    mode = os.environ.get("MODE", "mi")
-    if mode == "mi":
-        return told, "nat", told / cost
-    top = np.argsort(-np.nan_to_num(told, nan=-1.0) / (cost if mode == "risk" else 1))[:TOP]
-    cells = MapGrid(posterior.grid.size_m, 0.025).centres_m
-    risk = np.full(len(places), -1.0)
-    risk[top] = label_gain(posterior.hypotheses(), places[top], cells, posterior.prior.blur_m, kernel.noise_sd)
-    return told, "nat", np.where(risk > 0, risk / cost, -1.0)
-TOP = 100
+        gain[allowed] = _region_gain(posterior, kernel.noise_sd, places[allowed], cost[allowed])
+    return gain, "label", gain / cost
+
+
+def _region_gain(posterior: RegionPosterior, noise_sd: float, places: FloatArray, cost: FloatArray) -> FloatArray:
+    """(p,) what a touch is expected to add to the labels, and to levels that are hardly known; for all but the places
+    that tell most, as far as the latter go."""
+    hypotheses, blur = posterior.hypotheses(), posterior.prior.blur_m
+    gain = LEVEL_WORTH * level_information(hypotheses, places, blur, posterior.prior.rigid_sd)
+    told = LEVEL_WORTH * information(hypotheses, places, blur, noise_sd)
+    best = np.argsort(-(gain + told) / cost, kind="stable")[:CONTENDERS]
+    cells = MapGrid(posterior.grid.size_m, LABEL_CELL_M).centres_m
+    gain[best] += label_gain(hypotheses, places[best], cells, blur, noise_sd)
+    return gain
 
 
 def _filling(posterior: RegionPosterior, options: PlanOptions) -> bool:
     """Too few touches, or nothing seen yet but one material: a search for boundaries would only stall."""
-    return len(posterior.touches) < int(__import__("os").environ.get("FILL", "4")) or posterior.probability["1"] > 0.5
+    return len(posterior.touches) < options.fill or posterior.probability["1"] > 0.5
 
 
 def _stop(
@@ -307,7 +324,7 @@ def _stop(
         return None
     if variance.max() < options.threshold:
         return "nothing above the threshold"
-    if unit == "nat" and np.nanmax(gain) < options.least_gain:
+    if unit == "label" and np.nanmax(gain) < options.least_gain:
         return "little left to learn"
     return None
 
@@ -323,4 +340,4 @@ def _why(
     if unit == "mean variance":
         return f"fills the space: the mean variance drops by {gain:.2g} for {cost_s:.0f} s"
     shares = ", ".join(f"{name}: {share:.0%}" for name, share in posterior.probability.items() if share >= 0.05)
-    return f"tells {gain:.2f} nat of the map (at most {most:.2f}) for {cost_s:.0f} s; regions {shares}"
+    return f"adds {gain:.1%} to the labels (at most {most:.1%}) for {cost_s:.0f} s; regions {shares}"

@@ -17,6 +17,7 @@ from typing import Literal, cast
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import logsumexp, ndtr
+from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
@@ -45,10 +46,10 @@ class RegionPrior:
     0.13 is 20 % in modulus); rigid_sd: of touches that are lower bounds
     """
 
-    one: float = 0.45
-    two: float = 0.3
-    three: float = 0.13
-    gradual: float = 0.12
+    one: float = 0.47
+    two: float = 0.33
+    three: float = 0.14
+    gradual: float = 0.06
     blur_m: float = 0.012
     within_sd: float = 0.03
     mixed_share: float = 0.12
@@ -156,9 +157,10 @@ class RegionPosterior:
         touches = (*self.touches, touch)
         readings = _readings(touches, self.prior)
         particles = []
-        for one in self.particles:
-            rng = np.random.default_rng((self.seed, len(touches), one.maps.regions))
-            particles.append(_update(rng, one, readings, self.prior, self.particle_count))
+        with threadpool_limits(1):  # thousands of tiny matrices: threads would only wait for each other
+            for one in self.particles:
+                rng = np.random.default_rng((self.seed, len(touches), one.maps.regions))
+                particles.append(_update(rng, one, readings, self.prior, self.particle_count))
         return replace(self, touches=touches, particles=tuple(particles))
 
     @cached_property
