@@ -10,14 +10,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 from scipy.optimize import linear_sum_assignment
 from threadpoolctl import threadpool_limits
 
-from deformscope.arrays import FloatArray, IntArray
+from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.plan import FieldKernel, Planner, PlanOptions, plan_touch
 from deformscope.stages.regions import RegionMap, RegionPosterior
@@ -102,9 +101,18 @@ def scene_truth(scene: str, seed: int, grid: MapGrid | None = None) -> Truth:
     tilt = np.tan(np.radians(rng.uniform(-15.0, 15.0)))
     across = x + tilt * (y - height / 2.0)
     kinds: dict[str, tuple[int, ...]] = {
-        **{"homogeneous-60": (60,), "homogeneous-110": (110,), "two-60-150": (60, 150), "two-110-150": (110, 150)},
-        **{"two-150-rigid": (150, 0), "three-60-110-rigid": (60, 110, 0), "disc": (20, 120), "wavy": (60, 150)},
-        **{"soft-spot": (60, 20), "corner": (60, 150), "strip": (150, 60), "two-patches": (60, 150)},
+        "homogeneous-60": (60,),
+        "homogeneous-110": (110,),
+        "two-60-150": (60, 150),
+        "two-110-150": (110, 150),
+        "two-150-rigid": (150, 0),
+        "three-60-110-rigid": (60, 110, 0),
+        "disc": (20, 120),
+        "wavy": (60, 150),
+        "soft-spot": (60, 20),
+        "corner": (60, 150),
+        "strip": (150, 60),
+        "two-patches": (60, 150),
     }
     labels = np.zeros(grid.shape, dtype=int)
     if scene == "gradient":
@@ -216,7 +224,17 @@ def score(
     if truth.labels is None:
         nothing = (np.nan, np.nan, np.nan)
         return After(
-            touches, travel_m, shown.region_count, shown.verdict, *nothing, rms, True, None, shown.probability, seconds, xy_m
+            touches,
+            travel_m,
+            shown.region_count,
+            shown.verdict,
+            *nothing,
+            rms,
+            True,
+            None,
+            shown.probability,
+            seconds,
+            xy_m,
         )
     # a verdict "gradual" calls no regions
     labels = shown.labels if shown.verdict == "regions" else np.zeros_like(shown.labels)
@@ -265,11 +283,11 @@ def boundary_distance(found: IntArray, truth: IntArray, cell_m: float) -> float:
     return float(cell_m * 0.5 * (away[0][edges[1]].mean() + away[1][edges[0]].mean()))
 
 
-def _boundary(labels: IntArray) -> FloatArray:
+def _boundary(labels: IntArray) -> BoolArray:
     edge = np.zeros(labels.shape, dtype=bool)
     edge[1:] |= labels[1:] != labels[:-1]
     edge[:, 1:] |= labels[:, 1:] != labels[:, :-1]
-    return cast(FloatArray, edge)
+    return edge
 
 
 def first_passage(run: Run, iou: float) -> tuple[float, float, bool]:

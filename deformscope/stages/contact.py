@@ -98,8 +98,8 @@ def fit_approach(
     arm: what the arm gives way, from `calibrate_compliance`; default a stiff arm that scatters by 0.1 mm
     force_sd_n: noise of the force, default as it scatters before contact
 
-    The position is fitted as a function of the force, since the arm's scatter is what matters: z = z0 + d (F / F0)^(1/p)
-    + c F, least squares with a soft loss and a Gaussian prior on p.
+    The position is fitted as a function of the force, since the arm's scatter is what matters:
+    z = z0 + d (F / F0)^(1/p) + c F, least squares with a soft loss and a Gaussian prior on p.
     """
     arm = arm or ArmCompliance()
     depth_along, force = _along(time_s, position_m, force_n, normal)
@@ -167,7 +167,7 @@ def calibrate_compliance(
     depth_along, force = _along(time_s, position_m, force_n, normal)
     force, _, _, loaded = _loaded(force, set_force_n, None)
     z, f = depth_along[loaded], force[loaded]
-    weight = np.ones_like(z)
+    weight, slope, scale = np.ones_like(z), 0.0, 1e-9
     for _ in range(10):  # Huber's weights, as far as they settle
         z0, slope = _straight(f, z, weight)
         off = np.abs(z - z0 - slope * f)

@@ -123,10 +123,10 @@ class Partitions:
         labels = self.labels(grid.centres_m)
         least = LEAST_AREA_M2 / COARSE_M**2
         enough = [(labels == region).sum(axis=1) >= least for region in range(self.regions)]
-        return cast(BoolArray, np.logical_and.reduce(enough))
+        return np.asarray(np.all(enough, axis=0))
 
     def _inside(self, curve: int, xy_m: FloatArray) -> BoolArray:
-        return cast(BoolArray, self._distance(curve, xy_m, exact=False) > 0.0)
+        return self._distance(curve, xy_m, exact=False) > 0.0
 
     def _distance(self, curve: int, xy_m: FloatArray, exact: bool = True) -> FloatArray:
         """(n, p) signed distance to a curve [m], above 0 inside; not `exact`: its sign alone is right."""
@@ -134,9 +134,7 @@ class Partitions:
         distance = np.empty((len(self), len(xy_m)))
         lines = family <= Family.LINE
         if lines.any():
-            distance[lines] = _line(
-                latent[lines], family[lines] == Family.SQUARE_LINE, xy_m, self.size_m, exact
-            )
+            distance[lines] = _line(latent[lines], family[lines] == Family.SQUARE_LINE, xy_m, self.size_m, exact)
         blobs = family == Family.BLOB
         if blobs.any():
             distance[blobs] = _blob(latent[blobs], xy_m, self.size_m)
@@ -240,9 +238,7 @@ def _level_set(latent: FloatArray, xy_m: FloatArray, size_m: tuple[float, float]
     value = loads @ (np.cos(x) * np.cos(y)).T
     if not exact:
         return cast(FloatArray, value)
-    slope = np.hypot(
-        loads @ (-wave[:, 0] * np.sin(x) * np.cos(y)).T, loads @ (-wave[:, 1] * np.cos(x) * np.sin(y)).T
-    )
+    slope = np.hypot(loads @ (-wave[:, 0] * np.sin(x) * np.cos(y)).T, loads @ (-wave[:, 1] * np.cos(x) * np.sin(y)).T)
     return cast(FloatArray, value / np.maximum(slope, 0.3 / LEVEL_SET_LENGTH_M))
 
 

@@ -57,8 +57,8 @@ class PlanOptions:
     """planner; fill: touches that fill the space before regions are asked for; cell_m: of the places considered
     border_m, apart_m: kept from the border and from earlier touches; touch_s, speed_m_s: what a touch and the way cost
     threshold: of variance, as a share of the field's variance before any touch (Th, thesis 4.2)
-    least_gain: expected gain in the share of cells with the right label, below which it stops; sure: the probability from which the number of regions is
-    no longer in doubt; budget: touches in all
+    least_gain: expected gain in the share of cells with the right label, below which it stops; sure: the probability
+    from which the number of regions is no longer in doubt; budget: touches in all
     """
 
     planner: Planner = "regions"
@@ -84,9 +84,10 @@ class PlanOptions:
 class Plan:
     """The next touch. Maps are (rows, columns) of `grid`, whose cells are the places considered.
 
-    target_m: (2,) the best place [m], None if there is none; stop: why no touch is worth it any more, None to go on; gain: what each place would tell, nan where excluded;
-    unit: of gain; cost_s: time of the way and the touch; excluded: codes (ALLOWED, OUT_OF_REACH, AT_BORDER,
-    TOUCHED_BEFORE); reason: in words
+    target_m: (2,) the best place [m], None if there is none; stop: why no touch is worth it any more, None to go on
+    gain: what each place would tell, nan where excluded; unit: of gain ("label": share of cells that get the right
+    label); cost_s: time of the way and the touch; excluded: codes (ALLOWED, OUT_OF_REACH, AT_BORDER, TOUCHED_BEFORE)
+    reason: in words
     """
 
     grid: MapGrid
@@ -132,9 +133,7 @@ def plan_touch(
         if stop is None:
             reason = _why(posterior, options, unit, float(gain[best]), float(np.nanmax(gain)), float(cost[best]))
     shape = grid.shape
-    return Plan(
-        grid, target, stop, gain.reshape(shape), unit, cost.reshape(shape), excluded.reshape(shape), reason
-    )
+    return Plan(grid, target, stop, gain.reshape(shape), unit, cost.reshape(shape), excluded.reshape(shape), reason)
 
 
 def information(hypotheses: Hypotheses, places_m: FloatArray, blur_m: float, noise_sd: float) -> FloatArray:
@@ -211,7 +210,9 @@ def _predictions(
     hypotheses: Hypotheses, places: FloatArray, blur_m: float, noise_sd: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Mean and deviation (h, p) of a reading under each hypothesis, and their weights (h,)."""
-    means, variances, weights = [], [], []
+    means: list[FloatArray] = []
+    variances: list[FloatArray] = []
+    weights: list[FloatArray] = []
     for maps, level, cov, weight in hypotheses.maps:
         shares = np.ones((1, len(places), 1)) if maps is None else maps.shares(places, blur_m)
         means.append((shares @ level[..., None])[..., 0])
@@ -329,9 +330,7 @@ def _stop(
     return None
 
 
-def _why(
-    posterior: RegionPosterior, options: PlanOptions, unit: str, gain: float, most: float, cost_s: float
-) -> str:
+def _why(posterior: RegionPosterior, options: PlanOptions, unit: str, gain: float, most: float, cost_s: float) -> str:
     """Why here, in words."""
     if options.planner == "random-above":
         return f"any place above the threshold: variance {gain:.3g}"

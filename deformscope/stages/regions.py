@@ -207,7 +207,9 @@ class RegionPosterior:
         mean, square = np.zeros(len(centres)), np.zeros(len(centres))
         probability, level, cov = np.ones((1, len(centres))), *(part for part in hypotheses.maps[0][1:3])
         for maps, levels, covs, weight in hypotheses.maps:
-            labels = np.zeros((1, len(centres)), dtype=np.int8) if maps is None else ranked_labels(maps, levels, centres)
+            labels = (
+                np.zeros((1, len(centres)), dtype=np.int8) if maps is None else ranked_labels(maps, levels, centres)
+            )
             levels, covs = _sorted(levels, covs)
             variance = np.diagonal(covs, axis1=1, axis2=2)
             shares = np.stack([weight @ (labels == rank) for rank in range(levels.shape[1])])
@@ -337,9 +339,7 @@ def _smooth_field(
         )
     factor, _ = cho_factor(kernel + np.diag(readings.variance), lower=True)
     weight = cho_solve((factor, True), readings.value)
-    log_evidence = -0.5 * (
-        readings.value @ weight + 2.0 * np.log(np.diag(factor)).sum() + count * np.log(2.0 * np.pi)
-    )
+    log_evidence = -0.5 * (readings.value @ weight + 2.0 * np.log(np.diag(factor)).sum() + count * np.log(2.0 * np.pi))
     return SmoothField(
         float(log_evidence), level_sd, middle, slope, sd, length, readings.xy_m, readings.centre, factor, weight
     )
@@ -381,7 +381,7 @@ def _levels(
     the prior where levels differ enough is counted afterwards, pair by pair.
     last_noise: factor on the variance of the last touch
     """
-    count, _, k = shares.shape
+    k = shares.shape[-1]
     mixed = 2.0 * (1.0 - (shares**2).sum(axis=-1))  # 1 half way between two regions
     variance = readings.variance + (prior.mixed_share * readings.spread * mixed) ** 2
     variance[:, -1:] *= last_noise
@@ -413,25 +413,32 @@ def _update(
     in between (tempering, in four steps at most). keep: maps that are left once they move"""
     maps, log_weight, before, log_evidence = old.maps, old.log_weight, old.log_likelihood, old.log_evidence
     least = 0.3 * min(len(maps), keep)
-    noise = 2.0 * TEMPERS[-1]
-    while True:
+    left = list(TEMPERS)
+    while left:
         shares = maps.shares(readings.xy_m, prior.blur_m)
-        for noise in (temper for temper in TEMPERS if temper < noise):
-            now, _, _ = _levels(shares, readings, prior, noise)
-            joint = log_weight + now - before
-            gained = float(logsumexp(joint))
-            size = float(np.exp(2.0 * gained - logsumexp(2.0 * joint)))
-            if size >= 0.25 * least:
-                break
+        likelihoods = ((temper, _levels(shares, readings, prior, temper)[0]) for temper in left)
+        # the first that leaves enough maps, or else the last
+        temper, now = next(
+            (one for one in likelihoods if _effective(log_weight + one[1] - before) >= 0.25 * least),
+            (left[-1], None),
+        )
+        if now is None:
+            now = _levels(shares, readings, prior, temper)[0]
+        left = [smaller for smaller in left if smaller < temper]
+        joint = log_weight + now - before
+        gained = float(logsumexp(joint))
         log_evidence += gained
-        log_weight = joint - gained
-        before = now
-        if size < least or noise > 1.0:
+        log_weight, before = joint - gained, now
+        if left or _effective(joint) < least:
             kept = _systematic(np.exp(log_weight), min(len(maps), keep), float(rng.random()))
-            maps, before = _move(rng, maps.take(kept), now[kept], readings, prior, noise)
+            maps, before = _move(rng, maps.take(kept), now[kept], readings, prior, temper)
             log_weight = np.full(len(maps), -np.log(len(maps)))
-        if noise == 1.0:
-            return _Particles(maps, log_weight, before, log_evidence)
+    return _Particles(maps, log_weight, before, log_evidence)
+
+
+def _effective(log_weight: FloatArray) -> float:
+    """How many equally weighted particles these are worth (Kong 1992)."""
+    return float(np.exp(2.0 * logsumexp(log_weight) - logsumexp(2.0 * log_weight)))
 
 
 def _move(
@@ -457,7 +464,9 @@ def _systematic(weight: FloatArray, count: int, start: float) -> IntArray:
     """(count,) indices, each as often as its weight says to within one."""
     return cast(
         IntArray,
-        np.minimum(np.searchsorted(np.cumsum(weight) / weight.sum(), (np.arange(count) + start) / count), len(weight) - 1),
+        np.minimum(
+            np.searchsorted(np.cumsum(weight) / weight.sum(), (np.arange(count) + start) / count), len(weight) - 1
+        ),
     )
 
 

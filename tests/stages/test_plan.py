@@ -158,7 +158,9 @@ def test_it_never_stops_while_the_number_of_regions_is_in_doubt(halves: RegionPo
 
 
 def test_why_it_stops(halves: RegionPosterior, one_material: RegionPosterior) -> None:
-    assert plan_touch(halves, KERNEL, PlanOptions(sure=0.1, threshold=0.0, least_gain=1.0)).stop == "little left to learn"
+    assert (
+        plan_touch(halves, KERNEL, PlanOptions(sure=0.1, threshold=0.0, least_gain=1.0)).stop == "little left to learn"
+    )
     plan = plan_touch(one_material, FieldKernel(length_m=1.0), PlanOptions(sure=0.1))
     assert plan.stop == "nothing above the threshold"
     nowhere = plan_touch(halves, KERNEL, PlanOptions(), reachable=np.zeros(GRID.shape, dtype=bool))

@@ -84,7 +84,7 @@ def test_two_halves_are_found_with_their_levels_and_order() -> None:
     assert (shown.verdict, shown.region_count) == ("regions", 2)
     assert np.mean(shown.labels == truth) > 0.9
     np.testing.assert_allclose(shown.level, [0.0, 0.9], atol=0.08)
-    assert ((shown.level_interval[:, 0] < [0.0, 0.9]) & ([0.0, 0.9] < shown.level_interval[:, 1])).all()
+    assert ((shown.level_interval[:, 0] < [0.0, 0.9]) & (shown.level_interval[:, 1] > [0.0, 0.9])).all()
     np.testing.assert_allclose(shown.label_probability.sum(axis=0), 1.0)
     assert sum(shown.probability.values()) == pytest.approx(1.0, abs=1e-6)
     assert not shown.rigid.any()
