@@ -25,6 +25,7 @@ from deformscope.stages.touches import MapGrid, Touch
 World = Callable[[FloatArray], tuple[float, float, bool]]
 """From a place (2,) [m] to (log stiffness, its deviation, rigid)."""
 
+GOOD_IOU = 0.85
 BLUR_M = 0.012
 NOISE = 0.08
 RIGID_TIMES = 20.0
@@ -288,6 +289,72 @@ def _boundary(labels: IntArray) -> BoolArray:
     edge[1:] |= labels[1:] != labels[:-1]
     edge[:, 1:] |= labels[:, 1:] != labels[:, :-1]
     return edge
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """All seeds of a scene with one planner after so many touches.
+
+    iou, boundary_m, field_rms, seconds: medians; good: share of seeds with iou 0.85 or better; right_count: share with
+    the true number of regions, called regions; gradual, ordered, rigid_found: shares; covered: mean share of levels in
+    their intervals, where the number is right; travel_m: mean; slowest: the longest computing after any touch [s]
+    stop_after: median of the touches at which the planner would have stopped, inf where most would not
+    """
+
+    scene: str
+    planner: Planner
+    touches: int
+    seeds: int
+    iou: float
+    good: float
+    right_count: float
+    gradual: float
+    boundary_m: float
+    covered: float
+    field_rms: float
+    ordered: float
+    rigid_found: float
+    travel_m: float
+    seconds: float
+    slowest: float
+    stop_after: float
+
+
+def summarise(runs: Sequence[Run], truth_count: int, touches: int) -> Summary:
+    """Runs of one scene with one planner, whose truth has so many regions."""
+    last = [run.after[min(touches, len(run.after)) - 1] for run in runs]
+    seconds = [one.seconds for run in runs for one in run.after[:touches]]
+    rigid = [float(one.rigid_found) for one in last if one.rigid_found is not None]
+    return Summary(
+        runs[0].scene,
+        runs[0].planner,
+        touches,
+        len(runs),
+        _median([one.iou for one in last]),
+        float(np.mean([one.iou >= GOOD_IOU for one in last])),
+        float(np.mean([one.verdict == "regions" and one.region_count == truth_count for one in last])),
+        float(np.mean([one.verdict == "gradual" for one in last])),
+        _median([one.boundary_m for one in last]),
+        _mean([one.covered for one in last]),
+        _median([one.field_rms for one in last]),
+        float(np.mean([one.ordered for one in last])),
+        _mean(rigid),
+        _mean([one.travel_m for one in last]),
+        _median(seconds),
+        max(seconds),
+        _median([np.inf if run.stop_after is None else run.stop_after for run in runs]),
+    )
+
+
+def _median(values: Sequence[float]) -> float:
+    """Of those that are not nan; nan of none."""
+    known = [value for value in values if not np.isnan(value)]
+    return float(np.median(known)) if known else np.nan
+
+
+def _mean(values: Sequence[float]) -> float:
+    known = [value for value in values if not np.isnan(value)]
+    return float(np.mean(known)) if known else np.nan
 
 
 def first_passage(run: Run, iou: float) -> tuple[float, float, bool]:

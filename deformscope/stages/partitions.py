@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import lru_cache
 from typing import cast
 
 import numpy as np
@@ -242,6 +243,7 @@ def _level_set(latent: FloatArray, xy_m: FloatArray, size_m: tuple[float, float]
     return cast(FloatArray, value / np.maximum(slope, 0.3 / LEVEL_SET_LENGTH_M))
 
 
+@lru_cache(maxsize=8)
 def _cosines(size_m: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
     """Wave numbers (LATENTS, 2) [1/m] of products of cosines and their weights: a squared exponential's spectrum."""
     wide = (1.0 + OVERHANG) * np.asarray(size_m)

@@ -286,10 +286,15 @@ class RegionPosterior:
 
 
 def map_regions(
-    touches: Sequence[Touch], grid: MapGrid | None = None, prior: RegionPrior | None = None, *, seed: int = 0
+    touches: Sequence[Touch],
+    grid: MapGrid | None = None,
+    prior: RegionPrior | None = None,
+    *,
+    particle_count: int = 1200,
+    seed: int = 0,
 ) -> RegionPosterior:
-    """The posterior after all touches, from the start."""
-    posterior = RegionPosterior.before_touches(grid or MapGrid(), prior, seed=seed)
+    """The posterior after all touches, from the start (arguments as of `RegionPosterior.before_touches`)."""
+    posterior = RegionPosterior.before_touches(grid or MapGrid(), prior, particle_count=particle_count, seed=seed)
     for touch in touches:
         posterior = posterior.with_touch(touch)
     return posterior

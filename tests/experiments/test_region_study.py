@@ -16,6 +16,7 @@ from deformscope.experiments.region_study import (
     ratio,
     run_job,
     scene_truth,
+    summarise,
     synthetic_world,
 )
 from deformscope.stages.touches import MapGrid
@@ -54,6 +55,19 @@ def test_first_passage_and_its_ratio() -> None:
     assert ratio(fast, slow, 0.75, 1) == pytest.approx((0.5, 0.5, 0.5))
 
 
+def test_a_summary_is_of_all_seeds_and_leaves_out_what_is_not_known() -> None:
+    runs = [
+        Run("s", seed, "regions", stop, (after(1, 0.2), after(2, iou)))
+        for seed, stop, iou in ((0, 2, 0.9), (1, None, 0.8), (2, 1, np.nan))
+    ]
+    told = summarise(runs, 2, 8)
+    assert told.iou == pytest.approx(0.85)
+    assert told.good == pytest.approx(1 / 3)
+    assert (told.right_count, told.gradual, told.stop_after) == (1.0, 0.0, 2.0)
+    assert told.travel_m == pytest.approx(0.4)
+    assert np.isnan(told.rigid_found)
+
+
 @pytest.mark.parametrize("scene", ["two-60-150", "three-60-110-rigid", "disc", "soft-spot", "wavy", "strip"])
 def test_scenes_differ_by_seed_and_have_their_regions(scene: str) -> None:
     first, second = (scene_truth(scene, seed, GRID) for seed in (0, 1))
@@ -84,13 +98,13 @@ def test_a_synthetic_world_answers_with_blur_noise_and_bounds() -> None:
 
 
 def test_a_run_finds_two_halves_and_repeats() -> None:
-    job = Job("two-60-150", 101, "regions", touches=6, cell_m=0.01)
-    run, again = run_job(job), run_job(job)
+    run = run_job(Job("two-60-150", 101, "regions", touches=6, cell_m=0.01))
+    again = run_job(Job("two-60-150", 101, "regions", touches=3, cell_m=0.01))
     assert [one.touches for one in run.after] == [1, 2, 3, 4, 5, 6]
     last = run.after[-1]
     assert last.region_count == 2
     assert last.iou > 0.8
     assert last.ordered
     assert np.all(np.diff([one.travel_m for one in run.after]) > 0.0)
-    assert [one.iou for one in again.after] == pytest.approx([one.iou for one in run.after], nan_ok=True, abs=0.0)
-    assert [one.xy_m for one in again.after] == [one.xy_m for one in run.after]
+    assert [one.iou for one in again.after] == [one.iou for one in run.after[:3]]
+    assert [one.xy_m for one in again.after] == [one.xy_m for one in run.after[:3]]
