@@ -73,7 +73,7 @@ class RegionMap:
     region_count: k, the most probable number of regions; probability: of 1, 2, 3 regions and "gradual"
     labels: 0 (softest) to k - 1; label_probability: (k, rows, columns)
     level, level_sd: (k,) log stiffness of each region; level_interval: (k, 2) of 90 %; rigid: (k,) regions for which
-    the level is a lower bound
+    the level is a lower bound, whose interval is open above
     field, field_sd: log stiffness at every cell, over all hypotheses
     wrong_share: share of the surface that is expected to have a wrong label, given k; boundary_sd_m: the same as a
     distance from the boundary; nan without one
@@ -230,6 +230,9 @@ class RegionPosterior:
             -1, k
         )
         labels = probability.argmax(axis=0).reshape(self.grid.shape)
+        rigid = self._rigid_regions(labels, k)
+        interval = np.quantile(drawn, [0.05, 0.95], axis=0).T
+        interval[rigid, 1] = np.inf
         wrong = float(1.0 - probability.max(axis=0).mean())
         edge_m = self.grid.cell_m * _edges(labels)
         area = self.grid.size_m[0] * self.grid.size_m[1]
@@ -242,8 +245,8 @@ class RegionPosterior:
             probability.reshape(k, *self.grid.shape),
             drawn.mean(axis=0),
             drawn.std(axis=0),
-            np.quantile(drawn, [0.05, 0.95], axis=0).T,
-            self._rigid_regions(labels, k),
+            interval,
+            rigid,
             mean.reshape(self.grid.shape),
             np.sqrt(np.maximum(square - mean**2, 0.0)).reshape(self.grid.shape),
             wrong,

@@ -128,6 +128,7 @@ def test_rigid_touches_make_a_region_whose_level_is_a_bound() -> None:
     assert shown.region_count == 2
     np.testing.assert_array_equal(shown.rigid, [False, True])
     assert shown.level[0] == pytest.approx(0.0, abs=0.1)
+    np.testing.assert_array_equal(np.isinf(shown.level_interval[:, 1]), shown.rigid)
 
 
 def test_the_same_touches_give_the_same_map_bit_for_bit() -> None:
@@ -148,6 +149,7 @@ def test_levels_come_with_the_scale_of_the_touches() -> None:
 def test_before_any_touch_every_hypothesis_has_its_prior() -> None:
     prior = RegionPrior()
     told = RegionPosterior.before_touches(GRID, prior).probability
+    assert RegionPosterior.before_touches(GRID, prior, particle_count=300).region_map().region_count == 1
     assert told == pytest.approx({"1": prior.one, "2": prior.two, "3": prior.three, "gradual": prior.gradual})
 
 
