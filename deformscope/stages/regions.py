@@ -230,7 +230,7 @@ class RegionPosterior:
             -1, k
         )
         labels = probability.argmax(axis=0).reshape(self.grid.shape)
-        rigid = self._rigid_regions(labels, k)
+        rigid = self._rigid_regions(labels, drawn.mean(axis=0))
         interval = np.quantile(drawn, [0.05, 0.95], axis=0).T
         interval[rigid, 1] = np.inf
         wrong = float(1.0 - probability.max(axis=0).mean())
@@ -253,14 +253,17 @@ class RegionPosterior:
             wrong * area / edge_m if edge_m else np.nan,
         )
 
-    def _rigid_regions(self, labels: IntArray, k: int) -> BoolArray:
-        """(k,) regions most of whose touches are rigid."""
+    def _rigid_regions(self, labels: IntArray, level: FloatArray) -> BoolArray:
+        """(k,) regions with a rigid touch whose level stands at its bound: softer touches in them are those that a
+        boundary explains."""
         rows, columns = self.grid.shape
-        votes = np.zeros(k)
+        rigid = np.zeros(len(level), dtype=bool)
+        bound = max((touch.log_stiffness for touch in self.touches if touch.rigid), default=np.inf)
         for touch in self.touches:
-            column, row = np.clip((touch.xy_m / self.grid.cell_m).astype(int), 0, [columns - 1, rows - 1])
-            votes[labels[row, column]] += 1.0 if touch.rigid else -1.0
-        return votes > 0.0
+            if touch.rigid:
+                column, row = np.clip((touch.xy_m / self.grid.cell_m).astype(int), 0, [columns - 1, rows - 1])
+                rigid[labels[row, column]] = True
+        return rigid & (level > bound - 2.0 * self.prior.rigid_sd)
 
     def _draw(self, one: _Particles, count: int, readings: _Readings) -> tuple[Partitions, FloatArray, FloatArray]:
         """`count` maps in proportion to their weights, their levels and covariances."""

@@ -131,6 +131,13 @@ def test_rigid_touches_make_a_region_whose_level_is_a_bound() -> None:
     np.testing.assert_array_equal(np.isinf(shown.level_interval[:, 1]), shown.rigid)
 
 
+def test_a_rigid_region_stays_one_when_most_of_its_touches_are_near_its_boundary() -> None:
+    seen = touches([0.0, 3.2, 0.05, 2.9, 0.0, -0.04], rigid_above=2.5)
+    near = [Touch(np.array([0.35, y]), 2.1, 0.05) for y in (0.08, 0.2, 0.32)]
+    shown = posterior([*seen, *near]).region_map()
+    np.testing.assert_array_equal(shown.rigid, np.arange(shown.region_count) == shown.region_count - 1)
+
+
 def test_the_same_touches_give_the_same_map_bit_for_bit() -> None:
     first, again = (posterior(halves(0.5), seed=3).region_map() for _ in range(2))
     for name in ("labels", "label_probability", "level_interval", "field"):
