@@ -1,0 +1,285 @@
+"""How stiff a place is, from the approach of a tip itself: force and arm, no camera.
+
+Pressed by a tip, F = k (z - z0)^p, with p about 1.5 for a sphere and 1 for a flat tip. Taking the first force above a
+threshold as contact puts z0 too deep and the stiffness 15 to 20 % too high; here z0 is fitted. What the arm gives way
+under the force is taken off, as calibrated on a rigid block.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, cast
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from deformscope.arrays import BoolArray, FloatArray
+from deformscope.errors import InputError
+
+TipKind = Literal["sphere", "flat"]
+
+EXPONENT = {"sphere": 1.5, "flat": 1.0}
+"""Hertz (1882) and Sneddon (1965), of a half-space."""
+
+EXPONENT_SD = 0.08
+"""Layers, large strain and foams that are not linear move the exponent by about this."""
+
+LOADED = 0.05
+"""Share of the reference force from which on samples are fitted: below, force noise hides the law."""
+
+LEAST_SAMPLES = 6
+Z_90 = 1.6449
+RIGID_SDS = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class ArmCompliance:
+    """How the arm gives way along the normal.
+
+    compliance_m_per_n: tip behind where the arm says it is, for each newton; compliance_sd: its deviation [m/N];
+    position_sd_m: scatter of the arm's position about it [m]
+    """
+
+    compliance_m_per_n: float = 0.0
+    compliance_sd: float = 0.0
+    position_sd_m: float = 1e-4
+
+    def depth_sd_m(self, force_n: float) -> float:
+        """What is not known of a depth under a force [m]."""
+        return float(np.hypot(self.compliance_sd * force_n, self.position_sd_m))
+
+
+@dataclass(frozen=True, slots=True)
+class ContactFit:
+    """What an approach tells of the place.
+
+    stiffness_n_per_mm: force over depth at `at_force_n` (apparent stiffness), with its 90 % `interval_n_per_mm`; of a
+    `rigid` place a lower bound, whose interval is open above; log_stiffness, log_sd: its natural log and deviation
+    depth_m: of the dent at `at_force_n`; contact_m: where contact began, on the axis of the approach, which grows into
+    the surface; exponent, exponent_sd: p; peak_force_n: along the normal, tare taken off
+    residual_m: scatter of the arm's position about the law; arm_sd_m: what is not known of the depth for the arm's sake
+    samples: that were fitted
+    """
+
+    stiffness_n_per_mm: float
+    interval_n_per_mm: tuple[float, float]
+    log_stiffness: float
+    log_sd: float
+    rigid: bool
+    at_force_n: float
+    depth_m: float
+    depth_sd_m: float
+    contact_m: float
+    exponent: float
+    exponent_sd: float
+    peak_force_n: float
+    residual_m: float
+    arm_sd_m: float
+    samples: int
+
+
+def fit_approach(
+    time_s: FloatArray,
+    position_m: FloatArray,
+    force_n: FloatArray,
+    normal: FloatArray,
+    *,
+    tip: TipKind = "sphere",
+    set_force_n: float = 3.0,
+    arm: ArmCompliance | None = None,
+    force_sd_n: float | None = None,
+    exponent_sd: float = EXPONENT_SD,
+) -> ContactFit:
+    """Fit the law to an approach, from before contact to the peak of the force; what follows is left out.
+
+    time_s: (n,) rising [s]; position_m: (n, 3) of the tip as the arm says [m]; force_n: (n, 3) on the tip [N], all in
+    one frame; normal: (3,) out of the surface; set_force_n: at which the stiffness is told; where the approach ended
+    before, it is told at the force reached
+    arm: what the arm gives way, from `calibrate_compliance`; default a stiff arm that scatters by 0.1 mm
+    force_sd_n: noise of the force, default as it scatters before contact
+
+    The position is fitted as a function of the force, since the arm's scatter is what matters:
+    z = z0 + d (F / F0)^(1/p) + c F, least squares with a soft loss and a Gaussian prior on p.
+    """
+    arm = arm or ArmCompliance()
+    depth_along, force = _along(time_s, position_m, force_n, normal)
+    if set_force_n <= 0.0:
+        raise InputError("a set force above 0 N", f"{set_force_n}")
+    force, noise, peak, loaded = _loaded(force, set_force_n, force_sd_n)
+    at_force = min(set_force_n, peak)
+    z = depth_along[loaded] - arm.compliance_m_per_n * force[loaded]
+    share = np.maximum(force[loaded], 0.0) / at_force
+
+    prior, start_sd = EXPONENT[tip], max(arm.position_sd_m, 1e-6)
+    z0, depth = _straight(share ** (1.0 / prior), z, np.ones_like(z))
+    # how far the noise of the force moves a sample along the law
+    steep = depth / prior * np.maximum(share, LOADED) ** (1.0 / prior - 1.0) - arm.compliance_m_per_n * at_force
+    sample_sd = np.hypot(start_sd, steep * noise / at_force)
+
+    def residuals(parameters: FloatArray) -> FloatArray:
+        z0, depth, p = parameters
+        law = z0 + depth * share ** (1.0 / max(p, 0.2))
+        return cast(FloatArray, np.append((z - law) / sample_sd, (p - prior) / exponent_sd))
+
+    found = least_squares(
+        residuals, [z0, depth, prior], x_scale=[1e-3, 1e-3, 0.1], loss="soft_l1", f_scale=2.0, method="trf"
+    )
+    z0, depth, p = (float(value) for value in found.x)
+    scatter = residuals(found.x)[:-1]
+    # the arm may scatter more than it is told to
+    inflation = max(1.0, float(np.median(np.abs(scatter))) / 0.6745)
+    jacobian = found.jac.copy()
+    jacobian[:-1] /= inflation
+    cov = np.linalg.pinv(jacobian.T @ jacobian)
+    # compliance that is off moves the depth by as much as the force times it; it is the same in every touch
+    depth_sd = float(np.hypot(np.sqrt(cov[1, 1]), arm.compliance_sd * at_force))
+    arm_sd = arm.depth_sd_m(at_force)
+
+    if depth < RIGID_SDS * arm_sd:
+        bound = 1e-3 * at_force / (RIGID_SDS * arm_sd)
+        stiffness, interval, log_sd, rigid = bound, (bound, np.inf), max(depth_sd, arm_sd) / (RIGID_SDS * arm_sd), True
+    else:
+        stiffness, log_sd, rigid = 1e-3 * at_force / depth, depth_sd / depth, False
+        interval = (stiffness * float(np.exp(-Z_90 * log_sd)), stiffness * float(np.exp(Z_90 * log_sd)))
+    return ContactFit(
+        stiffness,
+        interval,
+        float(np.log(stiffness)),
+        log_sd,
+        rigid,
+        at_force,
+        depth,
+        depth_sd,
+        z0,
+        p,
+        float(np.sqrt(cov[2, 2])),
+        peak,
+        float(np.median(np.abs(scatter * sample_sd)) / 0.6745),
+        arm_sd,
+        int(loaded.sum()),
+    )
+
+
+def calibrate_compliance(
+    time_s: FloatArray, position_m: FloatArray, force_n: FloatArray, normal: FloatArray, *, set_force_n: float = 3.0
+) -> ArmCompliance:
+    """What the arm gives way, from an approach to a rigid block: z = z0 + c F (arguments as in `fit_approach`)."""
+    depth_along, force = _along(time_s, position_m, force_n, normal)
+    force, _, _, loaded = _loaded(force, set_force_n, None)
+    z, f = depth_along[loaded], force[loaded]
+    weight, slope, scale = np.ones_like(z), 0.0, 1e-9
+    for _ in range(10):  # Huber's weights, as far as they settle
+        z0, slope = _straight(f, z, weight)
+        off = np.abs(z - z0 - slope * f)
+        scale = max(float(np.median(off)) / 0.6745, 1e-9)
+        weight = np.minimum(1.0, 1.5 * scale / np.maximum(off, 1e-12))
+    spread = np.sqrt((weight * (f - np.average(f, weights=weight)) ** 2).sum())
+    return ArmCompliance(slope, float(scale / spread), scale)
+
+
+def threshold_stiffness(
+    time_s: FloatArray,
+    position_m: FloatArray,
+    force_n: FloatArray,
+    normal: FloatArray,
+    *,
+    set_force_n: float = 3.0,
+    threshold_n: float = 0.15,
+    arm: ArmCompliance | None = None,
+) -> float:
+    """Force over depth [N/mm] with contact taken where the force first passes a threshold: biased, to compare with."""
+    arm = arm or ArmCompliance()
+    depth_along, force = _along(time_s, position_m, force_n, normal)
+    force, _, peak, _ = _loaded(force, set_force_n, None)
+    z = depth_along - arm.compliance_m_per_n * force
+    first, last = int(np.argmax(force > threshold_n)), int(np.argmax(force >= min(set_force_n, peak)))
+    return float(1e-3 * force[last] / max(z[last] - z[first], 1e-9))
+
+
+def layer_modulus(
+    depth_m: float,
+    force_n: float,
+    *,
+    tip: TipKind = "sphere",
+    radius_m: float = 0.01,
+    thickness_m: float = 0.05,
+    poisson: float = 0.3,
+) -> float:
+    """Young's modulus [Pa] of a layer bonded to a rigid table, from one depth and force.
+
+    Sphere: Hertz with the series for a layer in chi = sqrt(R d) / h (Dimitriadis et al. 2002, eq. 12; the fourth order
+    is below 1e-3 here). Flat: a cylinder of this radius on a half-space (Sneddon 1965), no correction.
+    Linear theory: for dents deeper than a third of the radius a comparison between foams rather than a modulus.
+    """
+    if min(depth_m, force_n, radius_m, thickness_m) <= 0.0 or not -1.0 < poisson <= 0.5:
+        raise InputError("depth, force, radius and thickness above 0, Poisson's ratio in (-1, 0.5]", "others")
+    if tip == "flat":
+        return float(force_n * (1.0 - poisson**2) / (2.0 * radius_m * depth_m))
+    hertz = 4.0 / 3.0 / (1.0 - poisson**2) * np.sqrt(radius_m) * depth_m**1.5
+    chi = np.sqrt(radius_m * depth_m) / thickness_m
+    alpha = -(1.2876 - 1.4678 * poisson + 1.3442 * poisson**2) / (1.0 - poisson)
+    beta = (0.6387 - 1.0277 * poisson + 1.5164 * poisson**2) / (1.0 - poisson)
+    correction = (
+        1.0
+        - 2.0 * alpha / np.pi * chi
+        + 4.0 * alpha**2 / np.pi**2 * chi**2
+        - 8.0 / np.pi**3 * (alpha**3 + 4.0 * np.pi**2 / 15.0 * beta) * chi**3
+    )
+    return float(force_n / (hertz * correction))
+
+
+def _along(
+    time_s: FloatArray, position_m: FloatArray, force_n: FloatArray, normal: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(n,) way into the surface [m] and force out of it [N]."""
+    count = len(time_s)
+    if position_m.shape != (count, 3) or force_n.shape != (count, 3) or np.shape(normal) != (3,):
+        raise InputError(f"{count} positions and forces (n, 3)", f"{position_m.shape} and {force_n.shape}")
+    if not (np.isfinite(time_s).all() and np.isfinite(position_m).all() and np.isfinite(force_n).all()):
+        raise InputError("finite times, positions and forces", "NaN or infinity", "leave such samples out")
+    if (np.diff(time_s) <= 0.0).any():
+        raise InputError("times that rise", "some that do not")
+    length = float(np.linalg.norm(normal))
+    if not length > 0.0:
+        raise InputError("a normal that is not zero", f"{normal}")
+    return -(position_m @ normal) / length, force_n @ normal / length
+
+
+def _loaded(
+    force: FloatArray, set_force_n: float, force_sd_n: float | None
+) -> tuple[FloatArray, float, float, BoolArray]:
+    """Force (n,) without its offset, its noise, its peak, and the samples (n,) from contact to the peak.
+
+    Samples are chosen by time, from the last one below a small force on, not by their own force, which would favour
+    those whose noise is positive.
+    """
+    smooth = np.convolve(np.pad(force, 2, mode="edge"), np.full(5, 0.2), mode="valid")
+    rising = smooth - np.median(smooth[: max(5, len(force) // 20)])
+    free = np.arange(len(force)) < np.argmax(rising > 0.02 * rising.max())
+    free[:5] = True
+    offset = float(np.median(force[free]))
+    measured = float(np.median(np.abs(force[free] - offset))) / 0.6745
+    noise = force_sd_n if force_sd_n is not None else max(measured, 1e-3)
+    force = force - offset
+    about = max(int(np.argmax(smooth)) - 3, 0)
+    peak_at = about + int(np.argmax(force[about : about + 7]))  # a mean over time lags behind a steep rise
+    peak = float(force[peak_at])
+    if peak < 10.0 * noise:
+        came, try_this = f"{peak:.2g} N along the normal", "press harder, or check the normal's sign"
+        raise InputError(f"a force well above its noise of {noise:.2g} N", came, try_this)
+    least = max(LOADED * min(peak, set_force_n), 3.0 * noise)
+    below = np.flatnonzero(smooth[:peak_at] - offset < least)
+    loaded = np.zeros(len(force), dtype=bool)
+    loaded[below[-1] + 1 if len(below) else 0 : peak_at + 1] = True
+    if loaded.sum() < LEAST_SAMPLES:
+        raise InputError(
+            f"{LEAST_SAMPLES} samples or more between contact and the peak", f"{loaded.sum()}", "approach more slowly"
+        )
+    return force, noise, peak, loaded
+
+
+def _straight(x: FloatArray, y: FloatArray, weight: FloatArray) -> tuple[float, float]:
+    """Intercept and slope of the weighted line through (x, y)."""
+    middle_x, middle_y = np.average(x, weights=weight), np.average(y, weights=weight)
+    slope = float((weight * (x - middle_x) * (y - middle_y)).sum() / max((weight * (x - middle_x) ** 2).sum(), 1e-18))
+    return float(middle_y - slope * middle_x), slope
