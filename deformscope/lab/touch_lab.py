@@ -6,6 +6,7 @@ sensor's scene and onto the arm. Nothing runs by itself: `wait_until` lets time 
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import dataclasses
 import math
@@ -34,6 +35,8 @@ ARM_CYCLE_NS = 10_000_000
 POLL_NS = 2_000_000
 ARM_STIFFNESS_N_M = 5000.0
 SOLVED_N = 2e-3
+SOLVED_AT_MOST = 60
+FIRST_M = 2e-5
 
 
 class World(Protocol):
@@ -48,7 +51,8 @@ class TouchLab:
     """The doubles of a laboratory, closed devices over them, and their faults.
 
     arm, force, camera: the real drivers' devices, to be opened by `open`; contact_force_n: (3,) the true one now;
-    max_force_n: the greatest true magnitude so far; arm_double: the simulated arm
+    max_force_n: the greatest true magnitude so far; arm_double: the simulated arm; on_cycle: called once in each of
+    the arm's cycles
     """
 
     def __init__(
@@ -91,25 +95,30 @@ class TouchLab:
         self._compliance_m_n = 1.0 / arm_stiffness_n_m
         self._cycle = -1
         self._deflection_m = 0.0
+        self._slope = -1.0
         self._direction = np.array([0.0, 0.0, 1.0])
         self.contact_force_n: FloatArray = np.zeros(3)
         self._felt_n: FloatArray = np.zeros(3)
         self.max_force_n = 0.0
+        self.scheduled: list[tuple[int, Callable[[], None]]] = []
+        self.on_cycle: Callable[[], None] | None = None
         self._hit: tuple[int, int, FloatArray] | None = None
 
     def open(self) -> None:
         """Open the devices on the laboratory's clock, the force sensor's zero taken."""
         self.force.open(own_thread=False)
         self.force.zero()
+        self.wait_until((self.clock() // ARM_CYCLE_NS + 1) * ARM_CYCLE_NS)  # its slots are then those of its double
         self.arm.open(own_thread=False)
         if self.camera is not None:
             self.camera.open(own_thread=False)
 
     def close(self) -> None:
-        """Close them."""
-        for device in (self.arm, self.force, self.camera):
-            if device is not None:
-                device.close()
+        """Close them, all. Raises NotStopped, as a real arm's driver does, where the arm cannot be reached."""
+        with contextlib.ExitStack() as stack:
+            for device in (self.arm, self.force, self.camera):
+                if device is not None:
+                    stack.callback(device.close)
 
     def __enter__(self) -> TouchLab:
         self.open()
@@ -121,13 +130,26 @@ class TouchLab:
     def wait_until(self, until_ns: int) -> None:
         """Let time pass: every device is polled at its moments."""
         while (now_ns := self.clock()) < until_ns:
-            self.clock.advance_to(min((now_ns // POLL_NS + 1) * POLL_NS, until_ns))
+            then_ns = min((now_ns // POLL_NS + 1) * POLL_NS, until_ns)
+            if self.scheduled and self.scheduled[0][0] <= then_ns:
+                moment_ns, action = self.scheduled.pop(0)
+                self.clock.advance_to(moment_ns)
+                action()
+                continue
+            self.clock.advance_to(then_ns)
             self._feel()
-            for device in (self.arm, self.force, self.camera):
+            if self.clock() % ARM_CYCLE_NS == 0 and self.arm.is_open:
+                _poll(self.arm)
+            for device in (self.force, self.camera):
                 if device is not None and device.is_open:
                     _poll(device)
 
     # Faults ----------------------------------------------------------------------------------------------------------
+
+    def schedule(self, moment_ns: int, action: Callable[[], None]) -> None:
+        """Do something at a moment of the clock, between two control periods."""
+        self.scheduled.append((moment_ns, action))
+        self.scheduled.sort(key=lambda one: one[0])
 
     def hit(self, force_n: npt.ArrayLike, duration_s: float) -> None:
         """Something else pushes the tip from now on, force (3,) [N] in the surface frame."""
@@ -149,6 +171,8 @@ class TouchLab:
         cycle = self.clock() // ARM_CYCLE_NS
         if cycle != self._cycle:
             self._cycle = cycle
+            if self.on_cycle is not None:
+                self.on_cycle()
             T = self._kinematic()
             self.contact_force_n = self._contact(T[:3, 3])
             self._felt_n = -T[:3, :3].T @ self.contact_force_n
@@ -165,38 +189,35 @@ class TouchLab:
         return np.asarray(np.linalg.inv(self.placement.T_base_surface) @ T)[:3, 3]
 
     def _contact(self, center_m: FloatArray) -> FloatArray:
-        """The force at which the arm's give and the world's are in balance, by the secant method.
+        """The force at which the arm's give and the world's are in balance.
 
         The deflection s along the force's direction solves |press(center + s e)| * compliance = s, whose left side
-        falls with s. It starts where the last cycle ended.
+        falls with s: by the secant method from where the last cycle ended, which takes one or two looks at the world,
+        and between brackets where the contact is so stiff that this leaves them.
         """
-        force_n = self.world.press(center_m + self._deflection_m * self._direction)
+        at_m = self._deflection_m
+        force_n = self.world.press(center_m + at_m * self._direction)
         size_n = float(np.linalg.norm(force_n))
-        if self._compliance_m_n == 0.0:
+        if self._compliance_m_n == 0.0 or (size_n == 0.0 and at_m == 0.0):
             self._deflection_m = 0.0
             return force_n
         if size_n > 0:
             self._direction = force_n / size_n
-        elif self._deflection_m == 0.0:
-            return force_n
-        low_m, high_m = 0.0, math.inf  # balance lies between them
-        slope = -1.0
-        s = self._deflection_m
-        for _ in range(25):
-            gap = size_n * self._compliance_m_n - s
-            if abs(gap) < SOLVED_N * self._compliance_m_n:
+        gap_m = size_n * self._compliance_m_n - at_m
+        low_m, high_m = 0.0, math.inf
+        for _ in range(SOLVED_AT_MOST):
+            if abs(gap_m) < SOLVED_N * self._compliance_m_n:
                 break
-            low_m, high_m = (s, high_m) if gap > 0 else (low_m, s)
-            tried = s - gap / slope
-            if not low_m <= tried <= high_m:
-                tried = 0.5 * (low_m + high_m) if math.isfinite(high_m) else 2.0 * s + 1e-4
-            force_n = self.world.press(center_m + tried * self._direction)
-            size_n = float(np.linalg.norm(force_n))
-            new_gap = size_n * self._compliance_m_n - tried
-            if tried != s:
-                slope = min((new_gap - gap) / (tried - s), -1.0)
-            s = tried
-        self._deflection_m = s
+            low_m, high_m = (at_m, high_m) if gap_m > 0 else (low_m, at_m)
+            next_m = at_m - gap_m / self._slope
+            if not low_m < next_m < high_m and (at_m, next_m) != (0.0, 0.0):
+                next_m = 0.5 * (low_m + high_m) if math.isfinite(high_m) else 2.0 * at_m + FIRST_M
+            force_n = self.world.press(center_m + next_m * self._direction)
+            next_gap_m = float(np.linalg.norm(force_n)) * self._compliance_m_n - next_m
+            if next_m != at_m:
+                self._slope = min((next_gap_m - gap_m) / (next_m - at_m), -1.0)
+            at_m, gap_m = next_m, next_gap_m
+        self._deflection_m = at_m
         return force_n
 
     def _load(self, time_s: float) -> FloatArray:

@@ -6,6 +6,8 @@ The tip's frame has its z axis along the stick, outwards: a touch along the norm
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -15,6 +17,10 @@ import numpy.typing as npt
 from deformscope.errors import InputError
 from deformscope.rig import Tool
 from deformscope_drivers.jaco.kinematics import Chain, FloatArray, jacobian_of
+
+TURNED_RAD = 0.7
+"""An arm whose end is turned further than this from where it should be goes there joint by joint, in another of its
+configurations if that is better."""
 
 
 @dataclass(frozen=True)
@@ -105,13 +111,23 @@ class Reach:
 
 
 def reach(
-    chain: Chain, placement: Placement, centers_m: FloatArray, normal: npt.ArrayLike = (0.0, 0.0, 1.0), starts: int = 4
+    chain: Chain,
+    placement: Placement,
+    centers_m: FloatArray,
+    normals: npt.ArrayLike = (0.0, 0.0, 1.0),
+    *,
+    start_deg: npt.ArrayLike | None = None,
+    starts: int = 10,
 ) -> Reach:
-    """Which tip centres (n, 3) [m, surface frame] the arm reaches with the stick along -normal."""
+    """Which tip centres (n, 3) [m, surface frame] the arm reaches with the stick along -normal, one or (n, 3).
+
+    start_deg: (m,) joint angles that the search begins with (default: home); each place begins where the last one ended
+    """
+    directions = np.broadcast_to(np.asarray(normals, dtype=float), (len(centers_m), 3))
     reached = np.zeros(len(centers_m), bool)
     least = np.zeros(len(centers_m))
-    joints = chain.home_deg
-    for index, center_m in enumerate(centers_m):
+    joints = chain.home_deg if start_deg is None else np.asarray(start_deg, dtype=float)
+    for index, (center_m, normal) in enumerate(zip(centers_m, directions, strict=True)):
         found = chain.inverse(
             placement.T_base_ee(center_m, normal),
             joints,
@@ -125,3 +141,23 @@ def reach(
             jacobian = jacobian_of(chain.forward(joints))
             least[index] = float(np.linalg.svd(jacobian, compute_uv=False)[-1])
     return Reach(reached, least)
+
+
+def best_joints(chain: Chain, T_base_ees: Sequence[FloatArray], tries: int = 16) -> FloatArray | None:
+    """Joint angles (n,) for the first of some poses (4, 4), from which a straight way leads through the others.
+
+    A six-joint arm has up to eight for one pose; of those found, the ones are given whose way stays furthest from
+    singularities. None = none leads through all.
+    """
+    best: tuple[float, FloatArray] | None = None
+    for seed in range(tries):
+        start_deg = np.random.default_rng([seed, 0x1C]).uniform(0.0, 360.0, chain.joint_count) if seed else None
+        found = chain.inverse(T_base_ees[0], start_deg, starts=1)
+        first_deg, least = found.joints_deg, math.inf
+        for T_base_ee in T_base_ees:
+            found = chain.inverse(T_base_ee, found.joints_deg, starts=1)
+            jacobian = jacobian_of(chain.forward(found.joints_deg))
+            least = min(least, float(np.linalg.svd(jacobian, compute_uv=False)[-1]) if found.converged else 0.0)
+        if least > 0 and (best is None or least > best[0] + 1e-6):
+            best = least, first_deg
+    return None if best is None else best[1]

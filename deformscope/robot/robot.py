@@ -15,7 +15,9 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from deformscope.errors import InputError
 from deformscope.robot.placement import Placement
+from deformscope.robot.preflight import Preflight
 from deformscope.robot.readings import PERIOD_NS, ArmSample, CameraSample, ForceSample, Observation
 from deformscope.robot.supervisor import Action, Limits, Supervisor, Verdict
 from deformscope_drivers.clock import Clock, monotonic_ns
@@ -92,12 +94,13 @@ class Robot:
         """watch: called with what was seen and judged in each period, for a recording"""
         self.arm, self.force, self.camera = arm, force, camera
         self.placement = placement
-        self._clock, self._wait_until, self._watch = clock, wait_until, watch
+        self._clock, self._wait_until, self.watch = clock, wait_until, watch
         self._forces = force.readings()
         self._states = arm.readings()
         self._pictures = camera.readings() if camera is not None else None
         self.tare_n: FloatArray = np.zeros(3)
         self.camera_needed = False
+        self._may_move = False
         self.commanded: list[tuple[int, float]] = []
         self.seen = Observation(clock())
         self._pose: ArmSample | None = None
@@ -134,6 +137,8 @@ class Robot:
         """
         if self.supervisor.verdict.action is Action.STOP:
             raise RobotStopped(self.supervisor.verdict)
+        if command is not None and not self._may_move:
+            raise InputError("a preflight that passed", "none", "let_move(check(robot, ...))")
         self._send(command)
         now_ns = self._clock()
         # A period that came late is not made up for.
@@ -144,8 +149,8 @@ class Robot:
         verdict = self.supervisor.judge(
             self.seen, commanded_m_s=self._speed_m_s, camera_needed=self.camera_needed and self.camera is not None
         )
-        if self._watch is not None:
-            self._watch(self.seen, verdict)
+        if self.watch is not None:
+            self.watch(self.seen, verdict)
         if verdict.action is Action.STOP:
             self.halt(f"{verdict.fault}: {verdict.reason}")
             raise RobotStopped(verdict)
@@ -163,8 +168,17 @@ class Robot:
         with contextlib.suppress(DeviceError):
             self.arm.halt(reason)
 
+    def let_move(self, preflight: Preflight) -> None:
+        """From now on velocities are sent. Raises InputError, which names the checks, unless all have passed."""
+        if not preflight.passed:
+            failed = "; ".join(f"{check.name}: {check.came}" for check in preflight.checks if not check.passed)
+            raise InputError("a preflight that passed", failed, "see to it, and check again")
+        self._may_move = True
+
     def resume(self) -> None:
-        """After somebody has seen to the reason of a stop: judge anew, and let the arm take commands."""
+        """After somebody has seen to the reason of a stop: judge anew, and let the arm take commands again, once
+        another preflight has passed."""
+        self._may_move = False
         self.arm.acknowledge_stop()
         self._drain()
         self._next_ns = self._clock()
@@ -257,6 +271,6 @@ def towards(start_deg: Sequence[float], goal_deg: npt.ArrayLike, endless: npt.ND
 
 
 def damaged_frames(force: Optoforce) -> int:
-    """Stretches of bytes that fit no frame, and frames refused, since the sensor was opened."""
+    """Stretches of bytes that fit no frame, or frames refused if those are more, since the sensor was opened."""
     health = force.health()
-    return health.resyncs + sum(health.refused.values())
+    return max(health.resyncs, sum(health.refused.values()))

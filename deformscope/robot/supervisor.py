@@ -6,6 +6,7 @@ It is no safety function (no Python program is): the emergency stop stays in som
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from enum import StrEnum
@@ -181,12 +182,12 @@ class Supervisor:
             self._force_ns = sample.time_ns
             if sample.pattern is None or sample.pattern != self._pattern:
                 self._pattern, self._pattern_ns = sample.pattern, sample.time_ns
-            if not np.all(np.isfinite(sample.force_n)):
-                found.append((Action.STOP, Fault.FORCE_INVALID, f"a force of {sample.force_n.tolist()}"))
+            magnitude_n = math.hypot(*sample.force_n)
+            if not math.isfinite(magnitude_n):
+                found.append((Action.STOP, Fault.FORCE_INVALID, f"a force of {sample.force_n.tolist()} N"))
                 continue
             if not sample.usable:
                 self._unusable.append(sample.time_ns)
-            magnitude_n = float(np.sqrt(sample.force_n @ sample.force_n))
             if magnitude_n > limits.hard_force_n:
                 found.append((Action.STOP, Fault.FORCE_HARD, f"{magnitude_n:.1f} N, limit {limits.hard_force_n:g} N"))
             elif magnitude_n > limits.soft_force_n:

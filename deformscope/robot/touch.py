@@ -103,6 +103,13 @@ class TouchPlan:
         if not 0 < self.slow_within_m <= self.standoff_m:
             raise InputError("0 < slow_within_m <= standoff_m", f"{self.slow_within_m}, {self.standoff_m}")
 
+    def places_m(self, center_offset_m: float) -> FloatArray:
+        """(3, 3) where the tip's centre goes at most: crossing, above the point, and deepest [m, surface frame]."""
+        touching_m = self.point_m + center_offset_m * self.normal
+        above_m = touching_m + self.standoff_m * self.normal
+        crossing_m = np.array([above_m[0], above_m[1], max(self.travel_height_m, above_m[2])])
+        return np.array([crossing_m, above_m, touching_m - (self.miss_m + self.max_depth_m) * self.normal])
+
 
 @dataclass(frozen=True, slots=True)
 class PhaseSpan:
@@ -335,7 +342,8 @@ def run_touch(robot: Robot, plan: TouchPlan, still_seen: Callable[[], bool] = la
 
     still_seen: whether what watches the dent (a camera) sees no change; asked while it dwells, when the camera must be
     alive too. Never raises for what happens to the robot: `ending`, `fault` and `reason` say it, and the supervisor's
-    verdict holds until somebody acknowledges it. Raises InputError for a plan that cannot be.
+    verdict holds until somebody acknowledges it. Raises RobotStopped where it holds already, and InputError where no
+    preflight has passed.
     """
     run = _Run(robot, plan)
     try:
@@ -360,7 +368,7 @@ class _Run:
 
     def __init__(self, robot: Robot, plan: TouchPlan) -> None:
         self._robot, self._plan = robot, plan
-        if robot.supervisor.verdict.action is Action.STOP:
+        if robot.supervisor.verdict.action is not Action.GO_ON:
             raise RobotStopped(robot.supervisor.verdict)
         self._spans: list[PhaseSpan] = []
         self._times: list[int] = []
@@ -377,9 +385,16 @@ class _Run:
     def travel(self) -> None:
         plan, began = self._plan, self._now_s()
         self._robot.cycle()
-        center_m = plan.point_m + (plan.standoff_m + self._robot.placement.center_offset_m) * plan.normal
+        crossing_m, above_m, deepest_m = plan.places_m(self._robot.placement.center_offset_m)
         try:
-            to_above(self._robot, center_m, plan.normal, plan.travel_height_m, plan.travel_speed_m_s)
+            to_above(
+                self._robot,
+                above_m,
+                plan.normal,
+                height_m=float(crossing_m[2]),
+                deepest_m=deepest_m,
+                speed_m_s=plan.travel_speed_m_s,
+            )
         finally:
             self._spans.append(PhaseSpan(Phase.TRAVEL, began, self._now_s()))
 
@@ -433,6 +448,10 @@ class _Run:
         return self._forces[-1][1] if self._forces else np.zeros(3)
 
     def fail(self, ending: Ending, reason: str, fault: Fault) -> None:
+        verdict = self._robot.supervisor.verdict
+        if verdict.action is not Action.GO_ON:
+            ending = Ending.STOPPED if verdict.action is Action.STOP else Ending.SOFT_STOP
+            reason, fault = verdict.reason, verdict.fault
         self._ending, self._reason, self._fault = ending, reason, fault
         if self._machine is not None:
             self._machine.end(self._now_s())

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope.errors import InputError
+from deformscope.robot.placement import TURNED_RAD, best_joints
 from deformscope.robot.robot import JointRates, Robot, TipVelocity, towards
 from deformscope.robot.supervisor import Action
 from deformscope_drivers.jaco.kinematics import FloatArray, pose_error
@@ -62,22 +63,26 @@ def move_joints(robot: Robot, joints_deg: npt.ArrayLike) -> None:
     raise NotThere("the joints where they were sent", f"{np.max(np.abs(turn)):.1f} deg away", "a free way")
 
 
-def to_above(robot: Robot, center_m: FloatArray, normal: FloatArray, height_m: float, speed_m_s: float) -> None:
+def to_above(
+    robot: Robot, center_m: FloatArray, normal: FloatArray, *, height_m: float, deepest_m: FloatArray, speed_m_s: float
+) -> None:
     """To a place above the surface: up to height_m, across, and down to it; the first time joint by joint.
 
-    height_m: z of the tip's centre while it crosses [m, surface frame]
+    height_m: z of the tip's centre while it crosses; deepest_m: (3,) where a straight way goes on to from there [m,
+    surface frame]
     """
     here = robot.placement.T_surface_center(robot.pose.T_base_ee)
     goal = robot.placement.T_base_ee(center_m, normal)
     turn = pose_error(robot.pose.T_base_ee, goal)[3:]
     high_m = max(height_m, float(center_m[2]))
     over = np.array([center_m[0], center_m[1], high_m])
-    if np.linalg.norm(turn) > 0.7:
-        chain = robot.arm.chain
-        found = chain.inverse(robot.placement.T_base_ee(over, normal), robot.pose.joints_deg)
-        if not found.converged:
+    if np.linalg.norm(turn) > TURNED_RAD:
+        joints_deg = best_joints(
+            robot.arm.chain, [robot.placement.T_base_ee(place_m, normal) for place_m in (over, center_m, deepest_m)]
+        )
+        if joints_deg is None:
             raise NotThere(f"the tip at {np.round(over, 4)} m", "no joint angles for it", "a place that the arm reaches")
-        move_joints(robot, found.joints_deg)
+        move_joints(robot, joints_deg)
     else:
         if here[2, 3] < high_m - 1e-3:
             up = np.array([here[0, 3], here[1, 3], high_m])
