@@ -6,6 +6,7 @@ Each run has its own foam, tip, tilt, moment and fault, all drawn from its seed,
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -73,7 +74,7 @@ STANDS_WITHIN_S = 2 * ARM_CYCLE_NS / 1e9
 
 @dataclass(frozen=True, slots=True)
 class FaultRun:
-    """seed: of everything; injected; noticed as what; noticed_s: after it was injected (or began to matter), nan = never
+    """seed: of everything; noticed_s: after the fault was injected, or began to matter; nan = never
 
     stands_s: after it was noticed, until a cycle in which the arm does not move; moved_later: a stopped arm has moved
     again; moving: it moved when the fault came; max_force_n: greatest true contact force
@@ -121,7 +122,7 @@ def make_scene(
         believed_m = point_m + random.normal(0.0, 0.002) * normal
         plan = TouchPlan(believed_m, normal, travel_height_m=FOAM_TOP_M + 0.07)
         crossing_m, above_m, deepest_m = plan.places_m(placement.center_offset_m)
-        places_m = np.array([crossing_m + [0.0, 0.0, 0.005], above_m, deepest_m])
+        places_m = np.array([crossing_m + np.array([0.0, 0.0, 0.005]), above_m, deepest_m])
         start_deg = best_joints(J2N6S300, [placement.T_base_ee(place_m, normal) for place_m in places_m])
         if start_deg is not None:
             least = reach(J2N6S300, placement, places_m, normal, start_deg=start_deg).least_singular
@@ -138,9 +139,7 @@ def make_scene(
     )
     lab.open()
     limits = Limits(low_m=BOX_LOW_M, high_m=BOX_HIGH_M)
-    robot = Robot(
-        lab.arm, lab.force, placement, limits, camera=lab.camera, clock=lab.clock, wait_until=lab.wait_until
-    )
+    robot = Robot(lab.arm, lab.force, placement, limits, camera=lab.camera, clock=lab.clock, wait_until=lab.wait_until)
     robot.let_move(check(robot, [plan], calibrated={"force sensor": True, "tool": True}))
     return Scene(lab, robot, plan)
 
@@ -175,7 +174,9 @@ def run_fault(seed: int, injected: Injected) -> FaultRun:
         run_touch(robot, scene.plan)
         lab.wait_until(lab.clock() + round(AFTER_S * 1e9))
     finally:
-        with contextlib.suppress(NotStopped):  # the arm's cable is out: its driver says at closing that nobody could tell it
+        with contextlib.suppress(
+            NotStopped
+        ):  # the arm's cable is out: its driver says at closing that nobody could tell it
             lab.close()
     return _judge(seed, injected, state, verdicts, joints, lab)
 
@@ -193,7 +194,7 @@ def _judge(
         return FaultRun(seed, injected, Fault.NONE, math.nan, math.nan, False, moving, lab.max_force_n)
     noticed_ns = verdicts[0].time_ns
     stands_ns, moved_later = -1, False
-    for (_, before), (now_ns, after) in zip(joints, joints[1:], strict=False):
+    for (_, before), (now_ns, after) in itertools.pairwise(joints):
         if now_ns <= noticed_ns:
             continue
         if np.array_equal(before, after):
@@ -247,7 +248,9 @@ def run_faults(seeds: Sequence[int]) -> list[FaultRun]:
 
 def table(runs: Sequence[FaultRun]) -> str:
     """The runs as text, a line for each fault: how many, noticed and standing after how long, how many in time."""
-    lines = [f"{'fault':36}{'runs':>5}{'moving':>8}{'noticed [ms] median, max, allowed':>36}{'stands [ms] max':>17}{'in time':>9}"]
+    lines = [
+        f"{'fault':36}{'runs':>5}{'moving':>8}{'noticed [ms]: median, max, allowed':>36}{'stands, max':>13}{'in time':>9}"
+    ]
     for injected in Injected:
         some = [run for run in runs if run.injected is injected]
         if not some:
@@ -257,5 +260,5 @@ def table(runs: Sequence[FaultRun]) -> str:
         figures = f"{np.median(noticed_ms):.0f}, {max(noticed_ms):.0f}, {1e3 * ALLOWED_S[injected]:.0f}"
         good = sum(run.in_time for run in some)
         moving = sum(run.moving for run in some)
-        lines.append(f"{injected:36}{len(some):5}{moving:8}{figures:>36}{stands_ms:17.0f}{good:9}")
+        lines.append(f"{injected:36}{len(some):5}{moving:8}{figures:>36}{stands_ms:13.0f}{good:9}")
     return "\n".join(lines)

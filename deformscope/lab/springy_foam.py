@@ -35,4 +35,4 @@ class SpringyFoam:
             force_n = 4.0 / 3.0 * self._plane_modulus_pa * math.sqrt(radius_m) * depth_m**1.5
         else:
             force_n = 2.0 * self._plane_modulus_pa * radius_m * depth_m
-        return force_n * self._normal
+        return np.asarray(force_n * self._normal)

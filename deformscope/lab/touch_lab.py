@@ -257,7 +257,9 @@ class SpoiledWire(MemoryTransport):
         if data and not self.frozen:
             self._held = None
         elif data:
-            data = b"".join(encode(self._again(event)) for event in self._decoder.feed(data) if isinstance(event, Reading))
+            data = b"".join(
+                encode(self._again(event)) for event in self._decoder.feed(data) if isinstance(event, Reading)
+            )
         if self.spoiled and data:
             values = np.frombuffer(data, np.uint8).copy()
             hit = self._random.random(len(values)) < self.spoiled

@@ -57,11 +57,17 @@ class Preflight:
         rows = [("", "check", "wanted", "came")]
         rows += [("ok" if one.passed else "NO", one.name, one.wanted, one.came) for one in self.checks]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows)
+        return "\n".join(
+            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+        )
 
 
 def check(
-    robot: Robot, plans: Sequence[TouchPlan], *, calibrated: Mapping[str, bool], rates_hz: Mapping[str, float] | None = None
+    robot: Robot,
+    plans: Sequence[TouchPlan],
+    *,
+    calibrated: Mapping[str, bool],
+    rates_hz: Mapping[str, float] | None = None,
 ) -> Preflight:
     """Look at a robot that stands still for half a second, and at what it is to do.
 
@@ -77,7 +83,10 @@ def check(
             *_force(robot, seen),
             *_arm(robot, seen),
             *_clocks(robot),
-            *(Check(f"calibration: {name}", there, "present", "present" if there else "missing") for name, there in calibrated.items()),
+            *(
+                Check(f"calibration: {name}", there, "present", "present" if there else "missing")
+                for name, there in calibrated.items()
+            ),
             *_plans(robot, plans),
         )
     )

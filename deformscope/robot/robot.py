@@ -1,7 +1,7 @@
 """Arm, force sensor and camera as one robot with one control period, watched by the supervisor.
 
-The same code runs on real devices, which have their own threads, and in a simulated laboratory: what differs is how time
-passes until the next control period (`wait_until`).
+The same code runs on real devices, which have their own threads, and in a simulated laboratory: what differs is how
+time passes until the next control period (`wait_until`).
 """
 
 from __future__ import annotations
@@ -267,7 +267,7 @@ def _taken(queue: Any) -> list[Any]:
 def towards(start_deg: Sequence[float], goal_deg: npt.ArrayLike, endless: npt.NDArray[np.bool_]) -> FloatArray:
     """(n,) degrees to turn from joint angles to others, the short way where a joint turns without end."""
     turn = np.asarray(goal_deg, dtype=float) - np.asarray(start_deg, dtype=float)
-    return np.where(endless, (turn + 180.0) % 360.0 - 180.0, turn)
+    return np.asarray(np.where(endless, (turn + 180.0) % 360.0 - 180.0, turn))
 
 
 def damaged_frames(force: Optoforce) -> int:

@@ -55,8 +55,8 @@ class Limits:
     two frame periods (camera), a control period of 10 ms included.
 
     soft_force_n, hard_force_n: magnitude backed away at, stopped at; speed_m_s: measured speed of the arm's end
-    low_m, high_m: (3,) box of the tip's centre in the base frame, None = none; look_ahead_s: the box holds for where the
-    tip will be by then
+    low_m, high_m: (3,) box of the tip's centre in the base frame, None = none; look_ahead_s: the box holds for where
+    the tip will be by then
     force_silent_s, arm_silent_s: greatest age of the newest reading; force_frozen_s: greatest time of equal readings
     arm_frozen_m: commanded way during which the joints do not change at all
     refused, unusable: this many damaged frames, or readings that are not usable, within window_s
@@ -254,9 +254,7 @@ class Supervisor:
                 found.append((Action.STOP, Fault.WORKSPACE, f"the tip at {where} m (base), leaving along {axis}"))
         return found
 
-    def _camera(
-        self, pictures: tuple[CameraSample, ...], now_ns: int, needed: bool
-    ) -> list[tuple[Action, Fault, str]]:
+    def _camera(self, pictures: tuple[CameraSample, ...], now_ns: int, needed: bool) -> list[tuple[Action, Fault, str]]:
         limits = self.limits
         if needed and not self._camera_needed:
             self._camera_ns = max(self._camera_ns, now_ns)  # its age counts from when it matters

@@ -40,7 +40,7 @@ def move_tip(robot: Robot, center_m: npt.ArrayLike, normal: npt.ArrayLike, speed
         step(robot, TipVelocity(_capped(error[:3], speed_m_s), _capped(error[3:], ANGULAR_RAD_S)))
     robot.cycle()
     left = f"{np.linalg.norm(error[:3]) * 1e3:.1f} mm and {np.linalg.norm(error[3:]):.3f} rad away"
-    raise NotThere(f"the tip at {np.round(center_m, 4)} m", left, "a place that the arm reaches")
+    raise NotThere(f"the tip at {np.round(np.asarray(center_m), 4)} m", left, "a place that the arm reaches")
 
 
 def move_joints(robot: Robot, joints_deg: npt.ArrayLike) -> None:
@@ -81,7 +81,9 @@ def to_above(
             robot.arm.chain, [robot.placement.T_base_ee(place_m, normal) for place_m in (over, center_m, deepest_m)]
         )
         if joints_deg is None:
-            raise NotThere(f"the tip at {np.round(over, 4)} m", "no joint angles for it", "a place that the arm reaches")
+            raise NotThere(
+                f"the tip at {np.round(over, 4)} m", "no joint angles for it", "a place that the arm reaches"
+            )
         move_joints(robot, joints_deg)
     else:
         if here[2, 3] < high_m - 1e-3:
