@@ -249,7 +249,7 @@ def run_faults(seeds: Sequence[int]) -> list[FaultRun]:
 def table(runs: Sequence[FaultRun]) -> str:
     """The runs as text, a line for each fault: how many, noticed and standing after how long, how many in time."""
     lines = [
-        f"{'fault':36}{'runs':>5}{'moving':>8}{'noticed [ms]: median, max, allowed':>36}{'stands, max':>13}{'in time':>9}"
+        f"{'fault':36}{'runs':>5}{'moving':>8}{'noticed [ms]: median, max, limit':>36}{'stands, max':>13}{'in time':>9}"
     ]
     for injected in Injected:
         some = [run for run in runs if run.injected is injected]

@@ -23,7 +23,7 @@ from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig, Vie
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.jaco import Jaco, JacoConfig, JacoDouble
-from deformscope_drivers.jaco.kinematics import FloatArray, transform
+from deformscope_drivers.jaco.kinematics import CHAINS, FloatArray, transform
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.optoforce import Optoforce, OptoforceConfig
 from deformscope_drivers.optoforce.double import OMD_20_SE_40N, OptoforceDouble, Sensors
@@ -31,7 +31,10 @@ from deformscope_drivers.optoforce.protocol import Decoder, Reading, encode
 
 T_BASE_SURFACE: FloatArray = transform(np.eye(3), (-0.30, -0.55, 0.0))
 """Where a scene's table of 0.6 x 0.4 m stands: before the arm, its far corners 0.63 m from the arm's axis."""
+READY_NEAR_DEG = (270.0, 200.0, 100.0, 200.0, 90.0, 90.0)
+"""Joint angles near which the arm stands above that table in the configuration that reaches all of it."""
 ARM_CYCLE_NS = 10_000_000
+READY_M = (0.3, 0.2, 0.2)
 POLL_NS = 2_000_000
 ARM_STIFFNESS_N_M = 5000.0
 SOLVED_N = 2e-3
@@ -72,11 +75,17 @@ class TouchLab:
     ) -> None:
         """arm_stiffness_n_m: of the arm against a push, which its joints' sensors do not see (inf = rigid)
 
+        start_deg: (6,) where the arm stands; default: ready above the middle of the table
+
         view: what the camera sees at a time since its opening [s]; None = no camera
         """
         self.clock = clock if clock is not None else SimulatedClock()
         self.world = world
         self.placement = Placement(np.asarray(T_base_surface, dtype=float), tool if tool is not None else Tool())
+        if start_deg is None:
+            start_deg = (
+                CHAINS["j2n6s300"].inverse(self.placement.T_base_ee(READY_M, (0, 0, 1)), READY_NEAR_DEG).joints_deg
+            )
         self.arm_double = JacoDouble(clock=self.clock, start_deg=start_deg)
         self.functions = Spoiled(self.arm_double)
         sensors = Sensors(scene=self._load, sensitivity=OMD_20_SE_40N, seed=seed)

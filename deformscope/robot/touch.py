@@ -158,6 +158,8 @@ ACROSS_M_S = 0.01
 STILL_S = 0.3
 STILL_FORCE, STILL_FORCE_N, STILL_M = 0.03, 0.03, 1.5e-4
 PAUSE_PERIODS = 3
+NEAR_M = 2e-4
+"""So near the greatest depth it counts as reached: the speed falls towards it."""
 PRESS_AT_MOST_S = 8.0
 AVERAGED_NS = 3_000_000
 """Forces within so much of an arm's state are averaged for it: both ways alike, so that nothing lags."""
@@ -261,7 +263,7 @@ class Touch:
         if along_n >= set_n - max(STILL_FORCE * set_n, STILL_FORCE_N):
             self.ending = Ending.SET_FORCE
             self._enter(dwell, time_s)
-        elif depth_m >= plan.max_depth_m:
+        elif depth_m >= plan.max_depth_m - NEAR_M:
             self.ending = Ending.DEPTH
             self._enter(dwell, time_s)
         elif time_s - self._since_s > PRESS_AT_MOST_S:
@@ -462,7 +464,8 @@ class _Run:
         centers_m = np.array(self._centers).reshape(-1, 3)
         forces_n = self._forces_at_states()
         kept = times_s <= self._end_s
-        dwelt = kept & (times_s > self._end_s - STILL_S) if math.isfinite(self._end_s) else np.zeros(len(kept), bool)
+        met = math.isfinite(self._loading_s) and math.isfinite(self._end_s)
+        dwelt = kept & (times_s > self._end_s - STILL_S) & met
         peaks = [float(np.linalg.norm(force)) for _, force in self._forces]
         return TouchRecord(
             plan=self._plan,

@@ -73,7 +73,9 @@ def test_it_ends_at_the_greatest_depth_and_where_nothing_is() -> None:
     deep = run_touch(scene.robot, scene.plan)
     assert deep.ending is Ending.DEPTH
     assert deep.depth_m < scene.plan.max_depth_m + 5e-4
-    away = TouchPlan(scene.plan.point_m + [0.0, 0.0, 0.03], scene.plan.normal, travel_height_m=0.15, miss_m=0.01)
+    away = TouchPlan(
+        scene.plan.point_m + np.array([0.0, 0.0, 0.03]), scene.plan.normal, travel_height_m=0.15, miss_m=0.01
+    )
     nothing = run_touch(scene.robot, away)
     scene.lab.close()
 
@@ -88,7 +90,7 @@ def test_no_preflight_no_motion() -> None:
 
     with pytest.raises(InputError, match="preflight"):
         scene.robot.cycle(TipVelocity(np.array([0.0, 0.0, 0.01])))
-    outside = TouchPlan(scene.plan.point_m + [0.0, 0.8, 0.0], scene.plan.normal)
+    outside = TouchPlan(scene.plan.point_m + np.array([0.0, 0.8, 0.0]), scene.plan.normal)
     report = check(scene.robot, [outside], calibrated={"tool": False})
     with pytest.raises(InputError, match="workspace: plan inside"):
         scene.robot.let_move(report)
