@@ -121,7 +121,7 @@ def reach(
 ) -> Reach:
     """Which tip centres (n, 3) [m, surface frame] the arm reaches with the stick along -normal, one or (n, 3).
 
-    start_deg: (m,) joint angles that the search begins with (default: home); each place begins where the last one ended
+    start_deg: (m,) joint angles that the search begins with for each place: where the arm comes from (default: home)
     """
     directions = np.broadcast_to(np.asarray(normals, dtype=float), (len(centers_m), 3))
     reached = np.zeros(len(centers_m), bool)
@@ -136,9 +136,8 @@ def reach(
             starts=starts,
         )
         if found.converged:
-            joints = found.joints_deg
             reached[index] = True
-            jacobian = jacobian_of(chain.forward(joints))
+            jacobian = jacobian_of(chain.forward(found.joints_deg))
             least[index] = float(np.linalg.svd(jacobian, compute_uv=False)[-1])
     return Reach(reached, least)
 

@@ -90,7 +90,7 @@ def test_no_preflight_no_motion() -> None:
 
     with pytest.raises(InputError, match="preflight"):
         scene.robot.cycle(TipVelocity(np.array([0.0, 0.0, 0.01])))
-    outside = TouchPlan(scene.plan.point_m + np.array([0.0, 0.8, 0.0]), scene.plan.normal)
+    outside = TouchPlan(scene.plan.point_m + np.array([0.0, -0.9, 0.0]), scene.plan.normal)
     report = check(scene.robot, [outside], calibrated={"tool": False})
     with pytest.raises(InputError, match="workspace: plan inside"):
         scene.robot.let_move(report)
