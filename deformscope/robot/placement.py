@@ -151,12 +151,12 @@ def best_joints(chain: Chain, T_base_ees: Sequence[FloatArray], tries: int = 16)
     best: tuple[float, FloatArray] | None = None
     for seed in range(tries):
         start_deg = np.random.default_rng([seed, 0x1C]).uniform(0.0, 360.0, chain.joint_count) if seed else None
-        found = chain.inverse(T_base_ees[0], start_deg, starts=1)
-        first_deg, least = found.joints_deg, math.inf
+        found = first = chain.inverse(T_base_ees[0], start_deg, starts=1)
+        least = math.inf if first.converged else 0.0
         for T_base_ee in T_base_ees:
             found = chain.inverse(T_base_ee, found.joints_deg, starts=1)
             jacobian = jacobian_of(chain.forward(found.joints_deg))
             least = min(least, float(np.linalg.svd(jacobian, compute_uv=False)[-1]) if found.converged else 0.0)
         if least > 0 and (best is None or least > best[0] + 1e-6):
-            best = least, first_deg
+            best = least, first.joints_deg
     return None if best is None else best[1]
