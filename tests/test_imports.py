@@ -46,6 +46,11 @@ FORBIDDEN = {
     "deformscope.recorder": ("deformscope.experiments", "deformscope.cli", "deformscope.lab"),
     "deformscope.session": ("deformscope.experiments", "deformscope.cli", "deformscope.lab", "rerun"),
     "deformscope.experiments": ("deformscope.cli", "rerun", "tyro"),
+    # How the robot touches knows devices and geometry; who simulates, shows or plans wires it.
+    "deformscope.robot": (
+        *("deformscope.stages", "deformscope.log", "deformscope.recorder", "deformscope.session"),
+        *("deformscope.experiments", "deformscope.cli", "deformscope.lab", "rerun", "tyro", "rich"),
+    ),
     # The simulated world must not share the model that is fitted to it.
     "deformscope.lab": ("deformscope.stages.msm", "deformscope.experiments", "deformscope.cli"),
     "deformscope.config": ("numpy", "rich", "rerun", "warp"),

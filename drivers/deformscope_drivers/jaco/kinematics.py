@@ -113,11 +113,11 @@ class Chain:
         """
         axes, origins_m = T_base_links[:-1, :3, 2], T_base_links[:-1, :3, 3]
         centres_m = 0.5 * (origins_m + T_base_links[1:, :3, 3])
-        weights_n = np.zeros((self.joint_count, 3))
-        weights_n[:, 2] = -gravity_m_s2 * np.array([joint.mass_kg for joint in self.joints])
-        moments_nm = np.array(
-            [np.cross(centres_m[i:] - origins_m[i], weights_n[i:]).sum(axis=0) for i in range(self.joint_count)]
-        )
+        weights_n = -gravity_m_s2 * np.array([joint.mass_kg for joint in self.joints])
+        # each joint carries all links behind it: their weight, and the moment of it about the base's origin
+        carried_n = np.cumsum(weights_n[::-1])[::-1]
+        moment_nm = np.cumsum((weights_n[:, None] * centres_m)[::-1], axis=0)[::-1] - carried_n[:, None] * origins_m
+        moments_nm = np.stack([moment_nm[:, 1], -moment_nm[:, 0], np.zeros(self.joint_count)], axis=1)
         torque_nm: FloatArray = -np.einsum("ij,ij->i", axes, moments_nm)
         return torque_nm
 

@@ -1,0 +1,162 @@
+"""Where the surface, the arm and its tip are to one another.
+
+The tip's frame has its z axis along the stick, outwards: a touch along the normal n has it at -n. Its origin is the
+*centre* of the tip: of the sphere for a round tip, of the face for a flat one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from deformscope.errors import InputError
+from deformscope.rig import Tool
+from deformscope_drivers.jaco.kinematics import Chain, FloatArray, jacobian_of
+
+TURNED_RAD = 0.7
+"""An arm whose end is turned further than this from where it should be goes there joint by joint, in another of its
+configurations if that is better."""
+
+
+@dataclass(frozen=True)
+class Placement:
+    """The rigid relations of base, surface, arm's end and tip.
+
+    T_base_surface: (4, 4) surface frame to the arm's base frame [m]; tool: what the arm touches with
+    Raises InputError for a transform that is not rigid.
+    """
+
+    T_base_surface: FloatArray
+    tool: Tool = field(default_factory=Tool)
+
+    def __post_init__(self) -> None:
+        T = np.asarray(self.T_base_surface, dtype=float)
+        rotation = T[:3, :3] if T.shape == (4, 4) else np.full((3, 3), np.nan)
+        rigid = T.shape == (4, 4) and bool(np.all(np.isfinite(T)))
+        if not (rigid and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) and np.linalg.det(rotation) > 0):
+            raise InputError("T_base_surface (4, 4), rigid", f"{T.tolist()}", "a rotation and a translation [m]")
+        object.__setattr__(self, "T_base_surface", T)
+
+    @cached_property
+    def T_ee_center(self) -> FloatArray:
+        """(4, 4) centre of the tip to the arm's end [m]."""
+        tool = self.tool
+        T = np.eye(4)
+        if tool.T_ee_tip is not None:
+            T = np.array(tool.T_ee_tip, dtype=float)
+        else:
+            T[2, 3] = tool.length_m
+        if tool.tip == "sphere":
+            T[:3, 3] -= tool.radius_m * T[:3, 2]
+        return T
+
+    @cached_property
+    def _T_surface_base(self) -> FloatArray:
+        return np.asarray(np.linalg.inv(self.T_base_surface))
+
+    @cached_property
+    def _T_center_ee(self) -> FloatArray:
+        return np.asarray(np.linalg.inv(self.T_ee_center))
+
+    @property
+    def center_offset_m(self) -> float:
+        """From the point that touches first to the tip's centre, along the normal [m]: a sphere's radius, else 0."""
+        return self.tool.radius_m if self.tool.tip == "sphere" else 0.0
+
+    def T_surface_center(self, T_base_ee: FloatArray) -> FloatArray:
+        """(4, 4) the tip's centre in the surface frame, for the pose of the arm's end in the base frame."""
+        return np.asarray(self._T_surface_base @ T_base_ee @ self.T_ee_center)
+
+    def T_base_ee(self, center_m: npt.ArrayLike, normal: npt.ArrayLike) -> FloatArray:
+        """(4, 4) the arm's end in the base frame when the tip's centre (3,) [m] is here and the stick along -normal.
+
+        center_m, normal: in the surface frame. The turn about the normal is the one nearest to the surface's x axis, so
+        that it is the same for all touches on a flat surface.
+        """
+        out = np.asarray(normal, dtype=float)
+        out = out / np.linalg.norm(out)
+        across = np.array([1.0, 0.0, 0.0]) - out[0] * out
+        if np.linalg.norm(across) < 1e-6:
+            raise InputError("a normal that is not along x", f"{out.tolist()}", "a surface less steep")
+        across /= np.linalg.norm(across)
+        T = np.eye(4)
+        T[:3, :3] = np.stack([across, np.cross(-out, across), -out], axis=1)
+        T[:3, 3] = center_m
+        return np.asarray(self.T_base_surface @ T @ self._T_center_ee)
+
+    def to_base(self, vector: npt.ArrayLike) -> FloatArray:
+        """A vector (3,) of the surface frame in the base frame."""
+        return np.asarray(self.T_base_surface[:3, :3] @ np.asarray(vector, dtype=float))
+
+    def point_in_base_m(self, point_m: npt.ArrayLike) -> FloatArray:
+        """A point (3,) [m] of the surface frame in the base frame."""
+        return np.asarray(self.to_base(point_m) + self.T_base_surface[:3, 3])
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """Whether the arm reaches places.
+
+    reached: (n,) inverse kinematics converged there; least_singular: (n,) smallest singular value of the Jacobian, 0
+    where not reached: below about 0.02 the arm cannot follow a Cartesian velocity
+    """
+
+    reached: npt.NDArray[np.bool_]
+    least_singular: FloatArray
+
+
+def reach(
+    chain: Chain,
+    placement: Placement,
+    centers_m: FloatArray,
+    normals: npt.ArrayLike = (0.0, 0.0, 1.0),
+    *,
+    start_deg: npt.ArrayLike | None = None,
+    starts: int = 10,
+) -> Reach:
+    """Which tip centres (n, 3) [m, surface frame] the arm reaches with the stick along -normal, one or (n, 3).
+
+    start_deg: (m,) joint angles that the search begins with for each place: where the arm comes from (default: home)
+    """
+    directions = np.broadcast_to(np.asarray(normals, dtype=float), (len(centers_m), 3))
+    reached = np.zeros(len(centers_m), bool)
+    least = np.zeros(len(centers_m))
+    joints = chain.home_deg if start_deg is None else np.asarray(start_deg, dtype=float)
+    for index, (center_m, normal) in enumerate(zip(centers_m, directions, strict=True)):
+        found = chain.inverse(
+            placement.T_base_ee(center_m, normal),
+            joints,
+            position_tolerance_m=1e-4,
+            rotation_tolerance_rad=1e-3,
+            starts=starts,
+        )
+        if found.converged:
+            reached[index] = True
+            jacobian = jacobian_of(chain.forward(found.joints_deg))
+            least[index] = float(np.linalg.svd(jacobian, compute_uv=False)[-1])
+    return Reach(reached, least)
+
+
+def best_joints(chain: Chain, T_base_ees: Sequence[FloatArray], tries: int = 16) -> FloatArray | None:
+    """Joint angles (n,) for the first of some poses (4, 4), from which a straight way leads through the others.
+
+    A six-joint arm has up to eight for one pose; of those found, the ones are given whose way stays furthest from
+    singularities. None = none leads through all.
+    """
+    best: tuple[float, FloatArray] | None = None
+    for seed in range(tries):
+        start_deg = np.random.default_rng([seed, 0x1C]).uniform(0.0, 360.0, chain.joint_count) if seed else None
+        found = first = chain.inverse(T_base_ees[0], start_deg, starts=1)
+        least = math.inf if first.converged else 0.0
+        for T_base_ee in T_base_ees:
+            found = chain.inverse(T_base_ee, found.joints_deg, starts=1)
+            jacobian = jacobian_of(chain.forward(found.joints_deg))
+            least = min(least, float(np.linalg.svd(jacobian, compute_uv=False)[-1]) if found.converged else 0.0)
+        if least > 0 and (best is None or least > best[0] + 1e-6):
+            best = least, first.joints_deg
+    return None if best is None else best[1]

@@ -1,0 +1,202 @@
+"""What must be right before the robot moves: a table of checks, each with what was expected and what came."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from deformscope.robot.placement import TURNED_RAD, best_joints, reach
+from deformscope.robot.readings import ForceSample, Observation
+from deformscope_drivers.device import Device
+from deformscope_drivers.health import Link
+from deformscope_drivers.jaco.kinematics import FloatArray, pose_error
+
+if TYPE_CHECKING:
+    from deformscope.robot.robot import Robot
+    from deformscope.robot.touch import TouchPlan
+
+LOOK_PERIODS = 50
+RATE_SHARE = 0.8
+ZERO_N = 0.6
+NOISE_N = 0.05
+STILL_DEG = 0.05
+LATE_MS = 20.0
+CLOCK_PPM = 1000.0
+LEAST_SINGULAR = 0.02
+FRESH_S = {"arm": 0.05, "force sensor": 0.02, "camera": 0.1}
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """name: what was looked at; passed; wanted, came: in words"""
+
+    name: str
+    passed: bool
+    wanted: str
+    came: str
+
+
+@dataclass(frozen=True, slots=True)
+class Preflight:
+    """The checks, in the order in which they were made."""
+
+    checks: tuple[Check, ...]
+
+    @property
+    def passed(self) -> bool:
+        """All of them."""
+        return bool(self.checks) and all(check.passed for check in self.checks)
+
+    def table(self) -> str:
+        """The checks as lines of text, one each."""
+        rows = [("", "check", "wanted", "came")]
+        rows += [("ok" if one.passed else "NO", one.name, one.wanted, one.came) for one in self.checks]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        return "\n".join(
+            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+        )
+
+
+def check(
+    robot: Robot,
+    plans: Sequence[TouchPlan],
+    *,
+    calibrated: Mapping[str, bool],
+    rates_hz: Mapping[str, float] | None = None,
+) -> Preflight:
+    """Look at a robot that stands still for half a second, and at what it is to do.
+
+    plans: the touches, or those at the corners of where it may touch; calibrated: what has to be, by name, and whether
+    it is; rates_hz: of "arm", "force sensor", "camera" (default: as their configurations say)
+    Raises RobotStopped when the supervisor finds something meanwhile; nothing moves.
+    """
+    robot.start()
+    seen = [robot.cycle() for _ in range(LOOK_PERIODS)]
+    return Preflight(
+        (
+            *_devices(robot, seen, rates_hz or _configured_rates(robot)),
+            *_force(robot, seen),
+            *_arm(robot, seen),
+            *_clocks(robot),
+            *(
+                Check(f"calibration: {name}", there, "present", "present" if there else "missing")
+                for name, there in calibrated.items()
+            ),
+            *_plans(robot, plans),
+        )
+    )
+
+
+def _configured_rates(robot: Robot) -> dict[str, float]:
+    rates = {"arm": robot.arm.config.state_hz, "force sensor": float(robot.force.config.rate_hz)}
+    if robot.camera is not None:
+        rates["camera"] = 1.0 / robot.supervisor.limits.camera_period_s
+    return rates
+
+
+def _devices(robot: Robot, seen: Sequence[Observation], rates_hz: Mapping[str, float]) -> Iterator[Check]:
+    devices: dict[str, tuple[Device[Any] | None, int]] = {
+        "arm": (robot.arm, sum(len(one.arms) for one in seen)),
+        "force sensor": (robot.force, sum(len(one.forces) for one in seen)),
+        "camera": (robot.camera, sum(len(one.pictures) for one in seen)),
+    }
+    span_s = (seen[-1].now_ns - seen[0].now_ns) / 1e9 * len(seen) / (len(seen) - 1)
+    for name, (device, count) in devices.items():
+        if device is None:
+            continue
+        health = device.health()
+        age = "never" if health.age_s is None else f"{health.age_s * 1e3:.0f} ms old"
+        fresh = device.link is Link.CONNECTED and health.age_s is not None and health.age_s <= FRESH_S[name]
+        yield Check(f"{name}: fresh", fresh, f"a reading within {FRESH_S[name] * 1e3:.0f} ms", f"{device.link}, {age}")
+        least_hz, hz = RATE_SHARE * rates_hz.get(name, 0.0), count / span_s
+        yield Check(f"{name}: rate", hz >= least_hz, f"{least_hz:.0f} Hz or more", f"{hz:.0f} Hz")
+
+
+def _force(robot: Robot, seen: Sequence[Observation]) -> Iterator[Check]:
+    samples = [sample for one in seen for sample in one.forces]
+    usable = sum(sample.usable for sample in samples)
+    well = bool(samples) and usable == len(samples)
+    yield Check("force sensor: well", well, "every reading usable", f"{usable} of {len(samples)}")
+    refused = seen[-1].refused - seen[0].refused
+    yield Check("force sensor: wire", refused == 0, "no damaged frames", f"{refused}")
+    if not samples:
+        return
+    forces_n = np.array([sample.force_n for sample in samples])
+    zero_n = float(np.linalg.norm(forces_n.mean(axis=0)))
+    yield Check("force sensor: tare", zero_n < ZERO_N, f"below {ZERO_N:g} N in free air", f"{zero_n:.3f} N")
+    noise_n = forces_n.std(axis=0)
+    known = bool(np.all((noise_n > 0) & (noise_n < NOISE_N)))
+    came = f"{noise_n.min() * 1e3:.1f} to {noise_n.max() * 1e3:.1f} mN"
+    yield Check("force sensor: noise", known, f"above 0 and below {NOISE_N * 1e3:g} mN", came)
+    longest_s, limit_s = _longest_repeat_s(samples), robot.supervisor.limits.force_frozen_s
+    wanted = f"no equal readings for {500 * limit_s:.0f} ms"
+    yield Check("force sensor: alive", longest_s < 0.5 * limit_s, wanted, f"{longest_s * 1e3:.0f} ms at most")
+
+
+def _longest_repeat_s(samples: Sequence[ForceSample]) -> float:
+    longest_ns = 0
+    for _, group in itertools.groupby(samples, key=lambda sample: sample.pattern):
+        times_ns = [sample.time_ns for sample in group]
+        longest_ns = max(longest_ns, times_ns[-1] - times_ns[0])
+    return longest_ns / 1e9
+
+
+def _arm(robot: Robot, seen: Sequence[Observation]) -> Iterator[Check]:
+    states = [state for one in seen for state in one.arms]
+    if not states:
+        yield Check("arm: still", False, "states", "none")
+        return
+    joints_deg = np.array([state.joints_deg for state in states])
+    moved_deg = float(np.ptp(joints_deg, axis=0).max())
+    yield Check("arm: still", moved_deg < STILL_DEG, f"joints within {STILL_DEG:g} deg", f"{moved_deg:.3f} deg")
+    waiting = max(state.fifo_count for state in states)
+    yield Check("arm: FIFO", waiting == 0, "empty", f"{waiting} points")
+    stopped = robot.arm.stopped_because
+    yield Check("arm: accepts commands", not stopped, "nobody stopped it", stopped or "nobody")
+
+
+def _clocks(robot: Robot) -> Iterator[Check]:
+    late_ms = robot.arm.health().extra.get("late_ms_p99", 0.0)
+    yield Check("arm: control period", late_ms < LATE_MS, f"less than {LATE_MS:g} ms late", f"{late_ms:.1f} ms (p99)")
+    relation = robot.force.health().clock
+    if relation is not None and relation.drift_ppm is not None:
+        drift_ppm = abs(relation.drift_ppm)
+        yield Check("force sensor: clock", drift_ppm < CLOCK_PPM, f"within {CLOCK_PPM:g} ppm", f"{drift_ppm:.0f} ppm")
+
+
+def _plans(robot: Robot, plans: Sequence[TouchPlan]) -> Iterator[Check]:
+    limits, placement = robot.supervisor.limits, robot.placement
+    yield Check("plan: touches", bool(plans), "at least one", f"{len(plans)}")
+    forces_n = [max(plan.set_force_n, plan.more_force_n or 0.0) for plan in plans]
+    most_n = max(forces_n, default=0.0)
+    yield Check("plan: force", most_n < limits.soft_force_n, f"below {limits.soft_force_n:g} N", f"{most_n:g} N")
+    ends: list[tuple[FloatArray, FloatArray]] = []
+    for plan in plans:
+        ends += [(place_m, plan.normal) for place_m in plan.places_m(placement.center_offset_m)]
+    if limits.low_m is None or limits.high_m is None:
+        yield Check("workspace: box", False, "given", "none")
+    else:
+        low_m, high_m = np.array(limits.low_m), np.array(limits.high_m)
+        places_m = np.array([placement.point_in_base_m(place_m) for place_m, _ in ends]).reshape(-1, 3)
+        outside = int(np.count_nonzero(np.any((places_m < low_m) | (places_m > high_m), axis=1)))
+        yield Check("workspace: plan inside", outside == 0, "all of it in the box", f"{outside} of {len(ends)} outside")
+    # the joint angles that it will come there with: those it has, or the best where it first has to turn
+    start_deg: npt.ArrayLike | None = robot.pose.joints_deg
+    if ends:
+        poses = [placement.T_base_ee(*end) for end in ends[:3]]
+        if np.linalg.norm(pose_error(robot.pose.T_base_ee, poses[0])[3:]) > TURNED_RAD:
+            start_deg = best_joints(robot.arm.chain, poses)
+    found = reach(
+        robot.arm.chain,
+        placement,
+        np.array([place_m for place_m, _ in ends]).reshape(-1, 3),
+        np.array([normal for _, normal in ends]).reshape(-1, 3),
+        start_deg=start_deg,
+    )
+    far = int(np.count_nonzero(found.least_singular < LEAST_SINGULAR))
+    yield Check("arm: reach", far == 0, "every place, away from singularities", f"{far} of {len(ends)} not")

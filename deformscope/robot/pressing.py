@@ -1,0 +1,39 @@
+"""From a force that is not yet the set one to a velocity along the normal."""
+
+from __future__ import annotations
+
+from collections import deque
+
+
+class ForceControl:
+    """The force along the normal becomes a velocity: `v = (set - force) / (stiffness * tau)`.
+
+    The stiffness is that of the contact as it was last met, from force over way; before it is known, that of a rigid
+    contact behind a compliant arm is taken, with which nothing overshoots.
+    """
+
+    TAU_S = 0.12
+    RIGID_N_M, SOFT_N_M = 6000.0, 150.0
+    LEAST_WAY_M = 1e-4
+
+    def __init__(self, fastest_m_s: float) -> None:
+        self._fastest_m_s = fastest_m_s
+        self._seen: deque[tuple[float, float]] = deque(maxlen=16)
+        self.stiffness_n_m = self.RIGID_N_M
+
+    def see(self, depth_m: float, force_n: float) -> None:
+        """One period's depth and force along the normal."""
+        self._seen.append((depth_m, force_n))
+        slopes = []
+        for back in (4, 15):
+            if len(self._seen) > back:
+                then_m, then_n = self._seen[-1 - back]
+                if (way_m := depth_m - then_m) > self.LEAST_WAY_M:
+                    slopes.append((force_n - then_n) / way_m)
+        if slopes:
+            self.stiffness_n_m = min(max(*slopes, self.SOFT_N_M), 10 * self.RIGID_N_M)
+
+    def velocity_m_s(self, set_n: float, force_n: float) -> float:
+        """Downwards, along -normal."""
+        asked = (set_n - force_n) / (self.stiffness_n_m * self.TAU_S)
+        return min(max(asked, -self._fastest_m_s), self._fastest_m_s)

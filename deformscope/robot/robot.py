@@ -1,0 +1,276 @@
+"""Arm, force sensor and camera as one robot with one control period, watched by the supervisor.
+
+The same code runs on real devices, which have their own threads, and in a simulated laboratory: what differs is how
+time passes until the next control period (`wait_until`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from deformscope.errors import InputError
+from deformscope.robot.placement import Placement
+from deformscope.robot.preflight import Preflight
+from deformscope.robot.readings import PERIOD_NS, ArmSample, CameraSample, ForceSample, Observation
+from deformscope.robot.supervisor import Action, Limits, Supervisor, Verdict
+from deformscope_drivers.clock import Clock, monotonic_ns
+from deformscope_drivers.depth_camera.image import DepthImage
+from deformscope_drivers.device import Device
+from deformscope_drivers.errors import DeviceError
+from deformscope_drivers.health import Link
+from deformscope_drivers.images import fingerprint
+from deformscope_drivers.jaco import CartesianVelocity, Jaco, JacoState, JointVelocity
+from deformscope_drivers.jaco.kinematics import FloatArray
+from deformscope_drivers.optoforce import Optoforce
+from deformscope_drivers.optoforce.measurement import ForceMeasurement
+
+VALID_PERIODS = 4
+"""A velocity ends by itself unless it is set again within so many control periods."""
+
+
+class RobotStopped(Exception):
+    """The supervisor has stopped the robot. verdict: why"""
+
+    def __init__(self, verdict: Verdict) -> None:
+        super().__init__(f"the robot was stopped: {verdict.fault}: {verdict.reason}")
+        self.verdict = verdict
+
+
+@dataclass(frozen=True, slots=True)
+class TipVelocity:
+    """linear_m_s (3,) of the tip's centre and angular_rad_s (3,), both in the surface frame."""
+
+    linear_m_s: FloatArray
+    angular_rad_s: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class JointRates:
+    """rates_deg_s: (n,)"""
+
+    rates_deg_s: FloatArray
+
+
+Command = TipVelocity | JointRates | None
+
+
+class Waits(Protocol):
+    """Lets time pass until a moment of the clock [ns]."""
+
+    def __call__(self, until_ns: int, /) -> None: ...
+
+
+def sleep_until(until_ns: int) -> None:
+    """Let the host's time pass, for devices with threads of their own."""
+    time.sleep(max(0.0, (until_ns - monotonic_ns()) / 1e9))
+
+
+class Robot:
+    """Opened devices, where they are to one another, and a supervisor; `cycle` is one control period.
+
+    commanded: (time [ns], speed of the tip's centre or, of joint rates, of the arm's end [m/s]) of every period, for
+    recordings and studies
+    """
+
+    def __init__(
+        self,
+        arm: Jaco,
+        force: Optoforce,
+        placement: Placement,
+        limits: Limits,
+        *,
+        camera: Device[DepthImage] | None = None,
+        clock: Clock = monotonic_ns,
+        wait_until: Waits = sleep_until,
+        watch: Callable[[Observation, Verdict], None] | None = None,
+    ) -> None:
+        """watch: called with what was seen and judged in each period, for a recording"""
+        self.arm, self.force, self.camera = arm, force, camera
+        self.placement = placement
+        self._clock, self._wait_until, self.watch = clock, wait_until, watch
+        self._forces = force.readings()
+        self._states = arm.readings()
+        self._pictures = camera.readings() if camera is not None else None
+        self.tare_n: FloatArray = np.zeros(3)
+        self.camera_needed = False
+        self._may_move = False
+        self.commanded: list[tuple[int, float]] = []
+        self.seen = Observation(clock())
+        self._pose: ArmSample | None = None
+        self._speed_m_s = 0.0
+        self._next_ns = clock()
+        self.supervisor = Supervisor(limits, clock(), placement.T_ee_center)
+
+    # What is known ---------------------------------------------------------------------------------------------------
+
+    @property
+    def pose(self) -> ArmSample:
+        """The newest state of the arm. Raises RuntimeError before the first."""
+        if self._pose is None:
+            raise RuntimeError("the arm has not been seen yet: cycle() first")
+        return self._pose
+
+    @property
+    def center_m(self) -> FloatArray:
+        """(3,) where the tip's centre is in the surface frame [m]."""
+        return self.placement.T_surface_center(self.pose.T_base_ee)[:3, 3]
+
+    def force_on_tip_n(self, sample: ForceSample, pose: ArmSample | None = None) -> FloatArray:
+        """(3,) what the world does to the tip, in the surface frame [N]."""
+        T = self.placement.T_surface_center((pose or self.pose).T_base_ee)
+        return np.asarray(-T[:3, :3] @ sample.force_n)
+
+    # The control period ----------------------------------------------------------------------------------------------
+
+    def cycle(self, command: Command = None) -> Observation:
+        """Send a velocity (None = stand still), let a control period pass, look, and have it judged.
+
+        Raises RobotStopped, now and ever after until the supervisor's `acknowledge`, when the robot must not go on: the
+        arm is then halted and what waited in it erased. What makes the robot back off is the caller's to carry out.
+        """
+        if self.supervisor.verdict.action is Action.STOP:
+            raise RobotStopped(self.supervisor.verdict)
+        if command is not None and not self._may_move:
+            raise InputError("a preflight that passed", "none", "let_move(check(robot, ...))")
+        self._send(command)
+        now_ns = self._clock()
+        # A period that came late is not made up for.
+        self._next_ns = max(self._next_ns + PERIOD_NS, now_ns + PERIOD_NS // 2)
+        self._wait_until(self._next_ns)
+        self.seen = self._look()
+        before = self.supervisor.verdict.action
+        verdict = self.supervisor.judge(
+            self.seen, commanded_m_s=self._speed_m_s, camera_needed=self.camera_needed and self.camera is not None
+        )
+        if self.watch is not None:
+            self.watch(self.seen, verdict)
+        if verdict.action is Action.STOP:
+            self.halt(f"{verdict.fault}: {verdict.reason}")
+            raise RobotStopped(verdict)
+        if verdict.action is Action.BACK_OFF and before is Action.GO_ON:
+            self._speed_m_s = 0.0
+            with contextlib.suppress(DeviceError):
+                self.arm.stop()
+        return self.seen
+
+    def halt(self, reason: str) -> None:
+        """Erase what waits in the arm and refuse commands until `arm.acknowledge_stop`; an arm that cannot be reached
+        has at most two velocities waiting, and is erased when it comes back."""
+        self._speed_m_s = 0.0
+        self.commanded.append((self._clock(), 0.0))
+        with contextlib.suppress(DeviceError):
+            self.arm.halt(reason)
+
+    def let_move(self, preflight: Preflight) -> None:
+        """From now on velocities are sent. Raises InputError, which names the checks, unless all have passed."""
+        if not preflight.passed:
+            failed = "; ".join(f"{check.name}: {check.came}" for check in preflight.checks if not check.passed)
+            raise InputError("a preflight that passed", failed, "see to it, and check again")
+        self._may_move = True
+
+    def resume(self) -> None:
+        """After somebody has seen to the reason of a stop: judge anew, and let the arm take commands again, once
+        another preflight has passed."""
+        self._may_move = False
+        self.arm.acknowledge_stop()
+        self._drain()
+        self._next_ns = self._clock()
+        self.supervisor.acknowledge(self._clock())
+
+    def start(self) -> None:
+        """After a pause in which nobody looked: forget what waits, count ages from now on."""
+        self._drain()
+        self._next_ns = self._clock()
+        self.supervisor.start(self._clock())
+
+    # Within ----------------------------------------------------------------------------------------------------------
+
+    def _send(self, command: Command) -> None:
+        moving = self._speed_m_s > 0
+        self._speed_m_s = 0.0
+        try:
+            if isinstance(command, TipVelocity):
+                self._send_tip(command)
+            elif isinstance(command, JointRates):
+                self._send_joints(command)
+            elif moving:
+                self.arm.stop()
+        except DeviceError as error:
+            # What the driver refuses stops the robot too: nobody goes on as if it had been done.
+            self.halt(str(error))
+        self.commanded.append((self._clock(), self._speed_m_s))
+
+    def _send_tip(self, command: TipVelocity) -> None:
+        linear = self.placement.to_base(command.linear_m_s)
+        angular = np.zeros(3) if command.angular_rad_s is None else self.placement.to_base(command.angular_rad_s)
+        # The arm is told the velocity of its end; the tip turns about it.
+        pose = self.pose.T_base_ee
+        lever_m = pose[:3, :3] @ self.placement.T_ee_center[:3, 3]
+        linear = linear - np.cross(angular, lever_m)
+        fastest = self.arm.config.linear_limit_m_s
+        speed = float(np.linalg.norm(linear))
+        if speed > fastest:  # a turn of the tip asks the arm's end for more than it may: all slower alike
+            linear, angular, speed = linear * (fastest / speed), angular * (fastest / speed), fastest
+        self.arm.set_velocity(
+            CartesianVelocity((float(linear[0]), float(linear[1]), float(linear[2])), tuple(map(float, angular))),  # type: ignore[arg-type]
+            VALID_PERIODS * PERIOD_NS / 1e9,
+        )
+        self._speed_m_s = float(np.linalg.norm(command.linear_m_s))
+
+    def _send_joints(self, command: JointRates) -> None:
+        rates = tuple(map(float, command.rates_deg_s))
+        self.arm.set_velocity(JointVelocity(rates), VALID_PERIODS * PERIOD_NS / 1e9)
+        twist = self.arm.chain.jacobian(self.pose.joints_deg) @ np.radians(command.rates_deg_s)
+        self._speed_m_s = float(np.linalg.norm(twist[:3]))
+
+    def _look(self) -> Observation:
+        forces: list[ForceMeasurement] = _taken(self._forces)
+        states: list[JacoState] = _taken(self._states)
+        pictures: list[DepthImage] = _taken(self._pictures) if self._pictures is not None else []
+        arms = tuple(map(ArmSample.of, states))
+        if arms:
+            self._pose = arms[-1]
+        return Observation(
+            self._clock(),
+            tuple(ForceSample.of(reading, self.tare_n) for reading in forces),
+            arms,
+            tuple(CameraSample(picture.stamp.host_ns, fingerprint(picture.depth)) for picture in pictures),
+            damaged_frames(self.force),
+            tuple(
+                (name, device.health().reason or str(device.link))
+                for name, device in (("arm", self.arm), ("force sensor", self.force), ("camera", self.camera))
+                if device is not None and device.link is not Link.CONNECTED
+            ),
+        )
+
+    def _drain(self) -> None:
+        for queue in (self._forces, self._states, self._pictures):
+            if queue is not None:
+                _taken(queue)
+
+
+def _taken(queue: Any) -> list[Any]:
+    """What waits; nothing of a device that has failed, whose link tells so."""
+    try:
+        return list(queue.take())
+    except DeviceError:
+        return []
+
+
+def towards(start_deg: Sequence[float], goal_deg: npt.ArrayLike, endless: npt.NDArray[np.bool_]) -> FloatArray:
+    """(n,) degrees to turn from joint angles to others, the short way where a joint turns without end."""
+    turn = np.asarray(goal_deg, dtype=float) - np.asarray(start_deg, dtype=float)
+    return np.asarray(np.where(endless, (turn + 180.0) % 360.0 - 180.0, turn))
+
+
+def damaged_frames(force: Optoforce) -> int:
+    """Stretches of bytes that fit no frame, or frames refused if those are more, since the sensor was opened."""
+    health = force.health()
+    return max(health.resyncs, sum(health.refused.values()))

@@ -1,0 +1,279 @@
+"""Whether the robot may go on: a pure state machine fed with readings and times, asked once in a control period.
+
+It is no safety function (no Python program is): the emergency stop stays in somebody's hand. It never resets itself:
+`BACK_OFF` and `STOP` hold until `acknowledge`, and the worse of the two wins.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from deformscope.errors import InputError
+from deformscope.rig import Workspace
+from deformscope.robot.readings import ArmSample, CameraSample, ForceSample, Observation
+from deformscope_drivers.jaco.kinematics import FloatArray
+
+
+class Action(StrEnum):
+    """What the robot has to do."""
+
+    GO_ON = "go on"
+    BACK_OFF = "back off"
+    STOP = "stop"
+
+
+class Fault(StrEnum):
+    """Why it must not go on."""
+
+    NONE = "none"
+    FORCE_SOFT = "force above the soft stop"
+    FORCE_HARD = "force above the hard stop"
+    FORCE_SILENT = "force sensor silent"
+    FORCE_FROZEN = "force sensor frozen"
+    FORCE_INVALID = "force not a number"
+    FORCE_UNUSABLE = "force sensor not well"
+    CHECKSUMS = "checksum storm"
+    ARM_SILENT = "arm silent"
+    ARM_FROZEN = "arm frozen"
+    ARM_INVALID = "arm's pose not a number"
+    ARM_FIFO = "arm's FIFO fills"
+    ARM_SPEED = "arm too fast"
+    WORKSPACE = "workspace left"
+    CAMERA_SILENT = "depth camera silent"
+    CAMERA_FROZEN = "depth camera frozen"
+    LINK = "link lost"
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the robot must keep to. The times are set so that a fault is noticed within 50 ms (force), 100 ms (arm) and
+    two frame periods (camera), a control period of 10 ms included.
+
+    soft_force_n, hard_force_n: magnitude backed away at, stopped at; speed_m_s: measured speed of the arm's end
+    low_m, high_m: (3,) box of the tip's centre in the base frame, None = none; look_ahead_s: the box holds for where
+    the tip will be by then
+    force_silent_s, arm_silent_s: greatest age of the newest reading; force_frozen_s: greatest time of equal readings
+    arm_frozen_m: commanded way during which the joints do not change at all
+    refused, unusable: this many damaged frames, or readings that are not usable, within window_s
+    camera_period_s: of the camera's pictures; camera_periods: greatest age in periods; camera_repeats: the same picture
+    so many times after its first is a frozen camera (noise makes two real ones differ)
+    """
+
+    soft_force_n: float = 8.0
+    hard_force_n: float = 15.0
+    speed_m_s: float = 0.1
+    low_m: tuple[float, float, float] | None = None
+    high_m: tuple[float, float, float] | None = None
+    look_ahead_s: float = 0.05
+    force_silent_s: float = 0.030
+    force_frozen_s: float = 0.030
+    arm_silent_s: float = 0.075
+    arm_frozen_m: float = 0.0015
+    fifo: int = 5
+    refused: int = 4
+    unusable: int = 4
+    window_s: float = 0.05
+    camera_period_s: float = 1.0 / 30.0
+    camera_periods: float = 1.6
+    camera_repeats: int = 1
+
+    def __post_init__(self) -> None:
+        if not 0 < self.soft_force_n < self.hard_force_n:
+            raise InputError("0 < soft_force_n < hard_force_n", f"{self.soft_force_n}, {self.hard_force_n}")
+
+    @classmethod
+    def of(cls, workspace: Workspace, camera_hz: float = 30.0) -> Limits:
+        """As a rig file says."""
+        return cls(
+            soft_force_n=workspace.soft_stop_n,
+            hard_force_n=workspace.hard_stop_n,
+            speed_m_s=2.0 * workspace.travel_speed_m_s,
+            low_m=workspace.low_m,
+            high_m=workspace.high_m,
+            camera_period_s=1.0 / camera_hz,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What to do, and why. time_ns: when it was noticed"""
+
+    action: Action = Action.GO_ON
+    fault: Fault = Fault.NONE
+    reason: str = ""
+    time_ns: int = 0
+
+
+SPEED_OVER_NS = 40_000_000
+_GO_ON = Verdict()
+_SEVERITY = {Action.GO_ON: 0, Action.BACK_OFF: 1, Action.STOP: 2}
+
+
+class Supervisor:
+    """`judge` once in each control period; the verdict stays until `acknowledge`."""
+
+    def __init__(self, limits: Limits, now_ns: int, T_ee_center: FloatArray | None = None) -> None:
+        """T_ee_center: (4, 4) the tip's centre in the frame of the arm's end; default: the arm's end itself"""
+        self.limits = limits
+        self._T_ee_center = np.eye(4) if T_ee_center is None else T_ee_center
+        self._verdict = _GO_ON
+        self._refused = 0
+        self.start(now_ns)
+
+    @property
+    def verdict(self) -> Verdict:
+        """The last one, or the one that holds."""
+        return self._verdict
+
+    def acknowledge(self, now_ns: int) -> None:
+        """Somebody has seen to it: judge anew from now on."""
+        self._verdict = _GO_ON
+        self.start(now_ns)
+
+    def start(self, now_ns: int) -> None:
+        """Ages count from now on, as after a pause in which nobody looked."""
+        self._force_ns = self._arm_ns = now_ns
+        self._pattern: object = None
+        self._pattern_ns = now_ns
+        self._unusable: deque[int] = deque()
+        self._refusals: deque[int] = deque()
+        self._recount = True
+        self._joints: tuple[float, ...] = ()
+        self._unmoved_m = 0.0
+        self._track: deque[tuple[int, FloatArray]] = deque()
+        self._commanded_ns = now_ns
+        self._camera_needed = False
+        self._camera_ns = now_ns
+        self._picture: object = None
+        self._repeats = 0
+
+    def judge(self, seen: Observation, *, commanded_m_s: float = 0.0, camera_needed: bool = False) -> Verdict:
+        """What to do now. commanded_m_s: the speed asked for since the last call; camera_needed: its pictures matter
+        now, so that it must not be silent or frozen"""
+        found = [
+            *self._links(seen, camera_needed),
+            *self._forces(seen.forces, seen.now_ns),
+            *self._wire(seen),
+            *self._arm(seen.arms, seen.now_ns, commanded_m_s),
+            *self._camera(seen.pictures, seen.now_ns, camera_needed),
+        ]
+        for action, fault, reason in found:
+            if _SEVERITY[action] > _SEVERITY[self._verdict.action]:
+                self._verdict = Verdict(action, fault, reason, seen.now_ns)
+        return self._verdict
+
+    # What it looks at ------------------------------------------------------------------------------------------------
+
+    def _links(self, seen: Observation, camera_needed: bool) -> list[tuple[Action, Fault, str]]:
+        return [
+            (Action.STOP, Fault.LINK, f"the link to the {name} is down: {reason}")
+            for name, reason in seen.lost_links
+            if name != "camera" or camera_needed
+        ]
+
+    def _forces(self, forces: tuple[ForceSample, ...], now_ns: int) -> list[tuple[Action, Fault, str]]:
+        limits, found = self.limits, []
+        for sample in forces:
+            self._force_ns = sample.time_ns
+            if sample.pattern is None or sample.pattern != self._pattern:
+                self._pattern, self._pattern_ns = sample.pattern, sample.time_ns
+            magnitude_n = math.hypot(*sample.force_n)
+            if not math.isfinite(magnitude_n):
+                found.append((Action.STOP, Fault.FORCE_INVALID, f"a force of {sample.force_n.tolist()} N"))
+                continue
+            if not sample.usable:
+                self._unusable.append(sample.time_ns)
+            if magnitude_n > limits.hard_force_n:
+                found.append((Action.STOP, Fault.FORCE_HARD, f"{magnitude_n:.1f} N, limit {limits.hard_force_n:g} N"))
+            elif magnitude_n > limits.soft_force_n:
+                why = f"{magnitude_n:.1f} N, limit {limits.soft_force_n:g} N"
+                found.append((Action.BACK_OFF, Fault.FORCE_SOFT, why))
+        if (age_s := (now_ns - self._force_ns) / 1e9) > limits.force_silent_s:
+            found.append((Action.STOP, Fault.FORCE_SILENT, f"no force for {age_s * 1e3:.0f} ms"))
+        elif (same_s := (self._force_ns - self._pattern_ns) / 1e9) > limits.force_frozen_s:
+            found.append((Action.STOP, Fault.FORCE_FROZEN, f"the same force for {same_s * 1e3:.0f} ms"))
+        if _count_since(self._unusable, now_ns - round(limits.window_s * 1e9)) >= limits.unusable:
+            found.append((Action.STOP, Fault.FORCE_UNUSABLE, f"{len(self._unusable)} readings that are not usable"))
+        return found
+
+    def _wire(self, seen: Observation) -> list[tuple[Action, Fault, str]]:
+        if self._recount:
+            self._refused, self._recount = seen.refused, False
+        self._refusals.extend([seen.now_ns] * (seen.refused - self._refused))
+        self._refused = seen.refused
+        if _count_since(self._refusals, seen.now_ns - round(self.limits.window_s * 1e9)) >= self.limits.refused:
+            return [(Action.STOP, Fault.CHECKSUMS, f"{len(self._refusals)} damaged frames from the force sensor")]
+        return []
+
+    def _arm(self, arms: tuple[ArmSample, ...], now_ns: int, commanded_m_s: float) -> list[tuple[Action, Fault, str]]:
+        limits, found = self.limits, []
+        self._unmoved_m += commanded_m_s * (now_ns - self._commanded_ns) / 1e9
+        self._commanded_ns = now_ns
+        for sample in arms:
+            self._arm_ns = sample.time_ns
+            if not np.all(np.isfinite(sample.T_base_ee)) or not np.all(np.isfinite(sample.joints_deg)):
+                found.append((Action.STOP, Fault.ARM_INVALID, f"joints {sample.joints_deg}"))
+                continue
+            if sample.joints_deg != self._joints or commanded_m_s == 0.0:
+                self._joints, self._unmoved_m = sample.joints_deg, 0.0
+            if sample.fifo_count > limits.fifo:
+                found.append((Action.STOP, Fault.ARM_FIFO, f"{sample.fifo_count} points wait in the arm"))
+            found += self._place(sample)
+        if (age_s := (now_ns - self._arm_ns) / 1e9) > limits.arm_silent_s:
+            found.append((Action.STOP, Fault.ARM_SILENT, f"no state of the arm for {age_s * 1e3:.0f} ms"))
+        if self._unmoved_m > limits.arm_frozen_m:
+            why = f"its joints say the same while it was sent {self._unmoved_m * 1e3:.1f} mm on"
+            found.append((Action.STOP, Fault.ARM_FROZEN, why))
+        return found
+
+    def _place(self, sample: ArmSample) -> list[tuple[Action, Fault, str]]:
+        """Speed and box of the tip's centre, both in the base frame."""
+        limits, found = self.limits, []
+        center_m = (sample.T_base_ee @ self._T_ee_center)[:3, 3]
+        self._track.append((sample.time_ns, center_m))
+        while len(self._track) > 2 and sample.time_ns - self._track[1][0] >= SPEED_OVER_NS:
+            self._track.popleft()
+        then_ns, before_m = self._track[0]
+        span_s = (sample.time_ns - then_ns) / 1e9
+        velocity_m_s = (center_m - before_m) / span_s if span_s > 0 else np.zeros(3)
+        speed_m_s = float(np.linalg.norm(velocity_m_s))
+        if span_s >= SPEED_OVER_NS / 2e9 and speed_m_s > limits.speed_m_s:
+            found.append((Action.STOP, Fault.ARM_SPEED, f"{speed_m_s:.3f} m/s, limit {limits.speed_m_s:g} m/s"))
+        if limits.low_m is not None and limits.high_m is not None:
+            ahead_m = center_m + limits.look_ahead_s * velocity_m_s
+            low_m, high_m = np.array(limits.low_m), np.array(limits.high_m)
+            leaving = ((ahead_m < low_m) & (ahead_m <= center_m)) | ((ahead_m > high_m) & (ahead_m >= center_m))
+            if np.any(leaving):
+                axis = "xyz"[int(np.argmax(leaving))]
+                where = np.array2string(center_m, precision=3)
+                found.append((Action.STOP, Fault.WORKSPACE, f"the tip at {where} m (base), leaving along {axis}"))
+        return found
+
+    def _camera(self, pictures: tuple[CameraSample, ...], now_ns: int, needed: bool) -> list[tuple[Action, Fault, str]]:
+        limits = self.limits
+        if needed and not self._camera_needed:
+            self._camera_ns = max(self._camera_ns, now_ns)  # its age counts from when it matters
+        self._camera_needed = needed
+        for picture in pictures:
+            self._camera_ns = picture.time_ns
+            same = picture.pattern is not None and picture.pattern == self._picture
+            self._repeats = self._repeats + 1 if same else 0
+            self._picture = picture.pattern
+        if not needed:
+            return []
+        if self._repeats >= limits.camera_repeats:
+            return [(Action.STOP, Fault.CAMERA_FROZEN, f"the same picture {self._repeats + 1} times")]
+        if (age_s := (now_ns - self._camera_ns) / 1e9) > limits.camera_periods * limits.camera_period_s:
+            return [(Action.STOP, Fault.CAMERA_SILENT, f"no picture for {age_s * 1e3:.0f} ms")]
+        return []
+
+
+def _count_since(times_ns: deque[int], since_ns: int) -> int:
+    while times_ns and times_ns[0] < since_ns:
+        times_ns.popleft()
+    return len(times_ns)

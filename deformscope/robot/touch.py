@@ -1,0 +1,539 @@
+"""One touch: down along the normal, press to a set force, dwell until still, and back.
+
+A state machine that is stepped once in a control period: it is told forces and the tip's place, and says a velocity.
+Near contact the control is hybrid (Raibert and Craig 1981): force along the normal, position or force across it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Literal
+
+import numpy as np
+
+from deformscope.errors import InputError
+from deformscope.robot.pressing import ForceControl
+from deformscope.robot.readings import ForceSample, Observation
+from deformscope.robot.robot import Robot, RobotStopped, TipVelocity
+from deformscope.robot.supervisor import Action, Fault
+from deformscope.robot.travel import NotThere, to_above
+from deformscope_drivers.jaco.kinematics import FloatArray
+
+PERIOD_S = 0.01
+
+
+class Phase(StrEnum):
+    """What the touch is doing, for a state timeline."""
+
+    TRAVEL = "travel"
+    TARE = "tare"
+    APPROACH = "approach"
+    PRESS = "press"
+    DWELL = "dwell"
+    PRESS_MORE = "press more"
+    DWELL_MORE = "dwell more"
+    BACK_OFF = "back off"
+    RETREAT = "retreat"
+    DONE = "done"
+
+
+class Ending(StrEnum):
+    """Why a touch ended."""
+
+    SET_FORCE = "set force reached"
+    DEPTH = "greatest depth reached"
+    NO_CONTACT = "nothing met"
+    NOT_SETTLED = "set force not reached in time"
+    SOFT_STOP = "backed off"
+    STOPPED = "stopped"
+    NOT_REACHED = "target not reached"
+
+
+@dataclass(frozen=True, slots=True)
+class TouchPlan:
+    """Where and how to touch; lengths [m], forces [N], speeds [m/s], in the surface frame.
+
+    point_m: (3,) where the surface is believed to be; normal: (3,) of the surface there, outwards
+    set_force_n: pressed with; more_force_n: with this where the dent stays below small_dent_m, None = never
+    max_depth_m: never deeper below the first contact
+    standoff_m: of the tip above the point before and after; travel_height_m: z of the tip's centre when it crosses
+    slow_within_m: nearer to the point than this, the approach is slow; miss_m: so far below the point it is sought
+    far_speed_m_s, contact_speed_m_s, travel_speed_m_s: speeds far, near and in contact, and between touches
+    contact_force_n: along the normal means contact; dwell_s: still for so long; dwell_at_most_s: dwell no longer
+    tangential: "held" = the tip stays on the normal's line, "free" = it gives way to force across
+    """
+
+    point_m: FloatArray
+    normal: FloatArray
+    set_force_n: float = 3.0
+    more_force_n: float | None = 5.0
+    small_dent_m: float = 0.002
+    max_depth_m: float = 0.015
+    standoff_m: float = 0.05
+    travel_height_m: float = 0.18
+    slow_within_m: float = 0.03
+    miss_m: float = 0.02
+    far_speed_m_s: float = 0.03
+    contact_speed_m_s: float = 0.01
+    travel_speed_m_s: float = 0.05
+    contact_force_n: float = 0.1
+    dwell_s: float = 0.5
+    dwell_at_most_s: float = 3.0
+    tangential: Literal["held", "free"] = "held"
+
+    def __post_init__(self) -> None:
+        point, normal = np.asarray(self.point_m, float), np.asarray(self.normal, float)
+        if point.shape != (3,) or normal.shape != (3,) or not np.all(np.isfinite([point, normal])):
+            raise InputError("point_m (3,) and normal (3,), finite", f"{point.tolist()}, {normal.tolist()}")
+        size = float(np.linalg.norm(normal))
+        if not (size > 1e-6 and normal[2] / size > math.cos(math.radians(45.0))):
+            raise InputError("a normal within 45 deg of up", f"{normal.tolist()}", "another place")
+        object.__setattr__(self, "point_m", point)
+        object.__setattr__(self, "normal", normal / size)
+        if not 0 < self.contact_force_n < self.set_force_n <= (self.more_force_n or self.set_force_n):
+            forces = f"{self.contact_force_n}, {self.set_force_n}, {self.more_force_n}"
+            raise InputError("0 < contact_force_n < set_force_n <= more_force_n", forces)
+        if not 0 < self.contact_speed_m_s <= self.far_speed_m_s <= 0.05:
+            speeds = f"{self.contact_speed_m_s}, {self.far_speed_m_s}"
+            raise InputError("0 < contact_speed_m_s <= far_speed_m_s <= 0.05", speeds)
+        if not 0 < self.slow_within_m <= self.standoff_m:
+            raise InputError("0 < slow_within_m <= standoff_m", f"{self.slow_within_m}, {self.standoff_m}")
+
+    def places_m(self, center_offset_m: float) -> FloatArray:
+        """(3, 3) where the tip's centre goes at most: crossing, above the point, and deepest [m, surface frame]."""
+        touching_m = self.point_m + center_offset_m * self.normal
+        above_m = touching_m + self.standoff_m * self.normal
+        crossing_m = np.array([above_m[0], above_m[1], max(self.travel_height_m, above_m[2])])
+        return np.array([crossing_m, above_m, touching_m - (self.miss_m + self.max_depth_m) * self.normal])
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseSpan:
+    """A phase, from when to when [s]."""
+
+    phase: Phase
+    start_s: float
+    end_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TouchRecord:
+    """What a touch was; times [s] on the robot's clock, places and forces in the surface frame.
+
+    time_s (n,), position_m (n, 3), force_n (n, 3): from the approach to the end of the dwell, at the arm's rate: the
+    tip's centre as the joints say, and what the world does to the tip; loading: how many of them, from the first, lead
+    up to the set force (the dwell and all after it are not among them)
+    contact_m: (3,) where the tip's centre was at contact, None without; depth_m: below that at the end of the dwell
+    center_m, final_force_n: (3,) mean over the last of the dwell; None where there was none
+    peak_force_n: greatest measured magnitude; noise_n: (3,) deviation of a reading in free air at the tare
+    phases: what it did when; ending, reason: why it ended; settled: dent and force were still
+    """
+
+    plan: TouchPlan
+    time_s: FloatArray
+    position_m: FloatArray
+    force_n: FloatArray
+    loading: int
+    contact_m: FloatArray | None
+    depth_m: float
+    center_m: FloatArray | None
+    final_force_n: FloatArray | None
+    peak_force_n: float
+    tare_n: FloatArray
+    noise_n: FloatArray
+    phases: tuple[PhaseSpan, ...]
+    ending: Ending
+    reason: str = ""
+    fault: Fault = Fault.NONE
+    settled: bool = False
+
+
+HELD_GAIN_PER_S = 3.0
+FREE_M_S_N = 0.004
+ACROSS_M_S = 0.01
+STILL_S = 0.3
+STILL_FORCE, STILL_FORCE_N, STILL_M = 0.03, 0.03, 1.5e-4
+PAUSE_PERIODS = 3
+NEAR_M = 2e-4
+"""So near the greatest depth it counts as reached: the speed falls towards it."""
+PRESS_AT_MOST_S = 8.0
+AVERAGED_NS = 3_000_000
+"""Forces within so much of an arm's state are averaged for it: both ways alike, so that nothing lags."""
+
+
+class Touch:
+    """The states from approach to retreat; `step` once in a control period, then `phase` is DONE.
+
+    It sees the force along the normal and the depth, never a device. place: of the tip's centre when the touch would
+    just begin at the point that is believed in.
+    """
+
+    def __init__(self, plan: TouchPlan, center_offset_m: float, start_s: float) -> None:
+        self.plan = plan
+        self.phase = Phase.APPROACH
+        self.spans: list[PhaseSpan] = []
+        self.ending = Ending.NO_CONTACT
+        self.settled = False
+        self.contact_m: FloatArray | None = None
+        self._touching_m = plan.point_m + center_offset_m * plan.normal
+        self._since_s = start_s
+        self._hits = 0
+        self._control = ForceControl(plan.contact_speed_m_s)
+        self._recent: deque[tuple[float, float, float]] = deque()
+        self._pause = 0
+
+    @property
+    def pressing(self) -> bool:
+        """Between contact and the end of the dwell."""
+        return self.phase in (Phase.PRESS, Phase.DWELL, Phase.PRESS_MORE, Phase.DWELL_MORE)
+
+    def depth_m(self, center_m: FloatArray) -> float:
+        """Below the first contact, along the normal; 0 before it."""
+        return 0.0 if self.contact_m is None else float((self.contact_m - center_m) @ self.plan.normal)
+
+    def back_off(self, time_s: float) -> None:
+        """The force is too high: stand, then away."""
+        if self.phase not in (Phase.BACK_OFF, Phase.DONE):
+            self.ending = Ending.SOFT_STOP
+            self._pause = PAUSE_PERIODS
+            self._enter(Phase.BACK_OFF, time_s)
+
+    def step(self, time_s: float, center_m: FloatArray, force_n: FloatArray, still_seen: bool = True) -> FloatArray:
+        """The tip's velocity (3,) [m/s] for the next period.
+
+        center_m: (3,) the tip's centre; force_n: (3,) what the world does to it; still_seen: what watches the dent
+        sees no change
+        """
+        plan = self.plan
+        along_n = float(force_n @ plan.normal)
+        match self.phase:
+            case Phase.APPROACH:
+                return self._approach(time_s, center_m, along_n) + self._across(center_m, np.zeros(3))
+            case Phase.PRESS | Phase.PRESS_MORE:
+                return self._press(time_s, center_m, along_n) + self._across(center_m, force_n)
+            case Phase.DWELL | Phase.DWELL_MORE:
+                return self._dwell(time_s, center_m, along_n, still_seen) + self._across(center_m, force_n)
+            case Phase.BACK_OFF:
+                self._pause -= 1
+                return np.zeros(3) if self._pause >= 0 else self._away(time_s, center_m, plan.contact_speed_m_s)
+            case Phase.RETREAT:
+                return self._away(time_s, center_m, plan.far_speed_m_s)
+        return np.zeros(3)
+
+    def end(self, time_s: float) -> None:
+        """Over, wherever it was."""
+        if self.phase is not Phase.DONE:
+            self._enter(Phase.DONE, time_s)
+
+    # Phases ----------------------------------------------------------------------------------------------------------
+
+    def _approach(self, time_s: float, center_m: FloatArray, along_n: float) -> FloatArray:
+        plan = self.plan
+        above_m = float((center_m - self._touching_m) @ plan.normal)
+        self._hits = self._hits + 1 if along_n > plan.contact_force_n else 0
+        if self._hits == 1:
+            self.contact_m = center_m.copy()
+        if self._hits >= 2 or along_n > 3.0 * plan.contact_force_n:
+            self._control.see(self.depth_m(center_m), along_n)
+            self._enter(Phase.PRESS, time_s)
+            return self._press(time_s, center_m, along_n)
+        if self._hits:
+            return np.zeros(3)
+        self.contact_m = None
+        if above_m < -plan.miss_m:
+            self._enter(Phase.RETREAT, time_s)
+            return np.zeros(3)
+        speed = plan.contact_speed_m_s
+        if above_m > plan.slow_within_m:
+            # slowing down begins early enough to be slow where it has to be
+            speed = min(plan.far_speed_m_s, speed + 4.0 * (above_m - plan.slow_within_m))
+        return -speed * plan.normal
+
+    def _press(self, time_s: float, center_m: FloatArray, along_n: float) -> FloatArray:
+        plan = self.plan
+        set_n = self._set_n()
+        depth_m = self.depth_m(center_m)
+        self._control.see(depth_m, along_n)
+        self._remember(time_s, depth_m, along_n)
+        dwell = Phase.DWELL if self.phase is Phase.PRESS else Phase.DWELL_MORE
+        if along_n >= set_n - max(STILL_FORCE * set_n, STILL_FORCE_N):
+            self.ending = Ending.SET_FORCE
+            self._enter(dwell, time_s)
+        elif depth_m >= plan.max_depth_m - NEAR_M:
+            self.ending = Ending.DEPTH
+            self._enter(dwell, time_s)
+        elif time_s - self._since_s > PRESS_AT_MOST_S:
+            self.ending = Ending.NOT_SETTLED
+            self._enter(dwell, time_s)
+        return self._down(set_n, along_n, depth_m)
+
+    def _dwell(self, time_s: float, center_m: FloatArray, along_n: float, still_seen: bool) -> FloatArray:
+        plan = self.plan
+        set_n, depth_m = self._set_n(), self.depth_m(center_m)
+        self._control.see(depth_m, along_n)
+        self._remember(time_s, depth_m, along_n)
+        still = still_seen and self._still(set_n)
+        long_enough = time_s - self._since_s >= plan.dwell_s
+        if (still and long_enough) or time_s - self._since_s >= plan.dwell_at_most_s:
+            self.settled = still
+            more = plan.more_force_n is not None and plan.more_force_n > set_n and self.ending is Ending.SET_FORCE
+            if more and self.phase is Phase.DWELL and depth_m < plan.small_dent_m:
+                self._enter(Phase.PRESS_MORE, time_s)
+            else:
+                self._enter(Phase.RETREAT, time_s)
+                return np.zeros(3)
+        return self._down(self._set_n(), along_n, depth_m)
+
+    def _down(self, set_n: float, along_n: float, depth_m: float) -> FloatArray:
+        """Force control along the normal, which the greatest depth ends."""
+        speed = self._control.velocity_m_s(set_n, along_n)
+        left_m = self.plan.max_depth_m - depth_m
+        speed = min(speed, max(left_m, 0.0) * HELD_GAIN_PER_S)
+        return -speed * self.plan.normal
+
+    def _away(self, time_s: float, center_m: FloatArray, speed_m_s: float) -> FloatArray:
+        above_m = float((center_m - self._touching_m) @ self.plan.normal)
+        left_m = self.plan.standoff_m - above_m
+        if left_m < 5e-4:
+            self.end(time_s)
+            return np.zeros(3)
+        return min(speed_m_s, max(HELD_GAIN_PER_S * left_m, 2e-3)) * self.plan.normal
+
+    def _across(self, center_m: FloatArray, force_n: FloatArray) -> FloatArray:
+        """Velocity across the normal: back to its line, or with the force."""
+        normal = self.plan.normal
+        if self.plan.tangential == "free" and self.pressing:
+            wanted = FREE_M_S_N * (force_n - (force_n @ normal) * normal)
+        else:
+            off = center_m - self._touching_m
+            wanted = -HELD_GAIN_PER_S * (off - (off @ normal) * normal)
+        size = float(np.linalg.norm(wanted))
+        return wanted if size <= ACROSS_M_S else wanted * (ACROSS_M_S / size)
+
+    def _set_n(self) -> float:
+        more = self.phase in (Phase.PRESS_MORE, Phase.DWELL_MORE)
+        return self.plan.more_force_n if more and self.plan.more_force_n is not None else self.plan.set_force_n
+
+    def _remember(self, time_s: float, depth_m: float, along_n: float) -> None:
+        self._recent.append((time_s, depth_m, along_n))
+        while self._recent and time_s - self._recent[0][0] > STILL_S:
+            self._recent.popleft()
+
+    def _still(self, set_n: float) -> bool:
+        """Dent and force as they were for a while; at the greatest depth the force may be any."""
+        times, depths_m, forces_n = zip(*self._recent, strict=True)
+        if times[-1] - times[0] < STILL_S - 2 * PERIOD_S:
+            return False
+        near_n = max(STILL_FORCE * set_n, STILL_FORCE_N)
+        at_force = self.ending is not Ending.SET_FORCE or all(abs(one - set_n) < near_n for one in forces_n)
+        quiet = max(forces_n) - min(forces_n) < 2 * near_n
+        return at_force and quiet and max(depths_m) - min(depths_m) < STILL_M
+
+    def _enter(self, phase: Phase, time_s: float) -> None:
+        self.spans.append(PhaseSpan(self.phase, self._since_s, time_s))
+        self.phase, self._since_s = phase, time_s
+        self._recent.clear()
+
+
+def run_touch(robot: Robot, plan: TouchPlan, still_seen: Callable[[], bool] = lambda: True) -> TouchRecord:
+    """Travel above the place, take the tare, touch, and come back above it.
+
+    still_seen: whether what watches the dent (a camera) sees no change; asked while it dwells, when the camera must be
+    alive too. Never raises for what happens to the robot: `ending`, `fault` and `reason` say it, and the supervisor's
+    verdict holds until somebody acknowledges it. Raises RobotStopped where it holds already, and InputError where no
+    preflight has passed.
+    """
+    run = _Run(robot, plan)
+    try:
+        run.travel()
+        run.tare()
+        run.touch(still_seen)
+    except RobotStopped as stopped:
+        run.fail(Ending.STOPPED, str(stopped.verdict.reason), stopped.verdict.fault)
+    except NotThere as error:
+        run.fail(Ending.NOT_REACHED, str(error), Fault.NONE)
+    except InputError as error:
+        if robot.supervisor.verdict.action is Action.GO_ON:
+            raise
+        run.fail(Ending.SOFT_STOP, str(error), robot.supervisor.verdict.fault)
+    finally:
+        robot.camera_needed = False
+    return run.record()
+
+
+class _Run:
+    """A touch under way: what it has seen."""
+
+    def __init__(self, robot: Robot, plan: TouchPlan) -> None:
+        self._robot, self._plan = robot, plan
+        if robot.supervisor.verdict.action is not Action.GO_ON:
+            raise RobotStopped(robot.supervisor.verdict)
+        self._spans: list[PhaseSpan] = []
+        self._times: list[int] = []
+        self._centers: list[FloatArray] = []
+        self._forces: list[tuple[int, FloatArray]] = []
+        self._rotations: list[FloatArray] = []
+        self._machine: Touch | None = None
+        self._loading_s = math.inf
+        self._end_s = math.inf
+        self._depth_m = 0.0
+        self._noise_n: FloatArray = np.full(3, np.nan)
+        self._ending, self._reason, self._fault = Ending.NO_CONTACT, "", Fault.NONE
+
+    def travel(self) -> None:
+        plan, began = self._plan, self._now_s()
+        self._robot.cycle()
+        crossing_m, above_m, deepest_m = plan.places_m(self._robot.placement.center_offset_m)
+        try:
+            to_above(
+                self._robot,
+                above_m,
+                plan.normal,
+                height_m=float(crossing_m[2]),
+                deepest_m=deepest_m,
+                speed_m_s=plan.travel_speed_m_s,
+            )
+        finally:
+            self._spans.append(PhaseSpan(Phase.TRAVEL, began, self._now_s()))
+
+    def tare(self) -> None:
+        began = self._now_s()
+        try:
+            self._noise_n = take_tare(self._robot)
+        finally:
+            self._spans.append(PhaseSpan(Phase.TARE, began, self._now_s()))
+
+    def touch(self, still_seen: Callable[[], bool]) -> None:
+        robot = self._robot
+        self._machine = machine = Touch(self._plan, robot.placement.center_offset_m, self._now_s())
+        velocity: FloatArray = np.zeros(3)
+        while machine.phase is not Phase.DONE:
+            robot.camera_needed = machine.phase in (Phase.DWELL, Phase.DWELL_MORE)
+            seen = robot.cycle(TipVelocity(velocity) if np.any(velocity) else None)
+            force_n = self._see(seen)
+            if robot.supervisor.verdict.action is Action.BACK_OFF:
+                self._fault, self._reason = robot.supervisor.verdict.fault, robot.supervisor.verdict.reason
+                machine.back_off(self._now_s())
+            watched = still_seen() if robot.camera_needed else True
+            before = machine.phase
+            velocity = machine.step(self._now_s(), robot.center_m, force_n, watched)
+            self._follow(before, machine)
+        robot.camera_needed = False
+        robot.cycle()
+        self._ending = machine.ending
+
+    def _follow(self, before: Phase, machine: Touch) -> None:
+        """When the loading ended (the last one where there are two), when the dwell, and how deep it was then."""
+        if before in (Phase.PRESS, Phase.PRESS_MORE) and machine.phase is not before:
+            self._loading_s = self._now_s()
+        if machine.pressing:
+            self._depth_m = machine.depth_m(self._robot.center_m)
+        elif self._end_s == math.inf and before is not Phase.APPROACH:
+            self._end_s = self._now_s()
+
+    def _see(self, seen: Observation) -> FloatArray:
+        """Keep what came; the mean force of this period, in the surface frame (the last one where none came)."""
+        robot = self._robot
+        for sample in seen.arms:
+            T = robot.placement.T_surface_center(sample.T_base_ee)
+            self._times.append(sample.time_ns)
+            self._centers.append(T[:3, 3])
+            self._rotations.append(T[:3, :3])
+        good = [(sample.time_ns, robot.force_on_tip_n(sample)) for sample in seen.forces if sample.usable]
+        self._forces += good
+        if good:
+            return np.asarray(np.mean([force for _, force in good], axis=0))
+        return self._forces[-1][1] if self._forces else np.zeros(3)
+
+    def fail(self, ending: Ending, reason: str, fault: Fault) -> None:
+        verdict = self._robot.supervisor.verdict
+        if verdict.action is not Action.GO_ON:
+            ending = Ending.STOPPED if verdict.action is Action.STOP else Ending.SOFT_STOP
+            reason, fault = verdict.reason, verdict.fault
+        self._ending, self._reason, self._fault = ending, reason, fault
+        if self._machine is not None:
+            self._machine.end(self._now_s())
+
+    def record(self) -> TouchRecord:
+        machine = self._machine
+        times_s = np.array(self._times, dtype=float) / 1e9
+        centers_m = np.array(self._centers).reshape(-1, 3)
+        forces_n = self._forces_at_states()
+        kept = times_s <= self._end_s
+        met = math.isfinite(self._loading_s) and math.isfinite(self._end_s)
+        dwelt = kept & (times_s > self._end_s - STILL_S) & met
+        peaks = [float(np.linalg.norm(force)) for _, force in self._forces]
+        return TouchRecord(
+            plan=self._plan,
+            time_s=times_s[kept],
+            position_m=centers_m[kept],
+            force_n=forces_n[kept],
+            loading=int(np.count_nonzero(times_s[kept] <= self._loading_s)),
+            contact_m=machine.contact_m if machine is not None else None,
+            depth_m=self._depth_m,
+            center_m=centers_m[dwelt].mean(axis=0) if dwelt.any() else None,
+            final_force_n=forces_n[dwelt].mean(axis=0) if dwelt.any() else None,
+            peak_force_n=max(peaks, default=0.0),
+            tare_n=self._robot.tare_n.copy(),
+            noise_n=self._noise_n,
+            phases=(*self._spans, *(machine.spans if machine is not None else ())),
+            ending=self._ending,
+            reason=self._reason,
+            fault=self._fault,
+            settled=machine.settled if machine is not None else False,
+        )
+
+    def _forces_at_states(self) -> FloatArray:
+        """(n, 3) force at each of the arm's states: mean of the readings around it, between readings where none is."""
+        if not self._forces:
+            return np.zeros((len(self._times), 3))
+        stamps = np.array([stamp for stamp, _ in self._forces])
+        forces_n = np.array([force for _, force in self._forces])
+        sums = np.vstack([np.zeros(3), np.cumsum(forces_n, axis=0)])
+        out = np.empty((len(self._times), 3))
+        for index, state_ns in enumerate(self._times):
+            first, last = np.searchsorted(stamps, [state_ns - AVERAGED_NS, state_ns + AVERAGED_NS + 1])
+            if last > first:
+                out[index] = (sums[last] - sums[first]) / (last - first)
+            else:
+                out[index] = [np.interp(state_ns, stamps, forces_n[:, axis]) for axis in range(3)]
+        return out
+
+    def _now_s(self) -> float:
+        return self._robot.seen.now_ns / 1e9
+
+
+TARE_PERIODS = 30
+TARE_STILL_N = 0.05
+TARE_DRIFT_N = 0.6
+
+
+def take_tare(robot: Robot) -> FloatArray:
+    """Take the load in free air for zero, from 0.3 s of readings at rest; (3,) deviation of a reading [N].
+
+    Raises NotThere where the readings vary, or are further from the last tare than a sensor drifts: the tip touches.
+    """
+    taken: list[ForceSample] = []
+    for period in range(TARE_PERIODS + 5):
+        seen = robot.cycle()
+        if period >= 5:  # what still moved has passed the sensor's filter
+            taken += [sample for sample in seen.forces if sample.usable]
+    forces_n = np.array([sample.force_n for sample in taken]).reshape(-1, 3)
+    if len(forces_n) < 20:
+        raise NotThere("20 usable forces in 0.3 s", f"{len(forces_n)}", "look at the force sensor")
+    halves = np.array_split(forces_n, 2)
+    varies_n = float(np.max(np.abs(halves[0].mean(axis=0) - halves[1].mean(axis=0))))
+    noise_n = forces_n.std(axis=0)
+    if varies_n > TARE_STILL_N or float(np.max(noise_n)) > TARE_STILL_N:
+        came = f"a load that varies by {max(varies_n, float(np.max(noise_n))):.2f} N"
+        raise NotThere(f"a load within {TARE_STILL_N:g} N in free air", came, "let nothing touch the tip")
+    mean_n = forces_n.mean(axis=0)
+    if float(np.linalg.norm(mean_n)) > TARE_DRIFT_N:
+        came = f"{np.linalg.norm(mean_n):.2f} N beside the last tare"
+        raise NotThere(f"less than {TARE_DRIFT_N:g} N: a sensor's drift", came, "lift the tip: it seems to touch")
+    robot.tare_n = robot.tare_n + mean_n
+    return np.asarray(noise_n)

@@ -1,0 +1,113 @@
+"""Ways through free air, one velocity after the other, each control period supervised."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from deformscope.errors import InputError
+from deformscope.robot.placement import TURNED_RAD, best_joints
+from deformscope.robot.robot import JointRates, Robot, TipVelocity, towards
+from deformscope.robot.supervisor import Action
+from deformscope_drivers.jaco.kinematics import FloatArray, pose_error
+
+ANGULAR_RAD_S = 0.3
+JOINT_DEG_S = 15.0
+GAIN_PER_S = 4.0
+REACHED_M, REACHED_RAD, REACHED_DEG = 3e-4, 3e-3, 0.1
+SLACK = 3.0
+"""A way may take so many times longer than its length says, and two seconds, before it counts as not possible."""
+
+
+class NotThere(InputError):
+    """The arm did not come to where it was sent."""
+
+
+def move_tip(robot: Robot, center_m: npt.ArrayLike, normal: npt.ArrayLike, speed_m_s: float) -> None:
+    """Straight to where the tip's centre (3,) [m] is here and the stick along -normal, both in the surface frame.
+
+    Raises NotThere when it takes too long, RobotStopped, InputError when the robot has to back off.
+    """
+    goal = np.linalg.inv(robot.placement.T_base_surface) @ robot.placement.T_base_ee(center_m, normal)
+    goal = goal @ robot.placement.T_ee_center
+    error = _error(robot, goal)
+    way_s = max(float(np.linalg.norm(error[:3])) / speed_m_s, float(np.linalg.norm(error[3:])) / ANGULAR_RAD_S)
+    for _ in range(round(100 * (SLACK * way_s + 2.0))):
+        error = _error(robot, goal)
+        if np.linalg.norm(error[:3]) < REACHED_M and np.linalg.norm(error[3:]) < REACHED_RAD:
+            robot.cycle()
+            return
+        step(robot, TipVelocity(_capped(error[:3], speed_m_s), _capped(error[3:], ANGULAR_RAD_S)))
+    robot.cycle()
+    left = f"{np.linalg.norm(error[:3]) * 1e3:.1f} mm and {np.linalg.norm(error[3:]):.3f} rad away"
+    raise NotThere(f"the tip at {np.round(np.asarray(center_m), 4)} m", left, "a place that the arm reaches")
+
+
+def move_joints(robot: Robot, joints_deg: npt.ArrayLike) -> None:
+    """To joint angles (n,), all arriving together; where from and by what way is not looked at: only through free air.
+
+    Raises as `move_tip` does.
+    """
+    chain = robot.arm.chain
+    endless = ~np.isfinite(chain.upper_deg)
+    fastest = min(JOINT_DEG_S, robot.arm.config.joint_limit_deg_s)
+    turn = towards(robot.pose.joints_deg, joints_deg, endless)
+    for _ in range(round(100 * (SLACK * float(np.max(np.abs(turn))) / fastest + 2.0))):
+        turn = towards(robot.pose.joints_deg, joints_deg, endless)
+        farthest = float(np.max(np.abs(turn)))
+        if farthest < REACHED_DEG:
+            robot.cycle()
+            return
+        step(robot, JointRates(turn / farthest * min(fastest, GAIN_PER_S * farthest)))
+    robot.cycle()
+    raise NotThere("the joints where they were sent", f"{np.max(np.abs(turn)):.1f} deg away", "a free way")
+
+
+def to_above(
+    robot: Robot, center_m: FloatArray, normal: FloatArray, *, height_m: float, deepest_m: FloatArray, speed_m_s: float
+) -> None:
+    """To a place above the surface: up to height_m, across, and down to it; the first time joint by joint.
+
+    height_m: z of the tip's centre while it crosses; deepest_m: (3,) where a straight way goes on to from there [m,
+    surface frame]
+    """
+    here = robot.placement.T_surface_center(robot.pose.T_base_ee)
+    goal = robot.placement.T_base_ee(center_m, normal)
+    turn = pose_error(robot.pose.T_base_ee, goal)[3:]
+    high_m = max(height_m, float(center_m[2]))
+    over = np.array([center_m[0], center_m[1], high_m])
+    if np.linalg.norm(turn) > TURNED_RAD:
+        joints_deg = best_joints(
+            robot.arm.chain, [robot.placement.T_base_ee(place_m, normal) for place_m in (over, center_m, deepest_m)]
+        )
+        if joints_deg is None:
+            raise NotThere(
+                f"the tip at {np.round(over, 4)} m", "no joint angles for it", "a place that the arm reaches"
+            )
+        move_joints(robot, joints_deg)
+    else:
+        if here[2, 3] < high_m - 1e-3:
+            up = np.array([here[0, 3], here[1, 3], high_m])
+            move_tip(robot, up, -here[:3, 2], speed_m_s)
+        move_tip(robot, over, normal, speed_m_s)
+    move_tip(robot, center_m, normal, speed_m_s)
+
+
+def step(robot: Robot, command: TipVelocity | JointRates) -> None:
+    """One period on the way; a robot that has to back off is not to travel on."""
+    robot.cycle(command)
+    verdict = robot.supervisor.verdict
+    if verdict.action is not Action.GO_ON:
+        robot.cycle()
+        raise InputError("nothing in the way", f"{verdict.fault}: {verdict.reason}", "look, then acknowledge")
+
+
+def _error(robot: Robot, goal: FloatArray) -> FloatArray:
+    return pose_error(robot.placement.T_surface_center(robot.pose.T_base_ee), goal)
+
+
+def _capped(error: FloatArray, fastest: float) -> FloatArray:
+    """A velocity that ends softly."""
+    wanted = GAIN_PER_S * error
+    size = float(np.linalg.norm(wanted))
+    return wanted if size <= fastest else wanted * (fastest / size)

@@ -1,0 +1,146 @@
+"""Touches through the real drivers: they press as told, never harder, the same every time; and they stop."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from deformscope.errors import InputError
+from deformscope.lab.fault_study import Injected, Scene, make_scene, run_fault, run_faults
+from deformscope.lab.touch_lab import ARM_STIFFNESS_N_M
+from deformscope.robot.preflight import check
+from deformscope.robot.robot import RobotStopped, TipVelocity
+from deformscope.robot.supervisor import Fault
+from deformscope.robot.touch import Ending, Phase, TouchPlan, TouchRecord, run_touch
+
+SOFT_N = 8.0
+
+
+def touched(seed: int, modulus_pa: float, tip: str, tilt_deg: float) -> tuple[Scene, TouchRecord]:
+    scene = make_scene(seed, modulus_pa=modulus_pa, tip=tip, tilt_deg=tilt_deg)
+    record = run_touch(scene.robot, scene.plan)
+    scene.lab.close()
+    return scene, record
+
+
+@pytest.mark.parametrize(
+    ("modulus_pa", "tip", "tilt_deg", "force_n"),
+    [(10e3, "sphere", 15.0, 3.0), (60e3, "flat", 0.0, 3.0), (1e11, "flat", 12.0, 5.0), (1e11, "sphere", 0.0, 5.0)],
+)
+def test_it_presses_as_told_and_never_harder(modulus_pa: float, tip: str, tilt_deg: float, force_n: float) -> None:
+    scene, record = touched(3, modulus_pa, tip, tilt_deg)
+
+    assert record.ending is Ending.SET_FORCE
+    assert record.settled
+    assert scene.lab.max_force_n < 1.1 * force_n < SOFT_N
+    assert record.final_force_n is not None
+    assert record.final_force_n == pytest.approx(force_n * scene.plan.normal, abs=0.1)
+    assert record.center_m is not None
+    # the foam's dent, as the joints see it, is less by what the arm gives
+    true_m = record.center_m + record.final_force_n / ARM_STIFFNESS_N_M
+    assert scene.lab.world.press(true_m) @ scene.plan.normal == pytest.approx(
+        force_n, rel=0.2 if modulus_pa < 1e9 else 1e3
+    )
+    assert len(record.time_s) == len(record.position_m) == len(record.force_n) > record.loading > 100
+    assert np.all(np.diff(record.time_s) > 0)
+
+
+def test_the_record_is_the_foams_own_law() -> None:
+    scene, record = touched(5, 60e3, "sphere", 0.0)
+    loading = slice(0, record.loading)
+    along_n = record.force_n[loading] @ scene.plan.normal
+    pressed = along_n > 0.3
+    true_m = record.position_m[loading] + record.force_n[loading] / ARM_STIFFNESS_N_M
+
+    expected_n = np.array([scene.lab.world.press(place_m) @ scene.plan.normal for place_m in true_m])
+
+    # while it is loaded at 10 mm/s, force and place belong together within a few milliseconds
+    assert np.median(np.abs(along_n - expected_n)[pressed]) < 0.03
+    names = [span.phase for span in record.phases]
+    assert names == [Phase.TRAVEL, Phase.TARE, Phase.APPROACH, Phase.PRESS, Phase.DWELL, Phase.RETREAT]
+    assert all(a.end_s == pytest.approx(b.start_s) for a, b in zip(record.phases[2:], record.phases[3:], strict=False))
+
+
+def test_the_same_seed_gives_the_same_touch() -> None:
+    (_, one), (_, other) = touched(7, 40e3, "sphere", 5.0), touched(7, 40e3, "sphere", 5.0)
+
+    assert np.array_equal(one.force_n, other.force_n)
+    assert np.array_equal(one.position_m, other.position_m)
+
+
+def test_it_ends_at_the_greatest_depth_and_where_nothing_is() -> None:
+    scene = make_scene(4, modulus_pa=2e3, tip="sphere", tilt_deg=0.0)
+    deep = run_touch(scene.robot, scene.plan)
+    assert deep.ending is Ending.DEPTH
+    assert deep.depth_m < scene.plan.max_depth_m + 5e-4
+    away = TouchPlan(
+        scene.plan.point_m + np.array([0.0, 0.0, 0.03]), scene.plan.normal, travel_height_m=0.15, miss_m=0.01
+    )
+    nothing = run_touch(scene.robot, away)
+    scene.lab.close()
+
+    assert nothing.ending is Ending.NO_CONTACT
+    assert nothing.center_m is None
+
+
+def test_no_preflight_no_motion() -> None:
+    scene = make_scene(6, modulus_pa=60e3)
+    scene.robot.resume()
+    before = scene.lab.arm_double.joints_deg
+
+    with pytest.raises(InputError, match="preflight"):
+        scene.robot.cycle(TipVelocity(np.array([0.0, 0.0, 0.01])))
+    outside = TouchPlan(scene.plan.point_m + np.array([0.0, -0.9, 0.0]), scene.plan.normal)
+    report = check(scene.robot, [outside], calibrated={"tool": False})
+    with pytest.raises(InputError, match="workspace: plan inside"):
+        scene.robot.let_move(report)
+    scene.lab.close()
+
+    failed = {one.name for one in report.checks if not one.passed}
+    assert failed == {"calibration: tool", "workspace: plan inside", "arm: reach"}
+    assert all(name in report.table() for name in failed)
+    assert np.array_equal(scene.lab.arm_double.joints_deg, before)
+
+
+def test_no_tare_in_contact() -> None:
+    scene = make_scene(8, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
+    tare_n = scene.robot.tare_n.copy()
+    scene.lab.schedule(scene.lab.clock(), lambda: scene.lab.hit((0.0, 0.0, 2.0), 60.0))
+
+    record = run_touch(scene.robot, scene.plan)
+    scene.lab.close()
+
+    assert record.ending is Ending.NOT_REACHED
+    assert "tare" in record.reason
+    assert np.array_equal(scene.robot.tare_n, tare_n)
+
+
+def test_a_soft_stop_stands_and_then_backs_away() -> None:
+    scene = make_scene(9, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
+    scene.lab.schedule(scene.lab.clock() + 6_500_000_000, lambda: scene.lab.hit((0.0, 0.0, 9.5), 0.1))
+
+    record = run_touch(scene.robot, scene.plan)
+    height_m = float(scene.robot.center_m[2] - scene.plan.point_m[2])
+
+    assert record.ending is Ending.SOFT_STOP
+    assert record.fault is Fault.FORCE_SOFT
+    assert height_m > 0.9 * scene.plan.standoff_m
+    with pytest.raises(RobotStopped):
+        run_touch(scene.robot, scene.plan)
+    scene.lab.close()
+
+
+@pytest.mark.parametrize("injected", Injected)
+def test_a_fault_is_noticed_in_time_and_the_arm_stands(injected: Injected) -> None:
+    run = run_fault(20_000 + list(Injected).index(injected), injected)
+
+    assert run.in_time, run
+    assert run.max_force_n < SOFT_N
+
+
+@pytest.mark.slow
+def test_a_thousand_faults() -> None:
+    runs = run_faults(range(1000))
+
+    assert [run for run in runs if not run.in_time] == []
+    assert max(run.max_force_n for run in runs) < SOFT_N
