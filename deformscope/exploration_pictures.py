@@ -21,7 +21,6 @@ from deformscope.palette import OBSERVED, SIMULATED, hexadecimal
 from deformscope.stages.exploration import MapsKnown, NextTouch, SurfaceSeen, TouchTold
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 REGIONS = ("#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#f0e442", "#0072b2", "#d55e00", "#999999")
@@ -39,6 +38,8 @@ STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0)
 WIDE, HIGH = 4.4, 3.3
 """One picture [inch]."""
 DPI = 130
+PLACE = (0.125, 0.12, 0.68, 0.69)
+"""Of a map in its picture (left, bottom, width, height): room for title, labels and colour bar."""
 ROWS_OF_WORDS = 3
 
 
@@ -82,20 +83,17 @@ def gain_png(plan: NextTouch, cell_m: float, contacts_m: FloatArray | None = Non
 
 def force_png(touch: TouchTold) -> bytes:
     """Force over the depth of the tip, the fitted law, and where contact began."""
-    return _one(lambda axes: draw_force(axes, touch))
+    return _one(lambda axes: draw_force(axes, touch), (0.14, 0.155, 0.8, 0.62))
 
 
 def height_png(surface: SurfaceSeen) -> bytes:
-    """The surface as its Gaussian process has it: height, and one standard deviation of it [mm]."""
-    figure = _figure(WIDE, 2 * HIGH)
-    for row, (values, name, colors) in enumerate(
-        ((surface.height_m, "Height", HEIGHT), (surface.deviation_m, "Deviation of the height", DEVIATION))
-    ):
-        axes = figure.add_subplot(2, 1, row + 1)
-        _place(axes, 0.5 * (1 - row), 0.5)
-        _draw_map(axes, values * 1e3, surface.cell_m, colors, "mm")
-        _title(axes, name, "")
-    return _png(figure, DPI)
+    """The surface as its Gaussian process has it: height, and lines of equal standard deviation [mm]."""
+    return _one(lambda axes: draw_height(axes, surface))
+
+
+def words_png(words: str) -> bytes:
+    """Words where there is nothing to draw yet."""
+    return _one(lambda axes: _say(axes, words))
 
 
 def result_png(maps: MapsKnown, title: str = "") -> bytes:
@@ -108,8 +106,10 @@ def result_png(maps: MapsKnown, title: str = "") -> bytes:
     share = HIGH / (2 * HIGH + 0.5)
     for row, line in enumerate(drawings):
         for column, draw in enumerate(line):
-            axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-            _place(axes, share * (1 - row), share, column / 3, 1 / 3)
+            left, bottom, width, height = PLACE
+            axes = figure.add_axes(
+                ((column + left) / 3, share * (1 - row + bottom), width / 3, share * height)
+            )
             draw(axes, maps)
     figure.text(0.02, 0.975, title or "What the touches told", fontsize=14, weight="bold", va="top")
     figure.text(0.98, 0.972, _headline(maps), fontsize=11, ha="right", va="top")
@@ -187,7 +187,6 @@ def draw_truth(axes: Any, maps: MapsKnown) -> None:
 
 
 def draw_gain(axes: Any, plan: NextTouch, cell_m: float, contacts_m: FloatArray | None = None) -> None:
-    rows, columns = plan.excluded.shape
     if plan.gain is not None:
         open_gain = np.where(plan.excluded, np.nan, plan.gain)
         high = float(np.nanmax(open_gain)) if np.isfinite(open_gain).any() else 1.0
@@ -195,10 +194,8 @@ def draw_gain(axes: Any, plan: NextTouch, cell_m: float, contacts_m: FloatArray 
     else:
         _say(axes, "no gain computed", plan.excluded.shape, cell_m)
     _draw_excluded(axes, plan.excluded, cell_m)
-    if plan.cost_s is not None and float(np.ptp(plan.cost_s)) > 0:
-        x, y = (np.arange(columns) + 0.5) * cell_m * 100, (np.arange(rows) + 0.5) * cell_m * 100
-        lines = axes.contour(x, y, plan.cost_s, levels=3, colors="white", linewidths=0.7, alpha=0.7)
-        axes.clabel(lines, fmt=lambda value: f"{value:g} s", fontsize=8)
+    if plan.cost_s is not None:
+        _draw_levels(axes, plan.cost_s, cell_m, "s")
     if contacts_m is not None:
         _draw_contacts(axes, contacts_m, 0.0)
     if plan.target_m is not None:
@@ -208,6 +205,12 @@ def draw_gain(axes: Any, plan: NextTouch, cell_m: float, contacts_m: FloatArray 
         _title(axes, f"Next touch at x {at[0]:.1f}, y {at[1]:.1f} cm", plan.reason)
     else:
         _title(axes, "No further touch", plan.stop_reason or plan.reason)
+
+
+def draw_height(axes: Any, surface: SurfaceSeen) -> None:
+    _draw_map(axes, surface.height_m * 1e3, surface.cell_m, HEIGHT, "mm")
+    _draw_levels(axes, surface.deviation_m * 1e3, surface.cell_m, "mm")
+    _title(axes, "Height of the surface", "lines: one standard deviation")
 
 
 def draw_force(axes: Any, touch: TouchTold) -> None:
@@ -286,7 +289,7 @@ def _draw_map(
     _label_axes(axes)
     bar = axes.figure.colorbar(shown, cax=axes.inset_axes((1.035, 0.0, 0.045, 1.0)))
     bar.ax.tick_params(labelsize=10)
-    bar.set_label(f"[{unit}]" if len(unit) < 6 else unit, fontsize=10, labelpad=1)
+    bar.set_label(f"[{unit}]" if len(unit) < 6 else unit, fontsize=10, labelpad=3)
     if norm is not None:
         _number_log_bar(bar, norm.vmin, norm.vmax)
 
@@ -301,6 +304,16 @@ def _number_log_bar(bar: Any, low: float, high: float) -> None:
     bar.ax.yaxis.set_major_locator(FixedLocator(kept))
     bar.ax.yaxis.set_minor_locator(NullLocator())
     bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+
+def _draw_levels(axes: Any, values: FloatArray, cell_m: float, unit: str) -> None:
+    """A few lines of equal value."""
+    if not float(np.nanmax(values) - np.nanmin(values)) > 0:
+        return
+    rows, columns = values.shape
+    x, y = (np.arange(columns) + 0.5) * cell_m * 100, (np.arange(rows) + 0.5) * cell_m * 100
+    lines = axes.contour(x, y, values, levels=3, colors="white", linewidths=0.8, alpha=0.8)
+    axes.clabel(lines, fmt=lambda value: f"{value:g} {unit}", fontsize=8)
 
 
 def _draw_labels(axes: Any, tints: FloatArray, sure: FloatArray, cell_m: float) -> None:
@@ -428,12 +441,16 @@ def _label_axes(axes: Any) -> None:
     axes.tick_params(labelsize=10)
 
 
-def _say(axes: Any, words: str, shape: tuple[int, ...], cell_m: float) -> None:
+def _say(axes: Any, words: str, shape: tuple[int, ...] = (), cell_m: float = 0.0) -> None:
     """Words where there is no map, on the same ground."""
-    x0, x1, y0, y1 = _extent(shape, cell_m)
-    axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal", facecolor="#eef0f3")
+    axes.set_facecolor("#eef0f3")
     axes.text(0.5, 0.5, words, transform=axes.transAxes, ha="center", va="center", fontsize=13, color="#70757d")
-    _label_axes(axes)
+    if shape:
+        x0, x1, y0, y1 = _extent(shape, cell_m)
+        axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal")
+        _label_axes(axes)
+    else:
+        axes.set(xticks=[], yticks=[])
 
 
 def _title(axes: Any, title: str, words: str) -> None:
@@ -473,15 +490,10 @@ def _figure(width: float, height: float) -> Figure:
     return figure
 
 
-def _place(axes: Axes, bottom: float, height: float, left: float = 0.0, width: float = 1.0) -> None:
-    """Room for title, labels and colour bar around the axes; shares of the figure."""
-    axes.set_position((left + 0.13 * width, bottom + 0.12 * height, 0.7 * width, 0.69 * height))
-
-
-def _one(draw: Callable[[Any], None]) -> bytes:
+def _one(draw: Callable[[Any], None], place: tuple[float, float, float, float] = PLACE) -> bytes:
+    """place: of the axes in the picture: left, bottom, width, height, shares of it"""
     figure = _figure(WIDE, HIGH)
-    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    _place(axes, 0.0, 1.0)
+    axes = figure.add_axes(place)
     draw(axes)
     canvas: Any = figure.canvas
     figure.set_dpi(DPI)

@@ -20,13 +20,14 @@ from collections.abc import Sequence
 import numpy as np
 import rerun as rr
 
+from deformscope.arrays import FloatArray
 from deformscope.exploration_replay import Result
 from deformscope.frames import Stream
 from deformscope.log.exploration.blueprint import exploration_blueprint
 from deformscope.log.exploration.dent import log_dent
 from deformscope.log.exploration.moment import Moment
 from deformscope.log.exploration.phases import log_phase, log_phase_colors
-from deformscope.log.exploration.pictured import log_force, log_gain, log_height, log_maps
+from deformscope.log.exploration.pictured import log_force, log_gain, log_height, log_maps, log_nothing_known
 from deformscope.log.exploration.scene import log_base, log_contact, log_stiffness, log_surface, log_target
 from deformscope.log.exploration.summary import log_summary
 from deformscope.log.rig.columns import Batch
@@ -40,9 +41,10 @@ CELL_M = 0.005
 
 
 def log_exploration_start(
-    rec: rr.RecordingStream | Batch, streams: Sequence[Stream], base_from_surface: np.ndarray | None = None
+    rec: rr.RecordingStream, streams: Sequence[Stream], base_from_surface: FloatArray | None = None
 ) -> None:
-    """What holds throughout: the phases' colours, and where each arm's base stands in the surface frame.
+    """What holds throughout: the phases' colours, and where each arm's base stands in the surface frame; and, at the
+    start, that nothing is known yet.
 
     base_from_surface: (4, 4), takes positions from the surface frame to the arm's base frame [m]; None = the same
     """
@@ -50,6 +52,9 @@ def log_exploration_start(
     for stream in streams:
         if stream.kind == "arm" and stream.urdf is not None:
             log_base(rec, stream, np.eye(4) if base_from_surface is None else base_from_surface)
+    batch = Batch(touch=0)
+    log_nothing_known(Moment(batch, 0))
+    batch.send(rec)
 
 
 def prepare_results(
@@ -61,8 +66,8 @@ def prepare_results(
     frame: of the depth camera, at which they came, None = none; cell_m: of a plan's maps, where no map beside it tells
     A plan that comes with maps is drawn over their contacts. Raises TypeError for what is no result of an exploration.
     """
-    batch = Batch()
-    now = Moment(batch, session_ns, touch, frame)
+    batch = Batch(touch)
+    now = Moment(batch, session_ns, frame)
     maps = next((result for result in results if isinstance(result, MapsKnown)), None)
     for result in results:
         if not isinstance(result, Result):

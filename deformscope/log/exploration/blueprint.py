@@ -29,14 +29,20 @@ TITLES = {
 }
 
 
-def exploration_blueprint(streams: Sequence[Stream], size_m: tuple[float, float] = (0.6, 0.4)) -> rrb.Blueprint:
-    """The views of an exploration with these devices. size_m: of the surface along x and y"""
+def exploration_blueprint(
+    streams: Sequence[Stream], size_m: tuple[float, float] = (0.6, 0.4), *, truth: bool = True
+) -> rrb.Blueprint:
+    """The views of an exploration with these devices.
+
+    size_m: of the surface along x and y; truth: whether it is known: else the surface's height stands in its place
+    """
     maps = {name: _picture(path, title) for (name, title), path in zip(TITLES.items(), MAPS, strict=True)}
     gain, force = _picture(GAIN, "Why the next touch goes there"), _picture(FORCE, "Force over depth")
+    beside = maps["truth"] if truth else _picture(HEIGHT, "Surface")
     known = rrb.Vertical(
         rrb.Horizontal(maps["stiffness"], maps["stiffness_deviation"], gain),
         rrb.Horizontal(maps["beta"], maps["beta_deviation"], force),
-        rrb.Horizontal(maps["regions"], maps["truth"], _summary()),
+        rrb.Horizontal(maps["regions"], beside, _summary()),
     )
     time = rrb.TimePanel(timeline="session", state="collapsed", play_state="following")
     return rrb.Blueprint(
@@ -68,15 +74,14 @@ def _scene(streams: Sequence[Stream], size_m: tuple[float, float]) -> rrb.View:
     arms = [stream for stream in streams if stream.kind == "arm" and stream.urdf is not None]
     x, y = size_m
     wide = max(x, y)
-    away = 1.0 if arms else 0.8
     return rrb.Spatial3DView(
         contents=[f"+ /{SCENE}/**", *(f"+ /{root('display/arm', arm.device)}/**" for arm in arms)],
         name=f"Surface{''.join(f' and {arm.device}{_simulated(arm)}' for arm in arms)}",
         spatial_information=rrb.SpatialInformation(target_frame=SURFACE_FRAME),
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,
-            position=[x / 2 + 0.35 * away * wide, y / 2 - 1.75 * away * wide, 1.25 * away * wide],
-            look_target=[x / 2, y / 2, 0.2 * wide if arms else 0.05],
+            position=[x / 2 + 0.25 * wide, y / 2 - 1.2 * wide, (0.95 if arms else 0.8) * wide],
+            look_target=[x / 2, y / 2 + 0.05 * wide, (0.17 if arms else 0.0) * wide],
             eye_up=[0.0, 0.0, 1.0],
         ),
         line_grid=rrb.LineGrid3D(visible=True, spacing=0.1, color=FLOOR),
@@ -89,7 +94,7 @@ def _dent() -> rrb.View:
         contents=[f"+ /{DENT}/**"],
         name="The last dent: observed and simulated",
         eye_controls=rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital, position=[0.7, -2.6, 1.25], look_target=[0.0, -0.15, -0.2], eye_up=[0, 0, 1.0]
+            kind=rrb.Eye3DKind.Orbital, position=[0.55, -2.15, 1.0], look_target=[0.0, -0.25, -0.2], eye_up=[0, 0, 1.0]
         ),
         line_grid=rrb.LineGrid3D(visible=False),
         background=list(BACKGROUND),
@@ -99,8 +104,7 @@ def _dent() -> rrb.View:
 def _depth(stream: Stream) -> rrb.View:
     origin = root("depth", stream.device)
     contents = [f"+ /{origin}", f"+ /{root('display/depth', stream.device)}"]
-    camera = rrb.Spatial2DView(contents=contents, name=f"{stream.device}: depth [m]{_simulated(stream)}")
-    return rrb.Tabs(camera, _picture(HEIGHT, "Height and deviation"), active_tab=0)  # type: ignore[return-value]
+    return rrb.Spatial2DView(contents=contents, name=f"{stream.device}: depth [m]{_simulated(stream)}")
 
 
 def _plot(origin: str, name: str) -> rrb.View:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import rerun as rr
-
 from deformscope.arrays import FloatArray
 from deformscope.log.canvas import TEXT
 from deformscope.log.exploration.moment import Moment
@@ -22,6 +20,7 @@ def log_dent(now: Moment, touch: TouchTold) -> None:
     """Around the contact; half the width is 1, heights drawn out. The values themselves stand in the result."""
     observed, simulated = touch.observed_m - touch.xyz_m, touch.simulated_m - touch.xyz_m
     half = _half_width(observed, simulated)
+    simulated = simulated[simulated[:, 2] >= _lowest(observed, touch.depth_m)]
     times = _drawn_out(touch.depth_m, half)
     scale = np.array([1.0, 1.0, times]) / half
     now.show_points(f"{DENT}/observed", observed * scale, OBSERVED, 0.013)
@@ -37,13 +36,13 @@ def log_dent(now: Moment, touch: TouchTold) -> None:
     now.show_points(f"{DENT}/legend", marks, [OBSERVED, SIMULATED], 0.03, ["observed", "simulated"])
 
 
-def log_still(now: Moment) -> None:
-    """Nothing to see: no touch was made yet."""
-    now.send(f"{DENT}/observed", rr.Points3D.columns(positions=np.zeros((0, 3))).partition([0]))
-
-
 def _half_width(*clouds: FloatArray) -> float:
     return max((float(np.abs(cloud[:, :2]).max()) for cloud in clouds if len(cloud)), default=0.05)
+
+
+def _lowest(observed: FloatArray, depth_m: float) -> float:
+    """Below this height [m] nothing is drawn: particles inside the body, which no camera sees."""
+    return float(observed[:, 2].min(initial=-depth_m)) - 0.5 * depth_m
 
 
 def _drawn_out(depth_m: float, half: float) -> float:

@@ -9,18 +9,15 @@ import pyarrow as pa
 import rerun as rr
 
 from deformscope.exploration_replay import ENTITIES, Result, components
-from deformscope.log.rig.columns import Batch, Columns
+from deformscope.log.rig.columns import Batch, Columns, moments
 
 
 class Moment:
     """A batch, and the place on the timelines of all that is logged to it."""
 
-    def __init__(self, batch: Batch, session_ns: int, touch: int, frame: int | None = None) -> None:
+    def __init__(self, batch: Batch, session_ns: int, frame: int | None = None) -> None:
         self._batch = batch
-        self._times = [
-            rr.TimeColumn("session", duration=np.array([session_ns], "timedelta64[ns]")),
-            rr.TimeColumn("touch", sequence=[touch]),
-        ]
+        self._times = moments([session_ns], 0)
         if frame is not None:
             self._times.append(rr.TimeColumn("frame", sequence=[frame]))
 

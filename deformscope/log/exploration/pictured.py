@@ -18,6 +18,12 @@ MAPS = {
 }
 
 
+def log_nothing_known(now: Moment) -> None:
+    """Words where there will be pictures."""
+    for path, words in {**dict.fromkeys(MAPS, "no touch yet"), FORCE: "no touch yet", GAIN: "no plan yet"}.items():
+        now.show_png(path, pictures.words_png(words))
+
+
 def log_height(now: Moment, surface: SurfaceSeen) -> None:
     now.show_png(HEIGHT, pictures.height_png(surface))
 

@@ -28,7 +28,7 @@ TABLE: Rgb = (84, 88, 96)
 CONTACT: Rgb = (255, 255, 255)
 NORMAL: Rgb = (255, 200, 0)
 TARGET: Rgb = (232, 17, 45)
-POINT_M, LINE_M, MARK_M, ARROW_M = 0.0009, 0.0015, 0.005, 0.045
+POINT_M, LINE_M, MARK_M, ARROW_M = 0.0006, 0.0016, 0.006, 0.05
 
 
 def log_base(rec: Sink, stream: Stream, base_from_surface: FloatArray) -> None:
@@ -49,7 +49,7 @@ def log_surface(now: Moment, surface: SurfaceSeen) -> None:
     points = surface.points_m
     low, high = (np.quantile(points[:, 2], (0.01, 0.99))) if len(points) else (0.0, 1.0)
     share = (points[:, 2] - low) / max(high - low, 1e-9)
-    now.show_points(f"{SCENE}/observed", points, _colors("Greys", 0.2 + 0.5 * share), POINT_M)
+    now.show_points(f"{SCENE}/observed", points, _colors("Greys", 0.05 + 0.5 * share), POINT_M)
     vertices, triangles = _grid(surface.height_m, surface.cell_m)
     columns = [
         *rr.Mesh3D.columns(vertex_positions=vertices.astype(np.float32)).partition([len(vertices)]),

@@ -10,6 +10,7 @@ from deformscope.log.exploration.moment import Moment
 from deformscope.stages.exploration import MapsKnown
 
 SUMMARY = "display/summary"
+SURE = 0.9
 
 
 def log_summary(now: Moment, maps: MapsKnown) -> None:
@@ -20,16 +21,13 @@ def summary(maps: MapsKnown) -> str:
     """Markdown: the verdict first, then the regions and the numbers."""
     gradual = maps.verdict == "gradual"
     counted = f"{maps.region_count} region{'' if maps.region_count == 1 else 's'}"
+    scored = "" if maps.iou is None else f"; IoU with the truth **{maps.iou:.2f}**"
     lines = [
         f"# {'Gradual: no regions' if gradual else counted}",
         "",
-        "| | |",
-        "| --- | --- |",
-        f"| touches | {maps.touches} |",
-        f"| between touches | {travel_m(maps):.2f} m |",
-        f"| verdict | {maps.verdict} |",
-        f"| IoU with the truth | {'not known' if maps.iou is None else f'**{maps.iou:.2f}**'} |",
-        f"| sure cells (p > 0.9) | {100 * float(np.mean(maps.label_probability > 0.9)):.0f} % |",
+        f"after **{maps.touches}** touches, {travel_m(maps):.2f} m from one to the next",
+        "",
+        f"{100 * float(np.mean(maps.label_probability > SURE)):.0f} % of the cells are sure (p > {SURE:g}){scored}",
         "",
     ]
     if gradual:
