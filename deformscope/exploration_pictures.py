@@ -14,8 +14,9 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
-from deformscope.arrays import BoolArray, FloatArray, ImageArray, IntArray
+from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.images import encode_png
 from deformscope.palette import OBSERVED, SIMULATED, hexadecimal
 from deformscope.stages.exploration import MapsKnown, NextTouch, SurfaceSeen, TouchTold
@@ -99,7 +100,7 @@ def words_png(words: str) -> bytes:
 def result_png(maps: MapsKnown, title: str = "") -> bytes:
     """The whole result in one picture: both fields with their deviations, the regions, and the truth where known."""
     figure = _figure(3 * WIDE, 2 * HIGH + 0.5)
-    drawings = (
+    drawings: tuple[tuple[Callable[[Any, MapsKnown], None], ...], ...] = (
         (functools.partial(draw_stiffness, path=True), draw_beta, draw_regions),
         (draw_stiffness_deviation, draw_beta_deviation, draw_truth),
     )
@@ -107,9 +108,7 @@ def result_png(maps: MapsKnown, title: str = "") -> bytes:
     for row, line in enumerate(drawings):
         for column, draw in enumerate(line):
             left, bottom, width, height = PLACE
-            axes = figure.add_axes(
-                ((column + left) / 3, share * (1 - row + bottom), width / 3, share * height)
-            )
+            axes = figure.add_axes(((column + left) / 3, share * (1 - row + bottom), width / 3, share * height))
             draw(axes, maps)
     figure.text(0.02, 0.975, title or "What the touches told", fontsize=14, weight="bold", va="top")
     figure.text(0.98, 0.972, _headline(maps), fontsize=11, ha="right", va="top")
@@ -255,7 +254,7 @@ def stiffness_range(stiffness: FloatArray) -> tuple[float, float]:
     if not known.size:
         return 0.1, 1.0
     low, high = float(known.min()), float(known.max())
-    powers = [10.0 ** power for power in range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 2)]
+    powers = [10.0**power for power in range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 2)]
     ends = sorted({step * power for power in powers for step in STEPS})
     first = max(end for end in ends if end <= low)
     last = min(end for end in ends if end >= high)
@@ -498,7 +497,7 @@ def _one(draw: Callable[[Any], None], place: tuple[float, float, float, float] =
     canvas: Any = figure.canvas
     figure.set_dpi(DPI)
     canvas.draw()
-    picture: ImageArray = np.asarray(canvas.buffer_rgba())[..., :3]
+    picture: npt.NDArray[np.uint8] = np.asarray(canvas.buffer_rgba())[..., :3]
     return encode_png(np.ascontiguousarray(picture))
 
 

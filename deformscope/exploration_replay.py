@@ -14,6 +14,7 @@ from types import NoneType
 from typing import Any, cast, get_args, get_type_hints
 
 import numpy as np
+import numpy.typing as npt
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.replay import Replay
@@ -93,7 +94,7 @@ def components(result: Result) -> dict[str, tuple[str, list[Any]]]:
             continue
         if kind in _ARRAYS:
             name, dtype = _ARRAYS[kind]
-            array = np.asarray(value, dtype)
+            array: npt.NDArray[Any] = np.asarray(value, dtype)
             found[field.name] = name, cast("list[Any]", array.ravel())
             found[field.name + SHAPE] = "int64", list(array.shape)
         elif kind in _VALUES:
@@ -111,7 +112,7 @@ def _result(kind: type[Result], values: dict[str, list[Any]]) -> Result:
         if field.name not in values:
             made[field.name] = None
         elif wanted in _ARRAYS:
-            flat = np.array(values[field.name], _ARRAYS[wanted][1])
+            flat: npt.NDArray[Any] = np.array(values[field.name], _ARRAYS[wanted][1])
             made[field.name] = flat.reshape(values[field.name + SHAPE])
         elif wanted in _VALUES:
             made[field.name] = wanted(values[field.name][0])

@@ -1,8 +1,8 @@
 """Pictures of a recording, made without a display: python tools/screenshot.py RUN.rrd --out shots
 
-Opens the recording in a headless viewer, sets the `frame` timeline (or `session`, for a rig's, or `touch`), saves the whole window
-and every view as PNG, and prints what the viewer complained about. Needs Vulkan; without a GPU: apt-get install
-mesa-vulkan-drivers
+Opens the recording in a headless viewer, sets the `frame` timeline (or `session`, for a rig's, or `touch`), saves the
+whole window and every view as PNG, and prints what the viewer complained about. Needs Vulkan; without a GPU: apt-get
+install mesa-vulkan-drivers
 """
 
 from __future__ import annotations

@@ -103,7 +103,8 @@ def maps(touches: int, truth: bool = True) -> MapsKnown:
     labels = (edge < X).astype(np.int64) if found else np.zeros_like(TRUTH)
     share = 1 / (1 + np.exp(-(X - edge) / (0.16 / touches)))
     log_stiffness = np.log(SOFT) + np.log(FIRM / SOFT) * (share if found else 0 * share)
-    values = [np.mean((labels == k) & (TRUTH == k)) / np.mean((labels == k) | (TRUTH == k)) for k in (0, 1)]
+    both = [((labels == label), np.equal(TRUTH, label)) for label in (0, 1)]
+    values = [np.mean(one & other) / np.mean(one | other) for one, other in both]
     return MapsKnown(
         touches=touches,
         cell_m=CELL_M,

@@ -21,9 +21,9 @@ from deformscope.stages.exploration import PhaseBegan
 PAPER = [255, 255, 255]
 TITLES = {
     "stiffness": "Stiffness field",
-    "stiffness_deviation": "Its deviation",
+    "stiffness_deviation": "Stiffness field: deviation",
     "beta": "Beta-field",
-    "beta_deviation": "Its deviation",
+    "beta_deviation": "Beta-field: deviation",
     "regions": "Regions found",
     "truth": "Truth",
 }
@@ -64,9 +64,7 @@ def _robot(streams: Sequence[Stream], size_m: tuple[float, float]) -> rrb.Contai
     ]
     lanes = rrb.StateTimelineView(contents=[f"+ /{ENTITIES[PhaseBegan]}"], origin="exploration", name="What it does")
     close = rrb.Horizontal(*looks) if len(looks) > 1 else looks[0]
-    return rrb.Vertical(
-        _scene(streams, size_m), close, *plots, lanes, row_shares=[4.2, 2.8, *[1.6] * len(plots), 1.25]
-    )
+    return rrb.Vertical(_scene(streams, size_m), close, *plots, lanes, row_shares=[4.2, 2.8, *[1.6] * len(plots), 1.25])
 
 
 def _scene(streams: Sequence[Stream], size_m: tuple[float, float]) -> rrb.View:
@@ -80,7 +78,7 @@ def _scene(streams: Sequence[Stream], size_m: tuple[float, float]) -> rrb.View:
         spatial_information=rrb.SpatialInformation(target_frame=SURFACE_FRAME),
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,
-            position=[x / 2 + 0.25 * wide, y / 2 - 1.2 * wide, (0.95 if arms else 0.8) * wide],
+            position=[x / 2 + 0.25 * wide, y / 2 - 1.05 * wide, (0.85 if arms else 0.75) * wide],
             look_target=[x / 2, y / 2 + 0.05 * wide, (0.17 if arms else 0.0) * wide],
             eye_up=[0.0, 0.0, 1.0],
         ),
@@ -92,9 +90,9 @@ def _scene(streams: Sequence[Stream], size_m: tuple[float, float]) -> rrb.View:
 def _dent() -> rrb.View:
     return rrb.Spatial3DView(
         contents=[f"+ /{DENT}/**"],
-        name="The last dent: observed and simulated",
+        name="The dent: observed blue, simulated red",
         eye_controls=rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital, position=[0.55, -2.15, 1.0], look_target=[0.0, -0.25, -0.2], eye_up=[0, 0, 1.0]
+            kind=rrb.Eye3DKind.Orbital, position=[0.5, -1.95, 0.95], look_target=[0.0, -0.2, -0.15], eye_up=[0, 0, 1.0]
         ),
         line_grid=rrb.LineGrid3D(visible=False),
         background=list(BACKGROUND),

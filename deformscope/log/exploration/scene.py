@@ -75,9 +75,7 @@ def log_contact(now: Moment, touch: TouchTold) -> None:
     """A mark with its number and the normal along which it was touched; marks stay."""
     at, path = touch.xyz_m, f"{SCENE}/contacts/{touch.number + 1}"
     now.show_points(path, at[None], CONTACT, MARK_M, [str(touch.number + 1)])
-    arrow = rr.Arrows3D.columns(
-        origins=[at], vectors=[touch.normal * ARROW_M], colors=[NORMAL], radii=[LINE_M]
-    )
+    arrow = rr.Arrows3D.columns(origins=[at], vectors=[touch.normal * ARROW_M], colors=[NORMAL], radii=[LINE_M])
     now.send(f"{path}/normal", arrow)
 
 
