@@ -33,13 +33,15 @@ EXCLUDED, STRIPES, STRIPE = "#a4a9b1", "#6f757e", 4
 """Cells that may not be touched: grey, striped, cells from stripe to stripe."""
 BETA_STEP = 0.2
 """Where a scale of beta may begin and end."""
+LEAST = 1e-9
+"""Stiffness [N/mm] below which there is none."""
 STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0)
 """Where a scale of stiffness may begin and end, so that it stays put from touch to touch."""
 
 WIDE, HIGH = 4.4, 3.3
 """One picture [inch]."""
 DPI = 130
-PLACE = (0.125, 0.12, 0.68, 0.69)
+PLACE = (0.12, 0.12, 0.71, 0.69)
 """Of a map in its picture (left, bottom, width, height): room for title, labels and colour bar."""
 ROWS_OF_WORDS = 3
 
@@ -188,8 +190,7 @@ def draw_truth(axes: Any, maps: MapsKnown) -> None:
 def draw_gain(axes: Any, plan: NextTouch, cell_m: float, contacts_m: FloatArray | None = None) -> None:
     if plan.gain is not None:
         open_gain = np.where(plan.excluded, np.nan, plan.gain)
-        high = float(np.nanmax(open_gain)) if np.isfinite(open_gain).any() else 1.0
-        _draw_map(axes, open_gain, cell_m, GAIN, "expected gain", low=0.0, high=high if high > 0 else 1.0)
+        _draw_map(axes, open_gain, cell_m, GAIN, "gain", low=0.0, high=_round_up(open_gain))
     else:
         _say(axes, "no gain computed", plan.excluded.shape, cell_m)
     _draw_excluded(axes, plan.excluded, cell_m)
@@ -201,7 +202,7 @@ def draw_gain(axes: Any, plan: NextTouch, cell_m: float, contacts_m: FloatArray 
         at = np.asarray(plan.target_m) * 100
         axes.plot(*at, "+", color="white", ms=22, mew=5.5, zorder=7)
         axes.plot(*at, "+", color=TARGET, ms=20, mew=2.8, zorder=8)
-        _title(axes, f"Next touch at x {at[0]:.1f}, y {at[1]:.1f} cm", plan.reason)
+        _title(axes, f"Next touch at ({at[0]:.1f}, {at[1]:.1f}) cm", plan.reason)
     else:
         _title(axes, "No further touch", plan.stop_reason or plan.reason)
 
@@ -250,7 +251,7 @@ def _beta_words(touch: TouchTold) -> str:
 
 def stiffness_range(stiffness: FloatArray) -> tuple[float, float]:
     """The ends of a logarithmic scale that holds these values, of those that a reader can remember."""
-    known = stiffness[np.isfinite(stiffness) & (stiffness > 0)]
+    known = stiffness[np.isfinite(stiffness) & (stiffness > LEAST)]
     if not known.size:
         return 0.1, 1.0
     low, high = float(known.min()), float(known.max())
@@ -262,7 +263,7 @@ def stiffness_range(stiffness: FloatArray) -> tuple[float, float]:
 
 
 def _round_up(values: FloatArray) -> float:
-    high = float(np.nanmax(values, initial=0.0))
+    high = float(values[np.isfinite(values)].max(initial=0.0))
     if not high > 0:
         return 1.0
     power = 10.0 ** math.floor(math.log10(high))
@@ -288,7 +289,7 @@ def _draw_map(
     _label_axes(axes)
     bar = axes.figure.colorbar(shown, cax=axes.inset_axes((1.035, 0.0, 0.045, 1.0)))
     bar.ax.tick_params(labelsize=10)
-    bar.set_label(f"[{unit}]" if len(unit) < 6 else unit, fontsize=10, labelpad=3)
+    bar.ax.text(0.0, -0.035, f"[{unit}]", transform=bar.ax.transAxes, fontsize=10, va="top", ha="left")
     if norm is not None:
         _number_log_bar(bar, norm.vmin, norm.vmax)
 
@@ -453,7 +454,7 @@ def _say(axes: Any, words: str, shape: tuple[int, ...] = (), cell_m: float = 0.0
 
 
 def _title(axes: Any, title: str, words: str) -> None:
-    wrapped = textwrap.wrap(words, 52)[:ROWS_OF_WORDS]
+    wrapped = textwrap.wrap(words, 52, break_on_hyphens=False)[:ROWS_OF_WORDS]
     axes.text(
         0.0, 1.03, "\n".join(wrapped), transform=axes.transAxes, fontsize=10, va="bottom", ha="left", color="#3b4048"
     )

@@ -24,12 +24,12 @@ from deformscope.arrays import FloatArray
 from deformscope.exploration_replay import Result
 from deformscope.frames import Stream
 from deformscope.log.exploration.blueprint import exploration_blueprint
-from deformscope.log.exploration.dent import log_dent
+from deformscope.log.exploration.dent import log_dent, log_no_dent
 from deformscope.log.exploration.moment import Moment
 from deformscope.log.exploration.phases import log_phase, log_phase_colors
 from deformscope.log.exploration.pictured import log_force, log_gain, log_height, log_maps, log_nothing_known
 from deformscope.log.exploration.scene import log_base, log_contact, log_stiffness, log_surface, log_target
-from deformscope.log.exploration.summary import log_summary
+from deformscope.log.exploration.summary import log_no_summary, log_summary
 from deformscope.log.rig.columns import Batch
 from deformscope.log.rig.warm_up import nowhere
 from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, SurfaceSeen, TouchTold
@@ -53,7 +53,10 @@ def log_exploration_start(
         if stream.kind == "arm" and stream.urdf is not None:
             log_base(rec, stream, np.eye(4) if base_from_surface is None else base_from_surface)
     batch = Batch(touch=0)
-    log_nothing_known(Moment(batch, 0))
+    start = Moment(batch, 0)
+    log_nothing_known(start)
+    log_no_dent(start)
+    log_no_summary(start)
     batch.send(rec)
 
 
@@ -74,7 +77,7 @@ def prepare_results(
             raise TypeError(f"no twin in deformscope.log.exploration shows a {type(result).__name__}")
         now.record(result)
         if isinstance(result, SurfaceSeen):
-            log_surface(now, result)
+            log_surface(now, result, colored=touch == 0)
             log_height(now, result)
         elif isinstance(result, TouchTold):
             log_contact(now, result)

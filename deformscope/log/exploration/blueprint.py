@@ -12,7 +12,7 @@ from deformscope.log.exploration.dent import DENT
 from deformscope.log.exploration.pictured import FORCE, GAIN, HEIGHT, MAPS
 from deformscope.log.exploration.scene import SCENE, SURFACE_FRAME
 from deformscope.log.exploration.summary import SUMMARY
-from deformscope.log.rig.blueprint import FLOOR, WINDOW_S
+from deformscope.log.rig.blueprint import FLOOR
 from deformscope.log.rig.columns import root
 from deformscope.log.rig.plotted import plotted
 from deformscope.palette import BACKGROUND
@@ -106,15 +106,12 @@ def _depth(stream: Stream) -> rrb.View:
 
 
 def _plot(origin: str, name: str) -> rrb.View:
-    now = rrb.TimeRangeBoundary.cursor_relative()
-    window = rrb.TimeRangeBoundary.cursor_relative(seconds=-WINDOW_S)
+    """The whole session: every touch is a peak."""
     return rrb.TimeSeriesView(
         contents=[f"+ /{origin}"],
         origin=origin,
         name=name,
         plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop),
-        time_ranges=[rrb.VisibleTimeRange("session", start=window, end=now)],
-        axis_x=rrb.archetypes.TimeAxis(view_range=rrb.TimeRange(start=window, end=now)),
     )
 
 

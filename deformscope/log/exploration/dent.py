@@ -40,6 +40,10 @@ def log_dent(now: Moment, touch: TouchTold) -> None:
     now.show_points(f"{DENT}/scale/label", middle[None], TEXT, 0.002, [f"{bar_m * 100:g} cm{drawn}"])
 
 
+def log_no_dent(now: Moment) -> None:
+    now.show_points(f"{DENT}/scale/label", np.zeros((1, 3)), TEXT, 0.002, ["no touch yet"])
+
+
 def _half_width(*clouds: FloatArray) -> float:
     return max((float(np.abs(cloud[:, :2]).max()) for cloud in clouds if len(cloud)), default=0.05)
 

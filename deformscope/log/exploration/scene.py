@@ -6,7 +6,6 @@ in it by the one transform that the scene gives.
 
 from __future__ import annotations
 
-import matplotlib as mpl
 import numpy as np
 import rerun as rr
 
@@ -23,7 +22,7 @@ from deformscope.stages.exploration import MapsKnown, NextTouch, SurfaceSeen, To
 SCENE = "display/scene"
 SURFACE_FRAME = "tf#/"
 
-BARE: Rgb = (168, 160, 140)
+HEIGHTS = "cividis"
 TABLE: Rgb = (84, 88, 96)
 CONTACT: Rgb = (255, 255, 255)
 NORMAL: Rgb = (255, 200, 0)
@@ -44,8 +43,11 @@ def log_base(rec: Sink, stream: Stream, base_from_surface: FloatArray) -> None:
     rec.log(root(f"{SCENE}/base", stream.device), stands, static=True)
 
 
-def log_surface(now: Moment, surface: SurfaceSeen) -> None:
-    """The points that the camera saw, coloured by height, and the surface of the Gaussian process below them."""
+def log_surface(now: Moment, surface: SurfaceSeen, *, colored: bool) -> None:
+    """The points that the camera saw, the brighter the lower, and the surface of the Gaussian process.
+
+    colored: by its height: as long as no map of its stiffness is known
+    """
     points = surface.points_m
     low, high = (np.quantile(points[:, 2], (0.01, 0.99))) if len(points) else (0.0, 1.0)
     share = (points[:, 2] - low) / max(high - low, 1e-9)
@@ -56,6 +58,9 @@ def log_surface(now: Moment, surface: SurfaceSeen) -> None:
         *rr.Mesh3D.columns(triangle_indices=triangles.astype(np.uint32)).partition([len(triangles)]),
         *rr.Mesh3D.columns(vertex_normals=_normals(surface).astype(np.float32)).partition([len(vertices)]),
     ]
+    if colored:
+        share = (surface.height_m.ravel() - low) / max(high - low, 1e-9)
+        columns += rr.Mesh3D.columns(vertex_colors=_colors(HEIGHTS, share)).partition([len(vertices)])
     now.send(f"{SCENE}/surface", columns)
     rows, width = surface.height_m.shape
     x, y = width * surface.cell_m, rows * surface.cell_m
@@ -66,7 +71,8 @@ def log_surface(now: Moment, surface: SurfaceSeen) -> None:
 def log_stiffness(now: Moment, maps: MapsKnown) -> None:
     """The surface in the colours of the stiffness map; its shape stays as it was seen."""
     low, high = stiffness_range(maps.stiffness_n_per_mm)
-    share = np.log(maps.stiffness_n_per_mm.ravel() / low) / np.log(high / low)
+    known = np.nan_to_num(maps.stiffness_n_per_mm.ravel(), nan=low, posinf=high, neginf=low).clip(low, high)
+    share = np.log(known / low) / np.log(high / low)
     tints = _colors(STIFFNESS, share)
     now.send(f"{SCENE}/surface", rr.Mesh3D.columns(vertex_colors=tints).partition([len(tints)]))
 
@@ -113,5 +119,7 @@ def _normals(surface: SurfaceSeen) -> FloatArray:
 
 
 def _colors(name: str, share: FloatArray) -> ColorArray:
+    import matplotlib as mpl
+
     tints: ColorArray = mpl.colormaps[name](np.clip(share, 0.0, 1.0), bytes=True)[:, :3]
     return tints

@@ -17,6 +17,10 @@ def log_summary(now: Moment, maps: MapsKnown) -> None:
     now.send(SUMMARY, rr.TextDocument.columns(text=[summary(maps)], media_type=["text/markdown"]))
 
 
+def log_no_summary(now: Moment) -> None:
+    now.send(SUMMARY, rr.TextDocument.columns(text=["# No touch yet"], media_type=["text/markdown"]))
+
+
 def summary(maps: MapsKnown) -> str:
     """Markdown: the verdict first, then the regions and the numbers."""
     gradual = maps.verdict == "gradual"
