@@ -41,7 +41,7 @@ STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0)
 WIDE, HIGH = 4.4, 3.3
 """One picture [inch]."""
 DPI = 130
-PLACE = (0.12, 0.12, 0.71, 0.69)
+PLACE = (0.12, 0.12, 0.7, 0.69)
 """Of a map in its picture (left, bottom, width, height): room for title, labels and colour bar."""
 ROWS_OF_WORDS = 3
 
@@ -289,7 +289,7 @@ def _draw_map(
     _label_axes(axes)
     bar = axes.figure.colorbar(shown, cax=axes.inset_axes((1.035, 0.0, 0.045, 1.0)))
     bar.ax.tick_params(labelsize=10)
-    bar.ax.text(0.0, -0.035, f"[{unit}]", transform=bar.ax.transAxes, fontsize=10, va="top", ha="left")
+    bar.ax.text(0.55, -0.035, f"[{unit}]", transform=bar.ax.transAxes, fontsize=10, va="top", ha="left")
     if norm is not None:
         _number_log_bar(bar, norm.vmin, norm.vmax)
 

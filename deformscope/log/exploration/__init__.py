@@ -31,10 +31,13 @@ from deformscope.log.exploration.pictured import log_force, log_gain, log_height
 from deformscope.log.exploration.scene import log_base, log_contact, log_stiffness, log_surface, log_target
 from deformscope.log.exploration.summary import log_no_summary, log_summary
 from deformscope.log.rig.columns import Batch
+from deformscope.log.rig.plotted import plotted
 from deformscope.log.rig.warm_up import nowhere
 from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, SurfaceSeen, TouchTold
 
 __all__ = ["exploration_blueprint", "log_exploration_start", "prepare_results", "warm_up"]
+
+PEAKS = rr.components.AggregationPolicy.MinMax
 
 CELL_M = 0.005
 """Of maps that do not tell it themselves."""
@@ -50,6 +53,9 @@ def log_exploration_start(
     """
     log_phase_colors(rec)
     for stream in streams:
+        if stream.kind == "wrench":
+            for path, _ in plotted(stream):  # averages of a whole touch would hide its peak
+                rec.log(path, rr.SeriesLines.from_fields(aggregation_policy=PEAKS), static=True)
         if stream.kind == "arm" and stream.urdf is not None:
             log_base(rec, stream, np.eye(4) if base_from_surface is None else base_from_surface)
     batch = Batch(touch=0)
