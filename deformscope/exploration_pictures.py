@@ -129,14 +129,14 @@ def draw_stiffness(axes: Any, maps: MapsKnown, *, path: bool = False) -> None:
     from matplotlib.colors import LogNorm
 
     low, high = stiffness_range(maps.stiffness_n_per_mm)
-    _draw_map(axes, maps.stiffness_n_per_mm, maps.cell_m, STIFFNESS, "N/mm", norm=LogNorm(low, high))
+    _draw_map(axes, maps.stiffness_n_per_mm, maps.cell_m, STIFFNESS, "[N/mm]", norm=LogNorm(low, high))
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m, path=path)
     _title(axes, "Stiffness", "apparent, at the set force")
 
 
 def draw_stiffness_deviation(axes: Any, maps: MapsKnown) -> None:
     percent = 100.0 * np.expm1(maps.stiffness_log_sd)
-    _draw_map(axes, percent, maps.cell_m, DEVIATION, "%", low=0.0, high=_round_up(percent))
+    _draw_map(axes, percent, maps.cell_m, DEVIATION, "[%]", low=0.0, high=_round_up(percent))
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
     _title(axes, "Deviation of the stiffness", "one standard deviation upwards")
 
@@ -148,7 +148,7 @@ def draw_beta(axes: Any, maps: MapsKnown) -> None:
         return
     low = math.floor(float(np.nanmin(maps.beta)) / BETA_STEP) * BETA_STEP
     high = max(math.ceil(float(np.nanmax(maps.beta)) / BETA_STEP) * BETA_STEP, low + BETA_STEP)
-    _draw_map(axes, maps.beta, maps.cell_m, BETA, "-", low=low, high=high)
+    _draw_map(axes, maps.beta, maps.cell_m, BETA, "[-]", low=low, high=high)
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
 
 
@@ -157,7 +157,7 @@ def draw_beta_deviation(axes: Any, maps: MapsKnown) -> None:
     if maps.beta_sd is None:
         _say(axes, "no beta yet", maps.labels.shape, maps.cell_m)
         return
-    _draw_map(axes, maps.beta_sd, maps.cell_m, DEVIATION, "-", low=0.0, high=_round_up(maps.beta_sd))
+    _draw_map(axes, maps.beta_sd, maps.cell_m, DEVIATION, "[-]", low=0.0, high=_round_up(maps.beta_sd))
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
 
 
@@ -208,7 +208,7 @@ def draw_gain(axes: Any, plan: NextTouch, cell_m: float, contacts_m: FloatArray 
 
 
 def draw_height(axes: Any, surface: SurfaceSeen) -> None:
-    _draw_map(axes, surface.height_m * 1e3, surface.cell_m, HEIGHT, "mm")
+    _draw_map(axes, surface.height_m * 1e3, surface.cell_m, HEIGHT, "[mm]")
     _draw_levels(axes, surface.deviation_m * 1e3, surface.cell_m, "mm")
     _title(axes, "Height of the surface", "lines: one standard deviation")
 
@@ -232,8 +232,8 @@ def draw_force(axes: Any, touch: TouchTold) -> None:
     if touch.rigid:
         told = f"stiffer than {touch.stiffness_n_per_mm:.3g} N/mm"
     else:
-        told = f"{touch.stiffness_n_per_mm:.3g} N/mm ({low:.3g} to {high:.3g})"
-    words = [f"{touch.depth_m * 1e3:.1f} mm at {touch.peak_force_n:.2f} N"]
+        told = f"{touch.stiffness_n_per_mm:.3g} N/mm"
+    words = [f"interval {low:.3g} to {high:.3g}", f"{touch.depth_m * 1e3:.1f} mm at {touch.peak_force_n:.2f} N"]
     if touch.modulus_pa is not None:
         words.append(f"modulus {touch.modulus_pa / 1e3:.3g} kPa")
     words.append(_beta_words(touch))
@@ -275,7 +275,7 @@ def _draw_map(
     values: FloatArray,
     cell_m: float,
     colors: str,
-    unit: str,
+    label: str,
     *,
     low: float | None = None,
     high: float | None = None,
@@ -289,7 +289,7 @@ def _draw_map(
     _label_axes(axes)
     bar = axes.figure.colorbar(shown, cax=axes.inset_axes((1.035, 0.0, 0.045, 1.0)))
     bar.ax.tick_params(labelsize=10)
-    bar.ax.text(0.55, -0.035, f"[{unit}]", transform=bar.ax.transAxes, fontsize=10, va="top", ha="left")
+    bar.ax.text(0.55, -0.035, label, transform=bar.ax.transAxes, fontsize=10, va="top", ha="left")
     if norm is not None:
         _number_log_bar(bar, norm.vmin, norm.vmax)
 
@@ -470,8 +470,8 @@ def _counted(number: int, word: str) -> str:
 
 
 def _headline(maps: MapsKnown) -> str:
-    said = [_counted(maps.touches, "touch").replace("touchs", "touches"), f"verdict: {maps.verdict}"]
-    said.append(_counted(maps.region_count, "region"))
+    found = "gradual: no regions" if maps.verdict == "gradual" else _counted(maps.region_count, "region")
+    said = [f"{maps.touches} touch{'' if maps.touches == 1 else 'es'}", found]
     if maps.iou is not None:
         said.append(f"IoU {maps.iou:.2f}")
     said.append(f"{travel_m(maps):.2f} m between touches")
