@@ -20,7 +20,7 @@ ABOVE_FRAMES = tuple(
     f"deformscope.{name}"
     for name in (
         *("sources", "replay", "log", "recorder", "session", "experiments", "cli", "config", "lab", "bench"),
-        *("closeup", "pictures", "report", "rig_replay", "rig_streams"),
+        *("closeup", "pictures", "report", "rig_replay", "rig_streams", "exploration_pictures", "exploration_replay"),
     )
 )
 FORBIDDEN = {
@@ -41,6 +41,14 @@ FORBIDDEN = {
     "deformscope.pictures": (
         *("deformscope.log", "deformscope.session", "deformscope.recorder", "deformscope.experiments"),
         *("deformscope.cli", "deformscope.lab", "rerun"),
+    ),
+    "deformscope.exploration_pictures": (
+        *("deformscope.log", "deformscope.session", "deformscope.recorder", "deformscope.experiments"),
+        *("deformscope.cli", "deformscope.lab", "rerun"),
+    ),
+    "deformscope.exploration_replay": (
+        *("deformscope.log", "deformscope.recorder", "deformscope.session", "deformscope.lab"),
+        *("deformscope.experiments", "deformscope.cli", "rerun"),
     ),
     "deformscope.report": ("deformscope.stages", "deformscope.cli", "deformscope.pictures", "numpy", "rerun"),
     "deformscope.recorder": ("deformscope.experiments", "deformscope.cli", "deformscope.lab"),

@@ -1,8 +1,8 @@
 """Pictures of a recording, made without a display: python tools/screenshot.py RUN.rrd --out shots
 
-Opens the recording in a headless viewer, sets the `frame` timeline (or `session`, for a rig's), saves the whole window
-and every view as PNG, and prints what the viewer complained about. Needs Vulkan; without a GPU: apt-get install
-mesa-vulkan-drivers
+Opens the recording in a headless viewer, sets the `frame` timeline (or `session`, for a rig's, or `touch`), saves the
+whole window and every view as PNG, and prints what the viewer complained about. Needs Vulkan; without a GPU: apt-get
+install mesa-vulkan-drivers
 """
 
 from __future__ import annotations
@@ -35,13 +35,15 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("shots"))
     parser.add_argument("--frame", type=int, help="default: the last one")
     parser.add_argument("--session", type=float, metavar="S", help="a moment of the session [s] instead of a frame")
+    parser.add_argument("--touch", type=int, help="a touch of an exploration instead of a frame")
     parser.add_argument("--prefix", default="")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     with headless_viewer() as viewer:
         complaints = shoot(
-            viewer, arguments.recording, arguments.out, arguments.frame, arguments.prefix, arguments.session
-        )
+            viewer, arguments.recording, arguments.out, arguments.frame, arguments.prefix, arguments.session,
+            arguments.touch,
+        )  # fmt: skip
     for line in complaints:
         print(line)
     print(f"{len(complaints)} complaints of the viewer")
@@ -83,6 +85,7 @@ def shoot(
     frame: int | None = None,
     prefix: str = "",
     session_s: float | None = None,
+    touch: int | None = None,
 ) -> list[str]:
     """Save PNGs of the window and of every view; what the views and the viewer's log complain about."""
     opened = viewer.open(str(recording.resolve()))
@@ -91,7 +94,9 @@ def shoot(
     deadline = time.monotonic() + LOAD_TIMEOUT_S
     while viewer.get_state().loading and time.monotonic() < deadline:
         time.sleep(0.1)
-    if session_s is not None:
+    if touch is not None:
+        viewer.set_time("touch", sequence=touch, play_state="paused")
+    elif session_s is not None:
         viewer.set_time("session", duration=session_s, play_state="paused")
     else:
         viewer.set_time("frame", sequence=last_frame(recording) if frame is None else frame, play_state="paused")

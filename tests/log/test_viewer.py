@@ -17,11 +17,13 @@ from rerun.experimental import ViewerClient
 
 from deformscope import live
 from deformscope.frames import ArmFrame, HealthReport
-from deformscope.log.rig import log_items, log_streams, rig_blueprint
+from deformscope.log.exploration import exploration_blueprint, log_exploration_start, prepare_results
+from deformscope.log.rig import log_items, log_streams, prepare_items, rig_blueprint
 from deformscope.recorder import Recorder
 from deformscope.session import Step, run
 from deformscope.sources import open_source
-from tests.log import synthetic, synthetic_rig
+from deformscope.stages.exploration import MapsKnown
+from tests.log import synthetic, synthetic_exploration, synthetic_rig
 from tests.test_closeup import poked
 from tools import screenshot
 from tools.screenshot import LAVAPIPE, headless_viewer, shoot
@@ -181,3 +183,32 @@ def test_a_stopped_viewer_costs_the_picture_alone(tmp_path: Path, monkeypatch: p
     assert made.summary().frames == 400
     assert closed_s < 15
     assert time.monotonic() - started < 40
+
+
+@pytest.mark.parametrize(("touch", "truth"), [(0, True), (2, True), (2, False)])
+def test_an_exploration(tmp_path: Path, viewer: ViewerClient, touch: int, truth: bool) -> None:
+    """Every view shows something, before the first touch too, and arm and surface stand in one scene."""
+    path = tmp_path / "run.rrd"
+    kinds = ("wrench", "arm", "depth")
+    streams = [replace(stream, urdf=synthetic_rig.URDF) for stream in synthetic_rig.STREAMS if stream.kind in kinds]
+    rec = rr.RecordingStream("deformscope-explore-test", recording_id="viewer")
+    rec.set_sinks(rr.FileSink(path))
+    rec.send_blueprint(exploration_blueprint(streams, truth=truth))
+    log_streams(rec, streams)
+    log_exploration_start(rec, streams)
+    devices = {stream.device for stream in streams}
+    items = [one for one in synthetic_rig.items(0.5, (48, 64)) if getattr(one, "device", "") in devices]
+    prepare_items(
+        [one for one in items if not isinstance(one, ArmFrame)], synthetic_rig.START_NS, streams, touch=0
+    ).send(rec)
+    for at, number, result in synthetic_exploration.story():
+        if number <= touch:
+            shown = replace(result, truth_labels=None) if isinstance(result, MapsKnown) and not truth else result
+            prepare_results([shown], round(at * 1e9), number).send(rec)
+    rec.flush(timeout_sec=10)
+    rec.disconnect()
+    assert shoot(viewer, path, tmp_path, touch=touch) == []
+    shots = {shot.stem: cv2.imread(str(shot)) for shot in tmp_path.glob("*.png")}
+    assert "Truth" in shots if truth else "Surface" in shots
+    for name, shot in shots.items():
+        assert shot.std() > 3, name

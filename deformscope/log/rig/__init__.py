@@ -80,15 +80,19 @@ def log_items(
 
 
 def prepare_items(
-    items: Sequence[Item], start_ns: int, streams: Sequence[Stream], lossless: Collection[str] = ()
+    items: Sequence[Item],
+    start_ns: int,
+    streams: Sequence[Stream],
+    lossless: Collection[str] = (),
+    touch: int | None = None,
 ) -> Batch:
     """Make a batch of items ready, in any order, for one stream or several: the cost is by device, little by item.
 
     start_ns: host time at which `session` is 0 [ns]; lossless: devices whose 8 bit colour images are kept as PNG
     rather than JPEG, because something is computed from them (some 9 ms for 640 x 480 instead of 1 ms, and ten times
-    the bytes)
+    the bytes); touch: of an exploration, in which the items came: where they stand on the timeline `touch`
     """
-    batch = Batch()
+    batch = Batch(touch)
     known = {(stream.kind, stream.device): stream for stream in streams}
     for (kind, device), group in _by_device(items).items():
         if kind is WrenchFrame:

@@ -17,17 +17,23 @@ Columns = Iterable[rr.ComponentColumn]
 
 
 class Batch:
-    """Calls to rerun that are made ready once, images encoded, and sent to any number of streams."""
+    """Calls to rerun that are made ready once, images encoded, and sent to any number of streams.
 
-    def __init__(self) -> None:
+    touch: of an exploration: all rows stand at it on the timeline `touch` too
+    """
+
+    def __init__(self, touch: int | None = None) -> None:
         self.bytes = 0
+        self._touch = touch
         self._calls: list[Callable[[rr.RecordingStream], None]] = []
 
     def send_columns(self, path: str, times: Sequence[rr.TimeColumn], columns: Columns) -> None:
         """As that of a stream."""
-        ready = list(columns)
+        ready, when = list(columns), list(times)
+        if self._touch is not None:
+            when.append(rr.TimeColumn("touch", sequence=np.full(len(when[0].as_arrow_array()), self._touch)))
         self.bytes += sum(column.as_arrow_array().nbytes for column in ready)
-        self._calls.append(lambda rec: rec.send_columns(path, times, ready))
+        self._calls.append(lambda rec: rec.send_columns(path, when, ready))
 
     def log(self, path: str, entity: rr.AsComponents, *, static: bool) -> None:
         """As that of a stream."""

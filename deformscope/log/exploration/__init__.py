@@ -1,0 +1,110 @@
+"""How an exploration is recorded and shown: every result without loss, and beside it what a person looks at.
+
+Every row is at `session`, the time since the recording's start, and at `touch`: 0 before the first touch, then the
+number of the touch that it belongs to, from 1. `deformscope.exploration_replay` reads the results back.
+
+    exploration/surface|touch|maps|plan   one row a result, every field of it a component of the same name
+    exploration/phase                     likewise, and the state that a timeline shows
+    display/scene/...                     the surface in space, the contacts, the next touch; the arm stands in it
+    display/dent/...                      close up: observed points and simulated particles around the last touch
+    display/maps/...                      pictures of the maps with their axes and colour bars
+    display/plan/gain                     why the next touch goes where it goes
+    display/touch/force                   force over depth
+    display/summary                       what is known, in words
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import rerun as rr
+
+from deformscope.arrays import FloatArray
+from deformscope.exploration_replay import Result
+from deformscope.frames import Stream
+from deformscope.log.exploration.blueprint import exploration_blueprint
+from deformscope.log.exploration.dent import log_dent, log_no_dent
+from deformscope.log.exploration.moment import Moment
+from deformscope.log.exploration.phases import log_phase, log_phase_colors
+from deformscope.log.exploration.pictured import log_force, log_gain, log_height, log_maps, log_nothing_known
+from deformscope.log.exploration.scene import log_base, log_contact, log_stiffness, log_surface, log_target
+from deformscope.log.exploration.summary import log_no_summary, log_summary
+from deformscope.log.rig.columns import Batch
+from deformscope.log.rig.plotted import plotted
+from deformscope.log.rig.warm_up import nowhere
+from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, SurfaceSeen, TouchTold
+
+__all__ = ["exploration_blueprint", "log_exploration_start", "prepare_results", "warm_up"]
+
+PEAKS = rr.components.AggregationPolicy.MinMax
+
+CELL_M = 0.005
+"""Of maps that do not tell it themselves."""
+
+
+def log_exploration_start(
+    rec: rr.RecordingStream, streams: Sequence[Stream], base_from_surface: FloatArray | None = None
+) -> None:
+    """What holds throughout: the phases' colours, and where each arm's base stands in the surface frame; and, at the
+    start, that nothing is known yet.
+
+    base_from_surface: (4, 4), takes positions from the surface frame to the arm's base frame [m]; None = the same
+    """
+    log_phase_colors(rec)
+    for stream in streams:
+        if stream.kind == "wrench":
+            for path, _ in plotted(stream):  # averages of a whole touch would hide its peak
+                rec.log(path, rr.SeriesLines.from_fields(aggregation_policy=PEAKS), static=True)
+        if stream.kind == "arm" and stream.urdf is not None:
+            log_base(rec, stream, np.eye(4) if base_from_surface is None else base_from_surface)
+    batch = Batch(touch=0)
+    start = Moment(batch, 0)
+    log_nothing_known(start)
+    log_no_dent(start)
+    log_no_summary(start)
+    batch.send(rec)
+
+
+def prepare_results(
+    results: Sequence[object], session_ns: int, touch: int, frame: int | None = None, *, cell_m: float = CELL_M
+) -> Batch:
+    """Make results ready for one stream or several, pictures drawn: some 0.1 s a picture, six of them for the maps.
+
+    session_ns: when, since the recording's start [ns]; touch: 0 before the first touch, then the touch's number from 1
+    frame: of the depth camera, at which they came, None = none; cell_m: of a plan's maps, where no map beside it tells
+    A plan that comes with maps is drawn over their contacts. Raises TypeError for what is no result of an exploration.
+    """
+    batch = Batch(touch)
+    now = Moment(batch, session_ns, frame)
+    maps = next((result for result in results if isinstance(result, MapsKnown)), None)
+    for result in results:
+        if not isinstance(result, Result):
+            raise TypeError(f"no twin in deformscope.log.exploration shows a {type(result).__name__}")
+        now.record(result)
+        if isinstance(result, SurfaceSeen):
+            log_surface(now, result, colored=touch == 0)
+            log_height(now, result)
+        elif isinstance(result, TouchTold):
+            log_contact(now, result)
+            log_dent(now, result)
+            log_force(now, result)
+        elif isinstance(result, MapsKnown):
+            log_stiffness(now, result)
+            log_maps(now, result)
+            log_summary(now, result)
+        elif isinstance(result, NextTouch):
+            log_target(now, result)
+            log_gain(now, result, cell_m if maps is None else maps.cell_m, None if maps is None else maps.contacts_m)
+        elif isinstance(result, PhaseBegan):
+            log_phase(now, result)
+    return batch
+
+
+def warm_up() -> None:
+    """Draw one of each picture, before the robot moves: the first costs half a second more than the others."""
+    from deformscope.log.exploration.small import small_results
+
+    rec = nowhere()
+    prepare_results(small_results(), 0, 0).send(rec)
+    rec.disconnect()

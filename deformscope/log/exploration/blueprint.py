@@ -1,0 +1,127 @@
+"""What a person sees of an exploration in one window: the robot at the left, what it knows at the right."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import rerun.blueprint as rrb
+
+from deformscope.exploration_replay import ENTITIES
+from deformscope.frames import Stream
+from deformscope.log.exploration.dent import DENT
+from deformscope.log.exploration.pictured import FORCE, GAIN, HEIGHT, MAPS
+from deformscope.log.exploration.scene import SCENE, SURFACE_FRAME
+from deformscope.log.exploration.summary import SUMMARY
+from deformscope.log.rig.blueprint import FLOOR
+from deformscope.log.rig.columns import root
+from deformscope.log.rig.plotted import plotted
+from deformscope.palette import BACKGROUND
+from deformscope.stages.exploration import PhaseBegan
+
+PAPER = [255, 255, 255]
+TITLES = {
+    "stiffness": "Stiffness field",
+    "stiffness_deviation": "Stiffness field: deviation",
+    "beta": "Beta-field",
+    "beta_deviation": "Beta-field: deviation",
+    "regions": "Regions found",
+    "truth": "Truth",
+}
+
+
+def exploration_blueprint(
+    streams: Sequence[Stream], size_m: tuple[float, float] = (0.6, 0.4), *, truth: bool = True
+) -> rrb.Blueprint:
+    """The views of an exploration with these devices.
+
+    size_m: of the surface along x and y; truth: whether it is known: else the surface's height stands in its place
+    """
+    maps = {name: _picture(path, title) for (name, title), path in zip(TITLES.items(), MAPS, strict=True)}
+    gain, force = _picture(GAIN, "Why the next touch goes there"), _picture(FORCE, "Force over depth")
+    beside = maps["truth"] if truth else _picture(HEIGHT, "Surface")
+    known = rrb.Vertical(
+        rrb.Horizontal(maps["stiffness"], maps["stiffness_deviation"], gain),
+        rrb.Horizontal(maps["beta"], maps["beta_deviation"], force),
+        rrb.Horizontal(maps["regions"], beside, _summary()),
+    )
+    time = rrb.TimePanel(timeline="session", state="collapsed", play_state="following")
+    return rrb.Blueprint(
+        rrb.Horizontal(_robot(streams, size_m), known, column_shares=[4, 6]),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        time,
+    )
+
+
+def _robot(streams: Sequence[Stream], size_m: tuple[float, float]) -> rrb.Container:
+    looks = [_dent(), *(_depth(stream) for stream in streams if stream.kind == "depth")]
+    plots = [
+        _plot(path, f"{stream.device}: {title}{_simulated(stream)}")
+        for stream in streams
+        if stream.kind == "wrench"
+        for path, title in plotted(stream)
+        if "force" in title
+    ]
+    lanes = rrb.StateTimelineView(contents=[f"+ /{ENTITIES[PhaseBegan]}"], origin="exploration", name="What it does")
+    close = rrb.Horizontal(*looks) if len(looks) > 1 else looks[0]
+    return rrb.Vertical(_scene(streams, size_m), close, *plots, lanes, row_shares=[4.2, 2.8, *[1.6] * len(plots), 1.25])
+
+
+def _scene(streams: Sequence[Stream], size_m: tuple[float, float]) -> rrb.View:
+    """Seen from the front, above and to the side, near enough that surface and arm fit."""
+    arms = [stream for stream in streams if stream.kind == "arm" and stream.urdf is not None]
+    x, y = size_m
+    wide = max(x, y)
+    return rrb.Spatial3DView(
+        contents=[f"+ /{SCENE}/**", *(f"+ /{root('display/arm', arm.device)}/**" for arm in arms)],
+        name=f"Surface{''.join(f' and {arm.device}{_simulated(arm)}' for arm in arms)}",
+        spatial_information=rrb.SpatialInformation(target_frame=SURFACE_FRAME),
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital,
+            position=[x / 2 + 0.25 * wide, y / 2 - 1.05 * wide, (0.85 if arms else 0.75) * wide],
+            look_target=[x / 2, y / 2 + 0.05 * wide, (0.17 if arms else 0.0) * wide],
+            eye_up=[0.0, 0.0, 1.0],
+        ),
+        line_grid=rrb.LineGrid3D(visible=True, spacing=0.1, color=FLOOR),
+        background=list(BACKGROUND),
+    )
+
+
+def _dent() -> rrb.View:
+    return rrb.Spatial3DView(
+        contents=[f"+ /{DENT}/**"],
+        name="The dent: observed blue, simulated red",
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital, position=[0.5, -1.95, 0.95], look_target=[0.0, -0.2, -0.15], eye_up=[0, 0, 1.0]
+        ),
+        line_grid=rrb.LineGrid3D(visible=False),
+        background=list(BACKGROUND),
+    )
+
+
+def _depth(stream: Stream) -> rrb.View:
+    origin = root("depth", stream.device)
+    contents = [f"+ /{origin}", f"+ /{root('display/depth', stream.device)}"]
+    return rrb.Spatial2DView(contents=contents, name=f"{stream.device}: depth [m]{_simulated(stream)}")
+
+
+def _plot(origin: str, name: str) -> rrb.View:
+    """The whole session: every touch is a peak."""
+    return rrb.TimeSeriesView(
+        contents=[f"+ /{origin}"],
+        origin=origin,
+        name=name,
+        plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop),
+    )
+
+
+def _picture(path: str, name: str) -> rrb.View:
+    return rrb.Spatial2DView(contents=[f"+ /{path}"], name=name, background=PAPER)
+
+
+def _summary() -> rrb.View:
+    return rrb.TextDocumentView(contents=[f"+ /{SUMMARY}"], origin=SUMMARY, name="What is known")
+
+
+def _simulated(stream: Stream) -> str:
+    return " (SIMULATED)" if stream.simulated else ""

@@ -1,0 +1,80 @@
+"""The last dent close up: what was observed, and the particles of the model that was fitted to it."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from deformscope.arrays import FloatArray
+from deformscope.log.canvas import TEXT
+from deformscope.log.exploration.moment import Moment
+from deformscope.palette import OBSERVED, SIMULATED, Rgb
+from deformscope.stages.exploration import TouchTold
+from deformscope.stages.triangulation import triangulate
+
+DENT = "display/dent"
+MOST_DRAWN_OUT, SHARE = 8.0, 0.35
+"""Heights are drawn out until the dent is this share of the half width, and at most so many times."""
+NEIGHBOURS = 1.3
+"""Lines are drawn to particles that are at most so many times as far as is usual."""
+STEPS = (1.0, 2.0, 3.0, 5.0, 8.0)
+FRAME: Rgb = (150, 155, 165)
+
+
+def log_dent(now: Moment, touch: TouchTold) -> None:
+    """Around the contact; half the width is 1, heights drawn out. The values themselves stand in the result."""
+    observed, simulated = touch.observed_m - touch.xyz_m, touch.simulated_m - touch.xyz_m
+    half = _half_width(observed, simulated)
+    top = _top(simulated)
+    times = _drawn_out(touch.depth_m, half)
+    scale = np.array([1.0, 1.0, times]) / half
+    now.show_points(f"{DENT}/observed", observed * scale, OBSERVED, 0.013)
+    now.show_points(f"{DENT}/simulated", top * scale, SIMULATED, 0.022)
+    now.show_lines(f"{DENT}/simulated/net", _net(top) * scale, SIMULATED, 0.004)
+    bar_m = _bar(half)
+    floor = float(min((top[:, 2] * scale[2]).min(initial=0.0), (observed[:, 2] * scale[2]).min(initial=0.0)))
+    ends = np.array([[-0.5 * bar_m / half, -1.15, floor], [0.5 * bar_m / half, -1.15, floor]])
+    now.show_lines(f"{DENT}/scale", ends[None], FRAME, 0.012)
+    drawn = f", heights drawn {times:g} times" if times > 1 else ""
+    middle = ends.mean(axis=0)
+    now.show_points(f"{DENT}/scale/label", middle[None], TEXT, 0.002, [f"{bar_m * 100:g} cm{drawn}"])
+
+
+def log_no_dent(now: Moment) -> None:
+    now.show_points(f"{DENT}/scale/label", np.zeros((1, 3)), TEXT, 0.002, ["no touch yet"])
+
+
+def _half_width(*clouds: FloatArray) -> float:
+    return max((float(np.abs(cloud[:, :2]).max()) for cloud in clouds if len(cloud)), default=0.05)
+
+
+def _top(particles: FloatArray) -> FloatArray:
+    """Those with no other above them: what a camera could see of a body made of layers."""
+    if len(particles) < 2:
+        return particles
+    flat = cKDTree(particles[:, :2])
+    near = 0.5 * float(np.median(cKDTree(particles).query(particles, k=2)[0][:, 1]))
+    highest = [particles[rows, 2].max() for rows in flat.query_ball_point(particles[:, :2], near)]
+    return particles[particles[:, 2] >= highest]
+
+
+def _net(top: FloatArray) -> FloatArray:
+    """(n, 2, 3) lines between neighbours."""
+    triangles = triangulate(top[:, :2])
+    if not len(triangles):
+        return np.zeros((0, 2, 3))
+    sides = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    pairs = np.unique(np.sort(sides, axis=1), axis=0)
+    apart = np.linalg.norm(top[pairs[:, 0], :2] - top[pairs[:, 1], :2], axis=1)
+    return np.asarray(top[pairs[apart <= NEIGHBOURS * float(np.median(apart))]])
+
+
+def _drawn_out(depth_m: float, half: float) -> float:
+    wanted = SHARE * half / max(depth_m, 1e-6)
+    return max((step for step in STEPS if step <= min(wanted, MOST_DRAWN_OUT)), default=1.0)
+
+
+def _bar(half: float) -> float:
+    """A round length of about half the width [m]."""
+    power = 10.0 ** np.floor(np.log10(half))
+    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= half))

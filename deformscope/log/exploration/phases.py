@@ -1,0 +1,31 @@
+"""What the robot does, as a lane over time."""
+
+from __future__ import annotations
+
+import rerun as rr
+
+from deformscope.exploration_replay import ENTITIES
+from deformscope.log.exploration.moment import Moment
+from deformscope.log.rig.columns import Sink
+from deformscope.palette import BAD, Rgb
+from deformscope.stages.exploration import PhaseBegan
+
+PHASES: dict[str, Rgb] = {
+    "look": (86, 180, 233),
+    "plan": (150, 120, 220),
+    "travel": (110, 115, 125),
+    "approach": (230, 159, 0),
+    "press": (213, 94, 0),
+    "dwell": (0, 158, 115),
+    "retreat": (150, 155, 165),
+    "stopped": BAD,
+}
+
+
+def log_phase_colors(rec: Sink) -> None:
+    colored = rr.StateConfiguration(values=list(PHASES), colors=list(PHASES.values()))
+    rec.log(ENTITIES[PhaseBegan], colored, static=True)
+
+
+def log_phase(now: Moment, phase: PhaseBegan) -> None:
+    now.send(ENTITIES[PhaseBegan], rr.StateChange.columns(state=[phase.name]))

@@ -1,0 +1,125 @@
+"""The surface in space, in its own frame, and the arm over it.
+
+The surface frame is the root of all frames, `tf#/`: entities need no transform of their own, and an arm's base stands
+in it by the one transform that the scene gives.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.exploration_pictures import STIFFNESS, stiffness_range
+from deformscope.frames import Stream
+from deformscope.log.canvas import TEXT
+from deformscope.log.exploration.moment import Moment
+from deformscope.log.rig.arm import shape_of
+from deformscope.log.rig.columns import Sink, root
+from deformscope.palette import ColorArray, Rgb
+from deformscope.stages.exploration import MapsKnown, NextTouch, SurfaceSeen, TouchTold
+
+SCENE = "display/scene"
+SURFACE_FRAME = "tf#/"
+
+HEIGHTS = "cividis"
+TABLE: Rgb = (84, 88, 96)
+CONTACT: Rgb = (255, 255, 255)
+NORMAL: Rgb = (255, 200, 0)
+TARGET: Rgb = (232, 17, 45)
+POINT_M, LINE_M, MARK_M, ARROW_M = 0.0006, 0.0016, 0.006, 0.05
+
+
+def log_base(rec: Sink, stream: Stream, base_from_surface: FloatArray) -> None:
+    """Where an arm's base stands. base_from_surface: (4, 4)"""
+    assert stream.urdf is not None
+    surface_from_base = np.linalg.inv(base_from_surface)
+    stands = rr.Transform3D(
+        translation=surface_from_base[:3, 3],
+        mat3x3=surface_from_base[:3, :3],
+        parent_frame=SURFACE_FRAME,
+        child_frame=shape_of(stream.urdf, stream.device).base,
+    )
+    rec.log(root(f"{SCENE}/base", stream.device), stands, static=True)
+
+
+def log_surface(now: Moment, surface: SurfaceSeen, *, colored: bool) -> None:
+    """The points that the camera saw, the brighter the lower, and the surface of the Gaussian process.
+
+    colored: by its height: as long as no map of its stiffness is known
+    """
+    points = surface.points_m
+    low, high = (np.quantile(points[:, 2], (0.01, 0.99))) if len(points) else (0.0, 1.0)
+    share = (points[:, 2] - low) / max(high - low, 1e-9)
+    now.show_points(f"{SCENE}/observed", points, _colors("Greys", 0.05 + 0.5 * share), POINT_M)
+    vertices, triangles = _grid(surface.height_m, surface.cell_m)
+    columns = [
+        *rr.Mesh3D.columns(vertex_positions=vertices.astype(np.float32)).partition([len(vertices)]),
+        *rr.Mesh3D.columns(triangle_indices=triangles.astype(np.uint32)).partition([len(triangles)]),
+        *rr.Mesh3D.columns(vertex_normals=_normals(surface).astype(np.float32)).partition([len(vertices)]),
+    ]
+    if colored:
+        share = (surface.height_m.ravel() - low) / max(high - low, 1e-9)
+        columns += rr.Mesh3D.columns(vertex_colors=_colors(HEIGHTS, share)).partition([len(vertices)])
+    now.send(f"{SCENE}/surface", columns)
+    rows, width = surface.height_m.shape
+    x, y = width * surface.cell_m, rows * surface.cell_m
+    corners = np.array([[0, 0, 0], [x, 0, 0], [x, y, 0], [0, y, 0], [0, 0, 0]], dtype=np.float64)
+    now.show_lines(f"{SCENE}/table", corners[None], TABLE, LINE_M)
+
+
+def log_stiffness(now: Moment, maps: MapsKnown) -> None:
+    """The surface in the colours of the stiffness map; its shape stays as it was seen."""
+    low, high = stiffness_range(maps.stiffness_n_per_mm)
+    known = np.nan_to_num(maps.stiffness_n_per_mm.ravel(), nan=low, posinf=high, neginf=low).clip(low, high)
+    share = np.log(known / low) / np.log(high / low)
+    tints = _colors(STIFFNESS, share)
+    now.send(f"{SCENE}/surface", rr.Mesh3D.columns(vertex_colors=tints).partition([len(tints)]))
+
+
+def log_contact(now: Moment, touch: TouchTold) -> None:
+    """A mark with its number and the normal along which it was touched; marks stay."""
+    at, path = touch.xyz_m, f"{SCENE}/contacts/{touch.number + 1}"
+    now.show_points(path, at[None], CONTACT, MARK_M, [str(touch.number + 1)])
+    arrow = rr.Arrows3D.columns(origins=[at], vectors=[touch.normal * ARROW_M], colors=[NORMAL], radii=[LINE_M])
+    now.send(f"{path}/normal", arrow)
+
+
+def log_target(now: Moment, plan: NextTouch) -> None:
+    """A red line where the next touch goes; none where none follows."""
+    if plan.target_m is None:
+        now.send(f"{SCENE}/target", rr.LineStrips3D.columns(strips=np.zeros((0, 2, 3), np.float32)).partition([0]))
+        now.send(f"{SCENE}/target/name", rr.Points3D.columns(positions=np.zeros((0, 3))).partition([0]))
+        return
+    x, y = plan.target_m
+    top = np.array([x, y, TARGET_TOP_M])
+    now.show_lines(f"{SCENE}/target", np.array([[[x, y, 0.0], top]]), TARGET, LINE_M)
+    now.show_points(f"{SCENE}/target/name", top[None], TEXT, 0.0005, ["next"])
+
+
+TARGET_TOP_M = 0.12
+
+
+def _grid(height_m: FloatArray, cell_m: float) -> tuple[FloatArray, IntArray]:
+    """(n, 3) cell centres, (m, 3) triangles between them."""
+    rows, columns = height_m.shape
+    y, x = (np.mgrid[:rows, :columns] + 0.5) * cell_m
+    vertices = np.stack([x, y, height_m], axis=-1).reshape(-1, 3)
+    place = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = (one.ravel() for one in (place[:-1, :-1], place[:-1, 1:], place[1:, 1:], place[1:, :-1]))
+    triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    return vertices, triangles
+
+
+def _normals(surface: SurfaceSeen) -> FloatArray:
+    """(n, 3) out of the surface, so that dents are shaded."""
+    down_y, down_x = np.gradient(surface.height_m, surface.cell_m)
+    normals = np.stack([-down_x, -down_y, np.ones_like(down_x)], axis=-1).reshape(-1, 3)
+    return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
+
+
+def _colors(name: str, share: FloatArray) -> ColorArray:
+    import matplotlib as mpl
+
+    tints: ColorArray = mpl.colormaps[name](np.clip(share, 0.0, 1.0), bytes=True)[:, :3]
+    return tints

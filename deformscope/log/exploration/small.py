@@ -1,0 +1,22 @@
+"""One small result of each kind."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deformscope.exploration_replay import Result
+from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, SurfaceSeen, TouchTold
+
+
+def small_results() -> tuple[Result, ...]:
+    field, way, at = np.ones((4, 6)), np.linspace(0.0, 0.01, 5), np.zeros(3)
+    labels = np.zeros((4, 6), np.int64)
+    labels[:, 3:] = 1
+    cloud = np.ones((3, 3))
+    told = TouchTold(
+        *(0, at, np.array([0.0, 0.0, 1.0]), way, way, way, 0.0, 1.0, (0.9, 1.1), False, None, 0.01, 3.0),
+        *(None, None, "", cloud, cloud),
+    )
+    maps = MapsKnown(1, 0.005, field, field, field, field, labels, field, 2, "regions", at[None, :2], 0.01, labels, 1.0)
+    plan = NextTouch(at[:2], field, field, labels == 1, "")
+    return SurfaceSeen(cloud, field, field, 0.005), told, maps, plan, PhaseBegan("look", 0)

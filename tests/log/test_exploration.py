@@ -1,0 +1,240 @@
+"""What an exploration found is recorded without loss, and what is shown of it is what was found."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rerun as rr
+from rerun.chunk import RrdReader
+
+from deformscope.exploration_replay import Recorded, read_results
+from deformscope.frames import Item, Stream
+from deformscope.log.exploration import exploration_blueprint, log_exploration_start, prepare_results, warm_up
+from deformscope.log.exploration.small import small_results
+from deformscope.log.exploration.summary import summary
+from deformscope.log.rig import log_streams, prepare_items
+from deformscope.rig_replay import read_items
+from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, TouchTold
+from tests.log import synthetic_exploration as synthetic
+from tests.log import synthetic_rig as rig
+from tests.log.test_rig import assert_same, cells, same
+
+BASE_FROM_SURFACE = np.array(
+    [[0.0, -1.0, 0.0, 0.35], [1.0, 0.0, 0.0, -0.3], [0.0, 0.0, 1.0, -0.02], [0.0, 0.0, 0.0, 1.0]]
+)
+ARM = dataclasses.replace(rig.STREAMS[2], urdf=rig.URDF)
+
+Told = tuple[int, int, Sequence[object]]
+
+
+@pytest.fixture(autouse=True)
+def strict() -> Iterator[None]:
+    rr.set_strict_mode(True)
+    yield
+    rr.set_strict_mode(False)
+
+
+def record(path: Path, told: Sequence[Told], items: Sequence[Item] = (), streams: Sequence[Stream] = (ARM,)) -> None:
+    """told: (session [ns], touch, results)"""
+    rec = rr.RecordingStream("deformscope-explore", recording_id="exploration")
+    rec.set_sinks(rr.FileSink(path))
+    rec.send_blueprint(exploration_blueprint(streams))
+    log_streams(rec, streams)
+    log_exploration_start(rec, streams, BASE_FROM_SURFACE)
+    for session_ns, touch, results in told:
+        prepare_results(results, session_ns, touch).send(rec)
+    if items:
+        prepare_items(items, rig.START_NS, streams, {"front"}, touch=3).send(rec)
+    rec.flush(timeout_sec=10)
+    rec.disconnect()
+
+
+def back(path: Path) -> list[Recorded]:
+    return list(read_results(path, trust=True))
+
+
+def assert_equal(found: object, expected: Any) -> None:
+    assert type(found) is type(expected)
+    for field in dataclasses.fields(expected):
+        same(getattr(found, field.name), getattr(expected, field.name), f"{field.name} of {type(expected).__name__}")
+
+
+def test_results_come_back_equal_to_the_last_bit(tmp_path: Path) -> None:
+    told: list[Told] = [
+        *((round(at * 1e9), touch, [result]) for at, touch, result in synthetic.story() if at < 6.9),
+        (7_500_000_001, 2, [synthetic.touch(1), synthetic.maps(2, truth=False), synthetic.plan(2)]),
+        (60_000_000_000, 8, [synthetic.rigid_touch(7), synthetic.plan(8)]),
+    ]
+    record(tmp_path / "run.rrd", told)
+    found = back(tmp_path / "run.rrd")
+    expected = [(session_ns, touch, result) for session_ns, touch, results in told for result in results]
+    assert [(one.session_ns, one.touch) for one in found] == [one[:2] for one in expected]
+    for one, (_, _, result) in zip(found, expected, strict=True):
+        assert_equal(one.result, result)
+
+
+def test_values_that_are_no_numbers_or_not_there_come_back(tmp_path: Path) -> None:
+    none = np.zeros((0, 3))
+    touch = dataclasses.replace(synthetic.touch(0), observed_m=none, simulated_m=none, approach_n=np.full(120, np.nan))
+    maps = synthetic.maps(1)
+    holed = maps.stiffness_n_per_mm.copy()
+    holed[3, 4:9] = np.nan, np.inf, -0.0, np.nextafter(1.0, 2.0), 5e-324
+    maps = dataclasses.replace(maps, stiffness_n_per_mm=holed, contacts_m=np.zeros((0, 2)), touches=0)
+    plan = dataclasses.replace(synthetic.plan(0), reason="weil's so ist: |µ| → ∞\n", excluded=np.ones((2, 3), np.bool_))
+    record(tmp_path / "run.rrd", [(5, 0, [touch, maps, plan])])
+    for one, expected in zip(back(tmp_path / "run.rrd"), (touch, maps, plan), strict=True):
+        assert_equal(one.result, expected)
+        for field in dataclasses.fields(expected):
+            value = getattr(expected, field.name)
+            if isinstance(value, np.ndarray):
+                assert getattr(one.result, field.name).tobytes() == value.tobytes(), field.name
+
+
+def test_one_kind_alone_is_read(tmp_path: Path) -> None:
+    record(tmp_path / "run.rrd", [(5, 0, [synthetic.plan(0), PhaseBegan("plan", 0), PhaseBegan("stopped", 0)])])
+    found = list(read_results(tmp_path / "run.rrd", (PhaseBegan,), trust=True))
+    assert [one.result for one in found] == [PhaseBegan("plan", 0), PhaseBegan("stopped", 0)]
+
+
+def test_a_reader_can_ask_for_the_numbers_of_a_touch(tmp_path: Path) -> None:
+    told = [(k, k, [synthetic.maps(k)]) for k in (1, 2, 5)]
+    record(tmp_path / "run.rrd", told)
+    found: dict[int, Any] = {}
+    for chunk in RrdReader(tmp_path / "run.rrd").stream():
+        if chunk.entity_path == "/exploration/maps":
+            batch = chunk.to_record_batch()
+            names = batch.schema.names
+            beta = batch.column("MapsKnown:beta").to_pylist() if "MapsKnown:beta" in names else [None] * len(batch)
+            found |= dict(zip(batch.column("touch").to_pylist(), beta, strict=True))
+    assert found[1] is None  # before two touches gave one
+    for k in (2, 5):
+        expected = synthetic.maps(k).beta
+        assert expected is not None
+        np.testing.assert_array_equal(found[k], expected.ravel())
+
+
+def test_readings_of_devices_stand_at_their_touch_and_come_back_equal(tmp_path: Path) -> None:
+    items = rig.items(0.4, (24, 32))
+    streams = [ARM if stream.kind == "arm" else stream for stream in rig.STREAMS]
+    record(tmp_path / "run.rrd", [(0, 0, [synthetic.maps(1)])], items, streams)
+    assert_same(list(read_items(tmp_path / "run.rrd", trust=True)), items)
+    places = {
+        place
+        for chunk in RrdReader(tmp_path / "run.rrd").stream()
+        if chunk.entity_path in ("/wrench/fingertip", "/arm/jaco", "/depth/above", "/display/arm/jaco/joints")
+        and not chunk.is_static
+        for place in chunk.to_record_batch().column("touch").to_pylist()
+    }
+    assert places <= {3}
+
+
+def test_the_arm_stands_where_the_scene_says(tmp_path: Path) -> None:
+    """The base's origin, told in the surface frame, is taken back to zero by the transform that was given."""
+    record(tmp_path / "run.rrd", [])
+    path = "/display/scene/base/jaco"
+    (place,), (turn,) = (
+        np.array(cells(tmp_path / "run.rrd", path, f"Transform3D:{name}")[0]) for name in ("translation", "mat3x3")
+    )
+    surface_from_base = np.eye(4)
+    surface_from_base[:3, :3], surface_from_base[:3, 3] = turn.reshape(3, 3).T, place
+    np.testing.assert_allclose(BASE_FROM_SURFACE @ surface_from_base, np.eye(4), atol=1e-7)
+    assert cells(tmp_path / "run.rrd", path, "Transform3D:child_frame") == [["jaco/base"]]
+
+
+def test_the_surface_has_the_shape_that_was_seen_and_the_colours_of_its_stiffness(tmp_path: Path) -> None:
+    surface, maps = synthetic.surface(2), synthetic.maps(2)
+    record(tmp_path / "run.rrd", [(1, 0, [synthetic.surface(0)]), (2, 2, [surface]), (3, 2, [maps])])
+    path = "/display/scene/surface"
+    vertices = np.array(cells(tmp_path / "run.rrd", path, "Mesh3D:vertex_positions")[1])
+    expected = np.stack([synthetic.X, synthetic.Y, surface.height_m], axis=-1).reshape(-1, 3)
+    np.testing.assert_allclose(vertices, expected, atol=1e-7)
+    triangles = np.array(cells(tmp_path / "run.rrd", path, "Mesh3D:triangle_indices")[1])
+    corners = vertices[triangles]
+    upwards = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2]
+    assert (upwards > 0).all()
+    assert 0.5 * upwards.sum() == pytest.approx(0.595 * 0.395, rel=1e-3)
+    by_height, by_stiffness = (np.array(one) for one in cells(tmp_path / "run.rrd", path, "Mesh3D:vertex_colors"))
+    soft, firm = (np.unique(by_stiffness[maps.stiffness_n_per_mm.ravel() == end]) for end in _ends(maps))
+    assert len(by_height) == len(by_stiffness) == len(vertices)
+    assert len(soft) == len(firm) == 1
+    assert soft != firm
+
+
+def _ends(maps: MapsKnown) -> tuple[float, float]:
+    return float(maps.stiffness_n_per_mm.min()), float(maps.stiffness_n_per_mm.max())
+
+
+def test_contacts_stay_and_the_target_goes_where_none_follows(tmp_path: Path) -> None:
+    told = [(k, k, [synthetic.touch(k - 1), synthetic.plan(k)]) for k in (1, 8)]
+    record(tmp_path / "run.rrd", told)
+    for number in (1, 8):
+        (at,) = cells(tmp_path / "run.rrd", f"/display/scene/contacts/{number}", "Points3D:positions")[0]
+        np.testing.assert_allclose(at, synthetic.touch(number - 1).xyz_m, atol=1e-7)
+    target, nothing = cells(tmp_path / "run.rrd", "/display/scene/target", "LineStrips3D:strips")
+    np.testing.assert_allclose(target[0][0][:2], synthetic.CONTACTS_M[1], atol=1e-7)
+    assert nothing == []
+
+
+def test_the_close_up_shows_the_top_of_the_model_alone(tmp_path: Path) -> None:
+    """Of three layers of 11 x 11 particles those are drawn that no other lies above."""
+    touch = synthetic.touch(2)
+    record(tmp_path / "run.rrd", [(1, 1, [touch])])
+    top = np.array(cells(tmp_path / "run.rrd", "/display/dent/simulated", "Points3D:positions")[0])
+    assert len(touch.simulated_m) == 363
+    assert len(top) == 121
+    observed = np.array(cells(tmp_path / "run.rrd", "/display/dent/observed", "Points3D:positions")[0])
+    half = np.abs((np.concatenate([touch.observed_m, touch.simulated_m]) - touch.xyz_m)[:, :2]).max()
+    np.testing.assert_allclose(observed[:, :2] * half, (touch.observed_m - touch.xyz_m)[:, :2], atol=1e-6)
+    times = observed[:, 2] * half / (touch.observed_m - touch.xyz_m)[:, 2]
+    np.testing.assert_allclose(times, np.median(times), rtol=1e-2)
+    said = [one for (one,) in cells(tmp_path / "run.rrd", "/display/dent/scale/label", "Points3D:labels")]
+    assert said == ["no touch yet", f"5 cm, heights drawn {np.median(times):g} times"]
+
+
+def test_nothing_that_moves_is_static(tmp_path: Path) -> None:
+    record(tmp_path / "run.rrd", [(1, 1, small_results())])
+    static = {
+        chunk.entity_path
+        for chunk in RrdReader(tmp_path / "run.rrd").stream()
+        if chunk.is_static and chunk.entity_path.startswith(("/exploration", "/display/"))
+    }
+    assert {path for path in static if not path.startswith("/display/arm/")} == {
+        "/exploration/phase",
+        "/display/scene/base/jaco",
+    }
+
+
+def test_phases_are_states_of_one_lane(tmp_path: Path) -> None:
+    record(tmp_path / "run.rrd", [(k, 1, [PhaseBegan(name, 0)]) for k, name in enumerate(("look", "travel", "press"))])
+    found = cells(tmp_path / "run.rrd", "/exploration/phase", "StateChange:state")
+    assert found == [["look"], ["travel"], ["press"]]
+
+
+def test_a_summary_tells_regions_or_that_there_are_none() -> None:
+    maps = synthetic.maps(8)
+    told = summary(maps)
+    assert told.startswith("# 2 regions")
+    assert f"**{maps.iou:.2f}**" in told
+    assert told.count("\n| ") == 4
+    areas = [int(line.split("|")[3]) for line in told.splitlines()[-2:]]
+    assert sum(areas) == pytest.approx(60 * 40, abs=1)
+    gradual = summary(dataclasses.replace(maps, verdict="gradual", iou=None))
+    assert "no regions" in gradual
+    assert "IoU" not in gradual
+    assert "| region |" not in gradual
+
+
+def test_what_is_no_result_is_refused() -> None:
+    with pytest.raises(TypeError, match="shows a int"):
+        prepare_results([3], 0, 0)
+
+
+def test_warming_up_draws_every_kind() -> None:
+    kinds = {type(one) for one in small_results()}
+    assert {TouchTold, MapsKnown, NextTouch, PhaseBegan} < kinds
+    warm_up()
