@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import threading
-import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from types import TracebackType
@@ -15,7 +14,7 @@ from deformscope.driver_table import Driver
 from deformscope.errors import InputError
 from deformscope.frames import Frame, HealthReport, Item, LinkChange, RawBytes, Stream
 from deformscope.measured import describe, to_frame
-from deformscope_drivers.clock import monotonic_ns
+from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import Device, RawChunk
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.health import Health, LinkEvent
@@ -50,11 +49,21 @@ class RigSource:
     """`with RigSource(members) as source: while ...: items = source.take(0.1)`.
 
     Nothing that a device gives between opening and closing is left out: what its queue had to drop is counted.
-    raw: also the bytes of every wire
+    raw: also the bytes of every wire; clock: that the devices stamp by
+    opener: opens them in its own way, where they are not to open side by side with threads of their own (a laboratory)
     """
 
-    def __init__(self, members: Sequence[RigMember], *, raw: bool = True) -> None:
+    def __init__(
+        self,
+        members: Sequence[RigMember],
+        *,
+        raw: bool = True,
+        clock: Clock = monotonic_ns,
+        opener: Callable[[], None] | None = None,
+    ) -> None:
         self.start_ns = 0
+        self._clock = clock
+        self._opener = opener
         self._members = tuple(members)
         self._raw = raw
         self._opened: list[_Opened] = []
@@ -63,11 +72,14 @@ class RigSource:
 
     def __enter__(self) -> RigSource:
         """Open all devices side by side; the first that fails closes them all. Raises InputError naming it."""
-        self.start_ns = monotonic_ns()
+        self.start_ns = self._clock()
         for member in self._members:  # before they open, so that nothing is missed
             device = member.device
             raw = device.raw() if self._raw else None
             self._opened.append(_Opened(member, device.readings(), raw, device.events()))
+        if self._opener is not None:
+            self._opener()
+            return self
         failures: dict[str, Exception] = {}
 
         def open_one(member: RigMember) -> None:
@@ -109,19 +121,21 @@ class RigSource:
 
     def take(self, wait_s: float) -> list[Item]:
         """Wait, then all that came since the last call, in order of time; now and then with everyone's health."""
-        self._stop.wait(wait_s)
+        if wait_s > 0.0:
+            self._stop.wait(wait_s)
         items: list[Item] = []
         for opened in self._opened:
             items += self._take_from(opened)
-        if time.monotonic() - self._health_at >= HEALTH_PERIOD_S:
-            self._health_at = time.monotonic()
+        now_s = self._clock() / 1e9
+        if now_s - self._health_at >= HEALTH_PERIOD_S:
+            self._health_at = now_s
             items.append(self.look())
         return sorted(items, key=host_ns)
 
     def look(self) -> HealthReport:
         """How all devices do."""
         reports = tuple((member.name, member.device.health()) for member in self._members)
-        return HealthReport(monotonic_ns(), tuple((name, _plain(health)) for name, health in reports))
+        return HealthReport(self._clock(), tuple((name, _plain(health)) for name, health in reports))
 
     def interrupt(self) -> None:
         """End the wait of a `take`."""

@@ -111,8 +111,9 @@ def _devices(robot: Robot, seen: Sequence[Observation], rates_hz: Mapping[str, f
             continue
         health = device.health()
         age = "never" if health.age_s is None else f"{health.age_s * 1e3:.0f} ms old"
-        fresh = device.link is Link.CONNECTED and health.age_s is not None and health.age_s <= FRESH_S[name]
-        yield Check(f"{name}: fresh", fresh, f"a reading within {FRESH_S[name] * 1e3:.0f} ms", f"{device.link}, {age}")
+        young_s = max(FRESH_S[name], 2.0 / rates_hz[name] if rates_hz.get(name) else 0.0)
+        fresh = device.link is Link.CONNECTED and health.age_s is not None and health.age_s <= young_s
+        yield Check(f"{name}: fresh", fresh, f"a reading within {young_s * 1e3:.0f} ms", f"{device.link}, {age}")
         least_hz, hz = RATE_SHARE * rates_hz.get(name, 0.0), count / span_s
         yield Check(f"{name}: rate", hz >= least_hz, f"{least_hz:.0f} Hz or more", f"{hz:.0f} Hz")
 

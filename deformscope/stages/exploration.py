@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 
 
@@ -64,6 +66,7 @@ class MapsKnown:
     stiffness_n_per_mm: (rows, columns) median; stiffness_log_sd: of its logarithm
     beta, beta_sd: (rows, columns), None before two touches gave one
     labels: (rows, columns) region of each cell, 0 the softest; label_probability: of that label; region_count
+    level_n_per_mm: (region_count,) stiffness of each region; of a rigid one a lower bound
     verdict: "regions" or "gradual"; truth_labels: where it is known; truth_log_stiffness: likewise
     contacts_m: (n, 2) touches so far; tip_radius_m: of what touched
     """
@@ -82,6 +85,15 @@ class MapsKnown:
     tip_radius_m: float
     truth_labels: IntArray | None = None
     iou: float | None = None
+    level_n_per_mm: FloatArray | None = None
+    level_rigid: BoolArray | None = None
+
+    def level_words(self, region: int) -> str:
+        """A region's stiffness in words, without its unit; the fields' median where levels are not known."""
+        if self.level_n_per_mm is None or region >= len(self.level_n_per_mm):
+            return f"{np.median(self.stiffness_n_per_mm[self.labels == region]):.2g}"
+        rigid = self.level_rigid is not None and bool(self.level_rigid[region])
+        return f"{'> ' * rigid}{self.level_n_per_mm[region]:.2g}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,413 @@
+"""Thesis chapter 4: look, decide where to touch, touch, estimate, map, again; until the map tells what it can.
+
+`Explorer` computes: what a robot saw and felt goes in, frozen results come out, the same every time. A `Robot` looks
+and touches; whether it is the laboratory's or a real one, `explore` does not know.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.experiments.region_study import boundary_distance, match_regions
+from deformscope.stages.cloud import Box, tactile_points
+from deformscope.stages.contact import ArmCompliance, ContactFit, fit_approach, layer_modulus
+from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, SurfaceSeen, TouchTold
+from deformscope.stages.field import BETA_PRIOR, fit_field
+from deformscope.stages.gaussian_process import Grid
+from deformscope.stages.plan import ALLOWED, FieldKernel, Planner, PlanOptions, plan_touch
+from deformscope.stages.regions import RegionMap, RegionPosterior
+from deformscope.stages.surface import HeightProcess, fit_surface
+from deformscope.stages.touch_beta import BallTouch, fit_touch, thesis_beta
+from deformscope.stages.touches import MapGrid, Touch
+
+BetaModel = Literal["volume", "thesis", "none"]
+SECOND_FORCE_N = 5.0
+SHALLOW_M = 0.002
+NEAR_M = 0.08
+"""Points within this of a touch are shown with it."""
+FEWEST_FOR_FIELD = 2
+PLAN_CELL_M = 0.02
+"""Places that are considered for a touch are this far apart."""
+EDGE_M, ABOVE_M, LOW_SHARE = 0.005, 0.08, 0.5
+THESIS_ROI_M, TACTILE_NOISE_M = 0.08, 2e-4
+
+
+@dataclass(frozen=True, slots=True)
+class ExploreOptions:
+    """How to explore.
+
+    planner, budget, threshold: where to touch, how often at most, and Th of the thesis's rule
+    set_force_n, max_depth_m: of a touch; tip_radius_m: of its ball; thickness_m: of the foam
+    beta_model: layers below the surface, the thesis's single layer, or no beta; cell_m: of the maps; seed
+    """
+
+    planner: Planner = "regions"
+    budget: int = 8
+    threshold: float = 0.06
+    set_force_n: float = 3.0
+    max_depth_m: float = 0.015
+    tip_radius_m: float = 0.01
+    thickness_m: float = 0.05
+    beta_model: BetaModel = "volume"
+    cell_m: float = 0.005
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.budget < 1:
+            raise InputError("a budget of one touch or more", f"{self.budget}")
+        if not 0.0 < self.set_force_n <= SECOND_FORCE_N:
+            raise InputError(f"a set force above 0 and up to {SECOND_FORCE_N:g} N", f"{self.set_force_n:g} N")
+
+
+@dataclass(frozen=True, slots=True)
+class Looked:
+    """What the camera saw. points_m: (n, 3) of the surface, robot and outliers taken away, surface frame [m]
+    noise_m: (n,) deviation of each height [m]"""
+
+    points_m: FloatArray
+    noise_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Touched:
+    """What a touch gave.
+
+    xy_m: (2,) where it was to be; normal: (3,) that it went along
+    time_s: (n,) rising; position_m: (n, 3) middle of the ball as the arm says; force_n: (n, 3) on it; surface frame
+    after_m: (k, 3) points seen while it pressed, without the robot; reached: the set force, rather than the depth
+    phases: what it did when: (name, host time [ns])
+    """
+
+    xy_m: FloatArray
+    normal: FloatArray
+    time_s: FloatArray
+    position_m: FloatArray
+    force_n: FloatArray
+    after_m: FloatArray
+    reached: bool
+    phases: tuple[tuple[str, int], ...] = ()
+
+
+class Robot(Protocol):
+    """What looks and touches."""
+
+    size_m: tuple[float, float]
+    arm: ArmCompliance
+
+    def reachable(self, grid: MapGrid) -> BoolArray:
+        """(rows, columns) cells that the tip can touch."""
+
+    def look(self) -> Looked: ...
+
+    def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray) -> Touched:
+        """Touch a place whose surface was seen at this height. Raises TouchFailed where it came to nothing."""
+
+    def now_ns(self) -> int:
+        """The robot's clock."""
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What a simulated scene really is. labels: (rows, columns), None where there are no regions; stiffness: of each
+    label, in any unit, to tell the order"""
+
+    labels: IntArray | None
+    region_count: int
+    stiffness: tuple[float, ...] = ()
+
+
+class Explorer:
+    """The estimates after each touch; pure, but for what it has been told so far."""
+
+    def __init__(
+        self, size_m: tuple[float, float], options: ExploreOptions, arm: ArmCompliance, truth: Truth | None = None
+    ) -> None:
+        self.options = options
+        self.grid = MapGrid(size_m, options.cell_m)
+        self.world: HeightProcess | None = None
+        self.posterior = RegionPosterior.before_touches(self.grid, seed=options.seed)
+        self.told: list[TouchTold] = []
+        self.travel_m = 0.0
+        self.stop_reason = ""
+        self.plan_cell_m = PLAN_CELL_M
+        self._arm = arm
+        self._truth = truth
+        self._fits: list[ContactFit] = []
+        self._beta_sd: list[float] = []
+        self._inputs: list[tuple[str, bytes]] = []
+
+    # Each step --------------------------------------------------------------------------------------------------------
+
+    def look(self, looked: Looked) -> SurfaceSeen:
+        """Take the surface before any touch in."""
+        self._inputs.append(("explored/looked", pack(looked)))
+        size_m = self.grid.size_m
+        self.world = fit_surface(looked.points_m, noise_m=looked.noise_m, within_m=((0.0, 0.0), size_m), outlier_sd=5.0)
+        heights = self.world.on(Grid.over((0.0, 0.0), size_m, self.grid.cell_m))
+        return SurfaceSeen(looked.points_m, heights.mean_m, heights.deviation_m, self.grid.cell_m)
+
+    def next(self, reachable: BoolArray | None = None) -> NextTouch:
+        """Where to touch next, and why."""
+        options = self.options
+        plan = plan_touch(
+            self.posterior,
+            FieldKernel(),
+            PlanOptions(
+                planner=options.planner, budget=options.budget, threshold=options.threshold, cell_m=self.plan_cell_m
+            ),
+            reachable=reachable,
+            seed=options.seed + len(self.told),
+        )
+        target = None if plan.stop is not None else plan.target_m
+        self.stop_reason = plan.stop or ""
+        return NextTouch(target, plan.gain, plan.cost_s, plan.excluded != ALLOWED, plan.reason, plan.stop or "")
+
+    def aim(self, xy_m: FloatArray) -> tuple[float, FloatArray]:
+        """Height of the surface at a place (2,) [m], and its unit normal (3,), as the camera saw them."""
+        assert self.world is not None
+        return float(self.world.at(xy_m[None]).mean[0]), self.world.normals(xy_m[None])[0]
+
+    def touch(self, touched: Touched) -> TouchTold:
+        """Take a touch in."""
+        self._inputs.append((f"explored/touched-{len(self.told):03d}", pack(touched)))
+        options = self.options
+        fit = fit_approach(
+            touched.time_s,
+            touched.position_m,
+            touched.force_n,
+            touched.normal,
+            set_force_n=options.set_force_n,
+            arm=self._arm,
+        )
+        before = self.told[-1].xyz_m[:2] if self.told else np.zeros(2)
+        self.travel_m += float(np.hypot(*(touched.xy_m - before)))
+        self._fits.append(fit)
+        self.posterior = self.posterior.with_touch(Touch(touched.xy_m, fit.log_stiffness, fit.log_sd, fit.rigid))
+        told = self._told(touched, fit)
+        self.told.append(told)
+        return told
+
+    def maps(self) -> MapsKnown:
+        """The maps after the touches so far."""
+        found = self.posterior.region_map()
+        beta, beta_sd = self._beta_field()
+        truth = None if self._truth is None else self._truth.labels
+        return MapsKnown(
+            touches=len(self.told),
+            cell_m=self.grid.cell_m,
+            stiffness_n_per_mm=np.exp(found.field),
+            stiffness_log_sd=found.field_sd,
+            beta=beta,
+            beta_sd=beta_sd,
+            labels=found.labels,
+            label_probability=np.take_along_axis(found.label_probability, found.labels[None], axis=0)[0],
+            region_count=found.region_count,
+            verdict=found.verdict,
+            contacts_m=np.array([told.xyz_m[:2] for told in self.told]),
+            tip_radius_m=self.options.tip_radius_m,
+            truth_labels=truth,
+            iou=None if truth is None else match_regions(found.labels, truth)[0],
+            level_n_per_mm=np.exp(found.level),
+            level_rigid=found.rigid,
+        )
+
+    def region_map(self) -> RegionMap:
+        """Regions with their levels and intervals."""
+        return self.posterior.region_map()
+
+    @property
+    def truth(self) -> Truth | None:
+        """What is really there, where that is known."""
+        return self._truth
+
+    def boundary_m(self) -> float | None:
+        """Mean distance between the true boundary and that of the map, both ways; None where there is none of both."""
+        if self._truth is None or self._truth.labels is None:
+            return None
+        found = boundary_distance(self.posterior.region_map().labels, self._truth.labels, self.grid.cell_m)
+        return found if np.isfinite(found) else None
+
+    def new_inputs(self) -> list[tuple[str, bytes]]:
+        """What was taken in since the last call: names and files of arrays (.npz), from which all can be computed
+        again."""
+        taken, self._inputs = self._inputs, []
+        return taken
+
+    # Within -----------------------------------------------------------------------------------------------------------
+
+    def _told(self, touched: Touched, fit: ContactFit) -> TouchTold:
+        options = self.options
+        normal = touched.normal / np.linalg.norm(touched.normal)
+        along = -(touched.position_m @ normal)
+        force = touched.force_n @ normal
+        start = along[0]
+        sunk = np.maximum(along - fit.contact_m, 0.0)
+        law = fit.at_force_n * (sunk / max(fit.depth_m, 1e-9)) ** fit.exponent
+        xyz = np.append(touched.xy_m, self.aim(touched.xy_m)[0])
+        modulus = None
+        if not fit.rigid and fit.depth_m > 0.0:
+            modulus = layer_modulus(
+                fit.depth_m, fit.at_force_n, radius_m=options.tip_radius_m, thickness_m=options.thickness_m
+            )
+        beta, interval, verdict, simulated = self._beta(touched, fit)
+        near = np.abs(touched.after_m[:, :2] - touched.xy_m).max(axis=1) < NEAR_M if len(touched.after_m) else []
+        return TouchTold(
+            number=len(self.told),
+            xyz_m=xyz,
+            normal=normal,
+            approach_m=along - start,
+            approach_n=force,
+            fitted_n=np.minimum(law, 2.0 * max(fit.peak_force_n, fit.at_force_n)),
+            contact_m=fit.contact_m - start,
+            stiffness_n_per_mm=fit.stiffness_n_per_mm,
+            stiffness_interval=fit.interval_n_per_mm,
+            rigid=fit.rigid,
+            modulus_pa=modulus,
+            depth_m=fit.depth_m,
+            peak_force_n=fit.peak_force_n,
+            beta=beta,
+            beta_interval=interval,
+            beta_verdict=verdict,
+            observed_m=touched.after_m[near],
+            simulated_m=simulated,
+        )
+
+    def _beta(
+        self, touched: Touched, fit: ContactFit
+    ) -> tuple[float | None, tuple[float, float] | None, str, FloatArray]:
+        """beta with interval and verdict, and the fitted model's particles; why not, where there is none."""
+        nothing = np.zeros((0, 3))
+        self._beta_sd.append(np.nan)
+        if self.options.beta_model == "none":
+            return None, None, "not asked for", nothing
+        if fit.rigid:
+            return None, None, "rigid: no dent to fit", nothing
+        assert self.world is not None
+        radius = self.options.tip_radius_m
+        deepest = int(np.argmax(-(touched.position_m @ touched.normal)))
+        lowest = touched.position_m[deepest] - radius * touched.normal
+        ball = BallTouch(lowest, radius, fit.depth_m, fit.peak_force_n)
+        try:
+            if self.options.beta_model == "thesis":
+                return self._thesis(touched, ball)
+            found = fit_touch(self.world, touched.after_m, ball, thickness_m=self.options.thickness_m)
+        except InputError as error:
+            return None, None, f"not fitted: {error}", nothing
+        self._beta_sd[-1] = found.sd
+        estimate = found.estimate
+        return estimate.value, estimate.interval, estimate.verdict, nothing
+
+    def _thesis(
+        self, touched: Touched, ball: BallTouch
+    ) -> tuple[float | None, tuple[float, float] | None, str, FloatArray]:
+        """The thesis's way: the touch surface's own process, with virtual points where the ball is."""
+        assert self.world is not None
+        tactile = tactile_points(ball.lowest_m, ball.radius_m, ball.depth_m, normal=touched.normal)
+        near = np.abs(touched.after_m[:, :2] - touched.xy_m).max(axis=1) < THESIS_ROI_M
+        surface = fit_surface(
+            touched.after_m[near], known_m=tactile, known_noise_m=np.full(len(tactile), TACTILE_NOISE_M)
+        )
+        found = thesis_beta(self.world, surface, touched.xy_m)
+        return found.beta, None, f"thesis: {found.note}", np.zeros((0, 3))
+
+    def _beta_field(self) -> tuple[FloatArray | None, FloatArray | None]:
+        known = [
+            (told.xyz_m[:2], told.beta, sd)
+            for told, sd in zip(self.told, self._beta_sd, strict=True)
+            if told.beta is not None
+        ]
+        if len(known) < FEWEST_FOR_FIELD:
+            return None, None
+        places, values, sds = (np.array(part, dtype=np.float64) for part in zip(*known, strict=True))
+        sds = np.where(np.isfinite(sds), sds, BETA_PRIOR.nugget)
+        field = fit_field(places, values, sds, prior=BETA_PRIOR)
+        found = field.on(Grid.over((0.0, 0.0), self.grid.size_m, self.grid.cell_m))
+        return found.mean.clip(0.0, 1.0), found.deviation
+
+
+def pack(taken: Looked | Touched) -> bytes:
+    """What a robot gave as a file of arrays; the same bytes for the same values."""
+    file = io.BytesIO()
+    told = {name.name: getattr(taken, name.name) for name in dataclasses.fields(taken) if name.name != "phases"}
+    np.savez(file, allow_pickle=False, **{name: np.asarray(value) for name, value in told.items()})
+    return file.getvalue()
+
+
+def unpack_looked(content: bytes) -> Looked:
+    """The reverse of `pack`."""
+    with np.load(io.BytesIO(content), allow_pickle=False) as file:
+        return Looked(file["points_m"], file["noise_m"])
+
+
+def unpack_touched(content: bytes) -> Touched:
+    """The reverse of `pack`, without phases."""
+    with np.load(io.BytesIO(content), allow_pickle=False) as file:
+        arrays = {name: file[name] for name in file.files}
+    return Touched(**{**arrays, "reached": bool(arrays["reached"])})
+
+
+def sample_box(size_m: tuple[float, float], thickness_m: float) -> Box:
+    """What belongs to the sample's surface: its edges are left out, where the camera sees its sides."""
+    low = (EDGE_M, EDGE_M, LOW_SHARE * thickness_m)
+    return Box(low, (size_m[0] - EDGE_M, size_m[1] - EDGE_M, thickness_m + ABOVE_M))
+
+
+class TouchFailed(InputError):
+    """A touch that told nothing, and after which no other may follow."""
+
+
+Result = SurfaceSeen | TouchTold | MapsKnown | NextTouch | PhaseBegan
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """Results, and when they were there on the robot's clock [ns]; compute_s: what computing them took."""
+
+    now_ns: int
+    results: tuple[Result, ...]
+    compute_s: float = 0.0
+
+
+def explore(robot: Robot, explorer: Explorer) -> Iterator[Moment]:
+    """Look, then touch until the plan says enough; gives results as they come. `explorer` holds what was found."""
+    yield Moment(robot.now_ns(), (PhaseBegan("look", 0),))
+    looked = robot.look()
+    began = time.perf_counter()
+    seen = explorer.look(looked)
+    yield Moment(robot.now_ns(), (seen,), time.perf_counter() - began)
+    reachable = robot.reachable(explorer.grid)
+    spent_s = 0.0
+    while True:
+        began = time.perf_counter()
+        plan = explorer.next(reachable)
+        spent_s += time.perf_counter() - began
+        yield Moment(robot.now_ns(), (plan,), spent_s)
+        if plan.target_m is None:
+            return
+        number = len(explorer.told)
+        height_m, normal = explorer.aim(plan.target_m)
+        touched = robot.touch(plan.target_m, height_m, normal)
+        for name, when_ns in touched.phases:
+            yield Moment(when_ns, (PhaseBegan(name, number),))
+        began = time.perf_counter()
+        told = explorer.touch(touched)
+        maps = explorer.maps()
+        spent_s = time.perf_counter() - began
+        yield Moment(robot.now_ns(), (PhaseBegan("plan", number), told, maps))
+
+
+def explore_again(inputs: dict[str, bytes], explorer: Explorer) -> Iterator[tuple[Result, ...]]:
+    """The same computations on recorded inputs (`Explorer.new_inputs`), in their order."""
+    yield (explorer.look(unpack_looked(inputs["looked"])),)
+    for name in sorted(name for name in inputs if name.startswith("touched-")):
+        told = explorer.touch(unpack_touched(inputs[name]))
+        yield told, explorer.maps()

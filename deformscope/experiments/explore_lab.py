@@ -1,0 +1,112 @@
+"""The laboratory as a robot without wires: what a touch and a look would have given, at once. For studies."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deformscope.arrays import BoolArray, FloatArray
+from deformscope.experiments.explore import (
+    SECOND_FORCE_N,
+    SHALLOW_M,
+    ExploreOptions,
+    Looked,
+    Touched,
+    Truth,
+    sample_box,
+)
+from deformscope.lab.depth_view import Capsule as Seen
+from deformscope.lab.depth_view import DepthView
+from deformscope.lab.scenes import Scene
+from deformscope.lab.slab import RigidTip
+from deformscope.lab.slab_world import SlabWorld
+from deformscope.lab.touching import Sensing, approach
+from deformscope.stages.cloud import Capsule, Intrinsics, perceive
+from deformscope.stages.contact import ArmCompliance
+from deformscope.stages.touches import MapGrid
+
+STICK_M, STICK_RADIUS_M = 0.25, 0.008
+BORDER_M = 0.02
+ARM_N_PER_M, ARM_DOUBT = 5000.0, 0.1
+"""The arm gives way under a push, which its joints do not see; a calibration on a rigid block leaves some of it."""
+VIEW_CELL_M = 0.004
+
+
+def truth_of(scene: Scene) -> Truth:
+    """What a scene really is."""
+    labels = scene.truth() if scene.pieces else None
+    return Truth(labels, scene.region_count, tuple(piece.modulus_pa for piece in scene.pieces))
+
+
+class LabRobot:
+    """A simulated table with foam, seen by a camera and touched by a ball on a stick.
+
+    truth: what the scene is; most_force_n: the largest true contact force so far
+    sees: whether the camera looks again while the ball presses, which only beta needs
+    """
+
+    def __init__(
+        self, scene: Scene, options: ExploreOptions, *, sees: bool = True, sensing: Sensing | None = None
+    ) -> None:
+        self.scene = scene
+        self.size_m = scene.size_m
+        self.arm = ArmCompliance(1.0 / ARM_N_PER_M, ARM_DOUBT / ARM_N_PER_M)
+        self.truth = truth_of(scene)
+        self.most_force_n = 0.0
+        self._options = options
+        self._sensing = sensing or Sensing(arm_n_per_m=ARM_N_PER_M)
+        self._sees = sees
+        self._world = SlabWorld(scene)
+        self._view = DepthView(scene)
+        self._tip = RigidTip(radius=options.tip_radius_m)
+        self._random = np.random.default_rng([options.seed, scene.seed])
+
+    def reachable(self, grid: MapGrid) -> BoolArray:
+        """All but a margin at the border."""
+        places, size = grid.centres_m, np.asarray(self.size_m)
+        inside = ((places > BORDER_M) & (places < size - BORDER_M)).all(axis=1)
+        return np.asarray(inside).reshape(grid.shape)
+
+    def look(self) -> Looked:
+        """The surface at rest, without the robot."""
+        return self._see(None, ())
+
+    def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray) -> Touched:
+        """Come down along the normal that was seen, and look at the dent."""
+        options = self._options
+        made = approach(
+            self._world,
+            self._tip,
+            xy_m,
+            normal,
+            set_force_n=options.set_force_n,
+            max_depth_m=options.max_depth_m,
+            second_force_n=SECOND_FORCE_N,
+            shallow_m=SHALLOW_M,
+            sensing=self._sensing,
+            random=self._random,
+        )
+        self.most_force_n = max(self.most_force_n, float(made.true_force_n.max()))
+        after: FloatArray = np.zeros((0, 3))
+        if self._sees:
+            middle = made.position_m[-1]
+            contact = self._world.press(self._tip, middle)
+            moved = self._world.displaced_m(contact, self._view.places_m)
+            stick = Seen(middle, middle + STICK_M * normal, STICK_RADIUS_M)
+            ball = Seen(middle, middle, options.tip_radius_m)
+            after = self._see(moved, (stick, ball)).points_m
+        return Touched(xy_m, normal, made.time_s, made.position_m, made.force_n, after, made.reached)
+
+    def now_ns(self) -> int:
+        """No time passes here."""
+        return 0
+
+    def _see(self, moved_m: FloatArray | None, robot: tuple[Seen, ...]) -> Looked:
+        exact = self._view.render(moved_m, robot)
+        depth_m = self._view.observe(exact, self._random) * self._view.config.unit_m
+        intrinsics = self._view.intrinsics
+        camera = Intrinsics((intrinsics.fx_px, intrinsics.fy_px), (intrinsics.cx_px, intrinsics.cy_px))
+        box = sample_box(self.size_m, self._options.thickness_m)
+        links = tuple(Capsule(one.start_m, one.end_m, one.radius_m) for one in robot)
+        cell = None if robot else VIEW_CELL_M
+        found = perceive(depth_m, camera, self._view.surface_from_camera, box, links=links, cell_m=cell)
+        return Looked(found.points_m, found.noise_m)

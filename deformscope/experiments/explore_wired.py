@@ -1,0 +1,299 @@
+"""A robot of real drivers: in the laboratory on byte-exact doubles and one simulated clock, or on hardware."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deformscope.arrays import BoolArray, FloatArray
+from deformscope.driver_table import DRIVERS
+from deformscope.errors import InputError
+from deformscope.experiments.explore import ExploreOptions, Looked, Touched, TouchFailed, sample_box
+from deformscope.experiments.explore_lab import ARM_DOUBT, ARM_N_PER_M, truth_of
+from deformscope.lab.depth_view import Capsule as Seen
+from deformscope.lab.depth_view import DepthView, DepthViewConfig
+from deformscope.lab.scenes import Scene
+from deformscope.lab.slab import RigidTip
+from deformscope.lab.slab_world import Contact, SlabWorld
+from deformscope.lab.touch_lab import T_BASE_SURFACE, TouchLab
+from deformscope.rig import Tool, Workspace
+from deformscope.rig_source import RigMember, RigSource
+from deformscope.robot.placement import Placement, best_joints, reach
+from deformscope.robot.preflight import Preflight, check
+from deformscope.robot.readings import Observation
+from deformscope.robot.robot import Robot, RobotStopped
+from deformscope.robot.supervisor import Limits, Verdict
+from deformscope.robot.touch import Ending, TouchPlan, TouchRecord, run_touch
+from deformscope.stages.cloud import Capsule, Intrinsics, perceive
+from deformscope.stages.contact import ArmCompliance
+from deformscope.stages.touches import MapGrid
+from deformscope_drivers.depth_camera import View
+from deformscope_drivers.depth_camera.image import DepthImage
+from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
+from deformscope_drivers.device import Device
+from deformscope_drivers.jaco.kinematics import J2N6S300
+from deformscope_drivers.memory import SimulatedClock
+
+LINK_RADIUS_M, STICK_RADIUS_M, MARGIN_M = 0.045, 0.008, 0.012
+BORDER_M = 0.02
+VIEW_CELL_M = 0.004
+PREFLIGHT_CELL_M = 0.02
+COARSE_M = 0.03
+"""Reach is asked at places so far apart, and taken for the cells around."""
+LEAST_SINGULAR = 0.02
+LOOKS = 3
+CAMERA_HZ = 10.0
+PARKED_M = 0.18
+BOX_LOW_M, BOX_HIGH_M = (-0.40, -0.66, 0.0), (0.45, 0.10, 0.75)
+"""Where the tip may go in the laboratory, in the base frame: above the table, and to where the arm is parked."""
+
+
+class TouchingRobot:
+    """Opened devices that look and touch (`deformscope.robot`), as `explore` wants them."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        size_m: tuple[float, float],
+        options: ExploreOptions,
+        camera: tuple[Intrinsics, FloatArray],
+        *,
+        arm: ArmCompliance,
+        clock: Callable[[], int],
+    ) -> None:
+        """camera: its intrinsics, and T_surface_camera (4, 4)"""
+        self.size_m = size_m
+        self.arm = arm
+        self._robot = robot
+        self._options = options
+        self._camera = camera
+        self._clock = clock
+        self._pictures = robot.camera.readings() if robot.camera is not None else None
+
+    def now_ns(self) -> int:
+        return self._clock()
+
+    def preflight(self, calibrated: Mapping[str, bool]) -> Preflight:
+        """Look at everything before anything moves; the robot may move from then on. Raises InputError where it must
+        not, with the checks that failed. calibrated: what has to be, by name, and whether it is"""
+        allowed = self.reachable(MapGrid(self.size_m, PREFLIGHT_CELL_M))
+        places = MapGrid(self.size_m, PREFLIGHT_CELL_M).centres_m[allowed.ravel()]
+        if not len(places):
+            raise InputError("a surface that the arm reaches", "none of it", "move the arm, or the surface")
+        corners = [places[int(np.argmax(places @ way))] for way in ((1, 1), (1, -1), (-1, 1), (-1, -1))]
+        height_m = self._options.thickness_m
+        plans = [TouchPlan(np.append(corner, height_m), np.array([0.0, 0.0, 1.0])) for corner in corners]
+        found = check(self._robot, plans, calibrated=calibrated)
+        self._robot.let_move(found)
+        return found
+
+    def reachable(self, grid: MapGrid) -> BoolArray:
+        """Cells that the tip reaches with the stick upright, all but a margin at the border."""
+        rows, columns = grid.shape
+        every = max(1, round(COARSE_M / grid.cell_m))
+        row, column = np.arange(0, rows, every), np.arange(0, columns, every)
+        x, y = np.meshgrid((column + 0.5) * grid.cell_m, (row + 0.5) * grid.cell_m)
+        height = self._options.thickness_m + self._robot.placement.center_offset_m
+        centers = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, height)])
+        found = reach(self._robot.arm.chain, self._robot.placement, centers)
+        good = (found.reached & (found.least_singular > LEAST_SINGULAR)).reshape(x.shape)
+        inside = np.repeat(np.repeat(good, every, 0), every, 1)[:rows, :columns]
+        places = grid.centres_m
+        within = ((places > BORDER_M) & (places < np.asarray(self.size_m) - BORDER_M)).all(axis=1).reshape(grid.shape)
+        return np.asarray(inside & within)
+
+    def look(self) -> Looked:
+        """The surface from the newest pictures, without the robot."""
+        links = self._links()
+        clouds = [self._seen(picture, links) for picture in self._take_pictures(LOOKS)]
+        return Looked(np.concatenate([c.points_m for c in clouds]), np.concatenate([c.noise_m for c in clouds]))
+
+    def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray) -> Touched:
+        """Go there, touch along the normal, look at the dent, come back. Raises TouchFailed."""
+        options = self._options
+        plan = TouchPlan(
+            np.append(xy_m, height_m),
+            np.asarray(normal, np.float64),
+            set_force_n=options.set_force_n,
+            max_depth_m=options.max_depth_m,
+        )
+        dents: list[tuple[DepthImage, tuple[Capsule, ...]]] = []
+
+        def still() -> bool:
+            dents.extend((picture, self._links()) for picture in self._new_pictures())
+            return True
+
+        try:
+            record = run_touch(self._robot, plan, still)
+        except RobotStopped as error:
+            raise TouchFailed("a robot that may go on", str(error), "look at the robot, then start again") from error
+        if record.contact_m is None or record.ending in (Ending.STOPPED, Ending.NOT_REACHED, Ending.NO_CONTACT):
+            why = f"{record.ending}: {record.reason}" if record.reason else str(record.ending)
+            raise TouchFailed(f"a touch at ({xy_m[0]:.3f}, {xy_m[1]:.3f}) m", why, "look at the robot")
+        after = self._dent(record, dents)
+        kept = slice(0, max(record.loading, 10))
+        return Touched(
+            xy_m,
+            plan.normal,
+            record.time_s[kept],
+            record.position_m[kept],
+            record.force_n[kept],
+            after,
+            record.ending is Ending.SET_FORCE,
+            tuple((str(span.phase), round(span.start_s * 1e9)) for span in record.phases),
+        )
+
+    def _dent(self, record: TouchRecord, pictures: Sequence[tuple[DepthImage, tuple[Capsule, ...]]]) -> FloatArray:
+        """Points seen while it pressed still. pictures: each with the robot as it stood then"""
+        dwell = [span for span in record.phases if str(span.phase).startswith("dwell")]
+        within = [
+            (picture, links)
+            for picture, links in pictures
+            if any(span.start_s <= picture.stamp.host_ns / 1e9 <= span.end_s for span in dwell)
+        ]
+        if not within:
+            return np.zeros((0, 3))
+        return self._seen(*within[-1], cell_m=None).points_m
+
+    def _seen(self, picture: DepthImage, links: tuple[Capsule, ...], cell_m: float | None = VIEW_CELL_M) -> Looked:
+        intrinsics, T_surface_camera = self._camera
+        box = sample_box(self.size_m, self._options.thickness_m)
+        found = perceive(
+            picture.depth_m(), intrinsics, T_surface_camera, box, links=links, margin_m=MARGIN_M, cell_m=cell_m
+        )
+        return Looked(found.points_m, found.noise_m)
+
+    def _links(self) -> tuple[Capsule, ...]:
+        """Arm and stick where the arm says they are, surface frame."""
+        placement = self._robot.placement
+        T_surface_base = np.linalg.inv(placement.T_base_surface)
+        frames = self._robot.arm.chain.forward(self._robot.pose.joints_deg)
+        joints = [(T_surface_base @ frame)[:3, 3] for frame in (np.eye(4), *frames)]
+        center = self._robot.center_m
+        links = [Capsule(a, b, LINK_RADIUS_M) for a, b in pairwise(joints)]
+        return (
+            *links,
+            Capsule(joints[-1], center, STICK_RADIUS_M),
+            Capsule(center, center, self._options.tip_radius_m),
+        )
+
+    def _new_pictures(self) -> list[DepthImage]:
+        return [] if self._pictures is None else list(self._pictures.take())
+
+    def _take_pictures(self, count: int) -> list[DepthImage]:
+        """The next pictures, the robot standing still."""
+        self._new_pictures()
+        taken: list[DepthImage] = []
+        for _ in range(1000):
+            self._robot.cycle()
+            taken += self._new_pictures()
+            if len(taken) >= count:
+                return taken[-count:]
+        raise TouchFailed(f"{count} depth images", f"{len(taken)} in 10 s", "look at the camera")
+
+
+class LabBench:
+    """The laboratory with a scene in it: slab, camera, arm and force sensor, closed."""
+
+    def __init__(self, scene: Scene, options: ExploreOptions, *, camera_width: int = 320) -> None:
+        self.scene = scene
+        self.truth = truth_of(scene)
+        self.clock = SimulatedClock(1_000_000_000)
+        self._world = SlabWorld(scene)
+        self._tip = RigidTip(radius=options.tip_radius_m)
+        self._contact: Contact | None = None
+        self.view = DepthView(scene, DepthViewConfig(width=camera_width, height=camera_width * 3 // 4))
+        self.tool = Tool(radius_m=options.tip_radius_m)
+        T_base_surface = T_BASE_SURFACE
+        self.placement = Placement(T_base_surface, self.tool)
+        parked = np.array([scene.size_m[0] / 2, scene.size_m[1] / 2, PARKED_M])
+        touching = np.array([*parked[:2], scene.thickness_m])
+        up = np.array([0.0, 0.0, 1.0])
+        self.lab = TouchLab(
+            self,
+            self.clock,
+            tool=self.tool,
+            T_base_surface=T_base_surface,
+            arm_stiffness_n_m=ARM_N_PER_M,
+            view=self._see,
+            camera_config=SyntheticDepthConfig(rate_hz=CAMERA_HZ, missing=0.02, seed=options.seed),
+            start_deg=best_joints(J2N6S300, [self.placement.T_base_ee(place, up) for place in (parked, touching)]),
+            seed=options.seed,
+        )
+        self._options = options
+
+    def press(self, center_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The slab's force on the tip: what `TouchLab` asks of its world."""
+        self._contact = self._world.press(self._tip, center_m)
+        return np.asarray(self._contact.force_n, np.float64)
+
+    @property
+    def max_force_n(self) -> float:
+        """The largest true contact force so far [N]."""
+        return self.lab.max_force_n
+
+    @property
+    def arm(self) -> ArmCompliance:
+        """As a calibration on a rigid block would give it: 10 % off is taken into account."""
+        return ArmCompliance(1.0 / ARM_N_PER_M, ARM_DOUBT / ARM_N_PER_M)
+
+    def source(self) -> RigSource:
+        """The devices as a source; entering it opens the laboratory."""
+        devices: dict[str, tuple[str, Device[Any]]] = {
+            "arm": ("jaco", self.lab.arm),
+            "tip": ("optoforce", self.lab.force),
+        }
+        if self.lab.camera is not None:
+            devices["camera"] = ("depth_camera", self.lab.camera)
+        members = [RigMember(name, DRIVERS[driver], device, True) for name, (driver, device) in devices.items()]
+        return RigSource(members, clock=self.clock, opener=self.lab.open)
+
+    @contextlib.contextmanager
+    def robot(self, on_cycle: Callable[[], None] | None = None) -> Iterator[TouchingRobot]:
+        """The robot over the opened laboratory. on_cycle: called in every control period"""
+
+        def watch(seen: Observation, verdict: Verdict) -> None:
+            if on_cycle is not None:
+                on_cycle()
+
+        workspace = Workspace(low_m=BOX_LOW_M, high_m=BOX_HIGH_M)
+        robot = Robot(
+            self.lab.arm,
+            self.lab.force,
+            self.placement,
+            Limits.of(workspace, camera_hz=CAMERA_HZ),
+            camera=self.lab.camera,
+            clock=self.clock,
+            wait_until=self.lab.wait_until,
+            watch=watch,
+        )
+        robot.cycle()
+        camera = self.view.intrinsics
+        intrinsics = Intrinsics((camera.fx_px, camera.fy_px), (camera.cx_px, camera.cy_px))
+        yield TouchingRobot(
+            robot,
+            self.scene.size_m,
+            self._options,
+            (intrinsics, self.view.surface_from_camera),
+            arm=self.arm,
+            clock=self.clock,
+        )
+
+    def _see(self, time_s: float) -> View:
+        """What the camera sees now: the slab as it is pressed, the arm in its pose."""
+        moved = None
+        if self._contact is not None and len(self._contact.node):
+            moved = self._world.displaced_m(self._contact, self.view.places_m)
+        frames = self.lab.arm_double.chain.forward(self.lab.arm_double.joints_deg)
+        T_surface_base = np.linalg.inv(self.placement.T_base_surface)
+        joints = [(T_surface_base @ frame)[:3, 3] for frame in (np.eye(4), *frames)]
+        center = self.lab.center_m
+        robot = [Seen(a, b, LINK_RADIUS_M) for a, b in pairwise(joints)]
+        robot += [Seen(joints[-1], center, STICK_RADIUS_M), Seen(center, center, self._options.tip_radius_m)]
+        exact = self.view.render(moved, robot)
+        return View(exact.depth_m, exact.color)  # the camera adds its own noise

@@ -1,0 +1,158 @@
+"""An exploration: the same twice, computed again from what was recorded of it, and right on simple tables."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from deformscope.errors import InputError
+from deformscope.experiments.explore import (
+    ExploreOptions,
+    Explorer,
+    Moment,
+    Touched,
+    explore,
+    explore_again,
+    pack,
+    unpack_touched,
+)
+from deformscope.experiments.explore_lab import LabRobot
+from deformscope.experiments.table41 import TableJob, run_table
+from deformscope.exploration_replay import components
+from deformscope.lab.scenes import built_in
+from deformscope.stages.exploration import MapsKnown, NextTouch, SurfaceSeen, TouchTold
+
+
+def explored(name: str, **changes: object) -> tuple[Explorer, list[Moment], dict[str, bytes]]:
+    options = ExploreOptions(**{"budget": 3, "beta_model": "none", **changes})  # type: ignore[arg-type]
+    scene = built_in(name, options.seed)
+    robot = LabRobot(scene, options, sees=options.beta_model != "none")
+    explorer = Explorer(scene.size_m, options, robot.arm, robot.truth)
+    moments, inputs = [], {}
+    for moment in explore(robot, explorer):
+        moments.append(moment)
+        inputs.update({name.removeprefix("explored/"): content for name, content in explorer.new_inputs()})
+    assert robot.most_force_n < 8.0
+    return explorer, moments, inputs
+
+
+def of(kind: type, moments: list[Moment]) -> list[object]:
+    return [result for moment in moments for result in moment.results if isinstance(result, kind)]
+
+
+def same(first: object, second: object) -> bool:
+    one, other = components(first), components(second)  # type: ignore[arg-type]
+    return one.keys() == other.keys() and all(
+        np.array_equal(one[name][1], other[name][1], equal_nan=one[name][0] == "float64") for name in one
+    )
+
+
+@pytest.fixture(scope="module")
+def two() -> tuple[Explorer, list[Moment], dict[str, bytes]]:
+    return explored("two-60-150", budget=4)
+
+
+def test_a_touch_tells_stiffness_and_the_map_its_place(two: tuple[Explorer, list[Moment], dict[str, bytes]]) -> None:
+    explorer, moments, _ = two
+    told = of(TouchTold, moments)
+    scene = built_in("two-60-150", 0)
+    stiff = [one for one in told if scene.modulus_pa(one.xyz_m[:2]) > 60e3]  # type: ignore[attr-defined]
+    soft = [one for one in told if one not in stiff]
+
+    assert len(told) == 4
+    assert stiff
+    assert soft
+    assert min(one.stiffness_n_per_mm for one in stiff) > 1.5 * max(one.stiffness_n_per_mm for one in soft)  # type: ignore[attr-defined]
+    for one in told:
+        low, high = one.stiffness_interval  # type: ignore[attr-defined]
+        assert low < one.stiffness_n_per_mm < high  # type: ignore[attr-defined]
+    maps = of(MapsKnown, moments)[-1]
+    assert maps.region_count == 2  # type: ignore[attr-defined]
+    assert maps.iou > 0.7  # type: ignore[attr-defined]
+    assert explorer.boundary_m() is not None
+
+
+def test_the_surface_is_seen_where_it_is(two: tuple[Explorer, list[Moment], dict[str, bytes]]) -> None:
+    (seen,) = of(SurfaceSeen, two[1])
+    scene = built_in("two-60-150", 0)
+
+    assert np.abs(seen.height_m - scene.height_m(scene.cells_m())).max() < 5e-4  # type: ignore[attr-defined]
+
+
+def test_it_stops_for_a_reason_and_says_why_it_goes_where(two: tuple[Explorer, list[Moment], dict[str, bytes]]) -> None:
+    explorer, moments, _ = two
+    plans = of(NextTouch, moments)
+
+    assert explorer.stop_reason == "budget"
+    assert plans[-1].target_m is None  # type: ignore[attr-defined]
+    assert all(plan.reason for plan in plans)  # type: ignore[attr-defined]
+    for plan in plans[:-1]:
+        column, row = (plan.target_m / explorer.plan_cell_m).astype(int)  # type: ignore[attr-defined]
+        assert not plan.excluded[row, column]  # type: ignore[attr-defined]
+
+
+def test_the_same_seed_gives_the_same_map(two: tuple[Explorer, list[Moment], dict[str, bytes]]) -> None:
+    _, again, inputs = explored("two-60-150", budget=4)
+
+    assert inputs == two[2]
+    assert all(same(a, b) for a, b in zip(of(MapsKnown, two[1]), of(MapsKnown, again), strict=True))
+
+
+def test_what_was_recorded_gives_the_same_results_to_the_last_bit(
+    two: tuple[Explorer, list[Moment], dict[str, bytes]],
+) -> None:
+    before, moments, inputs = two
+    explorer = Explorer(before.grid.size_m, before.options, before._arm)
+    again = [result for results in explore_again(inputs, explorer) for result in results]
+    told = [one for one in again if isinstance(one, TouchTold)]
+
+    assert all(same(a, b) for a, b in zip(of(TouchTold, moments), told, strict=True))
+    last = [one for one in again if isinstance(one, MapsKnown)][-1]
+    first = of(MapsKnown, moments)[-1]
+    np.testing.assert_array_equal(last.stiffness_n_per_mm, first.stiffness_n_per_mm)  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(last.labels, first.labels)  # type: ignore[attr-defined]
+
+
+def test_a_touch_survives_its_file() -> None:
+    touched = Touched(
+        np.zeros(2), np.array([0, 0, 1.0]), np.arange(3.0), np.ones((3, 3)), np.ones((3, 3)), np.zeros((0, 3)), True
+    )
+    back = unpack_touched(pack(touched))
+
+    assert back.reached
+    np.testing.assert_array_equal(back.position_m, touched.position_m)
+    assert pack(back) == pack(touched)
+
+
+def test_beta_comes_with_a_verdict_and_the_maps_with_its_field() -> None:
+    _, moments, _ = explored("homogeneous-60", budget=2, beta_model="volume")
+    told = of(TouchTold, moments)
+
+    assert all(one.beta_verdict for one in told)  # type: ignore[attr-defined]
+    fitted = [one for one in told if one.beta is not None]  # type: ignore[attr-defined]
+    assert fitted
+    for one in fitted:
+        low, high = one.beta_interval  # type: ignore[attr-defined]
+        assert 0.0 <= low <= one.beta <= high < 1.0  # type: ignore[attr-defined]
+
+
+def test_the_thesis_way_says_what_its_trend_is() -> None:
+    _, moments, _ = explored("homogeneous-60", budget=1, beta_model="thesis")
+    (told,) = of(TouchTold, moments)
+
+    assert told.beta is not None  # type: ignore[attr-defined]
+    assert "contact patch" in told.beta_verdict  # type: ignore[attr-defined]
+
+
+def test_a_row_of_the_table() -> None:
+    run = run_table(TableJob("two-150-rigid", 1, touches=3))
+
+    assert len(run.after) == 3
+    assert run.max_force_n < 8.0
+    assert run.after[-1].ordered
+    assert run.after[-1].travel_m > 0.1
+
+
+def test_forces_that_are_too_large_are_refused() -> None:
+    with pytest.raises(InputError, match="up to 5 N"):
+        ExploreOptions(set_force_n=6.0)
