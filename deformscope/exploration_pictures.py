@@ -413,7 +413,7 @@ def _draw_keys(axes: Any, maps: MapsKnown) -> None:
         if inside.any():
             x, y = _middle(inside, maps.cell_m, maps.contacts_m)
             axes.text(
-                x, y, f"{np.median(maps.stiffness_n_per_mm[inside]):.2g}\nN/mm", ha="center", va="center", fontsize=11,
+                x, y, f"{maps.level_words(int(label))}\nN/mm", ha="center", va="center", fontsize=11,
                 weight="bold", zorder=7, path_effects=[withStroke(linewidth=2.5, foreground="white")],
             )  # fmt: skip
 

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from deformscope import provenance
-from deformscope.arrays import ImageArray
+from deformscope.arrays import FloatArray, ImageArray
 from deformscope.errors import InputError
 from deformscope.frames import ColorFrame, Frame, HealthReport, Item, LinkChange, RawBytes, Stream
 from deformscope.images import encode_png
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from deformscope.log.blueprint import Layout
 
-    RecordingLayout = Layout | Literal["rig"]
+    RecordingLayout = Layout | Literal["rig", "exploration"]
     from deformscope.log.canvas import Canvas
 
 APPLICATIONS: dict[RecordingLayout, str] = {
@@ -46,6 +46,7 @@ APPLICATIONS: dict[RecordingLayout, str] = {
     "pair": "deformscope-pair",
     "pair-3d": "deformscope-pair-3d",
     "rig": "deformscope-rig",
+    "exploration": "deformscope-exploration",
 }
 """rerun's application of each layout: a viewer keeps one set of views an application, and these differ."""
 SUFFIX = ".rrd"
@@ -120,6 +121,7 @@ class Recorder:
         self._frames = self._steps = self._inputs = 0
         self._streams: tuple[Stream, ...] = ()
         self._lossless: frozenset[str] = frozenset()
+        self._touch: int | None = None
         self._counts: dict[str, int] = {}
         self._beat_at = self._beats = 0.0
         self._broken = False
@@ -228,8 +230,48 @@ class Recorder:
             return
         from deformscope.log.rig import prepare_items
 
-        batch = prepare_items(items, self._first_ns, self._streams, self._lossless)
+        batch = prepare_items(items, self._first_ns, self._streams, self._lossless, self._touch)
         self._emit(batch.send, sum(_item_size(item) for item in items))
+
+    def start_exploration(
+        self,
+        streams: Sequence[Stream],
+        start_ns: int,
+        size_m: tuple[float, float],
+        base_from_surface: FloatArray | None,
+        *,
+        truth: bool,
+    ) -> None:
+        """From here on it is an exploration that is recorded, and its devices.
+
+        size_m: of the surface; base_from_surface: (4, 4); truth: whether it is known
+        """
+        self._streams, self._first_ns = tuple(streams), start_ns
+        if not self.active:
+            return
+        from deformscope.log.exploration import exploration_blueprint, log_exploration_start
+        from deformscope.log.rig import log_streams
+
+        views, told = exploration_blueprint(self._streams, size_m, truth=truth), self._streams
+        self._emit(lambda rec: rec.send_blueprint(views), 0)
+        self._emit(lambda rec: log_streams(rec, told), 0)
+        self._emit(lambda rec: log_exploration_start(rec, told, base_from_surface), 0)
+
+    def write_results(self, results: Sequence[object], now_ns: int, touch: int, cell_m: float) -> None:
+        """Record results of an exploration.
+
+        now_ns: the robot's clock; touch: 0 before the first touch, then its number from 1; cell_m: of the maps
+        """
+        self._touch = touch
+        self._steps += 1
+        if not self.active:
+            return
+        from deformscope.log.exploration import prepare_results
+
+        if self._file is not None:
+            self._beat()
+        batch = prepare_results(results, now_ns - self._first_ns, touch, cell_m=cell_m)
+        self._emit(batch.send, sum(_size(result) for result in results))
 
     def write_input(self, name: str, content: bytes | ImageArray) -> None:
         """Record an input that is no frame, without loss, at `input/NAME`.
@@ -258,7 +300,7 @@ class Recorder:
 
     def _open(self) -> None:
         os.environ.setdefault("RUST_LOG", "off")  # what rerun would print, this recorder notices and says itself
-        if self._layout == "rig":
+        if self._layout in ("rig", "exploration"):
             from deformscope.log.rig import warm_up
 
             warm_up()  # before any device is opened: a second's delay in a session would overflow its queues
@@ -292,8 +334,8 @@ class Recorder:
         self._arranged = True
         from deformscope.log.blueprint import blueprint
 
-        if self._layout == "rig":
-            raise ValueError("a rig's views come with start_rig")
+        if self._layout == "rig" or self._layout == "exploration":
+            raise ValueError("the views of a rig come when it starts")
         views = blueprint(self._layout, self._canvas)
         self._emit(lambda rec: rec.send_blueprint(views), 0)
 

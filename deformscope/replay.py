@@ -87,6 +87,16 @@ class Replay:
                     found[chunk.entity_path] = _bytes(row.values["blob"])
         return [found[name] for name in sorted(found, key=_natural)]
 
+    def read_inputs(self, folder: str) -> dict[str, bytes]:
+        """Inputs that are no frames, by their names below `input/FOLDER`, in the order of their names."""
+        found: dict[str, bytes] = {}
+        prefix = f"/input/{folder}"
+        for chunk in self.chunks(prefix, f"{prefix}/**"):
+            for row in _rows_of(chunk):
+                if "blob" in row.values:
+                    found[chunk.entity_path.removeprefix(prefix).strip("/")] = _bytes(row.values["blob"])
+        return {name: found[name] for name in sorted(found)}
+
     def read_results(self) -> list[dict[str, Any]]:
         """The recorded estimates, as the JSON objects that they were recorded as, in the order of their frames."""
         rows = sorted(self._rows(ESTIMATE), key=lambda row: -1 if row.frame is None else row.frame)

@@ -76,7 +76,13 @@ COMMANDS: dict[str, Command] = {
         "PokesConfig",
         "deformscope.cli.reproduce_pokes",
     ),
+    "reproduce table41": Command(
+        "maps of simulated tables over seeds (Thesis table 4.1)",
+        "Table41Config",
+        "deformscope.cli.reproduce_table41",
+    ),
     "coverage": Command("how often the intervals hold the truth", "CoverageConfig", "deformscope.cli.coverage"),
+    "explore": Command("map how soft a surface is, by touching it", "ExploreConfig", "deformscope.cli.explore"),
     "devices": Command("what is plugged in, and how it does", "DevicesConfig", "deformscope.cli.devices"),
     "doctor": Command("whether a rig would work, and what to do if not", "DoctorConfig", "deformscope.cli.doctor"),
     "record": Command("record all devices of a rig", "RecordConfig", "deformscope.cli.record", "record"),

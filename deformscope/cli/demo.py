@@ -1,7 +1,7 @@
 """`deformscope demo`: the main job on what is built in; leaves `runs/demo-<stamp>.rrd`.
 
 deformscope demo
-deformscope demo --viewer none --json -
+deformscope demo --images --viewer none --json -
 """
 
 from __future__ import annotations
@@ -10,24 +10,36 @@ import dataclasses
 from datetime import datetime
 from pathlib import Path
 
-from deformscope.cli.calibrate import calibrate_images, particle_options, sample_images
 from deformscope.cli.common import quiet_warp
-from deformscope.config import DemoConfig, SearchOptions
+from deformscope.config import DemoConfig, ExploreConfig, SearchOptions
+from deformscope.config.options import OutputOptions
 from deformscope.errors import InputError
 
 FOLDER = Path("runs")
 SAMPLE = "tension"
+SCENE = "lab:three-60-110-rigid"
+TOUCHES = 8
 
 
 def run(config: DemoConfig) -> None:
-    """Fit the sample that ships, record it, and show it where there is a display."""
-    from deformscope.stages.calibrate import FitOptions, Model
-
+    """Explore a simulated table, or fit the images that ship; record it, and show it where there is a display."""
     quiet_warp()
-    images = sample_images(SAMPLE)
     output = config.output
     if output.record is None:
         output = dataclasses.replace(output, record=_new_recording())
+    if config.images:
+        _fit_images(output)
+        return
+    from deformscope.cli.explore import run as explore
+
+    explore(ExploreConfig(SCENE, touches=TOUCHES, output=output))
+
+
+def _fit_images(output: OutputOptions) -> None:
+    from deformscope.cli.calibrate import calibrate_images, particle_options, sample_images
+    from deformscope.stages.calibrate import FitOptions, Model
+
+    images = sample_images(SAMPLE)
     calibrate_images(
         [f"sample:{SAMPLE}"],
         FitOptions(Model(), seed=output.seed),

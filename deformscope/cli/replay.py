@@ -13,12 +13,13 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from deformscope.cli.calibrate import calibrate_pair_bytes, run_images
-from deformscope.cli.common import console, quiet_warp
+from deformscope.cli.common import console, quiet_warp, write_json
 from deformscope.config import ReplayConfig
 from deformscope.errors import InputError
 
 if TYPE_CHECKING:
     from deformscope.frames import ColorFrame
+    from deformscope.replay import Replay
 
 CLOSE = 0.01
 """Largest difference that another machine's arithmetic may make: of the value and its interval as a share of the
@@ -44,6 +45,11 @@ def run(config: ReplayConfig) -> None:
     quiet_warp()
     recording = Replay(config.recording)
     settings = dict(recording.settings)
+    if "explore" in settings:
+        _explored(recording, settings, config)
+        return
+    if "rig" in settings:
+        raise InputError("a recording of a calibration or an exploration", "one of a rig alone", where=config.recording)
     try:
         fit = msgspec.convert(settings.pop("fit"), FitOptions)
         particles = msgspec.convert(settings.pop("particles", {}), ParticleOptions)
@@ -73,6 +79,36 @@ def run(config: ReplayConfig) -> None:
             found_here = run_images(source, recording.mask, fit, particles, settings, config.output, motion=motion)
             estimates = [found_here.as_json()]
     _compare(recording.read_results(), estimates, config)
+
+
+def _explored(recording: Replay, settings: dict[str, Any], config: ReplayConfig) -> None:
+    """Estimate and map again from what the robot saw and felt; every result must be the same to the last bit."""
+    import msgspec
+    import numpy as np
+
+    from deformscope.experiments.explore import ExploreOptions, Explorer, explore_again
+    from deformscope.exploration_replay import components, read_results
+    from deformscope.stages.contact import ArmCompliance
+    from deformscope.stages.exploration import MapsKnown, SurfaceSeen, TouchTold
+
+    options = msgspec.convert(settings["explore"], ExploreOptions)
+    arm = msgspec.convert(settings["arm"], ArmCompliance)
+    width, depth = settings["size_m"]
+    explorer = Explorer((float(width), float(depth)), options, arm)
+    kinds = (SurfaceSeen, TouchTold, MapsKnown)
+    recorded = [found.result for found in read_results(config.recording, kinds, trust=True)]
+    again = [result for results in explore_again(recording.read_inputs("explored"), explorer) for result in results]
+    if len(recorded) != len(again):
+        raise Different(f"{len(recorded)} results as recorded", str(len(again)), where=config.recording)
+    for before, now in zip(recorded, again, strict=True):
+        first, second = components(before), components(now)
+        known = set(first) & set(second) - {"truth_labels", "truth_labels_shape", "iou"}  # the truth is not computed
+        for name in sorted(known):
+            if not np.array_equal(first[name][1], second[name][1], equal_nan=first[name][0] == "float64"):
+                came = f"another {name} of {type(before).__name__}"
+                raise Different("the recorded numbers, to the last bit", came, where=config.recording)
+    console().print(f"replay: {len(again)} results, identical to the recorded numbers")
+    write_json({"results": len(again), "identical": True}, config.output.json)
 
 
 def _wait(frame: ColorFrame) -> None:

@@ -21,11 +21,12 @@ from deformscope.config.calibrate import (
 from deformscope.config.flags import PokeText, parse_poke, parse_pokes
 from deformscope.config.images import FlowConfig, ImageOptions
 from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions, Written
-from deformscope.config.reproduce import CoverageConfig, CubesConfig, FoamsConfig, PokesConfig
+from deformscope.config.reproduce import CoverageConfig, CubesConfig, FoamsConfig, PokesConfig, Table41Config
 from deformscope.config.rigs import (
     DevicesConfig,
     DoctorConfig,
     DoubleConfig,
+    ExploreConfig,
     LiveConfig,
     RecordConfig,
     RigRunOptions,
@@ -45,6 +46,7 @@ __all__ = [
     "DevicesConfig",
     "DoctorConfig",
     "DoubleConfig",
+    "ExploreConfig",
     "FlowConfig",
     "FoamsConfig",
     "ImageOptions",
@@ -59,6 +61,7 @@ __all__ = [
     "RigRunOptions",
     "SearchOptions",
     "SummaryOptions",
+    "Table41Config",
     "ThetaConfig",
     "VerifyConfig",
     "Written",

@@ -154,3 +154,34 @@ class CoverageConfig(CommandOptions):
 
     def json_target(self) -> str | None:
         return self.json
+
+
+@dataclass(frozen=True, slots=True)
+class Table41Config(CommandOptions):
+    """Thesis table 4.1 and scenes beyond it: explore simulated tables over seeds, and tell how good the maps are after
+    how many touches, planner beside planner. 20 seeds of all scenes take some 20 minutes on two cores."""
+
+    out: Annotated[Path, arg(metavar="DIR")] = Path("runs/table41")
+    """Folder for table41.csv and table41.json; files there are replaced."""
+    scenes: Annotated[str, arg(metavar="NAME,NAME...")] = ""
+    """Scenes, as `deformscope explore --list-scenarios` names them; default: all."""
+    planners: Annotated[str, arg(metavar="NAME,NAME...")] = "regions"
+    """Planners to compare: regions, integrated-variance, max-variance, random-above."""
+    seeds: int = 20
+    """Layouts of each scene, from seed 0 on."""
+    touches: int = 8
+    """Touches of each exploration."""
+    workers: CountFlag = None
+    """Processes at once; default: the cores of this machine."""
+    json: JsonFlag = None
+    """Write all figures as JSON too; with -, stdout is the JSON alone."""
+
+    def __post_init__(self) -> None:
+        if self.seeds < 1 or self.touches < 1:
+            raise InputError("--seeds and --touches of 1 or more", f"{self.seeds} and {self.touches}")
+
+    def writes(self) -> tuple[Written, ...]:
+        return written_json(self.json)
+
+    def json_target(self) -> str | None:
+        return self.json

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from deformscope.config.flags import JsonFlag, PositiveFlag, one_word, positive
-from deformscope.config.options import CommandOptions, OutputOptions, Written, written_json
+from deformscope.config.flags import JsonFlag, PictureFlag, PositiveFlag, one_word, positive
+from deformscope.config.options import CommandOptions, OutputOptions, Written, check_suffix, written_json
 from deformscope.errors import InputError
 
 
@@ -119,3 +119,47 @@ class DoubleConfig(CommandOptions):
     """Drivers (optoforce, dsa, sdh), or a rig file or lab:NAME whose byte-stream devices are to be doubled."""
     seconds: PositiveFlag = None
     """How long [s]; default: until Ctrl-C."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExploreConfig(CommandOptions):
+    """Map how soft a surface is, and where: look, touch where it tells most, map, again; regions in the end. lab:NAME
+    is a simulated table, explored through the real drivers on byte-exact doubles."""
+
+    rig: Annotated[str, Positional, arg(metavar="lab:NAME")] = ""
+    """A simulated scene; --list-scenarios names them."""
+    list_scenarios: bool = False
+    """Name the simulated scenes, and what their seeds draw, and do nothing else."""
+    touches: int = 8
+    """Touches at most."""
+    planner: Literal["regions", "integrated-variance", "max-variance", "random-above"] = "regions"
+    """Where to touch next: what tells most about the map of regions per second (default), two rules by the field's
+    variance, or the thesis's (any place above --threshold)."""
+    threshold: float = 0.06
+    """Variance, as a share of that before any touch, below which a place needs no touch (Th of the thesis)."""
+    set_force: Annotated[float, one_word("NEWTON", positive)] = 3.0
+    """Force to press with [N]; at 5 N at most."""
+    beta_model: Literal["volume", "thesis", "none"] = "volume"
+    """What beta is fitted with: layers below the surface, the thesis's single layer with one held particle, or none."""
+    picture: PictureFlag = None
+    """Draw the maps to a PNG."""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def __post_init__(self) -> None:
+        if not self.rig and not self.list_scenarios:
+            raise InputError("lab:NAME", "none", "deformscope explore --list-scenarios")
+        if self.touches < 1:
+            raise InputError("--touches of 1 or more", str(self.touches))
+        if self.set_force > 5.0:
+            raise InputError("--set-force up to 5 N", f"{self.set_force:g}")
+        check_suffix("--picture", self.picture, ".png")
+
+    def reads(self) -> tuple[str, ...]:
+        return (self.rig,) if self.rig else ()
+
+    def writes(self) -> tuple[Written, ...]:
+        picture = () if self.picture is None else (Written("--picture", self.picture),)
+        return (*picture, *self.output.writes())
+
+    def json_target(self) -> str | None:
+        return self.output.json

@@ -13,8 +13,11 @@ from deformscope.config.options import OutputOptions, RecordedOptions
 
 @dataclass(frozen=True, slots=True)
 class DemoConfig(RecordedOptions):
-    """Measure the sample that ships: real images of a specimen under tension. Leaves runs/demo-<stamp>.rrd, or what
-    --record names."""
+    """The main job on what is built in: a simulated arm maps the stiffness of a table with three materials, by looking
+    and touching. Leaves runs/demo-<stamp>.rrd, or what --record names."""
+
+    images: bool = False
+    """Measure the images that ship instead: a specimen under tension, filmed."""
 
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 

@@ -204,7 +204,7 @@ def test_demo_leaves_a_recording_each_time(
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     for count in (1, 2):
-        assert main(["demo"]) == 0
+        assert main(["demo", "--images"]) == 0
         assert len(list((tmp_path / "runs").glob("demo-*.rrd"))) == count
     shown = capsys.readouterr().out
     assert "beta" in shown

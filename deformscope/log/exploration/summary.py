@@ -40,6 +40,5 @@ def summary(maps: MapsKnown) -> str:
     for label in range(maps.region_count):
         inside = maps.labels == label
         if inside.any():
-            stiffness = float(np.median(maps.stiffness_n_per_mm[inside]))
-            lines.append(f"| {label + 1} | {stiffness:.3g} | {inside.sum() * (100 * maps.cell_m) ** 2:.0f} |")
+            lines.append(f"| {label + 1} | {maps.level_words(label)} | {inside.sum() * (100 * maps.cell_m) ** 2:.0f} |")
     return "\n".join(lines)
