@@ -115,6 +115,11 @@ class RigSource:
         )
 
     @property
+    def ended(self) -> bool:
+        """Whether nothing more can come of any device: files at their end, links given up."""
+        return bool(self._opened) and all(opened.readings.ended for opened in self._opened)
+
+    @property
     def failures(self) -> dict[str, str]:
         """Devices that ended for good, and why."""
         return {opened.member.name: opened.failure for opened in self._opened if opened.failure}

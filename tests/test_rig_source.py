@@ -8,8 +8,11 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 
 from deformscope.driver_table import DRIVERS
@@ -162,3 +165,16 @@ def test_a_device_that_does_not_close_well_is_told(monkeypatch: pytest.MonkeyPat
             monkeypatch.setattr(tip.device, "close", fail)
         assert "one that did not" in source.failures["tip"]
         monkeypatch.undo()
+
+
+def test_a_recording_of_files_ends_with_them(tmp_path: Path) -> None:
+    for number in range(3):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), np.full((8, 8, 3), number, np.uint8))
+    driver = DRIVERS["image_folder"]
+    device = driver.make(driver.config_class()(path=str(tmp_path), fps=50.0))
+    keeper = Keeper()
+    with RigSource([RigMember("camera", driver, device)]) as source:
+        watch(source, keeper, lambda items: source.ended)
+
+    assert len(frames_of(keeper.items, "camera")) == 3
+    assert not source.failures

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from deformscope.frames import HealthReport, Item
     from deformscope.recorder import RecordingSummary
     from deformscope.rig import Rig
+    from deformscope.rig_source import RigSource
     from deformscope_drivers.health import Health
 
 TELL_EVERY_S = 10.0
@@ -67,7 +68,7 @@ def _run(config: RigRunOptions, *, always_record: bool) -> None:
             recorder.start_rig(source.streams, source.start_ns, rig.record.lossless)
             where = "" if file is None else f" into {file}"
             say(f"recording{where}: Ctrl-C ends it" if file else "watching: Ctrl-C ends it")
-            end = _Ending(asked, config.seconds)
+            end = _Ending(asked, config.seconds, source)
             last = watch(source, recorder, end)
             failures = dict(source.failures)
     _tell(config, recorder.summary(), last, failures)
@@ -79,7 +80,8 @@ def _run(config: RigRunOptions, *, always_record: bool) -> None:
 class _Ending:
     """Whether a recording's time is over; tells now and then how it goes."""
 
-    def __init__(self, asked: Event, seconds: float | None) -> None:
+    def __init__(self, asked: Event, seconds: float | None, source: RigSource) -> None:
+        self._source = source
         self._last: HealthReport | None = None
         self._asked = asked
         self._until = None if seconds is None else time.monotonic() + seconds
@@ -98,6 +100,9 @@ class _Ending:
             self._told_at = time.monotonic()
             rates = ", ".join(f"{name} {health.rate_hz:.4g}/s" for name, health in self._last.devices)
             say(rates)
+        if self._source.ended:
+            say("every device has come to its end")
+            return True
         return self._asked.is_set() or (self._until is not None and time.monotonic() >= self._until)
 
 
@@ -129,9 +134,12 @@ def _in_words(health: Health, failure: str | None) -> str:
 
 def losses(health: Health) -> dict[str, int]:
     """What was lost, in the order in which it matters."""
+    from deformscope_drivers.device import RAW_DROPPED
+
     return {
         "lost on the way": health.lost,
         "dropped here": health.dropped,
+        "pieces of bytes dropped here": int(health.extra.get(RAW_DROPPED, 0)),
         "frames refused": sum(health.refused.values()),
         "bytes skipped": health.skipped_bytes,
         "reconnects": health.reconnects,

@@ -26,7 +26,9 @@ def run(config: VerifyConfig) -> None:
     """Check bytes, structure and completeness; raises Damaged where something is wrong."""
     path = config.recording
     if not path.is_file():
-        raise InputError("a recording (.rrd)", "a folder" if path.is_dir() else "nothing there", where=path)
+        part = next(iter(sorted(path.parent.glob(f"{path.stem}.part*{path.suffix}"))), None)
+        hint = f"the unfinished one: {part}" if part is not None else ""
+        raise InputError("a recording (.rrd)", "a folder" if path.is_dir() else "nothing there", hint, path)
     problems: list[str] = []
     ledger = WHOLE
     try:
@@ -53,7 +55,7 @@ def run(config: VerifyConfig) -> None:
     found: dict[str, Any] = {"recording": path, "ok": not problems, "problems": problems, "counts": counts}
     write_json({**found, "outcome": outcome, "losses": dict(losses)}, config.json)
     if problems:
-        raise Damaged("a whole recording", "; ".join(problems), "deformscope replay reads what there is", path)
+        raise Damaged("a whole recording", "; ".join(problems), "rerun shows what there is", path)
 
 
 def _structure(path: Path) -> str:

@@ -16,7 +16,8 @@ from deformscope.errors import InputError
 @dataclass(frozen=True, slots=True)
 class DevicesConfig(CommandOptions):
     """List what is plugged into this machine: port, serial number, firmware, health. Devices that are known by their
-    USB identity, and doubles that run, are opened for a moment and asked; nothing moves."""
+    USB identity, and doubles that run, are opened for a moment and asked: nothing moves, but an OptoForce is told its
+    driver's default rate and filter, and forgets its zero."""
 
     probe: bool = True
     """Open what is known and ask it; --no-probe tells only what the system knows."""

@@ -30,6 +30,8 @@ CLOSE_TIMEOUT_S = 5.0
 QUEUE_READINGS = 8192
 QUEUE_CHUNKS = 65536
 QUEUE_EVENTS = 1024
+RAW_DROPPED = "raw_dropped"
+"""In `Health.extra`: pieces of raw bytes that a reader was too slow to take."""
 
 
 class Measurement(Protocol):
@@ -307,7 +309,8 @@ class Device(ABC, Generic[MeasurementT]):
                 age_s=None if last is None else (now_ns - last.stamp.host_ns) / 1e9,
                 stuck=self._stuck(),
                 clock=None if self._clock_fit is None else self._clock_fit.relation(),
-                extra=self._extra_health(),
+                extra=self._extra_health()
+                | ({RAW_DROPPED: self._tally.raw_dropped} if self._tally.raw_dropped else {}),
             )
 
     def identity(self) -> Identity:
@@ -377,7 +380,7 @@ class Device(ABC, Generic[MeasurementT]):
     def _record_raw(self, data: bytes, host_ns: int, *, sent: bool = False) -> None:
         with self._changed:
             for queue in self._chunks:
-                queue.put(RawChunk(host_ns, data, sent))
+                self._tally.raw_dropped += queue.put(RawChunk(host_ns, data, sent))
 
     # Within ----------------------------------------------------------------------------------------------------------
 

@@ -101,6 +101,7 @@ class Tally:
         self.received = 0
         self.lost = 0
         self.dropped = 0
+        self.raw_dropped = 0
         self.skipped_bytes = 0
         self.resyncs = 0
         self.reconnects = 0

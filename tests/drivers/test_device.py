@@ -190,6 +190,13 @@ def test_a_queue_from_before_the_opening_misses_nothing(wire: PtyWire) -> None:
     assert [event.link for event in events] == [Link.CONNECTED, Link.CLOSED]
 
 
+def test_raw_bytes_that_nobody_takes_are_counted_as_dropped(wire: PtyWire) -> None:
+    with toy(wire) as device:
+        raw = device.raw(capacity=2)
+        wait_until(lambda: raw.dropped > 3)
+        assert device.health().extra["raw_dropped"] >= 3
+
+
 def test_a_queue_of_a_device_that_does_not_open_ends_with_the_reason() -> None:
     device = Toy(SerialTransport("/dev/ttyNONE", 115200))
     readings = device.readings()

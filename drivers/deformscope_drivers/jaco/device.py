@@ -110,8 +110,8 @@ class Jaco(Device[JacoState]):
 
         Raises NotStopped where the arm was moving and could not be told to stop.
         """
-        atexit.unregister(self.close)
         super().close()
+        atexit.unregister(self.close)  # not before: one that hangs is to be tried again at the end
         if (error := self._not_erased) is not None:
             self._not_erased = None
             raise NotStopped(
