@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import threading
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from typing import Any
 
 from deformscope.driver_table import Driver
 from deformscope.errors import InputError
-from deformscope.frames import Frame, HealthReport, Item, LinkChange, RawBytes, Stream
+from deformscope.frames import HealthReport, Item, LinkChange, RawBytes, Stream
 from deformscope.measured import describe, to_frame
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import Device, RawChunk
@@ -67,7 +67,6 @@ class RigSource:
         self._members = tuple(members)
         self._raw = raw
         self._opened: list[_Opened] = []
-        self._stop = threading.Event()
         self._health_at = 0.0
 
     def __enter__(self) -> RigSource:
@@ -127,10 +126,8 @@ class RigSource:
     def take(self, wait_s: float) -> list[Item]:
         """Wait, then all that came since the last call, in order of time; now and then with everyone's health."""
         if wait_s > 0.0:
-            self._stop.wait(wait_s)
-        items: list[Item] = []
-        for opened in self._opened:
-            items += self._take_from(opened)
+            time.sleep(wait_s)
+        items = self.rest()
         now_s = self._clock() / 1e9
         if now_s - self._health_at >= HEALTH_PERIOD_S:
             self._health_at = now_s
@@ -142,10 +139,6 @@ class RigSource:
         reports = tuple((member.name, member.device.health()) for member in self._members)
         return HealthReport(self._clock(), tuple((name, _plain(health)) for name, health in reports))
 
-    def interrupt(self) -> None:
-        """End the wait of a `take`."""
-        self._stop.set()
-
     def close(self) -> None:
         """Close all devices, however many of them fail at it; what they gave last can still be taken."""
         for opened in self._opened:
@@ -155,7 +148,7 @@ class RigSource:
                 opened.failure = " ".join(str(error).split()) or type(error).__name__
 
     def rest(self) -> list[Item]:
-        """After `close`: what the queues still hold."""
+        """What the queues hold, in order of time, without waiting and without a look at anyone's health."""
         items: list[Item] = []
         for opened in self._opened:
             items += self._take_from(opened)
@@ -179,11 +172,6 @@ def host_ns(item: Item) -> int:
     if isinstance(item, LinkChange):
         return item.event.host_ns
     return item.stamp.host_ns
-
-
-def is_frame(item: Item) -> bool:
-    """Whether an item is a device's frame, and no byte, link change or report."""
-    return isinstance(item, Frame)
 
 
 def _all(queue: Subscription[Any], opened: _Opened) -> list[Any]:

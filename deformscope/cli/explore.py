@@ -2,7 +2,6 @@
 
 deformscope explore --list-scenarios
 deformscope explore lab:two-60-150 --seed 3 --record r.rrd --picture map.png
-
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ LAB = "lab:"
 
 
 def run(config: ExploreConfig) -> None:
-    """Explore a simulated scene, or with a rig."""
+    """Explore a simulated scene."""
     if config.list_scenarios:
         _list()
         return

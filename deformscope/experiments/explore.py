@@ -141,7 +141,7 @@ class Explorer:
         self.plan_cell_m = PLAN_CELL_M
         self._arm = arm
         self._truth = truth
-        self._fits: list[ContactFit] = []
+        self._regions: RegionMap | None = None
         self._beta_sd: list[float] = []
         self._inputs: list[tuple[str, bytes]] = []
 
@@ -190,7 +190,7 @@ class Explorer:
         )
         before = self.told[-1].xyz_m[:2] if self.told else np.zeros(2)
         self.travel_m += float(np.hypot(*(touched.xy_m - before)))
-        self._fits.append(fit)
+        self._regions = None
         self.posterior = self.posterior.with_touch(Touch(touched.xy_m, fit.log_stiffness, fit.log_sd, fit.rigid))
         told = self._told(touched, fit)
         self.told.append(told)
@@ -198,7 +198,7 @@ class Explorer:
 
     def maps(self) -> MapsKnown:
         """The maps after the touches so far."""
-        found = self.posterior.region_map()
+        found = self.region_map()
         beta, beta_sd = self._beta_field()
         truth = None if self._truth is None else self._truth.labels
         return MapsKnown(
@@ -221,8 +221,10 @@ class Explorer:
         )
 
     def region_map(self) -> RegionMap:
-        """Regions with their levels and intervals."""
-        return self.posterior.region_map()
+        """Regions with their levels and intervals, computed once for each touch."""
+        if self._regions is None:
+            self._regions = self.posterior.region_map()
+        return self._regions
 
     @property
     def truth(self) -> Truth | None:
@@ -233,7 +235,7 @@ class Explorer:
         """Mean distance between the true boundary and that of the map, both ways; None where there is none of both."""
         if self._truth is None or self._truth.labels is None:
             return None
-        found = boundary_distance(self.posterior.region_map().labels, self._truth.labels, self.grid.cell_m)
+        found = boundary_distance(self.region_map().labels, self._truth.labels, self.grid.cell_m)
         return found if np.isfinite(found) else None
 
     def new_inputs(self) -> list[tuple[str, bytes]]:
