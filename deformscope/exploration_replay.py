@@ -18,9 +18,9 @@ import numpy.typing as npt
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.replay import Replay
-from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, SurfaceSeen, TouchTold
+from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, Stopped, SurfaceSeen, TouchTold
 
-Result = SurfaceSeen | TouchTold | MapsKnown | NextTouch | PhaseBegan
+Result = SurfaceSeen | TouchTold | MapsKnown | NextTouch | PhaseBegan | Stopped
 
 ENTITIES: dict[type[Result], str] = {
     SurfaceSeen: "exploration/surface",
@@ -28,6 +28,7 @@ ENTITIES: dict[type[Result], str] = {
     MapsKnown: "exploration/maps",
     NextTouch: "exploration/plan",
     PhaseBegan: "exploration/phase",
+    Stopped: "exploration/stopped",
 }
 """Where each kind stands in a recording."""
 

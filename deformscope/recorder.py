@@ -1,8 +1,9 @@
 """Everything that is recorded or shown goes through here: the file, the live view, timelines, provenance.
 
-A recording in progress is `NAME.part.rrd`, a file like any other recording; it becomes `NAME.rrd` when all went
-well. A run that crashes, or that ends in an error, leaves it there with all it had (a crash: but for the last
-moments), and whatever `NAME.rrd` was before is untouched. An unfinished recording is never written over.
+A recording in progress is `NAME.part.rrd`, a file like any other recording; it becomes `NAME.rrd` when all went well,
+or when what it records was stopped and the recording holds that (`stopped_because`). A run that crashes, or that ends
+in an error, leaves it there with all it had (a crash: but for the last moments), and whatever `NAME.rrd` was before is
+untouched. An unfinished recording is never written over.
 """
 
 from __future__ import annotations
@@ -125,6 +126,7 @@ class Recorder:
         self._counts: dict[str, int] = {}
         self._beat_at = self._beats = 0.0
         self._broken = False
+        self._stopped = ""
         self._finished: RecordingSummary | None = None
 
     @property
@@ -290,6 +292,10 @@ class Recorder:
             png = encode_png(content)
             self._emit(lambda rec: _log_image(rec, path, png), len(png))
 
+    def stopped_because(self, reason: str) -> None:
+        """What is recorded ended before its time, and the recording with it: whole, and saying why."""
+        self._stopped = reason
+
     def summary(self) -> RecordingSummary:
         """What was recorded so far, or in the end."""
         if self._finished is not None:
@@ -398,6 +404,8 @@ class Recorder:
         if self._file is not None and not self._broken:
             outcome: dict[str, object] = {"frames": self._frames, "steps": self._steps}
             outcome |= {"live_dropped": dropped, "complete": complete}
+            if self._stopped:
+                outcome["stopped"] = self._stopped
             if self._counts:
                 outcome["counts"] = json.dumps(self._counts)
             self._file.send_property("outcome", _any_values(outcome))

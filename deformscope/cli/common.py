@@ -54,6 +54,24 @@ def show_table(title: str, rows: Sequence[tuple[str, str]]) -> None:
 
 
 @contextmanager
+def status_line() -> Iterator[Callable[[str], None]]:
+    """A line on stderr that the next one replaces, gone at the end; nothing where stderr is no terminal. Yields what
+    shows one: an empty one before anything else is said."""
+    shown = False
+
+    def show(text: str) -> None:
+        nonlocal shown
+        if sys.stderr.isatty() and (text or shown):
+            print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
+            shown = bool(text)
+
+    try:
+        yield show
+    finally:
+        show("")
+
+
+@contextmanager
 def progress(description: str, total: float | None = None) -> Iterator[Callable[[float], None]]:
     """A bar on stderr, gone at the end; nothing where stderr is no terminal. Yields what is called with steps done."""
     from rich.progress import Progress

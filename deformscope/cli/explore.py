@@ -2,6 +2,7 @@
 
 deformscope explore --list-scenarios
 deformscope explore lab:two-60-150 --seed 3 --record r.rrd --picture map.png
+deformscope explore lab:two-60-150 --fault force-silent@2 --record stopped.rrd
 """
 
 from __future__ import annotations
@@ -12,14 +13,17 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import quiet_warp, replacing, resolve_viewer, say, show_table, write_json
+from deformscope.cli.common import quiet_warp, replacing, resolve_viewer, say, show_table, status_line, write_json
+from deformscope.cli.exploring import Companion, leave
+from deformscope.cli.rigs import until_interrupted
 from deformscope.config import ExploreConfig
 from deformscope.errors import InputError
 
 if TYPE_CHECKING:
-    from deformscope.experiments.explore import ExploreOptions, Explorer, Moment, Robot, Truth
+    from deformscope.experiments.explore import ExploreOptions, Explorer, Moment, Robot
+    from deformscope.lab.faults import FaultsToCome
     from deformscope.recorder import Recorder
-    from deformscope.rig_source import RigSource
+    from deformscope.stages.exploration import MapsKnown, Stopped
 
 LAB = "lab:"
 
@@ -47,10 +51,13 @@ def run(config: ExploreConfig) -> None:
 
 def explore_lab(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any]:
     """Explore a simulated scene through the real drivers on doubles; what was found, as in the JSON."""
+    from deformscope.experiments.explore import ExplorationStopped, Explorer
     from deformscope.experiments.explore_wired import LabBench
+    from deformscope.lab.faults import FaultAt, FaultsToCome
     from deformscope.lab.scenes import built_in
     from deformscope.recorder import Recorder
 
+    faults = [FaultAt.parse(text, options.budget) for text in config.fault]
     scene = built_in(config.rig.removeprefix(LAB), options.seed)
     options = dataclasses.replace(options, thickness_m=scene.thickness_m)
     bench = LabBench(scene, options)
@@ -58,53 +65,76 @@ def explore_lab(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any
     settings |= {"size_m": list(scene.size_m), "arm": dataclasses.asdict(bench.arm)}
     viewer = resolve_viewer(config.output.viewer)
     record = config.output.record
-    with Recorder(record, viewer, settings, layout="exploration", overwrite=config.output.overwrite) as recorder:
-        with bench.source() as source:
+    to_come = FaultsToCome(bench.lab, faults, options.seed)
+    stop, stop_ns = None, 0
+    with (
+        until_interrupted() as asked,
+        Recorder(record, viewer, settings, layout="exploration", overwrite=config.output.overwrite) as recorder,
+    ):
+        with bench.source() as source, status_line() as show:
             recorder.start_exploration(
                 source.streams, source.start_ns, scene.size_m, bench.placement.T_base_surface, truth=bool(scene.pieces)
             )
-            with bench.robot(_pump(source, recorder)) as robot:
-                say(robot.preflight({"camera to surface": True, "arm's compliance": True}).table())
-                explorer, seconds = _explore(robot, options, bench.truth, recorder)
+            companion = Companion(source, recorder, asked, show, to_come.phase_began)
+            with bench.robot(companion) as robot:
+                explorer = Explorer(robot.size_m, options, robot.arm, bench.truth)
+                seconds = {"compute": 0.0, "slowest": 0.0}
+                began = time.perf_counter()
+                try:
+                    companion.follow(robot)
+                    say(robot.preflight({"camera to surface": True, "arm's compliance": True}).table())
+                    _explore(robot, explorer, recorder, companion, show, seconds)
+                except ExplorationStopped as error:
+                    stop, stop_ns = companion.stopped(error), error.time_ns
+                    explorer.stop_reason = f"stopped: {stop.kind}"
+                seconds["wall"] = time.perf_counter() - began
             recorder.write_items(source.take(0.0))
             seconds["session"] = (bench.clock() - source.start_ns) / 1e9
         recorder.write_items([*source.rest(), source.look()])
     found = _found(config, explorer, seconds, bench.max_force_n, recorder.summary().path, scene.region_count)
+    found["fault"] = _fault(stop, stop_ns, source.start_ns, to_come)
     _tell(config, explorer, found)
+    for fault in to_come.waiting:
+        say(f"--fault {fault.injected.word}@{fault.touch} did not strike: there was no such moment")
+    if stop is not None or asked.is_set():
+        leave(stop, len(explorer.told), asked.signal_number, found["recording"])
     return found
 
 
-def _pump(source: RigSource, recorder: Recorder) -> Callable[[], None]:
-    """What records what the devices gave, every tenth of a second of their clock."""
-    state = {"at": 0}
-
-    def pump() -> None:
-        state["at"] += 1
-        if state["at"] % 10 == 0:
-            recorder.write_items(source.take(0.0))
-
-    return pump
-
-
 def _explore(
-    robot: Robot, options: ExploreOptions, truth: Truth | None, recorder: Recorder
-) -> tuple[Explorer, dict[str, float]]:
-    """Run it to its end; the explorer holds what was found, the dictionary the seconds that computing took."""
-    from deformscope.experiments.explore import Explorer, explore
+    robot: Robot,
+    explorer: Explorer,
+    recorder: Recorder,
+    companion: Companion,
+    show: Callable[[str], None],
+    seconds: dict[str, float],
+) -> None:
+    """Run it to its end; the explorer holds what was found, `seconds` what computing took."""
+    from deformscope.experiments.explore import explore
 
-    explorer = Explorer(robot.size_m, options, robot.arm, truth)
-    compute_s = worst_s = 0.0
-    began = time.perf_counter()
     for moment in explore(robot, explorer):
+        companion.write()
         for name, content in explorer.new_inputs():
             recorder.write_input(name, content)
-        compute_s += moment.compute_s
-        worst_s = max(worst_s, moment.compute_s)
+        seconds["compute"] += moment.compute_s
+        seconds["slowest"] = max(seconds["slowest"], moment.compute_s)
         recorder.write_results(moment.results, moment.now_ns, len(explorer.told), explorer.plan_cell_m)
+        show("")
         for line in _remarks(moment):
             say(line)
-    seconds = {"compute": compute_s, "slowest": worst_s, "wall": time.perf_counter() - began}
-    return explorer, seconds
+
+
+def _fault(stop: Stopped | None, stop_ns: int, start_ns: int, faults: FaultsToCome) -> dict[str, Any] | None:
+    """Why it was stopped, and how long after the laboratory's fault; None where it was not."""
+    if stop is None:
+        return None
+    struck_ns = [struck_ns for _, struck_ns in faults.struck if struck_ns <= stop_ns]
+    return {
+        "kind": stop.kind,
+        "reason": stop.reason,
+        "time_s": (stop_ns - start_ns) / 1e9,
+        "noticed_after_s": (stop_ns - struck_ns[-1]) / 1e9 if struck_ns else None,
+    }
 
 
 def _remarks(moment: Moment) -> Iterator[str]:
@@ -137,8 +167,8 @@ def _found(
     true_count: int,
 ) -> dict[str, Any]:
     """The JSON of design 5."""
-    maps = explorer.maps()
-    regions = explorer.region_map()
+    maps = explorer.maps() if explorer.told else None
+    regions = explorer.region_map() if explorer.told else None
     touches = [
         {
             "xy_m": told.xyz_m[:2],
@@ -155,18 +185,20 @@ def _found(
         for told in explorer.told
     ]
     truth = None
-    if maps.truth_labels is not None:
+    if maps is not None and maps.truth_labels is not None:
         truth = {"region_count": true_count, "iou": maps.iou, "boundary_m": explorer.boundary_m()}
     return {
         "scenario": config.rig,
-        "verdict": maps.verdict,
+        "verdict": None if maps is None else maps.verdict,
         "touches": touches,
-        "region_count": maps.region_count,
-        "regions": [
+        "region_count": None if maps is None else maps.region_count,
+        "regions": []
+        if regions is None
+        else [
             {"log_stiffness": level, "interval": interval, "rigid": bool(rigid)}
             for level, interval, rigid in zip(regions.level, regions.level_interval, regions.rigid, strict=True)
         ],
-        "probability": regions.probability,
+        "probability": None if regions is None else regions.probability,
         "truth": truth,
         "travel_m": explorer.travel_m,
         "max_force_n": max_force_n,
@@ -177,20 +209,10 @@ def _found(
 
 
 def _tell(config: ExploreConfig, explorer: Explorer, found: dict[str, Any]) -> None:
-    import math
-
     from deformscope.exploration_pictures import result_png
 
-    maps = explorer.maps()
-    regions = explorer.region_map()
-    kind = "gradual: no regions, the stiffness changes smoothly" if maps.verdict == "gradual" else ""
-    rows = [("verdict", kind or f"{maps.region_count} region{'s' * (maps.region_count > 1)}")]
-    for number, (level, interval, rigid) in enumerate(
-        zip(regions.level, regions.level_interval, regions.rigid, strict=True), start=1
-    ):
-        low, high = (math.exp(bound) for bound in interval)
-        told = f"stiffer than {low:.3g} N/mm" if rigid else f"{math.exp(level):.3g} N/mm ({low:.3g} to {high:.3g})"
-        rows.append((f"region {number}", f"{told} at {config.set_force:g} N"))
+    maps = explorer.maps() if explorer.told else None
+    rows = [("verdict", "none: nothing was touched")] if maps is None else _region_rows(config, explorer, maps)
     if found["truth"] is not None:
         truth = found["truth"]
         off = "" if truth["boundary_m"] is None else f", border {100 * truth['boundary_m']:.1f} cm off"
@@ -200,13 +222,13 @@ def _tell(config: ExploreConfig, explorer: Explorer, found: dict[str, Any]) -> N
         common = max(set(betas), key=betas.count)
         rows.append(("beta", f"{common} in {betas.count(common)} of {len(betas)} touches"))
     rows += [
-        ("touches", f"{len(explorer.told)}, travel {explorer.travel_m:.2f} m; stopped: {found['stop_reason']}"),
+        ("touches", f"{len(explorer.told)}, travel {explorer.travel_m:.2f} m; {_ended(found['stop_reason'])}"),
         ("largest force", f"{found['max_force_n']:.2f} N"),
         ("time", f"{found['seconds']['session']:.0f} s of the robot, {found['seconds']['wall']:.0f} s here"),
     ]
     if found["recording"] is not None:
         rows.append(("recording", str(found["recording"])))
-    if config.picture is not None:
+    if config.picture is not None and maps is not None:
         with replacing(config.picture) as file:
             file.write(result_png(maps, config.rig))
         rows.append(("picture", str(config.picture)))
@@ -214,11 +236,31 @@ def _tell(config: ExploreConfig, explorer: Explorer, found: dict[str, Any]) -> N
     write_json(found, config.output.json)
 
 
+def _region_rows(config: ExploreConfig, explorer: Explorer, maps: MapsKnown) -> list[tuple[str, str]]:
+    import math
+
+    regions = explorer.region_map()
+    kind = "gradual: no regions, the stiffness changes smoothly" if maps.verdict == "gradual" else ""
+    rows = [("verdict", kind or f"{maps.region_count} region{'s' * (maps.region_count > 1)}")]
+    for number, (level, interval, rigid) in enumerate(
+        zip(regions.level, regions.level_interval, regions.rigid, strict=True), start=1
+    ):
+        low, high = (math.exp(bound) for bound in interval)
+        told = f"stiffer than {low:.3g} N/mm" if rigid else f"{math.exp(level):.3g} N/mm ({low:.3g} to {high:.3g})"
+        rows.append((f"region {number}", f"{told} at {config.set_force:g} N"))
+    return rows
+
+
 def _cm(xy_m: Any) -> str:
     return f"({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f})"
 
 
+def _ended(reason: str) -> str:
+    return reason if reason.startswith("stopped") else f"stopped: {reason}"
+
+
 def _list() -> None:
+    from deformscope.lab.faults import Injected
     from deformscope.lab.scenes import BUILT_IN, DRAWN
 
     print("simulated scenes; other hardnesses in newtons go as well (lab:two-80-200):")
@@ -226,3 +268,6 @@ def _list() -> None:
         kind = next((kind for kind in DRAWN if name.startswith(kind)), name)
         drawn = ", ".join(f"{one.what} {one.low:g} to {one.high:g}" for one in DRAWN[kind])
         print(f"  lab:{name:<22} {drawn or 'nothing is drawn'}")
+    print("what can go wrong in them (--fault KIND@TOUCH):")
+    for injected in Injected:
+        print(f"  {injected.word:<26} {injected}")

@@ -38,14 +38,21 @@ def members_of(rig: Rig) -> Iterator[tuple[RigMember, ...]]:
         yield tuple(members)
 
 
+class Interruption(threading.Event):
+    """Set once somebody asked to end. signal_number: with what; 0 before"""
+
+    signal_number = 0
+
+
 @contextlib.contextmanager
-def until_interrupted() -> Iterator[threading.Event]:
+def until_interrupted() -> Iterator[Interruption]:
     """An event that Ctrl-C, a request to end or a closed terminal sets once; the second Ctrl-C interrupts as usual."""
-    asked = threading.Event()
+    asked = Interruption()
 
     def stop(number: int, frame: FrameType | None) -> None:
         if asked.is_set():
             raise KeyboardInterrupt
+        asked.signal_number = number
         asked.set()
         say("ending; Ctrl-C again to leave at once")
 

@@ -44,10 +44,11 @@ def run(config: VerifyConfig) -> None:
         problems.append("the run did not end by itself: it was cut short or failed")
     counts = read_counts(path) if ledger == WHOLE else {}  # a damaged ledger tells nothing
     losses = _loss_rows(path)
+    complete = "complete" if outcome.get("complete") else "NOT complete"
     rows = [
         ("bytes", ledger),
         ("structure", structure or "readable to the end"),
-        ("run", "complete" if outcome.get("complete") else "NOT complete"),
+        ("run", f"{complete}; stopped: {outcome['stopped']}" if outcome.get("stopped") else complete),
         *((name, str(count)) for name, count in sorted(counts.items()) if count),
         *losses,
     ]

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
-from tyro.conf import OmitArgPrefixes, Positional, arg
+from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from deformscope.config.flags import JsonFlag, PictureFlag, PositiveFlag, one_word, positive
 from deformscope.config.options import CommandOptions, OutputOptions, Written, check_suffix, written_json
@@ -130,7 +130,7 @@ class ExploreConfig(CommandOptions):
     rig: Annotated[str, Positional, arg(metavar="lab:NAME")] = ""
     """A simulated scene; --list-scenarios names them."""
     list_scenarios: bool = False
-    """Name the simulated scenes, and what their seeds draw, and do nothing else."""
+    """Name the simulated scenes, what their seeds draw, and what can go wrong in them; do nothing else."""
     touches: int = 8
     """Touches at most."""
     planner: Literal["regions", "integrated-variance", "max-variance", "random-above"] = "regions"
@@ -142,6 +142,11 @@ class ExploreConfig(CommandOptions):
     """Force to press with [N]; at 5 N at most."""
     beta_model: Literal["volume", "thesis", "none"] = "volume"
     """What beta is fitted with: layers below the surface, the thesis's single layer with one held particle, or none."""
+    fault: Annotated[
+        UseAppendAction[tuple[str, ...]], arg(metavar="KIND@TOUCH", help_behavior_hint="(repeatable)")
+    ] = ()
+    """Let something go wrong in a simulated touch, counted from 1, such as force-silent@2, at a moment drawn from the
+    seed; --list-scenarios names the kinds."""
     picture: PictureFlag = None
     """Draw the maps to a PNG."""
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)

@@ -20,12 +20,12 @@ from deformscope.errors import InputError
 from deformscope.experiments.region_study import boundary_distance, match_regions
 from deformscope.stages.cloud import Box, tactile_points
 from deformscope.stages.contact import ArmCompliance, ContactFit, fit_approach, layer_modulus
-from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, SurfaceSeen, TouchTold
+from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, Stopped, SurfaceSeen, TouchTold
 from deformscope.stages.field import BETA_PRIOR, fit_field
 from deformscope.stages.gaussian_process import Grid
 from deformscope.stages.plan import ALLOWED, FieldKernel, Planner, PlanOptions, plan_touch
 from deformscope.stages.regions import RegionMap, RegionPosterior
-from deformscope.stages.surface import HeightProcess, fit_surface
+from deformscope.stages.surface import HeightMap, HeightProcess, fit_surface
 from deformscope.stages.touch_beta import BallTouch, fit_touch, thesis_beta
 from deformscope.stages.touches import MapGrid, Touch
 
@@ -37,6 +37,8 @@ NEAR_M = 0.08
 FEWEST_FOR_FIELD = 2
 PLAN_CELL_M = 0.02
 """Places that are considered for a touch are this far apart."""
+BESIDE_M, SURE_SD = 0.02, 3.0
+"""What the tip crosses is looked at this far beside its way, and taken for as high as it is with so many deviations."""
 EDGE_M, ABOVE_M, LOW_SHARE = 0.005, 0.08, 0.5
 THESIS_ROI_M, TACTILE_NOISE_M = 0.08, 2e-4
 
@@ -48,6 +50,7 @@ class ExploreOptions:
     planner, budget, threshold: where to touch, how often at most, and Th of the thesis's rule
     set_force_n, max_depth_m: of a touch; tip_radius_m: of its ball; thickness_m: of the foam
     beta_model: layers below the surface, the thesis's single layer, or no beta; cell_m: of the maps; seed
+    standoff_m: of the tip above the surface before and after a touch, and above all that it crosses
     """
 
     planner: Planner = "regions"
@@ -60,6 +63,7 @@ class ExploreOptions:
     beta_model: BetaModel = "volume"
     cell_m: float = 0.005
     seed: int = 0
+    standoff_m: float = 0.05
 
     def __post_init__(self) -> None:
         if self.budget < 1:
@@ -84,7 +88,6 @@ class Touched:
     xy_m: (2,) where it was to be; normal: (3,) that it went along
     time_s: (n,) rising; position_m: (n, 3) middle of the ball as the arm says; force_n: (n, 3) on it; surface frame
     after_m: (k, 3) points seen while it pressed, without the robot; reached: the set force, rather than the depth
-    phases: what it did when: (name, host time [ns])
     """
 
     xy_m: FloatArray
@@ -94,7 +97,6 @@ class Touched:
     force_n: FloatArray
     after_m: FloatArray
     reached: bool
-    phases: tuple[tuple[str, int], ...] = ()
 
 
 class Robot(Protocol):
@@ -108,8 +110,12 @@ class Robot(Protocol):
 
     def look(self) -> Looked: ...
 
-    def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray) -> Touched:
-        """Touch a place whose surface was seen at this height. Raises TouchFailed where it came to nothing."""
+    def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> Touched:
+        """Touch a place whose surface was seen at this height.
+
+        over_m: how high the surface may be on the straight way from the touch before, None = not known. Raises
+        ExplorationStopped where it came to nothing.
+        """
 
     def now_ns(self) -> int:
         """The robot's clock."""
@@ -144,6 +150,7 @@ class Explorer:
         self._regions: RegionMap | None = None
         self._beta_sd: list[float] = []
         self._inputs: list[tuple[str, bytes]] = []
+        self._heights: HeightMap | None = None
 
     # Each step --------------------------------------------------------------------------------------------------------
 
@@ -153,6 +160,7 @@ class Explorer:
         size_m = self.grid.size_m
         self.world = fit_surface(looked.points_m, noise_m=looked.noise_m, within_m=((0.0, 0.0), size_m), outlier_sd=5.0)
         heights = self.world.on(Grid.over((0.0, 0.0), size_m, self.grid.cell_m))
+        self._heights = heights
         return SurfaceSeen(looked.points_m, heights.mean_m, heights.deviation_m, self.grid.cell_m)
 
     def next(self, reachable: BoolArray | None = None) -> NextTouch:
@@ -175,6 +183,19 @@ class Explorer:
         """Height of the surface at a place (2,) [m], and its unit normal (3,), as the camera saw them."""
         assert self.world is not None
         return float(self.world.at(xy_m[None]).mean[0]), self.world.normals(xy_m[None])[0]
+
+    def over_m(self, xy_m: FloatArray) -> float | None:
+        """How high the surface may be on the straight way from the last touch to a place (2,) [m]; None before the
+        first touch."""
+        if not self.told:
+            return None
+        assert self._heights is not None
+        start = self.told[-1].xyz_m[:2]
+        way = xy_m - start
+        along = ((self.grid.centres_m - start) @ way / max(float(way @ way), 1e-12)).clip(0.0, 1.0)
+        beside_m = np.linalg.norm(self.grid.centres_m - start - along[..., None] * way, axis=-1)
+        crossed = beside_m.reshape(self.grid.shape) <= self.options.tip_radius_m + BESIDE_M
+        return float((self._heights.mean_m + SURE_SD * self._heights.deviation_m)[crossed].max())
 
     def touch(self, touched: Touched) -> TouchTold:
         """Take a touch in."""
@@ -339,8 +360,8 @@ class Explorer:
 def pack(taken: Looked | Touched) -> bytes:
     """What a robot gave as a file of arrays; the same bytes for the same values."""
     file = io.BytesIO()
-    told = {name.name: getattr(taken, name.name) for name in dataclasses.fields(taken) if name.name != "phases"}
-    np.savez(file, allow_pickle=False, **{name: np.asarray(value) for name, value in told.items()})
+    told = {field.name: np.asarray(getattr(taken, field.name)) for field in dataclasses.fields(taken)}
+    np.savez(file, allow_pickle=False, **told)
     return file.getvalue()
 
 
@@ -351,7 +372,7 @@ def unpack_looked(content: bytes) -> Looked:
 
 
 def unpack_touched(content: bytes) -> Touched:
-    """The reverse of `pack`, without phases."""
+    """The reverse of `pack`."""
     with np.load(io.BytesIO(content), allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
     return Touched(**{**arrays, "reached": bool(arrays["reached"])})
@@ -363,11 +384,15 @@ def sample_box(size_m: tuple[float, float], thickness_m: float) -> Box:
     return Box(low, (size_m[0] - EDGE_M, size_m[1] - EDGE_M, thickness_m + ABOVE_M))
 
 
-class TouchFailed(InputError):
-    """A touch that told nothing, and after which no other may follow."""
+class ExplorationStopped(InputError):
+    """The robot must not go on, or what it was to do came to nothing. stop: why, and when on the robot's clock"""
+
+    def __init__(self, stop: Stopped, time_ns: int) -> None:
+        super().__init__("an exploration that comes to its end", f"{stop.kind}: {stop.reason}", stop.advice)
+        self.stop, self.time_ns = stop, time_ns
 
 
-Result = SurfaceSeen | TouchTold | MapsKnown | NextTouch | PhaseBegan
+Result = SurfaceSeen | TouchTold | MapsKnown | NextTouch | PhaseBegan | Stopped
 
 
 @dataclass(frozen=True, slots=True)
@@ -380,7 +405,10 @@ class Moment:
 
 
 def explore(robot: Robot, explorer: Explorer) -> Iterator[Moment]:
-    """Look, then touch until the plan says enough; gives results as they come. `explorer` holds what was found."""
+    """Look, then touch until the plan says enough; gives results as they come. `explorer` holds what was found.
+
+    Raises ExplorationStopped when the robot must not go on: what was found until then stands.
+    """
     yield Moment(robot.now_ns(), (PhaseBegan("look", 0),))
     looked = robot.look()
     began = time.perf_counter()
@@ -397,9 +425,7 @@ def explore(robot: Robot, explorer: Explorer) -> Iterator[Moment]:
             return
         number = len(explorer.told)
         height_m, normal = explorer.aim(plan.target_m)
-        touched = robot.touch(plan.target_m, height_m, normal)
-        for name, when_ns in touched.phases:
-            yield Moment(when_ns, (PhaseBegan(name, number),))
+        touched = robot.touch(plan.target_m, height_m, normal, explorer.over_m(plan.target_m))
         began = time.perf_counter()
         told = explorer.touch(touched)
         maps = explorer.maps()
@@ -409,6 +435,8 @@ def explore(robot: Robot, explorer: Explorer) -> Iterator[Moment]:
 
 def explore_again(inputs: dict[str, bytes], explorer: Explorer) -> Iterator[tuple[Result, ...]]:
     """The same computations on recorded inputs (`Explorer.new_inputs`), in their order."""
+    if "looked" not in inputs:  # it was stopped before it had looked
+        return
     yield (explorer.look(unpack_looked(inputs["looked"])),)
     for name in sorted(name for name in inputs if name.startswith("touched-")):
         told = explorer.touch(unpack_touched(inputs[name]))

@@ -70,7 +70,7 @@ class LabRobot:
         """The surface at rest, without the robot."""
         return self._see(None, ())
 
-    def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray) -> Touched:
+    def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None = None) -> Touched:
         """Come down along the normal that was seen, and look at the dent."""
         options = self._options
         made = approach(

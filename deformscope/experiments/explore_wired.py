@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.driver_table import DRIVERS
 from deformscope.errors import InputError
-from deformscope.experiments.explore import ExploreOptions, Looked, Touched, TouchFailed, sample_box
+from deformscope.experiments.explore import (
+    ABOVE_M,
+    ExplorationStopped,
+    ExploreOptions,
+    Looked,
+    Touched,
+    sample_box,
+)
 from deformscope.experiments.explore_lab import ARM_DOUBT, ARM_N_PER_M, truth_of
 from deformscope.lab.depth_view import Capsule as Seen
 from deformscope.lab.depth_view import DepthView, DepthViewConfig
@@ -23,14 +30,16 @@ from deformscope.lab.slab_world import Contact, SlabWorld
 from deformscope.lab.touch_lab import T_BASE_SURFACE, TouchLab
 from deformscope.rig import Tool, Workspace
 from deformscope.rig_source import RigMember, RigSource
+from deformscope.robot.advice import advice
 from deformscope.robot.placement import Placement, best_joints, reach
 from deformscope.robot.preflight import Preflight, check
 from deformscope.robot.readings import Observation
 from deformscope.robot.robot import Robot, RobotStopped
-from deformscope.robot.supervisor import Limits, Verdict
-from deformscope.robot.touch import Ending, TouchPlan, TouchRecord, run_touch
+from deformscope.robot.supervisor import Action, Fault, Limits, Verdict
+from deformscope.robot.touch import Ending, Phase, TouchPlan, TouchRecord, run_touch
 from deformscope.stages.cloud import Capsule, Intrinsics, perceive
 from deformscope.stages.contact import ArmCompliance
+from deformscope.stages.exploration import Stopped
 from deformscope.stages.touches import MapGrid
 from deformscope_drivers.depth_camera import View
 from deformscope_drivers.depth_camera.image import DepthImage
@@ -47,14 +56,22 @@ COARSE_M = 0.03
 """Reach is asked at places so far apart, and taken for the cells around."""
 LEAST_SINGULAR = 0.02
 LOOKS = 3
+LOOK_PERIODS = 1000
 CAMERA_HZ = 10.0
-PARKED_M = 0.18
 BOX_LOW_M, BOX_HIGH_M = (-0.40, -0.66, 0.0), (0.45, 0.10, 0.75)
 """Where the tip may go in the laboratory, in the base frame: above the table, and to where the arm is parked."""
 
 
+def highest_m(options: ExploreOptions) -> float:
+    """Where the tip's middle is above all that a camera may find on the table [m]."""
+    return options.thickness_m + ABOVE_M + options.standoff_m + options.tip_radius_m
+
+
 class TouchingRobot:
-    """Opened devices that look and touch (`deformscope.robot`), as `explore` wants them."""
+    """Opened devices that look and touch (`deformscope.robot`), as `explore` wants them.
+
+    on_phase: told each phase of a touch as it begins, and when on the robot's clock [ns]
+    """
 
     def __init__(
         self,
@@ -74,6 +91,10 @@ class TouchingRobot:
         self._camera = camera
         self._clock = clock
         self._pictures = robot.camera.readings() if robot.camera is not None else None
+        self.on_phase: Callable[[Phase, int], None] = lambda phase, time_ns: None
+        self._touches = 0
+        self._phase: Phase | None = None
+        self._pressed_m: FloatArray | None = None
 
     def now_ns(self) -> int:
         return self._clock()
@@ -87,8 +108,10 @@ class TouchingRobot:
             raise InputError("a surface that the arm reaches", "none of it", "move the arm, or the surface")
         corners = [places[int(np.argmax(places @ way))] for way in ((1, 1), (1, -1), (-1, 1), (-1, -1))]
         height_m = self._options.thickness_m
-        plans = [TouchPlan(np.append(corner, height_m), np.array([0.0, 0.0, 1.0])) for corner in corners]
-        found = check(self._robot, plans, calibrated=calibrated)
+        up = np.array([0.0, 0.0, 1.0])
+        plans = [self._plan(corner, height_m, up, None) for corner in corners]
+        with self._telling():
+            found = check(self._robot, plans, calibrated=calibrated)
         self._robot.let_move(found)
         return found
 
@@ -113,28 +136,25 @@ class TouchingRobot:
         clouds = [self._seen(picture, links) for picture in self._take_pictures(LOOKS)]
         return Looked(np.concatenate([c.points_m for c in clouds]), np.concatenate([c.noise_m for c in clouds]))
 
-    def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray) -> Touched:
-        """Go there, touch along the normal, look at the dent, come back. Raises TouchFailed."""
-        options = self._options
-        plan = TouchPlan(
-            np.append(xy_m, height_m),
-            np.asarray(normal, np.float64),
-            set_force_n=options.set_force_n,
-            max_depth_m=options.max_depth_m,
-        )
+    def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> Touched:
+        """Go there, touch along the normal, look at the dent, come back. Raises ExplorationStopped."""
+        plan = self._plan(xy_m, height_m, normal, over_m)
         dents: list[tuple[DepthImage, tuple[Capsule, ...]]] = []
 
         def still() -> bool:
             dents.extend((picture, self._links()) for picture in self._new_pictures())
             return True
 
-        try:
-            record = run_touch(self._robot, plan, still)
-        except RobotStopped as error:
-            raise TouchFailed("a robot that may go on", str(error), "look at the robot, then start again") from error
-        if record.contact_m is None or record.ending in (Ending.STOPPED, Ending.NOT_REACHED, Ending.NO_CONTACT):
-            why = f"{record.ending}: {record.reason}" if record.reason else str(record.ending)
-            raise TouchFailed(f"a touch at ({xy_m[0]:.3f}, {xy_m[1]:.3f}) m", why, "look at the robot")
+        with self._telling():
+            record = run_touch(self._robot, plan, still, self._begin)
+        self._phase = None
+        verdict = self._robot.supervisor.verdict
+        if verdict.action is not Action.GO_ON:
+            raise self._stopped(verdict.fault, verdict.reason, verdict.action, verdict.time_ns)
+        if record.contact_m is None or record.ending in (Ending.NOT_REACHED, Ending.NO_CONTACT):
+            where = f"at ({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm"
+            raise self._stopped(record.ending, f"{where}: {record.reason}" if record.reason else where)
+        self._touches += 1
         after = self._dent(record, dents)
         kept = slice(0, max(record.loading, 10))
         return Touched(
@@ -145,8 +165,74 @@ class TouchingRobot:
             record.force_n[kept],
             after,
             record.ending is Ending.SET_FORCE,
-            tuple((str(span.phase), round(span.start_s * 1e9)) for span in record.phases),
         )
+
+    @property
+    def doing(self) -> str:
+        """What it does now, in words; empty between touches."""
+        if self._phase is None:
+            return ""
+        told = f"touch {self._touches + 1}: {self._phase}"
+        if self._pressed_m is not None:
+            depth_m = float(self._pressed_m[2] - self._robot.center_m[2])
+            forces = self._robot.seen.forces
+            force_n = float(np.linalg.norm(forces[-1].force_n)) if forces else np.nan
+            told += f" {force_n:.1f} N {1e3 * depth_m:.1f} mm"
+        return told
+
+    def ask_to_stop(self, reason: str) -> None:
+        """A person wants it to stop: the arm stands within a control period, and the exploration ends."""
+        self._robot.ask_to_stop(reason)
+
+    def halt(self, reason: str) -> None:
+        """Erase what waits in the arm; it takes no further command."""
+        self._robot.halt(reason)
+
+    def look_on(self, duration_s: float) -> None:
+        """Stand still and let the devices be recorded, stopped or not."""
+        self._robot.look_on(duration_s)
+
+    def _plan(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> TouchPlan:
+        """As high as nothing can stand where it is not known what the way leads over."""
+        options = self._options
+        highest = highest_m(options)
+        if over_m is not None:
+            offset_m = self._robot.placement.center_offset_m
+            highest = min(over_m + options.standoff_m + offset_m, highest)
+        return TouchPlan(
+            np.append(xy_m, height_m),
+            np.asarray(normal, np.float64),
+            set_force_n=options.set_force_n,
+            max_depth_m=options.max_depth_m,
+            standoff_m=options.standoff_m,
+            travel_height_m=highest,
+        )
+
+    def _begin(self, phase: Phase, time_ns: int) -> None:
+        self._phase = phase
+        if phase is Phase.PRESS:
+            self._pressed_m = self._robot.center_m
+        elif phase in (Phase.RETREAT, Phase.BACK_OFF):
+            self._pressed_m = None
+        self.on_phase(phase, time_ns)
+
+    @contextlib.contextmanager
+    def _telling(self) -> Iterator[None]:
+        """That the supervisor has stopped the robot is told as why the exploration ends."""
+        try:
+            yield
+        except RobotStopped as error:
+            verdict = error.verdict
+            raise self._stopped(verdict.fault, verdict.reason, verdict.action, verdict.time_ns) from error
+
+    def _stopped(
+        self, cause: Fault | Ending, reason: str, action: Action = Action.STOP, time_ns: int | None = None
+    ) -> ExplorationStopped:
+        """The arm stands, and whoever explores is told why."""
+        self._robot.halt(f"{cause}: {reason}")
+        self._phase = self._pressed_m = None
+        told = Stopped(str(cause), reason, advice(cause), str(action), self._touches)
+        return ExplorationStopped(told, self._clock() if time_ns is None else time_ns)
 
     def _dent(self, record: TouchRecord, pictures: Sequence[tuple[DepthImage, tuple[Capsule, ...]]]) -> FloatArray:
         """Points seen while it pressed still. pictures: each with the robot as it stood then"""
@@ -189,12 +275,13 @@ class TouchingRobot:
         """The next pictures, the robot standing still."""
         self._new_pictures()
         taken: list[DepthImage] = []
-        for _ in range(1000):
-            self._robot.cycle()
+        for _ in range(LOOK_PERIODS):
+            with self._telling():
+                self._robot.cycle()
             taken += self._new_pictures()
             if len(taken) >= count:
                 return taken[-count:]
-        raise TouchFailed(f"{count} depth images", f"{len(taken)} in 10 s", "look at the camera")
+        raise self._stopped(Fault.CAMERA_SILENT, f"{len(taken)} depth images in {LOOK_PERIODS / 100:g} s")
 
 
 class LabBench:
@@ -211,7 +298,7 @@ class LabBench:
         self.tool = Tool(radius_m=options.tip_radius_m)
         T_base_surface = T_BASE_SURFACE
         self.placement = Placement(T_base_surface, self.tool)
-        parked = np.array([scene.size_m[0] / 2, scene.size_m[1] / 2, PARKED_M])
+        parked = np.array([scene.size_m[0] / 2, scene.size_m[1] / 2, highest_m(options)])
         touching = np.array([*parked[:2], scene.thickness_m])
         up = np.array([0.0, 0.0, 1.0])
         self.lab = TouchLab(

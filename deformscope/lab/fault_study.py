@@ -10,10 +10,10 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 
+from deformscope.lab.faults import ARM, CAMERA, FORCE, Injected, inject
 from deformscope.lab.springy_foam import SpringyFoam
 from deformscope.lab.touch_lab import ARM_CYCLE_NS, T_BASE_SURFACE, TouchLab
 from deformscope.rig import Tool
@@ -36,37 +36,6 @@ GREATEST_TILT_DEG = 20.0
 MODULI_PA = (10e3, 1e9)
 
 
-class Injected(StrEnum):
-    """What goes wrong."""
-
-    FORCE_SILENT = "force sensor silent"
-    FORCE_CABLE = "force sensor's cable out"
-    FORCE_FROZEN = "force value frozen"
-    FORCE_BROKEN = "force sensor says it failed"
-    STORM = "checksum storm"
-    SPIKE = "force spike above the hard stop"
-    PUSH = "push above the soft stop"
-    ARM_CABLE = "arm's cable out"
-    ARM_SILENT = "arm refuses to answer"
-    ARM_INVALID = "arm's pose not a number"
-    CAMERA_SILENT = "camera silent"
-    CAMERA_FROZEN = "camera frozen"
-    CAMERA_CABLE = "camera's cable out"
-
-
-FORCE, ARM, CAMERA = (
-    (
-        Injected.FORCE_SILENT,
-        Injected.FORCE_CABLE,
-        Injected.FORCE_FROZEN,
-        Injected.FORCE_BROKEN,
-        Injected.STORM,
-        Injected.SPIKE,
-        Injected.PUSH,
-    ),
-    (Injected.ARM_CABLE, Injected.ARM_SILENT, Injected.ARM_INVALID),
-    (Injected.CAMERA_SILENT, Injected.CAMERA_FROZEN, Injected.CAMERA_CABLE),
-)
 ALLOWED_S = {**dict.fromkeys(FORCE, 0.05), **dict.fromkeys(ARM, 0.1), **dict.fromkeys(CAMERA, 2 / 30)}
 """Within which each must be noticed: a camera's two frame periods count from when its pictures matter."""
 STANDS_WITHIN_S = 2 * ARM_CYCLE_NS / 1e9
@@ -153,23 +122,23 @@ def run_fault(seed: int, injected: Injected) -> FaultRun:
     state = {"at_ns": -1, "matters_ns": -1, "moving": 0, "noticed_ns": -1}
     verdicts: list[Verdict] = []
 
-    def inject() -> None:
+    def strike() -> None:
         state["at_ns"] = lab.clock()
         state["moving"] = int(robot.commanded[-1][1] > 0) if robot.commanded else 0
         if injected not in CAMERA or robot.camera_needed:
             state["matters_ns"] = lab.clock()
-        _inject(lab, injected, random)
+        inject(lab, injected, random)
 
     def watcher(seen: Observation, verdict: Verdict) -> None:
         if injected in CAMERA and robot.camera_needed and state["at_ns"] < 0 and not lab.scheduled:
-            lab.schedule(lab.clock() + round(random.uniform(0.0, 0.3) * 1e9), inject)
+            lab.schedule(lab.clock() + round(random.uniform(0.0, 0.3) * 1e9), strike)
         if verdict.action is not Action.GO_ON and not verdicts:
             verdicts.append(verdict)
 
     robot.watch = watcher
     lab.on_cycle = lambda: joints.append((lab.clock(), lab.arm_double.joints_deg))
     if injected not in CAMERA:
-        lab.schedule(lab.clock() + round(random.uniform(0.05, 6.5) * 1e9), inject)
+        lab.schedule(lab.clock() + round(random.uniform(0.05, 6.5) * 1e9), strike)
     try:
         run_touch(robot, scene.plan)
         lab.wait_until(lab.clock() + round(AFTER_S * 1e9))
@@ -206,38 +175,6 @@ def _judge(
     since_ns = state["matters_ns"] if state["matters_ns"] >= 0 else noticed_ns + 1_000_000_000
     noticed_s = (noticed_ns - since_ns) / 1e9
     return FaultRun(seed, injected, verdicts[0].fault, noticed_s, stands_s, moved_later, moving, lab.max_force_n)
-
-
-def _inject(lab: TouchLab, injected: Injected, random: np.random.Generator) -> None:
-    assert lab.camera is not None
-    match injected:
-        case Injected.FORCE_SILENT:
-            lab.sensor_double.silent = True
-        case Injected.FORCE_CABLE:
-            lab.wire.unplug()
-        case Injected.FORCE_FROZEN:
-            lab.wire.frozen = True
-        case Injected.FORCE_BROKEN:
-            lab.sensor_double.unplugged.add(0)
-        case Injected.STORM:
-            lab.wire.spoiled = random.uniform(0.03, 0.5)
-        case Injected.SPIKE | Injected.PUSH:
-            low_n, high_n = (20.0, 45.0) if injected is Injected.SPIKE else (11.5, 12.0)
-            direction = random.normal(size=3)
-            force_n = random.uniform(low_n, high_n) * direction / np.linalg.norm(direction)
-            lab.hit(force_n, random.uniform(0.02, 0.2))
-        case Injected.ARM_CABLE:
-            lab.arm_double.unplug()
-        case Injected.ARM_SILENT:
-            lab.arm_double.inject("GetAngularPosition", 2005, times=10_000)
-        case Injected.ARM_INVALID:
-            lab.functions.invalid = True
-        case Injected.CAMERA_SILENT:
-            lab.camera.stop()
-        case Injected.CAMERA_FROZEN:
-            lab.camera.freeze()
-        case Injected.CAMERA_CABLE:
-            lab.camera.unplug()
 
 
 def run_faults(seeds: Sequence[int]) -> list[FaultRun]:

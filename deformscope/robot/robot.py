@@ -91,7 +91,8 @@ class Robot:
         wait_until: Waits = sleep_until,
         watch: Callable[[Observation, Verdict], None] | None = None,
     ) -> None:
-        """watch: called with what was seen and judged in each period, for a recording"""
+        """watch: called with what was seen and judged in each period, for a recording; when it fails, the arm is halted
+        first"""
         self.arm, self.force, self.camera = arm, force, camera
         self.placement = placement
         self._clock, self._wait_until, self.watch = clock, wait_until, watch
@@ -149,8 +150,8 @@ class Robot:
         verdict = self.supervisor.judge(
             self.seen, commanded_m_s=self._speed_m_s, camera_needed=self.camera_needed and self.camera is not None
         )
-        if self.watch is not None:
-            self.watch(self.seen, verdict)
+        self._tell_watch(verdict)
+        verdict = self.supervisor.verdict  # whoever watches may have asked to stop
         if verdict.action is Action.STOP:
             self.halt(f"{verdict.fault}: {verdict.reason}")
             raise RobotStopped(verdict)
@@ -159,6 +160,19 @@ class Robot:
             with contextlib.suppress(DeviceError):
                 self.arm.stop()
         return self.seen
+
+    def ask_to_stop(self, reason: str) -> None:
+        """A person wants the robot to stop: within this control period, or in the next one."""
+        self.supervisor.ask_to_stop(reason, self._clock())
+
+    def look_on(self, duration_s: float) -> None:
+        """Stand still and let time pass, stopped or not: for a recording that shows what came after. The verdict stays
+        as it is."""
+        end_ns = self._clock() + round(duration_s * 1e9)
+        while (now_ns := self._clock()) < end_ns:
+            self._wait_until(min(now_ns + PERIOD_NS, end_ns))
+            self.seen = self._look()
+            self._tell_watch(self.supervisor.verdict)
 
     def halt(self, reason: str) -> None:
         """Erase what waits in the arm and refuse commands until `arm.acknowledge_stop`; an arm that cannot be reached
@@ -191,6 +205,16 @@ class Robot:
         self.supervisor.start(self._clock())
 
     # Within ----------------------------------------------------------------------------------------------------------
+
+    def _tell_watch(self, verdict: Verdict) -> None:
+        """Nobody goes on whose recording has failed, or who cannot be watched for another reason."""
+        if self.watch is None:
+            return
+        try:
+            self.watch(self.seen, verdict)
+        except BaseException as error:
+            self.halt(f"what watches it failed: {type(error).__name__}")
+            raise
 
     def _send(self, command: Command) -> None:
         moving = self._speed_m_s > 0

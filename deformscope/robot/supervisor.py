@@ -47,6 +47,7 @@ class Fault(StrEnum):
     CAMERA_SILENT = "depth camera silent"
     CAMERA_FROZEN = "depth camera frozen"
     LINK = "link lost"
+    ASKED = "stopped by a person"
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +135,11 @@ class Supervisor:
         """Somebody has seen to it: judge anew from now on."""
         self._verdict = _GO_ON
         self.start(now_ns)
+
+    def ask_to_stop(self, reason: str, now_ns: int) -> None:
+        """A person wants it to stop. reason: how they said so"""
+        if self._verdict.action is not Action.STOP:
+            self._verdict = Verdict(Action.STOP, Fault.ASKED, reason, now_ns)
 
     def start(self, now_ns: int) -> None:
         """Ages count from now on, as after a pause in which nobody looked."""

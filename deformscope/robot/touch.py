@@ -339,15 +339,20 @@ class Touch:
         self._recent.clear()
 
 
-def run_touch(robot: Robot, plan: TouchPlan, still_seen: Callable[[], bool] = lambda: True) -> TouchRecord:
+def run_touch(
+    robot: Robot,
+    plan: TouchPlan,
+    still_seen: Callable[[], bool] = lambda: True,
+    on_phase: Callable[[Phase, int], None] = lambda phase, time_ns: None,
+) -> TouchRecord:
     """Travel above the place, take the tare, touch, and come back above it.
 
     still_seen: whether what watches the dent (a camera) sees no change; asked while it dwells, when the camera must be
-    alive too. Never raises for what happens to the robot: `ending`, `fault` and `reason` say it, and the supervisor's
-    verdict holds until somebody acknowledges it. Raises RobotStopped where it holds already, and InputError where no
-    preflight has passed.
+    alive too. on_phase: told each phase as it begins, and when [ns on the robot's clock]. Never raises for what happens
+    to the robot: `ending`, `fault` and `reason` say it, and the supervisor's verdict holds until somebody acknowledges
+    it. Raises RobotStopped where it holds already, and InputError where no preflight has passed.
     """
-    run = _Run(robot, plan)
+    run = _Run(robot, plan, on_phase)
     try:
         run.travel()
         run.tare()
@@ -368,8 +373,9 @@ def run_touch(robot: Robot, plan: TouchPlan, still_seen: Callable[[], bool] = la
 class _Run:
     """A touch under way: what it has seen."""
 
-    def __init__(self, robot: Robot, plan: TouchPlan) -> None:
-        self._robot, self._plan = robot, plan
+    def __init__(self, robot: Robot, plan: TouchPlan, on_phase: Callable[[Phase, int], None]) -> None:
+        self._robot, self._plan, self._on_phase = robot, plan, on_phase
+        self._told: Phase | None = None
         if robot.supervisor.verdict.action is not Action.GO_ON:
             raise RobotStopped(robot.supervisor.verdict)
         self._spans: list[PhaseSpan] = []
@@ -385,8 +391,9 @@ class _Run:
         self._ending, self._reason, self._fault = Ending.NO_CONTACT, "", Fault.NONE
 
     def travel(self) -> None:
-        plan, began = self._plan, self._now_s()
         self._robot.cycle()
+        plan, began = self._plan, self._now_s()
+        self._tell(Phase.TRAVEL)
         crossing_m, above_m, deepest_m = plan.places_m(self._robot.placement.center_offset_m)
         try:
             to_above(
@@ -402,6 +409,7 @@ class _Run:
 
     def tare(self) -> None:
         began = self._now_s()
+        self._tell(Phase.TARE)
         try:
             self._noise_n = take_tare(self._robot)
         finally:
@@ -411,6 +419,7 @@ class _Run:
         robot = self._robot
         self._machine = machine = Touch(self._plan, robot.placement.center_offset_m, self._now_s())
         velocity: FloatArray = np.zeros(3)
+        self._tell(machine.phase)
         while machine.phase is not Phase.DONE:
             robot.camera_needed = machine.phase in (Phase.DWELL, Phase.DWELL_MORE)
             seen = robot.cycle(TipVelocity(velocity) if np.any(velocity) else None)
@@ -422,9 +431,16 @@ class _Run:
             before = machine.phase
             velocity = machine.step(self._now_s(), robot.center_m, force_n, watched)
             self._follow(before, machine)
+            self._tell(machine.phase)
         robot.camera_needed = False
         robot.cycle()
         self._ending = machine.ending
+
+    def _tell(self, phase: Phase) -> None:
+        """Each phase once, as it begins; that all is done is no phase."""
+        if phase not in (self._told, Phase.DONE):
+            self._told = phase
+            self._on_phase(phase, self._robot.seen.now_ns)
 
     def _follow(self, before: Phase, machine: Touch) -> None:
         """When the loading ended (the last one where there are two), when the dwell, and how deep it was then."""

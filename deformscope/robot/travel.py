@@ -15,6 +15,7 @@ ANGULAR_RAD_S = 0.3
 JOINT_DEG_S = 15.0
 GAIN_PER_S = 4.0
 REACHED_M, REACHED_RAD, REACHED_DEG = 3e-4, 3e-3, 0.1
+PASSED_M, PASSED_RAD = 3e-3, 0.05
 SLACK = 3.0
 """A way may take so many times longer than its length says, and two seconds, before it counts as not possible."""
 
@@ -23,19 +24,29 @@ class NotThere(InputError):
     """The arm did not come to where it was sent."""
 
 
-def move_tip(robot: Robot, center_m: npt.ArrayLike, normal: npt.ArrayLike, speed_m_s: float) -> None:
+def move_tip(
+    robot: Robot,
+    center_m: npt.ArrayLike,
+    normal: npt.ArrayLike,
+    speed_m_s: float,
+    *,
+    passing: bool = False,
+) -> None:
     """Straight to where the tip's centre (3,) [m] is here and the stick along -normal, both in the surface frame.
 
-    Raises NotThere when it takes too long, RobotStopped, InputError when the robot has to back off.
+    passing: it goes on from there, so that near is enough. Raises NotThere when it takes too long, RobotStopped,
+    InputError when the robot has to back off.
     """
     goal = np.linalg.inv(robot.placement.T_base_surface) @ robot.placement.T_base_ee(center_m, normal)
     goal = goal @ robot.placement.T_ee_center
+    near_m, near_rad = (PASSED_M, PASSED_RAD) if passing else (REACHED_M, REACHED_RAD)
     error = _error(robot, goal)
     way_s = max(float(np.linalg.norm(error[:3])) / speed_m_s, float(np.linalg.norm(error[3:])) / ANGULAR_RAD_S)
     for _ in range(round(100 * (SLACK * way_s + 2.0))):
         error = _error(robot, goal)
-        if np.linalg.norm(error[:3]) < REACHED_M and np.linalg.norm(error[3:]) < REACHED_RAD:
-            robot.cycle()
+        if np.linalg.norm(error[:3]) < near_m and np.linalg.norm(error[3:]) < near_rad:
+            if not passing:
+                robot.cycle()
             return
         step(robot, TipVelocity(_capped(error[:3], speed_m_s), _capped(error[3:], ANGULAR_RAD_S)))
     robot.cycle()
@@ -66,7 +77,7 @@ def move_joints(robot: Robot, joints_deg: npt.ArrayLike) -> None:
 def to_above(
     robot: Robot, center_m: FloatArray, normal: FloatArray, *, height_m: float, deepest_m: FloatArray, speed_m_s: float
 ) -> None:
-    """To a place above the surface: up to height_m, across, and down to it; the first time joint by joint.
+    """To a place above the surface: up to height_m, across no lower, and down to it; the first time joint by joint.
 
     height_m: z of the tip's centre while it crosses; deepest_m: (3,) where a straight way goes on to from there [m,
     surface frame]
@@ -87,9 +98,10 @@ def to_above(
         move_joints(robot, joints_deg)
     else:
         if here[2, 3] < high_m - 1e-3:
-            up = np.array([here[0, 3], here[1, 3], high_m])
-            move_tip(robot, up, -here[:3, 2], speed_m_s)
-        move_tip(robot, over, normal, speed_m_s)
+            up = np.array([here[0, 3], here[1, 3], high_m + PASSED_M])
+            move_tip(robot, up, -here[:3, 2], speed_m_s, passing=True)
+        if high_m > float(center_m[2]) + PASSED_M:
+            move_tip(robot, over, normal, speed_m_s, passing=True)
     move_tip(robot, center_m, normal, speed_m_s)
 
 

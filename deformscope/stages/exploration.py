@@ -115,7 +115,23 @@ class NextTouch:
 
 @dataclass(frozen=True, slots=True)
 class PhaseBegan:
-    """The robot began something. name: look, travel, approach, press, dwell, retreat, plan, stopped"""
+    """The robot began something. name: look, travel, tare, approach, press, dwell, retreat, plan, "stopped: ..." """
 
     name: str
+    touch: int
+
+
+@dataclass(frozen=True, slots=True)
+class Stopped:
+    """The exploration ended before its plan said so.
+
+    kind: what was wrong, in the supervisor's words or the touch's; reason: what was seen of it; advice: what to do
+    action: stop = the arm stands and its FIFO is erased, back off = it went away first
+    touch: as in PhaseBegan
+    """
+
+    kind: str
+    reason: str
+    advice: str
+    action: str
     touch: int

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from deformscope.errors import InputError
-from deformscope.lab.fault_study import Injected, Scene, make_scene, run_fault, run_faults
+from deformscope.lab.fault_study import Scene, make_scene, run_fault, run_faults
+from deformscope.lab.faults import Injected
 from deformscope.lab.touch_lab import ARM_STIFFNESS_N_M
 from deformscope.robot.preflight import check
 from deformscope.robot.robot import RobotStopped, TipVelocity

@@ -5,6 +5,7 @@ number of the touch that it belongs to, from 1. `deformscope.exploration_replay`
 
     exploration/surface|touch|maps|plan   one row a result, every field of it a component of the same name
     exploration/phase                     likewise, and the state that a timeline shows
+    exploration/stopped                   likewise, and why as a line of text
     display/scene/...                     the surface in space, the contacts, the next touch; the arm stands in it
     display/dent/...                      close up: observed points and simulated particles around the last touch
     display/maps/...                      pictures of the maps with their axes and colour bars
@@ -29,11 +30,12 @@ from deformscope.log.exploration.moment import Moment
 from deformscope.log.exploration.phases import log_phase, log_phase_colors
 from deformscope.log.exploration.pictured import log_force, log_gain, log_height, log_maps, log_nothing_known
 from deformscope.log.exploration.scene import log_base, log_contact, log_stiffness, log_surface, log_target
+from deformscope.log.exploration.stopped import log_stopped
 from deformscope.log.exploration.summary import log_no_summary, log_summary
 from deformscope.log.rig.columns import Batch
 from deformscope.log.rig.plotted import plotted
 from deformscope.log.rig.warm_up import nowhere
-from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, SurfaceSeen, TouchTold
+from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, Stopped, SurfaceSeen, TouchTold
 
 __all__ = ["exploration_blueprint", "log_exploration_start", "prepare_results", "warm_up"]
 
@@ -98,6 +100,8 @@ def prepare_results(
             log_gain(now, result, cell_m if maps is None else maps.cell_m, None if maps is None else maps.contacts_m)
         elif isinstance(result, PhaseBegan):
             log_phase(now, result)
+        elif isinstance(result, Stopped):
+            log_stopped(now, result)
     return batch
 
 

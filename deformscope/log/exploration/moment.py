@@ -25,6 +25,10 @@ class Moment:
         """One row of an entity."""
         self._batch.send_columns(path, self._times, columns)
 
+    def log_static(self, path: str, entity: rr.AsComponents) -> None:
+        """What holds throughout, known only now."""
+        self._batch.log(path, entity, static=True)
+
     def record(self, result: Result) -> None:
         """Every field of a result, without loss."""
         kind = type(result)

@@ -14,9 +14,13 @@ PHASES: dict[str, Rgb] = {
     "look": (86, 180, 233),
     "plan": (150, 120, 220),
     "travel": (110, 115, 125),
+    "tare": (120, 160, 160),
     "approach": (230, 159, 0),
     "press": (213, 94, 0),
     "dwell": (0, 158, 115),
+    "press more": (180, 70, 0),
+    "dwell more": (0, 120, 90),
+    "back off": (200, 60, 120),
     "retreat": (150, 155, 165),
     "stopped": BAD,
 }
@@ -28,4 +32,7 @@ def log_phase_colors(rec: Sink) -> None:
 
 
 def log_phase(now: Moment, phase: PhaseBegan) -> None:
+    if phase.name.startswith("stopped"):  # its name says why, so that its colour is not among those known before
+        colors = PHASES | {phase.name: BAD}
+        now.log_static(ENTITIES[PhaseBegan], rr.StateConfiguration(values=list(colors), colors=list(colors.values())))
     now.send(ENTITIES[PhaseBegan], rr.StateChange.columns(state=[phase.name]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deformscope.exploration_replay import Result
-from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, SurfaceSeen, TouchTold
+from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, Stopped, SurfaceSeen, TouchTold
 
 
 def small_results() -> tuple[Result, ...]:
@@ -19,4 +19,5 @@ def small_results() -> tuple[Result, ...]:
     )
     maps = MapsKnown(1, 0.005, field, field, field, field, labels, field, 2, "regions", at[None, :2], 0.01, labels, 1.0)
     plan = NextTouch(at[:2], field, field, labels == 1, "")
-    return SurfaceSeen(cloud, field, field, 0.005), told, maps, plan, PhaseBegan("look", 0)
+    seen, stop = SurfaceSeen(cloud, field, field, 0.005), Stopped("", "", "", "stop", 0)
+    return seen, told, maps, plan, PhaseBegan("look", 0), stop

@@ -1,0 +1,117 @@
+"""What accompanies an exploration: it is recorded and shown as it goes on, and ended by Ctrl-C or for a reason."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from deformscope.cli.common import say
+from deformscope.errors import InputError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from deformscope.cli.rigs import Interruption
+    from deformscope.experiments.explore import ExplorationStopped
+    from deformscope.experiments.explore_wired import TouchingRobot
+    from deformscope.recorder import Recorder
+    from deformscope.rig_source import RigSource
+    from deformscope.robot.touch import Phase
+    from deformscope.stages.exploration import Stopped
+
+AFTER_S = 0.5
+"""A recording goes on for so long after the robot was stopped."""
+EVERY = 10
+"""Control periods between two looks at what the devices gave."""
+
+
+class Companion:
+    """Called in every control period (`__call__`) and at each phase of a touch (`phase_began`).
+
+    touch: the one under way, or the last, from 1; 0 before the first
+    """
+
+    def __init__(
+        self,
+        source: RigSource,
+        recorder: Recorder,
+        asked: Interruption,
+        show: Callable[[str], None],
+        on_phase: Callable[[Phase, int], None] | None = None,
+    ) -> None:
+        """asked: set when somebody wants it to end; show: one line that the next replaces; on_phase: told phase and
+        touch as well"""
+        self.touch = 0
+        self.robot: TouchingRobot | None = None
+        self._source, self._recorder, self._asked, self._show = source, recorder, asked, show
+        self._on_phase = on_phase
+        self._periods = 0
+        self._begun: list[tuple[str, int, int]] = []
+
+    def follow(self, robot: TouchingRobot) -> None:
+        """From now on it is this robot's touches that are recorded."""
+        self.robot = robot
+        robot.on_phase = self.phase_began
+
+    def __call__(self) -> None:
+        if self._asked.is_set() and self.robot is not None:
+            self.robot.ask_to_stop(signal_word(self._asked.signal_number))
+        self._periods += 1
+        if self._periods % EVERY == 0:
+            self.write()
+            if self.robot is not None:
+                self._show(self.robot.doing)
+
+    def phase_began(self, phase: Phase, time_ns: int) -> None:
+        """It is recorded with the next look at the devices, which costs the control period less."""
+        from deformscope.robot.touch import Phase
+
+        self.touch += phase is Phase.TRAVEL
+        self._begun.append((str(phase), time_ns, self.touch))
+        if self._on_phase is not None:
+            self._on_phase(phase, self.touch)
+
+    def write(self) -> None:
+        """Record what began and what the devices gave since the last call."""
+        from deformscope.stages.exploration import PhaseBegan
+
+        begun, self._begun = self._begun, []
+        for name, time_ns, touch in begun:
+            self._recorder.write_results((PhaseBegan(name, touch - 1),), time_ns, touch, 0.0)
+        self._recorder.write_items(self._source.take(0.0))
+
+    def stopped(self, error: ExplorationStopped) -> Stopped:
+        """Record why and when it was stopped, and what came after; the robot stands."""
+        from deformscope.stages.exploration import PhaseBegan
+
+        stop = error.stop
+        self._show("")
+        self.write()
+        phase = PhaseBegan(f"stopped: {stop.kind}", stop.touch)
+        self._recorder.write_results((phase, stop), error.time_ns, self.touch, 0.0)
+        self._recorder.stopped_because(f"{stop.kind}: {stop.reason}")
+        if self.robot is not None:
+            self.robot.look_on(AFTER_S)
+            self.robot.halt(stop.kind)
+        return stop
+
+
+def leave(stop: Stopped | None, touched: int, signal_number: int, recording: Path | None) -> None:
+    """End the command as the stop demands: with the reason and what to do, or by the signal's own exit status."""
+    from deformscope.robot.supervisor import Fault
+
+    touches = f"after {touched} touch{'es' * (touched != 1)}"
+    if stop is None or stop.kind == Fault.ASKED:
+        kept = "" if recording is None else f"; the recording is whole: {recording}"
+        say(f"deformscope: ended by {signal_word(signal_number)} {touches}; the arm stands{kept}")
+        raise SystemExit(128 + signal_number)
+    hint = f"see to {stop.advice}, then explore again" if stop.advice else "explore again"
+    came = f"{stop.kind} ({stop.reason}) {touches}; the arm stands"
+    raise InputError("an exploration that comes to its end", came, hint, recording or "")
+
+
+def signal_word(number: int) -> str:
+    """As people call it."""
+    import signal
+
+    return "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name if number else "request"

@@ -1,0 +1,149 @@
+"""What can go wrong in a simulated laboratory: at once (`inject`), or as the touches go on (`FaultsToCome`)."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import partial
+
+import numpy as np
+
+from deformscope.errors import InputError
+from deformscope.lab.touch_lab import TouchLab
+from deformscope.robot.touch import Phase
+
+
+class Injected(StrEnum):
+    """What goes wrong."""
+
+    FORCE_SILENT = "force sensor silent"
+    FORCE_CABLE = "force sensor's cable out"
+    FORCE_FROZEN = "force value frozen"
+    FORCE_BROKEN = "force sensor says it failed"
+    STORM = "checksum storm"
+    SPIKE = "force spike above the hard stop"
+    PUSH = "push above the soft stop"
+    ARM_CABLE = "arm's cable out"
+    ARM_SILENT = "arm refuses to answer"
+    ARM_INVALID = "arm's pose not a number"
+    CAMERA_SILENT = "camera silent"
+    CAMERA_FROZEN = "camera frozen"
+    CAMERA_CABLE = "camera's cable out"
+
+    @property
+    def word(self) -> str:
+        """As on the command line: force-silent."""
+        return self.name.lower().replace("_", "-")
+
+
+FORCE, ARM, CAMERA = (
+    (
+        Injected.FORCE_SILENT,
+        Injected.FORCE_CABLE,
+        Injected.FORCE_FROZEN,
+        Injected.FORCE_BROKEN,
+        Injected.STORM,
+        Injected.SPIKE,
+        Injected.PUSH,
+    ),
+    (Injected.ARM_CABLE, Injected.ARM_SILENT, Injected.ARM_INVALID),
+    (Injected.CAMERA_SILENT, Injected.CAMERA_FROZEN, Injected.CAMERA_CABLE),
+)
+
+WITHIN_S = {Phase.TRAVEL: 1.0, Phase.APPROACH: 2.0, Phase.PRESS: 0.3, Phase.DWELL: 0.4, Phase.RETREAT: 1.5}
+"""A fault strikes so long after such a phase's begin at most; none of them is much shorter."""
+CAMERA_WITHIN_S = 0.3
+
+
+def inject(lab: TouchLab, injected: Injected, random: np.random.Generator) -> None:
+    """Let it go wrong now. random: draws how badly, where there is more than one way."""
+    assert lab.camera is not None
+    match injected:
+        case Injected.FORCE_SILENT:
+            lab.sensor_double.silent = True
+        case Injected.FORCE_CABLE:
+            lab.wire.unplug()
+        case Injected.FORCE_FROZEN:
+            lab.wire.frozen = True
+        case Injected.FORCE_BROKEN:
+            lab.sensor_double.unplugged.add(0)
+        case Injected.STORM:
+            lab.wire.spoiled = random.uniform(0.03, 0.5)
+        case Injected.SPIKE | Injected.PUSH:
+            low_n, high_n = (20.0, 45.0) if injected is Injected.SPIKE else (11.5, 12.0)
+            direction = random.normal(size=3)
+            force_n = random.uniform(low_n, high_n) * direction / np.linalg.norm(direction)
+            lab.hit(force_n, random.uniform(0.02, 0.2))
+        case Injected.ARM_CABLE:
+            lab.arm_double.unplug()
+        case Injected.ARM_SILENT:
+            lab.arm_double.inject("GetAngularPosition", 2005, times=10_000)
+        case Injected.ARM_INVALID:
+            lab.functions.invalid = True
+        case Injected.CAMERA_SILENT:
+            lab.camera.stop()
+        case Injected.CAMERA_FROZEN:
+            lab.camera.freeze()
+        case Injected.CAMERA_CABLE:
+            lab.camera.unplug()
+
+
+@dataclass(frozen=True, slots=True)
+class FaultAt:
+    """What is to go wrong in which touch, from 1."""
+
+    injected: Injected
+    touch: int
+
+    @classmethod
+    def parse(cls, text: str, touches: int) -> FaultAt:
+        """KIND@TOUCH, such as force-silent@2. touches: how many there are at most. Raises InputError."""
+        kinds = {kind.word: kind for kind in Injected}
+        word, at, number = text.partition("@")
+        if word not in kinds:
+            near = next(iter(difflib.get_close_matches(word, kinds, n=1, cutoff=0.0)))
+            raise InputError(f"a fault out of {', '.join(kinds)}", repr(word), f"{near}@{number or 1}")
+        if not (at and number.isascii() and number.isdigit() and 1 <= int(number) <= touches):
+            came = repr(text) if not number else f"touch {number}"
+            raise InputError(f"--fault KIND@TOUCH with a touch from 1 to {touches}", came, f"--fault {word}@1")
+        return cls(kinds[word], int(number))
+
+
+class FaultsToCome:
+    """Lets faults strike while touches go on: each at a moment drawn from the seed, within its touch.
+
+    A fault of force sensor or arm strikes in any phase; one of the camera while it dwells, when its pictures matter.
+    struck: which have struck, and when on the laboratory's clock [ns]
+    """
+
+    def __init__(self, lab: TouchLab, faults: Sequence[FaultAt], seed: int) -> None:
+        self._lab = lab
+        self.struck: list[tuple[FaultAt, int]] = []
+        self._waiting: list[tuple[FaultAt, Phase, int, np.random.Generator]] = []
+        for number, fault in enumerate(faults):
+            random = np.random.default_rng([seed, number, 0xFB])
+            if fault.injected in CAMERA:
+                phase, within_s = Phase.DWELL, CAMERA_WITHIN_S
+            else:
+                phase = list(WITHIN_S)[int(random.integers(len(WITHIN_S)))]
+                within_s = WITHIN_S[phase]
+            self._waiting.append((fault, phase, round(random.uniform(0.0, within_s) * 1e9), random))
+
+    def phase_began(self, phase: Phase, touch: int) -> None:
+        """Told by whoever touches, as each phase begins. touch: from 1"""
+        for one in list(self._waiting):
+            fault, waited_for, delay_ns, random = one
+            if (fault.touch, waited_for) == (touch, phase):
+                self._waiting.remove(one)
+                self._lab.schedule(self._lab.clock() + delay_ns, partial(self._strike, fault, random))
+
+    @property
+    def waiting(self) -> tuple[FaultAt, ...]:
+        """Those whose moment has not come."""
+        return tuple(fault for fault, *_ in self._waiting)
+
+    def _strike(self, fault: FaultAt, random: np.random.Generator) -> None:
+        self.struck.append((fault, self._lab.clock()))
+        inject(self._lab, fault.injected, random)

@@ -1,0 +1,39 @@
+"""What a person should see to after the robot has stopped, before it is started again."""
+
+from __future__ import annotations
+
+from deformscope.robot.supervisor import Fault
+from deformscope.robot.touch import Ending
+
+_SENSOR = "the force sensor's cable and supply: deformscope doctor RIG listens to it"
+_ARM = "the arm's cable, supply and joystick's red light; move it away by the joystick"
+_CAMERA = "the camera's cable, and that no other program uses it"
+_PLACE = "workspace, rig file and what lies on the table"
+
+ADVICE: dict[Fault | Ending, str] = {
+    Fault.FORCE_SOFT: "what pushed the tip; it has backed away from it",
+    Fault.FORCE_HARD: "what pushed the tip, and the tip itself, before the arm moves again",
+    Fault.FORCE_SILENT: _SENSOR,
+    Fault.FORCE_FROZEN: _SENSOR,
+    Fault.FORCE_INVALID: _SENSOR,
+    Fault.FORCE_UNUSABLE: _SENSOR,
+    Fault.CHECKSUMS: "the force sensor's cable, its plug, and what disturbs them",
+    Fault.ARM_SILENT: _ARM,
+    Fault.ARM_FROZEN: _ARM,
+    Fault.ARM_INVALID: _ARM,
+    Fault.ARM_FIFO: "what else commands the arm, and how busy this computer is",
+    Fault.ARM_SPEED: "what moved the arm: a push, or another program",
+    Fault.WORKSPACE: _PLACE,
+    Fault.CAMERA_SILENT: _CAMERA,
+    Fault.CAMERA_FROZEN: _CAMERA,
+    Fault.LINK: "the cable and supply of the device that was lost",
+    Fault.ASKED: "",
+    Ending.NO_CONTACT: "where the surface is: the camera's pose in the rig file, and the sample's place",
+    Ending.NOT_REACHED: _PLACE,
+}
+"""What to look at, by the supervisor's fault or the touch's ending."""
+
+
+def advice(cause: Fault | Ending) -> str:
+    """What to look at; empty where there is nothing to see to."""
+    return ADVICE.get(cause, "the robot and what lies around it")
