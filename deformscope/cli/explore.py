@@ -97,7 +97,7 @@ def explore_lab(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any
     for fault in to_come.waiting:
         say(f"--fault {fault.injected.word}@{fault.touch} did not strike: there was no such moment")
     if stop is not None or asked.is_set():
-        leave(stop, len(explorer.told), asked.signal_number, found["recording"])
+        leave(stop, len(explorer.told), asked.signal_number, found["recording"], arm_told=companion.arm_told)
     return found
 
 

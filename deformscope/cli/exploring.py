@@ -29,6 +29,7 @@ class Companion:
     """Called in every control period (`__call__`) and at each phase of a touch (`phase_began`).
 
     touch: the one under way, or the last, from 1; 0 before the first
+    arm_told: whether the arm could be told to stop, where it was
     """
 
     def __init__(
@@ -42,6 +43,7 @@ class Companion:
         """asked: set when somebody wants it to end; show: one line that the next replaces; on_phase: told phase and
         touch as well"""
         self.touch = 0
+        self.arm_told = True
         self.robot: TouchingRobot | None = None
         self._source, self._recorder, self._asked, self._show = source, recorder, asked, show
         self._on_phase = on_phase
@@ -92,21 +94,24 @@ class Companion:
         self._recorder.stopped_because(f"{stop.kind}: {stop.reason}")
         if self.robot is not None:
             self.robot.look_on(AFTER_S)
-            self.robot.halt(stop.kind)
+            self.arm_told = self.robot.halt(stop.kind)
         return stop
 
 
-def leave(stop: Stopped | None, touched: int, signal_number: int, recording: Path | None) -> None:
+def leave(
+    stop: Stopped | None, touched: int, signal_number: int, recording: Path | None, *, arm_told: bool = True
+) -> None:
     """End the command as the stop demands: with the reason and what to do, or by the signal's own exit status."""
     from deformscope.robot.supervisor import Fault
 
+    stands = "the arm stands" if arm_told else "THE ARM COULD NOT BE TOLD TO STOP: look at it, use its emergency stop"
     touches = f"after {touched} touch{'es' * (touched != 1)}"
     if stop is None or stop.kind == Fault.ASKED:
         kept = "" if recording is None else f"; the recording is whole: {recording}"
-        say(f"deformscope: ended by {signal_word(signal_number)} {touches}; the arm stands{kept}")
+        say(f"deformscope: ended by {signal_word(signal_number)} {touches}; {stands}{kept}")
         raise SystemExit(128 + signal_number)
     hint = f"see to {stop.advice}, then explore again" if stop.advice else "explore again"
-    came = f"{stop.kind} ({stop.reason}) {touches}; the arm stands"
+    came = f"{stop.kind} ({stop.reason.split(' | ')[0]}) {touches}; {stands}"
     raise InputError("an exploration that comes to its end", came, hint, recording or "")
 
 

@@ -45,8 +45,10 @@ from deformscope_drivers.depth_camera import View
 from deformscope_drivers.depth_camera.image import DepthImage
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
 from deformscope_drivers.device import Device
+from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.jaco.kinematics import J2N6S300
 from deformscope_drivers.memory import SimulatedClock
+from deformscope_drivers.subscription import Subscription
 
 LINK_RADIUS_M, STICK_RADIUS_M, MARGIN_M = 0.045, 0.008, 0.012
 BORDER_M = 0.02
@@ -90,8 +92,9 @@ class TouchingRobot:
         self._options = options
         self._camera = camera
         self._clock = clock
-        self._pictures = robot.camera.readings() if robot.camera is not None else None
+        self._pictures: Subscription[DepthImage] | None = None
         self.on_phase: Callable[[Phase, int], None] = lambda phase, time_ns: None
+        self._dwelling = contextlib.ExitStack()
         self._touches = 0
         self._phase: Phase | None = None
         self._pressed_m: FloatArray | None = None
@@ -132,8 +135,10 @@ class TouchingRobot:
 
     def look(self) -> Looked:
         """The surface from the newest pictures, without the robot."""
+        with self._pictures_kept():
+            pictures = self._take_pictures(LOOKS)
         links = self._links()
-        clouds = [self._seen(picture, links) for picture in self._take_pictures(LOOKS)]
+        clouds = [self._seen(picture, links) for picture in pictures]
         return Looked(np.concatenate([c.points_m for c in clouds]), np.concatenate([c.noise_m for c in clouds]))
 
     def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> Touched:
@@ -145,7 +150,7 @@ class TouchingRobot:
             dents.extend((picture, self._links()) for picture in self._new_pictures())
             return True
 
-        with self._telling():
+        with self._telling(), contextlib.ExitStack() as self._dwelling:
             record = run_touch(self._robot, plan, still, self._begin)
         self._phase = None
         verdict = self._robot.supervisor.verdict
@@ -184,9 +189,9 @@ class TouchingRobot:
         """A person wants it to stop: the arm stands within a control period, and the exploration ends."""
         self._robot.ask_to_stop(reason)
 
-    def halt(self, reason: str) -> None:
-        """Erase what waits in the arm; it takes no further command."""
-        self._robot.halt(reason)
+    def halt(self, reason: str) -> bool:
+        """Erase what waits in the arm, which takes no further command; whether it was reached."""
+        return self._robot.halt(reason)
 
     def look_on(self, duration_s: float) -> None:
         """Stand still and let the devices be recorded, stopped or not."""
@@ -210,6 +215,8 @@ class TouchingRobot:
 
     def _begin(self, phase: Phase, time_ns: int) -> None:
         self._phase = phase
+        if phase is Phase.DWELL:
+            self._dwelling.enter_context(self._pictures_kept())
         if phase is Phase.PRESS:
             self._pressed_m = self._robot.center_m
         elif phase in (Phase.RETREAT, Phase.BACK_OFF):
@@ -269,11 +276,22 @@ class TouchingRobot:
         )
 
     def _new_pictures(self) -> list[DepthImage]:
-        return [] if self._pictures is None else list(self._pictures.take())
+        with contextlib.suppress(DeviceError):  # what becomes of a lost camera, the supervisor decides
+            return [] if self._pictures is None else self._pictures.take()
+        return []
+
+    @contextlib.contextmanager
+    def _pictures_kept(self) -> Iterator[None]:
+        """From now on new pictures wait to be taken; at other times nobody takes them, and they would count as lost."""
+        if self._robot.camera is None:
+            yield
+            return
+        with self._robot.camera.readings() as self._pictures:
+            yield
+        self._pictures = None
 
     def _take_pictures(self, count: int) -> list[DepthImage]:
         """The next pictures, the robot standing still."""
-        self._new_pictures()
         taken: list[DepthImage] = []
         for _ in range(LOOK_PERIODS):
             with self._telling():

@@ -174,13 +174,16 @@ class Robot:
             self.seen = self._look()
             self._tell_watch(self.supervisor.verdict)
 
-    def halt(self, reason: str) -> None:
-        """Erase what waits in the arm and refuse commands until `arm.acknowledge_stop`; an arm that cannot be reached
-        has at most two velocities waiting, and is erased when it comes back."""
+    def halt(self, reason: str) -> bool:
+        """Erase what waits in the arm and refuse commands until `arm.acknowledge_stop`; whether the arm was reached:
+        one that was not has at most two velocities waiting, and is erased when it comes back."""
         self._speed_m_s = 0.0
         self.commanded.append((self._clock(), 0.0))
-        with contextlib.suppress(DeviceError):
+        try:
             self.arm.halt(reason)
+        except DeviceError:
+            return False
+        return True
 
     def let_move(self, preflight: Preflight) -> None:
         """From now on velocities are sent. Raises InputError, which names the checks, unless all have passed."""

@@ -97,10 +97,10 @@ def to_above(
             )
         move_joints(robot, joints_deg)
     else:
-        if here[2, 3] < high_m - 1e-3:
+        if here[2, 3] < high_m:
             up = np.array([here[0, 3], here[1, 3], high_m + PASSED_M])
             move_tip(robot, up, -here[:3, 2], speed_m_s, passing=True)
-        if high_m > float(center_m[2]) + PASSED_M:
+        if high_m > float(center_m[2]) + REACHED_M:
             move_tip(robot, over, normal, speed_m_s, passing=True)
     move_tip(robot, center_m, normal, speed_m_s)
 

@@ -2,13 +2,27 @@
 
 from __future__ import annotations
 
+import io
 import json
+import re
+import shutil
+import signal
+import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
 
 from deformscope.cli import main
+from deformscope.exploration_replay import read_results
+from deformscope.frames import DepthFrame
+from deformscope.lab.faults import FaultsToCome, Injected
 from deformscope.ledger import check_ledger
+from deformscope.rig_replay import read_items
+from deformscope.rig_source import RigSource
+from deformscope.robot.touch import Phase
+from deformscope.stages.exploration import PhaseBegan, Stopped
 
 
 def test_a_simulated_table_is_explored_recorded_and_replayed(
@@ -47,6 +61,7 @@ def test_scenes_are_listed_without_a_rig(capsys: pytest.CaptureFixture[str]) -> 
     shown = capsys.readouterr().out
     assert "lab:two-60-150" in shown
     assert "lab:gradient" in shown
+    assert all(f"  {injected.word} " in shown for injected in Injected)
 
 
 @pytest.mark.parametrize(
@@ -57,6 +72,8 @@ def test_scenes_are_listed_without_a_rig(capsys: pytest.CaptureFixture[str]) -> 
         (["explore", "lab:disc", "--set-force", "9"], "up to 5 N"),
         (["explore", "lab:disc", "--touches", "0"], "1 or more"),
         (["explore", "rig.toml"], "lab:NAME"),
+        (["explore", "lab:disc", "--fault", "storms@1"], "try: storm@1"),
+        (["explore", "lab:disc", "--fault", "storm@9"], "from 1 to 8"),
         (["reproduce", "table41", "--scenes", "moon"], "a scene"),
         (["reproduce", "table41", "--planners", "luck"], "planners out of"),
     ],
@@ -84,3 +101,140 @@ def test_the_table_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert (tmp_path / "table41.csv").read_text().startswith("scene,planner,seeds")
     (row,) = json.loads((tmp_path / "table41.json").read_text())["rows"]
     assert row["count_right"] == 1.0
+
+
+STOPPED = ["--touches", "2", "--viewer", "none", "--beta-model", "none"]
+
+
+class Terminal(io.StringIO):
+    """A stderr that is a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind", "within_s", "words"),
+    [
+        ("force-silent@1", "force sensor silent", 0.05, "deformscope doctor RIG"),
+        ("arm-cable@1", "link lost", 0.1, "THE ARM COULD NOT BE TOLD TO STOP"),
+        ("push@2", "force above the soft stop", 0.05, "it has backed away"),
+    ],
+)
+def test_a_fault_stops_it_and_the_recording_is_whole(
+    fault: str, kind: str, within_s: float, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record, told = tmp_path / "e.rrd", tmp_path / "e.json"
+    arguments = ["explore", "lab:two-60-150", *STOPPED, "--fault", fault]
+
+    assert main([*arguments, "--record", str(record), "--json", str(told)]) == 2
+    shown = capsys.readouterr()
+    last = shown.err.strip().splitlines()[-1]
+    assert last.startswith("deformscope: error: ")
+    assert kind in last
+    assert words in last
+    assert str(record) in last
+    assert "Traceback" not in shown.err
+    assert "\r" not in shown.err
+    found = json.loads(told.read_text())
+    assert found["stop_reason"] == f"stopped: {kind}"
+    assert found["fault"]["kind"] == kind
+    assert 0.0 <= found["fault"]["noticed_after_s"] <= within_s
+    assert len(found["touches"]) == int(fault[-1]) - 1
+    assert found["max_force_n"] < 15.0
+
+    results = list(read_results(record, (PhaseBegan, Stopped)))
+    ((stop, at_ns),) = [(one.result, one.session_ns) for one in results if isinstance(one.result, Stopped)]
+    assert (stop.kind, stop.reason) == (kind, found["fault"]["reason"])
+    assert at_ns / 1e9 == pytest.approx(found["fault"]["time_s"])
+    names = [one.result.name for one in results if isinstance(one.result, PhaseBegan)]
+    assert f"stopped: {kind}" in names
+    assert names[:2] == ["look", "travel"]
+    assert found["seconds"]["session"] > found["fault"]["time_s"] + 0.49
+    frames = [one for one in read_items(record, kinds=("depth",), trust=True) if isinstance(one, DepthFrame)]
+    assert frames[-1].stamp.host_ns - frames[0].stamp.host_ns > 1e9 * (found["fault"]["time_s"] + 0.2)
+
+    assert main(["verify", str(record)]) == 0, capsys.readouterr().err
+    assert f"complete; stopped: {kind}" in capsys.readouterr().out
+    assert main(["replay", str(record)]) == 0, capsys.readouterr().err
+    assert not list(tmp_path.glob("*.part*"))
+
+
+def interrupted_at(phase: Phase, *numbers: int) -> Callable[..., None]:
+    """In place of the laboratory's faults: signals as such a phase begins."""
+
+    def phase_began(self: FaultsToCome, began: Phase, touch: int) -> None:
+        if began is phase:
+            for number in numbers:
+                signal.raise_signal(number)
+
+    return phase_began
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_ctrl_c_stops_the_arm_and_keeps_all(
+    number: int, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record, told, terminal = tmp_path / "e.rrd", tmp_path / "e.json", Terminal()
+    monkeypatch.setattr(FaultsToCome, "phase_began", interrupted_at(Phase.DWELL, number))
+    monkeypatch.setattr(sys, "stderr", terminal)
+
+    assert main(["explore", "lab:two-60-150", *STOPPED, "--record", str(record), "--json", str(told)]) == status
+    said = terminal.getvalue()
+    assert "Ctrl-C again to leave at once" in said
+    assert "the arm stands" in said
+    assert "Traceback" not in said
+    assert re.search(r"\r\x1b\[Ktouch 1: press \d\.\d N \d+\.\d mm", said)
+    assert "\x1b[Ktouch 1: approach\r" in said
+    found = json.loads(told.read_text())
+    assert found["stop_reason"] == "stopped: stopped by a person"
+    assert found["touches"] == []
+    assert found["verdict"] is None
+    assert check_ledger(record) == []
+    assert [one.result.action for one in read_results(record, (Stopped,))] == ["stop"]  # type: ignore[union-attr]
+
+
+def test_a_second_ctrl_c_leaves_at_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(FaultsToCome, "phase_began", interrupted_at(Phase.APPROACH, signal.SIGINT, signal.SIGINT))
+    record = tmp_path / "e.rrd"
+
+    assert main(["explore", "lab:two-60-150", *STOPPED, "--record", str(record)]) == 130
+    assert "interrupted" in capsys.readouterr().err
+    assert not record.exists()
+    assert list(tmp_path.glob("*.part.rrd"))
+
+
+def test_a_full_disk_halts_the_arm_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    began: list[Phase] = []
+    stopped: list[str] = []
+    free = shutil.disk_usage
+
+    def filling(path: Path) -> Any:
+        usage = free(path)
+        return usage._replace(free=0) if Phase.APPROACH in began else usage
+
+    def phase_began(self: FaultsToCome, phase: Phase, touch: int) -> None:
+        began.append(phase)
+
+    def leave(self: RigSource, *error: object) -> None:
+        """As the devices are closed: how the arm stands."""
+        arm = cast("Any", next(member.device for member in self._members if member.name == "arm"))
+        stopped.append(arm.stopped_because)
+        self.close()
+
+    monkeypatch.setattr(shutil, "disk_usage", filling)
+    monkeypatch.setattr(FaultsToCome, "phase_began", phase_began)
+    monkeypatch.setattr(RigSource, "__exit__", leave)
+    monkeypatch.setattr("deformscope.recorder.BEAT_S", 0.0)
+    record = tmp_path / "e.rrd"
+
+    assert main(["explore", "lab:two-60-150", *STOPPED, "--record", str(record)]) == 2
+    last = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "MiB free on the disk" in last
+    assert Phase.PRESS not in began
+    assert stopped == ["what watches it failed: RecordingError"]
+    assert list(tmp_path.glob("*.part.rrd"))

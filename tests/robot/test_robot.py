@@ -1,0 +1,106 @@
+"""The control period: a person's wish to stop, a watcher that fails, and a look at what comes after a stop."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from deformscope.lab.fault_study import Scene, make_scene
+from deformscope.robot.readings import Observation
+from deformscope.robot.robot import RobotStopped, TipVelocity
+from deformscope.robot.supervisor import Action, Fault, Verdict
+
+UP = TipVelocity(np.array([0.0, 0.0, 0.02]))
+
+
+def moving() -> Scene:
+    """An arm on its way."""
+    scene = make_scene(3, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
+    for _ in range(20):
+        scene.robot.cycle(UP)
+    return scene
+
+
+def cycles(scene: Scene, count: int) -> None:
+    for _ in range(count):
+        scene.robot.cycle()
+
+
+def way_m(scene: Scene, seconds: float) -> float:
+    """How far the arm still goes."""
+    before = scene.lab.center_m
+    scene.lab.wait_until(scene.lab.clock() + round(seconds * 1e9))
+    return float(np.linalg.norm(scene.lab.center_m - before))
+
+
+def test_who_asks_to_stop_is_heard_in_the_same_period() -> None:
+    scene = moving()
+
+    def ask(seen: Observation, verdict: Verdict) -> None:
+        scene.robot.ask_to_stop("Ctrl-C")
+
+    scene.robot.watch = ask
+    with pytest.raises(RobotStopped, match="stopped by a person: Ctrl-C"):
+        scene.robot.cycle(UP)
+
+    assert scene.robot.supervisor.verdict.fault is Fault.ASKED
+    assert scene.lab.arm_double.fifo_count == 0
+    assert way_m(scene, 0.02) < 5e-4
+    assert way_m(scene, 0.5) == 0.0
+    scene.lab.close()
+
+
+def test_a_fault_is_not_covered_by_a_wish_to_stop() -> None:
+    scene = moving()
+    scene.lab.sensor_double.silent = True
+    with pytest.raises(RobotStopped):
+        cycles(scene, 10)
+    scene.robot.ask_to_stop("Ctrl-C")
+
+    assert scene.robot.supervisor.verdict.fault is Fault.FORCE_SILENT
+    scene.lab.close()
+
+
+def test_the_arm_is_halted_before_a_failing_watcher_is_heard() -> None:
+    scene = moving()
+
+    def fail(seen: Observation, verdict: Verdict) -> None:
+        raise OSError("the disk is full")
+
+    scene.robot.watch = fail
+    with pytest.raises(OSError, match="disk"):
+        scene.robot.cycle(UP)
+
+    assert "OSError" in scene.lab.arm.stopped_because
+    assert scene.lab.arm_double.fifo_count == 0
+    assert way_m(scene, 0.5) < 5e-4
+    scene.lab.close()
+
+
+def test_what_comes_after_a_stop_is_seen_and_moves_nothing() -> None:
+    scene = moving()
+    scene.robot.ask_to_stop("enough")
+    with pytest.raises(RobotStopped):
+        scene.robot.cycle(UP)
+    seen: list[tuple[Observation, Verdict]] = []
+    scene.robot.watch = lambda observation, verdict: seen.append((observation, verdict))
+    began_ns = scene.lab.clock()
+
+    scene.robot.look_on(0.5)
+
+    assert scene.lab.clock() - began_ns == 500_000_000
+    assert len(seen) == 50
+    assert sum(len(one.forces) for one, _ in seen) > 400
+    assert {verdict.action for _, verdict in seen} == {Action.STOP}
+    with pytest.raises(RobotStopped):
+        scene.robot.cycle(UP)
+    scene.lab.close()
+
+
+def test_halting_says_whether_the_arm_was_reached() -> None:
+    scene = moving()
+    assert scene.robot.halt("enough")
+    scene.lab.arm_double.unplug()
+    assert not scene.robot.halt("enough")
+    scene.lab.arm_double.plug()
+    scene.lab.close()

@@ -1,0 +1,74 @@
+"""Ways above the surface: never lower than told, and no higher than needed."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from deformscope.lab.fault_study import Scene, make_scene
+from deformscope.robot.readings import Observation
+from deformscope.robot.supervisor import Verdict
+from deformscope.robot.touch import Phase, TouchPlan, run_touch
+from deformscope.robot.travel import PASSED_M, REACHED_M
+
+STANDOFF_M = 0.05
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    """After a first touch, the tip stands above it."""
+    scene = make_scene(3, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
+    run_touch(scene.robot, scene.plan)
+    return scene
+
+
+@pytest.mark.parametrize("above_m", [0.0, 0.01, 0.06])
+def test_it_crosses_no_lower_than_told_and_hardly_higher(scene: Scene, above_m: float) -> None:
+    robot, offset_m = scene.robot, scene.robot.placement.center_offset_m
+    start_m = robot.center_m
+    side = 1.0 if start_m[0] < 0.3 else -1.0
+    point_m = np.array([start_m[0] + side * 0.1, start_m[1], scene.plan.point_m[2]])
+    height_m = point_m[2] + STANDOFF_M + offset_m + above_m
+    plan = dataclasses.replace(scene.plan, point_m=point_m, travel_height_m=height_m, miss_m=0.03)
+    phases: list[tuple[Phase, int]] = []
+    track: list[np.ndarray] = []
+
+    def watch(seen: Observation, verdict: Verdict) -> None:
+        if phases and phases[-1][0] is Phase.TRAVEL:
+            track.append(robot.center_m)
+
+    robot.watch = watch
+    record = run_touch(robot, plan, on_phase=lambda phase, time_ns: phases.append((phase, time_ns)))
+    places_m = np.array(track)
+    crossing = np.abs(places_m[:, 0] - start_m[0]) > PASSED_M
+    crossing &= np.abs(places_m[:, 0] - point_m[0]) > PASSED_M
+
+    assert crossing.sum() > 50
+    assert places_m[crossing, 2].min() > height_m - 2 * REACHED_M
+    assert places_m[:, 2].max() < height_m + 2 * PASSED_M
+    assert [phase for phase, _ in phases] == [span.phase for span in record.phases]
+    for (_, told_ns), span in zip(phases, record.phases, strict=True):
+        assert told_ns / 1e9 == pytest.approx(span.start_s)
+
+
+def test_phases_are_told_as_they_begin() -> None:
+    scene = make_scene(5, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
+    told: list[tuple[Phase, int, int]] = []
+
+    run_touch(scene.robot, scene.plan, on_phase=lambda phase, at: told.append((phase, at, scene.lab.clock())))
+    scene.lab.close()
+
+    assert [phase for phase, *_ in told] == [
+        *(Phase.TRAVEL, Phase.TARE, Phase.APPROACH, Phase.PRESS, Phase.DWELL, Phase.RETREAT)
+    ]
+    assert all(heard_ns == began_ns for _, began_ns, heard_ns in told)
+
+
+def test_a_plan_crosses_at_its_height_or_above_the_point() -> None:
+    up = np.array([0.0, 0.0, 1.0])
+    low, high = (TouchPlan(np.array([0.3, 0.2, 0.05]), up, travel_height_m=height_m) for height_m in (0.02, 0.2))
+
+    assert low.places_m(0.01)[0] == pytest.approx([0.3, 0.2, 0.11])
+    assert high.places_m(0.01)[0] == pytest.approx([0.3, 0.2, 0.2])
