@@ -87,6 +87,9 @@ def explore_lab(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any
                 except ExplorationStopped as error:
                     stop, stop_ns = companion.stopped(error), error.time_ns
                     explorer.stop_reason = f"stopped: {stop.kind}"
+                except BaseException as error:
+                    robot.halt(f"the exploration failed: {type(error).__name__}")
+                    raise
                 seconds["wall"] = time.perf_counter() - began
             recorder.write_items(source.take(0.0))
             seconds["session"] = (bench.clock() - source.start_ns) / 1e9

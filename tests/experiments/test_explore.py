@@ -153,6 +153,33 @@ def test_a_row_of_the_table() -> None:
     assert run.after[-1].travel_m > 0.1
 
 
+def test_the_way_to_the_next_touch_is_as_high_as_what_it_leads_over() -> None:
+    explorer, _, _ = explored("bumpy", budget=2)
+    scene = built_in("bumpy", 0)
+    start, goal = explorer.told[-1].xyz_m[:2], np.array([0.1, 0.3])
+    way = start + np.linspace(0.0, 1.0, 200)[:, None] * (goal - start)
+    highest_m = float(scene.height_m(way).max())
+    over_m = explorer.over_m(goal)
+
+    assert over_m is not None
+    assert highest_m < over_m < highest_m + 0.006
+    here = explorer.over_m(start)
+    assert here is not None
+    assert here < over_m
+
+
+def test_before_the_first_touch_nobody_knows_what_the_way_leads_over() -> None:
+    explorer = Explorer((0.6, 0.4), ExploreOptions(), LabRobot(built_in("homogeneous-60", 0), ExploreOptions()).arm)
+
+    assert explorer.over_m(np.array([0.1, 0.1])) is None
+
+
+def test_what_was_stopped_before_it_had_looked_gives_nothing() -> None:
+    explorer = Explorer((0.6, 0.4), ExploreOptions(), LabRobot(built_in("homogeneous-60", 0), ExploreOptions()).arm)
+
+    assert list(explore_again({}, explorer)) == []
+
+
 def test_forces_that_are_too_large_are_refused() -> None:
     with pytest.raises(InputError, match="up to 5 N"):
         ExploreOptions(set_force_n=6.0)

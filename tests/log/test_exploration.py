@@ -19,7 +19,7 @@ from deformscope.log.exploration.small import small_results
 from deformscope.log.exploration.summary import summary
 from deformscope.log.rig import log_streams, prepare_items
 from deformscope.rig_replay import read_items
-from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, TouchTold
+from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, Stopped, TouchTold
 from tests.log import synthetic_exploration as synthetic
 from tests.log import synthetic_rig as rig
 from tests.log.test_rig import assert_same, cells, same
@@ -215,6 +215,23 @@ def test_phases_are_states_of_one_lane(tmp_path: Path) -> None:
     assert found == [["look"], ["travel"], ["press"]]
 
 
+def test_why_it_was_stopped_is_data_a_line_of_text_and_a_red_state(tmp_path: Path) -> None:
+    stop = Stopped("force sensor silent", "no force for 36 ms", "its cable", "stop", 1)
+    record(tmp_path / "run.rrd", [(7, 2, [PhaseBegan(f"stopped: {stop.kind}", 1), stop])])
+    (found,) = read_results(tmp_path / "run.rrd", (Stopped,), trust=True)
+
+    assert found == Recorded(7, 2, stop)
+    text = cells(tmp_path / "run.rrd", "/exploration/stopped", "TextLog:text")
+    assert [one for one in text if one] == [["force sensor silent: no force for 36 ms"]]
+    static = [
+        chunk.to_record_batch()
+        for chunk in RrdReader(tmp_path / "run.rrd").stream()
+        if chunk.is_static and chunk.entity_path == "/exploration/phase"
+    ]
+    named = [batch.column("StateConfiguration:values").to_pylist()[-1] for batch in static]
+    assert f"stopped: {stop.kind}" in named[-1]
+
+
 def test_a_summary_tells_regions_or_that_there_are_none() -> None:
     maps = synthetic.maps(8)
     told = summary(maps)
@@ -236,5 +253,5 @@ def test_what_is_no_result_is_refused() -> None:
 
 def test_warming_up_draws_every_kind() -> None:
     kinds = {type(one) for one in small_results()}
-    assert {TouchTold, MapsKnown, NextTouch, PhaseBegan} < kinds
+    assert {TouchTold, MapsKnown, NextTouch, PhaseBegan, Stopped} < kinds
     warm_up()

@@ -1,0 +1,15 @@
+"""Whatever stops the robot, a person is told what to see to."""
+
+from __future__ import annotations
+
+import pytest
+
+from deformscope.robot.advice import ADVICE, advice
+from deformscope.robot.supervisor import Fault
+from deformscope.robot.touch import Ending
+
+
+@pytest.mark.parametrize("cause", [*(set(Fault) - {Fault.NONE}), Ending.NO_CONTACT, Ending.NOT_REACHED])
+def test_every_cause_has_its_advice(cause: Fault | Ending) -> None:
+    assert cause in ADVICE
+    assert bool(advice(cause)) is (cause is not Fault.ASKED)
