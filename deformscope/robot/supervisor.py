@@ -47,7 +47,7 @@ class Fault(StrEnum):
     CAMERA_SILENT = "depth camera silent"
     CAMERA_FROZEN = "depth camera frozen"
     LINK = "link lost"
-    ASKED = "stopped by a person"
+    ASKED = "a person asked"
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,8 @@ import pytest
 from deformscope.cli import main
 from deformscope.exploration_replay import read_results
 from deformscope.frames import DepthFrame
-from deformscope.lab.faults import FaultsToCome, Injected
+from deformscope.lab.fault_study import ALLOWED_S
+from deformscope.lab.faults import CAMERA, FaultsToCome, Injected
 from deformscope.ledger import check_ledger
 from deformscope.rig_replay import read_items
 from deformscope.rig_source import RigSource
@@ -161,6 +162,23 @@ def test_a_fault_stops_it_and_the_recording_is_whole(
     assert not list(tmp_path.glob("*.part*"))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("injected", Injected)
+def test_every_fault_is_noticed_and_its_recording_whole(
+    injected: Injected, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record, told = tmp_path / "e.rrd", tmp_path / "e.json"
+    arguments = ["explore", "lab:disc", *STOPPED, "--seed", "4", "--fault", f"{injected.word}@1"]
+    # the laboratory's camera gives 10 pictures a second
+    within_s = 0.2 if injected in CAMERA else ALLOWED_S[injected]
+
+    assert main([*arguments, "--record", str(record), "--json", str(told)]) == 2
+    assert capsys.readouterr().err.count("Traceback") == 0
+    assert 0.0 <= json.loads(told.read_text())["fault"]["noticed_after_s"] <= within_s
+    assert main(["verify", str(record)]) == 0
+    assert main(["replay", str(record)]) == 0
+
+
 def interrupted_at(phase: Phase, *numbers: int) -> Callable[..., None]:
     """In place of the laboratory's faults: signals as such a phase begins."""
 
@@ -172,7 +190,9 @@ def interrupted_at(phase: Phase, *numbers: int) -> Callable[..., None]:
     return phase_began
 
 
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "status"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)]
+)
 def test_ctrl_c_stops_the_arm_and_keeps_all(
     number: int, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -188,7 +208,7 @@ def test_ctrl_c_stops_the_arm_and_keeps_all(
     assert re.search(r"\r\x1b\[Ktouch 1: press \d\.\d N \d+\.\d mm", said)
     assert "\x1b[Ktouch 1: approach\r" in said
     found = json.loads(told.read_text())
-    assert found["stop_reason"] == "stopped: stopped by a person"
+    assert found["stop_reason"] == "stopped: a person asked"
     assert found["touches"] == []
     assert found["verdict"] is None
     assert check_ledger(record) == []

@@ -40,7 +40,7 @@ def test_who_asks_to_stop_is_heard_in_the_same_period() -> None:
         scene.robot.ask_to_stop("Ctrl-C")
 
     scene.robot.watch = ask
-    with pytest.raises(RobotStopped, match="stopped by a person: Ctrl-C"):
+    with pytest.raises(RobotStopped, match="a person asked: Ctrl-C"):
         scene.robot.cycle(UP)
 
     assert scene.robot.supervisor.verdict.fault is Fault.ASKED
