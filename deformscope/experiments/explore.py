@@ -274,7 +274,7 @@ class Explorer:
             stiffness_interval=fit.interval_n_per_mm,
             rigid=fit.rigid,
             modulus_pa=modulus,
-            depth_m=fit.depth_m,
+            depth_m=_dent_m(fit),
             peak_force_n=fit.peak_force_n,
             beta=beta,
             beta_interval=interval,
@@ -296,8 +296,9 @@ class Explorer:
         assert self.world is not None
         radius = self.options.tip_radius_m
         deepest = int(np.argmax(-(touched.position_m @ touched.normal)))
-        lowest = touched.position_m[deepest] - radius * touched.normal
-        ball = BallTouch(lowest, radius, fit.depth_m, fit.peak_force_n)
+        gives_m = self._arm.compliance_m_per_n * fit.peak_force_n  # the arm says that it is that much deeper
+        lowest = touched.position_m[deepest] - (radius - gives_m) * touched.normal
+        ball = BallTouch(lowest, radius, _dent_m(fit), fit.peak_force_n)
         try:
             if self.options.beta_model == "thesis":
                 return self._thesis(touched, ball)
@@ -306,7 +307,7 @@ class Explorer:
             return None, None, f"not fitted: {error}", nothing
         self._beta_sd[-1] = found.sd
         estimate = found.estimate
-        return estimate.value, estimate.interval, estimate.verdict, nothing
+        return estimate.value, estimate.interval, estimate.verdict, found.simulated_m
 
     def _thesis(
         self, touched: Touched, ball: BallTouch
@@ -319,7 +320,7 @@ class Explorer:
             touched.after_m[near], known_m=tactile, known_noise_m=np.full(len(tactile), TACTILE_NOISE_M)
         )
         found = thesis_beta(self.world, surface, touched.xy_m)
-        return found.beta, None, f"thesis: {found.note}", np.zeros((0, 3))
+        return found.beta, None, f"thesis: {found.note}", found.simulated_m
 
     def _beta_field(self) -> tuple[FloatArray | None, FloatArray | None]:
         known = [
@@ -334,6 +335,12 @@ class Explorer:
         field = fit_field(places, values, sds, prior=BETA_PRIOR)
         found = field.on(Grid.over((0.0, 0.0), self.grid.size_m, self.grid.cell_m))
         return found.mean.clip(0.0, 1.0), found.deviation
+
+
+def _dent_m(fit: ContactFit) -> float:
+    """How deep the dent was at the peak of the force, at which the camera saw it: deeper than at the set force where
+    that made too shallow a dent and more was pressed [m]."""
+    return float(fit.depth_m * (fit.peak_force_n / fit.at_force_n) ** (1.0 / fit.exponent))
 
 
 def pack(taken: Looked | Touched) -> bytes:

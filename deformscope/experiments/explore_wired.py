@@ -29,7 +29,7 @@ from deformscope.robot.readings import Observation
 from deformscope.robot.robot import Robot, RobotStopped
 from deformscope.robot.supervisor import Limits, Verdict
 from deformscope.robot.touch import Ending, TouchPlan, TouchRecord, run_touch
-from deformscope.stages.cloud import Capsule, Intrinsics, perceive
+from deformscope.stages.cloud import Box, Capsule, Intrinsics, perceive
 from deformscope.stages.contact import ArmCompliance
 from deformscope.stages.touches import MapGrid
 from deformscope_drivers.depth_camera import View
@@ -39,7 +39,13 @@ from deformscope_drivers.device import Device
 from deformscope_drivers.jaco.kinematics import J2N6S300
 from deformscope_drivers.memory import SimulatedClock
 
-LINK_RADIUS_M, STICK_RADIUS_M, MARGIN_M = 0.045, 0.008, 0.012
+LINK_RADIUS_M, STICK_RADIUS_M = 0.045, 0.008
+LINK_MARGIN_M, STICK_MARGIN_M = 0.012, 0.005
+"""What is taken away around the arm's links, whose shape is rough, and around stick and ball: four deviations of a depth
+at 0.8 m (0.9 mm), which the points on the stick itself have, and what the arm gives way (0.6 mm). A dent is some
+millimetres deep within 2 cm of the ball: a wider margin takes the part that tells the most."""
+DENT_M, DENT_PICTURES = 0.08, 10
+"""Of a dent: half the side of what is looked at around it; its last pictures that are taken together, at most."""
 BORDER_M = 0.02
 VIEW_CELL_M = 0.004
 PREFLIGHT_CELL_M = 0.02
@@ -48,6 +54,8 @@ COARSE_M = 0.03
 LEAST_SINGULAR = 0.02
 LOOKS = 3
 CAMERA_HZ = 10.0
+CAMERA_AZIMUTH_DEG = -90.0
+"""The camera looks across the long edge at y = 0: the arm stands beyond the other, and hides what is behind it."""
 PARKED_M = 0.18
 BOX_LOW_M, BOX_HIGH_M = (-0.40, -0.66, 0.0), (0.45, 0.10, 0.75)
 """Where the tip may go in the laboratory, in the base frame: above the table, and to where the arm is parked."""
@@ -110,7 +118,8 @@ class TouchingRobot:
     def look(self) -> Looked:
         """The surface from the newest pictures, without the robot."""
         links = self._links()
-        clouds = [self._seen(picture, links) for picture in self._take_pictures(LOOKS)]
+        box = sample_box(self.size_m, self._options.thickness_m)
+        clouds = [self._seen(picture, links, box) for picture in self._take_pictures(LOOKS)]
         return Looked(np.concatenate([c.points_m for c in clouds]), np.concatenate([c.noise_m for c in clouds]))
 
     def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray) -> Touched:
@@ -135,7 +144,7 @@ class TouchingRobot:
         if record.contact_m is None or record.ending in (Ending.STOPPED, Ending.NOT_REACHED, Ending.NO_CONTACT):
             why = f"{record.ending}: {record.reason}" if record.reason else str(record.ending)
             raise TouchFailed(f"a touch at ({xy_m[0]:.3f}, {xy_m[1]:.3f}) m", why, "look at the robot")
-        after = self._dent(record, dents)
+        after = self._dent(record, dents, xy_m)
         kept = slice(0, max(record.loading, 10))
         return Touched(
             xy_m,
@@ -148,38 +157,45 @@ class TouchingRobot:
             tuple((str(span.phase), round(span.start_s * 1e9)) for span in record.phases),
         )
 
-    def _dent(self, record: TouchRecord, pictures: Sequence[tuple[DepthImage, tuple[Capsule, ...]]]) -> FloatArray:
-        """Points seen while it pressed still. pictures: each with the robot as it stood then"""
-        dwell = [span for span in record.phases if str(span.phase).startswith("dwell")]
+    def _dent(
+        self, record: TouchRecord, pictures: Sequence[tuple[DepthImage, tuple[Capsule, ...]]], xy_m: FloatArray
+    ) -> FloatArray:
+        """Points seen around a place while it pressed still, of all pictures. pictures: each with the robot as it stood
+        then"""
+        dwell = [span for span in record.phases if str(span.phase).startswith("dwell")][-1:]
         within = [
             (picture, links)
             for picture, links in pictures
             if any(span.start_s <= picture.stamp.host_ns / 1e9 <= span.end_s for span in dwell)
         ]
-        if not within:
-            return np.zeros((0, 3))
-        return self._seen(*within[-1], cell_m=None).points_m
-
-    def _seen(self, picture: DepthImage, links: tuple[Capsule, ...], cell_m: float | None = VIEW_CELL_M) -> Looked:
-        intrinsics, T_surface_camera = self._camera
         box = sample_box(self.size_m, self._options.thickness_m)
-        found = perceive(
-            picture.depth_m(), intrinsics, T_surface_camera, box, links=links, margin_m=MARGIN_M, cell_m=cell_m
-        )
+        low = (*np.maximum(box.low_m[:2], xy_m - DENT_M), box.low_m[2])
+        high = (*np.minimum(box.high_m[:2], xy_m + DENT_M), box.high_m[2])
+        seen = []
+        for picture, links in within[-DENT_PICTURES:]:
+            with contextlib.suppress(InputError):  # nothing but the robot is there
+                seen.append(self._seen(picture, links, Box(low, high), cell_m=None).points_m)
+        return np.concatenate(seen) if seen else np.zeros((0, 3))
+
+    def _seen(
+        self, picture: DepthImage, links: tuple[Capsule, ...], box: Box, cell_m: float | None = VIEW_CELL_M
+    ) -> Looked:
+        intrinsics, T_surface_camera = self._camera
+        found = perceive(picture.depth_m(), intrinsics, T_surface_camera, box, links=links, margin_m=0.0, cell_m=cell_m)
         return Looked(found.points_m, found.noise_m)
 
     def _links(self) -> tuple[Capsule, ...]:
-        """Arm and stick where the arm says they are, surface frame."""
+        """What arm and stick may fill where the arm says they are, surface frame."""
         placement = self._robot.placement
         T_surface_base = np.linalg.inv(placement.T_base_surface)
         frames = self._robot.arm.chain.forward(self._robot.pose.joints_deg)
         joints = [(T_surface_base @ frame)[:3, 3] for frame in (np.eye(4), *frames)]
         center = self._robot.center_m
-        links = [Capsule(a, b, LINK_RADIUS_M) for a, b in pairwise(joints)]
+        links = [Capsule(a, b, LINK_RADIUS_M + LINK_MARGIN_M) for a, b in pairwise(joints)]
         return (
             *links,
-            Capsule(joints[-1], center, STICK_RADIUS_M),
-            Capsule(center, center, self._options.tip_radius_m),
+            Capsule(joints[-1], center, STICK_RADIUS_M + STICK_MARGIN_M),
+            Capsule(center, center, self._options.tip_radius_m + STICK_MARGIN_M),
         )
 
     def _new_pictures(self) -> list[DepthImage]:
@@ -207,7 +223,8 @@ class LabBench:
         self._world = SlabWorld(scene)
         self._tip = RigidTip(radius=options.tip_radius_m)
         self._contact: Contact | None = None
-        self.view = DepthView(scene, DepthViewConfig(width=camera_width, height=camera_width * 3 // 4))
+        view = DepthViewConfig(width=camera_width, height=camera_width * 3 // 4, azimuth_deg=CAMERA_AZIMUTH_DEG)
+        self.view = DepthView(scene, view)
         self.tool = Tool(radius_m=options.tip_radius_m)
         T_base_surface = T_BASE_SURFACE
         self.placement = Placement(T_base_surface, self.tool)

@@ -129,7 +129,8 @@ def test_the_thesiss_model_holds_its_lowest_point_and_says_what_its_trend_is(lev
     )
     found = thesis_beta(level, touched, AT)
     assert 0.0 <= found.beta <= found.curve.parameter[-1]
-    assert found.particles == 15 * 15
+    assert len(found.simulated_m) == 15 * 15
+    assert (found.simulated_m[:, 2] - THICKNESS).min() == pytest.approx(-found.depth_m, abs=1e-5)
     assert found.depth_m == pytest.approx(depth, rel=0.25)
     assert found.error_m == found.curve.aee[np.flatnonzero(found.curve.parameter == found.beta)[0]]
     assert found.note == THESIS_NOTE
