@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from deformscope.rig_source import RigSource
 
 LAB = "lab:"
+RECORD_EVERY = 50
+"""Control periods."""
 
 
 def run(config: ExploreConfig) -> None:
@@ -75,12 +77,12 @@ def explore_lab(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any
 
 
 def _pump(source: RigSource, recorder: Recorder) -> Callable[[], None]:
-    """What records what the devices gave, every tenth of a second of their clock."""
+    """What records what the devices gave, twice a second of their clock: each time has its cost in bytes and seconds."""
     state = {"at": 0}
 
     def pump() -> None:
         state["at"] += 1
-        if state["at"] % 10 == 0:
+        if state["at"] % RECORD_EVERY == 0:
             recorder.write_items(source.take(0.0))
 
     return pump
@@ -100,7 +102,9 @@ def _explore(
             recorder.write_input(name, content)
         compute_s += moment.compute_s
         worst_s = max(worst_s, moment.compute_s)
-        recorder.write_results(moment.results, moment.now_ns, len(explorer.told), explorer.plan_cell_m)
+        recorder.write_results(
+            moment.results, moment.now_ns, moment.touch, explorer.plan_cell_m, moment.seen_ns
+        )
         for line in _remarks(moment):
             say(line)
     seconds = {"compute": compute_s, "slowest": worst_s, "wall": time.perf_counter() - began}

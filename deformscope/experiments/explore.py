@@ -9,8 +9,9 @@ from __future__ import annotations
 import dataclasses
 import io
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal, Protocol
 
 import numpy as np
@@ -38,6 +39,8 @@ FEWEST_FOR_FIELD = 2
 PLAN_CELL_M = 0.02
 """Places that are considered for a touch are this far apart."""
 EDGE_M, ABOVE_M, LOW_SHARE = 0.005, 0.08, 0.5
+LAW_STEPS = 400
+"""Forces at which the fitted law is taken, from none to twice the largest."""
 THESIS_ROI_M, TACTILE_NOISE_M = 0.08, 2e-4
 
 
@@ -252,8 +255,9 @@ class Explorer:
         along = -(touched.position_m @ normal)
         force = touched.force_n @ normal
         start = along[0]
-        sunk = np.maximum(along - fit.contact_m, 0.0)
-        law = fit.at_force_n * (sunk / max(fit.depth_m, 1e-9)) ** fit.exponent
+        forces = np.linspace(0.0, 2.0 * max(fit.peak_force_n, fit.at_force_n), LAW_STEPS)
+        dent = max(fit.depth_m, 1e-9) * (forces / fit.at_force_n) ** (1.0 / fit.exponent)
+        law = np.interp(along, fit.contact_m + dent + self._arm.compliance_m_per_n * forces, forces)
         xyz = np.append(touched.xy_m, self.aim(touched.xy_m)[0])
         modulus = None
         if not fit.rigid and fit.depth_m > 0.0:
@@ -268,7 +272,7 @@ class Explorer:
             normal=normal,
             approach_m=along - start,
             approach_n=force,
-            fitted_n=np.minimum(law, 2.0 * max(fit.peak_force_n, fit.at_force_n)),
+            fitted_n=law,
             contact_m=fit.contact_m - start,
             stiffness_n_per_mm=fit.stiffness_n_per_mm,
             stiffness_interval=fit.interval_n_per_mm,
@@ -379,11 +383,17 @@ Result = SurfaceSeen | TouchTold | MapsKnown | NextTouch | PhaseBegan
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """Results, and when they were there on the robot's clock [ns]; compute_s: what computing them took."""
+    """Results, and when they were there on the robot's clock [ns].
+
+    compute_s: what computing them took; touch: 0 before the first, then the number of the one they belong to, from 1
+    seen_ns: when the dent was last seen that they are of, None where they are of none
+    """
 
     now_ns: int
     results: tuple[Result, ...]
     compute_s: float = 0.0
+    touch: int = 0
+    seen_ns: int | None = None
 
 
 def explore(robot: Robot, explorer: Explorer) -> Iterator[Moment]:
@@ -399,19 +409,26 @@ def explore(robot: Robot, explorer: Explorer) -> Iterator[Moment]:
         began = time.perf_counter()
         plan = explorer.next(reachable)
         spent_s += time.perf_counter() - began
-        yield Moment(robot.now_ns(), (plan,), spent_s)
+        yield Moment(robot.now_ns(), (plan,), spent_s, len(explorer.told))
         if plan.target_m is None:
             return
         number = len(explorer.told)
         height_m, normal = explorer.aim(plan.target_m)
         touched = robot.touch(plan.target_m, height_m, normal)
         for name, when_ns in touched.phases:
-            yield Moment(when_ns, (PhaseBegan(name, number),))
+            yield Moment(when_ns, (PhaseBegan(name, number),), touch=number + 1)
         began = time.perf_counter()
         told = explorer.touch(touched)
         maps = explorer.maps()
         spent_s = time.perf_counter() - began
-        yield Moment(robot.now_ns(), (PhaseBegan("plan", number), told, maps))
+        yield Moment(robot.now_ns(), (PhaseBegan("plan", number),), touch=number + 1)
+        yield Moment(robot.now_ns(), (told, maps), touch=number + 1, seen_ns=_dwelt_until(touched.phases))
+
+
+def _dwelt_until(phases: Sequence[tuple[str, int]]) -> int | None:
+    """When the last dwell ended, None where there was none."""
+    ends = [end for (name, _), (_, end) in pairwise(phases) if name.startswith("dwell")]
+    return ends[-1] if ends else None
 
 
 def explore_again(inputs: dict[str, bytes], explorer: Explorer) -> Iterator[tuple[Result, ...]]:

@@ -12,12 +12,13 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
+from deformscope.arrays import FloatArray
 from deformscope.exploration_replay import Recorded, read_results
 from deformscope.frames import Item, Stream
 from deformscope.log.exploration import exploration_blueprint, log_exploration_start, prepare_results, warm_up
 from deformscope.log.exploration.small import small_results
 from deformscope.log.exploration.summary import summary
-from deformscope.log.rig import log_streams, prepare_items
+from deformscope.log.rig import Place, log_streams, prepare_items
 from deformscope.rig_replay import read_items
 from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, TouchTold
 from tests.log import synthetic_exploration as synthetic
@@ -28,6 +29,8 @@ BASE_FROM_SURFACE = np.array(
     [[0.0, -1.0, 0.0, 0.35], [1.0, 0.0, 0.0, -0.3], [0.0, 0.0, 1.0, -0.02], [0.0, 0.0, 0.0, 1.0]]
 )
 ARM = dataclasses.replace(rig.STREAMS[2], urdf=rig.URDF)
+
+PICTURES_NS = np.arange(0, 10_000_000_000, 100_000_000)
 
 Told = tuple[int, int, Sequence[object]]
 
@@ -47,9 +50,9 @@ def record(path: Path, told: Sequence[Told], items: Sequence[Item] = (), streams
     log_streams(rec, streams)
     log_exploration_start(rec, streams, BASE_FROM_SURFACE)
     for session_ns, touch, results in told:
-        prepare_results(results, session_ns, touch).send(rec)
+        prepare_results(results, session_ns, Place(touch, PICTURES_NS)).send(rec)
     if items:
-        prepare_items(items, rig.START_NS, streams, {"front"}, touch=3).send(rec)
+        prepare_items(items, rig.START_NS, streams, {"front"}, place=Place(3, PICTURES_NS)).send(rec)
     rec.flush(timeout_sec=10)
     rec.disconnect()
 
@@ -188,12 +191,25 @@ def test_the_close_up_shows_the_top_of_the_model_alone(tmp_path: Path) -> None:
     assert len(touch.simulated_m) == 363
     assert len(top) == 121
     observed = np.array(cells(tmp_path / "run.rrd", "/display/dent/observed", "Points3D:positions")[0])
-    half = np.abs((np.concatenate([touch.observed_m, touch.simulated_m]) - touch.xyz_m)[:, :2]).max()
-    np.testing.assert_allclose(observed[:, :2] * half, (touch.observed_m - touch.xyz_m)[:, :2], atol=1e-6)
-    times = observed[:, 2] * half / (touch.observed_m - touch.xyz_m)[:, 2]
-    np.testing.assert_allclose(times, np.median(times), rtol=1e-2)
+    times = np.unique(np.round(top[:, 2] * 0.05 / _heights(touch, top[:, :2] * 0.05), 3))
+    assert len(times) == 1
+    beside = touch.observed_m - touch.xyz_m
+    inside = beside[(np.abs(beside[:, :2]) <= 0.05).all(axis=1)]
+    members: dict[tuple[int, ...], list[FloatArray]] = {}
+    for point in inside:
+        members.setdefault(tuple(np.floor(point[:2] / 0.0035).astype(int)), []).append(point)
+    means = np.array([np.mean(points, axis=0) for _, points in sorted(members.items())])
+    assert len(means) < len(inside)
+    np.testing.assert_allclose(observed * 0.05 / [1.0, 1.0, times[0]], means, atol=1e-6)
     said = [one for (one,) in cells(tmp_path / "run.rrd", "/display/dent/scale/label", "Points3D:labels")]
-    assert said == ["no touch yet", f"5 cm, heights drawn {np.median(times):g} times"]
+    assert said == ["no touch yet", f"5 cm, heights drawn {times[0]:g} times"]
+
+
+def _heights(touch: TouchTold, places: FloatArray) -> FloatArray:
+    """Of the model's highest particles at places (n, 2), over the contact."""
+    beside = touch.simulated_m - touch.xyz_m
+    found = [beside[(np.abs(beside[:, :2] - place) < 1e-6).all(axis=1), 2].max() for place in places]
+    return np.array(found)
 
 
 def test_nothing_that_moves_is_static(tmp_path: Path) -> None:
@@ -231,7 +247,7 @@ def test_a_summary_tells_regions_or_that_there_are_none() -> None:
 
 def test_what_is_no_result_is_refused() -> None:
     with pytest.raises(TypeError, match="shows a int"):
-        prepare_results([3], 0, 0)
+        prepare_results([3], 0, Place(0, PICTURES_NS))
 
 
 def test_warming_up_draws_every_kind() -> None:
