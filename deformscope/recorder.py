@@ -126,7 +126,7 @@ class Recorder:
         self._exploring = False
         self._touch = 0
         self._pictures_ns: list[int] = []
-        self._shown: dict[str, tuple[object, int]] = {}
+        self._scales: dict[str, tuple[object, int]] = {}
         self._counts: dict[str, int] = {}
         self._beat_at = self._beats = 0.0
         self._broken = False
@@ -239,7 +239,7 @@ class Recorder:
         pictures = [item for item in items if isinstance(item, DepthFrame) and item.device == camera]
         self._pictures_ns += [item.stamp.host_ns - self._first_ns for item in pictures]
         place = self._place(self._touch) if self._exploring else None
-        batch = prepare_items(items, self._first_ns, self._streams, self._lossless, place, self._shown)
+        batch = prepare_items(items, self._first_ns, self._streams, self._lossless, place, self._scales)
         self._emit(batch.send, sum(_item_size(item) for item in items))
 
     def start_exploration(

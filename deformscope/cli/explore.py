@@ -77,7 +77,7 @@ def explore_lab(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any
 
 
 def _pump(source: RigSource, recorder: Recorder) -> Callable[[], None]:
-    """What records what the devices gave, twice a second of their clock: each time has its cost in bytes and seconds."""
+    """What records what the devices gave, twice a second of their clock: each time costs bytes and seconds."""
     state = {"at": 0}
 
     def pump() -> None:
@@ -102,9 +102,7 @@ def _explore(
             recorder.write_input(name, content)
         compute_s += moment.compute_s
         worst_s = max(worst_s, moment.compute_s)
-        recorder.write_results(
-            moment.results, moment.now_ns, moment.touch, explorer.plan_cell_m, moment.seen_ns
-        )
+        recorder.write_results(moment.results, moment.now_ns, moment.touch, explorer.plan_cell_m, moment.seen_ns)
         for line in _remarks(moment):
             say(line)
     seconds = {"compute": compute_s, "slowest": worst_s, "wall": time.perf_counter() - began}

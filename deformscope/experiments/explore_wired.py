@@ -41,9 +41,9 @@ from deformscope_drivers.memory import SimulatedClock
 
 LINK_RADIUS_M, STICK_RADIUS_M = 0.045, 0.008
 LINK_MARGIN_M, STICK_MARGIN_M = 0.012, 0.005
-"""What is taken away around the arm's links, whose shape is rough, and around stick and ball: four deviations of a depth
-at 0.8 m (0.9 mm), which the points on the stick itself have, and what the arm gives way (0.6 mm). A dent is some
-millimetres deep within 2 cm of the ball: a wider margin takes the part that tells the most."""
+"""What is taken away around the arm's links, whose shape is rough, and around stick and ball: there four deviations of
+a depth at 0.8 m (0.9 mm), as points on the stick itself have, and what the arm gives way (0.6 mm). A dent tells most
+within 2 cm of the ball."""
 DENT_M, DENT_PICTURES = 0.08, 10
 """Of a dent: half the side of what is looked at around it; its last pictures that are taken together, at most."""
 BORDER_M = 0.02

@@ -14,16 +14,17 @@ from rerun.chunk import RrdReader
 
 from deformscope.arrays import FloatArray
 from deformscope.exploration_replay import Recorded, read_results
-from deformscope.frames import Item, Stream
+from deformscope.frames import ColorFrame, DepthFrame, Item, Stream
 from deformscope.log.exploration import exploration_blueprint, log_exploration_start, prepare_results, warm_up
 from deformscope.log.exploration.small import small_results
 from deformscope.log.exploration.summary import summary
 from deformscope.log.rig import Place, log_streams, prepare_items
+from deformscope.recorder import Recorder
 from deformscope.rig_replay import read_items
 from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, TouchTold
 from tests.log import synthetic_exploration as synthetic
 from tests.log import synthetic_rig as rig
-from tests.log.test_rig import assert_same, cells, same
+from tests.log.test_rig import assert_same, cells, order, same
 
 BASE_FROM_SURFACE = np.array(
     [[0.0, -1.0, 0.0, 0.35], [1.0, 0.0, 0.0, -0.3], [0.0, 0.0, 1.0, -0.02], [0.0, 0.0, 0.0, 1.0]]
@@ -134,6 +135,44 @@ def test_readings_of_devices_stand_at_their_touch_and_come_back_equal(tmp_path: 
         for place in chunk.to_record_batch().column("touch").to_pylist()
     }
     assert places <= {3}
+
+
+def test_everything_stands_at_the_cameras_picture_and_at_its_touch(tmp_path: Path) -> None:
+    items = [one for one in rig.items(0.4, (24, 32)) if not isinstance(one, ColorFrame)]
+    items = [dataclasses.replace(one, color=None) if isinstance(one, DepthFrame) else one for one in items]  # no JPEG
+    streams = [ARM if stream.kind == "arm" else stream for stream in rig.STREAMS]
+    pictures_ns = np.array([one.stamp.host_ns for one in items if isinstance(one, DepthFrame)])
+    assert len(pictures_ns) > 3
+    seen_ns = int(pictures_ns[2]) + 1
+    with Recorder(tmp_path / "run.rrd", "none", {}, layout="exploration") as recorder:
+        recorder.start_exploration(streams, rig.START_NS, (0.6, 0.4), BASE_FROM_SURFACE, truth=True)
+        recorder.write_results([synthetic.plan(0)], rig.START_NS, 0, 0.005)
+        for at in range(0, len(items), 40):
+            recorder.write_items(items[at : at + 40])
+        now_ns = int(pictures_ns[-1]) + 5
+        recorder.write_results([synthetic.touch(0)], now_ns, 1, 0.005, seen_ns)
+    found_again = sorted(read_items(tmp_path / "run.rrd", trust=True), key=order)
+    assert_same(found_again, sorted(items, key=order))
+    where = [
+        ("/wrench/fingertip", 1),  # what came after the plan belongs to the touch that was planned
+        ("/display/arm/jaco/joints", 1),
+        ("/depth/above", 1),
+        ("/exploration/touch", 1),
+        ("/exploration/plan", 0),
+    ]
+    found: dict[str, list[tuple[int, int, int]]] = {entity: [] for entity, _ in where}
+    for chunk in RrdReader(tmp_path / "run.rrd").stream():
+        if chunk.entity_path in found and not chunk.is_static:
+            batch = chunk.to_record_batch()
+            times = (batch.column("session").cast("int64"), batch.column("frame"), batch.column("touch"))
+            found[chunk.entity_path] += zip(*(column.to_pylist() for column in times), strict=True)
+    told = found.pop("/exploration/touch")
+    assert told == [(now_ns - rig.START_NS, 2, 1)]  # now, but at the picture that saw the dent
+    for entity, rows in found.items():
+        assert rows, entity
+        for session_ns, frame, touch in rows:
+            assert frame == max(np.count_nonzero(pictures_ns <= rig.START_NS + session_ns) - 1, 0)
+            assert touch == dict(where)[entity]
 
 
 def test_the_arm_stands_where_the_scene_says(tmp_path: Path) -> None:

@@ -201,9 +201,8 @@ def test_an_exploration(tmp_path: Path, viewer: ViewerClient, touch: int, truth:
     log_exploration_start(rec, streams)
     devices = {stream.device for stream in streams}
     items = [one for one in synthetic_rig.items(0.5, (48, 64)) if getattr(one, "device", "") in devices]
-    prepare_items(
-        [one for one in items if not isinstance(one, ArmFrame)], synthetic_rig.START_NS, streams, place=Place(0, NO_PICTURES)
-    ).send(rec)
+    items = [one for one in items if not isinstance(one, ArmFrame)]
+    prepare_items(items, synthetic_rig.START_NS, streams, place=Place(0, NO_PICTURES)).send(rec)
     for at, number, result in synthetic_exploration.story():
         if number <= touch:
             shown = replace(result, truth_labels=None) if isinstance(result, MapsKnown) and not truth else result

@@ -1,8 +1,8 @@
 """How an exploration is recorded and shown: every result without loss, and beside it what a person looks at.
 
-Every row is at `session`, the time since the recording's start; at `frame`, the newest picture of the depth camera then;
-and at `touch`: 0 before the first touch, then the number of the touch that it belongs to, from 1, the way there and its
-readings too. What a touch told is at the frame of its dent. `deformscope.exploration_replay` reads the results back.
+Every row is at `session`, the time since the recording's start; at `frame`, the depth camera's newest picture then; and
+at `touch`: 0 before the first touch, then the number of the touch that it belongs to, from 1, the way there among it.
+What a touch told is at the frame of its dent. `deformscope.exploration_replay` reads the results back.
 
     exploration/surface|touch|maps|plan   one row a result, every field of it a component of the same name
     exploration/phase                     likewise, and the state that a timeline shows
@@ -70,8 +70,8 @@ def log_exploration_start(
 def prepare_results(results: Sequence[object], session_ns: int, place: Place, *, cell_m: float = CELL_M) -> Batch:
     """Make results ready for one stream or several, pictures drawn: some 0.1 s a picture, six of them for the maps.
 
-    session_ns: when, since the recording's start [ns]; place: on the other timelines; cell_m: of a plan's maps, where no
-    map beside it tells
+    session_ns: when, since the recording's start [ns]; place: on the other timelines; cell_m: of a plan's maps, where
+    no map beside it tells
     A plan that comes with maps is drawn over their contacts. Raises TypeError for what is no result of an exploration.
     """
     batch = Batch(place)
