@@ -31,7 +31,7 @@ def log_dent(now: Moment, touch: TouchTold) -> None:
         observed = reduce_to_grid(observed, CELL_M)[0]
     half = HALF_M
     top = _top(simulated)
-    times = _drawn_out(touch.depth_m, half)
+    times = 1.0 if touch.rigid else _drawn_out(touch.depth_m, half)  # of a rigid place it would be noise
     scale = np.array([1.0, 1.0, times]) / half
     now.show_points(f"{DENT}/observed", observed * scale, OBSERVED, 0.012)
     now.show_points(f"{DENT}/simulated", top * scale, SIMULATED, 0.016)
