@@ -38,6 +38,9 @@ LEAST = 1e-9
 STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0)
 """Where a scale of stiffness may begin and end, so that it stays put from touch to touch."""
 
+BEFORE_MM, SECTION_CM, RING_CM = 2.0, 6.0, 0.35
+"""Shown of a touch: how far before contact its force is, and how far around it the dent, in rings."""
+
 WIDE, HIGH = 4.4, 3.3
 """One picture [inch]."""
 DPI = 130
@@ -87,6 +90,11 @@ def gain_png(plan: NextTouch, cell_m: float, contacts_m: FloatArray | None = Non
 def force_png(touch: TouchTold) -> bytes:
     """Force over the depth of the tip, the fitted law, and where contact began."""
     return _one(lambda axes: draw_force(axes, touch), (0.14, 0.155, 0.8, 0.62))
+
+
+def section_png(touch: TouchTold) -> bytes:
+    """The dent around the tip, observed and simulated: height over the distance from the contact."""
+    return _one(lambda axes: draw_section(axes, touch), (0.17, 0.155, 0.79, 0.62))
 
 
 def height_png(surface: SurfaceSeen) -> bytes:
@@ -223,11 +231,12 @@ def draw_force(axes: Any, touch: TouchTold) -> None:
         "contact", (0.0, 0.97), xycoords=("data", "axes fraction"), xytext=(-3, 0), textcoords="offset points",
         rotation=90, fontsize=10, ha="right", va="top",
     )  # fmt: skip
+    axes.set_xlim(-max(BEFORE_MM, 0.3 * float(depth_mm.max(initial=0.0))), None)
     axes.set_xlabel("depth of the tip [mm]", fontsize=11)
     axes.set_ylabel("force [N]", fontsize=11)
     axes.tick_params(labelsize=10)
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=10, loc="upper left", bbox_to_anchor=(0.04, 1.0), frameon=False)
+    axes.legend(fontsize=10, loc="lower right", bbox_to_anchor=(1.0, 0.08), frameon=False)
     low, high = touch.stiffness_interval
     if touch.rigid:
         told = f"stiffer than {touch.stiffness_n_per_mm:.3g} N/mm"
@@ -240,10 +249,55 @@ def draw_force(axes: Any, touch: TouchTold) -> None:
     _title(axes, f"Touch {touch.number + 1}: {told}", ", ".join(words))
 
 
+def draw_section(axes: Any, touch: TouchTold) -> None:
+    for color, name, points in (
+        (hexadecimal(OBSERVED), "observed", touch.observed_m),
+        (hexadecimal(SIMULATED), "simulated", _near(touch.simulated_m, touch.xyz_m)),
+    ):
+        if not len(points):
+            continue
+        away_cm, height_mm = _around(points, touch)
+        axes.plot(away_cm, height_mm, ".", color=color, ms=2.5 if name == "observed" else 5, alpha=0.3, mew=0)
+        marked = {"marker": "o", "ms": 5, "mec": "white", "lw": 0} if name == "observed" else {"lw": 2}
+        axes.plot(*_rings(away_cm, height_mm), color=color, label=f"{name}, mean", zorder=4, **marked)
+    if not touch.rigid:
+        axes.plot([0.0], [-touch.depth_m * 1e3], "v", color="black", ms=7, label="tip", zorder=5)
+    deep_mm = max(touch.depth_m * 1e3, 1.0)
+    axes.set(xlim=(-0.1, SECTION_CM), ylim=(-1.35 * deep_mm - 1.0, 0.4 * deep_mm + 2.5))
+    axes.set_xlabel("distance from the contact [cm]", fontsize=11)
+    axes.set_ylabel("height [mm]", fontsize=11)
+    axes.tick_params(labelsize=10)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=10, loc="lower right", frameon=False)
+    _title(axes, f"Dent of touch {touch.number + 1}", "over the surface at rest; " + _beta_words(touch))
+
+
+def _near(points: FloatArray, at: FloatArray) -> FloatArray:
+    return points[np.linalg.norm(points[:, :2] - at[:2], axis=1) <= SECTION_CM * 1e-2] if len(points) else points
+
+
+def _around(points: FloatArray, touch: TouchTold) -> tuple[FloatArray, FloatArray]:
+    """Distances from the contact's axis [cm] and heights over the plane that is tangent to the surface there [mm]."""
+    beside = points - touch.xyz_m
+    height = beside @ touch.normal
+    return np.linalg.norm(beside - height[:, None] * touch.normal, axis=1) * 100, height * 1e3
+
+
+def _rings(away_cm: FloatArray, height_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean distance and height of the points in rings around the contact."""
+    ring = np.floor(away_cm / RING_CM).astype(np.int64)
+    count = np.bincount(ring)
+    told = count > 0
+    away, height = (np.bincount(ring, weights=one)[told] / count[told] for one in (away_cm, height_mm))
+    return away, height
+
+
 def _beta_words(touch: TouchTold) -> str:
     if touch.beta is None:
         return f"beta not fitted ({touch.beta_verdict})" if touch.beta_verdict else "beta not fitted"
-    return f"beta {touch.beta:.2f} ({touch.beta_verdict})"
+    low, high = touch.beta_interval or (touch.beta, touch.beta)
+    between = f", {low:.2f} to {high:.2f}" if touch.beta_interval else ""
+    return f"beta {touch.beta:.2f} ({touch.beta_verdict}{between})"
 
 
 # What the drawings share ---------------------------------------------------------------------------------------------

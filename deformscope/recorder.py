@@ -27,11 +27,12 @@ import numpy as np
 from deformscope import provenance
 from deformscope.arrays import FloatArray, ImageArray
 from deformscope.errors import InputError
-from deformscope.frames import ColorFrame, Frame, HealthReport, Item, LinkChange, RawBytes, Stream
+from deformscope.frames import ColorFrame, DepthFrame, Frame, HealthReport, Item, LinkChange, RawBytes, Stream
 from deformscope.images import encode_png
 from deformscope.ledger import ledger_path, write_ledger
 from deformscope.live import LiveFeed, Viewer, ViewerKind, start_viewer, wait_for_viewer
 from deformscope.session import Step
+from deformscope.stages.exploration import NextTouch
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 
     RecordingLayout = Layout | Literal["rig", "exploration"]
     from deformscope.log.canvas import Canvas
+    from deformscope.log.rig import Place
 
 APPLICATIONS: dict[RecordingLayout, str] = {
     "images": "deformscope",
@@ -122,10 +124,14 @@ class Recorder:
         self._frames = self._steps = self._inputs = 0
         self._streams: tuple[Stream, ...] = ()
         self._lossless: frozenset[str] = frozenset()
-        self._touch: int | None = None
+        self._exploring = False
+        self._touch = 0
+        self._pictures_ns: list[int] = []
+        self._scales: dict[str, tuple[object, int]] = {}
         self._counts: dict[str, int] = {}
         self._beat_at = self._beats = 0.0
         self._broken = False
+        self._lock = threading.RLock()
         self._stopped = ""
         self._finished: RecordingSummary | None = None
 
@@ -232,7 +238,11 @@ class Recorder:
             return
         from deformscope.log.rig import prepare_items
 
-        batch = prepare_items(items, self._first_ns, self._streams, self._lossless, self._touch)
+        camera = next((stream.device for stream in self._streams if stream.kind == "depth"), None)
+        pictures = [item for item in items if isinstance(item, DepthFrame) and item.device == camera]
+        self._pictures_ns += [item.stamp.host_ns - self._first_ns for item in pictures]
+        place = self._place(self._touch) if self._exploring else None
+        batch = prepare_items(items, self._first_ns, self._streams, self._lossless, place, self._scales)
         self._emit(batch.send, sum(_item_size(item) for item in items))
 
     def start_exploration(
@@ -248,7 +258,7 @@ class Recorder:
 
         size_m: of the surface; base_from_surface: (4, 4); truth: whether it is known
         """
-        self._streams, self._first_ns = tuple(streams), start_ns
+        self._streams, self._first_ns, self._exploring = tuple(streams), start_ns, True
         if not self.active:
             return
         from deformscope.log.exploration import exploration_blueprint, log_exploration_start
@@ -259,12 +269,16 @@ class Recorder:
         self._emit(lambda rec: log_streams(rec, told), 0)
         self._emit(lambda rec: log_exploration_start(rec, told, base_from_surface), 0)
 
-    def write_results(self, results: Sequence[object], now_ns: int, touch: int, cell_m: float) -> None:
+    def write_results(
+        self, results: Sequence[object], now_ns: int, touch: int, cell_m: float, seen_ns: int | None = None
+    ) -> None:
         """Record results of an exploration.
 
         now_ns: the robot's clock; touch: 0 before the first touch, then its number from 1; cell_m: of the maps
+        seen_ns: when the camera saw what they are of: they stand at that picture on `frame`; None = now
         """
-        self._touch = touch
+        # what the devices give from the plan of a touch on belongs to that touch
+        self._touch = touch + any(isinstance(result, NextTouch) and result.target_m is not None for result in results)
         self._steps += 1
         if not self.active:
             return
@@ -272,8 +286,18 @@ class Recorder:
 
         if self._file is not None:
             self._beat()
-        batch = prepare_results(results, now_ns - self._first_ns, touch, cell_m=cell_m)
+        place = self._place(touch, seen_ns)
+        batch = prepare_results(results, now_ns - self._first_ns, place, cell_m=cell_m)
         self._emit(batch.send, sum(_size(result) for result in results))
+
+    def _place(self, touch: int, seen_ns: int | None = None) -> Place:
+        """On an exploration's timelines."""
+        from deformscope.log.rig import Place
+
+        place = Place(touch, np.array(self._pictures_ns, np.int64))
+        if seen_ns is None:
+            return place
+        return dataclasses.replace(place, frame=int(place.at(np.array([seen_ns - self._first_ns]))[0]))
 
     def write_input(self, name: str, content: bytes | ImageArray) -> None:
         """Record an input that is no frame, without loss, at `input/NAME`.
@@ -326,12 +350,13 @@ class Recorder:
             self._flush()
 
     def _emit(self, job: Callable[[rr.RecordingStream], None], size: int) -> None:
-        """To the file first and at once; to the live view when it comes to it."""
-        if self._file is not None:
-            self._beat()
-            job(self._file)
-        if self._feed is not None:
-            self._feed.put(job, size)
+        """To the file first and at once; to the live view when it comes to it. From any thread."""
+        with self._lock:
+            if self._file is not None:
+                self._beat()
+                job(self._file)
+            if self._feed is not None:
+                self._feed.put(job, size)
 
     def _arrange(self) -> None:
         """Send the views, once, as soon as it is known what they show."""
@@ -364,6 +389,10 @@ class Recorder:
 
     def _beat(self) -> None:
         """Notice now and then that the disk is full or gone: rerun would go on without a word."""
+        with self._lock:
+            self._look_at_disk()
+
+    def _look_at_disk(self) -> None:
         if self._broken:
             raise RecordingError("a recording that goes on", "one that has failed", where=self._part)
         if self._deterministic:  # by count, since every flush ends a portion of the file

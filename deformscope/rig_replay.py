@@ -135,11 +135,12 @@ def _rows(chunk: Chunk) -> Iterator[tuple[int, bytes | None, Key, Cells]]:
         kind, below = "/".join([kind, *below]), []
     elif kind == "health" and device:
         device, below = "", [device]
-    if kind in FRAMES and "frame" not in chunk.timeline_names:
+    own = "index" if "touch" in chunk.timeline_names else "frame"  # in an exploration `frame` is the depth camera's
+    if kind in FRAMES and own not in chunk.timeline_names:
         return  # where a plot breaks off
     batch = chunk.to_record_batch()
     times = _times(chunk)
-    frames = batch.column("frame").to_pylist() if "frame" in chunk.timeline_names else times
+    frames = batch.column(own).to_pylist() if own in chunk.timeline_names else times
     ids = batch.column("rerun.controls.RowId").to_pylist()
     cells = {"/".join([*below, name]): _cells(batch.column(name)) for name in batch.schema.names if _measured(name)}
     stamped = next((name for name in cells if name in STAMPS), None)

@@ -7,29 +7,29 @@ deformscope explore lab:two-60-150 --fault force-silent@2 --record stopped.rrd
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from deformscope.cli.benches import bench_of, lab_of
 from deformscope.cli.common import quiet_warp, replacing, resolve_viewer, say, show_table, status_line, write_json
-from deformscope.cli.exploring import Companion, leave
+from deformscope.cli.exploring import Companion, leave, let_move
 from deformscope.cli.rigs import until_interrupted
 from deformscope.config import ExploreConfig
-from deformscope.errors import InputError
 
 if TYPE_CHECKING:
     from deformscope.experiments.explore import ExploreOptions, Explorer, Moment, Robot
+    from deformscope.experiments.explore_wired import Bench
     from deformscope.lab.faults import FaultsToCome
     from deformscope.recorder import Recorder
     from deformscope.stages.exploration import MapsKnown, Stopped
 
-LAB = "lab:"
-
 
 def run(config: ExploreConfig) -> None:
-    """Explore a simulated scene."""
+    """Explore a simulated scene, or what is before a rig."""
     if config.list_scenarios:
         _list()
         return
@@ -40,32 +40,26 @@ def run(config: ExploreConfig) -> None:
         planner=config.planner,
         budget=config.touches,
         threshold=config.threshold,
-        set_force_n=config.set_force,
         beta_model=config.beta_model,
         seed=config.output.seed,
     )
-    if not config.rig.startswith(LAB):
-        raise InputError("lab:NAME (no real arm is moved by this version)", repr(config.rig), "--list-scenarios")
-    explore_lab(config, options)
+    explore_on(config, options)
 
 
-def explore_lab(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any]:
-    """Explore a simulated scene through the real drivers on doubles; what was found, as in the JSON."""
+def explore_on(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any]:
+    """Explore a simulated scene, or with the devices of a rig file; what was found, as in the JSON."""
     from deformscope.experiments.explore import ExplorationStopped, Explorer
-    from deformscope.experiments.explore_wired import LabBench
     from deformscope.lab.faults import FaultAt, FaultsToCome
-    from deformscope.lab.scenes import built_in
     from deformscope.recorder import Recorder
+    from deformscope.session import watching
 
     faults = [FaultAt.parse(text, options.budget) for text in config.fault]
-    scene = built_in(config.rig.removeprefix(LAB), options.seed)
-    options = dataclasses.replace(options, thickness_m=scene.thickness_m)
-    bench = LabBench(scene, options)
-    settings = {"explore": dataclasses.asdict(options), "scene": scene.name, "seed": options.seed, "simulated": True}
-    settings |= {"size_m": list(scene.size_m), "arm": dataclasses.asdict(bench.arm)}
+    bench, options, told = bench_of(config.rig, options, config.set_force)
+    to_come = FaultsToCome(lab_of(bench), faults, options.seed) if faults else None
+    settings = {"explore": dataclasses.asdict(options), "seed": options.seed, "simulated": bench.simulated, **told}
+    settings |= {"size_m": list(bench.size_m), "arm": dataclasses.asdict(bench.arm)}
     viewer = resolve_viewer(config.output.viewer)
     record = config.output.record
-    to_come = FaultsToCome(bench.lab, faults, options.seed)
     stop, stop_ns = None, 0
     with (
         until_interrupted() as asked,
@@ -73,16 +67,21 @@ def explore_lab(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any
     ):
         with bench.source() as source, status_line() as show:
             recorder.start_exploration(
-                source.streams, source.start_ns, scene.size_m, bench.placement.T_base_surface, truth=bool(scene.pieces)
+                source.streams, source.start_ns, bench.size_m, bench.placement.T_base_surface, truth=_has_regions(bench)
             )
-            companion = Companion(source, recorder, asked, show, to_come.phase_began)
-            with bench.robot(companion) as robot:
+            companion = Companion(
+                None if bench.runs_itself else source, recorder, asked, show, to_come.phase_began if to_come else None
+            )
+            with (
+                watching(source, recorder) if bench.runs_itself else contextlib.nullcontext(),
+                bench.robot(companion) as robot,
+            ):
                 explorer = Explorer(robot.size_m, options, robot.arm, bench.truth)
                 seconds = {"compute": 0.0, "slowest": 0.0}
                 began = time.perf_counter()
                 try:
                     companion.follow(robot)
-                    say(robot.preflight({"camera to surface": True, "arm's compliance": True}).table())
+                    let_move(robot, bench, options, bench.calibrated, yes=config.yes)
                     _explore(robot, explorer, recorder, companion, show, seconds)
                 except ExplorationStopped as error:
                     stop, stop_ns = companion.stopped(error), error.time_ns
@@ -94,14 +93,18 @@ def explore_lab(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any
             recorder.write_items(source.take(0.0))
             seconds["session"] = (bench.clock() - source.start_ns) / 1e9
         recorder.write_items([*source.rest(), source.look()])
-    found = _found(config, explorer, seconds, bench.max_force_n, recorder.summary().path, scene.region_count)
+    found = _found(config, explorer, seconds, bench, recorder.summary().path)
     found["fault"] = _fault(stop, stop_ns, source.start_ns, to_come)
-    _tell(config, explorer, found)
-    for fault in to_come.waiting:
+    _tell(config, explorer, found, simulated=bench.simulated)
+    for fault in to_come.waiting if to_come is not None else ():
         say(f"--fault {fault.injected.word}@{fault.touch} did not strike: there was no such moment")
     if stop is not None or asked.is_set():
         leave(stop, len(explorer.told), asked.signal_number, found["recording"], arm_told=companion.arm_told)
     return found
+
+
+def _has_regions(bench: Bench) -> bool:
+    return bench.truth is not None and bench.truth.labels is not None
 
 
 def _explore(
@@ -121,17 +124,18 @@ def _explore(
             recorder.write_input(name, content)
         seconds["compute"] += moment.compute_s
         seconds["slowest"] = max(seconds["slowest"], moment.compute_s)
-        recorder.write_results(moment.results, moment.now_ns, len(explorer.told), explorer.plan_cell_m)
+        recorder.write_results(moment.results, moment.now_ns, moment.touch, explorer.plan_cell_m, moment.seen_ns)
         show("")
         for line in _remarks(moment):
             say(line)
 
 
-def _fault(stop: Stopped | None, stop_ns: int, start_ns: int, faults: FaultsToCome) -> dict[str, Any] | None:
+def _fault(stop: Stopped | None, stop_ns: int, start_ns: int, faults: FaultsToCome | None) -> dict[str, Any] | None:
     """Why it was stopped, and how long after the laboratory's fault; None where it was not."""
     if stop is None:
         return None
-    struck_ns = [struck_ns for _, struck_ns in faults.struck if struck_ns <= stop_ns]
+    struck = faults.struck if faults is not None else ()
+    struck_ns = [struck_ns for _, struck_ns in struck if struck_ns <= stop_ns]
     return {
         "kind": stop.kind,
         "reason": stop.reason,
@@ -165,9 +169,8 @@ def _found(
     config: ExploreConfig,
     explorer: Explorer,
     seconds: dict[str, float],
-    max_force_n: float,
+    bench: Bench,
     recording: Path | None,
-    true_count: int,
 ) -> dict[str, Any]:
     """The JSON of design 5."""
     maps = explorer.maps() if explorer.told else None
@@ -189,7 +192,8 @@ def _found(
     ]
     truth = None
     if maps is not None and maps.truth_labels is not None:
-        truth = {"region_count": true_count, "iou": maps.iou, "boundary_m": explorer.boundary_m()}
+        assert bench.truth is not None
+        truth = {"region_count": bench.truth.region_count, "iou": maps.iou, "boundary_m": explorer.boundary_m()}
     return {
         "scenario": config.rig,
         "verdict": None if maps is None else maps.verdict,
@@ -204,18 +208,18 @@ def _found(
         "probability": None if regions is None else regions.probability,
         "truth": truth,
         "travel_m": explorer.travel_m,
-        "max_force_n": max_force_n,
+        "max_force_n": bench.max_force_n,
         "seconds": seconds,
         "stop_reason": explorer.stop_reason,
         "recording": recording,
     }
 
 
-def _tell(config: ExploreConfig, explorer: Explorer, found: dict[str, Any]) -> None:
+def _tell(config: ExploreConfig, explorer: Explorer, found: dict[str, Any], *, simulated: bool) -> None:
     from deformscope.exploration_pictures import result_png
 
     maps = explorer.maps() if explorer.told else None
-    rows = [("verdict", "none: nothing was touched")] if maps is None else _region_rows(config, explorer, maps)
+    rows = [("verdict", "none: nothing was touched")] if maps is None else _region_rows(explorer, maps)
     if found["truth"] is not None:
         truth = found["truth"]
         off = "" if truth["boundary_m"] is None else f", border {100 * truth['boundary_m']:.1f} cm off"
@@ -224,9 +228,12 @@ def _tell(config: ExploreConfig, explorer: Explorer, found: dict[str, Any]) -> N
     if betas:
         common = max(set(betas), key=betas.count)
         rows.append(("beta", f"{common} in {betas.count(common)} of {len(betas)} touches"))
+    largest = found["max_force_n"]
+    if largest is None:
+        largest = max((told.peak_force_n for told in explorer.told), default=0.0)
     rows += [
         ("touches", f"{len(explorer.told)}, travel {explorer.travel_m:.2f} m; {_ended(found['stop_reason'])}"),
-        ("largest force", f"{found['max_force_n']:.2f} N"),
+        ("largest force", f"{largest:.2f} N"),
         ("time", f"{found['seconds']['session']:.0f} s of the robot, {found['seconds']['wall']:.0f} s here"),
     ]
     if found["recording"] is not None:
@@ -235,11 +242,11 @@ def _tell(config: ExploreConfig, explorer: Explorer, found: dict[str, Any]) -> N
         with replacing(config.picture) as file:
             file.write(result_png(maps, config.rig))
         rows.append(("picture", str(config.picture)))
-    show_table(f"{config.rig} (simulated)", rows)
+    show_table(f"{config.rig} (simulated)" if simulated else config.rig, rows)
     write_json(found, config.output.json)
 
 
-def _region_rows(config: ExploreConfig, explorer: Explorer, maps: MapsKnown) -> list[tuple[str, str]]:
+def _region_rows(explorer: Explorer, maps: MapsKnown) -> list[tuple[str, str]]:
     import math
 
     regions = explorer.region_map()
@@ -250,7 +257,7 @@ def _region_rows(config: ExploreConfig, explorer: Explorer, maps: MapsKnown) -> 
     ):
         low, high = (math.exp(bound) for bound in interval)
         told = f"stiffer than {low:.3g} N/mm" if rigid else f"{math.exp(level):.3g} N/mm ({low:.3g} to {high:.3g})"
-        rows.append((f"region {number}", f"{told} at {config.set_force:g} N"))
+        rows.append((f"region {number}", f"{told} at {explorer.options.set_force_n:g} N"))
     return rows
 
 

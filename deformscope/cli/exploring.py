@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 from deformscope.cli.common import say
@@ -12,8 +13,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from deformscope.cli.rigs import Interruption
-    from deformscope.experiments.explore import ExplorationStopped
-    from deformscope.experiments.explore_wired import TouchingRobot
+    from deformscope.experiments.explore import ExplorationStopped, ExploreOptions
+    from deformscope.experiments.explore_wired import Bench, TouchingRobot
     from deformscope.recorder import Recorder
     from deformscope.rig_source import RigSource
     from deformscope.robot.touch import Phase
@@ -21,8 +22,8 @@ if TYPE_CHECKING:
 
 AFTER_S = 0.5
 """A recording goes on for so long after the robot was stopped."""
-EVERY = 10
-"""Control periods between two looks at what the devices gave."""
+SHOW_EVERY, RECORD_EVERY = 10, 50
+"""Control periods between two words to the user, and two portions of the recording: each costs bytes and seconds."""
 
 
 class Companion:
@@ -34,14 +35,15 @@ class Companion:
 
     def __init__(
         self,
-        source: RigSource,
+        source: RigSource | None,
         recorder: Recorder,
         asked: Interruption,
         show: Callable[[str], None],
         on_phase: Callable[[Phase, int], None] | None = None,
     ) -> None:
-        """asked: set when somebody wants it to end; show: one line that the next replaces; on_phase: told phase and
-        touch as well"""
+        """source: of devices that go on only with the control periods, None where they go on by themselves and are
+        recorded meanwhile; asked: set when somebody wants it to end; show: one line that the next replaces
+        on_phase: told phase and touch as well"""
         self.touch = 0
         self.arm_told = True
         self.robot: TouchingRobot | None = None
@@ -59,10 +61,10 @@ class Companion:
         if self._asked.is_set() and self.robot is not None:
             self.robot.ask_to_stop(signal_word(self._asked.signal_number))
         self._periods += 1
-        if self._periods % EVERY == 0:
+        if self._periods % RECORD_EVERY == 0:
             self.write()
-            if self.robot is not None:
-                self._show(self.robot.doing)
+        if self._periods % SHOW_EVERY == 0 and self.robot is not None:
+            self._show(self.robot.doing)
 
     def phase_began(self, phase: Phase, time_ns: int) -> None:
         """It is recorded with the next look at the devices, which costs the control period less."""
@@ -80,7 +82,8 @@ class Companion:
         begun, self._begun = self._begun, []
         for name, time_ns, touch in begun:
             self._recorder.write_results((PhaseBegan(name, touch - 1),), time_ns, touch, 0.0)
-        self._recorder.write_items(self._source.take(0.0))
+        if self._source is not None:
+            self._recorder.write_items(self._source.take(0.0))
 
     def stopped(self, error: ExplorationStopped) -> Stopped:
         """Record why and when it was stopped, and what came after; the robot stands."""
@@ -96,6 +99,28 @@ class Companion:
             self.robot.look_on(AFTER_S)
             self.arm_told = self.robot.halt(stop.kind)
         return stop
+
+
+def let_move(
+    robot: TouchingRobot, bench: Bench, options: ExploreOptions, calibrated: Mapping[str, bool], *, yes: bool
+) -> None:
+    """Look at everything, print the table of checks, and ask before a real arm moves.
+
+    calibrated: what has to be, by name, and whether it is; yes: do not ask
+    Raises InputError where a check fails, or nobody says yes.
+    """
+    preflight = robot.preflight(calibrated)
+    say(preflight.table())
+    if not bench.simulated and preflight.passed:
+        say(
+            f"The arm will now move by itself: up to {options.budget} touches of {options.set_force_n:g} N.\n"
+            "This program is no safety function: keep the emergency stop in your hand."
+        )
+        if not yes and not sys.stdin.isatty():
+            raise InputError("somebody who says yes", "no terminal to ask at", "--yes")
+        if not yes and input("Type yes to begin: ").strip().lower() != "yes":
+            raise InputError("yes", "something else: nothing has moved")
+    robot.let_move(preflight)
 
 
 def leave(

@@ -40,6 +40,8 @@ PLAN_CELL_M = 0.02
 BESIDE_M, SURE_SD = 0.02, 3.0
 """What the tip crosses is looked at this far beside its way, and taken for as high as it is with so many deviations."""
 EDGE_M, ABOVE_M, LOW_SHARE = 0.005, 0.08, 0.5
+LAW_STEPS = 400
+"""Forces at which the fitted law is taken, from none to twice the largest."""
 THESIS_ROI_M, TACTILE_NOISE_M = 0.08, 2e-4
 
 
@@ -88,6 +90,7 @@ class Touched:
     xy_m: (2,) where it was to be; normal: (3,) that it went along
     time_s: (n,) rising; position_m: (n, 3) middle of the ball as the arm says; force_n: (n, 3) on it; surface frame
     after_m: (k, 3) points seen while it pressed, without the robot; reached: the set force, rather than the depth
+    seen_ns: until when they were seen, on the robot's clock; 0 = nobody looked
     """
 
     xy_m: FloatArray
@@ -97,6 +100,7 @@ class Touched:
     force_n: FloatArray
     after_m: FloatArray
     reached: bool
+    seen_ns: int = 0
 
 
 class Robot(Protocol):
@@ -273,8 +277,9 @@ class Explorer:
         along = -(touched.position_m @ normal)
         force = touched.force_n @ normal
         start = along[0]
-        sunk = np.maximum(along - fit.contact_m, 0.0)
-        law = fit.at_force_n * (sunk / max(fit.depth_m, 1e-9)) ** fit.exponent
+        forces = np.linspace(0.0, 2.0 * max(fit.peak_force_n, fit.at_force_n), LAW_STEPS)
+        dent = max(fit.depth_m, 1e-9) * (forces / fit.at_force_n) ** (1.0 / fit.exponent)
+        law = np.interp(along, fit.contact_m + dent + self._arm.compliance_m_per_n * forces, forces)
         xyz = np.append(touched.xy_m, self.aim(touched.xy_m)[0])
         modulus = None
         if not fit.rigid and fit.depth_m > 0.0:
@@ -289,13 +294,13 @@ class Explorer:
             normal=normal,
             approach_m=along - start,
             approach_n=force,
-            fitted_n=np.minimum(law, 2.0 * max(fit.peak_force_n, fit.at_force_n)),
+            fitted_n=law,
             contact_m=fit.contact_m - start,
             stiffness_n_per_mm=fit.stiffness_n_per_mm,
             stiffness_interval=fit.interval_n_per_mm,
             rigid=fit.rigid,
             modulus_pa=modulus,
-            depth_m=fit.depth_m,
+            depth_m=_dent_m(fit),
             peak_force_n=fit.peak_force_n,
             beta=beta,
             beta_interval=interval,
@@ -317,8 +322,9 @@ class Explorer:
         assert self.world is not None
         radius = self.options.tip_radius_m
         deepest = int(np.argmax(-(touched.position_m @ touched.normal)))
-        lowest = touched.position_m[deepest] - radius * touched.normal
-        ball = BallTouch(lowest, radius, fit.depth_m, fit.peak_force_n)
+        gives_m = self._arm.compliance_m_per_n * fit.peak_force_n  # the arm says that it is that much deeper
+        lowest = touched.position_m[deepest] - (radius - gives_m) * touched.normal
+        ball = BallTouch(lowest, radius, _dent_m(fit), fit.peak_force_n)
         try:
             if self.options.beta_model == "thesis":
                 return self._thesis(touched, ball)
@@ -327,7 +333,7 @@ class Explorer:
             return None, None, f"not fitted: {error}", nothing
         self._beta_sd[-1] = found.sd
         estimate = found.estimate
-        return estimate.value, estimate.interval, estimate.verdict, nothing
+        return estimate.value, estimate.interval, estimate.verdict, found.simulated_m
 
     def _thesis(
         self, touched: Touched, ball: BallTouch
@@ -340,7 +346,7 @@ class Explorer:
             touched.after_m[near], known_m=tactile, known_noise_m=np.full(len(tactile), TACTILE_NOISE_M)
         )
         found = thesis_beta(self.world, surface, touched.xy_m)
-        return found.beta, None, f"thesis: {found.note}", np.zeros((0, 3))
+        return found.beta, None, f"thesis: {found.note}", found.simulated_m
 
     def _beta_field(self) -> tuple[FloatArray | None, FloatArray | None]:
         known = [
@@ -355,6 +361,12 @@ class Explorer:
         field = fit_field(places, values, sds, prior=BETA_PRIOR)
         found = field.on(Grid.over((0.0, 0.0), self.grid.size_m, self.grid.cell_m))
         return found.mean.clip(0.0, 1.0), found.deviation
+
+
+def _dent_m(fit: ContactFit) -> float:
+    """How deep the dent was at the peak of the force, at which the camera saw it: deeper than at the set force where
+    that made too shallow a dent and more was pressed [m]."""
+    return float(fit.depth_m * (fit.peak_force_n / fit.at_force_n) ** (1.0 / fit.exponent))
 
 
 def pack(taken: Looked | Touched) -> bytes:
@@ -375,7 +387,7 @@ def unpack_touched(content: bytes) -> Touched:
     """The reverse of `pack`."""
     with np.load(io.BytesIO(content), allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
-    return Touched(**{**arrays, "reached": bool(arrays["reached"])})
+    return Touched(**{**arrays, "reached": bool(arrays["reached"]), "seen_ns": int(arrays.get("seen_ns", 0))})
 
 
 def sample_box(size_m: tuple[float, float], thickness_m: float) -> Box:
@@ -397,11 +409,17 @@ Result = SurfaceSeen | TouchTold | MapsKnown | NextTouch | PhaseBegan | Stopped
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """Results, and when they were there on the robot's clock [ns]; compute_s: what computing them took."""
+    """Results, and when they were there on the robot's clock [ns].
+
+    compute_s: what computing them took; touch: 0 before the first, then the number of the one they belong to, from 1
+    seen_ns: when the dent was last seen that they are of, None where they are of none
+    """
 
     now_ns: int
     results: tuple[Result, ...]
     compute_s: float = 0.0
+    touch: int = 0
+    seen_ns: int | None = None
 
 
 def explore(robot: Robot, explorer: Explorer) -> Iterator[Moment]:
@@ -420,7 +438,7 @@ def explore(robot: Robot, explorer: Explorer) -> Iterator[Moment]:
         began = time.perf_counter()
         plan = explorer.next(reachable)
         spent_s += time.perf_counter() - began
-        yield Moment(robot.now_ns(), (plan,), spent_s)
+        yield Moment(robot.now_ns(), (plan,), spent_s, len(explorer.told))
         if plan.target_m is None:
             return
         number = len(explorer.told)
@@ -430,7 +448,8 @@ def explore(robot: Robot, explorer: Explorer) -> Iterator[Moment]:
         told = explorer.touch(touched)
         maps = explorer.maps()
         spent_s = time.perf_counter() - began
-        yield Moment(robot.now_ns(), (PhaseBegan("plan", number), told, maps))
+        yield Moment(robot.now_ns(), (PhaseBegan("plan", number),), touch=number + 1)
+        yield Moment(robot.now_ns(), (told, maps), touch=number + 1, seen_ns=touched.seen_ns or None)
 
 
 def explore_again(inputs: dict[str, bytes], explorer: Explorer) -> Iterator[tuple[Result, ...]]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from itertools import pairwise
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from deformscope.experiments.explore import (
     ExploreOptions,
     Looked,
     Touched,
+    Truth,
     sample_box,
 )
 from deformscope.experiments.explore_lab import ARM_DOUBT, ARM_N_PER_M, truth_of
@@ -36,8 +38,8 @@ from deformscope.robot.preflight import Preflight, check
 from deformscope.robot.readings import Observation
 from deformscope.robot.robot import Robot, RobotStopped
 from deformscope.robot.supervisor import Action, Fault, Limits, Verdict
-from deformscope.robot.touch import Ending, Phase, TouchPlan, TouchRecord, run_touch
-from deformscope.stages.cloud import Capsule, Intrinsics, perceive
+from deformscope.robot.touch import Ending, Phase, PhaseSpan, TouchPlan, TouchRecord, run_touch
+from deformscope.stages.cloud import Box, Capsule, Intrinsics, perceive
 from deformscope.stages.contact import ArmCompliance
 from deformscope.stages.exploration import Stopped
 from deformscope.stages.touches import MapGrid
@@ -50,7 +52,13 @@ from deformscope_drivers.jaco.kinematics import J2N6S300
 from deformscope_drivers.memory import SimulatedClock
 from deformscope_drivers.subscription import Subscription
 
-LINK_RADIUS_M, STICK_RADIUS_M, MARGIN_M = 0.045, 0.008, 0.012
+LINK_RADIUS_M, STICK_RADIUS_M = 0.045, 0.008
+LINK_MARGIN_M, STICK_MARGIN_M = 0.012, 0.005
+"""What is taken away around the arm's links, whose shape is rough, and around stick and ball: there four deviations of
+a depth at 0.8 m (0.9 mm), as points on the stick itself have, and what the arm gives way (0.6 mm). A dent tells most
+within 2 cm of the ball."""
+DENT_M, DENT_PICTURES = 0.08, 10
+"""Of a dent: half the side of what is looked at around it; its last pictures that are taken together, at most."""
 BORDER_M = 0.02
 VIEW_CELL_M = 0.004
 PREFLIGHT_CELL_M = 0.02
@@ -60,8 +68,46 @@ LEAST_SINGULAR = 0.02
 LOOKS = 3
 LOOK_PERIODS = 1000
 CAMERA_HZ = 10.0
+CAMERA_AZIMUTH_DEG = -90.0
+"""The camera looks across the long edge at y = 0: the arm stands beyond the other, and hides what is behind it."""
 BOX_LOW_M, BOX_HIGH_M = (-0.40, -0.66, 0.0), (0.45, 0.10, 0.75)
 """Where the tip may go in the laboratory, in the base frame: above the table, and to where the arm is parked."""
+
+
+class Bench(Protocol):
+    """A robot to be opened, and what is known of it before.
+
+    clock: that its devices stamp by [ns]; truth: what is simulated; simulated: nothing real moves
+    runs_itself: its devices go on by themselves, with threads of their own, while something is computed
+    calibrated: what has to be known before it moves, by name, and whether it is
+    max_force_n: the largest true contact force so far [N], None where only the sensor knows
+    """
+
+    size_m: tuple[float, float]
+    placement: Placement
+    truth: Truth | None
+    runs_itself: bool
+
+    @property
+    def clock(self) -> Callable[[], int]: ...
+
+    @property
+    def arm(self) -> ArmCompliance: ...
+
+    @property
+    def simulated(self) -> bool: ...
+
+    @property
+    def calibrated(self) -> dict[str, bool]: ...
+
+    @property
+    def max_force_n(self) -> float | None: ...
+
+    def source(self) -> AbstractContextManager[RigSource]:
+        """All devices, open within the context."""
+
+    def robot(self, on_cycle: Callable[[], None] | None = None) -> AbstractContextManager[TouchingRobot]:
+        """The robot over the open devices. on_cycle: called in every control period"""
 
 
 def highest_m(options: ExploreOptions) -> float:
@@ -80,18 +126,20 @@ class TouchingRobot:
         robot: Robot,
         size_m: tuple[float, float],
         options: ExploreOptions,
-        camera: tuple[Intrinsics, FloatArray],
+        camera: tuple[Intrinsics | None, FloatArray | None],
         *,
         arm: ArmCompliance,
         clock: Callable[[], int],
+        workspace: Workspace,
     ) -> None:
-        """camera: its intrinsics, and T_surface_camera (4, 4)"""
+        """camera: its intrinsics, None = as its pictures say; and T_surface_camera (4, 4), None = not known"""
         self.size_m = size_m
         self.arm = arm
         self._robot = robot
         self._options = options
         self._camera = camera
         self._clock = clock
+        self._workspace = workspace
         self._pictures: Subscription[DepthImage] | None = None
         self.on_phase: Callable[[Phase, int], None] = lambda phase, time_ns: None
         self._dwelling = contextlib.ExitStack()
@@ -103,8 +151,8 @@ class TouchingRobot:
         return self._clock()
 
     def preflight(self, calibrated: Mapping[str, bool]) -> Preflight:
-        """Look at everything before anything moves; the robot may move from then on. Raises InputError where it must
-        not, with the checks that failed. calibrated: what has to be, by name, and whether it is"""
+        """Look at everything before anything moves. calibrated: what has to be, by name, and whether it is
+        Raises InputError where nothing can be reached."""
         allowed = self.reachable(MapGrid(self.size_m, PREFLIGHT_CELL_M))
         places = MapGrid(self.size_m, PREFLIGHT_CELL_M).centres_m[allowed.ravel()]
         if not len(places):
@@ -114,9 +162,11 @@ class TouchingRobot:
         up = np.array([0.0, 0.0, 1.0])
         plans = [self._plan(corner, height_m, up, None) for corner in corners]
         with self._telling():
-            found = check(self._robot, plans, calibrated=calibrated)
-        self._robot.let_move(found)
-        return found
+            return check(self._robot, plans, calibrated=calibrated)
+
+    def let_move(self, preflight: Preflight) -> None:
+        """From now on the robot may move. Raises InputError where a check has failed, with which."""
+        self._robot.let_move(preflight)
 
     def reachable(self, grid: MapGrid) -> BoolArray:
         """Cells that the tip reaches with the stick upright, all but a margin at the border."""
@@ -138,12 +188,14 @@ class TouchingRobot:
         with self._pictures_kept():
             pictures = self._take_pictures(LOOKS)
         links = self._links()
-        clouds = [self._seen(picture, links) for picture in pictures]
+        box = sample_box(self.size_m, self._options.thickness_m)
+        clouds = [self._seen(picture, links, box) for picture in pictures]
         return Looked(np.concatenate([c.points_m for c in clouds]), np.concatenate([c.noise_m for c in clouds]))
 
     def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> Touched:
         """Go there, touch along the normal, look at the dent, come back. Raises ExplorationStopped."""
         plan = self._plan(xy_m, height_m, normal, over_m)
+        self._robot.start()  # nobody looked while the plan was made
         dents: list[tuple[DepthImage, tuple[Capsule, ...]]] = []
 
         def still() -> bool:
@@ -160,7 +212,7 @@ class TouchingRobot:
             where = f"at ({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm"
             raise self._stopped(record.ending, f"{where}: {record.reason}" if record.reason else where)
         self._touches += 1
-        after = self._dent(record, dents)
+        after = self._dent(record, dents, xy_m)
         kept = slice(0, max(record.loading, 10))
         return Touched(
             xy_m,
@@ -170,6 +222,7 @@ class TouchingRobot:
             record.force_n[kept],
             after,
             record.ending is Ending.SET_FORCE,
+            max((round(span.end_s * 1e9) for span in _dwells(record)), default=0),
         )
 
     @property
@@ -204,7 +257,7 @@ class TouchingRobot:
         if over_m is not None:
             offset_m = self._robot.placement.center_offset_m
             highest = min(over_m + options.standoff_m + offset_m, highest)
-        return TouchPlan(
+        plan = TouchPlan(
             np.append(xy_m, height_m),
             np.asarray(normal, np.float64),
             set_force_n=options.set_force_n,
@@ -212,6 +265,7 @@ class TouchingRobot:
             standoff_m=options.standoff_m,
             travel_height_m=highest,
         )
+        return plan.no_faster(self._workspace.contact_speed_m_s, self._workspace.travel_speed_m_s)
 
     def _begin(self, phase: Phase, time_ns: int) -> None:
         self._phase = phase
@@ -241,38 +295,52 @@ class TouchingRobot:
         told = Stopped(str(cause), reason, advice(cause), str(action), self._touches)
         return ExplorationStopped(told, self._clock() if time_ns is None else time_ns)
 
-    def _dent(self, record: TouchRecord, pictures: Sequence[tuple[DepthImage, tuple[Capsule, ...]]]) -> FloatArray:
-        """Points seen while it pressed still. pictures: each with the robot as it stood then"""
-        dwell = [span for span in record.phases if str(span.phase).startswith("dwell")]
+    def _dent(
+        self, record: TouchRecord, pictures: Sequence[tuple[DepthImage, tuple[Capsule, ...]]], xy_m: FloatArray
+    ) -> FloatArray:
+        """Points seen around a place while it pressed still, of all pictures. pictures: each with the robot as it stood
+        then"""
+        dwell = _dwells(record)[-1:]
         within = [
             (picture, links)
             for picture, links in pictures
             if any(span.start_s <= picture.stamp.host_ns / 1e9 <= span.end_s for span in dwell)
         ]
-        if not within:
-            return np.zeros((0, 3))
-        return self._seen(*within[-1], cell_m=None).points_m
-
-    def _seen(self, picture: DepthImage, links: tuple[Capsule, ...], cell_m: float | None = VIEW_CELL_M) -> Looked:
-        intrinsics, T_surface_camera = self._camera
         box = sample_box(self.size_m, self._options.thickness_m)
-        found = perceive(
-            picture.depth_m(), intrinsics, T_surface_camera, box, links=links, margin_m=MARGIN_M, cell_m=cell_m
-        )
+        low = (*np.maximum(box.low_m[:2], xy_m - DENT_M), box.low_m[2])
+        high = (*np.minimum(box.high_m[:2], xy_m + DENT_M), box.high_m[2])
+        seen = []
+        for picture, links in within[-DENT_PICTURES:]:
+            with contextlib.suppress(InputError):  # nothing but the robot is there
+                seen.append(self._seen(picture, links, Box(low, high), cell_m=None).points_m)
+        return np.concatenate(seen) if seen else np.zeros((0, 3))
+
+    def _seen(
+        self, picture: DepthImage, links: tuple[Capsule, ...], box: Box, cell_m: float | None = VIEW_CELL_M
+    ) -> Looked:
+        intrinsics, T_surface_camera = self._camera
+        if intrinsics is None:
+            told = picture.intrinsics
+            if told is None:
+                raise InputError("[camera] focal_px and center_px", "none, and a camera that tells none")
+            intrinsics = Intrinsics((told.fx_px, told.fy_px), (told.cx_px, told.cy_px))
+        if T_surface_camera is None:
+            raise InputError("[camera] T_arm_camera", "none", "where the camera stands")
+        found = perceive(picture.depth_m(), intrinsics, T_surface_camera, box, links=links, margin_m=0.0, cell_m=cell_m)
         return Looked(found.points_m, found.noise_m)
 
     def _links(self) -> tuple[Capsule, ...]:
-        """Arm and stick where the arm says they are, surface frame."""
+        """What arm and stick may fill where the arm says they are, surface frame."""
         placement = self._robot.placement
         T_surface_base = np.linalg.inv(placement.T_base_surface)
         frames = self._robot.arm.chain.forward(self._robot.pose.joints_deg)
         joints = [(T_surface_base @ frame)[:3, 3] for frame in (np.eye(4), *frames)]
         center = self._robot.center_m
-        links = [Capsule(a, b, LINK_RADIUS_M) for a, b in pairwise(joints)]
+        links = [Capsule(a, b, LINK_RADIUS_M + LINK_MARGIN_M) for a, b in pairwise(joints)]
         return (
             *links,
-            Capsule(joints[-1], center, STICK_RADIUS_M),
-            Capsule(center, center, self._options.tip_radius_m),
+            Capsule(joints[-1], center, STICK_RADIUS_M + STICK_MARGIN_M),
+            Capsule(center, center, self._options.tip_radius_m + STICK_MARGIN_M),
         )
 
     def _new_pictures(self) -> list[DepthImage]:
@@ -302,17 +370,28 @@ class TouchingRobot:
         raise self._stopped(Fault.CAMERA_SILENT, f"{len(taken)} depth images in {LOOK_PERIODS / 100:g} s")
 
 
+def _dwells(record: TouchRecord) -> list[PhaseSpan]:
+    """When it pressed still: once, or with the set force and then with more."""
+    return [span for span in record.phases if span.phase in (Phase.DWELL, Phase.DWELL_MORE)]
+
+
 class LabBench:
-    """The laboratory with a scene in it: slab, camera, arm and force sensor, closed."""
+    """The laboratory with a scene in it: slab, camera, arm and force sensor, closed; a `Bench`."""
+
+    simulated = True
+    runs_itself = False
 
     def __init__(self, scene: Scene, options: ExploreOptions, *, camera_width: int = 320) -> None:
         self.scene = scene
-        self.truth = truth_of(scene)
+        self.size_m = scene.size_m
+        self.truth: Truth | None = truth_of(scene)
+        self.calibrated = {"camera to surface": True, "arm's compliance": True}
         self.clock = SimulatedClock(1_000_000_000)
         self._world = SlabWorld(scene)
         self._tip = RigidTip(radius=options.tip_radius_m)
         self._contact: Contact | None = None
-        self.view = DepthView(scene, DepthViewConfig(width=camera_width, height=camera_width * 3 // 4))
+        view = DepthViewConfig(width=camera_width, height=camera_width * 3 // 4, azimuth_deg=CAMERA_AZIMUTH_DEG)
+        self.view = DepthView(scene, view)
         self.tool = Tool(radius_m=options.tip_radius_m)
         T_base_surface = T_BASE_SURFACE
         self.placement = Placement(T_base_surface, self.tool)
@@ -340,7 +419,7 @@ class LabBench:
     @property
     def max_force_n(self) -> float:
         """The largest true contact force so far [N]."""
-        return self.lab.max_force_n
+        return self.lab.contact.max_force_n
 
     @property
     def arm(self) -> ArmCompliance:
@@ -387,6 +466,7 @@ class LabBench:
             (intrinsics, self.view.surface_from_camera),
             arm=self.arm,
             clock=self.clock,
+            workspace=workspace,
         )
 
     def _see(self, time_s: float) -> View:
@@ -397,7 +477,7 @@ class LabBench:
         frames = self.lab.arm_double.chain.forward(self.lab.arm_double.joints_deg)
         T_surface_base = np.linalg.inv(self.placement.T_base_surface)
         joints = [(T_surface_base @ frame)[:3, 3] for frame in (np.eye(4), *frames)]
-        center = self.lab.center_m
+        center = self.lab.contact.center_m
         robot = [Seen(a, b, LINK_RADIUS_M) for a, b in pairwise(joints)]
         robot += [Seen(joints[-1], center, STICK_RADIUS_M), Seen(center, center, self._options.tip_radius_m)]
         exact = self.view.render(moved, robot)

@@ -6,7 +6,7 @@
     exact.depth_m, exact.color, exact.seen                   # without noise; what each pixel fell on
 
 The camera is a PrimeSense by its figures: 640x480 pixels, 570 px of focal length. It looks at the slab's middle from
-0.8 m, at 45 degrees, from the edge that is opposite to the arm.
+0.8 m, at 45 degrees, across the long edge at y = 0.4 m unless told otherwise: an arm had better stand opposite.
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ class DepthViewConfig:
 
     width, height: [px]; focal_px: at 640 pixels of width; smaller images see as much
     distance_m: from the slab's middle; elevation_deg: of the camera above the table, as seen from there
+    azimuth_deg: where it stands around the slab's middle, from the x axis towards y
     noise_m, noise_per_m: deviation of depth z is noise_m + noise_per_m z^2 [m]; the default is a first Kinect's,
     which has the same sensor (1.4 mm at 1 m: Khoshelham and Oude Elberink 2012)
     missing: share of pixels that tell nothing; grazing_deg: surfaces seen flatter than that tell nothing
@@ -59,6 +60,7 @@ class DepthViewConfig:
     focal_px: float = 570.0
     distance_m: float = 0.8
     elevation_deg: float = 45.0
+    azimuth_deg: float = 90.0
     noise_m: float = 0.0
     noise_per_m: float = 1.425e-3
     missing: float = 0.01
@@ -95,13 +97,17 @@ class DepthView:
     places_m: (n, 2) vertices of the slab's surface at rest, for which `render` takes displacements [m]
     """
 
-    def __init__(self, scene: Scene, config: DepthViewConfig | None = None) -> None:
+    def __init__(
+        self, scene: Scene, config: DepthViewConfig | None = None, surface_from_camera: FloatArray | None = None
+    ) -> None:
+        """surface_from_camera: (4, 4) where it stands, instead of where its configuration says"""
         self.scene, self.config = scene, config or DepthViewConfig()
         config = self.config
         focal = config.focal_px * config.width / 640.0
         self.intrinsics = Intrinsics(focal, focal, 0.5 * (config.width - 1), 0.5 * (config.height - 1))
         middle = np.array([scene.size_m[0] / 2, scene.size_m[1] / 2, scene.thickness_m])
-        self.surface_from_camera = _looking(middle, config.distance_m, config.elevation_deg)
+        looking = _looking(middle, config.distance_m, config.elevation_deg, config.azimuth_deg)
+        self.surface_from_camera = looking if surface_from_camera is None else np.asarray(surface_from_camera)
         column, row = np.meshgrid(np.arange(config.width), np.arange(config.height))
         across = (column - self.intrinsics.cx_px) / focal, (row - self.intrinsics.cy_px) / focal
         ray = np.stack([*across, np.ones(column.shape)], axis=-1) @ self.surface_from_camera[:3, :3].T
@@ -258,11 +264,11 @@ def _nearest_root(a: FloatArray, half_b: FloatArray, c: float) -> FloatArray:
     return np.where(meets, c / np.where(meets, -half_b + np.sqrt(np.maximum(inside, 0.0)), 1.0), np.inf)
 
 
-def _looking(middle: FloatArray, distance: float, elevation_deg: float) -> FloatArray:
-    """(4, 4) pose of a camera that looks at a place from +y and above, its x axis level."""
-    turn = np.deg2rad(elevation_deg)
-    view = -np.array([0.0, np.cos(turn), np.sin(turn)])
-    right = np.array([-1.0, 0.0, 0.0])
+def _looking(middle: FloatArray, distance: float, elevation_deg: float, azimuth_deg: float) -> FloatArray:
+    """(4, 4) pose of a camera that looks at a place from above, its x axis level."""
+    up, around = np.deg2rad([elevation_deg, azimuth_deg])
+    view = -np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
+    right = np.array([-np.sin(around), np.cos(around), 0.0])
     pose = np.eye(4)
     pose[:3, :3] = np.column_stack([right, np.cross(view, right), view])
     pose[:3, 3] = middle - distance * view

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deformscope.lab.arm_contact import ARM_CYCLE_NS
 from deformscope.lab.faults import ARM, CAMERA, FORCE, Injected, inject
 from deformscope.lab.springy_foam import SpringyFoam
-from deformscope.lab.touch_lab import ARM_CYCLE_NS, T_BASE_SURFACE, TouchLab
+from deformscope.lab.touch_lab import T_BASE_SURFACE, TouchLab
 from deformscope.rig import Tool
 from deformscope.robot.placement import Placement, best_joints, reach
 from deformscope.robot.preflight import LEAST_SINGULAR, check
@@ -158,9 +159,9 @@ def _judge(
     joints: list[tuple[int, FloatArray]],
     lab: TouchLab,
 ) -> FaultRun:
-    moving = bool(state["moving"])
+    moving, force_n = bool(state["moving"]), lab.contact.max_force_n
     if not verdicts:
-        return FaultRun(seed, injected, Fault.NONE, math.nan, math.nan, False, moving, lab.max_force_n)
+        return FaultRun(seed, injected, Fault.NONE, math.nan, math.nan, False, moving, force_n)
     noticed_ns = verdicts[0].time_ns
     stands_ns, moved_later = -1, False
     for (_, before), (now_ns, after) in itertools.pairwise(joints):
@@ -174,7 +175,7 @@ def _judge(
     stands_s = math.nan if stands_ns < 0 else max(0, stands_ns - ARM_CYCLE_NS - noticed_ns) / 1e9
     since_ns = state["matters_ns"] if state["matters_ns"] >= 0 else noticed_ns + 1_000_000_000
     noticed_s = (noticed_ns - since_ns) / 1e9
-    return FaultRun(seed, injected, verdicts[0].fault, noticed_s, stands_s, moved_later, moving, lab.max_force_n)
+    return FaultRun(seed, injected, verdicts[0].fault, noticed_s, stands_s, moved_later, moving, force_n)
 
 
 def run_faults(seeds: Sequence[int]) -> list[FaultRun]:

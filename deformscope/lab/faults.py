@@ -75,7 +75,7 @@ def inject(lab: TouchLab, injected: Injected, random: np.random.Generator) -> No
             low_n, high_n = (20.0, 45.0) if injected is Injected.SPIKE else (11.5, 12.0)
             direction = random.normal(size=3)
             force_n = random.uniform(low_n, high_n) * direction / np.linalg.norm(direction)
-            lab.hit(force_n, random.uniform(0.02, 0.2))
+            lab.contact.hit(force_n, random.uniform(0.02, 0.2))
         case Injected.ARM_CABLE:
             lab.arm_double.unplug()
         case Injected.ARM_SILENT:

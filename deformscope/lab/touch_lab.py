@@ -11,11 +11,12 @@ import ctypes
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from deformscope.lab.arm_contact import ARM_CYCLE_NS, ARM_STIFFNESS_N_M, ArmContact, World
 from deformscope.rig import Tool
 from deformscope.robot.placement import Placement
 from deformscope_drivers.depth_camera import SyntheticDepthCamera
@@ -33,29 +34,15 @@ T_BASE_SURFACE: FloatArray = transform(np.eye(3), (-0.30, -0.55, 0.0))
 """Where a scene's table of 0.6 x 0.4 m stands: before the arm, its far corners 0.63 m from the arm's axis."""
 READY_NEAR_DEG = (270.0, 200.0, 100.0, 200.0, 90.0, 90.0)
 """Joint angles near which the arm stands above that table in the configuration that reaches all of it."""
-ARM_CYCLE_NS = 10_000_000
 READY_M = (0.3, 0.2, 0.2)
 POLL_NS = 2_000_000
-ARM_STIFFNESS_N_M = 5000.0
-SOLVED_N = 2e-3
-SOLVED_AT_MOST = 60
-FIRST_M = 2e-5
-
-
-class World(Protocol):
-    """What can be touched."""
-
-    def press(self, center_m: FloatArray) -> FloatArray:
-        """Force (3,) [N] on a tip whose centre (3,) [m] is here, both in the surface frame; zero where it is free."""
-        ...
 
 
 class TouchLab:
     """The doubles of a laboratory, closed devices over them, and their faults.
 
-    arm, force, camera: the real drivers' devices, to be opened by `open`; contact_force_n: (3,) the true one now;
-    max_force_n: the greatest true magnitude so far; arm_double: the simulated arm; on_cycle: called once in each of
-    the arm's cycles
+    arm, force, camera: the real drivers' devices, to be opened by `open`; arm_double: the simulated arm; contact: its
+    tip in the world; on_cycle: called once in each of the arm's cycles
     """
 
     def __init__(
@@ -80,15 +67,17 @@ class TouchLab:
         view: what the camera sees at a time since its opening [s]; None = no camera
         """
         self.clock = clock if clock is not None else SimulatedClock()
-        self.world = world
         self.placement = Placement(np.asarray(T_base_surface, dtype=float), tool if tool is not None else Tool())
         if start_deg is None:
             start_deg = (
                 CHAINS["j2n6s300"].inverse(self.placement.T_base_ee(READY_M, (0, 0, 1)), READY_NEAR_DEG).joints_deg
             )
         self.arm_double = JacoDouble(clock=self.clock, start_deg=start_deg)
+        self.contact = ArmContact(
+            world, self.arm_double, self.placement, self.clock, arm_stiffness_n_m=arm_stiffness_n_m
+        )
         self.functions = Spoiled(self.arm_double)
-        sensors = Sensors(scene=self._load, sensitivity=OMD_20_SE_40N, seed=seed)
+        sensors = Sensors(scene=self.contact.load, sensitivity=OMD_20_SE_40N, seed=seed)
         self.sensor_double = OptoforceDouble(sensors)
         self.wire = SpoiledWire(self.sensor_double, self.clock, seed)
         config = arm_config if arm_config is not None else JacoConfig(state_hz=100.0)
@@ -101,17 +90,9 @@ class TouchLab:
         self.camera: SyntheticDepthCamera | None = None
         if view is not None:
             self.camera = SyntheticDepthCamera(view, camera_config, clock=self.clock)
-        self._compliance_m_n = 1.0 / arm_stiffness_n_m
         self._cycle = -1
-        self._deflection_m = 0.0
-        self._slope = -1.0
-        self._direction = np.array([0.0, 0.0, 1.0])
-        self.contact_force_n: FloatArray = np.zeros(3)
-        self._felt_n: FloatArray = np.zeros(3)
-        self.max_force_n = 0.0
         self.scheduled: list[tuple[int, Callable[[], None]]] = []
         self.on_cycle: Callable[[], None] | None = None
-        self._hit: tuple[int, int, FloatArray] | None = None
 
     def open(self) -> None:
         """Open the devices on the laboratory's clock, the force sensor's zero taken."""
@@ -160,21 +141,6 @@ class TouchLab:
         self.scheduled.append((moment_ns, action))
         self.scheduled.sort(key=lambda one: one[0])
 
-    def hit(self, force_n: npt.ArrayLike, duration_s: float) -> None:
-        """Something else pushes the tip from now on, force (3,) [N] in the surface frame."""
-        now_ns = self.clock()
-        self._hit = now_ns, now_ns + round(duration_s * 1e9), np.asarray(force_n, dtype=float)
-
-    # Contact ---------------------------------------------------------------------------------------------------------
-
-    @property
-    def center_m(self) -> FloatArray:
-        """(3,) where the tip's centre truly is, the arm's give among it [m, surface frame]."""
-        return self._kinematic()[:3, 3] + self._deflection_m * self._direction
-
-    def _kinematic(self) -> FloatArray:
-        return self.placement.T_surface_center(self.arm_double.T_base_end_effector)
-
     def _feel(self) -> None:
         """Once in each of the arm's cycles: the contact at its new pose."""
         cycle = self.clock() // ARM_CYCLE_NS
@@ -182,60 +148,7 @@ class TouchLab:
             self._cycle = cycle
             if self.on_cycle is not None:
                 self.on_cycle()
-            T = self._kinematic()
-            self.contact_force_n = self._contact(T[:3, 3])
-            self._felt_n = -T[:3, :3].T @ self.contact_force_n
-            self.max_force_n = max(self.max_force_n, float(np.linalg.norm(self.contact_force_n)))
-            pushed = self.placement.to_base(self.contact_force_n)
-            if np.any(pushed):
-                lever_m = self.placement.to_base(T[:3, 3]) - self.placement.to_base(self._end_m())
-                self.arm_double.push([*pushed, *np.cross(lever_m, pushed)])
-            else:
-                self.arm_double.push(np.zeros(6))
-
-    def _end_m(self) -> FloatArray:
-        T = self.arm_double.T_base_end_effector
-        return np.asarray(np.linalg.inv(self.placement.T_base_surface) @ T)[:3, 3]
-
-    def _contact(self, center_m: FloatArray) -> FloatArray:
-        """The force at which the arm's give and the world's are in balance.
-
-        The deflection s along the force's direction solves |press(center + s e)| * compliance = s, whose left side
-        falls with s: by the secant method from where the last cycle ended, which takes one or two looks at the world,
-        and between brackets where the contact is so stiff that this leaves them.
-        """
-        at_m = self._deflection_m
-        force_n = self.world.press(center_m + at_m * self._direction)
-        size_n = float(np.linalg.norm(force_n))
-        if self._compliance_m_n == 0.0 or (size_n == 0.0 and at_m == 0.0):
-            self._deflection_m = 0.0
-            return force_n
-        if size_n > 0:
-            self._direction = force_n / size_n
-        gap_m = size_n * self._compliance_m_n - at_m
-        low_m, high_m = 0.0, math.inf
-        for _ in range(SOLVED_AT_MOST):
-            if abs(gap_m) < SOLVED_N * self._compliance_m_n:
-                break
-            low_m, high_m = (at_m, high_m) if gap_m > 0 else (low_m, at_m)
-            next_m = at_m - gap_m / self._slope
-            if not low_m < next_m < high_m and (at_m, next_m) != (0.0, 0.0):
-                next_m = 0.5 * (low_m + high_m) if math.isfinite(high_m) else 2.0 * at_m + FIRST_M
-            force_n = self.world.press(center_m + next_m * self._direction)
-            next_gap_m = float(np.linalg.norm(force_n)) * self._compliance_m_n - next_m
-            if next_m != at_m:
-                self._slope = min((next_gap_m - gap_m) / (next_m - at_m), -1.0)
-            at_m, gap_m = next_m, next_gap_m
-        self._deflection_m = at_m
-        return force_n
-
-    def _load(self, time_s: float) -> FloatArray:
-        """What the force sensor feels, in the tip's frame."""
-        if self._hit is not None:
-            begin_ns, end_ns, force_n = self._hit
-            if begin_ns <= time_s * 1e9 < end_ns:
-                return np.asarray(self._felt_n - self._kinematic()[:3, :3].T @ force_n)
-        return self._felt_n
+            self.contact.feel()
 
 
 def _poll(device: Device[Any]) -> None:

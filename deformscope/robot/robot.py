@@ -112,6 +112,11 @@ class Robot:
     # What is known ---------------------------------------------------------------------------------------------------
 
     @property
+    def arm_seen(self) -> bool:
+        """Whether the arm has told where it stands."""
+        return self._pose is not None
+
+    @property
     def pose(self) -> ArmSample:
         """The newest state of the arm. Raises RuntimeError before the first."""
         if self._pose is None:

@@ -59,7 +59,8 @@ class Limits:
     low_m, high_m: (3,) box of the tip's centre in the base frame, None = none; look_ahead_s: the box holds for where
     the tip will be by then
     force_silent_s, arm_silent_s: greatest age of the newest reading; force_frozen_s: greatest time of equal readings
-    arm_frozen_m: commanded way during which the joints do not change at all
+    arm_frozen_m, arm_frozen_s: commanded way, and time at least, during which the joints do not change at all (an arm
+    begins to move, and tells so, some periods after it was told to)
     refused, unusable: this many damaged frames, or readings that are not usable, within window_s
     camera_period_s: of the camera's pictures; camera_periods: greatest age in periods; camera_repeats: the same picture
     so many times after its first is a frozen camera (noise makes two real ones differ)
@@ -75,6 +76,7 @@ class Limits:
     force_frozen_s: float = 0.030
     arm_silent_s: float = 0.075
     arm_frozen_m: float = 0.0015
+    arm_frozen_s: float = 0.09
     fifo: int = 5
     refused: int = 4
     unusable: int = 4
@@ -90,6 +92,7 @@ class Limits:
     @classmethod
     def of(cls, workspace: Workspace, camera_hz: float = 30.0) -> Limits:
         """As a rig file says."""
+        standard, silent_s = cls(), workspace.camera_silent_s
         return cls(
             soft_force_n=workspace.soft_stop_n,
             hard_force_n=workspace.hard_stop_n,
@@ -97,6 +100,10 @@ class Limits:
             low_m=workspace.low_m,
             high_m=workspace.high_m,
             camera_period_s=1.0 / camera_hz,
+            camera_periods=standard.camera_periods if silent_s is None else silent_s * camera_hz,
+            force_silent_s=workspace.force_silent_s,
+            arm_silent_s=workspace.arm_silent_s,
+            arm_frozen_s=max(standard.arm_frozen_s, 1.2 * workspace.arm_silent_s),
         )
 
 
@@ -111,6 +118,9 @@ class Verdict:
 
 
 SPEED_OVER_NS = 40_000_000
+LATE_NS = 20_000_000
+"""A judgement so long after the last one came late: the host was busy, and those who read the devices perhaps too. No
+silence is held against a device then, once and not twice in a row."""
 _GO_ON = Verdict()
 _SEVERITY = {Action.GO_ON: 0, Action.BACK_OFF: 1, Action.STOP: 2}
 
@@ -150,7 +160,8 @@ class Supervisor:
         self._refusals: deque[int] = deque()
         self._recount = True
         self._joints: tuple[float, ...] = ()
-        self._unmoved_m = 0.0
+        self._unmoved_m, self._moved_ns = 0.0, now_ns
+        self._judged_ns, self._excused = now_ns, False
         self._track: deque[tuple[int, FloatArray]] = deque()
         self._commanded_ns = now_ns
         self._camera_needed = False
@@ -161,6 +172,8 @@ class Supervisor:
     def judge(self, seen: Observation, *, commanded_m_s: float = 0.0, camera_needed: bool = False) -> Verdict:
         """What to do now. commanded_m_s: the speed asked for since the last call; camera_needed: its pictures matter
         now, so that it must not be silent or frozen"""
+        self._excused = seen.now_ns - self._judged_ns > LATE_NS and not self._excused
+        self._judged_ns = seen.now_ns
         found = [
             *self._links(seen, camera_needed),
             *self._forces(seen.forces, seen.now_ns),
@@ -199,7 +212,7 @@ class Supervisor:
             elif magnitude_n > limits.soft_force_n:
                 why = f"{magnitude_n:.1f} N, limit {limits.soft_force_n:g} N"
                 found.append((Action.BACK_OFF, Fault.FORCE_SOFT, why))
-        if (age_s := (now_ns - self._force_ns) / 1e9) > limits.force_silent_s:
+        if (age_s := (now_ns - self._force_ns) / 1e9) > limits.force_silent_s and not self._excused:
             found.append((Action.STOP, Fault.FORCE_SILENT, f"no force for {age_s * 1e3:.0f} ms"))
         elif (same_s := (self._force_ns - self._pattern_ns) / 1e9) > limits.force_frozen_s:
             found.append((Action.STOP, Fault.FORCE_FROZEN, f"the same force for {same_s * 1e3:.0f} ms"))
@@ -226,13 +239,13 @@ class Supervisor:
                 found.append((Action.STOP, Fault.ARM_INVALID, f"joints {sample.joints_deg}"))
                 continue
             if sample.joints_deg != self._joints or commanded_m_s == 0.0:
-                self._joints, self._unmoved_m = sample.joints_deg, 0.0
+                self._joints, self._unmoved_m, self._moved_ns = sample.joints_deg, 0.0, now_ns
             if sample.fifo_count > limits.fifo:
                 found.append((Action.STOP, Fault.ARM_FIFO, f"{sample.fifo_count} points wait in the arm"))
             found += self._place(sample)
-        if (age_s := (now_ns - self._arm_ns) / 1e9) > limits.arm_silent_s:
+        if (age_s := (now_ns - self._arm_ns) / 1e9) > limits.arm_silent_s and not self._excused:
             found.append((Action.STOP, Fault.ARM_SILENT, f"no state of the arm for {age_s * 1e3:.0f} ms"))
-        if self._unmoved_m > limits.arm_frozen_m:
+        if self._unmoved_m > limits.arm_frozen_m and now_ns - self._moved_ns > limits.arm_frozen_s * 1e9:
             why = f"its joints say the same while it was sent {self._unmoved_m * 1e3:.1f} mm on"
             found.append((Action.STOP, Fault.ARM_FROZEN, why))
         return found
@@ -274,7 +287,8 @@ class Supervisor:
             return []
         if self._repeats >= limits.camera_repeats:
             return [(Action.STOP, Fault.CAMERA_FROZEN, f"the same picture {self._repeats + 1} times")]
-        if (age_s := (now_ns - self._camera_ns) / 1e9) > limits.camera_periods * limits.camera_period_s:
+        silent_s = limits.camera_periods * limits.camera_period_s
+        if (age_s := (now_ns - self._camera_ns) / 1e9) > silent_s and not self._excused:
             return [(Action.STOP, Fault.CAMERA_SILENT, f"no picture for {age_s * 1e3:.0f} ms")]
         return []
 

@@ -6,6 +6,7 @@ Near contact the control is hybrid (Raibert and Craig 1981): force along the nor
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections import deque
 from collections.abc import Callable
@@ -102,6 +103,15 @@ class TouchPlan:
             raise InputError("0 < contact_speed_m_s <= far_speed_m_s <= 0.05", speeds)
         if not 0 < self.slow_within_m <= self.standoff_m:
             raise InputError("0 < slow_within_m <= standoff_m", f"{self.slow_within_m}, {self.standoff_m}")
+
+    def no_faster(self, contact_speed_m_s: float, travel_speed_m_s: float) -> TouchPlan:
+        """The same touch within speeds [m/s], where it is slow and elsewhere."""
+        return dataclasses.replace(
+            self,
+            contact_speed_m_s=min(self.contact_speed_m_s, contact_speed_m_s),
+            far_speed_m_s=min(self.far_speed_m_s, travel_speed_m_s),
+            travel_speed_m_s=min(self.travel_speed_m_s, travel_speed_m_s),
+        )
 
     def places_m(self, center_offset_m: float) -> FloatArray:
         """(3, 3) where the tip's centre goes at most: crossing, above the point, and deepest [m, surface frame]."""

@@ -23,10 +23,12 @@ GOLDEN_ANGLE = float(np.pi * (3.0 - np.sqrt(5.0)))
 
 @dataclass(frozen=True, slots=True)
 class Intrinsics:
-    """A pinhole camera without distortion, z along its axis, x right, y down. focal, centre: (x, y) [px]"""
+    """A pinhole camera, z along its axis, x right, y down. focal, centre: (x, y) [px]; distortion: OpenCV's k1, k2, p1,
+    p2, k3, of which there may be fewer"""
 
     focal_px: tuple[float, float]
     centre_px: tuple[float, float]
+    distortion: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +74,20 @@ def back_project(depth_m: FloatArray, camera: Intrinsics, T_world_camera: FloatA
         raise InputError("T_world_camera (4, 4), finite", f"shape {transform.shape}")
     row, column = np.nonzero(np.isfinite(depth) & (depth > 0.0))
     z = depth[row, column]
-    x = (column - camera.centre_px[0]) / camera.focal_px[0] * z
-    y = (row - camera.centre_px[1]) / camera.focal_px[1] * z
-    return np.asarray(np.column_stack([x, y, z]) @ transform[:3, :3].T + transform[:3, 3])
+    aside = (np.column_stack([column, row]) - camera.centre_px) / camera.focal_px
+    if any(camera.distortion):
+        aside = _undistorted(aside, camera.distortion)
+    return np.asarray(np.column_stack([aside * z[:, None], z]) @ transform[:3, :3].T + transform[:3, 3])
+
+
+def _undistorted(aside: FloatArray, distortion: tuple[float, ...]) -> FloatArray:
+    """(n, 2) x / z and y / z as a camera without distortion would see them."""
+    import cv2
+
+    coefficients = np.zeros(5)
+    coefficients[: len(distortion)] = distortion
+    found = cv2.undistortPoints(aside[:, None, :].astype(np.float64), np.eye(3), coefficients)
+    return np.asarray(found[:, 0, :], dtype=np.float64)
 
 
 def within(points: FloatArray, box: Box) -> BoolArray:

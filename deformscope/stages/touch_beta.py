@@ -77,11 +77,15 @@ class BallTouch:
 
 @dataclass(frozen=True, slots=True)
 class TouchBeta:
-    """beta of a touch, with interval and verdict, and the fit that it comes from. points: raw ones it rests on"""
+    """beta of a touch, with interval and verdict, and the fit that it comes from.
+
+    points: raw ones it rests on; simulated_m: (p, 3) particles of the model's top layer under the ball, at beta
+    """
 
     estimate: Estimate
     fit: PokesFit
     points: int
+    simulated_m: FloatArray
 
     @property
     def sd(self) -> float:
@@ -144,7 +148,9 @@ def fit_touch(
         device=device,
     )
     found = conclude(fit, bounds=BOUNDS, level=level, settings={"model": "volume"}, provenance={})
-    return TouchBeta(found.estimate, fit, len(near))
+    posed = fit.posed[0]
+    top = posed.settle([fit.best.law]).position[0, posed.scene.open]
+    return TouchBeta(found.estimate, fit, len(near), np.asarray(top, dtype=np.float64))
 
 
 def _around(after: FloatArray, touch: BallTouch, thickness: float) -> FloatArray:
@@ -198,14 +204,14 @@ def _contact(touch: BallTouch) -> dict[str, FloatArray]:
 class ThesisBeta:
     """beta by one layer of particles whose edges are fixed and of which one is held (Thesis 4.3).
 
-    curve: error over beta (eq. 4.6) [m]; depth_m: of the particle held; particles: of the layer; converged: the state
-    at beta settled; note: what its trend with firmness is
+    curve: error over beta (eq. 4.6) [m]; depth_m: of the particle held; simulated_m: (p, 3) the layer's particles at
+    beta; converged: the state at beta settled; note: what its trend with firmness is
     """
 
     beta: float
     curve: Curve
     depth_m: float
-    particles: int
+    simulated_m: FloatArray
     converged: bool
     note: str = THESIS_NOTE
 
@@ -257,4 +263,5 @@ def thesis_beta(
     error = np.array([nearest_error(one, after) for one in state.position])
     best = int(np.argmin(error))
     depth = float(before[lowest, 2] - after[lowest, 2])
-    return ThesisBeta(float(beta[best]), Curve(beta, error), depth, len(before), bool(state.converged[best]))
+    simulated = np.asarray(state.position[best], dtype=np.float64)
+    return ThesisBeta(float(beta[best]), Curve(beta, error), depth, simulated, bool(state.converged[best]))

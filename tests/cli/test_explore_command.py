@@ -15,10 +15,11 @@ from typing import Any, cast
 import pytest
 
 from deformscope.cli import main
+from deformscope.cli.exploring import Companion
 from deformscope.exploration_replay import read_results
 from deformscope.frames import DepthFrame
 from deformscope.lab.fault_study import ALLOWED_S
-from deformscope.lab.faults import CAMERA, FaultsToCome, Injected
+from deformscope.lab.faults import CAMERA, Injected
 from deformscope.ledger import check_ledger
 from deformscope.rig_replay import read_items
 from deformscope.rig_source import RigSource
@@ -72,7 +73,7 @@ def test_scenes_are_listed_without_a_rig(capsys: pytest.CaptureFixture[str]) -> 
         (["explore", "lab:nowhere"], "a scene"),
         (["explore", "lab:disc", "--set-force", "9"], "up to 5 N"),
         (["explore", "lab:disc", "--touches", "0"], "1 or more"),
-        (["explore", "rig.toml"], "lab:NAME"),
+        (["explore", "rig.toml"], "a rig file (TOML), or lab:NAME"),
         (["explore", "lab:disc", "--fault", "storms@1"], "try: storm@1"),
         (["explore", "lab:disc", "--fault", "storm@9"], "from 1 to 8"),
         (["reproduce", "table41", "--scenes", "moon"], "a scene"),
@@ -180,9 +181,11 @@ def test_every_fault_is_noticed_and_its_recording_whole(
 
 
 def interrupted_at(phase: Phase, *numbers: int) -> Callable[..., None]:
-    """In place of the laboratory's faults: signals as such a phase begins."""
+    """In place of what follows the phases: signals as such a phase begins."""
+    followed = Companion.phase_began
 
-    def phase_began(self: FaultsToCome, began: Phase, touch: int) -> None:
+    def phase_began(self: Companion, began: Phase, time_ns: int) -> None:
+        followed(self, began, time_ns)
         if began is phase:
             for number in numbers:
                 signal.raise_signal(number)
@@ -197,7 +200,7 @@ def test_ctrl_c_stops_the_arm_and_keeps_all(
     number: int, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     record, told, terminal = tmp_path / "e.rrd", tmp_path / "e.json", Terminal()
-    monkeypatch.setattr(FaultsToCome, "phase_began", interrupted_at(Phase.DWELL, number))
+    monkeypatch.setattr(Companion, "phase_began", interrupted_at(Phase.DWELL, number))
     monkeypatch.setattr(sys, "stderr", terminal)
 
     assert main(["explore", "lab:two-60-150", *STOPPED, "--record", str(record), "--json", str(told)]) == status
@@ -218,7 +221,7 @@ def test_ctrl_c_stops_the_arm_and_keeps_all(
 def test_a_second_ctrl_c_leaves_at_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(FaultsToCome, "phase_began", interrupted_at(Phase.APPROACH, signal.SIGINT, signal.SIGINT))
+    monkeypatch.setattr(Companion, "phase_began", interrupted_at(Phase.APPROACH, signal.SIGINT, signal.SIGINT))
     record = tmp_path / "e.rrd"
 
     assert main(["explore", "lab:two-60-150", *STOPPED, "--record", str(record)]) == 130
@@ -238,7 +241,7 @@ def test_a_full_disk_halts_the_arm_first(
         usage = free(path)
         return usage._replace(free=0) if Phase.APPROACH in began else usage
 
-    def phase_began(self: FaultsToCome, phase: Phase, touch: int) -> None:
+    def phase_began(self: Companion, phase: Phase, time_ns: int) -> None:
         began.append(phase)
 
     def leave(self: RigSource, *error: object) -> None:
@@ -248,7 +251,7 @@ def test_a_full_disk_halts_the_arm_first(
         self.close()
 
     monkeypatch.setattr(shutil, "disk_usage", filling)
-    monkeypatch.setattr(FaultsToCome, "phase_began", phase_began)
+    monkeypatch.setattr(Companion, "phase_began", phase_began)
     monkeypatch.setattr(RigSource, "__exit__", leave)
     monkeypatch.setattr("deformscope.recorder.BEAT_S", 0.0)
     record = tmp_path / "e.rrd"

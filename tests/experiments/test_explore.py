@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
+from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.explore import (
     ExploreOptions,
     Explorer,
+    Looked,
     Moment,
     Touched,
     explore,
@@ -20,7 +24,8 @@ from deformscope.experiments.explore_lab import LabRobot
 from deformscope.experiments.table41 import TableJob, run_table
 from deformscope.exploration_replay import components
 from deformscope.lab.scenes import built_in
-from deformscope.stages.exploration import MapsKnown, NextTouch, SurfaceSeen, TouchTold
+from deformscope.stages.contact import ArmCompliance
+from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, SurfaceSeen, TouchTold
 
 
 def explored(name: str, **changes: object) -> tuple[Explorer, list[Moment], dict[str, bytes]]:
@@ -70,6 +75,58 @@ def test_a_touch_tells_stiffness_and_the_map_its_place(two: tuple[Explorer, list
     assert maps.region_count == 2  # type: ignore[attr-defined]
     assert maps.iou > 0.7  # type: ignore[attr-defined]
     assert explorer.boundary_m() is not None
+
+
+def test_the_law_that_is_shown_is_the_one_that_was_felt(two: tuple[Explorer, list[Moment], dict[str, bytes]]) -> None:
+    """Over the whole way of the tip, what the arm gives among it."""
+    for told in of(TouchTold, two[1]):
+        assert isinstance(told, TouchTold)
+        pressing = told.approach_n > 2.0
+        assert np.count_nonzero(pressing) > 5
+        assert abs(float(np.mean((told.fitted_n - told.approach_n)[pressing]))) < 0.08
+
+
+def test_a_dent_that_was_pressed_on_is_as_deep_as_at_its_last_force() -> None:
+    force = np.concatenate([np.zeros(30), np.linspace(0.0, 5.0, 200)])
+    depth = 0.0018 * (force / 3.0) ** (1.0 / 1.5)
+    free = np.concatenate([np.linspace(0.01, 0.0, 30), np.zeros(200)])
+    position = np.column_stack([np.full((230, 2), 0.2), 0.06 + free - depth])
+    along = np.column_stack([np.zeros((230, 2)), force])
+    scene = built_in("two-60-150", 0)
+    explorer = Explorer(scene.size_m, ExploreOptions(beta_model="none"), ArmCompliance())
+    places = np.random.default_rng(0).uniform(size=(500, 2)) * scene.size_m
+    points = np.column_stack([places, np.full(500, 0.05)])
+    explorer.look(Looked(points, np.full(500, 1e-3)))
+    up, none = np.array([0.0, 0.0, 1.0]), np.zeros((0, 3))
+    touched = Touched(np.array([0.2, 0.2]), up, np.arange(230) * 0.01, position, along, none, True)
+    told = explorer.touch(touched)
+    assert told.stiffness_n_per_mm == pytest.approx(3.0 / 1.8, rel=0.02)  # at the set force
+    assert told.peak_force_n == pytest.approx(5.0, rel=0.01)
+    assert told.depth_m == pytest.approx(0.0018 * (5.0 / 3.0) ** (1.0 / 1.5), rel=0.02)
+
+
+def test_results_of_a_touch_say_which_and_when_its_dent_was_seen() -> None:
+    class Once:
+        size_m, arm = (0.6, 0.4), ArmCompliance()
+
+        def __init__(self) -> None:
+            self.inner = LabRobot(built_in("two-60-150", 0), ExploreOptions(beta_model="none"), sees=False)
+
+        def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray) -> Touched:
+            phases = (("travel", 10), ("press", 20), ("dwell", 30), ("retreat", 40))
+            return dataclasses.replace(self.inner.touch(xy_m, height_m, normal), phases=phases)
+
+        def __getattr__(self, name: str) -> object:
+            return getattr(self.inner, name)
+
+    explorer = Explorer((0.6, 0.4), ExploreOptions(budget=2, beta_model="none"), ArmCompliance())
+    moments = list(explore(Once(), explorer))  # type: ignore[arg-type]
+    told = [moment for moment in moments if any(isinstance(one, TouchTold) for one in moment.results)]
+    assert [(moment.touch, moment.seen_ns) for moment in told] == [(1, 40), (2, 40)]
+    plans = [moment for moment in moments if any(isinstance(one, NextTouch) for one in moment.results)]
+    assert [(moment.touch, moment.seen_ns) for moment in plans] == [(0, None), (1, None), (2, None)]
+    dwells = [moment for moment in moments if PhaseBegan("dwell", 0) in moment.results]
+    assert [moment.touch for moment in dwells] == [1]
 
 
 def test_the_surface_is_seen_where_it_is(two: tuple[Explorer, list[Moment], dict[str, bytes]]) -> None:

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from deformscope.lab.arm_contact import ARM_STIFFNESS_N_M
 from deformscope.lab.springy_foam import SpringyFoam
-from deformscope.lab.touch_lab import ARM_STIFFNESS_N_M, TouchLab
+from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig import Tool
 
 POINT_M = np.array([0.3, 0.2, 0.1])
@@ -22,7 +23,7 @@ def test_the_arm_gives_as_much_as_its_stiffness_says(modulus_pa: float, tip: str
     offset_m = lab.placement.center_offset_m
     for depth_m in (0.0, 0.0002, 0.001, 0.0005, 0.0):
         center_m = POINT_M + np.array([0.0, 0.0, offset_m - depth_m])
-        force_n = lab._contact(center_m)
+        force_n = lab.contact._contact(center_m)
 
         def gap(give_m: float, center_m: np.ndarray = center_m) -> float:
             return float(foam.press(center_m + np.array([0.0, 0.0, give_m]))[2]) - ARM_STIFFNESS_N_M * give_m

@@ -12,22 +12,26 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
+from deformscope.arrays import FloatArray
 from deformscope.exploration_replay import Recorded, read_results
-from deformscope.frames import Item, Stream
+from deformscope.frames import ColorFrame, DepthFrame, Item, Stream
 from deformscope.log.exploration import exploration_blueprint, log_exploration_start, prepare_results, warm_up
 from deformscope.log.exploration.small import small_results
 from deformscope.log.exploration.summary import summary
-from deformscope.log.rig import log_streams, prepare_items
+from deformscope.log.rig import Place, log_streams, prepare_items
+from deformscope.recorder import Recorder
 from deformscope.rig_replay import read_items
 from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, Stopped, TouchTold
 from tests.log import synthetic_exploration as synthetic
 from tests.log import synthetic_rig as rig
-from tests.log.test_rig import assert_same, cells, same
+from tests.log.test_rig import assert_same, cells, order, same
 
 BASE_FROM_SURFACE = np.array(
     [[0.0, -1.0, 0.0, 0.35], [1.0, 0.0, 0.0, -0.3], [0.0, 0.0, 1.0, -0.02], [0.0, 0.0, 0.0, 1.0]]
 )
 ARM = dataclasses.replace(rig.STREAMS[2], urdf=rig.URDF)
+
+PICTURES_NS = np.arange(0, 10_000_000_000, 100_000_000)
 
 Told = tuple[int, int, Sequence[object]]
 
@@ -47,9 +51,9 @@ def record(path: Path, told: Sequence[Told], items: Sequence[Item] = (), streams
     log_streams(rec, streams)
     log_exploration_start(rec, streams, BASE_FROM_SURFACE)
     for session_ns, touch, results in told:
-        prepare_results(results, session_ns, touch).send(rec)
+        prepare_results(results, session_ns, Place(touch, PICTURES_NS)).send(rec)
     if items:
-        prepare_items(items, rig.START_NS, streams, {"front"}, touch=3).send(rec)
+        prepare_items(items, rig.START_NS, streams, {"front"}, place=Place(3, PICTURES_NS)).send(rec)
     rec.flush(timeout_sec=10)
     rec.disconnect()
 
@@ -133,6 +137,44 @@ def test_readings_of_devices_stand_at_their_touch_and_come_back_equal(tmp_path: 
     assert places <= {3}
 
 
+def test_everything_stands_at_the_cameras_picture_and_at_its_touch(tmp_path: Path) -> None:
+    items = [one for one in rig.items(0.4, (24, 32)) if not isinstance(one, ColorFrame)]
+    items = [dataclasses.replace(one, color=None) if isinstance(one, DepthFrame) else one for one in items]  # no JPEG
+    streams = [ARM if stream.kind == "arm" else stream for stream in rig.STREAMS]
+    pictures_ns = np.array([one.stamp.host_ns for one in items if isinstance(one, DepthFrame)])
+    assert len(pictures_ns) > 3
+    seen_ns = int(pictures_ns[2]) + 1
+    with Recorder(tmp_path / "run.rrd", "none", {}, layout="exploration") as recorder:
+        recorder.start_exploration(streams, rig.START_NS, (0.6, 0.4), BASE_FROM_SURFACE, truth=True)
+        recorder.write_results([synthetic.plan(0)], rig.START_NS, 0, 0.005)
+        for at in range(0, len(items), 40):
+            recorder.write_items(items[at : at + 40])
+        now_ns = int(pictures_ns[-1]) + 5
+        recorder.write_results([synthetic.touch(0)], now_ns, 1, 0.005, seen_ns)
+    found_again = sorted(read_items(tmp_path / "run.rrd", trust=True), key=order)
+    assert_same(found_again, sorted(items, key=order))
+    where = [
+        ("/wrench/fingertip", 1),  # what came after the plan belongs to the touch that was planned
+        ("/display/arm/jaco/joints", 1),
+        ("/depth/above", 1),
+        ("/exploration/touch", 1),
+        ("/exploration/plan", 0),
+    ]
+    found: dict[str, list[tuple[int, int, int]]] = {entity: [] for entity, _ in where}
+    for chunk in RrdReader(tmp_path / "run.rrd").stream():
+        if chunk.entity_path in found and not chunk.is_static:
+            batch = chunk.to_record_batch()
+            times = (batch.column("session").cast("int64"), batch.column("frame"), batch.column("touch"))
+            found[chunk.entity_path] += zip(*(column.to_pylist() for column in times), strict=True)
+    told = found.pop("/exploration/touch")
+    assert told == [(now_ns - rig.START_NS, 2, 1)]  # now, but at the picture that saw the dent
+    for entity, rows in found.items():
+        assert rows, entity
+        for session_ns, frame, touch in rows:
+            assert frame == max(np.count_nonzero(pictures_ns <= rig.START_NS + session_ns) - 1, 0)
+            assert touch == dict(where)[entity]
+
+
 def test_the_arm_stands_where_the_scene_says(tmp_path: Path) -> None:
     """The base's origin, told in the surface frame, is taken back to zero by the transform that was given."""
     record(tmp_path / "run.rrd", [])
@@ -188,12 +230,25 @@ def test_the_close_up_shows_the_top_of_the_model_alone(tmp_path: Path) -> None:
     assert len(touch.simulated_m) == 363
     assert len(top) == 121
     observed = np.array(cells(tmp_path / "run.rrd", "/display/dent/observed", "Points3D:positions")[0])
-    half = np.abs((np.concatenate([touch.observed_m, touch.simulated_m]) - touch.xyz_m)[:, :2]).max()
-    np.testing.assert_allclose(observed[:, :2] * half, (touch.observed_m - touch.xyz_m)[:, :2], atol=1e-6)
-    times = observed[:, 2] * half / (touch.observed_m - touch.xyz_m)[:, 2]
-    np.testing.assert_allclose(times, np.median(times), rtol=1e-2)
+    times = np.unique(np.round(top[:, 2] * 0.05 / _heights(touch, top[:, :2] * 0.05), 3))
+    assert len(times) == 1
+    beside = touch.observed_m - touch.xyz_m
+    inside = beside[(np.abs(beside[:, :2]) <= 0.05).all(axis=1)]
+    members: dict[tuple[int, ...], list[FloatArray]] = {}
+    for point in inside:
+        members.setdefault(tuple(np.floor(point[:2] / 0.0035).astype(int)), []).append(point)
+    means = np.array([np.mean(points, axis=0) for _, points in sorted(members.items())])
+    assert len(means) < len(inside)
+    np.testing.assert_allclose(observed * 0.05 / [1.0, 1.0, times[0]], means, atol=1e-6)
     said = [one for (one,) in cells(tmp_path / "run.rrd", "/display/dent/scale/label", "Points3D:labels")]
-    assert said == ["no touch yet", f"5 cm, heights drawn {np.median(times):g} times"]
+    assert said == ["no touch yet", f"5 cm, heights drawn {times[0]:g} times"]
+
+
+def _heights(touch: TouchTold, places: FloatArray) -> FloatArray:
+    """Of the model's highest particles at places (n, 2), over the contact."""
+    beside = touch.simulated_m - touch.xyz_m
+    found = [beside[(np.abs(beside[:, :2] - place) < 1e-6).all(axis=1), 2].max() for place in places]
+    return np.array(found)
 
 
 def test_nothing_that_moves_is_static(tmp_path: Path) -> None:
@@ -248,7 +303,7 @@ def test_a_summary_tells_regions_or_that_there_are_none() -> None:
 
 def test_what_is_no_result_is_refused() -> None:
     with pytest.raises(TypeError, match="shows a int"):
-        prepare_results([3], 0, 0)
+        prepare_results([3], 0, Place(0, PICTURES_NS))
 
 
 def test_warming_up_draws_every_kind() -> None:

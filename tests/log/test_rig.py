@@ -21,6 +21,7 @@ from rerun.chunk import RrdReader
 from deformscope.errors import InputError
 from deformscope.frames import (
     ColorFrame,
+    DepthFrame,
     HealthReport,
     Item,
     LinkChange,
@@ -30,7 +31,7 @@ from deformscope.frames import (
     TactileFrame,
 )
 from deformscope.images import encode_jpeg, encode_png
-from deformscope.log.rig import log_items, log_streams, prepare_items, rig_blueprint
+from deformscope.log.rig import Shown, log_items, log_streams, prepare_items, rig_blueprint
 from deformscope.log.rig.health import table, word
 from deformscope.log.rig.tactile import Hand
 from deformscope.palette import BACKGROUND, colors
@@ -393,3 +394,41 @@ def test_pads_of_other_hands() -> None:
     assert beside.corners[1][1] > 5
     assert [name for _, _, name in beside.names()] == ["0", "1"]
     assert len(set(beside.places().tolist())) == 30
+
+
+def test_a_depth_scale_is_sent_when_it_changes_and_now_and_then(tmp_path: Path) -> None:
+    """Its numbers would be a fifth of what small depth images take."""
+    stream = Stream("above", "depth", "little")
+    near, far = np.full((24, 32), 800, np.uint16), np.full((24, 32), 1900, np.uint16)
+    shown: Shown = {}
+    rec = rr.RecordingStream("deformscope-rig-test", recording_id="rig")
+    rec.set_sinks(rr.FileSink(tmp_path / "run.rrd"))
+    for at, depth in ((0, near), (1, near), (2, near), (3, far), (4, far), (13, far), (14, far)):
+        frame = DepthFrame(Stamp(rig.START_NS + at * 1_000_000_000), at, depth, 0.001, None, "above")
+        prepare_items([frame], rig.START_NS, [stream], shown=shown).send(rec)
+    rec.flush(timeout_sec=10)
+    rec.disconnect()
+    sent = [
+        round(time / 1e9)
+        for chunk in RrdReader(tmp_path / "run.rrd").stream()
+        if chunk.entity_path == "/display/depth/above"
+        for time in chunk.to_record_batch().column("session").cast("int64").to_pylist()
+    ]
+    assert sorted(sent) == [0, 3, 13]
+
+
+def test_an_arms_shape_moves_25_times_a_second(tmp_path: Path) -> None:
+    stream = Stream("left arm", "arm", "little", urdf=rig.URDF)
+    frames = [
+        dataclasses.replace(
+            rig.arm(index, "left arm"),
+            stamp=Stamp(rig.START_NS + index * 10_000_000),
+            joint_deg=np.array([float(index), 0.0]),
+            finger=np.array([0.5]),
+        )
+        for index in range(100)
+    ]
+    record(tmp_path / "run.rrd", [frames], [stream])
+    joints = cells(tmp_path / "run.rrd", r"/display/arm/left\ arm/joints", "Transform3D:child_frame")
+    assert len(joints) == 3 * 25
+    assert len(cells(tmp_path / "run.rrd", r"/arm/left\ arm/joint_deg", "Scalars:scalars")) == 100

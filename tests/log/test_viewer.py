@@ -18,7 +18,7 @@ from rerun.experimental import ViewerClient
 from deformscope import live
 from deformscope.frames import ArmFrame, HealthReport
 from deformscope.log.exploration import exploration_blueprint, log_exploration_start, prepare_results
-from deformscope.log.rig import log_items, log_streams, prepare_items, rig_blueprint
+from deformscope.log.rig import Place, log_items, log_streams, prepare_items, rig_blueprint
 from deformscope.recorder import Recorder
 from deformscope.session import Step, run
 from deformscope.sources import open_source
@@ -29,6 +29,9 @@ from tools import screenshot
 from tools.screenshot import LAVAPIPE, headless_viewer, shoot
 
 pytestmark = pytest.mark.viewer
+
+
+NO_PICTURES = np.zeros(0, np.int64)
 
 
 @pytest.fixture(autouse=True)
@@ -198,13 +201,12 @@ def test_an_exploration(tmp_path: Path, viewer: ViewerClient, touch: int, truth:
     log_exploration_start(rec, streams)
     devices = {stream.device for stream in streams}
     items = [one for one in synthetic_rig.items(0.5, (48, 64)) if getattr(one, "device", "") in devices]
-    prepare_items(
-        [one for one in items if not isinstance(one, ArmFrame)], synthetic_rig.START_NS, streams, touch=0
-    ).send(rec)
+    items = [one for one in items if not isinstance(one, ArmFrame)]
+    prepare_items(items, synthetic_rig.START_NS, streams, place=Place(0, NO_PICTURES)).send(rec)
     for at, number, result in synthetic_exploration.story():
         if number <= touch:
             shown = replace(result, truth_labels=None) if isinstance(result, MapsKnown) and not truth else result
-            prepare_results([shown], round(at * 1e9), number).send(rec)
+            prepare_results([shown], round(at * 1e9), Place(number, NO_PICTURES)).send(rec)
     rec.flush(timeout_sec=10)
     rec.disconnect()
     assert shoot(viewer, path, tmp_path, touch=touch) == []

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from deformscope.errors import InputError
+from deformscope.lab.arm_contact import ARM_STIFFNESS_N_M
 from deformscope.lab.fault_study import Scene, make_scene, run_fault, run_faults
 from deformscope.lab.faults import Injected
-from deformscope.lab.touch_lab import ARM_STIFFNESS_N_M
 from deformscope.robot.preflight import check
 from deformscope.robot.robot import RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Fault
@@ -33,13 +33,13 @@ def test_it_presses_as_told_and_never_harder(modulus_pa: float, tip: str, tilt_d
 
     assert record.ending is Ending.SET_FORCE
     assert record.settled
-    assert scene.lab.max_force_n < 1.1 * force_n < SOFT_N
+    assert scene.lab.contact.max_force_n < 1.1 * force_n < SOFT_N
     assert record.final_force_n is not None
     assert record.final_force_n == pytest.approx(force_n * scene.plan.normal, abs=0.1)
     assert record.center_m is not None
     # the foam's dent, as the joints see it, is less by what the arm gives
     true_m = record.center_m + record.final_force_n / ARM_STIFFNESS_N_M
-    assert scene.lab.world.press(true_m) @ scene.plan.normal == pytest.approx(
+    assert scene.lab.contact.world.press(true_m) @ scene.plan.normal == pytest.approx(
         force_n, rel=0.2 if modulus_pa < 1e9 else 1e3
     )
     assert len(record.time_s) == len(record.position_m) == len(record.force_n) > record.loading > 100
@@ -53,7 +53,7 @@ def test_the_record_is_the_foams_own_law() -> None:
     pressed = along_n > 0.3
     true_m = record.position_m[loading] + record.force_n[loading] / ARM_STIFFNESS_N_M
 
-    expected_n = np.array([scene.lab.world.press(place_m) @ scene.plan.normal for place_m in true_m])
+    expected_n = np.array([scene.lab.contact.world.press(place_m) @ scene.plan.normal for place_m in true_m])
 
     # while it is loaded at 10 mm/s, force and place belong together within a few milliseconds
     assert np.median(np.abs(along_n - expected_n)[pressed]) < 0.03
@@ -106,7 +106,7 @@ def test_no_preflight_no_motion() -> None:
 def test_no_tare_in_contact() -> None:
     scene = make_scene(8, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
     tare_n = scene.robot.tare_n.copy()
-    scene.lab.schedule(scene.lab.clock(), lambda: scene.lab.hit((0.0, 0.0, 2.0), 60.0))
+    scene.lab.schedule(scene.lab.clock(), lambda: scene.lab.contact.hit((0.0, 0.0, 2.0), 60.0))
 
     record = run_touch(scene.robot, scene.plan)
     scene.lab.close()
@@ -118,7 +118,7 @@ def test_no_tare_in_contact() -> None:
 
 def test_a_soft_stop_stands_and_then_backs_away() -> None:
     scene = make_scene(9, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
-    scene.lab.schedule(scene.lab.clock() + 6_500_000_000, lambda: scene.lab.hit((0.0, 0.0, 9.5), 0.1))
+    scene.lab.schedule(scene.lab.clock() + 6_500_000_000, lambda: scene.lab.contact.hit((0.0, 0.0, 9.5), 0.1))
 
     record = run_touch(scene.robot, scene.plan)
     height_m = float(scene.robot.center_m[2] - scene.plan.point_m[2])

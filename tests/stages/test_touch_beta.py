@@ -69,6 +69,10 @@ def test_a_known_beta_comes_back_from_heights_alone(level: HeightProcess, beta: 
     assert found.estimate.interval[0] - 0.02 <= beta <= found.estimate.interval[1] + 0.02
     assert found.estimate.converged
     assert len(found.fit.posed[0].touched) == 4
+    away = np.linalg.norm(found.simulated_m[:, :2] - AT, axis=1)
+    sunk = THICKNESS - found.simulated_m[:, 2]
+    assert 0.004 < sunk[away < 0.008].min() < sunk[away < 0.008].max() < 0.006  # held to the ball
+    assert np.abs(sunk[away > 0.06]).max() < 5e-4  # and still far away
 
 
 def test_noise_widens_the_interval_and_it_still_holds_the_truth(level: HeightProcess) -> None:
@@ -129,7 +133,8 @@ def test_the_thesiss_model_holds_its_lowest_point_and_says_what_its_trend_is(lev
     )
     found = thesis_beta(level, touched, AT)
     assert 0.0 <= found.beta <= found.curve.parameter[-1]
-    assert found.particles == 15 * 15
+    assert len(found.simulated_m) == 15 * 15
+    assert (found.simulated_m[:, 2] - THICKNESS).min() == pytest.approx(-found.depth_m, abs=1e-5)
     assert found.depth_m == pytest.approx(depth, rel=0.25)
     assert found.error_m == found.curve.aee[np.flatnonzero(found.curve.parameter == found.beta)[0]]
     assert found.note == THESIS_NOTE

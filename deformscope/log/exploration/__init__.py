@@ -1,7 +1,8 @@
 """How an exploration is recorded and shown: every result without loss, and beside it what a person looks at.
 
-Every row is at `session`, the time since the recording's start, and at `touch`: 0 before the first touch, then the
-number of the touch that it belongs to, from 1. `deformscope.exploration_replay` reads the results back.
+Every row is at `session`, the time since the recording's start; at `frame`, the depth camera's newest picture then; and
+at `touch`: 0 before the first touch, then the number of the touch that it belongs to, from 1, the way there among it.
+What a touch told is at the frame of its dent. `deformscope.exploration_replay` reads the results back.
 
     exploration/surface|touch|maps|plan   one row a result, every field of it a component of the same name
     exploration/phase                     likewise, and the state that a timeline shows
@@ -10,7 +11,7 @@ number of the touch that it belongs to, from 1. `deformscope.exploration_replay`
     display/dent/...                      close up: observed points and simulated particles around the last touch
     display/maps/...                      pictures of the maps with their axes and colour bars
     display/plan/gain                     why the next touch goes where it goes
-    display/touch/force                   force over depth
+    display/touch/force|section           force over depth; the dent's height over the distance from the contact
     display/summary                       what is known, in words
 """
 
@@ -28,11 +29,11 @@ from deformscope.log.exploration.blueprint import exploration_blueprint
 from deformscope.log.exploration.dent import log_dent, log_no_dent
 from deformscope.log.exploration.moment import Moment
 from deformscope.log.exploration.phases import log_phase, log_phase_colors
-from deformscope.log.exploration.pictured import log_force, log_gain, log_height, log_maps, log_nothing_known
+from deformscope.log.exploration.pictured import log_curves, log_gain, log_height, log_maps, log_nothing_known
 from deformscope.log.exploration.scene import log_base, log_contact, log_stiffness, log_surface, log_target
 from deformscope.log.exploration.stopped import log_stopped
 from deformscope.log.exploration.summary import log_no_summary, log_summary
-from deformscope.log.rig.columns import Batch
+from deformscope.log.rig.columns import Batch, Place
 from deformscope.log.rig.plotted import plotted
 from deformscope.log.rig.warm_up import nowhere
 from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, Stopped, SurfaceSeen, TouchTold
@@ -60,7 +61,7 @@ def log_exploration_start(
                 rec.log(path, rr.SeriesLines.from_fields(aggregation_policy=PEAKS), static=True)
         if stream.kind == "arm" and stream.urdf is not None:
             log_base(rec, stream, np.eye(4) if base_from_surface is None else base_from_surface)
-    batch = Batch(touch=0)
+    batch = Batch(Place(0, np.zeros(0, np.int64)))
     start = Moment(batch, 0)
     log_nothing_known(start)
     log_no_dent(start)
@@ -68,29 +69,27 @@ def log_exploration_start(
     batch.send(rec)
 
 
-def prepare_results(
-    results: Sequence[object], session_ns: int, touch: int, frame: int | None = None, *, cell_m: float = CELL_M
-) -> Batch:
+def prepare_results(results: Sequence[object], session_ns: int, place: Place, *, cell_m: float = CELL_M) -> Batch:
     """Make results ready for one stream or several, pictures drawn: some 0.1 s a picture, six of them for the maps.
 
-    session_ns: when, since the recording's start [ns]; touch: 0 before the first touch, then the touch's number from 1
-    frame: of the depth camera, at which they came, None = none; cell_m: of a plan's maps, where no map beside it tells
+    session_ns: when, since the recording's start [ns]; place: on the other timelines; cell_m: of a plan's maps, where
+    no map beside it tells
     A plan that comes with maps is drawn over their contacts. Raises TypeError for what is no result of an exploration.
     """
-    batch = Batch(touch)
-    now = Moment(batch, session_ns, frame)
+    batch = Batch(place)
+    now = Moment(batch, session_ns)
     maps = next((result for result in results if isinstance(result, MapsKnown)), None)
     for result in results:
         if not isinstance(result, Result):
             raise TypeError(f"no twin in deformscope.log.exploration shows a {type(result).__name__}")
         now.record(result)
         if isinstance(result, SurfaceSeen):
-            log_surface(now, result, colored=touch == 0)
+            log_surface(now, result, colored=place.touch == 0)
             log_height(now, result)
         elif isinstance(result, TouchTold):
             log_contact(now, result)
             log_dent(now, result)
-            log_force(now, result)
+            log_curves(now, result)
         elif isinstance(result, MapsKnown):
             log_stiffness(now, result)
             log_maps(now, result)
@@ -110,5 +109,5 @@ def warm_up() -> None:
     from deformscope.log.exploration.small import small_results
 
     rec = nowhere()
-    prepare_results(small_results(), 0, 0).send(rec)
+    prepare_results(small_results(), 0, Place(0, np.zeros(0, np.int64))).send(rec)
     rec.disconnect()

@@ -9,7 +9,7 @@ import rerun.blueprint as rrb
 from deformscope.exploration_replay import ENTITIES
 from deformscope.frames import Stream
 from deformscope.log.exploration.dent import DENT
-from deformscope.log.exploration.pictured import FORCE, GAIN, HEIGHT, MAPS
+from deformscope.log.exploration.pictured import FORCE, GAIN, HEIGHT, MAPS, SECTION
 from deformscope.log.exploration.scene import SCENE, SURFACE_FRAME
 from deformscope.log.exploration.summary import SUMMARY
 from deformscope.log.rig.blueprint import FLOOR
@@ -64,7 +64,9 @@ def _robot(streams: Sequence[Stream], size_m: tuple[float, float]) -> rrb.Contai
     ]
     lanes = rrb.StateTimelineView(contents=[f"+ /{ENTITIES[PhaseBegan]}"], origin="exploration", name="What it does")
     close = rrb.Horizontal(*looks) if len(looks) > 1 else looks[0]
-    return rrb.Vertical(_scene(streams, size_m), close, *plots, lanes, row_shares=[4.2, 2.8, *[1.6] * len(plots), 1.25])
+    over_time = rrb.Vertical(*plots, lanes, row_shares=[*[1.6] * len(plots), 1.0])
+    below = rrb.Horizontal(_picture(SECTION, "The dent in section"), over_time, column_shares=[1.0, 1.05])
+    return rrb.Vertical(_scene(streams, size_m), close, below, row_shares=[3.6, 2.7, 2.9])
 
 
 def _scene(streams: Sequence[Stream], size_m: tuple[float, float]) -> rrb.View:

@@ -9,28 +9,33 @@ from deformscope.arrays import FloatArray
 from deformscope.log.canvas import TEXT
 from deformscope.log.exploration.moment import Moment
 from deformscope.palette import OBSERVED, SIMULATED, Rgb
+from deformscope.stages.cloud import reduce_to_grid
 from deformscope.stages.exploration import TouchTold
 from deformscope.stages.triangulation import triangulate
 
 DENT = "display/dent"
-MOST_DRAWN_OUT, SHARE = 8.0, 0.35
+MOST_DRAWN_OUT, SHARE = 8.0, 0.5
 """Heights are drawn out until the dent is this share of the half width, and at most so many times."""
+HALF_M, CELL_M = 0.05, 0.0035
+"""Half the side of what is shown, and of cells whose mean height stands for the points observed in them."""
 NEIGHBOURS = 1.3
 """Lines are drawn to particles that are at most so many times as far as is usual."""
-STEPS = (1.0, 2.0, 3.0, 5.0, 8.0)
+STEPS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0)
 FRAME: Rgb = (150, 155, 165)
 
 
 def log_dent(now: Moment, touch: TouchTold) -> None:
     """Around the contact; half the width is 1, heights drawn out. The values themselves stand in the result."""
-    observed, simulated = touch.observed_m - touch.xyz_m, touch.simulated_m - touch.xyz_m
-    half = _half_width(observed, simulated)
+    observed, simulated = (_near(one - touch.xyz_m) for one in (touch.observed_m, touch.simulated_m))
+    if len(observed):
+        observed = reduce_to_grid(observed, CELL_M)[0]
+    half = HALF_M
     top = _top(simulated)
-    times = _drawn_out(touch.depth_m, half)
+    times = 1.0 if touch.rigid else _drawn_out(touch.depth_m, half)  # of a rigid place it would be noise
     scale = np.array([1.0, 1.0, times]) / half
-    now.show_points(f"{DENT}/observed", observed * scale, OBSERVED, 0.013)
-    now.show_points(f"{DENT}/simulated", top * scale, SIMULATED, 0.022)
-    now.show_lines(f"{DENT}/simulated/net", _net(top) * scale, SIMULATED, 0.004)
+    now.show_points(f"{DENT}/observed", observed * scale, OBSERVED, 0.012)
+    now.show_points(f"{DENT}/simulated", top * scale, SIMULATED, 0.016)
+    now.show_lines(f"{DENT}/simulated/net", _net(top) * scale, SIMULATED, 0.006)
     bar_m = _bar(half)
     floor = float(min((top[:, 2] * scale[2]).min(initial=0.0), (observed[:, 2] * scale[2]).min(initial=0.0)))
     ends = np.array([[-0.5 * bar_m / half, -1.15, floor], [0.5 * bar_m / half, -1.15, floor]])
@@ -44,8 +49,9 @@ def log_no_dent(now: Moment) -> None:
     now.show_points(f"{DENT}/scale/label", np.zeros((1, 3)), TEXT, 0.002, ["no touch yet"])
 
 
-def _half_width(*clouds: FloatArray) -> float:
-    return max((float(np.abs(cloud[:, :2]).max()) for cloud in clouds if len(cloud)), default=0.05)
+def _near(points: FloatArray) -> FloatArray:
+    """Those that are shown, of points relative to the contact."""
+    return points[(np.abs(points[:, :2]) <= HALF_M + 1e-6).all(axis=1)]
 
 
 def _top(particles: FloatArray) -> FloatArray:

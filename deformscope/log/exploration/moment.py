@@ -15,11 +15,9 @@ from deformscope.log.rig.columns import Batch, Columns, moments
 class Moment:
     """A batch, and the place on the timelines of all that is logged to it."""
 
-    def __init__(self, batch: Batch, session_ns: int, frame: int | None = None) -> None:
+    def __init__(self, batch: Batch, session_ns: int) -> None:
         self._batch = batch
         self._times = moments([session_ns], 0)
-        if frame is not None:
-            self._times.append(rr.TimeColumn("frame", sequence=[frame]))
 
     def send(self, path: str, columns: Columns) -> None:
         """One row of an entity."""

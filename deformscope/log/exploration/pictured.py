@@ -7,7 +7,8 @@ from deformscope.arrays import FloatArray
 from deformscope.log.exploration.moment import Moment
 from deformscope.stages.exploration import MapsKnown, NextTouch, SurfaceSeen, TouchTold
 
-HEIGHT, GAIN, FORCE = "display/surface/height", "display/plan/gain", "display/touch/force"
+HEIGHT, GAIN = "display/surface/height", "display/plan/gain"
+FORCE, SECTION = "display/touch/force", "display/touch/section"
 MAPS = {
     "display/maps/stiffness": pictures.stiffness_png,
     "display/maps/stiffness_deviation": pictures.stiffness_deviation_png,
@@ -20,7 +21,7 @@ MAPS = {
 
 def log_nothing_known(now: Moment) -> None:
     """Words where there will be pictures."""
-    for path, words in {**dict.fromkeys(MAPS, "no touch yet"), FORCE: "no touch yet", GAIN: "no plan yet"}.items():
+    for path, words in {**dict.fromkeys([*MAPS, FORCE, SECTION], "no touch yet"), GAIN: "no plan yet"}.items():
         now.show_png(path, pictures.words_png(words))
 
 
@@ -37,5 +38,6 @@ def log_gain(now: Moment, plan: NextTouch, cell_m: float, contacts_m: FloatArray
     now.show_png(GAIN, pictures.gain_png(plan, cell_m, contacts_m))
 
 
-def log_force(now: Moment, touch: TouchTold) -> None:
+def log_curves(now: Moment, touch: TouchTold) -> None:
     now.show_png(FORCE, pictures.force_png(touch))
+    now.show_png(SECTION, pictures.section_png(touch))

@@ -2,7 +2,7 @@
 
 What is measured stands at `KIND/DEVICE`, named as the fields of `deformscope.frames`; `deformscope.rig_replay` reads it
 back. Every row is at `session`, the time since the recording's start, and frames also at `frame`, their place in the
-device's own stream.
+device's own stream. In an exploration's recording that place is on `index`, and `frame` is the depth camera's for all.
 
     wrench/DEVICE             stamp, counts, flags; below it force_n/CHANNEL and torque_nm/CHANNEL
     tactile/DEVICE            stamp, counts, pressures; below it peak_kpa, one value a pad
@@ -37,8 +37,8 @@ from deformscope.frames import (
 )
 from deformscope.log.rig.arm import log_arm, log_arm_stream
 from deformscope.log.rig.blueprint import rig_blueprint
-from deformscope.log.rig.cameras import log_color, log_depth
-from deformscope.log.rig.columns import Batch, root
+from deformscope.log.rig.cameras import Shown, log_color, log_depth
+from deformscope.log.rig.columns import Batch, Place, root
 from deformscope.log.rig.hand import log_hand, log_hand_stream
 from deformscope.log.rig.health import log_health, log_health_stream
 from deformscope.log.rig.link import log_link, log_link_stream, log_raw
@@ -47,7 +47,7 @@ from deformscope.log.rig.warm_up import nowhere, small_items
 from deformscope.log.rig.wrench import log_wrench, log_wrench_stream
 from deformscope.rig_streams import stream_json
 
-__all__ = ["Batch", "log_items", "log_streams", "prepare_items", "rig_blueprint", "warm_up"]
+__all__ = ["Batch", "Place", "Shown", "log_items", "log_streams", "prepare_items", "rig_blueprint", "warm_up"]
 
 _STREAMS: dict[str, Callable[[rr.RecordingStream, Stream], None]] = {
     "wrench": log_wrench_stream,
@@ -84,15 +84,17 @@ def prepare_items(
     start_ns: int,
     streams: Sequence[Stream],
     lossless: Collection[str] = (),
-    touch: int | None = None,
+    place: Place | None = None,
+    shown: Shown | None = None,
 ) -> Batch:
     """Make a batch of items ready, in any order, for one stream or several: the cost is by device, little by item.
 
     start_ns: host time at which `session` is 0 [ns]; lossless: devices whose 8 bit colour images are kept as PNG
     rather than JPEG, because something is computed from them (some 9 ms for 640 x 480 instead of 1 ms, and ten times
-    the bytes); touch: of an exploration, in which the items came: where they stand on the timeline `touch`
+    the bytes); place: in an exploration
+    shown: what a viewer has already, kept from call to call: it is not sent again and again
     """
-    batch = Batch(touch)
+    batch = Batch(place)
     known = {(stream.kind, stream.device): stream for stream in streams}
     for (kind, device), group in _by_device(items).items():
         if kind is WrenchFrame:
@@ -106,7 +108,7 @@ def prepare_items(
         elif kind is ColorFrame:
             log_color(batch, device, group, start_ns, device in lossless)
         elif kind is DepthFrame:
-            log_depth(batch, device, group, start_ns, device in lossless)
+            log_depth(batch, device, group, start_ns, device in lossless, shown)
         elif kind is RawBytes:
             log_raw(batch, device, group, start_ns)
         elif kind is LinkChange:

@@ -19,6 +19,8 @@ QUANTITIES = (
     *("joint_deg", "joint_velocity_deg_s", "joint_torque_nm", "position_m", "rotation_rad", "force_n", "torque_nm"),
     "finger",
 )
+POSE_NS = 40_000_000
+"""The shape moves at most so often: a pose has nine rows of names and numbers, all of which the joint angles tell."""
 MOVABLE = ("revolute", "continuous", "prismatic")
 
 SOLID = {
@@ -89,7 +91,9 @@ def log_arm(batch: Batch, device: str, frames: Sequence[ArmFrame], start_ns: int
 
 
 def _log_pose(batch: Batch, device: str, frames: Sequence[ArmFrame], start_ns: int, shape: Shape) -> None:
-    """All joints of all frames in one call: rows of one entity, each about another pair of frames."""
+    """All joints in one call: rows of one entity, each about another pair of frames."""
+    slots = [frame.stamp.host_ns // POSE_NS for frame in frames]
+    frames = [frame for frame, slot, before in zip(frames, slots, [None, *slots], strict=False) if slot != before]
     names = [*shape.joints, *(name for name, _, _ in shape.fingers)]
     values = []
     for frame in frames:

@@ -19,6 +19,11 @@ from deformscope.palette import BACKGROUND
 
 LOOK_EVERY, RARE, STEP_M = 8, 0.01, 0.05
 """Of a depth image: which pixels its range is from, the share that may lie beyond, the range's steps [m]."""
+SCALE_NS = 10_000_000_000
+"""A scale that does not change is sent again after this, for viewers that missed it."""
+
+Shown = dict[str, tuple[object, int]]
+"""What stands beside each device's picture, and since when on the host's clock [ns]."""
 
 
 def log_color(batch: Batch, device: str, frames: Sequence[ColorFrame], start_ns: int, lossless: bool) -> None:
@@ -26,7 +31,14 @@ def log_color(batch: Batch, device: str, frames: Sequence[ColorFrame], start_ns:
     batch.send_columns(root("color", device), frame_times(frames, start_ns), [*columns, *stamps(frames)])
 
 
-def log_depth(batch: Batch, device: str, frames: Sequence[DepthFrame], start_ns: int, lossless: bool) -> None:
+def log_depth(
+    batch: Batch,
+    device: str,
+    frames: Sequence[DepthFrame],
+    start_ns: int,
+    lossless: bool,
+    shown: Shown | None = None,
+) -> None:
     colored: list[Frame] = [frame for frame in frames if frame.color is not None]
     if colored:
         images = [frame.color for frame in frames if frame.color is not None]
@@ -46,7 +58,12 @@ def log_depth(batch: Batch, device: str, frames: Sequence[DepthFrame], start_ns:
         *stamps(frames),
     ]
     batch.send_columns(root("depth", device), frame_times(frames, start_ns), columns)
-    _log_scale(batch, device, frames[0], reach, start_ns)
+    scale, now_ns = (*reach, frames[0].depth.shape), frames[0].stamp.host_ns
+    before, since_ns = (None, 0) if shown is None else shown.get(device, (None, 0))
+    if scale != before or now_ns - since_ns >= SCALE_NS:
+        _log_scale(batch, device, frames[0], reach, start_ns)
+        if shown is not None:
+            shown[device] = scale, now_ns
 
 
 def _range(depth: ImageArray, unit_m: float) -> tuple[float, float]:

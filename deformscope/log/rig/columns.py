@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,28 +11,59 @@ import numpy.typing as npt
 import pyarrow as pa
 import rerun as rr
 
-from deformscope.arrays import FloatArray
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.frames import Frame
 
 Columns = Iterable[rr.ComponentColumn]
 
 
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where rows stand on an exploration's timelines, beside `session`.
+
+    touch: on `touch`; pictures_ns: (n,) session times of the depth camera's pictures so far, rising [ns]: on `frame` a
+    row is at the picture that was newest then, so that all devices scrub together, and at its place in its own device's
+    stream on `index`; frame: at this picture instead, None = by the time
+    """
+
+    touch: int
+    pictures_ns: IntArray
+    frame: int | None = None
+
+    def at(self, session_ns: IntArray) -> IntArray:
+        """Frames (m,) of times (m,) [ns]; 0 before the first picture."""
+        if self.frame is not None:
+            return np.full(len(session_ns), self.frame)
+        return np.maximum(np.searchsorted(self.pictures_ns, session_ns, side="right") - 1, 0)
+
+    def moved(self, times: Sequence[rr.TimeColumn]) -> list[rr.TimeColumn]:
+        """The times of a recording of devices alone, as an exploration's."""
+        by_name = {time.timeline_name(): time.as_arrow_array() for time in times}
+        session_ns = by_name["session"].cast(pa.int64()).to_numpy()
+        own = [rr.TimeColumn("index", sequence=by_name["frame"].to_numpy())] if "frame" in by_name else []
+        return [
+            *(time for time in times if time.timeline_name() != "frame"),
+            *own,
+            rr.TimeColumn("frame", sequence=self.at(session_ns)),
+            rr.TimeColumn("touch", sequence=np.full(len(session_ns), self.touch)),
+        ]
+
+
 class Batch:
     """Calls to rerun that are made ready once, images encoded, and sent to any number of streams.
 
-    touch: of an exploration: all rows stand at it on the timeline `touch` too
+    place: of an exploration: where rows stand on its timelines
     """
 
-    def __init__(self, touch: int | None = None) -> None:
+    def __init__(self, place: Place | None = None) -> None:
         self.bytes = 0
-        self._touch = touch
+        self._place = place
         self._calls: list[Callable[[rr.RecordingStream], None]] = []
 
     def send_columns(self, path: str, times: Sequence[rr.TimeColumn], columns: Columns) -> None:
         """As that of a stream."""
-        ready, when = list(columns), list(times)
-        if self._touch is not None:
-            when.append(rr.TimeColumn("touch", sequence=np.full(len(when[0].as_arrow_array()), self._touch)))
+        ready = list(columns)
+        when = list(times) if self._place is None else self._place.moved(times)
         self.bytes += sum(column.as_arrow_array().nbytes for column in ready)
         self._calls.append(lambda rec: rec.send_columns(path, when, ready))
 

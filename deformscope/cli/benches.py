@@ -1,0 +1,46 @@
+"""What a command is told to explore with, as a robot to be opened: a simulated scene, or the devices of a rig file."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+from deformscope.errors import InputError
+
+if TYPE_CHECKING:
+    from deformscope.experiments.explore import ExploreOptions
+    from deformscope.experiments.explore_wired import Bench
+
+LAB = "lab:"
+
+
+def bench_of(
+    name: str, options: ExploreOptions, set_force_n: float | None
+) -> tuple[Bench, ExploreOptions, dict[str, Any]]:
+    """The bench of `lab:NAME` or of a rig file, closed; how to explore on it; and what is to be told of it.
+
+    set_force_n: None = as the rig file says
+    """
+    if name.startswith(LAB):
+        from deformscope.experiments.explore_wired import LabBench
+        from deformscope.lab.scenes import built_in
+
+        scene = built_in(name.removeprefix(LAB), options.seed)
+        options = dataclasses.replace(options, thickness_m=scene.thickness_m)
+        if set_force_n is not None:
+            options = dataclasses.replace(options, set_force_n=set_force_n)
+        return LabBench(scene, options), options, {"scene": scene.name}
+    from deformscope.experiments.explore_rig import RigBench, options_of
+    from deformscope.rig import load_rig
+
+    rig = load_rig(name)
+    options = options_of(rig, options, set_force_n)
+    return RigBench(rig, options), options, {"rig": rig.text, "rig_name": rig.name, "scene": rig.surface.scene}
+
+
+def lab_of(bench: Bench) -> Any:
+    """The simulated laboratory, whose faults can be asked for. Raises InputError for other benches."""
+    lab = getattr(bench, "lab", None)
+    if lab is None:
+        raise InputError("--fault with a simulated scene alone", "a rig", "lab:two-60-150")
+    return lab

@@ -1,0 +1,134 @@
+"""An arm that presses on a world: the force at which what gives way, the arm and the world, are in balance."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from deformscope.robot.placement import Placement
+from deformscope_drivers.clock import Clock
+from deformscope_drivers.jaco.kinematics import FloatArray
+
+ARM_CYCLE_NS = 10_000_000
+ARM_STIFFNESS_N_M = 5000.0
+SOLVED_N = 2e-3
+SOLVED_AT_MOST = 60
+FIRST_M = 2e-5
+
+
+class World(Protocol):
+    """What can be touched."""
+
+    def press(self, center_m: FloatArray) -> FloatArray:
+        """Force (3,) [N] on a tip whose centre (3,) [m] is here, both in the surface frame; zero where it is free."""
+        ...
+
+
+class PushedArm(Protocol):
+    """An arm that can be pushed (`JacoDouble`)."""
+
+    @property
+    def T_base_end_effector(self) -> FloatArray: ...
+
+    def push(self, wrench: npt.ArrayLike) -> None: ...
+
+
+class ArmContact:
+    """The tip of a simulated arm in a world that can be touched.
+
+    world: what is touched; force_n: (3,) what it does to the tip now, surface frame [N]; max_force_n: its greatest
+    magnitude so far
+    """
+
+    def __init__(
+        self,
+        world: World,
+        arm: PushedArm,
+        placement: Placement,
+        clock: Clock,
+        *,
+        arm_stiffness_n_m: float = ARM_STIFFNESS_N_M,
+    ) -> None:
+        """arm_stiffness_n_m: of the arm against a push, which its joints' sensors do not see (inf = rigid)"""
+        self.force_n: FloatArray = np.zeros(3)
+        self.max_force_n = 0.0
+        self.world, self._arm, self._placement, self._clock = world, arm, placement, clock
+        self._compliance_m_n = 1.0 / arm_stiffness_n_m
+        self._deflection_m = 0.0
+        self._slope = -1.0
+        self._direction = np.array([0.0, 0.0, 1.0])
+        self._felt_n: FloatArray = np.zeros(3)
+        self._hit: tuple[int, int, FloatArray] | None = None
+
+    @property
+    def center_m(self) -> FloatArray:
+        """(3,) where the tip's centre truly is, the arm's give among it [m, surface frame]."""
+        return self._kinematic()[:3, 3] + self._deflection_m * self._direction
+
+    def feel(self) -> None:
+        """Once in each of the arm's cycles: the contact at its new pose."""
+        T = self._kinematic()
+        self.force_n = self._contact(T[:3, 3])
+        self._felt_n = -T[:3, :3].T @ self.force_n
+        self.max_force_n = max(self.max_force_n, float(np.linalg.norm(self.force_n)))
+        pushed = self._placement.to_base(self.force_n)
+        if np.any(pushed):
+            lever_m = self._placement.to_base(T[:3, 3]) - self._placement.to_base(self._end_m())
+            self._arm.push([*pushed, *np.cross(lever_m, pushed)])
+        else:
+            self._arm.push(np.zeros(6))
+
+    def load(self, time_s: float) -> FloatArray:
+        """(3,) what a force sensor in the tip feels, in the tip's frame [N]."""
+        if self._hit is not None:
+            begin_ns, end_ns, force_n = self._hit
+            if begin_ns <= time_s * 1e9 < end_ns:
+                return np.asarray(self._felt_n - self._kinematic()[:3, :3].T @ force_n)
+        return self._felt_n
+
+    def hit(self, force_n: npt.ArrayLike, duration_s: float) -> None:
+        """Something else pushes the tip from now on, force (3,) [N] in the surface frame."""
+        now_ns = self._clock()
+        self._hit = now_ns, now_ns + round(duration_s * 1e9), np.asarray(force_n, dtype=float)
+
+    def _kinematic(self) -> FloatArray:
+        return self._placement.T_surface_center(self._arm.T_base_end_effector)
+
+    def _end_m(self) -> FloatArray:
+        T = self._arm.T_base_end_effector
+        return np.asarray(np.linalg.inv(self._placement.T_base_surface) @ T)[:3, 3]
+
+    def _contact(self, center_m: FloatArray) -> FloatArray:
+        """The force at which the arm's give and the world's are in balance.
+
+        The deflection s along the force's direction solves |press(center + s e)| * compliance = s, whose left side
+        falls with s: by the secant method from where the last cycle ended, which takes one or two looks at the world,
+        and between brackets where the contact is so stiff that this leaves them.
+        """
+        at_m = self._deflection_m
+        force_n = self.world.press(center_m + at_m * self._direction)
+        size_n = float(np.linalg.norm(force_n))
+        if self._compliance_m_n == 0.0 or (size_n == 0.0 and at_m == 0.0):
+            self._deflection_m = 0.0
+            return force_n
+        if size_n > 0:
+            self._direction = force_n / size_n
+        gap_m = size_n * self._compliance_m_n - at_m
+        low_m, high_m = 0.0, math.inf
+        for _ in range(SOLVED_AT_MOST):
+            if abs(gap_m) < SOLVED_N * self._compliance_m_n:
+                break
+            low_m, high_m = (at_m, high_m) if gap_m > 0 else (low_m, at_m)
+            next_m = at_m - gap_m / self._slope
+            if not low_m < next_m < high_m and (at_m, next_m) != (0.0, 0.0):
+                next_m = 0.5 * (low_m + high_m) if math.isfinite(high_m) else 2.0 * at_m + FIRST_M
+            force_n = self.world.press(center_m + next_m * self._direction)
+            next_gap_m = float(np.linalg.norm(force_n)) * self._compliance_m_n - next_m
+            if next_m != at_m:
+                self._slope = min((next_gap_m - gap_m) / (next_m - at_m), -1.0)
+            at_m, gap_m = next_m, next_gap_m
+        self._deflection_m = at_m
+        return force_n
