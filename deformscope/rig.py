@@ -63,12 +63,16 @@ class Tool:
 
     length_m: from the arm's end to the tip; tip: its shape; radius_m: of the tip
     T_ee_tip: 4x4, tip to the arm's end [m]; default: straight on along z by length_m
+    compliance_m_per_n: how far the tip stays behind where the arm says it is, for each newton that it presses with;
+    compliance_sd: its deviation [m/N]. `deformscope calibrate arm` measures both
     """
 
     length_m: float = 0.1
     tip: str = "sphere"
     radius_m: float = 0.01
     T_ee_tip: tuple[tuple[float, ...], ...] | None = None
+    compliance_m_per_n: float | None = None
+    compliance_sd: float = 0.0
 
     def __post_init__(self) -> None:
         _check(0 <= self.length_m <= 1, "length_m between 0 and 1", self.length_m)
@@ -76,6 +80,30 @@ class Tool:
         _check(0 < self.radius_m <= 0.2, "radius_m above 0 and up to 0.2", self.radius_m)
         if self.T_ee_tip is not None:
             _check_transform("T_ee_tip", self.T_ee_tip)
+        given = self.compliance_m_per_n
+        _check(given is None or 0 <= given < 0.01, "compliance_m_per_n between 0 and 0.01", given)
+        _check(0 <= self.compliance_sd < 0.01, "compliance_sd between 0 and 0.01", self.compliance_sd)
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """What is explored: something that lies on a table, whose corner is the origin of the surface frame.
+
+    size_m: along x and y; thickness_m: above the table, whose top is at z = 0
+    T_arm_surface: 4x4, surface frame to arm base [m]: x and y along the edges, z up
+    scene: a simulated table (`deformscope explore --list-scenarios`), where arm, force sensor and camera are doubles
+    """
+
+    size_m: tuple[float, float] = (0.6, 0.4)
+    thickness_m: float = 0.05
+    T_arm_surface: tuple[tuple[float, ...], ...] | None = None
+    scene: str = ""
+
+    def __post_init__(self) -> None:
+        _check(all(0.05 <= side <= 2 for side in self.size_m), "size_m between 0.05 and 2", self.size_m)
+        _check(0.005 <= self.thickness_m <= 0.5, "thickness_m between 0.005 and 0.5", self.thickness_m)
+        if self.T_arm_surface is not None:
+            _check_transform("T_arm_surface", self.T_arm_surface)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +113,9 @@ class Workspace:
     low_m, high_m: corners of a box in the arm's base frame [m]
     target_force_n, soft_stop_n, hard_stop_n: pressed with, backed away at, stopped at [N]
     contact_speed_m_s: in the last 3 cm before contact and in it; travel_speed_m_s: elsewhere [m/s]
+    force_silent_s, arm_silent_s, camera_silent_s: stopped when there is nothing new from them for so long (the camera
+    while it is needed; None = 1.6 of its periods); longer only where the devices are slower, or a busy machine loses
+    time: 0.5 s at most, in which an arm goes up to 25 mm
     """
 
     low_m: tuple[float, float, float] | None = None
@@ -94,6 +125,9 @@ class Workspace:
     hard_stop_n: float = 15.0
     contact_speed_m_s: float = 0.02
     travel_speed_m_s: float = 0.05
+    force_silent_s: float = 0.03
+    arm_silent_s: float = 0.075
+    camera_silent_s: float | None = None
 
     def __post_init__(self) -> None:
         _check((self.low_m is None) == (self.high_m is None), "both low_m and high_m, or neither", "one of them")
@@ -105,6 +139,9 @@ class Workspace:
         _check(forces[2] <= 50, "hard_stop_n up to 50", forces[2])
         speeds = self.contact_speed_m_s, self.travel_speed_m_s
         _check(0 < speeds[0] <= speeds[1] <= 0.2, "0 < contact_speed_m_s <= travel_speed_m_s <= 0.2", speeds)
+        for name in ("force_silent_s", "arm_silent_s", "camera_silent_s"):
+            given_s = getattr(self, name)
+            _check(given_s is None or 0.01 <= given_s <= 0.5, f"{name} between 0.01 and 0.5", given_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +169,7 @@ class Rig:
     devices: tuple[RigDevice, ...]
     camera: Camera = field(default_factory=Camera)
     tool: Tool = field(default_factory=Tool)
+    surface: Surface = field(default_factory=Surface)
     workspace: Workspace = field(default_factory=Workspace)
     record: Record = field(default_factory=Record)
 
@@ -169,7 +207,7 @@ def parse_rig(text: str, where: str) -> Rig:
 
 
 def _rig(content: dict[str, Any], text: str, where: str) -> Rig:
-    sections = {"camera": Camera, "tool": Tool, "workspace": Workspace, "record": Record}
+    sections = {"camera": Camera, "tool": Tool, "surface": Surface, "workspace": Workspace, "record": Record}
     _check_keys(content, ("devices", *sections), "the rig file")
     devices = content.get("devices")
     if not isinstance(devices, dict) or not devices:

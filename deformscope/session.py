@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Sequence
+import contextlib
+import threading
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
@@ -68,6 +70,31 @@ class Rig(Protocol):
     def rest(self) -> list[Item]: ...
 
     def close(self) -> None: ...
+
+
+@contextlib.contextmanager
+def watching(rig: Rig, recorder: Recorder) -> Iterator[None]:
+    """Record what the devices of a rig give, from a thread, while something else goes on; what comes last is left to
+    who closes them. Raises what kept it from recording, when the context ends."""
+    ended = threading.Event()
+    failures: list[Exception] = []
+
+    def record() -> None:
+        try:
+            while not ended.wait(BATCH_S):
+                recorder.write_items(rig.take(0.0))
+        except Exception as error:
+            failures.append(error)
+
+    recording = threading.Thread(target=record, name="recording", daemon=True)
+    recording.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        recording.join()
+    if failures:
+        raise failures[0]
 
 
 def watch(rig: Rig, recorder: Recorder, ended: Callable[[Sequence[Item]], bool]) -> HealthReport:

@@ -56,6 +56,9 @@ COMMANDS: dict[str, Command] = {
     "calibrate axes": Command(
         "find a beta along each axis from pair files", "AxesConfig", "deformscope.cli.materials", "axes"
     ),
+    "calibrate arm": Command(
+        "measure how the arm gives way, on something rigid", "ArmConfig", "deformscope.cli.calibrate_arm"
+    ),
     "calibrate yield": Command(
         "find the strain at which a thing yields, from its motion",
         "YieldConfig",

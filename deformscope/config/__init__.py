@@ -23,6 +23,7 @@ from deformscope.config.images import FlowConfig, ImageOptions
 from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions, Written
 from deformscope.config.reproduce import CoverageConfig, CubesConfig, FoamsConfig, PokesConfig, Table41Config
 from deformscope.config.rigs import (
+    ArmConfig,
     DevicesConfig,
     DoctorConfig,
     DoubleConfig,
@@ -35,6 +36,7 @@ from deformscope.config.rigs import (
 from deformscope.config.runs import DemoConfig, ReplayConfig
 
 __all__ = [
+    "ArmConfig",
     "AxesConfig",
     "BenchConfig",
     "BetaConfig",

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from deformscope.config.flags import JsonFlag, PictureFlag, PositiveFlag, one_word, positive
-from deformscope.config.options import CommandOptions, OutputOptions, Written, check_suffix, written_json
+from deformscope.config.flags import JsonFlag, PictureFlag, PositiveFlag, finite, one_word, positive
+from deformscope.config.options import CommandOptions, OutputOptions, Written, check_seed, check_suffix, written_json
 from deformscope.errors import InputError
 
 
@@ -124,11 +124,12 @@ class DoubleConfig(CommandOptions):
 
 @dataclass(frozen=True, slots=True)
 class ExploreConfig(CommandOptions):
-    """Map how soft a surface is, and where: look, touch where it tells most, map, again; regions in the end. lab:NAME
-    is a simulated table, explored through the real drivers on byte-exact doubles."""
+    """Map how soft a surface is, and where: look, touch where it tells most, map, again; regions in the end. RIG is a
+    rig file with an arm, a force sensor and a depth camera: the arm moves, after a table of checks and a question.
+    lab:NAME is a simulated table, explored through the real drivers on byte-exact doubles."""
 
-    rig: Annotated[str, Positional, arg(metavar="lab:NAME")] = ""
-    """A simulated scene; --list-scenarios names them."""
+    rig: Annotated[str, Positional, arg(metavar="RIG|lab:NAME")] = ""
+    """A rig file (.toml), or a simulated scene; --list-scenarios names these."""
     list_scenarios: bool = False
     """Name the simulated scenes, what their seeds draw, and what can go wrong in them; do nothing else."""
     touches: int = 8
@@ -138,8 +139,8 @@ class ExploreConfig(CommandOptions):
     variance, or the thesis's (any place above --threshold)."""
     threshold: float = 0.06
     """Variance, as a share of that before any touch, below which a place needs no touch (Th of the thesis)."""
-    set_force: Annotated[float, one_word("NEWTON", positive)] = 3.0
-    """Force to press with [N]; at 5 N at most."""
+    set_force: PositiveFlag = None
+    """Force to press with [N], at 5 N at most; default: the rig file's target_force_n, which is 3 N unless it says."""
     beta_model: Literal["volume", "thesis", "none"] = "volume"
     """What beta is fitted with: layers below the surface, the thesis's single layer with one held particle, or none."""
     fault: Annotated[
@@ -149,14 +150,16 @@ class ExploreConfig(CommandOptions):
     seed; --list-scenarios names the kinds."""
     picture: PictureFlag = None
     """Draw the maps to a PNG."""
+    yes: bool = False
+    """Let a real arm move, once the checks have passed, without asking."""
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def __post_init__(self) -> None:
         if not self.rig and not self.list_scenarios:
-            raise InputError("lab:NAME", "none", "deformscope explore --list-scenarios")
+            raise InputError("a rig file, or lab:NAME", "none", "deformscope explore --list-scenarios")
         if self.touches < 1:
             raise InputError("--touches of 1 or more", str(self.touches))
-        if self.set_force > 5.0:
+        if self.set_force is not None and self.set_force > 5.0:
             raise InputError("--set-force up to 5 N", f"{self.set_force:g}")
         check_suffix("--picture", self.picture, ".png")
 
@@ -169,3 +172,49 @@ class ExploreConfig(CommandOptions):
 
     def json_target(self) -> str | None:
         return self.output.json
+
+
+def parse_place(text: str) -> tuple[float, float]:
+    """`X,Y` [m]."""
+    try:
+        x, y = (finite(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(f"expected X,Y in metres, such as 0.30,0.20; got {text!r}") from None
+    return x, y
+
+
+@dataclass(frozen=True, slots=True)
+class ArmConfig(CommandOptions):
+    """Measure how the arm gives way under a push, by touching something rigid that stands firmly on the surface: what
+    [tool] of the rig file wants. The arm moves, after a table of checks and a question."""
+
+    rig: Annotated[str, Positional, arg(metavar="RIG|lab:NAME")]
+    """A rig file (.toml), or a simulated scene (lab:homogeneous-rigid)."""
+    at: Annotated[tuple[float, float] | None, one_word("X,Y", parse_place)] = None
+    """Where to touch, in the surface frame [m]; default: the middle."""
+    touches: int = 3
+    """How often."""
+    set_force: PositiveFlag = None
+    """Force to press with [N], at 5 N at most; default: the rig file's target_force_n."""
+    yes: bool = False
+    """Let a real arm move, once the checks have passed, without asking."""
+    seed: int = 0
+    """Seed of a simulated scene."""
+    json: JsonFlag = None
+    """Write what was found as JSON; with -, stdout is the JSON alone."""
+
+    def __post_init__(self) -> None:
+        if self.touches < 1:
+            raise InputError("--touches of 1 or more", str(self.touches))
+        if self.set_force is not None and self.set_force > 5.0:
+            raise InputError("--set-force up to 5 N", f"{self.set_force:g}")
+        check_seed(self.seed)
+
+    def reads(self) -> tuple[str, ...]:
+        return (self.rig,)
+
+    def writes(self) -> tuple[Written, ...]:
+        return written_json(self.json)
+
+    def json_target(self) -> str | None:
+        return self.json

@@ -1,0 +1,55 @@
+"""`deformscope calibrate arm`: how the arm gives way under a push, from touches of something rigid.
+
+deformscope calibrate arm rig.toml --at 0.30,0.20
+deformscope calibrate arm lab:homogeneous-rigid --json -
+"""
+
+from __future__ import annotations
+
+from deformscope.cli.benches import bench_of
+from deformscope.cli.common import quiet_warp, say, show_table, status_line, write_json
+from deformscope.cli.exploring import Companion, leave, let_move
+from deformscope.cli.rigs import until_interrupted
+from deformscope.config import ArmConfig
+
+
+def run(config: ArmConfig) -> None:
+    """Touch a rigid block some times, and tell the lines for the rig file."""
+    import numpy as np
+
+    from deformscope.experiments.arm_compliance import SURE_SD, arm_give, touch_rigid
+    from deformscope.experiments.explore import ExplorationStopped, ExploreOptions
+    from deformscope.recorder import Recorder
+
+    quiet_warp()
+    options = ExploreOptions(budget=config.touches, beta_model="none", seed=config.seed)
+    bench, options, _ = bench_of(config.rig, options, config.set_force)
+    xy_m = np.array(config.at) if config.at is not None else 0.5 * np.array(bench.size_m)
+    stop, made = None, []
+    with until_interrupted() as asked, bench.source() as source, status_line() as show:
+        companion = Companion(None if bench.runs_itself else source, Recorder(None), asked, show)
+        with bench.robot(companion) as robot:
+            companion.follow(robot)
+            known = {name: there for name, there in bench.calibrated.items() if "compliance" not in name}
+            let_move(robot, bench, options, known, yes=config.yes)
+            try:
+                for one in touch_rigid(robot, options, xy_m, config.touches):
+                    made.append(one)
+                    give = 1e3 * one.found.compliance_m_per_n
+                    show("")
+                    say(f"touch {len(made)}: gives {give:.3f} mm/N, pressed with {one.peak_force_n:.2f} N")
+            except ExplorationStopped as error:
+                stop = companion.stopped(error)
+    if stop is not None:
+        leave(stop, len(made), asked.signal_number, None, arm_told=companion.arm_told)
+    found = arm_give(made)
+    rows = [
+        ("compliance", f"{1e3 * found.compliance_m_per_n:.3f} mm/N, give or take {1e3 * found.compliance_sd:.3f}"),
+        ("camera", f"sees the surface {1e3 * found.off_m:+.1f} mm from where the arm meets it"),
+        ("for [tool]", f"compliance_m_per_n = {found.compliance_m_per_n:.3e}"),
+        ("", f"compliance_sd = {found.compliance_sd:.1e}"),
+    ]
+    if found.compliance_sd > SURE_SD * found.compliance_m_per_n:
+        rows.append(("note", "the touches differ: more of them, or is it not rigid, or not firmly held?"))
+    show_table(f"{config.rig} at ({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm", rows)
+    write_json(found, config.json)

@@ -1,0 +1,78 @@
+"""How an arm gives way, from touches of something rigid; and whether camera and arm agree about where it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.errors import InputError
+from deformscope.experiments.explore import ExploreOptions, Robot
+from deformscope.stages.contact import ArmCompliance, calibrate_compliance, fit_approach
+from deformscope.stages.surface import fit_surface
+
+SURE_SD = 0.1
+"""Of a compliance that is to be taken off dents, at most this share of it should be unknown."""
+
+COMMON_SD = 0.05
+"""Share that all touches of one block have in common, and that their scatter does not show: the block's own dent."""
+
+
+@dataclass(frozen=True, slots=True)
+class GiveTouch:
+    """One touch of something rigid. seen_m, met_m: height of the surface as the camera sees it, and as the arm meets it
+    [m, surface frame]"""
+
+    found: ArmCompliance
+    peak_force_n: float
+    seen_m: float
+    met_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class ArmGive:
+    """compliance_m_per_n: mean of the touches; compliance_sd: what is not known of it, the scatter between touches
+    included [m/N]; off_m: the camera sees the surface so much higher than the arm meets it [m], off_sd_m: its scatter
+    """
+
+    touches: tuple[GiveTouch, ...]
+    compliance_m_per_n: float
+    compliance_sd: float
+    off_m: float
+    off_sd_m: float
+
+
+def touch_rigid(robot: Robot, options: ExploreOptions, xy_m: FloatArray, touches: int) -> Iterator[GiveTouch]:
+    """Touch a place (2,) [m] of something rigid so often, after a look at it. Raises ExplorationStopped, and InputError
+    where there is nothing to see."""
+    looked = robot.look()
+    world = fit_surface(looked.points_m, noise_m=looked.noise_m, within_m=((0.0, 0.0), robot.size_m), outlier_sd=5.0)
+    height_m = float(world.at(xy_m[None]).mean[0])
+    normal = world.normals(xy_m[None])[0]
+    for _ in range(touches):
+        made = robot.touch(xy_m, height_m, normal, None)
+        found = calibrate_compliance(
+            made.time_s, made.position_m, made.force_n, normal, set_force_n=options.set_force_n
+        )
+        law = fit_approach(
+            made.time_s, made.position_m, made.force_n, normal, set_force_n=options.set_force_n, arm=found
+        )
+        # where it met the surface, along the normal, taken to where the camera's height is told
+        met_m = height_m + (-law.contact_m - float(np.append(xy_m, height_m) @ normal) - options.tip_radius_m)
+        yield GiveTouch(found, law.peak_force_n, height_m, met_m)
+
+
+def arm_give(touches: list[GiveTouch]) -> ArmGive:
+    """What the touches tell together. Raises InputError without any."""
+    if not touches:
+        raise InputError("a touch or more", "none")
+    each = np.array([one.found.compliance_m_per_n for one in touches])
+    within = np.array([one.found.compliance_sd for one in touches])
+    scatter = float(each.std(ddof=1)) if len(each) > 1 else 0.0
+    own = np.hypot(np.sqrt((within**2).mean()), scatter) / np.sqrt(len(each))
+    sd = float(np.hypot(own, COMMON_SD * each.mean()))
+    off = np.array([one.seen_m - one.met_m for one in touches])
+    off_sd = float(off.std(ddof=1)) if len(off) > 1 else 0.0
+    return ArmGive(tuple(touches), float(each.mean()), sd, float(off.mean()), off_sd)

@@ -1,0 +1,283 @@
+"""A simulated table for devices that run by themselves: on the host's clock, each device with its own thread.
+
+What a rig file with `double = true` and `[surface] scene` is explored on; the same code as moves a real arm then moves
+a simulated one. The table lives in processes of its own, as a real one does not wait for this program's threads.
+`touch_lab` is the laboratory for studies: its clock is simulated, and every run of it the same.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import multiprocessing
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from deformscope.errors import InputError
+from deformscope.lab.arm_contact import ARM_CYCLE_NS, ArmContact
+from deformscope.lab.depth_view import Capsule, DepthView, DepthViewConfig
+from deformscope.lab.layer_world import LayerWorld
+from deformscope.lab.scenes import Scene, built_in
+from deformscope.rig import RigDevice
+from deformscope.robot.placement import Placement, best_joints
+from deformscope_drivers.clock import monotonic_ns
+from deformscope_drivers.depth_camera import SyntheticDepthCamera, View
+from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
+from deformscope_drivers.device import Device
+from deformscope_drivers.errors import DeviceError
+from deformscope_drivers.jaco import Jaco, JacoDouble
+from deformscope_drivers.jaco.kinematics import CHAINS, Chain, FloatArray
+from deformscope_drivers.optoforce.double import OMD_20_SE_40N, OptoforceDouble, Sensors
+from deformscope_drivers.optoforce.sensitivity import Sensitivity
+from deformscope_drivers.wires import PtyWire
+
+LINK_RADIUS_M, STICK_RADIUS_M = 0.045, 0.008
+PARKED_M = 0.18
+PICTURES_HZ = 10
+CYCLE_S = ARM_CYCLE_NS / 1e9
+START_S, END_S = 60.0, 5.0
+CAMERA = DepthViewConfig(width=320, height=240, azimuth_deg=-90.0)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class _Table:
+    """What the processes are told of the table."""
+
+    scene: str
+    seed: int
+    placement: Placement
+    model: str
+    T_surface_camera: npt.NDArray[np.floating] | None
+
+
+class _Shared:
+    """What the processes share, each value with one writer.
+
+    joints_deg: (7,) where the arm is; wrench: (6,) on its end; center_m: (3,) of the tip; pressed: x, y, depth [m] of
+    the dent; max_force_n
+    """
+
+    def __init__(self, context: Any) -> None:
+        self.joints_deg = context.RawArray("d", 7)
+        self.wrench = context.RawArray("d", 6)
+        self.center_m = context.RawArray("d", 3)
+        self.pressed = context.RawArray("d", 3)
+        self.max_force_n = context.RawValue("d", 0.0)
+        self._over = context.RawValue("b", 0)
+
+    @property
+    def over(self) -> bool:
+        """Whether the table is to be taken away."""
+        return bool(self._over.value)
+
+    def end(self) -> None:
+        """Take the table away."""
+        self._over.value = 1
+
+
+class LiveLab:
+    """The table, the arm over it, and what is seen and felt there. view: the camera; arm: the simulated one"""
+
+    def __init__(
+        self,
+        scene: Scene,
+        placement: Placement,
+        *,
+        T_surface_camera: npt.NDArray[np.floating] | None = None,
+        model: str | None = None,
+    ) -> None:
+        """T_surface_camera: (4, 4), default where the scene is seen well; model: of the arm, as the vendor calls it"""
+        self._table = _Table(scene.name, scene.seed, placement, model or "j2n6s300", T_surface_camera)
+        chain = CHAINS[self._table.model]
+        parked = np.array([scene.size_m[0] / 2, scene.size_m[1] / 2, PARKED_M])
+        touching = np.array([*parked[:2], scene.thickness_m])
+        up = np.array([0.0, 0.0, 1.0])
+        start_deg = best_joints(chain, [placement.T_base_ee(place, up) for place in (parked, touching)])
+        if start_deg is None:
+            raise InputError("a table within the arm's reach", "[surface] T_arm_surface that is not", "move it")
+        self.arm = JacoDouble(chain.name, start_deg=start_deg)
+        self.view = DepthView(scene, CAMERA, T_surface_camera)
+        self._context = multiprocessing.get_context("spawn")
+        self._shared = _Shared(self._context)
+
+    @property
+    def max_force_n(self) -> float:
+        """The largest true contact force so far [N]."""
+        return float(self._shared.max_force_n.value)
+
+    @contextlib.contextmanager
+    def devices(self, entries: Sequence[RigDevice]) -> Iterator[dict[str, Device[Any]]]:
+        """Devices of drivers over the doubles, closed, by name; the table lives until the end of the context."""
+        made: dict[str, Device[Any]] = {}
+        with contextlib.ExitStack() as stack:
+            stack.enter_context(_thread("simulated arm", self._move))
+            try:
+                for entry in entries:
+                    made[entry.name] = self._device(entry, stack)
+                yield made
+            finally:
+                self._shared.end()  # before anything waits for threads and processes
+
+    def _device(self, entry: RigDevice, stack: contextlib.ExitStack) -> Device[Any]:
+        config = entry.config
+        if entry.driver.name == "jaco":
+            return Jaco(config, self.arm)
+        if entry.driver.name == "optoforce":
+            sensitivity = (config.sensitivities or (OMD_20_SE_40N,))[0]
+            pipe = stack.enter_context(self._process(_feel, sensitivity))
+            told = dataclasses.replace(config, port=_first(pipe), sensitivity=sensitivity)
+            return entry.driver.make(told)  # type: ignore[no-any-return]
+        rate_hz = float(config.fps or PICTURES_HZ)
+        pipe = stack.enter_context(self._process(_look, rate_hz))
+        synthetic = SyntheticDepthConfig(
+            name="simulated table", missing=0.02, seed=self._table.seed, intrinsics=self.view.intrinsics, silence_s=5.0
+        )
+        camera = SyntheticDepthCamera(None, synthetic)
+        _first(pipe)
+        stack.enter_context(_thread("simulated pictures", lambda: self._pass_on(pipe, camera)))
+        return camera
+
+    @contextlib.contextmanager
+    def _process(self, target: Callable[..., None], *arguments: Any) -> Iterator[Connection]:
+        """A part of the table in a process of its own, until it is over; the end of a pipe from it."""
+        ours, theirs = self._context.Pipe(duplex=False)
+        told = (self._table, self._shared, theirs, *arguments)
+        process = self._context.Process(target=target, args=told, name="simulated table", daemon=True)
+        process.start()
+        theirs.close()
+        try:
+            yield ours
+        finally:
+            self._shared.end()
+            process.join(END_S)
+            if process.is_alive():
+                process.kill()
+            ours.close()
+
+    def _move(self) -> None:
+        """The table is told where the arm is, and the arm what pushes it."""
+        shared = self._shared
+        while not shared.over:
+            joints_deg = self.arm.joints_deg
+            shared.joints_deg[: len(joints_deg)] = list(joints_deg)
+            self.arm.push(list(shared.wrench))
+            time.sleep(0.5 * CYCLE_S)
+
+    def _pass_on(self, pipe: Connection, camera: SyntheticDepthCamera) -> None:
+        """Pictures that the table's process has drawn, to the camera."""
+        while not self._shared.over:
+            try:
+                if not pipe.poll(0.1):
+                    continue
+                view: View = pipe.recv()
+            except (EOFError, OSError):
+                return
+            with contextlib.suppress(DeviceError):  # not open yet, or not any more
+                camera.push(view)
+
+
+class _RemoteArm:
+    """The arm as the table's process knows it."""
+
+    def __init__(self, shared: _Shared, chain: Chain) -> None:
+        self._shared, self._chain = shared, chain
+
+    @property
+    def T_base_end_effector(self) -> FloatArray:
+        return np.asarray(self._chain.forward(_joints(self._shared, self._chain))[-1])
+
+    def push(self, wrench: npt.ArrayLike) -> None:
+        self._shared.wrench[:] = [float(value) for value in np.asarray(wrench)]
+
+
+def _joints(shared: _Shared, chain: Chain) -> FloatArray:
+    return np.array(shared.joints_deg[: chain.joint_count])
+
+
+def _goes_on(shared: _Shared, due_s: float) -> bool:
+    """Wait until then; whether the table is still wanted, and who wanted it is still there."""
+    time.sleep(max(due_s - time.monotonic(), 0.0))
+    parent = multiprocessing.parent_process()
+    return not shared.over and parent is not None and parent.is_alive()
+
+
+def _outlive_signals() -> None:
+    """A Ctrl-C at the terminal reaches these processes too; they end when they are told to, after the devices."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+
+
+def _feel(table: _Table, shared: _Shared, pipe: Connection, sensitivity: Sensitivity) -> None:
+    """The process of the table that is touched, and of the force sensor."""
+    _outlive_signals()
+    scene = built_in(table.scene, table.seed)
+    world = LayerWorld(scene, table.placement.tool.radius_m)
+    contact = ArmContact(world, _RemoteArm(shared, CHAINS[table.model]), table.placement, monotonic_ns)
+    double = OptoforceDouble(Sensors(scene=contact.load, sensitivity=sensitivity, seed=table.seed))
+    with PtyWire(double) as wire:
+        pipe.send(wire.port)
+        due = time.monotonic()
+        while _goes_on(shared, due):
+            contact.feel()
+            shared.center_m[:] = [float(value) for value in contact.center_m]
+            shared.pressed[:] = [float(value) for value in world.pressed]
+            shared.max_force_n.value = contact.max_force_n
+            due = max(due + CYCLE_S, time.monotonic())
+
+
+def _look(table: _Table, shared: _Shared, pipe: Connection, rate_hz: float) -> None:
+    """The process of what the camera sees."""
+    _outlive_signals()
+    scene = built_in(table.scene, table.seed)
+    view = DepthView(scene, CAMERA, table.T_surface_camera)
+    world = LayerWorld(scene, table.placement.tool.radius_m)
+    chain = CHAINS[table.model]
+    pipe.send("")
+    due = time.monotonic()
+    while _goes_on(shared, due):
+        world.pressed = np.array(shared.pressed[:])
+        moved = world.displaced_m(view.places_m) if world.pressed[2] > 0.0 else None
+        center = np.array(shared.center_m[:])
+        exact = view.render(moved, _robot(table.placement, chain, _joints(shared, chain), center))
+        try:
+            pipe.send(View(exact.depth_m, exact.color))
+        except OSError:  # nobody looks any more
+            return
+        due = max(due + 1.0 / rate_hz, time.monotonic())
+
+
+def _robot(placement: Placement, chain: Chain, joints_deg: FloatArray, center_m: FloatArray) -> list[Capsule]:
+    T_surface_base = np.linalg.inv(placement.T_base_surface)
+    joints = [(T_surface_base @ frame)[:3, 3] for frame in (np.eye(4), *chain.forward(joints_deg))]
+    links = [Capsule(a, b, LINK_RADIUS_M) for a, b in pairwise(joints)]
+    stick = Capsule(joints[-1], center_m, STICK_RADIUS_M)
+    return [*links, stick, Capsule(center_m, center_m, placement.tool.radius_m)]
+
+
+def _first(pipe: Connection) -> str:
+    """What a process says when it is ready. Raises InputError when it says nothing."""
+    try:
+        if pipe.poll(START_S):
+            return str(pipe.recv())
+    except EOFError:
+        pass
+    raise InputError("a simulated table that starts", "none", "run it again")
+
+
+@contextlib.contextmanager
+def _thread(name: str, work: Callable[[], None]) -> Iterator[None]:
+    """Something that goes on until it ends by itself."""
+    thread = threading.Thread(target=work, name=name, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        thread.join()

@@ -1,0 +1,74 @@
+"""How an arm gives way is found again from touches of something rigid, with what is not known of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from deformscope.arrays import BoolArray, FloatArray
+from deformscope.errors import InputError
+from deformscope.experiments.arm_compliance import COMMON_SD, arm_give, touch_rigid
+from deformscope.experiments.explore import ExploreOptions, Looked, Touched
+from deformscope.stages.contact import ArmCompliance
+from deformscope.stages.touches import MapGrid
+
+GIVES_M_PER_N = 3e-4
+HEIGHT_M, OFF_M = 0.05, 0.002
+
+
+class RigidTable:
+    """A rigid block seen OFF_M too high, touched by an arm that gives."""
+
+    def __init__(self, scatter: float = 0.0) -> None:
+        self.size_m = (0.3, 0.2)
+        self.arm = ArmCompliance()
+        self._random = np.random.default_rng(5)
+        self._scatter = scatter
+
+    def now_ns(self) -> int:
+        return 0
+
+    def reachable(self, grid: MapGrid) -> BoolArray:
+        return np.ones(grid.shape, bool)
+
+    def look(self) -> Looked:
+        x, y = np.meshgrid(np.linspace(0.0, 0.3, 61), np.linspace(0.0, 0.2, 41))
+        points_m = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, HEIGHT_M + OFF_M)])
+        points_m[:, 2] += 1e-4 * self._random.standard_normal(x.size)
+        return Looked(points_m, np.full(x.size, 1e-4))
+
+    def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> Touched:
+        gives = GIVES_M_PER_N * (1.0 + self._scatter * self._random.standard_normal())
+        force_n = np.clip(np.linspace(-2.0, 3.0, 250), 0.0, None)
+        approach_m = np.linspace(0.008, 0.0, 250).clip(0.0032) - 0.0032  # in the air, then only the arm gives
+        height = HEIGHT_M + 0.01 + np.where(force_n > 0.0, -gives * force_n, approach_m)
+        place_m = np.column_stack([np.full(250, xy_m[0]), np.full(250, xy_m[1]), height])
+        place_m[:, 2] += 1e-5 * self._random.standard_normal(250)
+        felt_n = np.outer(force_n + 0.005 * self._random.standard_normal(250), [0.0, 0.0, 1.0])
+        return Touched(xy_m, normal, np.arange(250) * 0.01, place_m, felt_n, np.zeros((0, 3)), True)
+
+
+def test_it_is_found_again_and_so_is_where_the_camera_is_off() -> None:
+    made = list(touch_rigid(RigidTable(), ExploreOptions(), np.array([0.15, 0.1]), 3))
+
+    found = arm_give(made)
+
+    assert len(found.touches) == 3
+    assert found.compliance_m_per_n == pytest.approx(GIVES_M_PER_N, rel=0.02)
+    assert found.compliance_sd == pytest.approx(COMMON_SD * GIVES_M_PER_N, rel=0.1)
+    assert found.off_m == pytest.approx(OFF_M, abs=1.5e-4)
+
+
+def test_touches_that_differ_are_told() -> None:
+    made = list(touch_rigid(RigidTable(scatter=0.2), ExploreOptions(), np.array([0.15, 0.1]), 8))
+
+    found = arm_give(made)
+
+    each = np.array([one.found.compliance_m_per_n for one in made])
+    assert found.compliance_sd > 0.9 * each.std(ddof=1) / np.sqrt(8)
+    assert abs(found.compliance_m_per_n - GIVES_M_PER_N) < 3.0 * found.compliance_sd
+
+
+def test_nothing_tells_nothing() -> None:
+    with pytest.raises(InputError):
+        arm_give([])
