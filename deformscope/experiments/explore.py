@@ -18,7 +18,7 @@ import numpy as np
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.experiments.region_study import boundary_distance, match_regions
-from deformscope.stages.cloud import Box, tactile_points
+from deformscope.stages.cloud import Box, Intrinsics, tactile_points
 from deformscope.stages.contact import ArmCompliance, ContactFit, fit_approach, layer_modulus
 from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, Stopped, SurfaceSeen, TouchTold
 from deformscope.stages.field import BETA_PRIOR, fit_field
@@ -28,6 +28,7 @@ from deformscope.stages.regions import RegionMap, RegionPosterior
 from deformscope.stages.surface import HeightMap, HeightProcess, fit_surface
 from deformscope.stages.touch_beta import BallTouch, fit_touch, thesis_beta
 from deformscope.stages.touches import MapGrid, Touch
+from deformscope_drivers.depth_camera import Intrinsics as CameraIntrinsics
 
 BetaModel = Literal["volume", "thesis", "none"]
 SECOND_FORCE_N = 5.0
@@ -388,6 +389,11 @@ def unpack_touched(content: bytes) -> Touched:
     with np.load(io.BytesIO(content), allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
     return Touched(**{**arrays, "reached": bool(arrays["reached"]), "seen_ns": int(arrays.get("seen_ns", 0))})
+
+
+def pinhole(told: CameraIntrinsics) -> Intrinsics:
+    """What a depth camera tells of its projection, as the stages take it."""
+    return Intrinsics((told.fx_px, told.fy_px), (told.cx_px, told.cy_px))
 
 
 def sample_box(size_m: tuple[float, float], thickness_m: float) -> Box:

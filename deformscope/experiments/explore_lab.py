@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray
+from deformscope.capsule import Capsule
 from deformscope.experiments.explore import (
     SECOND_FORCE_N,
     SHALLOW_M,
@@ -12,19 +13,20 @@ from deformscope.experiments.explore import (
     Looked,
     Touched,
     Truth,
+    pinhole,
     sample_box,
 )
-from deformscope.lab.depth_view import Capsule as Seen
 from deformscope.lab.depth_view import DepthView
 from deformscope.lab.scenes import Scene
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld
 from deformscope.lab.touching import Sensing, approach
-from deformscope.stages.cloud import Capsule, Intrinsics, perceive
+from deformscope.robot.shape import STICK_RADIUS_M
+from deformscope.stages.cloud import perceive
 from deformscope.stages.contact import ArmCompliance
 from deformscope.stages.touches import MapGrid
 
-STICK_M, STICK_RADIUS_M = 0.25, 0.008
+STICK_M = 0.25
 BORDER_M = 0.02
 ARM_N_PER_M, ARM_DOUBT = 5000.0, 0.1
 """The arm gives way under a push, which its joints do not see; a calibration on a rigid block leaves some of it."""
@@ -91,8 +93,8 @@ class LabRobot:
             middle = made.position_m[-1]
             contact = self._world.press(self._tip, middle)
             moved = self._world.displaced_m(contact, self._view.places_m)
-            stick = Seen(middle, middle + STICK_M * normal, STICK_RADIUS_M)
-            ball = Seen(middle, middle, options.tip_radius_m)
+            stick = Capsule(middle, middle + STICK_M * normal, STICK_RADIUS_M)
+            ball = Capsule(middle, middle, options.tip_radius_m)
             after = self._see(moved, (stick, ball)).points_m
         return Touched(xy_m, normal, made.time_s, made.position_m, made.force_n, after, made.reached)
 
@@ -100,13 +102,11 @@ class LabRobot:
         """No time passes here."""
         return 0
 
-    def _see(self, moved_m: FloatArray | None, robot: tuple[Seen, ...]) -> Looked:
+    def _see(self, moved_m: FloatArray | None, robot: tuple[Capsule, ...]) -> Looked:
         exact = self._view.render(moved_m, robot)
         depth_m = self._view.observe(exact, self._random) * self._view.config.unit_m
-        intrinsics = self._view.intrinsics
-        camera = Intrinsics((intrinsics.fx_px, intrinsics.fy_px), (intrinsics.cx_px, intrinsics.cy_px))
+        camera = pinhole(self._view.intrinsics)
         box = sample_box(self.size_m, self._options.thickness_m)
-        links = tuple(Capsule(one.start_m, one.end_m, one.radius_m) for one in robot)
         cell = None if robot else VIEW_CELL_M
-        found = perceive(depth_m, camera, self._view.surface_from_camera, box, links=links, cell_m=cell)
+        found = perceive(depth_m, camera, self._view.surface_from_camera, box, links=robot, cell_m=cell)
         return Looked(found.points_m, found.noise_m)

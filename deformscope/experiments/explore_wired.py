@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deformscope.arrays import BoolArray, FloatArray
+from deformscope.capsule import Capsule
 from deformscope.driver_table import DRIVERS
 from deformscope.errors import InputError
 from deformscope.experiments.explore import (
@@ -21,10 +21,10 @@ from deformscope.experiments.explore import (
     Looked,
     Touched,
     Truth,
+    pinhole,
     sample_box,
 )
 from deformscope.experiments.explore_lab import ARM_DOUBT, ARM_N_PER_M, truth_of
-from deformscope.lab.depth_view import Capsule as Seen
 from deformscope.lab.depth_view import DepthView, DepthViewConfig
 from deformscope.lab.scenes import Scene
 from deformscope.lab.slab import RigidTip
@@ -37,9 +37,10 @@ from deformscope.robot.placement import Placement, best_joints, reach
 from deformscope.robot.preflight import Preflight, check
 from deformscope.robot.readings import Observation
 from deformscope.robot.robot import Robot, RobotStopped
+from deformscope.robot.shape import arm_shape
 from deformscope.robot.supervisor import Action, Fault, Limits, Verdict
 from deformscope.robot.touch import Ending, Phase, PhaseSpan, TouchPlan, TouchRecord, run_touch
-from deformscope.stages.cloud import Box, Capsule, Intrinsics, perceive
+from deformscope.stages.cloud import Box, Intrinsics, perceive
 from deformscope.stages.contact import ArmCompliance
 from deformscope.stages.exploration import Stopped
 from deformscope.stages.touches import MapGrid
@@ -52,7 +53,6 @@ from deformscope_drivers.jaco.kinematics import J2N6S300
 from deformscope_drivers.memory import SimulatedClock
 from deformscope_drivers.subscription import Subscription
 
-LINK_RADIUS_M, STICK_RADIUS_M = 0.045, 0.008
 LINK_MARGIN_M, STICK_MARGIN_M = 0.012, 0.005
 """What is taken away around the arm's links, whose shape is rough, and around stick and ball: there four deviations of
 a depth at 0.8 m (0.9 mm), as points on the stick itself have, and what the arm gives way (0.6 mm). A dent tells most
@@ -323,7 +323,7 @@ class TouchingRobot:
             told = picture.intrinsics
             if told is None:
                 raise InputError("[camera] focal_px and center_px", "none, and a camera that tells none")
-            intrinsics = Intrinsics((told.fx_px, told.fy_px), (told.cx_px, told.cy_px))
+            intrinsics = pinhole(told)
         if T_surface_camera is None:
             raise InputError("[camera] T_arm_camera", "none", "where the camera stands")
         found = perceive(picture.depth_m(), intrinsics, T_surface_camera, box, links=links, margin_m=0.0, cell_m=cell_m)
@@ -331,16 +331,13 @@ class TouchingRobot:
 
     def _links(self) -> tuple[Capsule, ...]:
         """What arm and stick may fill where the arm says they are, surface frame."""
-        placement = self._robot.placement
-        T_surface_base = np.linalg.inv(placement.T_base_surface)
-        frames = self._robot.arm.chain.forward(self._robot.pose.joints_deg)
-        joints = [(T_surface_base @ frame)[:3, 3] for frame in (np.eye(4), *frames)]
-        center = self._robot.center_m
-        links = [Capsule(a, b, LINK_RADIUS_M + LINK_MARGIN_M) for a, b in pairwise(joints)]
-        return (
-            *links,
-            Capsule(joints[-1], center, STICK_RADIUS_M + STICK_MARGIN_M),
-            Capsule(center, center, self._options.tip_radius_m + STICK_MARGIN_M),
+        return arm_shape(
+            self._robot.placement,
+            self._robot.arm.chain,
+            self._robot.pose.joints_deg,
+            self._robot.center_m,
+            link_margin_m=LINK_MARGIN_M,
+            stick_margin_m=STICK_MARGIN_M,
         )
 
     def _new_pictures(self) -> list[DepthImage]:
@@ -457,13 +454,11 @@ class LabBench:
             watch=watch,
         )
         robot.cycle()
-        camera = self.view.intrinsics
-        intrinsics = Intrinsics((camera.fx_px, camera.fy_px), (camera.cx_px, camera.cy_px))
         yield TouchingRobot(
             robot,
             self.scene.size_m,
             self._options,
-            (intrinsics, self.view.surface_from_camera),
+            (pinhole(self.view.intrinsics), self.view.surface_from_camera),
             arm=self.arm,
             clock=self.clock,
             workspace=workspace,
@@ -474,11 +469,6 @@ class LabBench:
         moved = None
         if self._contact is not None and len(self._contact.node):
             moved = self._world.displaced_m(self._contact, self.view.places_m)
-        frames = self.lab.arm_double.chain.forward(self.lab.arm_double.joints_deg)
-        T_surface_base = np.linalg.inv(self.placement.T_base_surface)
-        joints = [(T_surface_base @ frame)[:3, 3] for frame in (np.eye(4), *frames)]
-        center = self.lab.contact.center_m
-        robot = [Seen(a, b, LINK_RADIUS_M) for a, b in pairwise(joints)]
-        robot += [Seen(joints[-1], center, STICK_RADIUS_M), Seen(center, center, self._options.tip_radius_m)]
-        exact = self.view.render(moved, robot)
+        arm = self.lab.arm_double
+        exact = self.view.render(moved, arm_shape(self.placement, arm.chain, arm.joints_deg, self.lab.contact.center_m))
         return View(exact.depth_m, exact.color)  # the camera adds its own noise

@@ -99,7 +99,7 @@ class ArmContact:
 
     def _end_m(self) -> FloatArray:
         T = self._arm.T_base_end_effector
-        return np.asarray(np.linalg.inv(self._placement.T_base_surface) @ T)[:3, 3]
+        return np.asarray(self._placement.T_surface_base @ T)[:3, 3]
 
     def _contact(self, center_m: FloatArray) -> FloatArray:
         """The force at which the arm's give and the world's are in balance.

@@ -19,6 +19,7 @@ import numpy.typing as npt
 import open3d as o3d
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.capsule import Capsule
 from deformscope.errors import InputError
 from deformscope.lab.scenes import Scene
 from deformscope_drivers.depth_camera.image import Intrinsics
@@ -70,16 +71,6 @@ class DepthViewConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class Capsule:
-    """All within `radius_m` of the line from start_m (3,) to end_m (3,), surface frame [m]: a stick, a link of the arm;
-    where both are the same, a ball."""
-
-    start_m: FloatArray
-    end_m: FloatArray
-    radius_m: float
-
-
-@dataclass(frozen=True, slots=True)
 class Rendered:
     """One exact picture. depth_m: (H, W) distance along the view [m], nan where there is nothing; color: (H, W, 3) RGB
     uint8; seen: (H, W) uint8, NOTHING, TABLE, FOAM or ROBOT; facing: (H, W) cosine between ray and surface normal"""
@@ -125,7 +116,8 @@ class DepthView:
     def render(self, displaced_m: FloatArray | None = None, capsules: Sequence[Capsule] = ()) -> Rendered:
         """The exact picture.
 
-        displaced_m: (n, 3) how the surface has moved at `places_m` [m], None at rest; capsules: the robot
+        displaced_m: (n, 3) how the surface has moved at `places_m` [m], None at rest
+        capsules: the robot, surface frame
         """
         if displaced_m is not None and np.shape(displaced_m) != self._rest.shape:
             raise InputError(f"displacements of shape {self._rest.shape}", str(np.shape(displaced_m)), "places_m")

@@ -14,7 +14,6 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from itertools import pairwise
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -23,11 +22,12 @@ import numpy.typing as npt
 
 from deformscope.errors import InputError
 from deformscope.lab.arm_contact import ARM_CYCLE_NS, ArmContact
-from deformscope.lab.depth_view import Capsule, DepthView, DepthViewConfig
+from deformscope.lab.depth_view import DepthView, DepthViewConfig
 from deformscope.lab.layer_world import LayerWorld
 from deformscope.lab.scenes import Scene, built_in
 from deformscope.rig import RigDevice
 from deformscope.robot.placement import Placement, best_joints
+from deformscope.robot.shape import arm_shape
 from deformscope_drivers.clock import monotonic_ns
 from deformscope_drivers.depth_camera import SyntheticDepthCamera, View
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
@@ -39,7 +39,6 @@ from deformscope_drivers.optoforce.double import OMD_20_SE_40N, OptoforceDouble,
 from deformscope_drivers.optoforce.sensitivity import Sensitivity
 from deformscope_drivers.wires import PtyWire
 
-LINK_RADIUS_M, STICK_RADIUS_M = 0.045, 0.008
 PARKED_M = 0.18
 PICTURES_HZ = 10
 CYCLE_S = ARM_CYCLE_NS / 1e9
@@ -246,20 +245,12 @@ def _look(table: _Table, shared: _Shared, pipe: Connection, rate_hz: float) -> N
         world.pressed = np.array(shared.pressed[:])
         moved = world.displaced_m(view.places_m) if world.pressed[2] > 0.0 else None
         center = np.array(shared.center_m[:])
-        exact = view.render(moved, _robot(table.placement, chain, _joints(shared, chain), center))
+        exact = view.render(moved, arm_shape(table.placement, chain, _joints(shared, chain), center))
         try:
             pipe.send(View(exact.depth_m, exact.color))
         except OSError:  # nobody looks any more
             return
         due = max(due + 1.0 / rate_hz, time.monotonic())
-
-
-def _robot(placement: Placement, chain: Chain, joints_deg: FloatArray, center_m: FloatArray) -> list[Capsule]:
-    T_surface_base = np.linalg.inv(placement.T_base_surface)
-    joints = [(T_surface_base @ frame)[:3, 3] for frame in (np.eye(4), *chain.forward(joints_deg))]
-    links = [Capsule(a, b, LINK_RADIUS_M) for a, b in pairwise(joints)]
-    stick = Capsule(joints[-1], center_m, STICK_RADIUS_M)
-    return [*links, stick, Capsule(center_m, center_m, placement.tool.radius_m)]
 
 
 def _first(pipe: Connection) -> str:

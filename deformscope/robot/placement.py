@@ -56,7 +56,8 @@ class Placement:
         return T
 
     @cached_property
-    def _T_surface_base(self) -> FloatArray:
+    def T_surface_base(self) -> FloatArray:
+        """(4, 4) the arm's base frame to the surface frame [m]."""
         return np.asarray(np.linalg.inv(self.T_base_surface))
 
     @cached_property
@@ -70,7 +71,7 @@ class Placement:
 
     def T_surface_center(self, T_base_ee: FloatArray) -> FloatArray:
         """(4, 4) the tip's centre in the surface frame, for the pose of the arm's end in the base frame."""
-        return np.asarray(self._T_surface_base @ T_base_ee @ self.T_ee_center)
+        return np.asarray(self.T_surface_base @ T_base_ee @ self.T_ee_center)
 
     def T_base_ee(self, center_m: npt.ArrayLike, normal: npt.ArrayLike) -> FloatArray:
         """(4, 4) the arm's end in the base frame when the tip's centre (3,) [m] is here and the stick along -normal.

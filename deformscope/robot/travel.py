@@ -37,7 +37,7 @@ def move_tip(
     passing: it goes on from there, so that near is enough. Raises NotThere when it takes too long, RobotStopped,
     InputError when the robot has to back off.
     """
-    goal = np.linalg.inv(robot.placement.T_base_surface) @ robot.placement.T_base_ee(center_m, normal)
+    goal = robot.placement.T_surface_base @ robot.placement.T_base_ee(center_m, normal)
     goal = goal @ robot.placement.T_ee_center
     near_m, near_rad = (PASSED_M, PASSED_RAD) if passing else (REACHED_M, REACHED_RAD)
     error = _error(robot, goal)

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from deformscope.arrays import BoolArray, FloatArray
+from deformscope.capsule import Capsule
 from deformscope.errors import InputError
 
 TACTILE_POINTS = 10
@@ -29,15 +30,6 @@ class Intrinsics:
     focal_px: tuple[float, float]
     centre_px: tuple[float, float]
     distortion: tuple[float, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Capsule:
-    """A link of the arm, or a stick: all within `radius_m` of the line from `start_m` to `end_m` (3,) [m]."""
-
-    start_m: FloatArray
-    end_m: FloatArray
-    radius_m: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
 from deformscope.experiments.explore import ExploreOptions
-from deformscope.experiments.explore_wired import LINK_RADIUS_M, STICK_RADIUS_M, LabBench
-from deformscope.lab.depth_view import FOAM, Capsule
+from deformscope.experiments.explore_wired import LabBench
+from deformscope.lab.depth_view import FOAM
 from deformscope.lab.scenes import built_in
+from deformscope.robot.shape import arm_shape
 from deformscope_drivers.jaco.kinematics import J2N6S300
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -28,11 +27,8 @@ def test_the_arm_does_not_hide_what_it_touches(bench: LabBench, place: tuple[flo
     start = bench.lab.arm_double.joints_deg
     found = J2N6S300.inverse(bench.placement.T_base_ee(center, UP), start)
     assert found.converged
-    T_surface_base = np.linalg.inv(bench.placement.T_base_surface)
-    joints = [(T_surface_base @ frame)[:3, 3] for frame in (np.eye(4), *J2N6S300.forward(found.joints_deg))]
-    links = [Capsule(a, b, LINK_RADIUS_M) for a, b in pairwise(joints)]
-    links += [Capsule(joints[-1], center, STICK_RADIUS_M), Capsule(center, center, 0.01)]
-    free, hidden = bench.view.render(), bench.view.render(None, links)
+    robot = arm_shape(bench.placement, J2N6S300, found.joints_deg, center)
+    free, hidden = bench.view.render(), bench.view.render(None, robot)
     around = (np.abs(bench.view.points_m(free.depth_m)[..., :2] - place) < 0.04).all(axis=-1) & (free.seen == FOAM)
     assert around.sum() > 300
     assert (hidden.seen[around] == FOAM).mean() > 0.6

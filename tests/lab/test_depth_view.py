@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from deformscope.arrays import BoolArray, FloatArray
+from deformscope.capsule import Capsule
 from deformscope.errors import InputError
-from deformscope.lab.depth_view import FOAM, NOTHING, ROBOT, TABLE, Capsule, DepthView, DepthViewConfig
+from deformscope.lab.depth_view import FOAM, NOTHING, ROBOT, TABLE, DepthView, DepthViewConfig
 from deformscope.lab.scenes import built_in
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld

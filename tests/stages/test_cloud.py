@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deformscope.arrays import FloatArray
+from deformscope.capsule import Capsule
 from deformscope.errors import InputError
 from deformscope.stages.cloud import (
     Box,
-    Capsule,
     Intrinsics,
     axial_noise_m,
     back_project,

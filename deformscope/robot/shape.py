@@ -1,0 +1,35 @@
+"""What the arm and its stick fill, roughly: what hides the surface from a camera, and is not to be taken for it."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from deformscope.capsule import Capsule
+from deformscope.robot.placement import Placement
+from deformscope_drivers.jaco.kinematics import Chain, FloatArray
+
+LINK_RADIUS_M, STICK_RADIUS_M = 0.045, 0.008
+
+
+def arm_shape(
+    placement: Placement,
+    chain: Chain,
+    joints_deg: npt.ArrayLike,
+    center_m: FloatArray,
+    *,
+    link_margin_m: float = 0.0,
+    stick_margin_m: float = 0.0,
+) -> tuple[Capsule, ...]:
+    """The links, the stick and the ball at its tip, in the surface frame [m].
+
+    joints_deg: (n,) of the arm; center_m: (3,) where its tip's centre is, which a push moves off the chain's own
+    link_margin_m, stick_margin_m: added around the links; around the stick and the ball
+    """
+    frames = (np.eye(4), *chain.forward(joints_deg))
+    joints_m = [(placement.T_surface_base @ frame)[:3, 3] for frame in frames]
+    links = [Capsule(a, b, LINK_RADIUS_M + link_margin_m) for a, b in pairwise(joints_m)]
+    stick = Capsule(joints_m[-1], center_m, STICK_RADIUS_M + stick_margin_m)
+    return (*links, stick, Capsule(center_m, center_m, placement.tool.radius_m + stick_margin_m))
