@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 from deformscope.config.flags import CasesFlag, CountFlag, JsonFlag, SizesFlag
-from deformscope.config.options import CommandOptions, Written, written_json
+from deformscope.config.options import JsonOptions
 from deformscope.errors import InputError
 
 
 @dataclass(frozen=True, slots=True)
-class BenchConfig(CommandOptions):
+class BenchConfig(JsonOptions):
     """Measure what MSM costs on this machine, beside NumPy. Ctrl-C ends it and shows what has been measured."""
 
     peers: bool = False
@@ -32,9 +32,3 @@ class BenchConfig(CommandOptions):
     def __post_init__(self) -> None:
         if self.repeats is not None and self.repeats < 1:
             raise InputError("--repeats of 1 or more", str(self.repeats))
-
-    def writes(self) -> tuple[Written, ...]:
-        return written_json(self.json)
-
-    def json_target(self) -> str | None:
-        return self.json

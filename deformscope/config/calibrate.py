@@ -29,7 +29,7 @@ from deformscope.config.flags import (
 from deformscope.config.images import ImageOptions
 from deformscope.config.options import (
     BETA_LIMIT,
-    CommandOptions,
+    JsonOptions,
     OutputOptions,
     RecordedOptions,
     Written,
@@ -41,6 +41,7 @@ from deformscope.config.options import (
     check_span,
     check_suffix,
     check_unit,
+    written_files,
     written_json,
 )
 from deformscope.errors import InputError
@@ -107,8 +108,7 @@ class SummaryOptions:
         return self.picture is not None or self.report is not None
 
     def writes(self) -> tuple[Written, ...]:
-        named = (("--picture", self.picture), ("--report", self.report))
-        return tuple(Written(flag, path) for flag, path in named if path is not None)
+        return written_files(("--picture", self.picture), ("--report", self.report))
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,7 +241,7 @@ class ThetaConfig(CalibrateOptions):
 
 
 @dataclass(frozen=True, slots=True)
-class BothConfig(CommandOptions):
+class BothConfig(JsonOptions):
     """Find beta and theta together from pairs of rest and deformed positions: their joint posterior. Volume is
     conserved by projection, which stays stable in overlapping clusters."""
 
@@ -286,18 +286,14 @@ class BothConfig(CommandOptions):
         return self.sources
 
     def writes(self) -> tuple[Written, ...]:
-        picture = () if self.picture is None else (Written("--picture", self.picture),)
-        return (*picture, *written_json(self.json))
-
-    def json_target(self) -> str | None:
-        return self.json
+        return (*written_files(("--picture", self.picture)), *written_json(self.json))
 
 
 # deformscope predict -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class PredictConfig(CommandOptions):
+class PredictConfig(JsonOptions):
     """Poke a fitted model where, how hard and with what it was not poked: deformed particles, depth and force."""
 
     source: Annotated[Path, Positional, arg(metavar="MODEL.npz")]
@@ -329,12 +325,7 @@ class PredictConfig(CommandOptions):
         return (str(self.source), *(str(path) for path in self.against))
 
     def writes(self) -> tuple[Written, ...]:
-        out = () if self.out is None else (Written("--out", self.out),)
-        picture = () if self.picture is None else (Written("--picture", self.picture),)
-        return (*out, *picture, *written_json(self.json))
-
-    def json_target(self) -> str | None:
-        return self.json
+        return (*written_files(("--out", self.out), ("--picture", self.picture)), *written_json(self.json))
 
 
 # deformscope calibrate axes and yield --------------------------------------------------------------------------------
@@ -354,7 +345,7 @@ CreepFlag = Annotated[float | str, one_word("none|fit|RATE", parse_creep)]
 
 
 @dataclass(frozen=True, slots=True)
-class AxesConfig(CommandOptions):
+class AxesConfig(JsonOptions):
     """Find a beta along each axis of a material from pairs of rest and deformed positions: one fit to all of them."""
 
     sources: Annotated[tuple[str, ...], Positional, arg(metavar="PAIR.npz...", help_behavior_hint="")]
@@ -384,15 +375,9 @@ class AxesConfig(CommandOptions):
     def reads(self) -> tuple[str, ...]:
         return self.sources
 
-    def writes(self) -> tuple[Written, ...]:
-        return written_json(self.json)
-
-    def json_target(self) -> str | None:
-        return self.json
-
 
 @dataclass(frozen=True, slots=True)
-class YieldConfig(CommandOptions):
+class YieldConfig(JsonOptions):
     """Find the strain at which a thing yields from its motion: loaded, and let go."""
 
     source: Annotated[Path, Positional, arg(metavar="MOTION.npz")]
@@ -433,8 +418,4 @@ class YieldConfig(CommandOptions):
         return (str(self.source),)
 
     def writes(self) -> tuple[Written, ...]:
-        picture = () if self.picture is None else (Written("--picture", self.picture),)
-        return (*picture, *written_json(self.json))
-
-    def json_target(self) -> str | None:
-        return self.json
+        return (*written_files(("--picture", self.picture)), *written_json(self.json))

@@ -18,7 +18,7 @@ from deformscope.config.flags import (
     PositiveFlag,
     RectangleFlag,
 )
-from deformscope.config.options import CommandOptions, Written, check_suffix, written_json
+from deformscope.config.options import JsonOptions, Written, check_suffix, written_files, written_json
 from deformscope.errors import InputError
 
 
@@ -71,7 +71,7 @@ class ImageOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class FlowConfig(CommandOptions):
+class FlowConfig(JsonOptions):
     """Dense optical flow of two images: where each pixel of BEFORE has gone in AFTER."""
 
     before: Annotated[Path, Positional, arg(metavar="BEFORE")]
@@ -97,8 +97,4 @@ class FlowConfig(CommandOptions):
         return str(self.before), str(self.after)
 
     def writes(self) -> tuple[Written, ...]:
-        picture = () if self.picture is None else (Written("--picture", self.picture),)
-        return (Written("--out", self.out), *picture, *written_json(self.json))
-
-    def json_target(self) -> str | None:
-        return self.json
+        return (*written_files(("--out", self.out), ("--picture", self.picture)), *written_json(self.json))

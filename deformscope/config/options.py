@@ -117,6 +117,19 @@ class OutputOptions:
         return (*record, *written_json(self.json))
 
 
+class JsonOptions(CommandOptions):
+    """A command that leaves its result as JSON, and nothing else unless it says so."""
+
+    __slots__ = ()
+    json: str | None
+
+    def writes(self) -> tuple[Written, ...]:
+        return written_json(self.json)
+
+    def json_target(self) -> str | None:
+        return self.json
+
+
 class RecordedOptions(CommandOptions):
     """A command whose outputs are its `OutputOptions`."""
 
@@ -128,6 +141,11 @@ class RecordedOptions(CommandOptions):
 
     def json_target(self) -> str | None:
         return self.output.json
+
+
+def written_files(*named: tuple[str, Path | None]) -> tuple[Written, ...]:
+    """named: flag and path, None where the file is not wanted"""
+    return tuple(Written(flag, path) for flag, path in named if path is not None)
 
 
 def written_json(target: str | None) -> tuple[Written, ...]:

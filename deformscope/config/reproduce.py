@@ -9,19 +9,12 @@ from typing import Annotated, Literal
 from tyro.conf import arg
 
 from deformscope.config.flags import CountFlag, JsonFlag, one_word, unset
-from deformscope.config.options import (
-    CommandOptions,
-    Written,
-    check_cluster_size,
-    check_level,
-    check_seed,
-    written_json,
-)
+from deformscope.config.options import JsonOptions, check_cluster_size, check_level, check_seed
 from deformscope.errors import InputError
 
 
 @dataclass(frozen=True, slots=True)
-class CubesConfig(CommandOptions):
+class CubesConfig(JsonOptions):
     """The thesis's experiment 3.A: theta of cubes of known Poisson's ratio, with figures 3.10 and 3.11, table 3.2, and
     overlapping clusters beside one cluster."""
 
@@ -58,18 +51,12 @@ class CubesConfig(CommandOptions):
     def reads(self) -> tuple[str, ...]:
         return tuple(str(path) for path in self.pairs)
 
-    def writes(self) -> tuple[Written, ...]:
-        return written_json(self.json)
-
-    def json_target(self) -> str | None:
-        return self.json
-
 
 # deformscope reproduce pokes -----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class PokesConfig(CommandOptions):
+class PokesConfig(JsonOptions):
     """Pokes of finite element slabs that were not fitted, predicted and compared with a rigid body, a half-space and
     linear finite elements."""
 
@@ -80,18 +67,12 @@ class PokesConfig(CommandOptions):
     json: JsonFlag = None
     """Write all of it as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
 
-    def writes(self) -> tuple[Written, ...]:
-        return written_json(self.json)
-
-    def json_target(self) -> str | None:
-        return self.json
-
 
 # deformscope reproduce foams -----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class FoamsConfig(CommandOptions):
+class FoamsConfig(JsonOptions):
     """Experiment 3.B: beta of five virtual foams from images of a push, with figure 3.14 and the force. Some 3 minutes
     on one core."""
 
@@ -109,18 +90,12 @@ class FoamsConfig(CommandOptions):
     def __post_init__(self) -> None:
         check_seed(self.seed)
 
-    def writes(self) -> tuple[Written, ...]:
-        return written_json(self.json)
-
-    def json_target(self) -> str | None:
-        return self.json
-
 
 # deformscope coverage ------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class CoverageConfig(CommandOptions):
+class CoverageConfig(JsonOptions):
     """Count how often the intervals hold the truth: random objects under each kind of noise, data that tell nothing,
     and unseen pokes of finite element bodies."""
 
@@ -149,15 +124,9 @@ class CoverageConfig(CommandOptions):
         if self.out is not None and self.out.exists() and not self.out.is_dir():
             raise InputError("a folder after --out", "a file", where=self.out)
 
-    def writes(self) -> tuple[Written, ...]:
-        return written_json(self.json)
-
-    def json_target(self) -> str | None:
-        return self.json
-
 
 @dataclass(frozen=True, slots=True)
-class Table41Config(CommandOptions):
+class Table41Config(JsonOptions):
     """Thesis table 4.1 and scenes beyond it: explore simulated tables over seeds, and tell how good the maps are after
     how many touches, planner beside planner. 20 seeds of all scenes take some 20 minutes on two cores."""
 
@@ -179,9 +148,3 @@ class Table41Config(CommandOptions):
     def __post_init__(self) -> None:
         if self.seeds < 1 or self.touches < 1:
             raise InputError("--seeds and --touches of 1 or more", f"{self.seeds} and {self.touches}")
-
-    def writes(self) -> tuple[Written, ...]:
-        return written_json(self.json)
-
-    def json_target(self) -> str | None:
-        return self.json

@@ -9,12 +9,21 @@ from typing import Annotated, Literal
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from deformscope.config.flags import JsonFlag, PictureFlag, PositiveFlag, finite, one_word, positive
-from deformscope.config.options import CommandOptions, OutputOptions, Written, check_seed, check_suffix, written_json
+from deformscope.config.options import (
+    CommandOptions,
+    JsonOptions,
+    OutputOptions,
+    RecordedOptions,
+    Written,
+    check_seed,
+    check_suffix,
+    written_files,
+)
 from deformscope.errors import InputError
 
 
 @dataclass(frozen=True, slots=True)
-class DevicesConfig(CommandOptions):
+class DevicesConfig(JsonOptions):
     """List what is plugged into this machine: port, serial number, firmware, health. Devices that are known by their
     USB identity, and doubles that run, are opened for a moment and asked: nothing moves, but an OptoForce is told its
     driver's default rate and filter, and forgets its zero."""
@@ -24,15 +33,9 @@ class DevicesConfig(CommandOptions):
     json: JsonFlag = None
     """Write the list as JSON; with -, stdout is the JSON alone."""
 
-    def writes(self) -> tuple[Written, ...]:
-        return written_json(self.json)
-
-    def json_target(self) -> str | None:
-        return self.json
-
 
 @dataclass(frozen=True, slots=True)
-class DoctorConfig(CommandOptions):
+class DoctorConfig(JsonOptions):
     """Try a rig: its file, every device of it for a few seconds, the disk; say what is wrong and what to do. Nothing
     moves."""
 
@@ -52,15 +55,9 @@ class DoctorConfig(CommandOptions):
     def reads(self) -> tuple[str, ...]:
         return (self.rig,) if self.rig else ()
 
-    def writes(self) -> tuple[Written, ...]:
-        return written_json(self.json)
-
-    def json_target(self) -> str | None:
-        return self.json
-
 
 @dataclass(frozen=True, slots=True)
-class RigRunOptions(CommandOptions):
+class RigRunOptions(RecordedOptions):
     """A rig that is recorded or watched until its time is over, or until Ctrl-C."""
 
     rig: Annotated[str, Positional, arg(metavar="RIG")]
@@ -73,12 +70,6 @@ class RigRunOptions(CommandOptions):
 
     def reads(self) -> tuple[str, ...]:
         return (self.rig,)
-
-    def writes(self) -> tuple[Written, ...]:
-        return self.output.writes()
-
-    def json_target(self) -> str | None:
-        return self.output.json
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +84,7 @@ class LiveConfig(RigRunOptions):
 
 
 @dataclass(frozen=True, slots=True)
-class VerifyConfig(CommandOptions):
+class VerifyConfig(JsonOptions):
     """Say whether a recording is whole: its bytes against its ledger, its structure, and what it counted as lost."""
 
     recording: Annotated[Path, Positional, arg(metavar="FILE.rrd")]
@@ -103,12 +94,6 @@ class VerifyConfig(CommandOptions):
 
     def reads(self) -> tuple[str, ...]:
         return (str(self.recording),)
-
-    def writes(self) -> tuple[Written, ...]:
-        return written_json(self.json)
-
-    def json_target(self) -> str | None:
-        return self.json
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +108,7 @@ class DoubleConfig(CommandOptions):
 
 
 @dataclass(frozen=True, slots=True)
-class ExploreConfig(CommandOptions):
+class ExploreConfig(RecordedOptions):
     """Map how soft a surface is, and where: look, touch where it tells most, map, again; regions in the end. RIG is a
     rig file with an arm, a force sensor and a depth camera: the arm moves, after a table of checks and a question.
     lab:NAME is a simulated table, explored through the real drivers on byte-exact doubles."""
@@ -167,11 +152,7 @@ class ExploreConfig(CommandOptions):
         return (self.rig,) if self.rig else ()
 
     def writes(self) -> tuple[Written, ...]:
-        picture = () if self.picture is None else (Written("--picture", self.picture),)
-        return (*picture, *self.output.writes())
-
-    def json_target(self) -> str | None:
-        return self.output.json
+        return (*written_files(("--picture", self.picture)), *self.output.writes())
 
 
 def parse_place(text: str) -> tuple[float, float]:
@@ -184,7 +165,7 @@ def parse_place(text: str) -> tuple[float, float]:
 
 
 @dataclass(frozen=True, slots=True)
-class ArmConfig(CommandOptions):
+class ArmConfig(JsonOptions):
     """Measure how the arm gives way under a push, by touching something rigid that stands firmly on the surface: what
     [tool] of the rig file wants. The arm moves, after a table of checks and a question."""
 
@@ -212,9 +193,3 @@ class ArmConfig(CommandOptions):
 
     def reads(self) -> tuple[str, ...]:
         return (self.rig,)
-
-    def writes(self) -> tuple[Written, ...]:
-        return written_json(self.json)
-
-    def json_target(self) -> str | None:
-        return self.json
