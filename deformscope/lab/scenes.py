@@ -5,7 +5,7 @@
     scene.truth()                                                        # the labels of the map's cells
 
 Everything is in the *surface frame*: x and y along the table's edges, z up, the table's top at z = 0, the slab's corner
-at the origin. Pieces reach from top to bottom, and meet sharply.
+at the origin; where the arm stands, `touch_lab.T_BASE_SURFACE` says. Pieces reach from top to bottom, and meet sharply.
 
 **Hardness** is the force that presses a plate of 324 cm2 into the foam by 40 % (ISO 2439). A fingertip of 3 N strains
 foam less than that, below its plateau, so that it meets the *initial* modulus: the plate's stress at 40 % is taken for
@@ -23,7 +23,7 @@ from __future__ import annotations
 import re
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -134,8 +134,6 @@ class Scene:
     pieces: the materials, by label; empty where the modulus varies everywhere (`gradient`)
     size_m: (x, y) [m]; thickness_m: before any bumps [m]; poisson: Poisson's ratio
     drawn: what the seed gave, by name
-    base_from_surface: (4, 4) takes points of the surface frame into the arm's base frame: the arm stands beside the
-    long edge at y = 0
     """
 
     name: str
@@ -145,7 +143,6 @@ class Scene:
     size_m: tuple[float, float] = SIZE_M
     thickness_m: float = THICKNESS_M
     poisson: float = POISSON
-    base_from_surface: FloatArray = field(default_factory=lambda: _moved(-0.30, 0.25, 0.0))
     _label: Labels | None = None
     _modulus: Places | None = None
     _bumps: Places | None = None
@@ -327,10 +324,3 @@ def _bumps(drawn: dict[str, float]) -> Places:
         return total
 
     return rise
-
-
-def _moved(x: float, y: float, z: float) -> FloatArray:
-    """(4, 4) a shift."""
-    frame = np.eye(4)
-    frame[:3, 3] = (x, y, z)
-    return frame

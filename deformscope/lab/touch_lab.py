@@ -31,7 +31,8 @@ from deformscope_drivers.optoforce.double import OMD_20_SE_40N, OptoforceDouble,
 from deformscope_drivers.optoforce.protocol import Decoder, Reading, encode
 
 T_BASE_SURFACE: FloatArray = transform(np.eye(3), (-0.30, -0.55, 0.0))
-"""Where a scene's table of 0.6 x 0.4 m stands: before the arm, its far corners 0.63 m from the arm's axis."""
+"""(4, 4) surface frame to the arm's base frame [m], in every scene: the arm stands 0.15 m beyond the middle of the long
+edge at y = 0.4 m, and the far corners are 0.63 m from its axis."""
 READY_NEAR_DEG = (270.0, 200.0, 100.0, 200.0, 90.0, 90.0)
 """Joint angles near which the arm stands above that table in the configuration that reaches all of it."""
 READY_M = (0.3, 0.2, 0.2)

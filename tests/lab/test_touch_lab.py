@@ -7,11 +7,21 @@ import pytest
 from scipy.optimize import brentq
 
 from deformscope.lab.arm_contact import ARM_STIFFNESS_N_M
+from deformscope.lab.scenes import SIZE_M
 from deformscope.lab.springy_foam import SpringyFoam
-from deformscope.lab.touch_lab import TouchLab
+from deformscope.lab.touch_lab import T_BASE_SURFACE, TouchLab
 from deformscope.rig import Tool
+from deformscope.robot.placement import Placement
 
 POINT_M = np.array([0.3, 0.2, 0.1])
+
+
+def test_the_arm_stands_beside_the_table() -> None:
+    x_m, y_m, z_m = Placement(T_BASE_SURFACE).T_surface_base[:3, 3]
+
+    assert (x_m, z_m) == pytest.approx((SIZE_M[0] / 2, 0.0))
+    assert y_m == pytest.approx(SIZE_M[1] + 0.15)
+    assert np.hypot(x_m, y_m) == pytest.approx(0.63, abs=0.005)  # to the far corners
 
 
 @pytest.mark.parametrize("modulus_pa", [10e3, 100e3, 1e7, 1e11])
