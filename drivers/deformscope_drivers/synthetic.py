@@ -6,10 +6,13 @@ import threading
 from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from typing import ClassVar, Generic, TypeVar
 
-from deformscope_drivers.clock import Clock, ClockFit, Stamp, monotonic_ns
-from deformscope_drivers.device import RECONNECT, Device, Measurement, Reconnect
+import numpy as np
+
+from deformscope_drivers.clock import Clock, ClockFit, Stamp
+from deformscope_drivers.device import Device, Measurement, Reconnect
 from deformscope_drivers.errors import LinkLost, NotConnected
 from deformscope_drivers.images import QUEUE_IMAGES
 from deformscope_drivers.pacing import Pacer
@@ -21,6 +24,20 @@ PUSHED = 64
 
 MeasurementT = TypeVar("MeasurementT", bound=Measurement)
 ViewT = TypeVar("ViewT")
+
+
+@dataclass(frozen=True, slots=True)
+class SyntheticConfig:
+    """rate_hz: pictures a second of a scene; seed: of everything that is random
+    silence_s: without a picture, after which the link counts as lost; stuck_after_s: of the same picture, after which
+    it counts as stuck; None = never
+    """
+
+    name: str
+    rate_hz: float = 30.0
+    seed: int = 0
+    silence_s: float | None = None
+    stuck_after_s: float | None = None
 
 
 class SyntheticSource(Device[MeasurementT], Generic[MeasurementT, ViewT]):
@@ -35,19 +52,17 @@ class SyntheticSource(Device[MeasurementT], Generic[MeasurementT, ViewT]):
 
     def __init__(
         self,
-        name: str,
         scene: Callable[[float], ViewT] | None,
+        config: SyntheticConfig,
         *,
-        rate_hz: float,
-        stuck_after_s: float | None,
-        silence_s: float | None,
-        reconnect: Reconnect | None = RECONNECT,
-        clock: Clock = monotonic_ns,
+        reconnect: Reconnect | None,
+        clock: Clock,
     ) -> None:
-        super().__init__(name, reconnect=reconnect, stuck_after_s=stuck_after_s, clock=clock)
+        super().__init__(config.name, reconnect=reconnect, stuck_after_s=config.stuck_after_s, clock=clock)
         self._scene = scene
-        self._period_ns = round(1e9 / rate_hz)
-        self._silence_ns = None if silence_s is None else round(silence_s * 1e9)
+        self._period_ns = round(1e9 / config.rate_hz)
+        self._silence_ns = None if config.silence_s is None else round(config.silence_s * 1e9)
+        self._random = np.random.default_rng(config.seed)
         self._pacer = Pacer(clock)
         self._lock = threading.Lock()
         self._pushed: deque[ViewT] = deque()

@@ -13,7 +13,7 @@ from deformscope_drivers.clock import Clock, Stamp, monotonic_ns
 from deformscope_drivers.depth_camera.image import DepthImage, Intrinsics
 from deformscope_drivers.device import RECONNECT, Reconnect
 from deformscope_drivers.images import fingerprint
-from deformscope_drivers.synthetic import SyntheticSource
+from deformscope_drivers.synthetic import SyntheticConfig, SyntheticSource
 
 MAX_UINT16 = 65535
 
@@ -31,17 +31,16 @@ class View:
 
 
 @dataclass(frozen=True, slots=True)
-class SyntheticDepthConfig:
-    """What the camera adds to a view; everything random comes from `seed`.
+class SyntheticDepthConfig(SyntheticConfig):
+    """What the camera adds to a view.
 
-    rate_hz: pictures a second of a scene; unit_m: the step of depth [m]
+    unit_m: the step of depth [m]
     noise_m, noise_per_m: deviation of depth z is noise_m + noise_per_m z^2 [m]; the default is a first Kinect's
     (1.4 mm at 1 m, 6 mm at 2 m: Khoshelham and Oude Elberink 2012); missing: share of pixels that tell nothing
     near_m, far_m: beyond these nothing is told
     """
 
     name: str = "synthetic depth camera"
-    rate_hz: float = 30.0
     unit_m: float = 0.001
     noise_m: float = 0.0
     noise_per_m: float = 1.425e-3
@@ -49,9 +48,6 @@ class SyntheticDepthConfig:
     near_m: float = 0.0
     far_m: float = 10.0
     intrinsics: Intrinsics | None = None
-    seed: int = 0
-    silence_s: float | None = None
-    stuck_after_s: float | None = None
 
 
 class SyntheticDepthCamera(SyntheticSource[DepthImage, View]):
@@ -65,17 +61,8 @@ class SyntheticDepthCamera(SyntheticSource[DepthImage, View]):
         reconnect: Reconnect | None = RECONNECT,
         clock: Clock = monotonic_ns,
     ) -> None:
-        self.config = config = config or SyntheticDepthConfig()
-        super().__init__(
-            config.name,
-            scene,
-            rate_hz=config.rate_hz,
-            stuck_after_s=config.stuck_after_s,
-            silence_s=config.silence_s,
-            reconnect=reconnect,
-            clock=clock,
-        )
-        self._random = np.random.default_rng(config.seed)
+        self.config = config or SyntheticDepthConfig()
+        super().__init__(scene, self.config, reconnect=reconnect, clock=clock)
 
     def _take(self, view: View, stamp: Stamp) -> DepthImage:
         config = self.config

@@ -12,22 +12,18 @@ from numpy.typing import NDArray
 from deformscope_drivers.clock import Clock, Stamp, monotonic_ns
 from deformscope_drivers.device import RECONNECT, Reconnect
 from deformscope_drivers.images import fingerprint
-from deformscope_drivers.synthetic import SyntheticSource
+from deformscope_drivers.synthetic import SyntheticConfig, SyntheticSource
 from deformscope_drivers.webcam.image import ColorImage
 
 Picture = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True)
-class SyntheticCameraConfig:
-    """rate_hz: pictures a second of a scene; noise: deviation of each channel [grey levels of 255], under `seed`"""
+class SyntheticCameraConfig(SyntheticConfig):
+    """noise: deviation of each channel [grey levels of 255]"""
 
     name: str = "synthetic camera"
-    rate_hz: float = 30.0
     noise: float = 0.0
-    seed: int = 0
-    silence_s: float | None = None
-    stuck_after_s: float | None = None
 
 
 class SyntheticCamera(SyntheticSource[ColorImage, Picture]):
@@ -41,17 +37,8 @@ class SyntheticCamera(SyntheticSource[ColorImage, Picture]):
         reconnect: Reconnect | None = RECONNECT,
         clock: Clock = monotonic_ns,
     ) -> None:
-        self.config = config = config or SyntheticCameraConfig()
-        super().__init__(
-            config.name,
-            scene,
-            rate_hz=config.rate_hz,
-            stuck_after_s=config.stuck_after_s,
-            silence_s=config.silence_s,
-            reconnect=reconnect,
-            clock=clock,
-        )
-        self._random = np.random.default_rng(config.seed)
+        self.config = config or SyntheticCameraConfig()
+        super().__init__(scene, self.config, reconnect=reconnect, clock=clock)
 
     def _take(self, view: Picture, stamp: Stamp) -> ColorImage:
         if self.config.noise:
