@@ -81,6 +81,20 @@ def test_the_table_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 
     assert main([*arguments, "--workers", "1", "--out", str(tmp_path)]) == 0
     assert "homogeneous-110 regions" in capsys.readouterr().out
-    assert (tmp_path / "table41.csv").read_text().startswith("scene,planner,seeds")
+    assert (tmp_path / "table41.csv").read_text().startswith("scene,planner,touches")
     (row,) = json.loads((tmp_path / "table41.json").read_text())["rows"]
-    assert row["count_right"] == 1.0
+    assert row["right"] == 1.0
+    assert (tmp_path / "table41.png").exists()
+
+
+def test_the_table_goes_on_where_it_was_cut_off(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["reproduce", "table41", "--scenes", "homogeneous-110", "--touches", "1", "--workers", "1"]
+    arguments += ["--out", str(tmp_path), "--resume"]
+    assert main([*arguments, "--seeds", "1"]) == 0
+    (first,) = (tmp_path / "runs.jsonl").read_text().splitlines()
+
+    assert main([*arguments, "--seeds", "2"]) == 0
+    runs = (tmp_path / "runs.jsonl").read_text().splitlines()
+    assert runs[0] == first  # with the seconds that it took then
+    assert [json.loads(line)["job"]["seed"] for line in runs] == [0, 1]
+    assert "2 layouts a scene" in capsys.readouterr().out
