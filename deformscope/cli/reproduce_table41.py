@@ -176,6 +176,7 @@ def _words(row: dict[str, Any]) -> str:
         parts.append(f"levels within {row['levels_covered']:.2f} of {row['levels_runs']}")
     if row["touches_covered"] is not None:
         parts.append(f"touches within {row['touches_covered']:.2f}")
+    parts.append(f"discs below {1e3 * row['unmet_m']:.0f} mm radius may be missed")
     parts.append(f"{row['made']:g} touches, {row['travel_m']:.2f} m, {row['robot_s']:.0f} s")
     return ", ".join(parts)
 

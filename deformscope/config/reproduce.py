@@ -182,6 +182,8 @@ class Table41Config(CommandOptions):
     def __post_init__(self) -> None:
         if self.seeds < 1 or self.touches < 1:
             raise InputError("--seeds and --touches of 1 or more", f"{self.seeds} and {self.touches}")
+        if self.workers is not None and self.workers < 1:
+            raise InputError("--workers of 1 or more", str(self.workers))
 
     def writes(self) -> tuple[Written, ...]:
         return written_json(self.json)

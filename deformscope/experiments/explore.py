@@ -122,7 +122,6 @@ class Truth:
     """What a simulated scene really is. labels: (rows, columns), None where there are no regions"""
 
     labels: IntArray | None
-    region_count: int
 
 
 class Explorer:

@@ -38,8 +38,7 @@ SOFT_PA = 1e-3 * RIGID_PA
 
 def truth_of(scene: Scene) -> Truth:
     """What a scene really is."""
-    labels = scene.truth() if scene.pieces else None
-    return Truth(labels, scene.region_count)
+    return Truth(scene.truth() if scene.pieces else None)
 
 
 def true_map(scene: Scene, options: ExploreOptions) -> TrueMap:

@@ -6,10 +6,13 @@ from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from deformscope.arrays import FloatArray
 from deformscope.experiments.map_score import MapScore
 from deformscope.experiments.table41 import TableRun
+from deformscope.lab.scenes import built_in
+from deformscope.stages.touches import MapGrid
 
 GOOD_IOU = 0.85
 FOUND_IOU = 0.5
@@ -30,6 +33,7 @@ def summarise(runs: Sequence[TableRun], touches: int) -> dict[str, Any]:
     with the right verdict and number; found: that, and the smallest region with an IoU of 0.5; ordered, rigid_found,
     gradual: shares. levels_covered: share of the levels in their intervals, over `levels_runs` layouts whose number is
     right; field_covered: mean share of cells; touches_covered: share of the touches so far that are not rigid
+    unmet_m: radius of the largest disc of another material that no touch would have met, median
     None where there is nothing to tell of
     """
     last = [run.at(touches) for run in runs]
@@ -52,6 +56,7 @@ def summarise(runs: Sequence[TableRun], touches: int) -> dict[str, Any]:
         "levels_covered": _share(one.levels_covered for one in scores),
         "levels_runs": sum(one.levels_covered is not None for one in scores),
         "touches_covered": _share(felt),
+        "unmet_m": _median(_unmet_m(run, end.touches) for run, end in zip(runs, last, strict=True)),
         "made": _median(after.touches for after in last),
         "travel_m": _median(after.travel_m for after in last),
         "robot_s": _median(after.robot_s for after in last),
@@ -60,6 +65,14 @@ def summarise(runs: Sequence[TableRun], touches: int) -> dict[str, Any]:
 
 def _found(score: MapScore) -> bool:
     return score.right and (score.least_iou or 0.0) >= FOUND_IOU
+
+
+def _unmet_m(run: TableRun, touches: int) -> float:
+    """Radius of the largest circle on the surface without a touch inside."""
+    grid = MapGrid(built_in(run.job.scene, run.job.seed).size_m)
+    centres = grid.centres_m
+    away = KDTree([one.xy_m for one in run.after[:touches]]).query(centres)[0]
+    return float(np.minimum(away, np.minimum(centres, grid.size_m - centres).min(axis=1)).max())
 
 
 def first_passage(run: TableRun, iou: float = GOOD_IOU) -> tuple[dict[What, float], bool]:

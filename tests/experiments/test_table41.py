@@ -34,14 +34,14 @@ def run(seed: int, gain: float, planner: str = "regions", stop: int | None = Non
 
 
 def test_the_truth_is_what_the_closed_form_of_a_bonded_layer_says() -> None:
-    """Dimitriadis et al. (2002), of dents that are shallow beside the ball's radius."""
+    """Dimitriadis et al. (2002); they press a paraboloid, and the lab's elements are within 3 % of a ball's force."""
     scene = built_in("two-150-300", 3)
     truth = true_map(scene, ExploreOptions())
 
     for piece, level in zip(scene.pieces, truth.level, strict=True):
         depth_m = 1e-3 * 3.0 / np.exp(level)
         found = layer_modulus(depth_m, 3.0, radius_m=0.01, thickness_m=scene.thickness_m, poisson=scene.poisson)
-        assert found == pytest.approx(piece.modulus_pa, rel=0.03)
+        assert found == pytest.approx(piece.modulus_pa, rel=0.04)
     assert truth.labels is not None
     np.testing.assert_array_equal(truth.log_stiffness, truth.level[truth.labels])
 
@@ -126,6 +126,11 @@ def test_a_summary_is_of_all_layouts_and_leaves_out_what_is_not_known() -> None:
     assert told["touches_covered"] == pytest.approx(16 / 17, abs=1e-3)
     assert told["rigid_found"] is None
     assert told["made"] == 8
+
+
+def test_a_disc_that_no_touch_met_is_as_large_as_the_touches_leave_room() -> None:
+    """All touches at (0.1, 0.1) on 0.6 x 0.4 m: a disc of 0.2 m fits beside them, and touches three edges."""
+    assert summarise([run(0, 0.1)], 8)["unmet_m"] == pytest.approx(0.2, abs=0.005)
 
 
 def test_a_scene_without_regions_has_no_iou() -> None:
