@@ -67,11 +67,15 @@ def _explored(jobs: Sequence[TableJob], config: Table41Config) -> list[TableRun]
 def _write(runs: Sequence[TableRun], config: Table41Config) -> None:
     from deformscope.experiments.figures import write_table
     from deformscope.experiments.table41_figures import curves
-    from deformscope.experiments.table41_summary import LOOKED_AT, compare, summarise
+    from deformscope.experiments.table41_summary import LOOKED_AT, summarise
 
     scenes = list(dict.fromkeys(one.job.scene for one in runs))
-    planners = list(dict.fromkeys(one.job.planner for one in runs))
-    by = {key: [one for one in runs if (one.job.scene, one.job.planner) == key] for key in _pairs(scenes, planners)}
+    planners: list[str] = list(dict.fromkeys(one.job.planner for one in runs))
+    by = {
+        (scene, planner): [one for one in runs if (one.job.scene, one.job.planner) == (scene, planner)]
+        for scene in scenes
+        for planner in planners
+    }
     looked_at = [count for count in LOOKED_AT if count < config.touches] + [config.touches]
     rows = [
         {"scene": scene, "planner": planner, **summarise(mine, count)}
@@ -82,13 +86,7 @@ def _write(runs: Sequence[TableRun], config: Table41Config) -> None:
         "max_force_n": max(one.max_force_n for one in runs),
         "slowest_s": max(after.compute_s for one in runs for after in one.after),
     }
-    compared = []
-    with_borders = [scene for scene in scenes if by[scene, planners[0]][0].region_count > 1]
-    for other in planners[1:]:
-        compared += [{"scene": scene} | compare(by[scene, planners[0]], by[scene, other]) for scene in with_borders]
-        if len(with_borders) > 1:
-            ours, theirs = ([one for scene in with_borders for one in by[scene, name]] for name in (planners[0], other))
-            compared.append({"scene": "all of these"} | compare(ours, theirs))
+    compared = _compared(by, planners)
     write_table(config.out / "table41.csv", list(rows[0]), [list(row.values()) for row in rows])
     if compared:
         write_table(config.out / "planners.csv", list(compared[0]), [list(row.values()) for row in compared])
@@ -99,8 +97,18 @@ def _write(runs: Sequence[TableRun], config: Table41Config) -> None:
     _tell(rows, looked_at, compared, cost, config.out)
 
 
-def _pairs(scenes: Sequence[str], planners: Sequence[str]) -> list[tuple[str, str]]:
-    return [(scene, planner) for scene in scenes for planner in planners]
+def _compared(by: dict[tuple[str, str], list[TableRun]], planners: Sequence[str]) -> list[dict[str, Any]]:
+    """The first planner beside each of the others, scene by scene and over all that have borders."""
+    from deformscope.experiments.table41_summary import PASSED_IOU, compare
+
+    bordered = [scene for (scene, planner), runs in by.items() if planner == planners[0] and runs[0].region_count > 1]
+    groups = {scene: [scene] for scene in bordered} | ({"all of these": bordered} if len(bordered) > 1 else {})
+    rows = []
+    for other in planners[1:]:
+        for name, scenes in groups.items():
+            ours, theirs = ([one for scene in scenes for one in by[scene, which]] for which in (planners[0], other))
+            rows += [{"scene": name} | compare(ours, theirs, iou) for iou in PASSED_IOU]
+    return rows
 
 
 def _scenes(named: str) -> Sequence[str]:
@@ -146,8 +154,11 @@ def _tell(
         )
     if compared:
         show_table(
-            f"To an IoU of {compared[0]['iou']:g}: ratios of the means, 5 to 95 % of the bootstrap over layouts",
-            [(f"{row['scene']}: {row['planner']} / {row['against']}", _ratios(row)) for row in compared],
+            "What it takes until the map is so good: ratios of the means (5 to 95 % of the bootstrap over layouts)",
+            [
+                (f"{row['scene']}, IoU {row['iou']:g}: {row['planner']} / {row['against']}", _ratios(row))
+                for row in compared
+            ],
         )
     show_table(
         "All of it",
@@ -183,5 +194,8 @@ def _words(row: dict[str, Any]) -> str:
 
 def _ratios(row: dict[str, Any]) -> str:
     named = (("touches", "touches"), ("travel_m", "travel"), ("robot_s", "seconds"))
-    parts = ["{} {:.2f} ({:.2f} to {:.2f})".format(words, *row[f"{name}_ratio"]) for name, words in named]
-    return ", ".join(parts) + ", reached in {:.2f} and {:.2f}".format(*row["reached"])
+    parts = [
+        f"{words} {row[f'{name}_ratio']:.2f} ({row[f'{name}_low']:.2f} to {row[f'{name}_high']:.2f})"
+        for name, words in named
+    ]
+    return ", ".join(parts) + f", reached in {row['reached']:.2f} and {row['reached_against']:.2f}"

@@ -15,6 +15,9 @@ from deformscope.lab.scenes import built_in
 from deformscope.stages.touches import MapGrid
 
 GOOD_IOU = 0.85
+PASSED_IOU = (0.8, 0.85, 0.9)
+"""How good a map is to be where planners are compared by what it took them."""
+
 FOUND_IOU = 0.5
 """A small region is found where the number of regions is right and its match overlaps it so much."""
 
@@ -75,7 +78,7 @@ def _unmet_m(run: TableRun, touches: int) -> float:
     return float(np.minimum(away, np.minimum(centres, grid.size_m - centres).min(axis=1)).max())
 
 
-def first_passage(run: TableRun, iou: float = GOOD_IOU) -> tuple[dict[What, float], bool]:
+def first_passage(run: TableRun, iou: float) -> tuple[dict[What, float], bool]:
     """What it took until the map was first this good, whether or not the plan said enough before; and whether it ever
     was: if not, it is what all touches took."""
     for after in run.after:
@@ -84,23 +87,28 @@ def first_passage(run: TableRun, iou: float = GOOD_IOU) -> tuple[dict[What, floa
     return {what: float(getattr(run.after[-1], what)) for what in PASSED}, False
 
 
-def compare(runs: Sequence[TableRun], against: Sequence[TableRun], iou: float = GOOD_IOU) -> dict[str, Any]:
-    """One planner's way to maps this good, over another's on the same scenes and seeds: ratios of mean first passages,
-    with 5 and 95 % of their bootstrap over layouts. reached: shares of layouts in which each got there at all."""
+def compare(runs: Sequence[TableRun], against: Sequence[TableRun], iou: float) -> dict[str, Any]:
+    """One planner's way to maps this good, beside another's on the same scenes and seeds.
+
+    reached: share of layouts in which it got there at all; touches, travel_m, robot_s: mean first passages, with their
+    ratio, and 5 and 95 % of its bootstrap over layouts
+    """
     other = {(run.job.scene, run.job.seed): run for run in against}
     pairs = [(run, other[run.job.scene, run.job.seed]) for run in runs if (run.job.scene, run.job.seed) in other]
     passed = [[first_passage(one, iou) for one in pair] for pair in pairs]
     told: dict[str, Any] = {
         "planner": runs[0].job.planner,
         "against": against[0].job.planner,
-        "layouts": len(pairs),
         "iou": iou,
-        "reached": [_share(pair[which][1] for pair in passed) for which in (0, 1)],
+        "layouts": len(pairs),
+        "reached": _share(ours[1] for ours, _ in passed),
+        "reached_against": _share(theirs[1] for _, theirs in passed),
     }
     for what in PASSED:
         both = np.array([[one[0][what] for one in pair] for pair in passed])
-        told[what] = [round(float(value), 3) for value in both.mean(axis=0)]
-        told[f"{what}_ratio"] = [round(value, 3) for value in _ratio(both)]
+        mean, ratio = both.mean(axis=0), _ratio(both)
+        told |= {what: float(mean[0]), f"{what}_against": float(mean[1]), f"{what}_ratio": ratio[0]}
+        told |= {f"{what}_low": ratio[1], f"{what}_high": ratio[2]}
     return told
 
 

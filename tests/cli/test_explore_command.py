@@ -1,4 +1,4 @@
-"""`explore` and `reproduce table41` as a user calls them, through the real drivers on doubles."""
+"""`explore` as a user calls it, through the real drivers on doubles."""
 
 from __future__ import annotations
 
@@ -57,8 +57,6 @@ def test_scenes_are_listed_without_a_rig(capsys: pytest.CaptureFixture[str]) -> 
         (["explore", "lab:disc", "--set-force", "9"], "up to 5 N"),
         (["explore", "lab:disc", "--touches", "0"], "1 or more"),
         (["explore", "rig.toml"], "lab:NAME"),
-        (["reproduce", "table41", "--scenes", "moon"], "a scene"),
-        (["reproduce", "table41", "--planners", "luck"], "planners out of"),
     ],
 )
 def test_what_cannot_be_explored_is_said_in_one_line(
@@ -74,27 +72,3 @@ def test_what_cannot_be_explored_is_said_in_one_line(
     said = capsys.readouterr().err
     assert words in said
     assert said.count("\n") == 1
-
-
-def test_the_table_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["reproduce", "table41", "--scenes", "homogeneous-110", "--seeds", "1", "--touches", "2"]
-
-    assert main([*arguments, "--workers", "1", "--out", str(tmp_path)]) == 0
-    assert "homogeneous-110 regions" in capsys.readouterr().out
-    assert (tmp_path / "table41.csv").read_text().startswith("scene,planner,touches")
-    (row,) = json.loads((tmp_path / "table41.json").read_text())["rows"]
-    assert row["right"] == 1.0
-    assert (tmp_path / "table41.png").exists()
-
-
-def test_the_table_goes_on_where_it_was_cut_off(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["reproduce", "table41", "--scenes", "homogeneous-110", "--touches", "1", "--workers", "1"]
-    arguments += ["--out", str(tmp_path), "--resume"]
-    assert main([*arguments, "--seeds", "1"]) == 0
-    (first,) = (tmp_path / "runs.jsonl").read_text().splitlines()
-
-    assert main([*arguments, "--seeds", "2"]) == 0
-    runs = (tmp_path / "runs.jsonl").read_text().splitlines()
-    assert runs[0] == first  # with the seconds that it took then
-    assert [json.loads(line)["job"]["seed"] for line in runs] == [0, 1]
-    assert "2 layouts a scene" in capsys.readouterr().out

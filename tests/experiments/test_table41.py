@@ -99,18 +99,18 @@ def test_first_passage_and_its_ratio() -> None:
     assert first_passage(slow[0], 0.75) == ({"touches": 8, "travel_m": pytest.approx(1.6), "robot_s": 64}, True)
     assert first_passage(run(0, 0.05), 0.75)[1] is False
     told = compare(fast, slow, 0.75)
-    assert told["touches"] == [4.0, 8.0]
-    assert told["touches_ratio"] == [0.5, 0.5, 0.5]
-    assert told["travel_m_ratio"] == [0.5, 0.5, 0.5]
-    assert told["reached"] == [1.0, 1.0]
+    assert (told["touches"], told["touches_against"]) == (4.0, 8.0)
+    assert [told[f"touches_{what}"] for what in ("ratio", "low", "high")] == [0.5, 0.5, 0.5]
+    assert [told[f"travel_m_{what}"] for what in ("ratio", "low", "high")] == [0.5, 0.5, 0.5]
+    assert (told["reached"], told["reached_against"]) == (1.0, 1.0)
 
 
 def test_a_ratio_has_the_spread_of_its_layouts() -> None:
     slow = [run(seed, 0.1, "max-variance") for seed in range(6)]
     fast = [run(seed, 0.1 if seed % 2 else 0.5) for seed in range(6)]
-    low, high = compare(fast, slow, 0.75)["touches_ratio"][1:]
+    told = compare(fast, slow, 0.75)
 
-    assert 0.25 <= low < compare(fast, slow, 0.75)["touches_ratio"][0] < high <= 1.0
+    assert 0.25 <= told["touches_low"] < told["touches_ratio"] < told["touches_high"] <= 1.0
 
 
 def test_a_summary_is_of_all_layouts_and_leaves_out_what_is_not_known() -> None:
