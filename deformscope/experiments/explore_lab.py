@@ -34,6 +34,7 @@ ARM_N_PER_M, ARM_DOUBT = 5000.0, 0.1
 """The arm gives way under a push, which its joints do not see; a calibration on a rigid block leaves some of it."""
 VIEW_CELL_M = 0.004
 SOFT_PA = 1e-3 * RIGID_PA
+"""Modulus of the slab that is pressed to know the truth: soft enough for every depth, stiff enough for every force."""
 
 
 def truth_of(scene: Scene) -> Truth:
