@@ -63,9 +63,8 @@ class PlanOptions:
     """planner; fill: touches that fill the space before regions are asked for; cell_m: of the places considered
     border_m, apart_m: kept from the border and from earlier touches; touch_s, speed_m_s: what a touch and the way cost
     threshold: of variance, as a share of the field's variance before any touch (Th, thesis 4.2)
-    least_gain: below which it stops: expected gain in the share of cells with the right label, or of inclusions that may
-    be there which are met; sure: the probability
-    from which the number of regions is no longer in doubt; budget: touches in all
+    least_gain: where less is to be gained it stops: of the share of cells with the right label, or of inclusions that
+    may be there; sure: the probability from which the number of regions is no longer in doubt; budget: touches in all
     """
 
     planner: Planner = "regions"
