@@ -21,7 +21,6 @@ from deformscope.experiments.explore import (
     unpack_touched,
 )
 from deformscope.experiments.explore_lab import LabRobot
-from deformscope.experiments.table41 import TableJob, run_table
 from deformscope.exploration_replay import components
 from deformscope.lab.scenes import built_in
 from deformscope.stages.contact import ArmCompliance
@@ -201,13 +200,14 @@ def test_the_thesis_way_says_what_its_trend_is() -> None:
     assert "contact patch" in told.beta_verdict  # type: ignore[attr-defined]
 
 
-def test_a_row_of_the_table() -> None:
-    run = run_table(TableJob("two-150-rigid", 1, touches=3))
+def test_it_goes_on_where_it_is_told_to() -> None:
+    """A gradient is soon known; the plan still says that it would stop."""
+    _, moments, _ = explored("gradient", budget=6, go_on=True)
+    plans = of(NextTouch, moments)
 
-    assert len(run.after) == 3
-    assert run.max_force_n < 8.0
-    assert run.after[-1].ordered
-    assert run.after[-1].travel_m > 0.1
+    assert len(of(TouchTold, moments)) == 6
+    assert plans[-1].stop_reason == "budget"  # type: ignore[attr-defined]
+    assert any(plan.stop_reason and plan.target_m is not None for plan in plans)  # type: ignore[attr-defined]
 
 
 def test_the_way_to_the_next_touch_is_as_high_as_what_it_leads_over() -> None:
