@@ -24,7 +24,7 @@ from deformscope.experiments.explore_lab import LabRobot
 from deformscope.exploration_replay import components
 from deformscope.lab.scenes import built_in
 from deformscope.stages.contact import ArmCompliance
-from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, SurfaceSeen, TouchTold
+from deformscope.stages.exploration import MapsKnown, NextTouch, SurfaceSeen, TouchTold
 
 
 def explored(name: str, **changes: object) -> tuple[Explorer, list[Moment], dict[str, bytes]]:
@@ -111,9 +111,8 @@ def test_results_of_a_touch_say_which_and_when_its_dent_was_seen() -> None:
         def __init__(self) -> None:
             self.inner = LabRobot(built_in("two-60-150", 0), ExploreOptions(beta_model="none"), sees=False)
 
-        def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray) -> Touched:
-            phases = (("travel", 10), ("press", 20), ("dwell", 30), ("retreat", 40))
-            return dataclasses.replace(self.inner.touch(xy_m, height_m, normal), phases=phases)
+        def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> Touched:
+            return dataclasses.replace(self.inner.touch(xy_m, height_m, normal, over_m), seen_ns=40)
 
         def __getattr__(self, name: str) -> object:
             return getattr(self.inner, name)
@@ -124,8 +123,6 @@ def test_results_of_a_touch_say_which_and_when_its_dent_was_seen() -> None:
     assert [(moment.touch, moment.seen_ns) for moment in told] == [(1, 40), (2, 40)]
     plans = [moment for moment in moments if any(isinstance(one, NextTouch) for one in moment.results)]
     assert [(moment.touch, moment.seen_ns) for moment in plans] == [(0, None), (1, None), (2, None)]
-    dwells = [moment for moment in moments if PhaseBegan("dwell", 0) in moment.results]
-    assert [moment.touch for moment in dwells] == [1]
 
 
 def test_the_surface_is_seen_where_it_is(two: tuple[Explorer, list[Moment], dict[str, bytes]]) -> None:
