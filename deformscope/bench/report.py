@@ -12,6 +12,7 @@ from deformscope.bench.plan import Plan, Tell, side_of
 from deformscope.bench.starting import cold
 from deformscope.bench.statics import gradient, relax, sweep, theta
 from deformscope.bench.steps import candidates_at_once, steps
+from deformscope.bench.surface import surface
 from deformscope.bench.timing import Case, Row
 from deformscope.errors import InputError
 
@@ -28,6 +29,7 @@ MEASURES: tuple[tuple[frozenset[Case], Rows], ...] = (
     (frozenset({"theta"}), theta),
     (frozenset({"gradient"}), gradient),
     (frozenset({"fit"}), fit),
+    (frozenset({"surface"}), surface),
     (frozenset({"cold"}), cold),
 )
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
-Case = Literal["step", "memory", "relax", "sweep", "theta", "gradient", "fit", "cold"]
+Case = Literal["step", "memory", "relax", "sweep", "theta", "gradient", "fit", "surface", "cold"]
 
 CASES: tuple[Case, ...] = get_args(Case)
 

@@ -28,6 +28,9 @@ FACTS: dict[str, Callable[[Any], str]] = {
     "beta": lambda value: f"beta {value:.4f}",
     "from_minimum_of_mean_distance": lambda value: f"{value:+.1e} from the least mean distance",
     "from_minimum_of_squares": lambda value: f"{value:+.1e} from the least squares",
+    "peak_bytes": lambda value: f"{value / 1e6:.0f} MB",
+    "from_exact_m": lambda value: f"{value * 1e3:.1e} mm from the exact mean",
+    "deviation_from_exact": lambda value: f"{value:.1e} from its deviation",
     "import_s": lambda value: f"imports {value:.2g} s more",
 }
 """What of a row's facts the table shows, and how."""

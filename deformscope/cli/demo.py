@@ -18,7 +18,7 @@ from deformscope.errors import InputError
 FOLDER = Path("runs")
 SAMPLE = "tension"
 SCENE = "lab:three-60-110-rigid"
-TOUCHES = 8
+TOUCHES = 12
 
 
 def run(config: DemoConfig) -> None:

@@ -73,8 +73,14 @@ def _sections(rig: Rig) -> list[Finding]:
             findings.append(
                 Finding("camera", "look", "no focal_px, center_px: the camera's own are used, if it has any")
             )
-        if arms and rig.camera.T_arm_camera is None:
+        if arms and rig.camera.T_arm_camera is None and not rig.surface.scene:
             findings.append(Finding("camera", "look", "no T_arm_camera: what it sees cannot be touched"))
+    if arms and not rig.surface.scene:
+        if rig.surface.T_arm_surface is None:
+            findings.append(Finding("surface", "look", "no T_arm_surface: explore cannot know where the surface is"))
+        if rig.tool.compliance_m_per_n is None:
+            told = "no compliance_m_per_n: explore wants it. deformscope calibrate arm measures it"
+            findings.append(Finding("tool", "look", told))
     return findings
 
 

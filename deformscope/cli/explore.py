@@ -191,9 +191,11 @@ def _found(
         for told in explorer.told
     ]
     truth = None
-    if maps is not None and maps.truth_labels is not None:
-        assert bench.truth is not None
-        truth = {"region_count": bench.truth.region_count, "iou": maps.iou, "boundary_m": explorer.boundary_m()}
+    if bench.truth is not None:  # a gradient has no regions, and none to compare with
+        labels = bench.truth.labels
+        count = 0 if labels is None else int(labels.max()) + 1
+        iou, boundary_m = (None, None) if maps is None else (maps.iou, explorer.boundary_m())
+        truth = {"region_count": count, "iou": iou, "boundary_m": boundary_m}
     return {
         "scenario": config.rig,
         "verdict": None if maps is None else maps.verdict,
@@ -220,10 +222,12 @@ def _tell(config: ExploreConfig, explorer: Explorer, found: dict[str, Any], *, s
 
     maps = explorer.maps() if explorer.told else None
     rows = [("verdict", "none: nothing was touched")] if maps is None else _region_rows(explorer, maps)
-    if found["truth"] is not None:
+    if found["truth"] is not None and found["truth"]["iou"] is not None:
         truth = found["truth"]
         off = "" if truth["boundary_m"] is None else f", border {100 * truth['boundary_m']:.1f} cm off"
         rows.append(("truth", f"{truth['region_count']} regions; IoU {truth['iou']:.3f}{off}"))
+    elif found["truth"] is not None and not found["truth"]["region_count"]:
+        rows.append(("truth", "no regions: the stiffness changes smoothly"))
     betas = [told.beta_verdict for told in explorer.told if told.beta is not None]
     if betas:
         common = max(set(betas), key=betas.count)

@@ -2,59 +2,115 @@
 
 deformscope reproduce table41 --seeds 5
 deformscope reproduce table41 --scenes two-60-150,disc --planners regions,max-variance --touches 12
+deformscope reproduce table41 --resume                  # goes on where it was cut off
 """
 
 from __future__ import annotations
 
-import csv
-import io
+import time
 from collections.abc import Sequence
+from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING, Any, get_args
 
-import numpy as np
-
-from deformscope.cli.common import make_folder, progress, replacing, show_table, write_json
+from deformscope.cli.common import SAY_EVERY_S, console, make_folder, progress, replacing, say, show_table, write_json
 from deformscope.cli.workers import in_processes
 from deformscope.config import Table41Config
 from deformscope.errors import InputError
 
 if TYPE_CHECKING:
-    from deformscope.experiments.table41 import MapAfter, TableRun
+    from deformscope.experiments.table41 import TableJob, TableRun
 
-GOOD = 0.85
-LOOKED_AT = (4, 8, 12)
+RUNS = "runs.jsonl"
 
 
 def run(config: Table41Config) -> None:
     """Explore every scene with every planner over the seeds; write and tell the table."""
-    from deformscope.experiments.table41 import TableJob, run_table
+    from deformscope.experiments.table41 import TableJob
 
     make_folder(config.out)
+    planners = _planners(config.planners)
     jobs = [
-        TableJob(scene, seed, planner, config.touches)
+        TableJob(scene, seed, planner, config.touches, go_on=len(planners) > 1)
         for seed in range(config.seeds)
         for scene in _scenes(config.scenes)
-        for planner in _planners(config.planners)
+        for planner in planners
     ]
-    runs: list[TableRun] = []
-    with progress("exploring", len(jobs)) as done:
-        for _, found in in_processes(run_table, jobs, config.workers):
-            runs.append(found)
+    runs = _explored(jobs, config)
+    _write(runs, config)
+
+
+def _explored(jobs: Sequence[TableJob], config: Table41Config) -> list[TableRun]:
+    """The run of each job; kept in the folder as they are done, and taken from there with --resume."""
+    from deformscope.experiments.table41 import add_run, read_runs, run_table
+
+    path = config.out / RUNS
+    known = {}
+    if config.resume and path.exists():
+        known = {one.job: one for one in read_runs(path) if one.job in jobs}
+    with replacing(path) as file:
+        file.write(b"")
+    for one in known.values():
+        add_run(path, one)
+    left = [job for job in jobs if job not in known]
+    said, shown = time.monotonic(), console().is_terminal
+    with progress("exploring", len(left)) as done:
+        for count, (index, found) in enumerate(in_processes(run_table, left, config.workers), start=1):
+            known[left[index]] = found
+            add_run(path, found)
             done(1)
-    rows = [row for row in _rows(runs, config.touches) if row["seeds"]]
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]))
-    writer.writeheader()
-    writer.writerows(rows)
-    with replacing(config.out / "table41.csv") as file:
-        file.write(text.getvalue().encode())
-    told = {"rows": rows, "runs": runs}
+            if not shown and time.monotonic() - said > SAY_EVERY_S:
+                said = time.monotonic()
+                say(f"exploring: {count} of {len(left)}")
+    return [known[job] for job in jobs]
+
+
+def _write(runs: Sequence[TableRun], config: Table41Config) -> None:
+    from deformscope.experiments.figures import write_table
+    from deformscope.experiments.table41_figures import curves
+    from deformscope.experiments.table41_summary import LOOKED_AT, summarise
+
+    scenes = list(dict.fromkeys(one.job.scene for one in runs))
+    planners: list[str] = list(dict.fromkeys(one.job.planner for one in runs))
+    by = {
+        (scene, planner): [one for one in runs if (one.job.scene, one.job.planner) == (scene, planner)]
+        for scene in scenes
+        for planner in planners
+    }
+    looked_at = [count for count in LOOKED_AT if count < config.touches] + [config.touches]
+    rows = [
+        {"scene": scene, "planner": planner, **summarise(mine, count)}
+        for (scene, planner), mine in by.items()
+        for count in looked_at
+    ]
+    cost = {
+        "max_force_n": max(one.max_force_n for one in runs),
+        "compute_s": median(after.compute_s for one in runs for after in one.after),
+        "slowest_s": max(after.compute_s for one in runs for after in one.after),
+    }
+    compared = _compared(by, planners)
+    write_table(config.out / "table41.csv", list(rows[0]), [list(row.values()) for row in rows])
+    if compared:
+        write_table(config.out / "planners.csv", list(compared[0]), [list(row.values()) for row in compared])
+    curves(runs, config.out / "table41.png")
+    told = {"rows": rows, "planners": compared, **cost, "runs": runs}
     write_json(told, str(config.out / "table41.json"))
     write_json(told, config.json)
-    show_table(
-        f"{config.seeds} layouts a scene; IoU of regions: median [share of layouts at {GOOD:g} or more]",
-        [(f"{row['scene']} {row['planner']}", _line(row)) for row in rows],
-    )
+    _tell(rows, looked_at, compared, cost, config.out)
+
+
+def _compared(by: dict[tuple[str, str], list[TableRun]], planners: Sequence[str]) -> list[dict[str, Any]]:
+    """The first planner beside each of the others, scene by scene and over all that have borders."""
+    from deformscope.experiments.table41_summary import PASSED_IOU, compare
+
+    bordered = [scene for (scene, planner), runs in by.items() if planner == planners[0] and runs[0].region_count > 1]
+    groups = {scene: [scene] for scene in bordered} | ({"all of these": bordered} if len(bordered) > 1 else {})
+    rows = []
+    for other in planners[1:]:
+        for name, scenes in groups.items():
+            ours, theirs = ([one for scene in scenes for one in by[scene, which]] for which in (planners[0], other))
+            rows += [{"scene": name} | compare(ours, theirs, iou) for iou in PASSED_IOU]
+    return rows
 
 
 def _scenes(named: str) -> Sequence[str]:
@@ -63,7 +119,7 @@ def _scenes(named: str) -> Sequence[str]:
     scenes = [name.strip() for name in named.split(",") if name.strip()] or list(BUILT_IN)
     for scene in scenes:
         built_in(scene)
-    return scenes
+    return list(dict.fromkeys(scenes))
 
 
 def _planners(named: str) -> Sequence[Any]:
@@ -72,61 +128,79 @@ def _planners(named: str) -> Sequence[Any]:
     planners = [name.strip() for name in named.split(",")]
     if unknown := [name for name in planners if name not in get_args(Planner)]:
         raise InputError(f"planners out of {', '.join(get_args(Planner))}", ", ".join(map(repr, unknown)))
-    return planners
+    return list(dict.fromkeys(planners))
 
 
-def _rows(runs: Sequence[TableRun], touches: int) -> list[dict[str, Any]]:
-    """One row a scene and planner."""
-    keys = sorted({(one.job.scene, one.job.planner) for one in runs}, key=lambda key: (key[0], key[1]))
-    rows = []
-    for scene, planner in keys:
-        mine = [one for one in runs if (one.job.scene, one.job.planner) == (scene, planner)]
-        row: dict[str, Any] = {"scene": scene, "planner": planner, "seeds": len(mine)}
-        for count in LOOKED_AT:
-            last = [_at(one, count) for one in mine] if count <= touches else []
-            ious = [after.iou for after in last if after.iou is not None]
-            row[f"iou_{count}"] = round(float(np.median(ious)), 3) if ious else ""
-            row[f"good_{count}"] = round(float(np.mean(np.array(ious) >= GOOD)), 2) if ious else ""
-        ends = [one.after[-1] for one in mine]
-        rigid = [after.rigid_found for after in ends if after.rigid_found is not None]
-        row |= {
-            "count_right": _share([_right(one) for one in mine]),
-            "gradual": _share([after.verdict == "gradual" for after in ends]),
-            "rigid_found": _share(rigid) if rigid else "",
-            "ordered": _share([after.ordered for after in ends]),
-            "travel_m": round(float(np.median([after.travel_m for after in ends])), 2),
-            "max_force_n": round(max(one.max_force_n for one in mine), 2),
-            "slowest_s": round(float(np.median([one.slowest_s for one in mine])), 2),
-        }
-        rows.append(row)
-    return rows
+# In words ------------------------------------------------------------------------------------------------------------
 
 
-def _at(run: TableRun, touches: int) -> MapAfter:
-    """The map after that many touches, or after the last."""
-    return run.after[min(touches, len(run.after)) - 1]
+def _tell(
+    rows: Sequence[dict[str, Any]],
+    looked_at: Sequence[int],
+    compared: Sequence[dict[str, Any]],
+    cost: dict[str, float],
+    out: Path,
+) -> None:
+    layouts = rows[0]["layouts"]
+    keys = list(dict.fromkeys((row["scene"], row["planner"]) for row in rows))
+    at = {(row["scene"], row["planner"], row["touches"]): row for row in rows}
+    counts = ", ".join(map(str, looked_at))
+    show_table(
+        f"IoU of regions after {counts} touches, {layouts} layouts a scene: median [share at 0.85 or more]",
+        [(f"{scene} {planner}", _ious([at[scene, planner, count] for count in looked_at])) for scene, planner in keys],
+    )
+    for count in [count for count in looked_at if count >= 8] or looked_at[-1:]:
+        show_table(
+            f"After {count} touches at most",
+            [(f"{scene} {planner}", _words(at[scene, planner, count])) for scene, planner in keys],
+        )
+    if compared:
+        show_table(
+            "What it takes until the map is so good: ratios of the means (5 to 95 % of the bootstrap over layouts)",
+            [
+                (f"{row['scene']}, IoU {row['iou']:g}: {row['planner']} / {row['against']}", _ratios(row))
+                for row in compared
+            ],
+        )
+    show_table(
+        "All of it",
+        [
+            ("largest true contact force", f"{cost['max_force_n']:.2f} N"),
+            (
+                "computing between two touches",
+                f"{cost['compute_s']:.2f} s, {cost['slowest_s']:.2f} s at most, beside what else this machine did",
+            ),
+            ("written to", str(out)),
+        ],
+    )
 
 
-def _right(run: TableRun) -> bool:
-    from deformscope.lab.scenes import built_in
-
-    end = run.after[-1]
-    count = built_in(run.job.scene, run.job.seed).region_count
-    return end.verdict == "gradual" if count == 0 else end.verdict == "regions" and end.region_count == count
+def _ious(rows: Sequence[dict[str, Any]]) -> str:
+    if rows[0]["iou"] is None:
+        return "no regions: field off by " + ", ".join(f"{row['field_rms']:.3f}" for row in rows) + " rms in log"
+    return ", ".join(f"{row['iou']:.2f} [{row['good']:.2f}]" for row in rows)
 
 
-def _share(right: Sequence[bool]) -> float:
-    return round(float(np.mean(right)), 2)
-
-
-def _line(row: dict[str, Any]) -> str:
-    parts = [
-        f"{count} touches {row[f'iou_{count}']} [{row[f'good_{count}']}]"
-        for count in LOOKED_AT
-        if row[f"iou_{count}"] != ""
-    ]
-    parts.append(f"count right {row['count_right']}")
-    if row["rigid_found"] != "":
-        parts.append(f"rigid found {row['rigid_found']}")
-    parts += [f"order right {row['ordered']}", f"travel {row['travel_m']} m", f"force up to {row['max_force_n']} N"]
+def _words(row: dict[str, Any]) -> str:
+    named = (("found", "smallest found"), ("rigid_found", "rigid found"), ("ordered", "order right"))
+    parts = [f"verdict and number right {row['right']:.2f}"]
+    parts += [f"{words} {row[name]:.2f}" for name, words in named if row[name] is not None]
+    if row["boundary_m"] is not None:
+        parts.append(f"border {1e3 * row['boundary_m']:.0f} mm off")
+    parts.append(f"field {row['field_rms']:.3f} rms [{row['field_covered']:.2f} within]")
+    if row["levels_covered"] is not None:
+        parts.append(f"levels within {row['levels_covered']:.2f} of {row['levels_runs']}")
+    if row["touches_covered"] is not None:
+        parts.append(f"touches within {row['touches_covered']:.2f}")
+    parts.append(f"discs of up to {1e3 * row['unmet_m']:.0f} mm radius unmet")
+    parts.append(f"{row['made']:g} touches, {row['travel_m']:.2f} m, {row['robot_s']:.0f} s")
     return ", ".join(parts)
+
+
+def _ratios(row: dict[str, Any]) -> str:
+    named = (("touches", "touches"), ("travel_m", "travel"), ("robot_s", "seconds"))
+    parts = [
+        f"{words} {row[f'{name}_ratio']:.2f} ({row[f'{name}_low']:.2f} to {row[f'{name}_high']:.2f})"
+        for name, words in named
+    ]
+    return ", ".join(parts) + f", reached in {row['reached']:.2f} and {row['reached_against']:.2f}"

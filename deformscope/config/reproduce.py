@@ -128,18 +128,21 @@ class CoverageConfig(JsonOptions):
 @dataclass(frozen=True, slots=True)
 class Table41Config(JsonOptions):
     """Thesis table 4.1 and scenes beyond it: explore simulated tables over seeds, and tell how good the maps are after
-    how many touches, planner beside planner. 20 seeds of all scenes take some 20 minutes on two cores."""
+    how many touches, planner beside planner. A touch takes about a second of a core: 20 seeds of all scenes take
+    most of an hour."""
 
     out: Annotated[Path, arg(metavar="DIR")] = Path("runs/table41")
-    """Folder for table41.csv and table41.json; files there are replaced."""
+    """Folder for the table (CSV, JSON, PNG) and for each exploration (runs.jsonl); files there are replaced."""
     scenes: Annotated[str, arg(metavar="NAME,NAME...")] = ""
     """Scenes, as `deformscope explore --list-scenarios` names them; default: all."""
     planners: Annotated[str, arg(metavar="NAME,NAME...")] = "regions"
-    """Planners to compare: regions, integrated-variance, max-variance, random-above."""
+    """Planners: regions, integrated-variance, max-variance, random-above. The first is compared with the others."""
     seeds: int = 20
     """Layouts of each scene, from seed 0 on."""
-    touches: int = 8
+    touches: int = 12
     """Touches of each exploration."""
+    resume: bool = False
+    """Take what an earlier command left in runs.jsonl, and go on from there; it must have been this version."""
     workers: CountFlag = None
     """Processes at once; default: the cores of this machine."""
     json: JsonFlag = None
@@ -148,3 +151,5 @@ class Table41Config(JsonOptions):
     def __post_init__(self) -> None:
         if self.seeds < 1 or self.touches < 1:
             raise InputError("--seeds and --touches of 1 or more", f"{self.seeds} and {self.touches}")
+        if self.workers is not None and self.workers < 1:
+            raise InputError("--workers of 1 or more", str(self.workers))

@@ -17,7 +17,7 @@ import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.experiments.region_study import boundary_distance, match_regions
+from deformscope.experiments.map_score import boundary_distance, called_labels, match_regions
 from deformscope.stages.cloud import Box, Intrinsics, tactile_points
 from deformscope.stages.contact import ArmCompliance, ContactFit, fit_approach, layer_modulus
 from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, Stopped, SurfaceSeen, TouchTold
@@ -54,6 +54,7 @@ class ExploreOptions:
     set_force_n, max_depth_m: of a touch; tip_radius_m: of its ball; thickness_m: of the foam
     beta_model: layers below the surface, the thesis's single layer, or no beta; cell_m: of the maps; seed
     standoff_m: of the tip above the surface before and after a touch, and above all that it crosses
+    go_on: touch until the budget is spent, even where the plan says enough (for studies)
     """
 
     planner: Planner = "regions"
@@ -67,6 +68,7 @@ class ExploreOptions:
     cell_m: float = 0.005
     seed: int = 0
     standoff_m: float = 0.05
+    go_on: bool = False
 
     def __post_init__(self) -> None:
         if self.budget < 1:
@@ -128,12 +130,9 @@ class Robot(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What a simulated scene really is. labels: (rows, columns), None where there are no regions; stiffness: of each
-    label, in any unit, to tell the order"""
+    """What a simulated scene really is. labels: (rows, columns), None where there are no regions"""
 
     labels: IntArray | None
-    region_count: int
-    stiffness: tuple[float, ...] = ()
 
 
 class Explorer:
@@ -180,7 +179,8 @@ class Explorer:
             reachable=reachable,
             seed=options.seed + len(self.told),
         )
-        target = None if plan.stop is not None else plan.target_m
+        enough = plan.stop is not None and not (options.go_on and len(self.told) < options.budget)
+        target = None if enough else plan.target_m
         self.stop_reason = plan.stop or ""
         return NextTouch(target, plan.gain, plan.cost_s, plan.excluded != ALLOWED, plan.reason, plan.stop or "")
 
@@ -241,7 +241,7 @@ class Explorer:
             contacts_m=np.array([told.xyz_m[:2] for told in self.told]),
             tip_radius_m=self.options.tip_radius_m,
             truth_labels=truth,
-            iou=None if truth is None else match_regions(found.labels, truth)[0],
+            iou=None if truth is None else match_regions(called_labels(found), truth)[0],
             level_n_per_mm=np.exp(found.level),
             level_rigid=found.rigid,
         )
@@ -252,17 +252,11 @@ class Explorer:
             self._regions = self.posterior.region_map()
         return self._regions
 
-    @property
-    def truth(self) -> Truth | None:
-        """What is really there, where that is known."""
-        return self._truth
-
     def boundary_m(self) -> float | None:
         """Mean distance between the true boundary and that of the map, both ways; None where there is none of both."""
         if self._truth is None or self._truth.labels is None:
             return None
-        found = boundary_distance(self.region_map().labels, self._truth.labels, self.grid.cell_m)
-        return found if np.isfinite(found) else None
+        return boundary_distance(called_labels(self.region_map()), self._truth.labels, self.grid.cell_m)
 
     def new_inputs(self) -> list[tuple[str, bytes]]:
         """What was taken in since the last call: names and files of arrays (.npz), from which all can be computed

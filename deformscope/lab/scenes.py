@@ -14,8 +14,8 @@ then 37, 68 and 93 kPa. (The secant modulus, 4.6, 8.5 and 11.6 kPa, would let 3 
 **Rigid** pieces have RIGID_PA, 1000 times the foam of 60 N. **Poisson's ratio** is 0.2 everywhere.
 
 `DRAWN` says what each scene draws from its seed, each evenly between two values. Other hardnesses come by name:
-`homogeneous-A`, `two-A-B`, `three-A-B-C`, `disc-A-B` (A around, B the disc), where a letter is a number of newtons or
-`rigid`.
+`homogeneous-A`, `two-A-B`, `three-A-B-C`, `disc-A-B` (A around, B the disc), and so on with `soft-spot`, `corner`,
+`strip`, `patches`, `wavy` and `bumpy`, where a letter is a number of newtons or `rigid`.
 """
 
 from __future__ import annotations
@@ -103,6 +103,19 @@ DRAWN: dict[str, tuple[Range, ...]] = {
         Range("wave height", 0.02, 0.04, "m"),
         Range("wave length", 0.18, 0.30, "m"),
         Range("wave phase", 0.0, 360.0, "deg"),
+    ),
+    "corner": (
+        Range("reach x", 0.24, 0.39, "m"),
+        Range("reach y", 0.20, 0.28, "m"),
+        Range("which corner", 0, 4, "from the origin, along x first"),
+        Range("inside out", 0, 2, "half"),
+    ),
+    "strip": (*_BORDER[:2], Range("width", 0.12, 0.18, "m"), Range("inside out", 0, 2, "half")),
+    "patches": (
+        *(Range(f"centre x {i}", low, low + 0.06, "m") for i, low in ((1, 0.12), (2, 0.42))),
+        *(Range(f"centre y {i}", 0.14, 0.26, "m") for i in (1, 2)),
+        *(Range(f"radius {i}", 0.07, 0.09, "m") for i in (1, 2)),
+        Range("inside out", 0, 2, "half"),
     ),
 }
 """What each kind of scene draws. "turned" below 1 leaves the pieces' order as named from the left, else reverses it."""
@@ -218,13 +231,18 @@ BUILT_IN = {
     "bumpy": "two foams, 60 and 150 N, under a surface that is not flat",
     "soft-spot": "a spot of 10 to 12 cm and 60 N in a foam of 150 N",
     "wavy": "two foams, 60 and 150 N, that meet along a wave",
+    "corner": "a rectangle in a corner of another foam, 60 and 150 N either way round",
+    "strip": "a strip of 12 to 18 cm across another foam, 60 and 150 N either way round",
+    "patches": "two discs of 14 to 18 cm in another foam, 60 and 150 N either way round",
 }
 """Scenes by name, and what they are: thesis table 4.1's six, and what it did not try."""
 
-PIECES = {"disc": ("30", "200"), "bumpy": ("60", "150"), "soft-spot": ("150", "60"), "wavy": ("60", "150")}
+PIECES = {"disc": ("30", "200"), "soft-spot": ("150", "60")} | dict.fromkeys(
+    ("bumpy", "wavy", "corner", "strip", "patches"), ("60", "150")
+)
 """Hardness [N] of the pieces where the name does not tell; 30 and 200 N are 19 and 123 kPa."""
 
-COUNT = {"homogeneous": 1, "two": 2, "three": 3, "disc": 2, "bumpy": 2, "soft-spot": 2, "wavy": 2}
+COUNT = {"homogeneous": 1, "two": 2, "three": 3} | dict.fromkeys(PIECES, 2)
 
 
 def built_in(name: str, seed: int = 0) -> Scene:
@@ -264,6 +282,23 @@ def _layout(kind: str, drawn: dict[str, float]) -> Labels:
     if kind in ("disc", "soft-spot"):
         centre, radius = np.array([drawn["centre x"], drawn["centre y"]]), drawn["radius"]
         return lambda xy: ((np.linalg.norm(xy - centre, axis=-1) < radius) ^ swapped).astype(np.int64)
+    if kind == "corner":
+        corner = min(int(drawn["which corner"]), 3)
+        far, reach = np.array([corner in (1, 2), corner in (2, 3)]), np.array([drawn["reach x"], drawn["reach y"]])
+        size = np.array(SIZE_M)
+        return lambda xy: np.asarray((np.where(far, size - xy, xy) < reach).all(axis=-1) ^ swapped).astype(np.int64)
+    if kind == "strip":
+        across, half = _border(drawn["border x"], SIZE_M[1] / 2, drawn["border tilt"]), drawn["width"] / 2
+        return lambda xy: ((np.abs(across(xy)) < half) ^ swapped).astype(np.int64)
+    if kind == "patches":
+        middle = np.array([[drawn[f"centre x {i}"], drawn[f"centre y {i}"]] for i in (1, 2)])
+        radii = np.array([drawn[f"radius {i}"] for i in (1, 2)])
+
+        def patched(xy: FloatArray) -> IntArray:
+            away = np.linalg.norm(np.asarray(xy)[..., None, :] - middle, axis=-1)
+            return np.where((away < radii).any(axis=-1), not swapped, swapped).astype(np.int64)
+
+        return patched
     wave = (drawn["wave height"], drawn["wave length"], drawn["wave phase"]) if kind == "wavy" else (0.0, 1.0, 0.0)
     beyond = _border(drawn["border x"], SIZE_M[1] / 2, drawn["border tilt"], wave)
     return lambda xy: ((beyond(xy) > 0.0) ^ swapped).astype(np.int64)

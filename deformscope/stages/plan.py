@@ -2,7 +2,9 @@
 
 `random-above`: any place whose field variance is above a threshold (Thesis 4.2); `max-variance`: the largest variance;
 `integrated-variance`: the largest drop of the mean variance (active learning Cohn, 1996); `regions`, the default:
-touches that fill the space first, then those that are expected to put most of the map's labels right, per second.
+touches that fill the space first; then, while one material alone has been met, those that would meet most of the
+inclusions that may be there; and from then on those that are expected to put most of the map's labels right. All of
+these per second.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from dataclasses import dataclass
 from typing import Literal, cast
 
 import numpy as np
+from scipy.spatial.distance import cdist
 from scipy.special import ndtr, ndtri, xlogy
 from threadpoolctl import threadpool_limits
 
@@ -31,6 +34,9 @@ OUTCOMES = 16
 
 CONTENDERS = 100
 """Places, those that tell most about the map per second, for which the gain in labels is worked out."""
+
+INCLUSION_RADII_M = (0.04, 0.06, 0.085, 0.12)
+"""Discs that may be there unseen, wherever more than their half lies on the surface."""
 
 LABEL_CELL_M = 0.025
 LEVEL_WORTH = 0.02
@@ -57,8 +63,8 @@ class PlanOptions:
     """planner; fill: touches that fill the space before regions are asked for; cell_m: of the places considered
     border_m, apart_m: kept from the border and from earlier touches; touch_s, speed_m_s: what a touch and the way cost
     threshold: of variance, as a share of the field's variance before any touch (Th, thesis 4.2)
-    least_gain: expected gain in the share of cells with the right label, below which it stops; sure: the probability
-    from which the number of regions is no longer in doubt; budget: touches in all
+    least_gain: where less is to be gained it stops: of the share of cells with the right label, or of inclusions that
+    may be there; sure: the probability from which the number of regions is no longer in doubt; budget: touches in all
     """
 
     planner: Planner = "regions"
@@ -86,7 +92,8 @@ class Plan:
 
     target_m: (2,) the best place [m], None if there is none; stop: why no touch is worth it any more, None to go on
     gain: what each place would tell, nan where excluded; unit: of gain ("label": share of cells that get the right
-    label); cost_s: time of the way and the touch; excluded: codes (ALLOWED, OUT_OF_REACH, AT_BORDER, TOUCHED_BEFORE)
+    label; "inclusion": share of the inclusions that may be there which it meets first)
+    cost_s: time of the way and the touch; excluded: codes (ALLOWED, OUT_OF_REACH, AT_BORDER, TOUCHED_BEFORE)
     reason: in words
     """
 
@@ -183,6 +190,24 @@ def level_information(hypotheses: Hypotheses, places_m: FloatArray, blur_m: floa
     `known_sd` is worth little more."""
     _, sd, weight = _predictions(hypotheses, places_m, blur_m, known_sd)
     return cast(FloatArray, weight @ np.log(sd / known_sd))
+
+
+def inclusion_gain(
+    places_m: FloatArray, touched_m: FloatArray, centres_m: FloatArray, size_m: tuple[float, float], blur_m: float
+) -> FloatArray:
+    """(p,) share of all inclusions which a touch at places (p, 2) would be the first to meet.
+
+    Inclusions are discs of `INCLUSION_RADII_M` around centres (c, 2); a touch meets one if most of what it feels lies
+    within. touched_m: (t, 2) touches so far
+    """
+    inland = np.minimum(centres_m, np.asarray(size_m) - centres_m).min(axis=1)
+    from_places, from_touches = cdist(places_m, centres_m), cdist(touched_m, centres_m)
+    gain = np.zeros(len(places_m))
+    for radius in INCLUSION_RADII_M:
+        there, reach = inland > radius / 2.0, radius - blur_m / 2.0
+        unmet = there & (from_touches > reach).all(axis=0)
+        gain += (from_places[:, unmet] <= reach).sum(axis=1) / max(int(there.sum()), 1)
+    return gain / len(INCLUSION_RADII_M)
 
 
 def _outcomes(
@@ -288,9 +313,13 @@ def _gain(
     drop = np.where(allowed, _integrated_drop(kernel, touched, places), np.nan)
     if options.planner == "integrated-variance":
         return drop, "mean variance", drop
-    if _filling(posterior, options):
+    if len(touched) < options.fill:
         return drop, "mean variance", drop / cost
     gain = np.full(len(places), np.nan)
+    # a search for the boundaries of what nothing speaks for would only stall
+    if posterior.probability["1"] > 0.5:
+        gain[allowed] = inclusion_gain(places[allowed], touched, places, posterior.grid.size_m, posterior.prior.blur_m)
+        return gain, "inclusion", gain / cost
     if allowed.any():
         gain[allowed] = _region_gain(posterior, kernel.noise_sd, places[allowed], cost[allowed])
     return gain, "label", gain / cost
@@ -308,11 +337,6 @@ def _region_gain(posterior: RegionPosterior, noise_sd: float, places: FloatArray
     return gain
 
 
-def _filling(posterior: RegionPosterior, options: PlanOptions) -> bool:
-    """Too few touches, or nothing seen yet but one material: a search for boundaries would only stall."""
-    return len(posterior.touches) < options.fill or posterior.probability["1"] > 0.5
-
-
 def _stop(
     posterior: RegionPosterior, options: PlanOptions, gain: FloatArray, unit: str, variance: FloatArray
 ) -> StopReason | None:
@@ -325,7 +349,7 @@ def _stop(
         return None
     if variance.max() < options.threshold:
         return "nothing above the threshold"
-    if unit == "label" and np.nanmax(gain) < options.least_gain:
+    if unit in ("label", "inclusion") and np.nanmax(gain) < options.least_gain:
         return "little left to learn"
     return None
 
@@ -338,5 +362,7 @@ def _why(posterior: RegionPosterior, options: PlanOptions, unit: str, gain: floa
         return f"the least known place: variance {gain:.3g}"
     if unit == "mean variance":
         return f"fills the space: the mean variance drops by {gain:.2g} for {cost_s:.0f} s"
+    if unit == "inclusion":
+        return f"one material so far: meets {gain:.1%} of the inclusions that may be there, for {cost_s:.0f} s"
     shares = ", ".join(f"{name}: {share:.0%}" for name, share in posterior.probability.items() if share >= 0.05)
     return f"adds {gain:.1%} to the labels (at most {most:.1%}) for {cost_s:.0f} s; regions {shares}"

@@ -1,4 +1,4 @@
-"""`explore` and `reproduce table41` as a user calls them, through the real drivers on doubles."""
+"""`explore` as a user calls it, through the real drivers on doubles."""
 
 from __future__ import annotations
 
@@ -76,8 +76,6 @@ def test_scenes_are_listed_without_a_rig(capsys: pytest.CaptureFixture[str]) -> 
         (["explore", "rig.toml"], "a rig file (TOML), or lab:NAME"),
         (["explore", "lab:disc", "--fault", "storms@1"], "try: storm@1"),
         (["explore", "lab:disc", "--fault", "storm@9"], "from 1 to 8"),
-        (["reproduce", "table41", "--scenes", "moon"], "a scene"),
-        (["reproduce", "table41", "--planners", "luck"], "planners out of"),
     ],
 )
 def test_what_cannot_be_explored_is_said_in_one_line(
@@ -93,16 +91,6 @@ def test_what_cannot_be_explored_is_said_in_one_line(
     said = capsys.readouterr().err
     assert words in said
     assert said.count("\n") == 1
-
-
-def test_the_table_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["reproduce", "table41", "--scenes", "homogeneous-110", "--seeds", "1", "--touches", "2"]
-
-    assert main([*arguments, "--workers", "1", "--out", str(tmp_path)]) == 0
-    assert "homogeneous-110 regions" in capsys.readouterr().out
-    assert (tmp_path / "table41.csv").read_text().startswith("scene,planner,seeds")
-    (row,) = json.loads((tmp_path / "table41.json").read_text())["rows"]
-    assert row["count_right"] == 1.0
 
 
 LAB_STARTS_NS = 1_000_000_000

@@ -21,11 +21,10 @@ from deformscope.experiments.explore import (
     unpack_touched,
 )
 from deformscope.experiments.explore_lab import LabRobot
-from deformscope.experiments.table41 import TableJob, run_table
 from deformscope.exploration_replay import components
 from deformscope.lab.scenes import built_in
 from deformscope.stages.contact import ArmCompliance
-from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, SurfaceSeen, TouchTold
+from deformscope.stages.exploration import MapsKnown, NextTouch, SurfaceSeen, TouchTold
 
 
 def explored(name: str, **changes: object) -> tuple[Explorer, list[Moment], dict[str, bytes]]:
@@ -112,9 +111,8 @@ def test_results_of_a_touch_say_which_and_when_its_dent_was_seen() -> None:
         def __init__(self) -> None:
             self.inner = LabRobot(built_in("two-60-150", 0), ExploreOptions(beta_model="none"), sees=False)
 
-        def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray) -> Touched:
-            phases = (("travel", 10), ("press", 20), ("dwell", 30), ("retreat", 40))
-            return dataclasses.replace(self.inner.touch(xy_m, height_m, normal), phases=phases)
+        def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> Touched:
+            return dataclasses.replace(self.inner.touch(xy_m, height_m, normal, over_m), seen_ns=40)
 
         def __getattr__(self, name: str) -> object:
             return getattr(self.inner, name)
@@ -125,8 +123,6 @@ def test_results_of_a_touch_say_which_and_when_its_dent_was_seen() -> None:
     assert [(moment.touch, moment.seen_ns) for moment in told] == [(1, 40), (2, 40)]
     plans = [moment for moment in moments if any(isinstance(one, NextTouch) for one in moment.results)]
     assert [(moment.touch, moment.seen_ns) for moment in plans] == [(0, None), (1, None), (2, None)]
-    dwells = [moment for moment in moments if PhaseBegan("dwell", 0) in moment.results]
-    assert [moment.touch for moment in dwells] == [1]
 
 
 def test_the_surface_is_seen_where_it_is(two: tuple[Explorer, list[Moment], dict[str, bytes]]) -> None:
@@ -201,13 +197,14 @@ def test_the_thesis_way_says_what_its_trend_is() -> None:
     assert "contact patch" in told.beta_verdict  # type: ignore[attr-defined]
 
 
-def test_a_row_of_the_table() -> None:
-    run = run_table(TableJob("two-150-rigid", 1, touches=3))
+def test_it_goes_on_where_it_is_told_to() -> None:
+    """A gradient is soon known; the plan still says that it would stop."""
+    _, moments, _ = explored("gradient", budget=6, go_on=True)
+    plans = of(NextTouch, moments)
 
-    assert len(run.after) == 3
-    assert run.max_force_n < 8.0
-    assert run.after[-1].ordered
-    assert run.after[-1].travel_m > 0.1
+    assert len(of(TouchTold, moments)) == 6
+    assert plans[-1].stop_reason == "budget"  # type: ignore[attr-defined]
+    assert any(plan.stop_reason and plan.target_m is not None for plan in plans)  # type: ignore[attr-defined]
 
 
 def test_the_way_to_the_next_touch_is_as_high_as_what_it_leads_over() -> None:

@@ -11,12 +11,14 @@ from deformscope.stages.partitions import draw
 from deformscope.stages.plan import (
     ALLOWED,
     AT_BORDER,
+    INCLUSION_RADII_M,
     OUT_OF_REACH,
     PLANNERS,
     TOUCHED_BEFORE,
     FieldKernel,
     Planner,
     PlanOptions,
+    inclusion_gain,
     information,
     label_gain,
     plan_touch,
@@ -143,11 +145,55 @@ def test_the_way_counts(halves: RegionPosterior) -> None:
     assert away[0] < away[1]
 
 
-def test_it_fills_the_space_first_and_as_long_as_there_is_one_material(one_material: RegionPosterior) -> None:
+def test_it_fills_the_space_first_and_looks_for_inclusions_while_there_is_one_material(
+    one_material: RegionPosterior,
+) -> None:
     assert plan_touch(RegionPosterior.before_touches(GRID), KERNEL, PlanOptions()).unit == "mean variance"
     plan = plan_touch(one_material, KERNEL, PlanOptions())
-    assert plan.unit == "mean variance"
-    assert "fills the space" in plan.reason
+    assert plan.unit == "inclusion"
+    assert "inclusions" in plan.reason
+    done = plan_touch(one_material, KERNEL, PlanOptions(sure=0.1, threshold=0.0, least_gain=1.0))
+    assert done.stop == "little left to learn"
+
+
+def test_inclusions_are_met_once_and_by_touches_inside_them() -> None:
+    grid = MapGrid(cell_m=0.02)
+    places = grid.centres_m
+    none, blur_m = np.zeros((0, 2)), 0.012
+    first = inclusion_gain(places, none, places, grid.size_m, blur_m)
+    middle, corner = (int(np.hypot(*(places - at).T).argmin()) for at in ((0.3, 0.2), (0.0, 0.0)))
+    # as many as have their centres within reach: one radius by hand
+    reach = INCLUSION_RADII_M[0] - blur_m / 2.0
+    alone = (np.hypot(*(places - places[middle]).T) <= reach).sum()
+    there = (np.minimum(places, np.asarray(grid.size_m) - places).min(axis=1) > INCLUSION_RADII_M[0] / 2.0).sum()
+    assert first[middle] > alone / there / len(INCLUSION_RADII_M) > 0.0
+    assert first[corner] < first[middle]
+
+    again = inclusion_gain(places, places[[middle]], places, grid.size_m, blur_m)
+    assert again[middle] == 0.0
+    far = np.hypot(*(places - places[middle]).T) > 2.0 * INCLUSION_RADII_M[-1]
+    np.testing.assert_array_equal(again[far], first[far])
+    assert (again <= first).all()
+
+
+def test_a_search_for_inclusions_leaves_smaller_holes_than_the_variance() -> None:
+    """Ten touches of one material: what fits between them."""
+    grid = MapGrid(cell_m=0.02)
+    places = grid.centres_m
+    inner = np.minimum(places, np.asarray(grid.size_m) - places).min(axis=1)
+
+    def hole(planner: Planner) -> float:
+        touches: list[Touch] = []
+        posterior = RegionPosterior.before_touches(grid, particle_count=50)
+        for _ in range(10):
+            plan = plan_touch(posterior, KERNEL, PlanOptions(planner))
+            assert plan.target_m is not None
+            touches.append(Touch(plan.target_m, 0.0, 0.03))
+            posterior = posterior.with_touch(touches[-1])
+        away = np.min([np.hypot(*(places - touch.xy_m).T) for touch in touches], axis=0)
+        return float(np.minimum(away, inner).max())
+
+    assert hole("regions") < 0.95 * hole("max-variance")
 
 
 def test_it_never_stops_while_the_number_of_regions_is_in_doubt(halves: RegionPosterior) -> None:
