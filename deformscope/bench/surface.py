@@ -30,16 +30,16 @@ BYTES = 8
 def surface(plan: Plan, tell: Tell) -> Iterator[Row]:
     """Fit and map of one cloud; the exact process at places 2 cm apart, with the same hyper-parameters given to it."""
     try:
-        from deformscope.stages.gaussian_process import Grid
         from deformscope.stages.surface import fit_surface
+        from deformscope.stages.touches import MapGrid
     except ImportError:  # a machine with numpy, scipy and warp alone
         return
     count = QUICK_POINTS if plan.quick else POINTS
     what = f"surface from {count:,} points".replace(",", " ")
     tell(f"surface: {what}")
     points = _cloud(count)
-    maps = Grid.over((0.0, 0.0), SIZE_M, MAP_M)
-    asked = Grid.over((0.0, 0.0), SIZE_M, ASKED_M).places_m
+    maps = MapGrid(SIZE_M, MAP_M)
+    asked = MapGrid(SIZE_M, ASKED_M).centres_m
     kept: dict[str, HeightProcess] = {}
     exact: dict[str, tuple[FloatArray, FloatArray]] = {}
 

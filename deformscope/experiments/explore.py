@@ -22,7 +22,6 @@ from deformscope.stages.cloud import Box, Intrinsics, tactile_points
 from deformscope.stages.contact import ArmCompliance, ContactFit, fit_approach, layer_modulus
 from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, Stopped, SurfaceSeen, TouchTold
 from deformscope.stages.field import BETA_PRIOR, fit_field
-from deformscope.stages.gaussian_process import Grid
 from deformscope.stages.plan import ALLOWED, FieldKernel, Planner, PlanOptions, plan_touch
 from deformscope.stages.regions import RegionMap, RegionPosterior
 from deformscope.stages.surface import HeightMap, HeightProcess, fit_surface
@@ -163,7 +162,7 @@ class Explorer:
         self._inputs.append(("explored/looked", pack(looked)))
         size_m = self.grid.size_m
         self.world = fit_surface(looked.points_m, noise_m=looked.noise_m, within_m=((0.0, 0.0), size_m), outlier_sd=5.0)
-        heights = self.world.on(Grid.over((0.0, 0.0), size_m, self.grid.cell_m))
+        heights = self.world.on(self.grid)
         self._heights = heights
         return SurfaceSeen(looked.points_m, heights.mean_m, heights.deviation_m, self.grid.cell_m)
 
@@ -354,7 +353,7 @@ class Explorer:
         places, values, sds = (np.array(part, dtype=np.float64) for part in zip(*known, strict=True))
         sds = np.where(np.isfinite(sds), sds, BETA_PRIOR.nugget)
         field = fit_field(places, values, sds, prior=BETA_PRIOR)
-        found = field.on(Grid.over((0.0, 0.0), self.grid.size_m, self.grid.cell_m))
+        found = field.on(self.grid)
         return found.mean.clip(0.0, 1.0), found.deviation
 
 

@@ -22,7 +22,8 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.gaussian_process import Believed, Grid, Kernel
+from deformscope.stages.gaussian_process import Believed, Kernel
+from deformscope.stages.touches import MapGrid
 
 FREEDOM = 3.0
 """Hyper-parameters lie within this many deviations of their priors."""
@@ -81,7 +82,7 @@ BETA_PRIOR = FieldPrior(sigma_e=0.25, nugget=0.05, level_sd=1.0)
 class FieldMap:
     """A field on a grid. mean, deviation: (rows, columns), of the field itself, without a touch's noise"""
 
-    grid: Grid
+    grid: MapGrid
     mean: FloatArray
     deviation: FloatArray
 
@@ -131,9 +132,9 @@ class Field:
                 second += state.share * (variance.clip(0.0) + mean**2)
         return Believed(first + self.level, np.sqrt((second - first**2).clip(0.0)))
 
-    def on(self, grid: Grid) -> FieldMap:
+    def on(self, grid: MapGrid) -> FieldMap:
         """The field at the centres of a grid's cells."""
-        found = self.at(grid.places_m)
+        found = self.at(grid.centres_m)
         return FieldMap(grid, found.mean.reshape(grid.shape), found.deviation.reshape(grid.shape))
 
     def covariance(self, places_m: FloatArray, others_m: FloatArray) -> FloatArray:

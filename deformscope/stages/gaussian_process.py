@@ -13,9 +13,6 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 
-CELL_M = 0.005
-"""Cells of maps are this wide [m] (Thesis 4.4)."""
-
 
 @dataclass(frozen=True, slots=True)
 class Kernel:
@@ -58,37 +55,3 @@ class Believed:
 
     mean: FloatArray
     deviation: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class Grid:
-    """Cells of a map seen from above: rows along y, columns along x, all of one size.
-
-    origin_m: (x, y) of the corner of the first cell [m]; shape: (rows, columns); cell_m: side of a cell [m]
-    """
-
-    origin_m: tuple[float, float]
-    shape: tuple[int, int]
-    cell_m: float = CELL_M
-
-    @classmethod
-    def over(cls, low_m: tuple[float, float], high_m: tuple[float, float], cell_m: float = CELL_M) -> Grid:
-        """The cells that cover a box (x, y) to (x, y) [m]."""
-        columns, rows = (max(1, round((high_m[i] - low_m[i]) / cell_m)) for i in range(2))
-        return cls((float(low_m[0]), float(low_m[1])), (rows, columns), cell_m)
-
-    @property
-    def x_m(self) -> FloatArray:
-        """(columns,) centres [m]."""
-        return self.origin_m[0] + (np.arange(self.shape[1]) + 0.5) * self.cell_m
-
-    @property
-    def y_m(self) -> FloatArray:
-        """(rows,) centres [m]."""
-        return self.origin_m[1] + (np.arange(self.shape[0]) + 0.5) * self.cell_m
-
-    @property
-    def places_m(self) -> FloatArray:
-        """(rows * columns, 2) centres of the cells, row by row [m]."""
-        x, y = np.meshgrid(self.x_m, self.y_m)
-        return np.column_stack([x.ravel(), y.ravel()])

@@ -1,7 +1,7 @@
 """The *world* and *touch* surfaces: height over the table as a Gaussian process of all observed points (Thesis 4.1).
 
     surface = fit_surface(points_m)                      # (n, 3), any number: 12 000 take a second
-    heights = surface.on(Grid.over((0.0, 0.0), (0.6, 0.4)))   # mean and deviation on cells of 0.5 cm
+    heights = surface.on(MapGrid((0.6, 0.4)))            # mean and deviation on cells of 0.5 cm
     normals = surface.normals(places_m)                  # (m, 3), with the slopes' deviation in surface.slopes
 
 Every point counts: the hyper-parameters are those of the marginal likelihood of all points, and the regression goes
@@ -17,9 +17,10 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.gaussian_process import Believed, Grid, Kernel
+from deformscope.stages.gaussian_process import Believed, Kernel
 from deformscope.stages.marginal_likelihood import Given, Learned, Points, learn
 from deformscope.stages.sparse_process import SPACING, SparseProcess
+from deformscope.stages.touches import MapGrid
 
 FEWEST = 3
 
@@ -36,7 +37,7 @@ OUTLIER_ROUNDS = 3
 class HeightMap:
     """Heights on a grid. mean_m, deviation_m: (rows, columns) of the surface itself, without a point's noise [m]"""
 
-    grid: Grid
+    grid: MapGrid
     mean_m: FloatArray
     deviation_m: FloatArray
 
@@ -70,9 +71,9 @@ class HeightProcess:
             found = self.process.at(np.atleast_2d(np.asarray(places_m, dtype=np.float64)))
         return Believed(found.mean + self.level_m, found.deviation)
 
-    def on(self, grid: Grid) -> HeightMap:
+    def on(self, grid: MapGrid) -> HeightMap:
         """Heights at the centres of a grid's cells."""
-        found = self.at(grid.places_m)
+        found = self.at(grid.centres_m)
         return HeightMap(grid, found.mean.reshape(grid.shape), found.deviation.reshape(grid.shape))
 
     def slopes(self, places_m: FloatArray) -> Believed:

@@ -20,7 +20,6 @@ from deformscope.errors import InputError
 from deformscope.stages.cloud import contact_radius_m
 from deformscope.stages.distance import nearest_error
 from deformscope.stages.estimate import Curve, Estimate
-from deformscope.stages.gaussian_process import Grid
 from deformscope.stages.layers import Surface
 from deformscope.stages.msm import clusters
 from deformscope.stages.msm.solver import Precision
@@ -28,6 +27,7 @@ from deformscope.stages.poke import Law, Scene, Tip, hold, settle
 from deformscope.stages.poke_estimate import conclude
 from deformscope.stages.poke_fit import DOWN, NEAR_SHARE, REACH_SHARE, REACH_TIPS, PokesFit, SeenPoke, fit_pokes
 from deformscope.stages.surface import HeightProcess
+from deformscope.stages.touches import MapGrid
 
 LEAST_SPACING_SHARE, MOST_SPACING_SHARE = 0.14, 0.25
 """The lattice's spacing in thicknesses of the foam at least (finer ones take seconds) and at most (fewer layers hold no
@@ -242,12 +242,11 @@ def thesis_beta(
     follows firmness: 0.55 to 0.14 there.
     Raises InputError where the lowest point is at the square's edge.
     """
-    half = 0.5 * side_m
-    corner, other = (tuple(float(x) for x in np.asarray(place_m)[:2] + way) for way in (-half, half))
-    grid = Grid.over((corner[0], corner[1]), (other[0], other[1]), cell_m)
+    grid = MapGrid((side_m, side_m), cell_m)
+    places_m = np.asarray(place_m)[:2] - 0.5 * side_m + grid.centres_m
     if min(grid.shape) <= cluster_size:
         raise InputError(f"a square of more than {cluster_size} cells a side", f"{grid.shape}", "smaller cells")
-    before, after = (np.column_stack([grid.places_m, one.at(grid.places_m).mean]) for one in (world, touched))
+    before, after = (np.column_stack([places_m, one.at(places_m).mean]) for one in (world, touched))
     lowest = int(np.argmin(after[:, 2] - before[:, 2]))
     row, column = np.unravel_index(np.arange(len(before)), grid.shape)
     edge = np.flatnonzero((row == 0) | (row == grid.shape[0] - 1) | (column == 0) | (column == grid.shape[1] - 1))

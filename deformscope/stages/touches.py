@@ -34,7 +34,8 @@ class Touch:
 
 @dataclass(frozen=True, slots=True)
 class MapGrid:
-    """Square cells over a surface from (0, 0) to `size_m` [m]; arrays have a row for each y, a column for each x."""
+    """Square cells over a surface from (0, 0) to `size_m` [m], 5 mm wide unless told otherwise (Thesis 4.4); arrays
+    have a row for each y, a column for each x."""
 
     size_m: tuple[float, float] = (0.60, 0.40)
     cell_m: float = 0.005

@@ -9,7 +9,8 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
 from deformscope.errors import InputError
 from deformscope.stages.field import FieldPrior, fit_field
-from deformscope.stages.gaussian_process import Grid, Kernel
+from deformscope.stages.gaussian_process import Kernel
+from deformscope.stages.touches import MapGrid
 
 SIZE = np.array([0.6, 0.4])
 
@@ -23,14 +24,14 @@ def test_mean_and_deviation_are_those_of_another_library() -> None:
     theirs = GaussianProcessRegressor(
         ConstantKernel(0.36) * RBF(0.12) + ConstantKernel(1.5**2), alpha=sd**2 + nugget**2, optimizer=None
     ).fit(places, value - field.level)
-    grid = Grid.over((0.0, 0.0), (0.6, 0.4), 0.02)
-    mean, deviation = theirs.predict(grid.places_m, return_std=True)
+    grid = MapGrid((0.6, 0.4), 0.02)
+    mean, deviation = theirs.predict(grid.centres_m, return_std=True)
 
     found = field.on(grid)
     np.testing.assert_allclose(found.mean.ravel(), mean + field.level, atol=1e-9)
     np.testing.assert_allclose(found.deviation.ravel(), deviation, rtol=1e-6)
     assert field.log_likelihood == pytest.approx(theirs.log_marginal_likelihood_value_, rel=1e-9)
-    asked = grid.places_m[::50]
+    asked = grid.centres_m[::50]
     _, covariance = theirs.predict(asked, return_cov=True)
     np.testing.assert_allclose(field.covariance(asked, asked), covariance, atol=1e-9)
 

@@ -10,8 +10,9 @@ from scipy.optimize import minimize
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages import marginal_likelihood
-from deformscope.stages.gaussian_process import Grid, Kernel
+from deformscope.stages.gaussian_process import Kernel
 from deformscope.stages.surface import HeightProcess, fit_surface
+from deformscope.stages.touches import MapGrid
 
 KERNEL = Kernel.of_length(0.008, 0.06)
 SIZE = np.array([0.6, 0.4])
@@ -55,13 +56,13 @@ def test_mean_and_deviation_are_an_exact_processs_also_in_a_hole(length_m: float
     noise = rng.uniform(0.5e-3, 3e-3, 900)
     heights = 0.05 + drawn(rng, places, Kernel.of_length(0.008, length_m)) + noise * rng.normal(size=900)
     points = np.column_stack([places, heights])
-    grid = Grid.over((0.0, 0.0), (0.6, 0.4), 0.01)
+    grid = MapGrid((0.6, 0.4), 0.01)
 
     surface = fit_surface(points, noise_m=noise)
     found = surface.on(grid)
-    mean, deviation = exact(surface, points, surface.noise_m, grid.places_m)
+    mean, deviation = exact(surface, points, surface.noise_m, grid.centres_m)
 
-    hole = np.hypot(*(grid.places_m - [0.35, 0.2]).T) < 0.04
+    hole = np.hypot(*(grid.centres_m - [0.35, 0.2]).T) < 0.04
     assert deviation[hole].min() > np.median(deviation[~hole])
     assert found.mean_m.shape == (40, 60)
     np.testing.assert_allclose(found.mean_m.ravel(), mean, rtol=0, atol=1e-6)
@@ -89,7 +90,7 @@ def test_hyper_parameters_are_the_likeliest_of_an_exact_process() -> None:
 
 def test_known_hyper_parameters_come_back_from_all_points() -> None:
     rng = np.random.default_rng(3)
-    coarse = Grid.over((0.0, 0.0), (0.6, 0.4), 0.02).places_m
+    coarse = MapGrid((0.6, 0.4), 0.02).centres_m
     truth = drawn(rng, coarse)
     places = rng.uniform(size=(6000, 2)) * SIZE
     noisy = np.linalg.solve(KERNEL.between(coarse, coarse) + 1e-8 * KERNEL.sigma_e**2 * np.eye(len(coarse)), truth)
@@ -178,7 +179,7 @@ def test_what_the_user_fixes_is_kept() -> None:
 
 
 def test_constant_few_and_repeated_points_still_make_a_surface() -> None:
-    flat = np.column_stack([Grid.over((0.0, 0.0), (0.6, 0.4), 0.05).places_m, np.full(96, 0.05)])
+    flat = np.column_stack([MapGrid((0.6, 0.4), 0.05).centres_m, np.full(96, 0.05)])
     level = fit_surface(flat).at(np.array([[0.3, 0.2], [0.0, 0.0]]))
     np.testing.assert_allclose(level.mean, 0.05, atol=1e-6)
     assert (level.deviation < 1e-5).all()
@@ -244,7 +245,7 @@ def test_what_makes_no_surface_is_refused(points: FloatArray, options: dict[str,
 def test_the_same_points_give_the_same_bits() -> None:
     rng = np.random.default_rng(11)
     points = np.column_stack([rng.uniform(size=(400, 2)) * SIZE, rng.normal(size=400) * 1e-3])
-    grid = Grid.over((0.0, 0.0), (0.6, 0.4), 0.02)
+    grid = MapGrid((0.6, 0.4), 0.02)
     one, two = (fit_surface(points.copy()).on(grid) for _ in range(2))
     np.testing.assert_array_equal(one.mean_m, two.mean_m)
     np.testing.assert_array_equal(one.deviation_m, two.deviation_m)
@@ -258,7 +259,7 @@ def test_twelve_thousand_points_are_as_exact() -> None:
     heights = 0.008 * np.sqrt(2 / 300) * np.cos(places @ wave + rng.uniform(0, 6.28, 300)).sum(axis=1)
     points = np.column_stack([places, heights + rng.normal(size=12_000) * 1.5e-3])
     surface = fit_surface(points)
-    asked = Grid.over((0.0, 0.0), (0.6, 0.4), 0.02).places_m
+    asked = MapGrid((0.6, 0.4), 0.02).centres_m
     mean, deviation = exact(surface, points, surface.noise_m, asked)
     np.testing.assert_allclose(surface.at(asked).mean, mean, rtol=0, atol=1e-6)
     np.testing.assert_allclose(surface.at(asked).deviation, deviation, rtol=1e-3)

@@ -143,12 +143,13 @@ def test_the_thesiss_model_holds_its_lowest_point_and_says_what_its_trend_is(lev
 
 def test_the_thesiss_model_finds_its_own_beta(level: HeightProcess) -> None:
     """A surface made by that very model, deep enough for a single layer to feel beta."""
-    from deformscope.stages.gaussian_process import Believed, Grid
+    from deformscope.stages.gaussian_process import Believed
     from deformscope.stages.msm import clusters
     from deformscope.stages.msm.solver import Msm
+    from deformscope.stages.touches import MapGrid
 
-    grid = Grid.over((0.025, 0.025), (0.175, 0.175), 0.01)
-    rest = np.column_stack([grid.places_m, np.full(225, THICKNESS)])
+    grid = MapGrid((0.15, 0.15), 0.01)
+    rest = np.column_stack([0.025 + grid.centres_m, np.full(225, THICKNESS)])
     row, column = np.unravel_index(np.arange(225), grid.shape)
     edge = np.flatnonzero((row % 14 == 0) | (column % 14 == 0))
     held = np.append(edge, 7 * 15 + 7)
