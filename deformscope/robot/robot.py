@@ -106,6 +106,7 @@ class Robot:
         self.seen = Observation(clock())
         self._pose: ArmSample | None = None
         self._speed_m_s = 0.0
+        self._refusal = ""
         self._next_ns = clock()
         self.supervisor = Supervisor(limits, clock(), placement.T_ee_center)
 
@@ -155,6 +156,8 @@ class Robot:
         verdict = self.supervisor.judge(
             self.seen, commanded_m_s=self._speed_m_s, camera_needed=self.camera_needed and self.camera is not None
         )
+        if self._refusal:  # unless a fault was seen that is the reason of it
+            verdict = self.supervisor.refused(self._refusal, self._clock())
         self._tell_watch(verdict)
         verdict = self.supervisor.verdict  # whoever watches may have asked to stop
         if verdict.action is Action.STOP:
@@ -226,7 +229,7 @@ class Robot:
 
     def _send(self, command: Command) -> None:
         moving = self._speed_m_s > 0
-        self._speed_m_s = 0.0
+        self._speed_m_s, self._refusal = 0.0, ""
         try:
             if isinstance(command, TipVelocity):
                 self._send_tip(command)
@@ -236,7 +239,8 @@ class Robot:
                 self.arm.stop()
         except DeviceError as error:
             # What the driver refuses stops the robot too: nobody goes on as if it had been done.
-            self.halt(str(error))
+            self._refusal = str(error)
+            self.halt(self._refusal)
         self.commanded.append((self._clock(), self._speed_m_s))
 
     def _send_tip(self, command: TipVelocity) -> None:

@@ -20,6 +20,7 @@ RIG = """
 driver = "jaco"
 double = true
 state_hz = 100
+command_deadline_s = 0.5
 [devices.tip]
 driver = "optoforce"
 double = true
@@ -120,7 +121,7 @@ def test_a_rig_that_cannot_explore_is_refused_in_one_line(
 ) -> None:
     text = rig.read_text()
     assert old in text
-    rig.write_text(text.replace(old, new).replace("state_hz = 100\n" if "dsa" in new else "\0", ""))
+    rig.write_text(text.replace(old, new).replace("state_hz = 100\ncommand_deadline_s = 0.5\n" if "dsa" in new else "\0", ""))
 
     assert main(["explore", str(rig)]) == 2
 
