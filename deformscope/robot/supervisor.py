@@ -254,7 +254,7 @@ class Supervisor:
             found += self._place(sample)
         if (age_s := (now_ns - self._arm_ns) / 1e9) > limits.arm_silent_s and not self._excused:
             found.append((Action.STOP, Fault.ARM_SILENT, f"no state of the arm for {age_s * 1e3:.0f} ms"))
-        if self._unmoved_m > limits.arm_frozen_m and now_ns - self._moved_ns > limits.arm_frozen_s * 1e9:
+        if self._unmoved_m > limits.arm_frozen_m and now_ns - self._moved_ns >= limits.arm_frozen_s * 1e9:
             why = f"its joints say the same while it was sent {self._unmoved_m * 1e3:.1f} mm on"
             found.append((Action.STOP, Fault.ARM_FROZEN, why))
         return found

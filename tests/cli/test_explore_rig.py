@@ -121,7 +121,10 @@ def test_a_rig_that_cannot_explore_is_refused_in_one_line(
 ) -> None:
     text = rig.read_text()
     assert old in text
-    rig.write_text(text.replace(old, new).replace("state_hz = 100\ncommand_deadline_s = 0.5\n" if "dsa" in new else "\0", ""))
+    changed = text.replace(old, new)
+    if "dsa" in new:
+        changed = changed.replace("state_hz = 100\ncommand_deadline_s = 0.5\n", "")
+    rig.write_text(changed)
 
     assert main(["explore", str(rig)]) == 2
 
