@@ -205,15 +205,22 @@ class Robot:
         another preflight has passed."""
         self._may_move = False
         self.arm.acknowledge_stop()
-        self._drain()
+        self._listen()
         self._next_ns = self._clock()
         self.supervisor.acknowledge(self._clock())
 
     def start(self) -> None:
         """After a pause in which nobody looked: forget what waits, count ages from now on."""
-        self._drain()
+        self._listen()
         self._next_ns = self._clock()
         self.supervisor.start(self._clock())
+
+    def rest(self) -> None:
+        """Nobody looks until `start`, while something is computed or a person asked: what comes meanwhile is kept from
+        queues that would overflow, and tell of a loss where there is none."""
+        for queue in (self._forces, self._states, self._pictures):
+            if queue is not None:
+                queue.close()
 
     # Within ----------------------------------------------------------------------------------------------------------
 
@@ -286,10 +293,15 @@ class Robot:
             ),
         )
 
-    def _drain(self) -> None:
-        for queue in (self._forces, self._states, self._pictures):
-            if queue is not None:
-                _taken(queue)
+    def _listen(self) -> None:
+        """From now on, with empty queues; a device that has ended for good gives none, and its link tells so."""
+        self.rest()
+        with contextlib.suppress(DeviceError):
+            self._forces = self.force.readings()
+        with contextlib.suppress(DeviceError):
+            self._states = self.arm.readings()
+        with contextlib.suppress(DeviceError):
+            self._pictures = self.camera.readings() if self.camera is not None else None
 
 
 def _taken(queue: Any) -> list[Any]:
