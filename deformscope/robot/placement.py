@@ -160,3 +160,9 @@ def best_joints(chain: Chain, T_base_ees: Sequence[FloatArray], tries: int = 16)
         if least > 0 and (best is None or least > best[0] + 1e-6):
             best = least, first.joints_deg
     return None if best is None else best[1]
+
+
+def towards(start_deg: Sequence[float], goal_deg: npt.ArrayLike, endless: npt.NDArray[np.bool_]) -> FloatArray:
+    """(n,) degrees to turn from joint angles to others, the short way where a joint turns without end."""
+    turn = np.asarray(goal_deg, dtype=float) - np.asarray(start_deg, dtype=float)
+    return np.asarray(np.where(endless, (turn + 180.0) % 360.0 - 180.0, turn))

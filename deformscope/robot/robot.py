@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from deformscope.errors import InputError
 from deformscope.robot.placement import Placement
@@ -310,12 +309,6 @@ def _taken(queue: Any) -> list[Any]:
         return list(queue.take())
     except DeviceError:
         return []
-
-
-def towards(start_deg: Sequence[float], goal_deg: npt.ArrayLike, endless: npt.NDArray[np.bool_]) -> FloatArray:
-    """(n,) degrees to turn from joint angles to others, the short way where a joint turns without end."""
-    turn = np.asarray(goal_deg, dtype=float) - np.asarray(start_deg, dtype=float)
-    return np.asarray(np.where(endless, (turn + 180.0) % 360.0 - 180.0, turn))
 
 
 def damaged_frames(force: Optoforce) -> int:
