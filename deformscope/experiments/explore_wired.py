@@ -134,8 +134,10 @@ class TouchingRobot:
         arm: ArmCompliance,
         clock: Callable[[], int],
         workspace: Workspace,
+        beside_m: tuple[float, float] = (STICK_RADIUS_M, 0.0),
     ) -> None:
-        """camera: its intrinsics, None = as its pictures say; and T_surface_camera (4, 4), None = not known"""
+        """beside_m: radius of the stick with what is on it, and how far off camera and arm may be to one another [m]
+        camera: its intrinsics, None = as its pictures say; and T_surface_camera (4, 4), None = not known"""
         self.size_m = size_m
         self.arm = arm
         self._robot = robot
@@ -143,6 +145,7 @@ class TouchingRobot:
         self._camera = camera
         self._clock = clock
         self._workspace = workspace
+        self._stick_radius_m, self._doubt_m = beside_m
         self._pictures: Subscription[DepthImage] | None = None
         self.on_phase: Callable[[Phase, int], None] = lambda phase, time_ns: None
         self._dwelling = contextlib.ExitStack()
@@ -357,11 +360,12 @@ class TouchingRobot:
         frames = self._robot.arm.chain.forward(self._robot.pose.joints_deg)
         joints = [(T_surface_base @ frame)[:3, 3] for frame in (np.eye(4), *frames)]
         center = self._robot.center_m
-        links = [Capsule(a, b, LINK_RADIUS_M + LINK_MARGIN_M) for a, b in pairwise(joints)]
+        links = [Capsule(a, b, LINK_RADIUS_M + LINK_MARGIN_M + self._doubt_m) for a, b in pairwise(joints)]
+        margin_m = STICK_MARGIN_M + self._doubt_m
         return (
             *links,
-            Capsule(joints[-1], center, STICK_RADIUS_M + STICK_MARGIN_M),
-            Capsule(center, center, self._options.tip_radius_m + STICK_MARGIN_M),
+            Capsule(joints[-1], center, self._stick_radius_m + margin_m),
+            Capsule(center, center, self._options.tip_radius_m + margin_m),
         )
 
     def _new_pictures(self) -> list[DepthImage]:

@@ -6,6 +6,7 @@ The tip's frame has its z axis along the stick, outwards: a touch along the norm
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -127,9 +128,14 @@ def reach(
     reached = np.zeros(len(centers_m), bool)
     least = np.zeros(len(centers_m))
     joints = chain.home_deg if start_deg is None else np.asarray(start_deg, dtype=float)
+    frames = [np.eye(4), *chain.forward(chain.home_deg)]
+    longest_m = sum(float(np.linalg.norm(b[:3, 3] - a[:3, 3])) for a, b in itertools.pairwise(frames))
     for index, (center_m, normal) in enumerate(zip(centers_m, directions, strict=True)):
+        T_base_ee = placement.T_base_ee(center_m, normal)
+        if float(np.linalg.norm(T_base_ee[:3, 3])) > longest_m:
+            continue  # all links stretched out would be too short: many searches for nothing
         found = chain.inverse(
-            placement.T_base_ee(center_m, normal),
+            T_base_ee,
             joints,
             position_tolerance_m=1e-4,
             rotation_tolerance_rad=1e-3,

@@ -63,3 +63,25 @@ def test_it_never_plans_to_press_up_to_the_soft_stop(
 
     assert plan.more_force_n == more_n
     assert robot.forces_told.startswith(told)
+
+
+def test_more_is_left_out_around_the_stick_where_the_cameras_place_is_in_doubt() -> None:
+    scene = make_scene(3, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
+    radii = []
+    for beside_m in ((STICK_RADIUS_M, 0.0), (0.015, 0.004)):
+        robot = TouchingRobot(
+            scene.robot,
+            (0.6, 0.4),
+            ExploreOptions(),
+            (None, None),
+            arm=ArmCompliance(),
+            clock=scene.lab.clock,
+            workspace=Workspace(),
+            beside_m=beside_m,
+        )
+        radii.append([link.radius_m for link in robot._links()])
+    scene.lab.close()
+    plain, doubtful = np.array(radii)
+
+    assert doubtful[:-2] - plain[:-2] == pytest.approx(0.004)
+    assert doubtful[-2:] - plain[-2:] == pytest.approx([0.011, 0.004])
