@@ -67,7 +67,7 @@ class Tool:
 
     length_m: from the arm's end to the tip; tip: its shape; radius_m: of the tip
     T_ee_tip: 4x4, tip to the arm's end [m]; default: straight on along z by length_m
-    stick_radius_m: of the thickest between the arm's end and the tip, as a force sensor there, which is left out of what
+    stick_radius_m: of the thickest between the arm's end and the tip, as a force sensor there: it is left out of what
     the camera sees
     compliance_m_per_n: how far the tip stays behind where the arm says it is, for each newton that it presses with;
     compliance_sd: its deviation [m/N]. `deformscope calibrate arm` measures both
