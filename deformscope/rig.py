@@ -42,6 +42,8 @@ class Camera:
 
     device: which one of the devices; focal_px: (fx, fy); center_px: (cx, cy) [px]
     distortion: OpenCV's k1, k2, p1, p2, k3; T_arm_camera: 4x4, camera to arm base [m]
+    doubt_m: how far off T_arm_camera may be where the surface is: what is seen so near the stick may be the stick, and
+    is left out
     """
 
     device: str = ""
@@ -49,8 +51,10 @@ class Camera:
     center_px: tuple[float, float] | None = None
     distortion: tuple[float, ...] = ()
     T_arm_camera: tuple[tuple[float, ...], ...] | None = None
+    doubt_m: float = 0.0
 
     def __post_init__(self) -> None:
+        _check(0 <= self.doubt_m <= 0.03, "doubt_m between 0 and 0.03", self.doubt_m)
         if self.focal_px is not None:
             _check(min(self.focal_px) > 0, "focal_px above 0", self.focal_px)
         if self.T_arm_camera is not None:
@@ -63,6 +67,8 @@ class Tool:
 
     length_m: from the arm's end to the tip; tip: its shape; radius_m: of the tip
     T_ee_tip: 4x4, tip to the arm's end [m]; default: straight on along z by length_m
+    stick_radius_m: of the thickest between the arm's end and the tip, as a force sensor there: it is left out of what
+    the camera sees
     compliance_m_per_n: how far the tip stays behind where the arm says it is, for each newton that it presses with;
     compliance_sd: its deviation [m/N]. `deformscope calibrate arm` measures both
     """
@@ -73,10 +79,12 @@ class Tool:
     T_ee_tip: tuple[tuple[float, ...], ...] | None = None
     compliance_m_per_n: float | None = None
     compliance_sd: float = 0.0
+    stick_radius_m: float = 0.008
 
     def __post_init__(self) -> None:
         _check(0 <= self.length_m <= 1, "length_m between 0 and 1", self.length_m)
         _check(self.tip in ("sphere", "disc", "flat"), 'tip = "sphere", "disc" or "flat"', repr(self.tip))
+        _check(0 < self.stick_radius_m <= 0.1, "stick_radius_m above 0 and up to 0.1", self.stick_radius_m)
         _check(0 < self.radius_m <= 0.2, "radius_m above 0 and up to 0.2", self.radius_m)
         if self.T_ee_tip is not None:
             _check_transform("T_ee_tip", self.T_ee_tip)

@@ -73,9 +73,9 @@ class Rig(Protocol):
 
 
 @contextlib.contextmanager
-def watching(rig: Rig, recorder: Recorder) -> Iterator[None]:
+def watching(rig: Rig, recorder: Recorder) -> Iterator[Callable[[], None]]:
     """Record what the devices of a rig give, from a thread, while something else goes on; what comes last is left to
-    who closes them. Raises what kept it from recording, when the context ends."""
+    who closes them. Yields what raises, once it is asked, what keeps it from recording; so does the context's end."""
     ended = threading.Event()
     failures: list[Exception] = []
 
@@ -86,15 +86,18 @@ def watching(rig: Rig, recorder: Recorder) -> Iterator[None]:
         except Exception as error:
             failures.append(error)
 
+    def go_on() -> None:
+        if failures:
+            raise failures[0]
+
     recording = threading.Thread(target=record, name="recording", daemon=True)
     recording.start()
     try:
-        yield
+        yield go_on
     finally:
         ended.set()
         recording.join()
-    if failures:
-        raise failures[0]
+    go_on()
 
 
 def watch(rig: Rig, recorder: Recorder, ended: Callable[[Sequence[Item]], bool]) -> HealthReport:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
+import pytest
 
 from deformscope.frames import ColorFrame, Frame
-from deformscope.session import Experiment, Step, run
+from deformscope.session import Experiment, Step, run, watching
 from deformscope_drivers.clock import Stamp
 
 
@@ -63,3 +67,18 @@ def test_an_experiment_may_end_early() -> None:
 
 def test_no_frames() -> None:
     assert run([], echo(), Notes()) == "summary"
+
+
+def test_what_keeps_a_rig_from_being_recorded_is_told_while_it_goes_on() -> None:
+    """Not only in the end: whoever moves an arm meanwhile asks, and stops."""
+
+    def fail(items: object) -> None:
+        raise OSError("the disk is full")
+
+    rig: Any = SimpleNamespace(take=lambda wait_s: [])
+    recorder: Any = SimpleNamespace(write_items=fail)
+    until = time.monotonic() + 5.0
+    with pytest.raises(OSError, match="disk"), watching(rig, recorder) as go_on:  # noqa: PT012
+        while time.monotonic() < until:
+            go_on()
+        pytest.fail("nobody was told")

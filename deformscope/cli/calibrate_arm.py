@@ -31,8 +31,8 @@ def run(config: ArmConfig) -> None:
         with bench.robot(companion) as robot:
             companion.follow(robot)
             known = {name: there for name, there in bench.calibrated.items() if "compliance" not in name}
-            let_move(robot, bench, options, known, yes=config.yes)
             try:
+                let_move(robot, bench, options, known, asked, yes=config.yes)
                 for one in touch_rigid(robot, options, xy_m, config.touches):
                     made.append(one)
                     give = 1e3 * one.found.compliance_m_per_n
@@ -40,6 +40,9 @@ def run(config: ArmConfig) -> None:
                     say(f"touch {len(made)}: gives {give:.3f} mm/N, pressed with {one.peak_force_n:.2f} N")
             except ExplorationStopped as error:
                 stop = companion.stopped(error)
+            except BaseException as error:
+                robot.halt(f"the calibration failed: {type(error).__name__}")
+                raise
     if stop is not None:
         leave(stop, len(made), asked.signal_number, None, arm_told=companion.arm_told)
     found = arm_give(made)

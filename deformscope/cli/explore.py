@@ -73,15 +73,15 @@ def explore_on(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any]
                 None if bench.runs_itself else source, recorder, asked, show, to_come.phase_began if to_come else None
             )
             with (
-                watching(source, recorder) if bench.runs_itself else contextlib.nullcontext(),
+                watching(source, recorder) if bench.runs_itself else contextlib.nullcontext() as recorded,
                 bench.robot(companion) as robot,
             ):
                 explorer = Explorer(robot.size_m, options, robot.arm, bench.truth)
                 seconds = {"compute": 0.0, "slowest": 0.0}
                 began = time.perf_counter()
                 try:
-                    companion.follow(robot)
-                    let_move(robot, bench, options, bench.calibrated, yes=config.yes)
+                    companion.follow(robot, recorded)
+                    let_move(robot, bench, options, bench.calibrated, asked, yes=config.yes)
                     _explore(robot, explorer, recorder, companion, show, seconds)
                 except ExplorationStopped as error:
                     stop, stop_ns = companion.stopped(error), error.time_ns
@@ -93,11 +93,14 @@ def explore_on(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any]
             recorder.write_items(source.take(0.0))
             seconds["session"] = (bench.clock() - source.start_ns) / 1e9
         recorder.write_items([*source.rest(), source.look()])
+    failures = dict(source.failures)
     found = _found(config, explorer, seconds, bench, recorder.summary().path)
     found["fault"] = _fault(stop, stop_ns, source.start_ns, to_come)
     _tell(config, explorer, found, simulated=bench.simulated)
     for fault in to_come.waiting if to_come is not None else ():
         say(f"--fault {fault.injected.word}@{fault.touch} did not strike: there was no such moment")
+    for name, reason in failures.items():
+        say(f"deformscope: device {name} failed: {reason}")
     if stop is not None or asked.is_set():
         leave(stop, len(explorer.told), asked.signal_number, found["recording"], arm_told=companion.arm_told)
     return found

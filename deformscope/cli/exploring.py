@@ -49,15 +49,20 @@ class Companion:
         self.robot: TouchingRobot | None = None
         self._source, self._recorder, self._asked, self._show = source, recorder, asked, show
         self._on_phase = on_phase
+        self._recorded: Callable[[], None] | None = None
         self._periods = 0
         self._begun: list[tuple[str, int, int]] = []
 
-    def follow(self, robot: TouchingRobot) -> None:
-        """From now on it is this robot's touches that are recorded."""
+    def follow(self, robot: TouchingRobot, recorded: Callable[[], None] | None = None) -> None:
+        """From now on it is this robot's touches that are recorded. recorded: raises what keeps the devices from being
+        recorded; asked in every control period, as nobody goes on unrecorded"""
         self.robot = robot
+        self._recorded = recorded
         robot.on_phase = self.phase_began
 
     def __call__(self) -> None:
+        if self._recorded is not None:
+            self._recorded()
         if self._asked.is_set() and self.robot is not None:
             self.robot.ask_to_stop(signal_word(self._asked.signal_number))
         self._periods += 1
@@ -102,25 +107,49 @@ class Companion:
 
 
 def let_move(
-    robot: TouchingRobot, bench: Bench, options: ExploreOptions, calibrated: Mapping[str, bool], *, yes: bool
+    robot: TouchingRobot,
+    bench: Bench,
+    options: ExploreOptions,
+    calibrated: Mapping[str, bool],
+    asked: Interruption,
+    *,
+    yes: bool,
 ) -> None:
     """Look at everything, print the table of checks, and ask before a real arm moves.
 
     calibrated: what has to be, by name, and whether it is; yes: do not ask
-    Raises InputError where a check fails, or nobody says yes.
+    What was checked is checked again after the question, which may have waited for long. Raises InputError where a
+    check fails, or nobody says yes, and ExplorationStopped where it is answered by Ctrl-C.
     """
     preflight = robot.preflight(calibrated)
     say(preflight.table())
     if not bench.simulated and preflight.passed:
         say(
-            f"The arm will now move by itself: up to {options.budget} touches of {options.set_force_n:g} N.\n"
+            f"The arm will now move by itself: up to {options.budget} touches of {robot.forces_told}.\n"
             "This program is no safety function: keep the emergency stop in your hand."
         )
         if not yes and not sys.stdin.isatty():
             raise InputError("somebody who says yes", "no terminal to ask at", "--yes")
-        if not yes and input("Type yes to begin: ").strip().lower() != "yes":
-            raise InputError("yes", "something else: nothing has moved")
+        if not yes:
+            if not _says_yes(asked):
+                raise InputError("yes", "something else: nothing has moved")
+            if asked.is_set():
+                robot.ask_to_stop(signal_word(asked.signal_number))
+            preflight = robot.preflight(calibrated)
+            if not preflight.passed:
+                say(preflight.table())
     robot.let_move(preflight)
+
+
+def _says_yes(asked: Interruption) -> bool:
+    """Whether somebody at the terminal says yes, or ends it by Ctrl-C."""
+    with asked.at_once():
+        try:
+            return asked.is_set() or input("Type yes to begin: ").strip().lower() == "yes"
+        except KeyboardInterrupt:
+            return True
+        except EOFError:
+            return False
 
 
 def leave(

@@ -25,7 +25,7 @@ from deformscope.lab.scenes import RIGID_PA, Piece, Scene
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld
 from deformscope.lab.touching import Approach, Sensing, approach, force_curve
-from deformscope.robot.shape import STICK_RADIUS_M
+from deformscope.rig import Tool
 from deformscope.stages.cloud import perceive
 from deformscope.stages.contact import ArmCompliance
 from deformscope.stages.touches import MapGrid
@@ -147,7 +147,7 @@ class LabRobot:
             middle = made.position_m[-1]
             contact = self._world.press(self._tip, middle)
             moved = self._world.displaced_m(contact, self._view.places_m)
-            stick = Capsule(middle, middle + STICK_M * normal, STICK_RADIUS_M)
+            stick = Capsule(middle, middle + STICK_M * normal, Tool().stick_radius_m)
             ball = Capsule(middle, middle, options.tip_radius_m)
             after = self._see(moved, (stick, ball)).points_m
         return Touched(xy_m, normal, made.time_s, made.position_m, made.force_n, after, made.reached)

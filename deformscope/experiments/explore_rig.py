@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -20,18 +20,22 @@ from deformscope.lab.stand_in import stand_in
 from deformscope.lab.touch_lab import T_BASE_SURFACE
 from deformscope.rig import Rig, RigDevice
 from deformscope.rig_source import RigMember, RigSource
+from deformscope.robot.advice import advice
 from deformscope.robot.placement import Placement
 from deformscope.robot.readings import Observation
-from deformscope.robot.robot import Robot
+from deformscope.robot.robot import Robot, RobotStopped
 from deformscope.robot.supervisor import Limits, Verdict
 from deformscope.stages.cloud import Intrinsics
 from deformscope.stages.contact import ArmCompliance
 from deformscope_drivers.clock import monotonic_ns
 from deformscope_drivers.device import Device
+from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.jaco.kinematics import FloatArray
 
 ROLES = ("jaco", "optoforce", "depth_camera")
 CAMERA_HZ = 30.0
+FEWEST_PERIODS = 1.5
+"""Of a device's, within which it must tell something: one that comes late is no fault."""
 
 
 class RigBench:
@@ -51,6 +55,7 @@ class RigBench:
         force = self._roles["optoforce"]
         if not force.double and not force.config.sensitivities:
             raise InputError("its sensitivity, which tells newtons", "none", "the sensor's report", force.name)
+        _check_rates(rig, self._roles)
         self.scene = _scene(rig, list(self._roles.values()), options.seed)
         self.truth: Truth | None = None if self.scene is None else truth_of(self.scene)
         self.size_m: tuple[float, float] = rig.surface.size_m if self.scene is None else self.scene.size_m
@@ -105,7 +110,7 @@ class RigBench:
                 elif entry.double:
                     device = stack.enter_context(stand_in(entry.driver.name, entry.config))
                 else:
-                    device = entry.driver.make(entry.config)
+                    device = _made(entry)
                 members.append(RigMember(entry.name, entry.driver, device, simulated=entry.double))
             self._devices = {member.name: member.device for member in members}
             with RigSource(members, raw=self.rig.record.raw) as source:
@@ -120,7 +125,10 @@ class RigBench:
                 on_cycle()
 
         arm, force, camera = (self._devices[self._roles[driver].name] for driver in ROLES)
-        force.zero()  # type: ignore[attr-defined]
+        try:
+            force.zero()  # type: ignore[attr-defined]
+        except DeviceError as error:
+            raise InputError.about(error, f"device {self._roles['optoforce'].name}") from error
         fps = self._roles["depth_camera"].config.fps
         robot = Robot(
             arm,  # type: ignore[arg-type]
@@ -130,8 +138,15 @@ class RigBench:
             camera=camera,
             watch=watch,
         )
-        while not robot.arm_seen:
-            robot.cycle()
+        try:
+            while not robot.arm_seen:
+                robot.cycle()
+        except RobotStopped as stopped:
+            verdict = stopped.verdict
+            came = f"{verdict.fault}: {verdict.reason}"
+            raise InputError(
+                "devices that are well", came, f"see to {advice(verdict.fault)}", self.rig.name
+            ) from stopped
         yield TouchingRobot(
             robot,
             self.size_m,
@@ -140,6 +155,7 @@ class RigBench:
             arm=self.arm,
             clock=self.clock,
             workspace=self.rig.workspace,
+            doubt_m=self.rig.camera.doubt_m,
         )
 
     def _from_surface(self) -> FloatArray:
@@ -170,6 +186,29 @@ def options_of(rig: Rig, options: ExploreOptions, set_force_n: float | None) -> 
         tip_radius_m=rig.tool.radius_m,
         thickness_m=rig.surface.thickness_m,
     )
+
+
+def _made(entry: RigDevice) -> Device[Any]:
+    """A real device, closed. Raises InputError where its section does not say enough, as without port and bus."""
+    try:
+        return entry.driver.make(entry.config)  # type: ignore[no-any-return]
+    except DeviceError as error:
+        raise InputError.about(error, f"device {entry.name}") from error
+
+
+def _check_rates(rig: Rig, roles: Mapping[str, RigDevice]) -> None:
+    """Each device tells more often than it is missed."""
+    workspace = rig.workspace
+    for driver, key, silent_s in (
+        ("jaco", "state_hz", workspace.arm_silent_s),
+        ("optoforce", "rate_hz", workspace.force_silent_s),
+        ("depth_camera", "fps", workspace.camera_silent_s),
+    ):
+        entry = roles[driver]
+        hz = getattr(entry.config, key)
+        if silent_s is not None and hz is not None and hz * silent_s < FEWEST_PERIODS:
+            least = f"{key} of {FEWEST_PERIODS / silent_s:.0f} or more for {entry.name}, missed after {silent_s:g} s"
+            raise InputError(least, f"{hz:g}", "a higher rate, or a longer ..._silent_s in [workspace]", rig.name)
 
 
 def _only(rig: Rig, driver: str) -> RigDevice:

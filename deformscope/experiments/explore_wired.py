@@ -16,6 +16,7 @@ from deformscope.driver_table import DRIVERS
 from deformscope.errors import InputError
 from deformscope.experiments.explore import (
     ABOVE_M,
+    SECOND_FORCE_N,
     ExplorationStopped,
     ExploreOptions,
     Looked,
@@ -59,6 +60,8 @@ a depth at 0.8 m (0.9 mm), as points on the stick itself have, and what the arm 
 within 2 cm of the ball."""
 DENT_M, DENT_PICTURES = 0.08, 10
 """Of a dent: half the side of what is looked at around it; its last pictures that are taken together, at most."""
+SOFT_STOP_SHARE = 0.75
+"""Of the soft stop, at most this share is pressed with: noise and overshoot must not reach it."""
 BORDER_M = 0.02
 VIEW_CELL_M = 0.004
 PREFLIGHT_CELL_M = 0.02
@@ -131,8 +134,10 @@ class TouchingRobot:
         arm: ArmCompliance,
         clock: Callable[[], int],
         workspace: Workspace,
+        doubt_m: float = 0.0,
     ) -> None:
-        """camera: its intrinsics, None = as its pictures say; and T_surface_camera (4, 4), None = not known"""
+        """doubt_m: how far off camera and arm may be to one another [m]
+        camera: its intrinsics, None = as its pictures say; and T_surface_camera (4, 4), None = not known"""
         self.size_m = size_m
         self.arm = arm
         self._robot = robot
@@ -140,6 +145,7 @@ class TouchingRobot:
         self._camera = camera
         self._clock = clock
         self._workspace = workspace
+        self._doubt_m = doubt_m
         self._pictures: Subscription[DepthImage] | None = None
         self.on_phase: Callable[[Phase, int], None] = lambda phase, time_ns: None
         self._dwelling = contextlib.ExitStack()
@@ -162,7 +168,21 @@ class TouchingRobot:
         up = np.array([0.0, 0.0, 1.0])
         plans = [self._plan(corner, height_m, up, None) for corner in corners]
         with self._telling():
-            return check(self._robot, plans, calibrated=calibrated)
+            found = check(self._robot, plans, calibrated=calibrated)
+        self._robot.rest()
+        return found
+
+    @property
+    def forces_told(self) -> str:
+        """What a touch presses with, in words."""
+        set_n, more_n = self._options.set_force_n, self._more_force_n
+        return f"{set_n:g} N" + ("" if more_n is None else f", {more_n:g} N where that makes a dent below 2 mm")
+
+    @property
+    def _more_force_n(self) -> float | None:
+        """Pressed with where the dent stays small; None where the soft stop leaves no room for it."""
+        more_n = min(SECOND_FORCE_N, SOFT_STOP_SHARE * self._workspace.soft_stop_n)
+        return more_n if more_n > self._options.set_force_n else None
 
     def let_move(self, preflight: Preflight) -> None:
         """From now on the robot may move. Raises InputError where a check has failed, with which."""
@@ -185,9 +205,11 @@ class TouchingRobot:
 
     def look(self) -> Looked:
         """The surface from the newest pictures, without the robot."""
+        self._robot.start()
         with self._pictures_kept():
             pictures = self._take_pictures(LOOKS)
         links = self._links()
+        self._robot.rest()
         box = sample_box(self.size_m, self._options.thickness_m)
         clouds = [self._seen(picture, links, box) for picture in pictures]
         return Looked(np.concatenate([c.points_m for c in clouds]), np.concatenate([c.noise_m for c in clouds]))
@@ -205,6 +227,7 @@ class TouchingRobot:
         with self._telling(), contextlib.ExitStack() as self._dwelling:
             record = run_touch(self._robot, plan, still, self._begin)
         self._phase = None
+        self._robot.rest()
         verdict = self._robot.supervisor.verdict
         if verdict.action is not Action.GO_ON:
             raise self._stopped(verdict.fault, verdict.reason, verdict.action, verdict.time_ns)
@@ -261,6 +284,7 @@ class TouchingRobot:
             np.append(xy_m, height_m),
             np.asarray(normal, np.float64),
             set_force_n=options.set_force_n,
+            more_force_n=self._more_force_n,
             max_depth_m=options.max_depth_m,
             standoff_m=options.standoff_m,
             travel_height_m=highest,
@@ -336,8 +360,8 @@ class TouchingRobot:
             self._robot.arm.chain,
             self._robot.pose.joints_deg,
             self._robot.center_m,
-            link_margin_m=LINK_MARGIN_M,
-            stick_margin_m=STICK_MARGIN_M,
+            link_margin_m=LINK_MARGIN_M + self._doubt_m,
+            stick_margin_m=STICK_MARGIN_M + self._doubt_m,
         )
 
     def _new_pictures(self) -> list[DepthImage]:

@@ -27,6 +27,7 @@ ADVICE: dict[Fault | Ending, str] = {
     Fault.CAMERA_SILENT: _CAMERA,
     Fault.CAMERA_FROZEN: _CAMERA,
     Fault.LINK: "the cable and supply of the device that was lost",
+    Fault.REFUSED: "the reason, and how busy this computer is: a late command stops the arm",
     Fault.ASKED: "",
     Ending.NO_CONTACT: "where the surface is: the camera's pose in the rig file, and the sample's place",
     Ending.NOT_REACHED: _PLACE,

@@ -6,6 +6,7 @@ The tip's frame has its z axis along the stick, outwards: a touch along the norm
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -128,9 +129,14 @@ def reach(
     reached = np.zeros(len(centers_m), bool)
     least = np.zeros(len(centers_m))
     joints = chain.home_deg if start_deg is None else np.asarray(start_deg, dtype=float)
+    frames = [np.eye(4), *chain.forward(chain.home_deg)]
+    longest_m = sum(float(np.linalg.norm(b[:3, 3] - a[:3, 3])) for a, b in itertools.pairwise(frames))
     for index, (center_m, normal) in enumerate(zip(centers_m, directions, strict=True)):
+        T_base_ee = placement.T_base_ee(center_m, normal)
+        if float(np.linalg.norm(T_base_ee[:3, 3])) > longest_m:
+            continue  # all links stretched out would be too short: many searches for nothing
         found = chain.inverse(
-            placement.T_base_ee(center_m, normal),
+            T_base_ee,
             joints,
             position_tolerance_m=1e-4,
             rotation_tolerance_rad=1e-3,
@@ -161,3 +167,9 @@ def best_joints(chain: Chain, T_base_ees: Sequence[FloatArray], tries: int = 16)
         if least > 0 and (best is None or least > best[0] + 1e-6):
             best = least, first.joints_deg
     return None if best is None else best[1]
+
+
+def towards(start_deg: Sequence[float], goal_deg: npt.ArrayLike, endless: npt.NDArray[np.bool_]) -> FloatArray:
+    """(n,) degrees to turn from joint angles to others, the short way where a joint turns without end."""
+    turn = np.asarray(goal_deg, dtype=float) - np.asarray(start_deg, dtype=float)
+    return np.asarray(np.where(endless, (turn + 180.0) % 360.0 - 180.0, turn))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from deformscope.robot.placement import TURNED_RAD, best_joints, reach
+from deformscope.robot.placement import TURNED_RAD, best_joints, reach, towards
 from deformscope.robot.readings import ForceSample, Observation
 from deformscope_drivers.device import Device
 from deformscope_drivers.health import Link
@@ -28,17 +28,48 @@ STILL_DEG = 0.05
 LATE_MS = 20.0
 CLOCK_PPM = 1000.0
 LEAST_SINGULAR = 0.02
+FREE_M = 0.01
+WAY_STEPS, WRIST_M = 60, 0.045
 FRESH_S = {"arm": 0.05, "force sensor": 0.02, "camera": 0.1}
+
+
+HINTS = {
+    "arm: fresh": "the arm's cable and supply; state_hz in the rig file",
+    "arm: rate": "the arm's cable, and how busy this computer is; or a lower state_hz in the rig file",
+    "arm: still": "wait until the arm stands, and let go of its joystick",
+    "arm: FIFO": "end the other program that commands the arm",
+    "arm: accepts": "the reason, then start again",
+    "arm: control period": "end what keeps this computer busy",
+    "arm: first way": "bring the tip over the surface by the joystick, the stick down",
+    "arm: reach": "move arm or surface, turn the tool, or bring the arm over the surface by its joystick",
+    "force sensor: tare": "let nothing touch the tip, and start again",
+    "force sensor: noise": "stop what shakes table or tip; filter_hz in the rig file; no noise at all is no sensor",
+    "force sensor: alive": "rate_hz = 1000 and filter_hz = 150 in the rig file; else the sensor's plug",
+    "force sensor": "the force sensor's plug and cable; rate_hz in the rig file; deformscope doctor RIG",
+    "camera: alive": "plug the camera out and in, and close other programs that use it",
+    "camera": "the camera's cable and port (USB 3), other programs that use it; fps in the rig file",
+    "calibration": "measure it and write it into the rig file; deformscope doctor --example shows how",
+    "tip: in free air": "lift the tip by the joystick; or T_arm_surface in the rig file is wrong",
+    "plan: force": "a smaller target_force_n, or a higher soft_stop_n, in the rig file",
+    "workspace: box": "low_m and high_m of [workspace] in the rig file",
+    "workspace: plan": "low_m and high_m of [workspace]: from 3.5 cm below the surface to 20 cm above the table",
+}
+"""What to do about a check that has not passed, by how its name begins; the first that fits."""
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """name: what was looked at; passed; wanted, came: in words"""
+    """name: what was looked at; passed; wanted, came: in words; hint: what to do where it has not passed"""
 
     name: str
     passed: bool
     wanted: str
     came: str
+
+    @property
+    def hint(self) -> str:
+        """What to do about it; empty where it has passed."""
+        return "" if self.passed else next((told for name, told in HINTS.items() if self.name.startswith(name)), "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,13 +84,13 @@ class Preflight:
         return bool(self.checks) and all(check.passed for check in self.checks)
 
     def table(self) -> str:
-        """The checks as lines of text, one each."""
+        """The checks as lines of text, one each; below them what to do about those that have not passed."""
         rows = [("", "check", "wanted", "came")]
         rows += [("ok" if one.passed else "NO", one.name, one.wanted, one.came) for one in self.checks]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        return "\n".join(
-            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
-        )
+        lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+        hints = dict.fromkeys(f"{one.name}: {one.hint}" for one in self.checks if one.hint)
+        return "\n".join([*lines, *hints])
 
 
 def check(
@@ -83,6 +114,8 @@ def check(
             *_force(robot, seen),
             *_arm(robot, seen),
             *_clocks(robot),
+            *_pictures(seen),
+            *_free(robot, plans),
             *(
                 Check(f"calibration: {name}", there, "present", "present" if there else "missing")
                 for name, there in calibrated.items()
@@ -172,6 +205,39 @@ def _clocks(robot: Robot) -> Iterator[Check]:
         yield Check("force sensor: clock", drift_ppm < CLOCK_PPM, f"within {CLOCK_PPM:g} ppm", f"{drift_ppm:.0f} ppm")
 
 
+def _pictures(seen: Sequence[Observation]) -> Iterator[Check]:
+    pictures = [picture.pattern for one in seen for picture in one.pictures]
+    if not pictures:  # its rate has told so
+        return
+    repeats = sum(a is not None and a == b for a, b in itertools.pairwise(pictures))
+    yield Check("camera: alive", repeats == 0, "no two equal pictures in a row", f"{repeats} of {len(pictures)}")
+
+
+def _free(robot: Robot, plans: Sequence[TouchPlan]) -> Iterator[Check]:
+    """That nothing touches the tip: what presses when the force sensor is zeroed is zero from then on."""
+    if not plans:
+        return
+    over_m = robot.placement.center_offset_m
+    height_m = float(robot.center_m[2]) - over_m - max(float(plan.point_m[2]) for plan in plans)
+    came = f"{height_m * 100:.1f} cm"
+    yield Check("tip: in free air", height_m > FREE_M, f"{FREE_M * 100:g} cm or more above the surface", came)
+
+
+def _first_way(robot: Robot, goal_deg: FloatArray, height_m: float) -> Check:
+    """The way joint by joint to the first touch, which nobody steers: over the surface all along, wrist and tip."""
+    chain, placement = robot.arm.chain, robot.placement
+    here_deg = np.asarray(robot.pose.joints_deg)
+    turn_deg = towards(here_deg.tolist(), goal_deg, ~np.isfinite(chain.upper_deg))
+    lowest_m = np.inf
+    for share in np.linspace(0.0, 1.0, WAY_STEPS):
+        frames = chain.forward(here_deg + share * turn_deg)
+        tip_m = placement.T_surface_center(frames[-1])[2, 3] - placement.center_offset_m
+        wrist_m = [(np.linalg.inv(placement.T_base_surface) @ frame)[2, 3] - WRIST_M for frame in frames[-3:]]
+        lowest_m = min(lowest_m, float(tip_m), *map(float, wrist_m))
+    came = f"{(lowest_m - height_m) * 100:.1f} cm above it at the lowest"
+    return Check("arm: first way", lowest_m > height_m, "wrist and tip above the surface all along", came)
+
+
 def _plans(robot: Robot, plans: Sequence[TouchPlan]) -> Iterator[Check]:
     limits, placement = robot.supervisor.limits, robot.placement
     yield Check("plan: touches", bool(plans), "at least one", f"{len(plans)}")
@@ -194,6 +260,8 @@ def _plans(robot: Robot, plans: Sequence[TouchPlan]) -> Iterator[Check]:
         poses = [placement.T_base_ee(*end) for end in ends[:3]]
         if np.linalg.norm(pose_error(robot.pose.T_base_ee, poses[0])[3:]) > TURNED_RAD:
             start_deg = best_joints(robot.arm.chain, poses)
+            if start_deg is not None:
+                yield _first_way(robot, np.asarray(start_deg), max(float(plan.point_m[2]) for plan in plans))
     found = reach(
         robot.arm.chain,
         placement,

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from deformscope.errors import InputError
 from deformscope.robot.placement import Placement
@@ -106,6 +105,7 @@ class Robot:
         self.seen = Observation(clock())
         self._pose: ArmSample | None = None
         self._speed_m_s = 0.0
+        self._refusal = ""
         self._next_ns = clock()
         self.supervisor = Supervisor(limits, clock(), placement.T_ee_center)
 
@@ -155,6 +155,8 @@ class Robot:
         verdict = self.supervisor.judge(
             self.seen, commanded_m_s=self._speed_m_s, camera_needed=self.camera_needed and self.camera is not None
         )
+        if self._refusal:  # unless a fault was seen that is the reason of it
+            verdict = self.supervisor.refused(self._refusal, self._clock())
         self._tell_watch(verdict)
         verdict = self.supervisor.verdict  # whoever watches may have asked to stop
         if verdict.action is Action.STOP:
@@ -202,15 +204,22 @@ class Robot:
         another preflight has passed."""
         self._may_move = False
         self.arm.acknowledge_stop()
-        self._drain()
+        self._listen()
         self._next_ns = self._clock()
         self.supervisor.acknowledge(self._clock())
 
     def start(self) -> None:
         """After a pause in which nobody looked: forget what waits, count ages from now on."""
-        self._drain()
+        self._listen()
         self._next_ns = self._clock()
         self.supervisor.start(self._clock())
+
+    def rest(self) -> None:
+        """Nobody looks until `start`, while something is computed or a person asked: what comes meanwhile is kept from
+        queues that would overflow, and tell of a loss where there is none."""
+        for queue in (self._forces, self._states, self._pictures):
+            if queue is not None:
+                queue.close()
 
     # Within ----------------------------------------------------------------------------------------------------------
 
@@ -226,7 +235,7 @@ class Robot:
 
     def _send(self, command: Command) -> None:
         moving = self._speed_m_s > 0
-        self._speed_m_s = 0.0
+        self._speed_m_s, self._refusal = 0.0, ""
         try:
             if isinstance(command, TipVelocity):
                 self._send_tip(command)
@@ -236,7 +245,8 @@ class Robot:
                 self.arm.stop()
         except DeviceError as error:
             # What the driver refuses stops the robot too: nobody goes on as if it had been done.
-            self.halt(str(error))
+            self._refusal = str(error)
+            self.halt(self._refusal)
         self.commanded.append((self._clock(), self._speed_m_s))
 
     def _send_tip(self, command: TipVelocity) -> None:
@@ -282,10 +292,15 @@ class Robot:
             ),
         )
 
-    def _drain(self) -> None:
-        for queue in (self._forces, self._states, self._pictures):
-            if queue is not None:
-                _taken(queue)
+    def _listen(self) -> None:
+        """From now on, with empty queues; a device that has ended for good gives none, and its link tells so."""
+        self.rest()
+        with contextlib.suppress(DeviceError):
+            self._forces = self.force.readings()
+        with contextlib.suppress(DeviceError):
+            self._states = self.arm.readings()
+        with contextlib.suppress(DeviceError):
+            self._pictures = self.camera.readings() if self.camera is not None else None
 
 
 def _taken(queue: Any) -> list[Any]:
@@ -294,12 +309,6 @@ def _taken(queue: Any) -> list[Any]:
         return list(queue.take())
     except DeviceError:
         return []
-
-
-def towards(start_deg: Sequence[float], goal_deg: npt.ArrayLike, endless: npt.NDArray[np.bool_]) -> FloatArray:
-    """(n,) degrees to turn from joint angles to others, the short way where a joint turns without end."""
-    turn = np.asarray(goal_deg, dtype=float) - np.asarray(start_deg, dtype=float)
-    return np.asarray(np.where(endless, (turn + 180.0) % 360.0 - 180.0, turn))
 
 
 def damaged_frames(force: Optoforce) -> int:

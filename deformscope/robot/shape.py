@@ -11,7 +11,7 @@ from deformscope.capsule import Capsule
 from deformscope.robot.placement import Placement
 from deformscope_drivers.jaco.kinematics import Chain, FloatArray
 
-LINK_RADIUS_M, STICK_RADIUS_M = 0.045, 0.008
+LINK_RADIUS_M = 0.045
 
 
 def arm_shape(
@@ -31,5 +31,5 @@ def arm_shape(
     frames = (np.eye(4), *chain.forward(joints_deg))
     joints_m = [(placement.T_surface_base @ frame)[:3, 3] for frame in frames]
     links = [Capsule(a, b, LINK_RADIUS_M + link_margin_m) for a, b in pairwise(joints_m)]
-    stick = Capsule(joints_m[-1], center_m, STICK_RADIUS_M + stick_margin_m)
+    stick = Capsule(joints_m[-1], center_m, placement.tool.stick_radius_m + stick_margin_m)
     return (*links, stick, Capsule(center_m, center_m, placement.tool.radius_m + stick_margin_m))

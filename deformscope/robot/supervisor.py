@@ -47,6 +47,7 @@ class Fault(StrEnum):
     CAMERA_SILENT = "depth camera silent"
     CAMERA_FROZEN = "depth camera frozen"
     LINK = "link lost"
+    REFUSED = "arm takes no commands"
     ASKED = "a person asked"
 
 
@@ -148,8 +149,16 @@ class Supervisor:
 
     def ask_to_stop(self, reason: str, now_ns: int) -> None:
         """A person wants it to stop. reason: how they said so"""
+        self._stop(Fault.ASKED, reason, now_ns)
+
+    def refused(self, reason: str, now_ns: int) -> Verdict:
+        """The arm's driver has refused a command, and would refuse the next ones: nothing of a motion goes on."""
+        self._stop(Fault.REFUSED, reason, now_ns)
+        return self._verdict
+
+    def _stop(self, fault: Fault, reason: str, now_ns: int) -> None:
         if self._verdict.action is not Action.STOP:
-            self._verdict = Verdict(Action.STOP, Fault.ASKED, reason, now_ns)
+            self._verdict = Verdict(Action.STOP, fault, reason, now_ns)
 
     def start(self, now_ns: int) -> None:
         """Ages count from now on, as after a pause in which nobody looked."""
@@ -245,7 +254,7 @@ class Supervisor:
             found += self._place(sample)
         if (age_s := (now_ns - self._arm_ns) / 1e9) > limits.arm_silent_s and not self._excused:
             found.append((Action.STOP, Fault.ARM_SILENT, f"no state of the arm for {age_s * 1e3:.0f} ms"))
-        if self._unmoved_m > limits.arm_frozen_m and now_ns - self._moved_ns > limits.arm_frozen_s * 1e9:
+        if self._unmoved_m > limits.arm_frozen_m and now_ns - self._moved_ns >= limits.arm_frozen_s * 1e9:
             why = f"its joints say the same while it was sent {self._unmoved_m * 1e3:.1f} mm on"
             found.append((Action.STOP, Fault.ARM_FROZEN, why))
         return found

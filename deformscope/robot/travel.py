@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope.errors import InputError
-from deformscope.robot.placement import TURNED_RAD, best_joints
-from deformscope.robot.robot import JointRates, Robot, TipVelocity, towards
+from deformscope.robot.placement import TURNED_RAD, best_joints, towards
+from deformscope.robot.robot import JointRates, Robot, TipVelocity
 from deformscope.robot.supervisor import Action
 from deformscope_drivers.jaco.kinematics import FloatArray, pose_error
 

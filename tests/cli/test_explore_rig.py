@@ -14,12 +14,17 @@ import pytest
 from deformscope.cli import main
 from deformscope.experiments.explore_rig import RigBench
 from deformscope.rig_replay import read_items
+from deformscope.robot.robot import Robot, RobotStopped
+from deformscope.robot.supervisor import Action, Fault, Verdict
+from deformscope_drivers.errors import SettingsRefused
+from deformscope_drivers.optoforce import Optoforce
 
 RIG = """
 [devices.arm]
 driver = "jaco"
 double = true
 state_hz = 100
+command_deadline_s = 0.5
 [devices.tip]
 driver = "optoforce"
 double = true
@@ -111,6 +116,8 @@ def test_an_arm_that_is_not_calibrated_does_not_move(
         ('scene = "two-60-150"', 'scene = "moon"', "a scene"),
         ('driver = "jaco"\ndouble = true', 'driver = "jaco"', "double = true for arm, tip, depth"),
         ('[devices.arm]\ndriver = "jaco"', '[devices.arm]\ndriver = "dsa"', 'driver = "jaco"'),
+        ("state_hz = 100", "state_hz = 2", "state_hz of 3 or more for arm"),
+        ("rate_hz = 1000", "rate_hz = 0", "rate_hz of 3 or more for tip"),
         ("[tool]\n", '[tool]\ntip = "flat"\n', 'tip = "sphere"'),
         ("-0.30], [0, 1", "-3.0], [0, 1", "within the arm's reach"),
     ],
@@ -120,9 +127,43 @@ def test_a_rig_that_cannot_explore_is_refused_in_one_line(
 ) -> None:
     text = rig.read_text()
     assert old in text
-    rig.write_text(text.replace(old, new).replace("state_hz = 100\n" if "dsa" in new else "\0", ""))
+    changed = text.replace(old, new)
+    if "dsa" in new:
+        changed = changed.replace("state_hz = 100\ncommand_deadline_s = 0.5\n", "")
+    rig.write_text(changed)
 
     assert main(["explore", str(rig)]) == 2
+
+    said = capsys.readouterr().err
+    assert words in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("what", "error", "words"),
+    [
+        (
+            Optoforce,
+            SettingsRefused("still readings", "a shaking tip", "hold on"),
+            "a shaking tip | try: hold on | device tip",
+        ),
+        (Robot, RobotStopped(Verdict(Action.STOP, Fault.ARM_SILENT, "no state")), "arm silent: no state | try: see to"),
+    ],
+)
+def test_what_goes_wrong_before_the_checks_is_told_in_one_line(
+    what: type,
+    error: Exception,
+    words: str,
+    rig: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fail(device: object) -> None:
+        raise error
+
+    monkeypatch.setattr(what, "zero" if what is Optoforce else "cycle", fail)
+
+    assert main(["explore", str(rig), "--touches", "1"]) == 2
 
     said = capsys.readouterr().err
     assert words in said

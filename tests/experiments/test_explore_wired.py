@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from deformscope.experiments.explore import ExploreOptions
-from deformscope.experiments.explore_wired import LabBench
+from deformscope.experiments.explore_wired import LabBench, TouchingRobot
 from deformscope.lab.depth_view import FOAM
+from deformscope.lab.fault_study import make_scene
 from deformscope.lab.scenes import built_in
+from deformscope.rig import Workspace
 from deformscope.robot.shape import arm_shape
+from deformscope.stages.contact import ArmCompliance
 from deformscope_drivers.jaco.kinematics import J2N6S300
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -32,3 +35,48 @@ def test_the_arm_does_not_hide_what_it_touches(bench: LabBench, place: tuple[flo
     around = (np.abs(bench.view.points_m(free.depth_m)[..., :2] - place) < 0.04).all(axis=-1) & (free.seen == FOAM)
     assert around.sum() > 300
     assert (hidden.seen[around] == FOAM).mean() > 0.6
+
+
+@pytest.mark.parametrize(
+    ("set_n", "soft_n", "more_n", "told"),
+    [(3.0, 8.0, 5.0, "3 N, 5 N where"), (1.0, 2.0, 1.5, "1 N, 1.5 N where"), (3.0, 3.5, None, "3 N")],
+)
+def test_it_never_plans_to_press_up_to_the_soft_stop(
+    set_n: float, soft_n: float, more_n: float | None, told: str
+) -> None:
+    scene = make_scene(3, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
+    robot = TouchingRobot(
+        scene.robot,
+        (0.6, 0.4),
+        ExploreOptions(set_force_n=set_n),
+        (None, None),
+        arm=ArmCompliance(),
+        clock=scene.lab.clock,
+        workspace=Workspace(target_force_n=set_n, soft_stop_n=soft_n, hard_stop_n=15.0),
+    )
+    plan = robot._plan(np.array([0.3, 0.2]), 0.05, UP, None)
+    scene.lab.close()
+
+    assert plan.more_force_n == more_n
+    assert robot.forces_told.startswith(told)
+
+
+def test_more_is_left_out_around_the_stick_where_the_cameras_place_is_in_doubt() -> None:
+    scene = make_scene(3, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
+    radii = []
+    for doubt_m in (0.0, 0.004):
+        robot = TouchingRobot(
+            scene.robot,
+            (0.6, 0.4),
+            ExploreOptions(),
+            (None, None),
+            arm=ArmCompliance(),
+            clock=scene.lab.clock,
+            workspace=Workspace(),
+            doubt_m=doubt_m,
+        )
+        radii.append([link.radius_m for link in robot._links()])
+    scene.lab.close()
+    plain, doubtful = np.array(radii)
+
+    assert doubtful - plain == pytest.approx(0.004)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from deformscope.errors import InputError
 from deformscope.lab.touch_lab import READY_NEAR_DEG, T_BASE_SURFACE
 from deformscope.rig import Tool
 from deformscope.robot.placement import Placement, reach
-from deformscope_drivers.jaco.kinematics import J2N6S300, rotation_from_rpy, transform
+from deformscope_drivers.jaco.kinematics import CHAINS, J2N6S300, Chain, rotation_from_rpy, transform
 
 TURNED = transform(rotation_from_rpy(0.0, 0.0, 0.4), (-0.2, -0.5, 0.05))
 
@@ -55,3 +57,20 @@ def test_the_whole_table_is_within_reach_but_for_a_margin() -> None:
 def test_what_is_not_rigid_is_refused() -> None:
     with pytest.raises(InputError, match="rigid"):
         Placement(2.0 * np.eye(4))
+
+
+@pytest.mark.parametrize("chain", CHAINS.values(), ids=list(CHAINS))
+def test_what_is_farther_than_all_links_together_is_not_sought(chain: Chain, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A large surface has thousands of such places, each of which would cost many searches."""
+    sought: list[object] = []
+    inverse = Chain.inverse
+
+    def counted(chain: Chain, *told: Any, **more: Any) -> Any:
+        sought.append(told)
+        return inverse(chain, *told, **more)
+
+    monkeypatch.setattr(Chain, "inverse", counted)
+    found = reach(chain, Placement(T_BASE_SURFACE), np.array([[0.3, 0.2, 0.06], [1.9, 1.9, 0.06]]))
+
+    assert found.reached.tolist() == [True, False]
+    assert len(sought) == 1

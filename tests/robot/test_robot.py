@@ -28,9 +28,9 @@ def cycles(scene: Scene, count: int) -> None:
 
 def way_m(scene: Scene, seconds: float) -> float:
     """How far the arm still goes."""
-    before = scene.lab.center_m
+    before = scene.lab.contact.center_m
     scene.lab.wait_until(scene.lab.clock() + round(seconds * 1e9))
-    return float(np.linalg.norm(scene.lab.center_m - before))
+    return float(np.linalg.norm(scene.lab.contact.center_m - before))
 
 
 def test_who_asks_to_stop_is_heard_in_the_same_period() -> None:
@@ -103,4 +103,33 @@ def test_halting_says_whether_the_arm_was_reached() -> None:
     scene.lab.arm_double.unplug()
     assert not scene.robot.halt("enough")
     scene.lab.arm_double.plug()
+    scene.lab.close()
+
+
+def test_an_arm_that_its_driver_has_stopped_stops_the_robot() -> None:
+    """As after a cycle that came too late: no command goes through any more, and nobody tries for ever."""
+    scene = moving()
+    scene.lab.arm.halt("the cycle came 244 ms late")
+
+    with pytest.raises(RobotStopped, match=r"takes no commands.*244 ms late"):
+        scene.robot.cycle(UP)
+
+    assert scene.robot.supervisor.verdict.fault is Fault.REFUSED
+    assert scene.lab.arm_double.fifo_count == 0
+    scene.lab.close()
+
+
+def test_nothing_counts_as_lost_while_nobody_has_to_look() -> None:
+    """While something is computed, or a person asked: longer than any queue holds."""
+    scene = make_scene(3, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
+    cycles(scene, 5)
+
+    scene.robot.rest()
+    scene.lab.wait_until(scene.lab.clock() + 9_000_000_000)
+    scene.robot.start()
+    cycles(scene, 20)
+    scene.robot.cycle(UP)
+
+    assert scene.lab.force.health().dropped == 0
+    assert len(scene.robot.seen.forces) > 0
     scene.lab.close()

@@ -9,11 +9,11 @@ import pytest
 
 from deformscope.rig import Tool
 from deformscope.robot.placement import Placement
-from deformscope.robot.shape import LINK_RADIUS_M, STICK_RADIUS_M, arm_shape
+from deformscope.robot.shape import LINK_RADIUS_M, arm_shape
 from deformscope_drivers.jaco.kinematics import J2N6S300, rotation_from_rpy, transform
 
 T_BASE_SURFACE = transform(rotation_from_rpy(0.1, -0.2, 2.0), (0.3, -0.5, 0.04))
-PLACEMENT = Placement(T_BASE_SURFACE, Tool(radius_m=0.012))
+PLACEMENT = Placement(T_BASE_SURFACE, Tool(radius_m=0.012, stick_radius_m=0.009))
 
 
 def test_it_goes_from_the_base_to_the_tip_without_a_gap() -> None:
@@ -29,7 +29,7 @@ def test_it_goes_from_the_base_to_the_tip_without_a_gap() -> None:
     assert np.linalg.norm(stick.end_m - stick.start_m) == pytest.approx(tool.length_m - tool.radius_m)
     np.testing.assert_array_equal(ball.start_m, ball.end_m)
     assert {link.radius_m for link in links} == {LINK_RADIUS_M}
-    assert (stick.radius_m, ball.radius_m) == (STICK_RADIUS_M, 0.012)
+    assert (stick.radius_m, ball.radius_m) == (0.009, 0.012)
 
 
 def test_margins_go_around_links_and_stick() -> None:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from deformscope.errors import InputError
 from deformscope.lab.arm_contact import ARM_STIFFNESS_N_M
 from deformscope.lab.fault_study import Scene, make_scene, run_fault, run_faults
-from deformscope.lab.faults import Injected
-from deformscope.robot.preflight import check
+from deformscope.lab.faults import Injected, inject
+from deformscope.robot.preflight import Check, _first_way, check
 from deformscope.robot.robot import RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Fault
 from deformscope.robot.touch import Ending, Phase, TouchPlan, TouchRecord, run_touch
@@ -145,3 +147,51 @@ def test_a_thousand_faults() -> None:
 
     assert [run for run in runs if not run.in_time] == []
     assert max(run.max_force_n for run in runs) < SOFT_N
+
+
+def test_a_tip_that_may_touch_is_not_taken_for_free() -> None:
+    """What presses when the sensor is zeroed reads as zero: where the arm stands tells."""
+    scene = make_scene(6, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
+    low = scene.robot.center_m - np.array([0.0, 0.0, scene.robot.placement.center_offset_m + 0.002])
+    report = check(scene.robot, [TouchPlan(low, scene.plan.normal)], calibrated={})
+    scene.lab.close()
+
+    (found,) = (one for one in report.checks if one.name == "tip: in free air")
+    assert not found.passed
+    assert found.came == "0.2 cm"
+    assert "tip: in free air: lift the tip" in report.table()
+
+
+def test_a_camera_that_repeats_itself_is_found_before_anything_moves() -> None:
+    scene = make_scene(6, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
+    before = check(scene.robot, [scene.plan], calibrated={})
+    inject(scene.lab, Injected.CAMERA_FROZEN, np.random.default_rng(0))
+    report = check(scene.robot, [scene.plan], calibrated={})
+    scene.lab.close()
+
+    assert before.passed
+    assert {one.name for one in report.checks if not one.passed} == {"camera: alive"}
+    assert "camera: alive: plug the camera" in report.table()
+
+
+def test_a_first_way_that_leads_below_the_surface_is_refused() -> None:
+    scene = make_scene(6, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
+    double = scene.lab.arm_double
+    turned_deg = np.array(double.joints_deg) + np.array([0.0, 0.0, 0.0, 0.0, 90.0, 0.0])
+    scene.robot._pose = dataclasses.replace(
+        scene.robot.pose,
+        joints_deg=tuple(turned_deg),
+        T_base_ee=scene.robot.arm.chain.forward(turned_deg)[-1],
+    )
+    (passed,) = _first_ways(scene, 0.0)
+    (failed,) = _first_ways(scene, 0.3)
+    scene.lab.close()
+
+    assert passed.passed
+    assert not failed.passed
+    assert "joystick" in failed.hint
+
+
+def _first_ways(scene: Scene, height_m: float) -> list[Check]:
+    goal_deg = np.array(scene.lab.arm_double.joints_deg)
+    return [_first_way(scene.robot, goal_deg, height_m)]
