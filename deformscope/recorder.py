@@ -480,7 +480,8 @@ class Recorder:
         return self._target
 
     def _keep_unfinished(self, part: Path) -> Path | None:
-        if not (self._frames or self._steps or self._inputs):
+        # an exploration whose checks have not passed has nothing to tell but that its devices were there
+        if not (self._steps or self._inputs or (self._frames and not self._exploring)):
             part.unlink(missing_ok=True)
             return None
         _logger.warning("what was recorded before the error is kept: %s", part)

@@ -263,7 +263,8 @@ def _read(kind: Any, told: object, section: str) -> Any:
     except msgspec.ValidationError as error:
         raise InputError(f"{section} as its keys want it", _words(error)) from error
     except InputError as error:
-        raise InputError(f"{section} that makes sense", str(error).removeprefix("expected ")) from error
+        expected, _, came = str(error).removeprefix("expected ").partition("; got ")
+        raise InputError(f"{section} with {expected}", came, "lengths in m, forces in N, speeds in m/s") from error
     except Exception as error:  # a driver's own check; its errors are not of one kind
         raise InputError(f"{section} that its driver accepts", " ".join(str(error).split())) from error
 

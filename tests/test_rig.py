@@ -108,7 +108,7 @@ def test_the_example_is_a_rig() -> None:
         "webcam",
         "depth_camera",
     }
-    assert rig.workspace.low_m == (0.2, -0.3, 0.0)
+    assert rig.workspace.low_m == (-0.4, -0.66, 0.0)
 
 
 def test_a_file_stands_in_for_a_camera(tmp_path: Path) -> None:

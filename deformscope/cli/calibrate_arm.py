@@ -11,6 +11,7 @@ from deformscope.cli.common import quiet_warp, say, show_table, status_line, wri
 from deformscope.cli.exploring import Companion, leave, let_move
 from deformscope.cli.rigs import until_interrupted
 from deformscope.config import ArmConfig
+from deformscope.errors import InputError
 
 
 def run(config: ArmConfig) -> None:
@@ -25,6 +26,10 @@ def run(config: ArmConfig) -> None:
     options = ExploreOptions(budget=config.touches, beta_model="none", seed=config.seed)
     bench, options, _ = bench_of(config.rig, options, config.set_force)
     xy_m = np.array(config.at) if config.at is not None else 0.5 * np.array(bench.size_m)
+    if not ((xy_m > 0.0) & (xy_m < bench.size_m)).all():
+        width, height = bench.size_m
+        came = f"{xy_m[0]:g},{xy_m[1]:g}"
+        raise InputError(f"--at on the surface: between 0,0 and {width:g},{height:g} m", came)
     stop, made = None, []
     with until_interrupted() as asked, bench.source() as source, status_line() as show:
         companion = Companion(None if bench.runs_itself else source, Recorder(None), asked, show)
@@ -32,7 +37,7 @@ def run(config: ArmConfig) -> None:
             companion.follow(robot)
             known = {name: there for name, there in bench.calibrated.items() if "compliance" not in name}
             try:
-                let_move(robot, bench, options, known, asked, yes=config.yes)
+                let_move(robot, bench, options, known, asked, yes=config.yes, places_m=xy_m[None])
                 for one in touch_rigid(robot, options, xy_m, config.touches):
                     made.append(one)
                     give = 1e3 * one.found.compliance_m_per_n

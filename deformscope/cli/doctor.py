@@ -49,7 +49,7 @@ def run(config: DoctorConfig) -> None:
         print((resources.files("deformscope") / "lab" / "rig-example.toml").read_text(encoding="utf-8"), end="")
         return
     rig = load_rig(config.rig)
-    findings = [Finding("rig file", "ok", f"{len(rig.devices)} devices"), *_sections(rig), _disk(rig)]
+    findings = [Finding("rig file", "ok", f"{len(rig.devices)} devices"), *_sections(rig), *_exploring(rig), _disk(rig)]
     with members_of(rig) as members:
         for member in members:
             say(f"listening to {member.name}")
@@ -82,6 +82,26 @@ def _sections(rig: Rig) -> list[Finding]:
             told = "no compliance_m_per_n: explore wants it. deformscope calibrate arm measures it"
             findings.append(Finding("tool", "look", told))
     return findings
+
+
+def _exploring(rig: Rig) -> list[Finding]:
+    """Whether `explore` would begin with this file, where it looks as if it were meant to; nothing is opened."""
+    kinds = {entry.driver.kind for entry in rig.devices}
+    if "[surface]" not in rig.text or not {"arm", "wrench", "depth"} <= kinds:
+        return []
+    from deformscope.experiments.explore import ExploreOptions
+    from deformscope.experiments.explore_rig import RigBench, options_of
+
+    try:
+        bench = RigBench(rig, options_of(rig, ExploreOptions(), None))
+    except InputError as error:
+        return [Finding("explore", "look", f"not with this file: {error}")]
+    lacks = [name for name, there in bench.calibrated.items() if not there]
+    if lacks or rig.workspace.low_m is None:
+        return [Finding("explore", "look", f"lacks {', '.join(lacks) or 'the box of [workspace]'}")]
+    return [
+        Finding("explore", "ok", "the file has all that it wants; whether it can be reached is checked before a touch")
+    ]
 
 
 def _disk(rig: Rig) -> Finding:

@@ -240,11 +240,15 @@ def _tell(config: ExploreConfig, explorer: Explorer, found: dict[str, Any], *, s
         largest = max((told.peak_force_n for told in explorer.told), default=0.0)
     rows += [
         ("touches", f"{len(explorer.told)}, travel {explorer.travel_m:.2f} m; {_ended(found['stop_reason'])}"),
-        ("largest force", f"{largest:.2f} N"),
+        ("largest contact force", f"{largest:.2f} N, {'true' if simulated else 'measured'}"),
         ("time", f"{found['seconds']['session']:.0f} s of the robot, {found['seconds']['wall']:.0f} s here"),
     ]
     if found["recording"] is not None:
         rows.append(("recording", str(found["recording"])))
+    if config.map is not None and maps is not None:
+        with replacing(config.map) as file:
+            file.write(_map_file(maps))
+        rows.append(("map", str(config.map)))
     if config.picture is not None and maps is not None:
         with replacing(config.picture) as file:
             file.write(result_png(maps, config.rig))
@@ -258,7 +262,9 @@ def _region_rows(explorer: Explorer, maps: MapsKnown) -> list[tuple[str, str]]:
 
     regions = explorer.region_map()
     kind = "gradual: no regions, the stiffness changes smoothly" if maps.verdict == "gradual" else ""
-    rows = [("verdict", kind or f"{maps.region_count} region{'s' * (maps.region_count > 1)}")]
+    told = f"{maps.region_count} region{'s' * (maps.region_count > 1)}"
+    sure = regions.probability["gradual" if kind else str(maps.region_count)]
+    rows = [("verdict", f"{kind or told} (probability {sure:.2f})")]
     for number, (level, interval, rigid) in enumerate(
         zip(regions.level, regions.level_interval, regions.rigid, strict=True), start=1
     ):
@@ -266,6 +272,29 @@ def _region_rows(explorer: Explorer, maps: MapsKnown) -> list[tuple[str, str]]:
         told = f"stiffer than {low:.3g} N/mm" if rigid else f"{math.exp(level):.3g} N/mm ({low:.3g} to {high:.3g})"
         rows.append((f"region {number}", f"{told} at {explorer.options.set_force_n:g} N"))
     return rows
+
+
+def _map_file(maps: MapsKnown) -> bytes:
+    """The maps as arrays (.npz): rows along y, columns along x, cells of cell_m with the surface's corner at (0, 0)."""
+    import io
+
+    import numpy as np
+
+    arrays = {
+        "cell_m": maps.cell_m,
+        "stiffness_n_per_mm": maps.stiffness_n_per_mm,
+        "stiffness_log_sd": maps.stiffness_log_sd,
+        "labels": maps.labels,
+        "label_probability": maps.label_probability,
+        "contacts_m": maps.contacts_m,
+        "beta": maps.beta,
+        "beta_sd": maps.beta_sd,
+        "truth_labels": maps.truth_labels,
+    }
+    file = io.BytesIO()
+    known = {name: np.asarray(value) for name, value in arrays.items() if value is not None}
+    np.savez_compressed(file, allow_pickle=False, **known)
+    return file.getvalue()
 
 
 def _cm(xy_m: Any) -> str:

@@ -12,6 +12,7 @@ from deformscope.errors import InputError
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from deformscope.arrays import FloatArray
     from deformscope.cli.rigs import Interruption
     from deformscope.experiments.explore import ExplorationStopped, ExploreOptions
     from deformscope.experiments.explore_wired import Bench, TouchingRobot
@@ -114,14 +115,16 @@ def let_move(
     asked: Interruption,
     *,
     yes: bool,
+    places_m: FloatArray | None = None,
 ) -> None:
     """Look at everything, print the table of checks, and ask before a real arm moves.
 
     calibrated: what has to be, by name, and whether it is; yes: do not ask
+    places_m: (n, 2) that will be touched, None = any that can be reached
     What was checked is checked again after the question, which may have waited for long. Raises InputError where a
     check fails, or nobody says yes, and ExplorationStopped where it is answered by Ctrl-C.
     """
-    preflight = robot.preflight(calibrated)
+    preflight = robot.preflight(calibrated, places_m)
     say(preflight.table())
     if not bench.simulated and preflight.passed:
         say(
@@ -135,7 +138,7 @@ def let_move(
                 raise InputError("yes", "something else: nothing has moved")
             if asked.is_set():
                 robot.ask_to_stop(signal_word(asked.signal_number))
-            preflight = robot.preflight(calibrated)
+            preflight = robot.preflight(calibrated, places_m)
             if not preflight.passed:
                 say(preflight.table())
     robot.let_move(preflight)

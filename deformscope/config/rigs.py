@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from deformscope.config.flags import JsonFlag, PictureFlag, PositiveFlag, finite, one_word, positive
+from deformscope.config.flags import JsonFlag, PictureFlag, PositiveFlag, finite, one_word, positive, unset
 from deformscope.config.options import (
     CommandOptions,
     JsonOptions,
@@ -125,7 +125,8 @@ class ExploreConfig(RecordedOptions):
     threshold: float = 0.06
     """Variance, as a share of that before any touch, below which a place needs no touch (Th of the thesis)."""
     set_force: PositiveFlag = None
-    """Force to press with [N], at 5 N at most; default: the rig file's target_force_n, which is 3 N unless it says."""
+    """Force to press with [N], 5 N at most; default: the rig file's target_force_n, which is 3 N unless it says. Where
+    it makes a dent below 2 mm, 5/3 of it (5 N at most) is pressed with."""
     beta_model: Literal["volume", "thesis", "none"] = "volume"
     """What beta is fitted with: layers below the surface, the thesis's single layer with one held particle, or none."""
     fault: Annotated[
@@ -135,6 +136,8 @@ class ExploreConfig(RecordedOptions):
     seed; --list-scenarios names the kinds."""
     picture: PictureFlag = None
     """Draw the maps to a PNG."""
+    map: Annotated[Path | None, one_word("FILE.npz", Path), unset] = None
+    """Write the maps as arrays: stiffness [N/mm], its deviation (of its log), regions, their probability, beta."""
     yes: bool = False
     """Let a real arm move, once the checks have passed, without asking."""
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
@@ -147,12 +150,13 @@ class ExploreConfig(RecordedOptions):
         if self.set_force is not None and self.set_force > 5.0:
             raise InputError("--set-force up to 5 N", f"{self.set_force:g}")
         check_suffix("--picture", self.picture, ".png")
+        check_suffix("--map", self.map, ".npz")
 
     def reads(self) -> tuple[str, ...]:
         return (self.rig,) if self.rig else ()
 
     def writes(self) -> tuple[Written, ...]:
-        return (*written_files(("--picture", self.picture)), *self.output.writes())
+        return (*written_files(("--picture", self.picture), ("--map", self.map)), *self.output.writes())
 
 
 def parse_place(text: str) -> tuple[float, float]:
@@ -176,7 +180,8 @@ class ArmConfig(JsonOptions):
     touches: int = 3
     """How often."""
     set_force: PositiveFlag = None
-    """Force to press with [N], at 5 N at most; default: the rig file's target_force_n."""
+    """Force to press with [N], 5 N at most, and 5/3 of it (5 N at most) since nothing gives; default: the rig file's
+    target_force_n."""
     yes: bool = False
     """Let a real arm move, once the checks have passed, without asking."""
     seed: int = 0

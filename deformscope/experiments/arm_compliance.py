@@ -9,12 +9,15 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.experiments.explore import ExploreOptions, Robot
+from deformscope.experiments.explore import ExploreOptions, Robot, Touched
 from deformscope.stages.contact import ArmCompliance, calibrate_compliance, fit_approach
 from deformscope.stages.surface import fit_surface
 
 SURE_SD = 0.1
 """Of a compliance that is to be taken off dents, at most this share of it should be unknown."""
+
+LOADED, LEAST_BEND_M = 0.1, 2e-4
+"""Share of the peak force from which on the law is looked at; what gives less than this is rigid enough [m]."""
 
 COMMON_SD = 0.05
 """Share that all touches of one block have in common, and that their scatter does not show: the block's own dent."""
@@ -61,7 +64,28 @@ def touch_rigid(robot: Robot, options: ExploreOptions, xy_m: FloatArray, touches
         )
         # where it met the surface, along the normal, taken to where the camera's height is told
         met_m = height_m + (-law.contact_m - float(np.append(xy_m, height_m) @ normal) - options.tip_radius_m)
+        if not _straight(made, normal, found, law.contact_m):
+            raise InputError(
+                "something rigid, under which the arm gives in proportion to the force",
+                "a dent that stiffens as it grows, as foam's",
+                "a block of steel or stone, firmly on the surface",
+            )
         yield GiveTouch(found, law.peak_force_n, height_m, met_m)
+
+
+def _straight(made: Touched, normal: FloatArray, found: ArmCompliance, contact_m: float) -> bool:
+    """Whether depth goes with the force, rather than with its power 2/3 as under a ball in foam (Hertz 1882)."""
+    force_n = made.force_n @ normal
+    depth_m = -(made.position_m @ normal) - contact_m
+    pressed = force_n > LOADED * force_n.max()
+    force_n, depth_m = force_n[pressed], depth_m[pressed]
+    if found.compliance_m_per_n * force_n.max() < LEAST_BEND_M:  # nothing bends that could be told apart
+        return True
+    off = []
+    for power in (1.0, 2.0 / 3.0):
+        law = np.column_stack([force_n**power, np.ones_like(force_n)])
+        off.append(float(np.sum((depth_m - law @ np.linalg.lstsq(law, depth_m, rcond=None)[0]) ** 2)))
+    return off[0] <= off[1]
 
 
 def arm_give(touches: list[GiveTouch]) -> ArmGive:

@@ -30,7 +30,7 @@ from deformscope.stages.touches import MapGrid, Touch
 from deformscope_drivers.depth_camera import Intrinsics as CameraIntrinsics
 
 BetaModel = Literal["volume", "thesis", "none"]
-SECOND_FORCE_N = 5.0
+SECOND_FORCE_N, SECOND_SHARE = 5.0, 5.0 / 3.0
 SHALLOW_M = 0.002
 NEAR_M = 0.08
 """Points within this of a touch are shown with it."""
@@ -74,6 +74,11 @@ class ExploreOptions:
             raise InputError("a budget of one touch or more", f"{self.budget}")
         if not 0.0 < self.set_force_n <= SECOND_FORCE_N:
             raise InputError(f"a set force above 0 and up to {SECOND_FORCE_N:g} N", f"{self.set_force_n:g} N")
+
+    @property
+    def second_force_n(self) -> float:
+        """Pressed with where the set force makes a small dent: 5 N after 3 N, and in proportion, 5 N at most."""
+        return min(SECOND_FORCE_N, SECOND_SHARE * self.set_force_n)
 
 
 @dataclass(frozen=True, slots=True)

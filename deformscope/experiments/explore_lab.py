@@ -10,7 +10,6 @@ from scipy.interpolate import PchipInterpolator
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.capsule import Capsule
 from deformscope.experiments.explore import (
-    SECOND_FORCE_N,
     SHALLOW_M,
     ExploreOptions,
     Looked,
@@ -135,7 +134,7 @@ class LabRobot:
             normal,
             set_force_n=options.set_force_n,
             max_depth_m=options.max_depth_m,
-            second_force_n=SECOND_FORCE_N,
+            second_force_n=options.second_force_n,
             shallow_m=SHALLOW_M,
             sensing=self._sensing,
             random=self._random,

@@ -16,7 +16,6 @@ from deformscope.driver_table import DRIVERS
 from deformscope.errors import InputError
 from deformscope.experiments.explore import (
     ABOVE_M,
-    SECOND_FORCE_N,
     ExplorationStopped,
     ExploreOptions,
     Looked,
@@ -156,14 +155,13 @@ class TouchingRobot:
     def now_ns(self) -> int:
         return self._clock()
 
-    def preflight(self, calibrated: Mapping[str, bool]) -> Preflight:
-        """Look at everything before anything moves. calibrated: what has to be, by name, and whether it is
-        Raises InputError where nothing can be reached."""
-        allowed = self.reachable(MapGrid(self.size_m, PREFLIGHT_CELL_M))
-        places = MapGrid(self.size_m, PREFLIGHT_CELL_M).centres_m[allowed.ravel()]
-        if not len(places):
-            raise InputError("a surface that the arm reaches", "none of it", "move the arm, or the surface")
-        corners = [places[int(np.argmax(places @ way))] for way in ((1, 1), (1, -1), (-1, 1), (-1, -1))]
+    def preflight(self, calibrated: Mapping[str, bool], places_m: FloatArray | None = None) -> Preflight:
+        """Look at everything before anything moves.
+
+        calibrated: what has to be, by name, and whether it is; places_m: (n, 2) that will be touched, None = any that
+        can be reached. Raises InputError where nothing can be reached.
+        """
+        corners = self._corners() if places_m is None else list(places_m)
         height_m = self._options.thickness_m
         up = np.array([0.0, 0.0, 1.0])
         plans = [self._plan(corner, height_m, up, None) for corner in corners]
@@ -171,6 +169,14 @@ class TouchingRobot:
             found = check(self._robot, plans, calibrated=calibrated)
         self._robot.rest()
         return found
+
+    def _corners(self) -> list[FloatArray]:
+        """The outermost places that can be reached."""
+        allowed = self.reachable(MapGrid(self.size_m, PREFLIGHT_CELL_M))
+        places = MapGrid(self.size_m, PREFLIGHT_CELL_M).centres_m[allowed.ravel()]
+        if not len(places):
+            raise InputError("a surface that the arm reaches", "none of it", "move the arm, or the surface")
+        return [places[int(np.argmax(places @ way))] for way in ((1, 1), (1, -1), (-1, 1), (-1, -1))]
 
     @property
     def forces_told(self) -> str:
@@ -181,7 +187,7 @@ class TouchingRobot:
     @property
     def _more_force_n(self) -> float | None:
         """Pressed with where the dent stays small; None where the soft stop leaves no room for it."""
-        more_n = min(SECOND_FORCE_N, SOFT_STOP_SHARE * self._workspace.soft_stop_n)
+        more_n = min(self._options.second_force_n, SOFT_STOP_SHARE * self._workspace.soft_stop_n)
         return more_n if more_n > self._options.set_force_n else None
 
     def let_move(self, preflight: Preflight) -> None:

@@ -20,6 +20,7 @@ then 37, 68 and 93 kPa. (The secant modulus, 4.6, 8.5 and 11.6 kPa, would let 3 
 
 from __future__ import annotations
 
+import difflib
 import re
 import zlib
 from collections.abc import Callable
@@ -265,7 +266,8 @@ def _parsed(name: str) -> tuple[str, tuple[str, ...]]:
     found = re.fullmatch(rf"({kind})((?:-{piece})*)", name)
     expected = f"a scene: {', '.join(BUILT_IN)}, or one with other hardnesses"
     if found is None:
-        raise InputError(expected, repr(name), "two-80-200, three-60-110-rigid")
+        near = difflib.get_close_matches(name, BUILT_IN, n=1)
+        raise InputError(expected, repr(name), near[0] if near else "two-80-200, three-60-110-rigid")
     pieces = tuple(found[2].split("-")[1:]) or PIECES.get(found[1], ())
     if len(pieces) != COUNT.get(found[1], 0):
         raise InputError(f"{COUNT.get(found[1], 0)} hardnesses in {found[1]}", repr(name), "two-80-200")

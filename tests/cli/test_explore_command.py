@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 import pytest
 
 from deformscope.cli import main
@@ -33,6 +34,7 @@ def test_a_simulated_table_is_explored_recorded_and_replayed(
     record, told, picture = tmp_path / "e.rrd", tmp_path / "e.json", tmp_path / "e.png"
     arguments = ["explore", "lab:two-60-150", "--touches", "2", "--viewer", "none", "--beta-model", "none"]
     arguments += ["--record", str(record), "--json", str(told), "--picture", str(picture)]
+    arguments += ["--map", str(tmp_path / "e.npz")]
 
     assert main(arguments) == 0, capsys.readouterr().err
     shown = capsys.readouterr()
@@ -50,6 +52,10 @@ def test_a_simulated_table_is_explored_recorded_and_replayed(
     assert "ok  force sensor: tare" in shown.err
     assert "2 regions" in shown.out
     assert picture.read_bytes().startswith(b"\x89PNG")
+    with np.load(tmp_path / "e.npz", allow_pickle=False) as file:
+        assert file["stiffness_n_per_mm"].shape == file["labels"].shape == file["truth_labels"].shape == (80, 120)
+        assert file["cell_m"] == 0.005
+        assert set(np.unique(file["labels"])) == {0, 1}
 
     assert check_ledger(record) == []
     assert main(["verify", str(record)]) == 0, capsys.readouterr().err

@@ -6,17 +6,24 @@ from __future__ import annotations
 import io
 import json
 import sys
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from deformscope.cli import main
-from deformscope.experiments.explore_rig import RigBench
+from deformscope.experiments.explore import ExploreOptions
+from deformscope.experiments.explore_rig import RigBench, options_of
+from deformscope.rig import parse_rig
 from deformscope.rig_replay import read_items
+from deformscope.robot.placement import reach
 from deformscope.robot.robot import Robot, RobotStopped
 from deformscope.robot.supervisor import Action, Fault, Verdict
+from deformscope.stages.touches import MapGrid
 from deformscope_drivers.errors import SettingsRefused
+from deformscope_drivers.jaco.kinematics import J2N6S300
 from deformscope_drivers.optoforce import Optoforce
 
 RIG = """
@@ -102,8 +109,9 @@ def test_an_arm_that_is_not_calibrated_does_not_move(
     rig.write_text(rig.read_text().replace("compliance_m_per_n = 2e-4\ncompliance_sd = 2e-5", ""))
     monkeypatch.setattr(RigBench, "simulated", False)
 
-    assert main(["explore", str(rig), "--touches", "1", "--yes"]) == 2
+    assert main(["explore", str(rig), "--touches", "1", "--yes", "--record", "r.rrd"]) == 2
 
+    assert not list(rig.parent.glob("*.rrd"))  # there was nothing to record yet
     said = capsys.readouterr().err
     assert "calibration: [tool] compliance_m_per_n: missing" in said
     assert "[camera] T_arm_camera: missing" in said
@@ -173,3 +181,39 @@ def test_what_goes_wrong_before_the_checks_is_told_in_one_line(
 def test_faults_are_for_simulated_scenes(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["explore", str(rig), "--fault", "storm@1"]) == 2
     assert "lab:two-60-150" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("at", ["9,9", "-0.1,0.2", "0.3,0.41"])
+def test_an_arm_is_not_sent_beside_the_surface(at: str, rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["calibrate", "arm", str(rig), f"--at={at}", "--yes"]) == 2
+    assert "between 0,0 and 0.6,0.4 m" in capsys.readouterr().err
+
+
+def test_doctor_says_whether_a_rig_can_explore(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig.write_text(rig.read_text().replace("two-60-150", "tow-60-150"))
+
+    assert main(["doctor", str(rig), "--seconds", "0.5"]) == 0
+
+    (told,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("look") and "explore" in line]
+    assert "try: two-60-150" in told
+
+
+def test_the_example_fits_together_once_its_lines_are_uncommented(
+    rig: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    example = (resources.files("deformscope") / "lab" / "rig-example.toml").read_text(encoding="utf-8")
+    for name in ("T_arm_surface", "T_arm_camera", "compliance_m_per_n", "compliance_sd", "scene"):
+        example = example.replace(f"# {name} =", f"{name} =")
+    for driver in ("optoforce", "jaco", "depth_camera"):
+        example = example.replace(f'driver = "{driver}"\n', f'driver = "{driver}"\ndouble = true\n')
+    told = parse_rig(example, "example.toml")
+    bench = RigBench(told, options_of(told, ExploreOptions(), None))
+    low_m, high_m = np.array(told.workspace.low_m), np.array(told.workspace.high_m)
+    grid = MapGrid(bench.size_m, 0.05)
+    places_m = np.column_stack([grid.centres_m, np.full(len(grid.centres_m), 0.19)])
+    in_base_m = np.array([bench.placement.point_in_base_m(place_m) for place_m in places_m])
+
+    assert all(bench.calibrated.values())
+    assert ((in_base_m > low_m) & (in_base_m < high_m)).all()
+    touching_m = np.column_stack([grid.centres_m, np.full(len(grid.centres_m), 0.06)])
+    assert reach(J2N6S300, bench.placement, touching_m[::7]).reached.all()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -72,3 +74,19 @@ def test_touches_that_differ_are_told() -> None:
 def test_nothing_tells_nothing() -> None:
     with pytest.raises(InputError):
         arm_give([])
+
+
+class FoamTable(RigidTable):
+    """Foam where a rigid block should be: a ball sinks with the power 2/3 of the force."""
+
+    def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> Touched:
+        made = super().touch(xy_m, height_m, normal, over_m)
+        force_n = made.force_n[:, 2].clip(0.0)
+        place_m = made.position_m.copy()
+        place_m[:, 2] = np.where(force_n > 0.02, HEIGHT_M + 0.01 - 3e-3 * force_n ** (2.0 / 3.0), place_m[:, 2])
+        return dataclasses.replace(made, position_m=place_m)
+
+
+def test_foam_is_not_taken_for_something_rigid() -> None:
+    with pytest.raises(InputError, match="something rigid"):
+        list(touch_rigid(FoamTable(), ExploreOptions(), np.array([0.15, 0.1]), 1))

@@ -237,3 +237,8 @@ def test_what_was_stopped_before_it_had_looked_gives_nothing() -> None:
 def test_forces_that_are_too_large_are_refused() -> None:
     with pytest.raises(InputError, match="up to 5 N"):
         ExploreOptions(set_force_n=6.0)
+
+
+@pytest.mark.parametrize(("set_n", "second_n"), [(3.0, 5.0), (1.0, 5.0 / 3.0), (4.0, 5.0), (5.0, 5.0)])
+def test_what_is_stiff_is_pressed_harder_in_proportion(set_n: float, second_n: float) -> None:
+    assert ExploreOptions(set_force_n=set_n).second_force_n == pytest.approx(second_n)
