@@ -6,6 +6,8 @@ deformscope calibrate arm lab:homogeneous-rigid --json -
 
 from __future__ import annotations
 
+import contextlib
+
 from deformscope.cli.benches import bench_of
 from deformscope.cli.common import quiet_warp, say, show_table, status_line, write_json
 from deformscope.cli.exploring import Companion, leave, let_move
@@ -21,6 +23,7 @@ def run(config: ArmConfig) -> None:
     from deformscope.experiments.arm_compliance import SURE_SD, arm_give, touch_rigid
     from deformscope.experiments.explore import ExplorationStopped, ExploreOptions
     from deformscope.recorder import Recorder
+    from deformscope.session import watching
 
     quiet_warp()
     options = ExploreOptions(budget=config.touches, beta_model="none", seed=config.seed)
@@ -32,8 +35,12 @@ def run(config: ArmConfig) -> None:
         raise InputError(f"--at on the surface: between 0,0 and {width:g},{height:g} m", came)
     stop, made = None, []
     with until_interrupted() as asked, bench.source() as source, status_line() as show:
-        companion = Companion(None if bench.runs_itself else source, Recorder(None), asked, show)
-        with bench.robot(companion) as robot:
+        nothing = Recorder(None)
+        companion = Companion(None if bench.runs_itself else source, nothing, asked, show)
+        with (
+            watching(source, nothing) if bench.runs_itself else contextlib.nullcontext(),  # what waits is taken away
+            bench.robot(companion) as robot,
+        ):
             companion.follow(robot)
             known = {name: there for name, there in bench.calibrated.items() if "compliance" not in name}
             try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import gc
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
@@ -147,16 +148,17 @@ class RigBench:
             raise InputError(
                 "devices that are well", came, f"see to {advice(verdict.fault)}", self.rig.name
             ) from stopped
-        yield TouchingRobot(
-            robot,
-            self.size_m,
-            self._options,
-            (self._intrinsics(), self.T_surface_camera),
-            arm=self.arm,
-            clock=self.clock,
-            workspace=self.rig.workspace,
-            doubt_m=self.rig.camera.doubt_m,
-        )
+        with _without_long_pauses():
+            yield TouchingRobot(
+                robot,
+                self.size_m,
+                self._options,
+                (self._intrinsics(), self.T_surface_camera),
+                arm=self.arm,
+                clock=self.clock,
+                workspace=self.rig.workspace,
+                doubt_m=self.rig.camera.doubt_m,
+            )
 
     def _from_surface(self) -> FloatArray:
         given = self.rig.surface.T_arm_surface
@@ -175,6 +177,18 @@ class RigBench:
         if camera.focal_px is None or camera.center_px is None:
             return None
         return Intrinsics(camera.focal_px, camera.center_px, camera.distortion)
+
+
+@contextlib.contextmanager
+def _without_long_pauses() -> Iterator[None]:
+    """Keep what was loaded until now out of Python's search for garbage, which would hold all threads up for 0.1 s and
+    more, in the middle of a motion."""
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
 
 
 def options_of(rig: Rig, options: ExploreOptions, set_force_n: float | None) -> ExploreOptions:

@@ -53,11 +53,13 @@ FIRST_ACTUATOR_ADDRESS = 16
 
 @dataclass(frozen=True, slots=True)
 class _Streamed:
-    """A velocity that is sent in every slot until it expires."""
+    """A velocity that is sent in every slot until it expires. since_ns: when the arm was first told to move, with this
+    velocity or one that it replaced"""
 
     velocity: Velocity
     point: TrajectoryPoint
     expires_ns: int
+    since_ns: int
 
 
 class Jaco(Device[JacoState]):
@@ -214,6 +216,7 @@ class Jaco(Device[JacoState]):
             if self._erase_due:
                 self._erase()
             return
+        late_ns = min(late_ns, now_ns - streamed.since_ns)  # before there was a command nothing came too late
         if late_ns > self.config.command_deadline_s * 1e9:
             self._halt(f"the cycle came {late_ns / 1e6:.0f} ms late")
         elif now_ns > streamed.expires_ns:
@@ -313,7 +316,9 @@ class Jaco(Device[JacoState]):
             self._require_moves()
             if self._position_until_ns is not None:
                 raise OutOfLimits("an arm that is not on its way to a target", "one that is", "stop() first", self.name)
-            self._streamed = _Streamed(velocity, point, self._clock() + round(valid_s * 1e9))
+            now_ns = self._clock()
+            since_ns = now_ns if self._streamed is None else self._streamed.since_ns
+            self._streamed = _Streamed(velocity, point, now_ns + round(valid_s * 1e9), since_ns)
 
     def stop(self) -> None:
         """Stop at once: forget the velocity, erase what waits in the arm. Raises when the arm could not be told.

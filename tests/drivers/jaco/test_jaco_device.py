@@ -503,6 +503,18 @@ def test_after_a_stall_nothing_is_made_up_for(lab: Simulated) -> None:
     assert lab.double.fifo_count <= 1
 
 
+def test_a_stall_before_the_first_command_does_not_stop_the_arm(lab: Simulated) -> None:
+    lab.run(0.1)
+    lab.clock.advance_to(lab.clock() + 500_000_000)
+    lab.arm.set_velocity(TURN, 0.5)
+    told_s = lab.now_s
+
+    lab.run(0.1)
+
+    assert lab.arm.stopped_because == ""
+    assert len([at_s for at_s, _ in lab.recorded.points() if at_s >= told_s]) >= 9
+
+
 def test_a_stall_longer_than_the_deadline_stops_the_arm_and_says_so(lab: Simulated) -> None:
     lab.arm.set_velocity(TURN, valid_for_s=10.0)
     lab.run(0.5)
