@@ -28,7 +28,7 @@ class Asked:
         self.wishes: list[str] = []
         self.moves: list[Preflight] = []
 
-    def preflight(self, calibrated: object) -> Preflight:
+    def preflight(self, calibrated: object, places_m: object = None) -> Preflight:
         if self.wishes:
             raise KeyError("stopped: a person asked")
         return self.checked.pop(0)
