@@ -24,7 +24,7 @@ from deformscope.experiments.explore import (
     pinhole,
     sample_box,
 )
-from deformscope.experiments.explore_lab import ARM_DOUBT, ARM_N_PER_M, truth_of
+from deformscope.experiments.explore_lab import ARM_DOUBT, ARM_N_PER_M, BORDER_M, VIEW_CELL_M, truth_of
 from deformscope.lab.depth_view import DepthView, DepthViewConfig
 from deformscope.lab.scenes import Scene
 from deformscope.lab.slab import RigidTip
@@ -61,8 +61,6 @@ DENT_M, DENT_PICTURES = 0.08, 10
 """Of a dent: half the side of what is looked at around it; its last pictures that are taken together, at most."""
 SOFT_STOP_SHARE = 0.75
 """Of the soft stop, at most this share is pressed with: noise and overshoot must not reach it."""
-BORDER_M = 0.02
-VIEW_CELL_M = 0.004
 PREFLIGHT_CELL_M = 0.02
 COARSE_M = 0.03
 """Reach is asked at places so far apart, and taken for the cells around."""
