@@ -93,9 +93,18 @@ class FittedModel:
         known = self.stiffness if values is None else values
         if not len(known):
             return None
+        field, place = self._field(known, at)
+        return float(field.at(place)[0]) * float(spacing / self.spacing) ** (self.dim - 2)
+
+    def stiffness_deviation(self, at: FloatArray) -> float:
+        """Standard deviation of the logarithm of the stiffness at a place (d,), as far as the pokes tell it."""
+        field, place = self._field(self.stiffness, at)
+        return float(field.deviation(place)[0])
+
+    def _field(self, values: FloatArray, at: FloatArray) -> tuple[StiffnessField, FloatArray]:
         across = [0, 1] if self.dim == 3 else [0]
-        place = StiffnessField(self.places[:, across], known, self.field_kind, self.left_out)
-        return float(place.at(np.asarray(at)[across])[0]) * float(spacing / self.spacing) ** (self.dim - 2)
+        field = StiffnessField(self.places[:, across], values, self.field_kind, self.left_out)
+        return field, np.asarray(at)[across]
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,9 +180,9 @@ def _force_interval(
         other = press(scene, rival.law, same, precision=precision, device=device)
         if k is not None and other.converged:
             every.append(k * other.reaction)
-    scatter = float(np.sqrt(np.nanmean(model.left_out**2))) if np.isfinite(model.left_out).any() else 0.0
-    wide = TWO_SIDED_90 * max(scatter, FORCE_SHARE)
-    return min(every) * max(0.0, 1.0 - wide), max(every) * (1.0 + wide)
+    # of logarithms: a prediction that is five times too low has an error of -80 % of the measured force
+    wide = float(np.exp(TWO_SIDED_90 * max(model.stiffness_deviation(poke.at), FORCE_SHARE)))
+    return min(every) / wide, max(every) * wide
 
 
 def scene_of(model: FittedModel, law: Law, poke: Poke) -> tuple[Scene, Layers | None]:
