@@ -30,6 +30,7 @@ from deformscope.errors import InputError
 from deformscope.frames import ColorFrame, DepthFrame, Frame, HealthReport, Item, LinkChange, RawBytes, Stream
 from deformscope.images import encode_png
 from deformscope.ledger import ledger_path, write_ledger
+from deformscope.losses import losses_of
 from deformscope.live import LiveFeed, Viewer, ViewerKind, start_viewer, wait_for_viewer
 from deformscope.session import Step
 from deformscope.stages.exploration import NextTouch
@@ -129,6 +130,7 @@ class Recorder:
         self._pictures_ns: list[int] = []
         self._scales: dict[str, tuple[object, int]] = {}
         self._counts: dict[str, int] = {}
+        self._losses: dict[str, dict[str, float]] = {}
         self._beat_at = self._beats = 0.0
         self._broken = False
         self._lock = threading.RLock()
@@ -233,6 +235,8 @@ class Recorder:
         for item in items:
             kind = _counted_as(item)
             self._counts[kind] = self._counts.get(kind, 0) + 1
+            if isinstance(item, HealthReport):
+                self._losses = losses_of(item)
         self._frames += sum(isinstance(item, Frame) for item in items)
         if not self.active:
             return
@@ -437,6 +441,7 @@ class Recorder:
                 outcome["stopped"] = self._stopped
             if self._counts:
                 outcome["counts"] = json.dumps(self._counts)
+                outcome["losses"] = json.dumps(self._losses)
             self._file.send_property("outcome", _any_values(outcome))
             try:
                 self._flush()
@@ -475,7 +480,7 @@ class Recorder:
         ledger_path(self._target).unlink(missing_ok=True)
         part.replace(self._target)
         counts = {"frames": self._frames, "steps": self._steps, "inputs": self._inputs, **self._counts}
-        write_ledger(self._target, counts)
+        write_ledger(self._target, counts, self._losses)
         _sync(self._target.parent)
         return self._target
 

@@ -4,7 +4,7 @@
     deformscope flow before.png after.png --out flow.npz
 
 To add a command: a frozen dataclass of its flags in `deformscope/config/`, a file here with `run(config)` that
-imports what is heavy inside, and a line in `COMMANDS`.
+imports what is heavy inside and returns an exit status where it is not always 0, and a line in `COMMANDS`.
 """
 
 from __future__ import annotations
@@ -114,7 +114,11 @@ PACKAGES = {
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run one command line and return its exit status; nothing is raised, and no traceback shown unless asked for."""
+    """Run one command line and return its exit status; nothing is raised, and no traceback shown unless asked for.
+
+    0 done; 1 unexpected; 2 refused, in one line; 3 done with losses, which are named (`common.EXIT_LOSSES`);
+    128 + its number: ended by a signal
+    """
     # Libraries that complain on stderr by themselves would bury the one line that says what to do.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
@@ -157,8 +161,8 @@ def _dispatch(args: list[str]) -> int:
     from deformscope.cli.common import json_alone
 
     with json_alone(options.json_target()):
-        getattr(importlib.import_module(command.module), command.function)(options)
-    return 0
+        status = getattr(importlib.import_module(command.module), command.function)(options)
+    return status if isinstance(status, int) else 0
 
 
 def _find(args: list[str]) -> tuple[str, list[str]]:

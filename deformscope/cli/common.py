@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 Viewer = Literal["native", "page", "none"]
 
+EXIT_LOSSES = 3
+"""The exit status of a command whose result is whole, but of which something was lost; it names what."""
 SAY_EVERY_S = 20.0
 """Seconds between lines about long work where no bar can be shown."""
 
