@@ -16,8 +16,12 @@ BLOCK_BYTES = 1 << 20
 
 
 def ledger_path(recording: Path) -> Path:
-    """`run.rrd` has the ledger `run.rrd.ledger`."""
-    return recording.with_name(recording.name + ".ledger")
+    """`run.rrd` has the ledger `run.rrd.ledger`; a link to it without one beside itself has that of what it leads to."""
+    beside = recording.with_name(recording.name + ".ledger")
+    if recording.is_symlink() and not beside.exists():
+        target = Path(os.path.realpath(recording))
+        return target.with_name(target.name + ".ledger")
+    return beside
 
 
 Losses = Mapping[str, Mapping[str, float]]

@@ -293,10 +293,10 @@ def _check_files(options: CommandOptions) -> None:
         return
     from deformscope.cli.common import check_writable
 
-    inputs = {Path(source).resolve() for source in options.reads()}
-    flags: dict[Path, str] = {}
+    inputs = {os.path.realpath(source) for source in options.reads()}
+    flags: dict[str, str] = {}
     for file in written:
-        path = file.path.resolve()
+        path = os.path.realpath(file.path)
         if path in inputs:
             raise InputError(f"a file after {file.flag} that is no input", "an input", "another name", file.path)
         if path in flags and not file.path.is_char_device():

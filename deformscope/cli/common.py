@@ -207,7 +207,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
         with path.open("wb") as stream:
             yield stream
         return
-    path = path.resolve()  # a link stays a link, to the new file
+    path = Path(os.path.realpath(path))  # a link stays a link, to the new file
     draft = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with draft.open("xb") as file:
@@ -241,7 +241,7 @@ def check_writable(path: Path, flag: str, *, replace: bool = True) -> None:
         return
     if path.exists() and not replace:
         raise InputError(f"a new file after {flag}", "one that exists", "another name, or --overwrite", path)
-    path = path.resolve()
+    path = Path(os.path.realpath(path))
     if not path.parent.is_dir():
         came = "something else" if path.parent.exists() else "none"
         raise InputError(f"a folder to hold the file of {flag}", came, f"mkdir -p {path.parent}", path)
