@@ -620,6 +620,18 @@ def _log_blob(rec: rr.RecordingStream, times: tuple[int, int], path: str, raw: n
     rec.log(path, rr.AnyValues(blob=raw))
 
 
+def write_outcome(path: Path, application: str, recording: str, outcome: Mapping[str, object]) -> None:
+    """How a run ended, as a part of its recording, to be merged with the rest. application, recording: its ids"""
+    import rerun as rr
+
+    rec = rr.RecordingStream(application, recording_id=recording, send_properties=False)
+    rec.set_sinks(rr.FileSink(path))
+    told = {name: json.dumps(value) if isinstance(value, dict) else value for name, value in outcome.items()}
+    rec.send_property("outcome", _any_values(told))
+    rec.flush(timeout_sec=FLUSH_TIMEOUT_S)
+    rec.disconnect()
+
+
 def _any_values(values: Mapping[str, object]) -> rr.AnyValues:
     import rerun as rr
 

@@ -35,13 +35,17 @@ TELL_EVERY_S = 10.0
 def record(config: RecordConfig) -> int:
     """Record a rig, headless unless a viewer is asked for. Returns the command's exit status."""
     viewer = "none" if config.output.viewer == "auto" else config.output.viewer
-    return _run(dataclasses.replace(config, output=dataclasses.replace(config.output, viewer=viewer)), always_record=True)
+    return _run(
+        dataclasses.replace(config, output=dataclasses.replace(config.output, viewer=viewer)), always_record=True
+    )
 
 
 def live(config: LiveConfig) -> int:
     """Watch a rig in rerun's window, and record it if asked to. Returns the command's exit status."""
     viewer = "native" if config.output.viewer == "auto" else config.output.viewer
-    return _run(dataclasses.replace(config, output=dataclasses.replace(config.output, viewer=viewer)), always_record=False)
+    return _run(
+        dataclasses.replace(config, output=dataclasses.replace(config.output, viewer=viewer)), always_record=False
+    )
 
 
 def _run(config: RigRunOptions, *, always_record: bool) -> int:

@@ -31,6 +31,7 @@ from deformscope.config.rigs import (
     LiveConfig,
     RecordConfig,
     RigRunOptions,
+    RecoverConfig,
     VerifyConfig,
 )
 from deformscope.config.runs import DemoConfig, ReplayConfig
@@ -65,6 +66,7 @@ __all__ = [
     "SummaryOptions",
     "Table41Config",
     "ThetaConfig",
+    "RecoverConfig",
     "VerifyConfig",
     "Written",
     "YieldConfig",
