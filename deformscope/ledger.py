@@ -16,7 +16,7 @@ BLOCK_BYTES = 1 << 20
 
 
 def ledger_path(recording: Path) -> Path:
-    """`run.rrd` has the ledger `run.rrd.ledger`; a link to it without one beside itself has that of what it leads to."""
+    """`run.rrd` has the ledger `run.rrd.ledger`; a link without one has that of what it leads to."""
     beside = recording.with_name(recording.name + ".ledger")
     if recording.is_symlink() and not beside.exists():
         target = Path(os.path.realpath(recording))

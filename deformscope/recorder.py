@@ -30,8 +30,8 @@ from deformscope.errors import InputError
 from deformscope.frames import ColorFrame, DepthFrame, Frame, HealthReport, Item, LinkChange, RawBytes, Stream
 from deformscope.images import encode_png
 from deformscope.ledger import ledger_path, write_ledger
-from deformscope.losses import losses_of
 from deformscope.live import LiveFeed, Viewer, ViewerKind, start_viewer, wait_for_viewer
+from deformscope.losses import losses_of
 from deformscope.recording_lock import create_locked, is_being_written, one_at_a_time
 from deformscope.session import Step
 from deformscope.stages.exploration import NextTouch

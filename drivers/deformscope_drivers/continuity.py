@@ -95,7 +95,7 @@ class Continuity:
         limit_s = self._limit_s() if self._received else START_S
         self._received = True
         self._got = self._got_at_last = self._got + 1
-        if before_ns is None or self._set_hz is None and self._pause is None:
+        if before_ns is None or (self._set_hz is None and self._pause is None):
             return
         length_s = (now_ns - before_ns) / 1e9
         if length_s > limit_s and (self._pause is None or self._pause.resumed_ns is not None):
