@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from deformscope_drivers.health import Health
 
 FREE_BYTES_WANTED = 5 << 30
+FIRST_READING_S = 10.0
+"""A camera, or a double on a busy machine, may take seconds to begin."""
 TRY = "deformscope devices lists what is plugged in; double = true runs a simulated one in its place"
 Verdict = Literal["ok", "look", "FAIL"]
 
@@ -134,7 +136,7 @@ def _device(entry: RigDevice, name: str, seconds: float) -> list[Finding]:
     """Open one device and listen to it."""
     with member_of(entry) as member, member.device as device:
         told = device.identity()
-        device.next(max(seconds, 1.0))
+        device.next(max(seconds, FIRST_READING_S))
         time.sleep(seconds)
         health = device.health()
     who = " ".join(part for part in (told.model, told.serial, told.firmware) if part)
