@@ -20,6 +20,7 @@ from deformscope_drivers.health import Link
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.transport import CanTransport, SerialTransport, parse_bus, serial_or_can
 from deformscope_drivers.wires import CanWire, PtyWire, TcpWire
+from tests.drivers.buses import udp_bus
 from tests.drivers.toy import PERIOD_NS, Toy, ToyDouble
 
 QUICK = Reconnect(0.01, 0.1)
@@ -58,7 +59,7 @@ class TestOverASocket(DeviceContract):
             yield bench_on(wire, lambda: Toy(SerialTransport(wire.port, 115200), reconnect=QUICK))
 
 
-@pytest.mark.parametrize("bus", ["virtual:toy", "udp_multicast:239.74.163.2?port=43217"])
+@pytest.mark.parametrize("bus", ["virtual:toy", udp_bus()], ids=["virtual", "udp"])
 class TestOverCan(DeviceContract):
     @pytest.fixture
     def bench(self, bus: str) -> Iterator[Bench]:

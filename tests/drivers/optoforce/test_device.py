@@ -28,10 +28,11 @@ from deformscope_drivers.optoforce import (
 )
 from deformscope_drivers.optoforce.protocol import Configure, Filter, Reading, Speed, Status, encode
 from deformscope_drivers.wires import CanWire, PtyWire, Wire
+from tests.drivers.buses import udp_bus
 
 QUICK = Reconnect(0.01, 0.1)
 MS = 1_000_000
-UDP = "udp_multicast:239.74.163.2?port=43219"
+UDP = udp_bus()
 
 
 def silence(wire: Wire, silent: bool) -> None:
@@ -53,7 +54,7 @@ class TestOverAPty(DeviceContract):
             )
 
 
-@pytest.mark.parametrize("bus", ["virtual:optoforce", UDP])
+@pytest.mark.parametrize("bus", ["virtual:optoforce", UDP], ids=["virtual", "udp"])
 @pytest.mark.parametrize("padded", [False, True], ids=["", "padded"])
 class TestOverCan(DeviceContract):
     @pytest.fixture
@@ -435,7 +436,7 @@ def test_a_simulated_session_repeats_bit_for_bit() -> None:
     assert session() == session()
 
 
-@pytest.mark.parametrize("bus", ["virtual:zeroing", UDP])
+@pytest.mark.parametrize("bus", ["virtual:zeroing", UDP], ids=["virtual", "udp"])
 def test_it_is_zeroed_over_can(bus: str) -> None:
     with can_wire(OptoforceDouble(), bus) as wire:
         config = OptoforceConfig(bus=bus, sensitivity=OMD_20_SE_40N, rate_hz=333)
