@@ -5,7 +5,9 @@ VENV  := .venv
 PY    := $(VENV)/bin/python
 READY := $(VENV)/.ready
 STEPS := not slow and not hardware and not realtime
-PYTEST := $(PY) -m pytest -q
+PYTEST := $(PY) -m pytest -q -rs
+# As many processes as processors, up to 4 for the memory, each with one thread: else their libraries share no core.
+PARALLEL := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(PYTEST) -n logical --maxprocesses 4 --dist worksteal
 
 # The first interpreter that fits; PYTHON=... names another.
 PYTHONS := $(PYTHON) python3 python3.13 python3.12 python3.11
@@ -61,10 +63,10 @@ demo: setup
 	@$(PY) -m deformscope demo
 
 test: lint
-	$(PYTEST) -m '$(STEPS)'
+	$(PARALLEL) -m '$(STEPS)'
 
 test-slow: setup
-	$(PYTEST) -m 'not hardware and not realtime'
+	$(PARALLEL) -m 'not hardware and not realtime'
 
 # One at a time, on a machine with nothing else to do: they watch the host's clock.
 test-realtime: setup
