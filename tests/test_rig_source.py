@@ -24,8 +24,7 @@ from deformscope.session import watch
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.health import Link
 from deformscope_drivers.optoforce.protocol import Decoder, Reading
-
-PATIENCE_S = 20.0
+from tests.patience import PATIENCE_S
 
 
 @contextlib.contextmanager

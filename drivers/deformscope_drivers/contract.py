@@ -23,7 +23,7 @@ from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError, LinkLost, NotConnected, Stale
 from deformscope_drivers.health import Link
 
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
 TOLD_WITHIN_S = 1.0
 
 
