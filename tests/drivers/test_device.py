@@ -32,9 +32,7 @@ def silence(double: ToyDouble, silent: bool) -> None:
 
 def bench_on(wire, make) -> Bench:
     double = wire.double
-    return Bench(
-        make(), wire.unplug, wire.plug, lambda: silence(double, True), lambda: silence(double, False), told_within_s=1.0
-    )
+    return Bench(make(), wire.unplug, wire.plug, lambda: silence(double, True), lambda: silence(double, False))
 
 
 class TestOverAPty(DeviceContract):
@@ -290,12 +288,10 @@ def test_on_a_simulated_clock_a_run_is_the_same_every_time() -> None:
             assert device.next(0.1).count == 500
             return [(reading.stamp.host_ns, reading.count) for reading in readings.take()]
 
-    start = time.monotonic()
     first = run()
 
     assert first == run()
     assert len(first) == 1001
-    assert time.monotonic() - start < 60
     assert first[0] == (10**9 + PERIOD_NS, 0)
 
 

@@ -220,6 +220,7 @@ def test_a_cartesian_velocity_held_for_1_s_moves_the_double_by_the_right_length(
     np.testing.assert_allclose(moved_m, (0.03, -0.02, 0.01), atol=0.04 * PERIOD_S)
 
 
+@pytest.mark.realtime
 def test_in_real_time_it_turns_by_the_right_angle_too() -> None:
     bench = CBench("j2n6s300")
     bench.real_time(True)
