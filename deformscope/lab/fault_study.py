@@ -19,7 +19,7 @@ from deformscope.lab.springy_foam import SpringyFoam
 from deformscope.lab.touch_lab import T_BASE_SURFACE, TouchLab
 from deformscope.rig import Tool
 from deformscope.robot.placement import Placement, best_joints, reach
-from deformscope.robot.preflight import LEAST_SINGULAR, check
+from deformscope.robot.preflight import check
 from deformscope.robot.readings import Observation
 from deformscope.robot.robot import Robot
 from deformscope.robot.supervisor import Action, Fault, Limits, Verdict
@@ -96,7 +96,7 @@ def make_scene(
         start_deg = best_joints(J2N6S300, [placement.T_base_ee(place_m, normal) for place_m in places_m])
         if start_deg is not None:
             least = reach(J2N6S300, placement, places_m, normal, start_deg=start_deg).least_singular
-            if least.min() > 2 * LEAST_SINGULAR:
+            if least.min() > 0.04:
                 break
     foam = SpringyFoam(drawn_pa if modulus_pa is None else modulus_pa, point_m, normal, tool)
     pictures = np.random.default_rng([seed, 0xCA])
