@@ -192,8 +192,8 @@ class TouchingRobot:
         self._robot.let_move(preflight)
 
     def reachable(self, grid: MapGrid) -> BoolArray:
-        """Cells that the tip can be led down to with the stick upright, as deep as a touch goes, all but a margin at the
-        border."""
+        """Cells that the tip can be led down to with the stick upright, as deep as a touch goes, all but a margin at
+        the border."""
         rows, columns = grid.shape
         every = max(1, round(COARSE_M / grid.cell_m))
         row, column = np.arange(0, rows, every), np.arange(0, columns, every)
@@ -225,8 +225,8 @@ class TouchingRobot:
         return Looked(np.concatenate([c.points_m for c in clouds]), np.concatenate([c.noise_m for c in clouds]))
 
     def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> Touched:
-        """Go there, touch along the normal, or upright where the arm cannot be led along it, look at the dent, come back.
-        Raises ExplorationStopped."""
+        """Go there, touch along the normal, or upright where the arm cannot be led along it, look at the dent, come
+        back. Raises ExplorationStopped."""
         plan = self._plan(xy_m, height_m, normal, over_m)
         if not self._leads(plan):  # joint limits and singularities depend on the tilt
             plan = self._plan(xy_m, height_m, UPRIGHT, over_m)

@@ -156,8 +156,8 @@ def follow(
 ) -> npt.NDArray[np.bool_]:
     """Whether tip centres (n, 3) [m, surface frame] can be led to on straight ways one after the other, (n,) bool.
 
-    start_deg: (m,) joint angles to begin with, from which the first place is sought, each other one from the one before:
-    in the configuration that the arm is in. The ways are looked at every WAY_M: joints keep PLAN_MARGIN_DEG, and where
+    start_deg: (m,) joint angles from which the first place is sought, each other one from the one before: in the
+    configuration that the arm is in. The ways are looked at every WAY_M: joints keep PLAN_MARGIN_DEG, and where
     a singularity is near, its damping keeps the arm on its way (`motion.OFF_COURSE`).
     """
     directions = np.broadcast_to(np.asarray(normals, dtype=float), (len(centers_m), 3))

@@ -83,7 +83,7 @@ class Robot:
     The arm is sent joint rates alone (`motion`), in each period for where its joints are then.
 
     commanded: (time [ns], speed of the tip's centre [m/s]) of every period, for recordings and studies
-    rotation: that of the arm's end as it was commanded
+    rotation: that of the arm's end as it was commanded; moving: a velocity was sent in this period
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class Robot:
         self._pose: ArmSample | None = None
         self._speed_m_s = 0.0
         self._angular_rad_s: FloatArray = np.zeros(3)
-        self._follows = self._moving = False
+        self._follows = self.moving = False
         self.rotation = CommandedRotation()
         self._turned_ns = clock()
         self._refusal: tuple[Fault, str] | None = None
@@ -265,7 +265,7 @@ class Robot:
         self.rotation.advance(self._angular_rad_s, seconds, measured, follows=self._follows)
 
     def _send(self, command: Command) -> None:
-        moving, self._moving = self._moving, False
+        moving, self.moving = self.moving, False
         self._speed_m_s, self._angular_rad_s, self._follows, self._refusal = 0.0, np.zeros(3), False, None
         try:
             if isinstance(command, TipVelocity):
@@ -333,7 +333,7 @@ class Robot:
             self._refuse(motion.fault, motion.reason)
             return False
         self.arm.set_velocity(JointVelocity(tuple(map(float, motion.rates_deg_s))), VALID_PERIODS * PERIOD_NS / 1e9)
-        self._moving = True
+        self.moving = True
         return True
 
     def _look(self) -> Observation:
