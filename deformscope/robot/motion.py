@@ -38,8 +38,9 @@ singularity where it needs nothing of the weak direction, and corrections at res
 LEVER_M = 0.2
 """So far from the arm's end a rotation counts as much as a velocity there: hand, stick and tip."""
 AWAY_DEG, AWAY_DEG_S = 40.0, 15.0
-"""What a seventh joint leaves free turns joints away from limits that are nearer than this, wanted the faster the nearer
-(the null space gives a part of it); not towards the middle of their ranges, where elbow and wrist are stretched out and singular."""
+"""What a seventh joint leaves free turns joints away from limits that are nearer than this, wanted the faster the
+nearer (the null space gives a part of it); not towards the middle of their ranges, where elbow and wrist are stretched
+out and singular."""
 HOLD_PER_S = 2.0
 """An orientation that is to be held is brought back at this share of its error in a second."""
 FOLLOW_PER_S = 1.0

@@ -111,6 +111,8 @@ class Limits:
             soft_force_n=workspace.soft_stop_n,
             hard_force_n=workspace.hard_stop_n,
             speed_m_s=2.0 * workspace.travel_speed_m_s,
+            # an arm whose states may come late is seen behind what was commanded while it turns
+            tilt_deg=max(standard.tilt_deg, 0.6 * standard.turn_deg_s * workspace.arm_silent_s),
             low_m=workspace.low_m,
             high_m=workspace.high_m,
             camera_period_s=1.0 / camera_hz,
