@@ -5,9 +5,10 @@ from __future__ import annotations
 import ipaddress
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from deformscope_drivers.jaco.kinematics import CHAINS
-from deformscope_drivers.jaco.library import PREFIXES, Connection
+from deformscope_drivers.jaco.library import PREFIXES, Connection, library_file
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,3 +103,7 @@ class JacoConfig:
             raise ValueError(f"expected state_hz above 0 and up to 100; came {self.state_hz!r}")
         if self.open_attempts < 1:
             raise ValueError(f"expected open_attempts from 1; came {self.open_attempts!r}")
+
+    def library_file(self) -> Path | None:
+        """The file that `library` names; None = what the system's loader finds."""
+        return library_file(self.library, self.connection) if self.library else None

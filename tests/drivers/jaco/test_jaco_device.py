@@ -240,6 +240,7 @@ def test_a_velocity_about_the_base_s_axes_is_converted() -> None:
     assert velocity.angular_rad_s != pytest.approx([0.1, -0.2, 0.3], abs=0.05)
 
 
+@pytest.mark.realtime
 def test_in_real_time_it_turns_by_the_right_angle_too() -> None:
     bench = CBench("j2n6s300")
     bench.real_time(True)
