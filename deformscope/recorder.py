@@ -13,6 +13,7 @@ import json
 import logging
 import os
 import shutil
+import sys
 import threading
 import time
 import uuid
@@ -28,9 +29,9 @@ from deformscope import provenance
 from deformscope.arrays import FloatArray, ImageArray
 from deformscope.errors import InputError
 from deformscope.frames import ColorFrame, DepthFrame, Frame, HealthReport, Item, LinkChange, RawBytes, Stream
-from deformscope.images import encode_png
+from deformscope.images import encode_jpeg, encode_png
 from deformscope.ledger import ledger_path, write_ledger
-from deformscope.live import LiveFeed, Viewer, ViewerKind, start_viewer, wait_for_viewer
+from deformscope.live import LiveFeed, Viewer, ViewerKind, check_answers, check_running, start_viewer, wait_for_viewer
 from deformscope.session import Step
 from deformscope.stages.exploration import NextTouch
 
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 
     RecordingLayout = Layout | Literal["rig", "exploration"]
     from deformscope.log.canvas import Canvas
+    from deformscope.log.live_stream import LiveStream
     from deformscope.log.rig import Place
 
 APPLICATIONS: dict[RecordingLayout, str] = {
@@ -58,7 +60,7 @@ BEAT_S = 1.0
 BEAT_FRAMES = 32
 FLUSH_TIMEOUT_S = 20.0
 CLOSE_TIMEOUT_S = 60.0
-LIVE_TIMEOUT_S = 5.0
+LIVE_TIMEOUT_S = 3.0
 
 _logger = logging.getLogger(__name__)
 
@@ -113,7 +115,7 @@ class Recorder:
         self._deterministic = deterministic
         self._part: Path | None = None
         self._file: rr.RecordingStream | None = None
-        self._feed: LiveFeed[rr.RecordingStream] | None = None
+        self._feed: LiveFeed[LiveStream] | None = None
         self._viewer: Viewer | None = None
         self._canvas: Canvas | None = None
         self._session_ns: dict[int, int] = {}
@@ -142,7 +144,7 @@ class Recorder:
 
     @property
     def viewer(self) -> Viewer | None:
-        """The viewer that was started, to tell the user where it is."""
+        """The viewer that was started."""
         return self._viewer
 
     def __enter__(self) -> Recorder:
@@ -180,8 +182,14 @@ class Recorder:
         png = encode_png(frame.image)
         times = self._times(frame.index)
         stamp = frame.stamp.host_ns, -1 if frame.stamp.device_ticks is None else frame.stamp.device_ticks
-        self._emit(lambda rec: _log_frame(rec, times, png, stamp), len(png))
-        if frame.image.dtype == np.uint16:
+        image, sixteen = frame.image, frame.image.dtype == np.uint16
+
+        def show(live: LiveStream) -> None:  # as JPEG, a tenth of the bytes; of 16 bits the picture below
+            if not sixteen:
+                _log_frame(live.rec, times, encode_jpeg(image), stamp, "image/jpeg")
+
+        self._emit(lambda rec: _log_frame(rec, times, png, stamp), image.nbytes, live=show)
+        if sixteen:
             shown = self._shown(frame.image)
             self._emit(lambda rec: _log_shown(rec, times, shown), len(shown))
 
@@ -243,7 +251,9 @@ class Recorder:
         self._pictures_ns += [item.stamp.host_ns - self._first_ns for item in pictures]
         place = self._place(self._touch) if self._exploring else None
         batch = prepare_items(items, self._first_ns, self._streams, self._lossless, place, self._scales)
-        self._emit(batch.send, sum(_item_size(item) for item in items))
+        kept, start_ns, streams = list(items), self._first_ns, self._streams
+        size = sum(_item_size(item) for item in kept)
+        self._emit(batch.send, size, live=lambda live: live.add_items(kept, start_ns, streams, place))
 
     def start_exploration(
         self,
@@ -339,6 +349,7 @@ class Recorder:
         if self._viewer_kind != "none":
             viewer = start_viewer(self._viewer_kind)
             self._viewer = viewer
+            print(viewer.where, file=sys.stderr, flush=True)
             application = self._application
             self._feed = LiveFeed(lambda closing: _live_stream(application, recording_id, viewer, told, closing))
             self._feed.start()
@@ -349,14 +360,23 @@ class Recorder:
                 self._file.send_recording_name(self._target.stem)
             self._flush()
 
-    def _emit(self, job: Callable[[rr.RecordingStream], None], size: int) -> None:
-        """To the file first and at once; to the live view when it comes to it. From any thread."""
+    def _emit(
+        self,
+        job: Callable[[rr.RecordingStream], None],
+        size: int,
+        *,
+        live: Callable[[LiveStream], None] | None = None,
+    ) -> None:
+        """To the file first and at once; to the live view when it comes to it. From any thread.
+
+        live: what the live view gets in place of the job; it is the first to be dropped where the viewer cannot follow
+        """
         with self._lock:
             if self._file is not None:
                 self._beat()
                 job(self._file)
             if self._feed is not None:
-                self._feed.put(job, size)
+                self._feed.put(live or (lambda shown: job(shown.rec)), size, lasting=live is None)
 
     def _arrange(self) -> None:
         """Send the views, once, as soon as it is known what they show."""
@@ -525,16 +545,22 @@ def _file_stream(application: str, recording_id: str, path: Path, deterministic:
 
 
 def _live_stream(
-    application: str, recording_id: str, viewer: Viewer, told: Mapping[str, object], closing: threading.Event
-) -> rr.RecordingStream:
+    application: str, recording_id: str, viewer: Viewer, told: Mapping[str, object], give_up: threading.Event
+) -> LiveStream:
     """Connected to the viewer; blocks until it is there."""
     import rerun as rr
 
-    wait_for_viewer(viewer, closing)
+    from deformscope.log.live_stream import LiveStream
+
+    def check(timeout_s: float) -> None:
+        check_running(viewer)
+        check_answers(viewer, timeout_s)
+
+    wait_for_viewer(viewer, give_up)
     rec = rr.RecordingStream(application, recording_id=recording_id)
     rec.set_sinks(rr.GrpcSink(viewer.url))
     rec.send_property("session", _any_values(told))
-    return rec
+    return LiveStream(rec, check)
 
 
 def _canvas_of(image: ImageArray) -> Canvas:
@@ -551,12 +577,14 @@ def _set_times(rec: rr.RecordingStream, times: tuple[int, int]) -> None:
     rec.set_time("session", duration=np.timedelta64(session_ns, "ns"))
 
 
-def _log_frame(rec: rr.RecordingStream, times: tuple[int, int], png: bytes, stamp: tuple[int, int]) -> None:
+def _log_frame(
+    rec: rr.RecordingStream, times: tuple[int, int], encoded: bytes, stamp: tuple[int, int], kind: str = "image/png"
+) -> None:
     """stamp: host clock [ns]; device ticks, -1 where there are none."""
     import rerun as rr
 
     _set_times(rec, times)
-    image = rr.EncodedImage(contents=png, media_type="image/png", draw_order=-10.0)
+    image = rr.EncodedImage(contents=encoded, media_type=kind, draw_order=-10.0)
     rec.log("input/image", image, rr.AnyValues(host_ns=stamp[0], device_ticks=stamp[1]))
 
 

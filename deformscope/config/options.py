@@ -101,8 +101,10 @@ class OutputOptions:
     record: FileFlag = None
     """Write a rerun recording (.rrd). Without it nothing is recorded."""
     viewer: Literal["auto", "native", "page", "none"] = "auto"
-    """Show every stage live: in rerun's window, on a web page, or not at all; auto: the window where there is a
-    display."""
+    """Show every stage live: in rerun's window (stays when the command has ended), on a web page (ends with it, at a
+    terminal with Ctrl-C), or not at all; auto: the window where there is a display. While window or page is open, any
+    user of this machine can read what is shown from a local port without a password, and steer the window (open files,
+    take pictures); so can a web site by DNS rebinding. none opens no port: use it on a shared machine."""
     overwrite: bool = False
     """Replace a recording that exists; without it an existing one is refused."""
     seed: int = 0
