@@ -16,9 +16,9 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Generic, Literal, Protocol, TypeVar
+from typing import Generic, Literal, Protocol, TypeVar
 
 from deformscope.errors import InputError
 
@@ -55,13 +55,13 @@ class Viewer:
     """A viewer that was started.
 
     pid: its process; url: where recordings stream to; page: where a browser finds it, empty for a window
-    messages: what it wrote to its standard error
+    messages: descriptor of a file that holds what it wrote to its standard error, None where that is not kept
     """
 
     pid: int
     url: str
     page: str
-    messages: IO[bytes] | None = field(default=None, repr=False, compare=False)
+    messages: int | None = None
 
     @property
     def where(self) -> str:
@@ -92,7 +92,9 @@ def start_viewer(kind: Literal["native", "page"]) -> Viewer:
         command += ["--memory-limit", VIEWER_MEMORY, "--server-memory-limit", BACKLOG_MEMORY]
         command += ["--hide-welcome-screen", "--expect-data-soon", *window_options()]
     quiet = {"RERUN_APP_ONLY": "true", "RUST_LOG": "error"}
-    messages = tempfile.TemporaryFile()  # noqa: SIM115 (it lasts as long as the viewer is asked for them)
+    messages, path = tempfile.mkstemp()
+    with contextlib.suppress(OSError):  # its descriptor is enough
+        Path(path).unlink()
     process = subprocess.Popen(
         command,
         stdin=subprocess.DEVNULL,
@@ -166,8 +168,8 @@ def check_running(viewer: Viewer) -> None:
         return
     words = ""
     if viewer.messages is not None:
-        viewer.messages.seek(0)
-        words = " ".join(viewer.messages.read().decode(errors="replace").split())[-300:]
+        os.lseek(viewer.messages, 0, os.SEEK_SET)
+        words = " ".join(os.read(viewer.messages, 10_000).decode(errors="replace").split())[-300:]
     raise ConnectionError(f"the viewer has ended{': ' if words else ''}{words}")
 
 
@@ -234,7 +236,7 @@ class LiveFeed(Generic[StreamT]):
         self._period_s = period_s
         self._jobs: deque[tuple[Callable[[StreamT], None], int, bool]] = deque()
         self._bytes = 0
-        self._lost = 0
+        self._given = self._lost = 0
         self._unconfirmed = 0
         self._silent = False
         self._left = threading.Event()
@@ -261,6 +263,7 @@ class LiveFeed(Generic[StreamT]):
         size: bytes that it keeps alive; lasting: what comes later rests on it, so that it is dropped last
         """
         with self._ready:
+            self._given += 1
             if self._left.is_set() or self._closing.is_set():
                 self._lost += 1
                 return
@@ -281,8 +284,11 @@ class LiveFeed(Generic[StreamT]):
             self._closing.set()
             self._ready.notify()
             patience_s = 0.0 if self._silent else timeout_s
-        self._over.wait(patience_s)
+        if not self._over.wait(patience_s):
+            _logger.warning("the viewer does not answer; it is left alone, and the recording is not affected")
         self._leave()
+        if self._lost:
+            _logger.warning("the viewer is not known to have got %d of %d portions", self._lost, self._given)
         return self._over.is_set() and not self._stays
 
     def _work(self) -> None:
@@ -292,7 +298,8 @@ class LiveFeed(Generic[StreamT]):
             self._feed(stream)
         except Exception as error:
             # A lost viewer costs the picture, never the measurement.
-            _logger.warning("the live view ended (%s); the recording goes on", error)
+            if not self._left.is_set():
+                _logger.warning("the live view ended (%s); the recording goes on", error)
             self._stays = stream is not None
             self._leave()
         self._over.set()

@@ -74,7 +74,8 @@ class RecordingSummary:
     """What was recorded.
 
     path: the finished file, or the unfinished one after an error; None where nothing was written
-    dropped: frames, steps and inputs that the live view did not get; bytes: size of the file
+    dropped: portions (a frame, a step, an input, what the devices gave in a tenth of a second) that the viewer is not
+    known to have got; bytes: size of the file
     """
 
     path: Path | None
@@ -480,7 +481,6 @@ class Recorder:
         if self._feed is None:
             return 0
         if not self._feed.close(LIVE_TIMEOUT_S):
-            _logger.warning("the viewer did not answer; it was left behind, and the recording is not affected")
             _leave_streams_alone()
         return self._feed.dropped
 

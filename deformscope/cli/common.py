@@ -139,8 +139,8 @@ def keep_page() -> None:
     from deformscope.live import end_pages, running_pages
 
     if sys.stdin is not None and sys.stdin.isatty() and sys.stdout.isatty() and (pages := running_pages()):
-        say(f"the page stays until Ctrl-C: {', '.join(viewer.page for viewer in pages)}")
         with suppress(KeyboardInterrupt):
+            say(f"the page stays until Ctrl-C: {', '.join(viewer.page for viewer in pages)}")
             while running_pages():
                 time.sleep(PAGE_LOOK_S)
     end_pages()
