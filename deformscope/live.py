@@ -39,8 +39,9 @@ StreamT = TypeVar("StreamT", bound=Stream)
 
 CAPACITY_JOBS = 256
 CAPACITY_BYTES = 128 << 20
-PERIOD_S = 0.2
-"""Jobs are passed on together at most so often: a page draws few times a second, and every portion costs it time."""
+PERIODS_S: dict[ViewerKind, float] = {"native": 0.1, "page": 0.4}
+"""Jobs are passed on together at most so often. A page that a processor draws takes in what came for some 10 ms of each
+picture that it draws, of which it draws one to three a second."""
 VIEWER_MEMORY = "2GB"
 BACKLOG_MEMORY = "512MB"
 START_TIMEOUT_S = 20.0
@@ -229,7 +230,7 @@ class LiveFeed(Generic[StreamT]):
         connect: Callable[[threading.Event], StreamT],
         capacity_jobs: int = CAPACITY_JOBS,
         capacity_bytes: int = CAPACITY_BYTES,
-        period_s: float = PERIOD_S,
+        period_s: float = PERIODS_S["native"],
     ) -> None:
         self._connect = connect
         self._capacity = capacity_jobs, capacity_bytes

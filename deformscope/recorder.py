@@ -31,7 +31,16 @@ from deformscope.errors import InputError
 from deformscope.frames import ColorFrame, DepthFrame, Frame, HealthReport, Item, LinkChange, RawBytes, Stream
 from deformscope.images import encode_jpeg, encode_png
 from deformscope.ledger import ledger_path, write_ledger
-from deformscope.live import LiveFeed, Viewer, ViewerKind, check_answers, check_running, start_viewer, wait_for_viewer
+from deformscope.live import (
+    PERIODS_S,
+    LiveFeed,
+    Viewer,
+    ViewerKind,
+    check_answers,
+    check_running,
+    start_viewer,
+    wait_for_viewer,
+)
 from deformscope.session import Step
 from deformscope.stages.exploration import NextTouch
 
@@ -352,7 +361,10 @@ class Recorder:
             self._viewer = viewer
             print(viewer.where, file=sys.stderr, flush=True)
             application = self._application
-            self._feed = LiveFeed(lambda closing: _live_stream(application, recording_id, viewer, told, closing))
+            self._feed = LiveFeed(
+                lambda give_up: _live_stream(application, recording_id, viewer, told, give_up),
+                period_s=PERIODS_S[self._viewer_kind],
+            )
             self._feed.start()
         if self._part is not None:
             self._file = _file_stream(self._application, recording_id, self._part, self._deterministic)

@@ -8,8 +8,7 @@ from collections.abc import Callable, Sequence
 import rerun as rr
 
 from deformscope.frames import Item, Stream
-from deformscope.log.rig import Place, prepare_items
-from deformscope.log.rig.cameras import Shown
+from deformscope.log.rig import Place, Shown, prepare_items
 from deformscope.log.rig.thinned import thinned
 
 
@@ -39,7 +38,10 @@ class LiveStream:
         another error where the viewer is gone."""
         for touch, items in sorted(self._items.items()):
             place = self._places[touch]
-            prepare_items(thinned(items), self._start_ns, self._streams, place=place, shown=self._shown).send(self.rec)
+            batch = prepare_items(
+                thinned(items), self._start_ns, self._streams, place=place, shown=self._shown, visible_only=True
+            )
+            batch.send(self.rec)
         self._items.clear()
         began = time.monotonic()
         try:

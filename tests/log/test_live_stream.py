@@ -35,7 +35,7 @@ from deformscope.recorder import Recorder
 from tests.log import synthetic_rig as rig
 
 FLUSHES_A_SECOND = 5
-MOST_CHUNKS, MOST_BYTES = 250, 1_000_000
+MOST_CHUNKS, MOST_BYTES = 80, 600_000
 """Of a second of six devices: what a page drawn by a slow processor keeps up with."""
 
 

@@ -24,8 +24,8 @@ FrameT = TypeVar("FrameT")
 
 
 def thinned(items: Sequence[Item]) -> list[Item]:
-    """What is shown of a fifth of a second, of any number of devices, in order of time: the newest picture of each
-    camera, made smaller; the extremes and the newest of what is plotted; no bytes of the wire."""
+    """What one portion of a live view shows of these, which may be any number, in order of time: the newest picture of
+    each camera, made smaller; the extremes of what is plotted; the newest pose; no bytes of the wire."""
     groups: dict[tuple[type, str], list[Item]] = {}
     for item in items:
         if not isinstance(item, RawBytes):
