@@ -189,18 +189,15 @@ class Recorder:
             self._canvas = _canvas_of(frame.image)
             if not self._layout.startswith("pair"):
                 self._arrange()
-        png = encode_png(frame.image)
+        image = frame.image
+        png = encode_png(image)
         times = self._times(frame.index)
         stamp = frame.stamp.host_ns, -1 if frame.stamp.device_ticks is None else frame.stamp.device_ticks
-        image, sixteen = frame.image, frame.image.dtype == np.uint16
-
-        def show(live: LiveStream) -> None:  # as JPEG, a tenth of the bytes; of 16 bits the picture below
-            if not sixteen:
-                _log_frame(live.rec, times, encode_jpeg(image), stamp, "image/jpeg")
-
-        self._emit(lambda rec: _log_frame(rec, times, png, stamp), image.nbytes, live=show)
-        if sixteen:
-            shown = self._shown(frame.image)
+        self._keep(lambda rec: _log_frame(rec, times, png, stamp))
+        if image.dtype == np.uint8:  # as JPEG, a tenth of the bytes
+            self._show(lambda live: _log_frame(live.rec, times, encode_jpeg(image), stamp, "image/jpeg"), image.nbytes)
+        else:
+            shown = self._shown(image)
             self._emit(lambda rec: _log_shown(rec, times, shown), len(shown))
 
     def write(self, step: Step) -> None:
@@ -260,10 +257,11 @@ class Recorder:
         pictures = [item for item in items if isinstance(item, DepthFrame) and item.device == camera]
         self._pictures_ns += [item.stamp.host_ns - self._first_ns for item in pictures]
         place = self._place(self._touch) if self._exploring else None
-        batch = prepare_items(items, self._first_ns, self._streams, self._lossless, place, self._scales)
         kept, start_ns, streams = list(items), self._first_ns, self._streams
         size = sum(_item_size(item) for item in kept)
-        self._emit(batch.send, size, live=lambda live: live.add_items(kept, start_ns, streams, place))
+        self._show(lambda live: live.add_items(kept, start_ns, streams, place), size)
+        if self._file is not None:
+            self._keep(prepare_items(kept, start_ns, streams, self._lossless, place, self._scales).send)
 
     def start_exploration(
         self,
@@ -373,23 +371,23 @@ class Recorder:
                 self._file.send_recording_name(self._target.stem)
             self._flush()
 
-    def _emit(
-        self,
-        job: Callable[[rr.RecordingStream], None],
-        size: int,
-        *,
-        live: Callable[[LiveStream], None] | None = None,
-    ) -> None:
-        """To the file first and at once; to the live view when it comes to it. From any thread.
+    def _emit(self, job: Callable[[rr.RecordingStream], None], size: int) -> None:
+        """To the file first and at once; to the live view when it comes to it. From any thread."""
+        with self._lock:
+            self._keep(job)
+            self._show(lambda live: job(live.rec), size, lasting=True)
 
-        live: what the live view gets in place of the job; it is the first to be dropped where the viewer cannot follow
-        """
+    def _keep(self, job: Callable[[rr.RecordingStream], None]) -> None:
+        """To the file alone."""
         with self._lock:
             if self._file is not None:
                 self._beat()
                 job(self._file)
-            if self._feed is not None:
-                self._feed.put(live or (lambda shown: job(shown.rec)), size, lasting=live is None)
+
+    def _show(self, job: Callable[[LiveStream], None], size: int, *, lasting: bool = False) -> None:
+        """To the live view alone. lasting: dropped last where the viewer cannot follow"""
+        if self._feed is not None:
+            self._feed.put(job, size, lasting=lasting)
 
     def _arrange(self) -> None:
         """Send the views, once, as soon as it is known what they show."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -17,8 +17,10 @@ from deformscope.frames import ArmFrame, ColorFrame, DepthFrame, HandFrame, Item
 
 COLOR_WIDTH, DEPTH_WIDTH = 480, 320
 """Images are at most so wide [px]."""
-WRENCHES, TACTILES, POSES = 20, 2, 2
-"""Frames of a force sensor, of tactile pads, and of an arm or a hand."""
+WRENCH_HZ, TACTILE_HZ, POSE_HZ = 50.0, 5.0, 10.0
+"""Frames a second of a force sensor, of tactile pads, and of an arm or a hand."""
+LEAST, MOST = 2, 200
+"""Frames of each, however short or long the time was."""
 
 FrameT = TypeVar("FrameT")
 
@@ -33,7 +35,7 @@ def thinned(items: Sequence[Item]) -> list[Item]:
     return [item for group in groups.values() for item in _shown(group)]
 
 
-def _shown(group: list[Item]) -> Sequence[Item]:
+def _shown(group: list[Any]) -> Sequence[Item]:
     """Of the items of one kind and device."""
     match newest := group[-1]:
         case ColorFrame():
@@ -42,13 +44,20 @@ def _shown(group: list[Item]) -> Sequence[Item]:
             depth = _smaller(newest.depth, DEPTH_WIDTH, cv2.INTER_NEAREST)
             return [dataclasses.replace(newest, depth=depth, color=None)]
         case WrenchFrame():
-            return extremes(group, WRENCHES, lambda frame: float(np.linalg.norm(frame.force_n)))  # type: ignore[union-attr]
+            return extremes(group, _count(group, WRENCH_HZ), lambda frame: float(np.linalg.norm(frame.force_n)))
         case TactileFrame():
-            return extremes(group, TACTILES, lambda frame: float(frame.counts.max(initial=0)))  # type: ignore[union-attr]
+            return extremes(group, _count(group, TACTILE_HZ), lambda frame: float(frame.counts.max(initial=0)))
         case ArmFrame() | HandFrame():
-            return [group[at] for at in np.unique(np.linspace(0, len(group) - 1, POSES).round().astype(int))]
+            count = min(_count(group, POSE_HZ), len(group))
+            return [group[at] for at in np.linspace(0, len(group) - 1, count).round().astype(int)]
         case _:
             return group
+
+
+def _count(frames: Sequence[Any], rate_hz: float) -> int:
+    """How many of these frames of a device are shown."""
+    seconds = (frames[-1].stamp.host_ns - frames[0].stamp.host_ns) / 1e9
+    return int(min(max(LEAST, np.ceil(rate_hz * seconds)), MOST))
 
 
 def extremes(frames: Sequence[FrameT], most: int, value: Callable[[FrameT], float]) -> list[FrameT]:
