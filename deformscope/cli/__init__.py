@@ -115,11 +115,20 @@ PACKAGES = {
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run one command line and return its exit status; nothing is raised, and no traceback shown unless asked for."""
+    status = _status(list(sys.argv[1:] if args is None else args))
+    if "deformscope.live" in sys.modules and status != EXIT_INTERRUPTED:
+        from deformscope.cli.common import keep_page
+
+        keep_page()
+    return status
+
+
+def _status(args: list[str]) -> int:
     # Libraries that complain on stderr by themselves would bury the one line that says what to do.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     try:
-        status = _dispatch(list(sys.argv[1:] if args is None else args))
+        status = _dispatch(args)
         sys.stdout.flush()
         return status
     except KeyboardInterrupt:
