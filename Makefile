@@ -17,13 +17,14 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONUNBUFFERED := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup system-libraries demo bench bench-suite test test-slow test-realtime lint format clean
+.PHONY: help setup system-libraries demo bench bench-suite test test-slow test-cores test-realtime lint format clean
 
 help:
 	@printf '%-20s%s\n' 'make demo' 'measure what is built in, and leave the recording in runs/'
 	@printf '%-20s%s\n' 'make test' 'lints, types and tests (minutes)'
 	@printf '%-20s%s\n' 'make test-slow' 'the tests that take many minutes as well'
 	@printf '%-20s%s\n' 'make test-realtime' 'the tests that watch the host'"'"'s clock (on an idle machine)'
+	@printf '%-20s%s\n' 'make test-cores' 'the numerical tests with two kinds of kernels of the BLAS (minutes)'
 	@printf '%-20s%s\n' 'make bench' 'what MSM costs on this machine, as a table (2 minutes)'
 	@printf '%-20s%s\n' 'make bench-suite' 'the same for comparing commits, with pytest-benchmark'
 	@printf '%-20s%s\n' 'make lint' 'lints and types alone'
@@ -64,6 +65,19 @@ demo: setup
 
 test: lint
 	$(PARALLEL) -m '$(STEPS)'
+
+# What a processor needs for the kernels that OpenBLAS has for a core type.
+CORES := Haswell:avx2 SkylakeX:avx512f
+
+test-cores: setup
+	@for core in $(CORES); do \
+		if grep -qw "$${core#*:}" /proc/cpuinfo; then \
+			echo "OPENBLAS_CORETYPE=$${core%:*}"; \
+			OPENBLAS_CORETYPE=$${core%:*} $(PARALLEL) -m '$(STEPS)' tests/stages || exit 1; \
+		else \
+			echo "OPENBLAS_CORETYPE=$${core%:*}: skipped, the processor has no $${core#*:}"; \
+		fi; \
+	done
 
 test-slow: setup
 	$(PARALLEL) -m 'not hardware and not realtime'

@@ -128,7 +128,7 @@ def test_a_device_that_cannot_be_opened_closes_the_others_and_is_named() -> None
 
 def test_a_cable_pulled_out_is_an_item_and_the_others_go_on() -> None:
     config = DRIVERS["optoforce"].config_class()()
-    with wire_of("optoforce", config) as wire, doubled("dsa", "pads") as pads:
+    with wire_of("optoforce", config, "") as wire, doubled("dsa", "pads") as pads:
         device = DRIVERS["optoforce"].make(DRIVERS["optoforce"].config_class()(port=wire.port))
         with RigSource([RigMember("tip", DRIVERS["optoforce"], device), pads]) as source:
             gather(source, lambda seen: len(frames_of(seen, "tip")) > 10)
