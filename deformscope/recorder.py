@@ -13,6 +13,7 @@ import json
 import logging
 import os
 import shutil
+import sys
 import threading
 import time
 import uuid
@@ -28,9 +29,18 @@ from deformscope import provenance
 from deformscope.arrays import FloatArray, ImageArray
 from deformscope.errors import InputError
 from deformscope.frames import ColorFrame, DepthFrame, Frame, HealthReport, Item, LinkChange, RawBytes, Stream
-from deformscope.images import encode_png
+from deformscope.images import encode_jpeg, encode_png
 from deformscope.ledger import ledger_path, write_ledger
-from deformscope.live import LiveFeed, Viewer, ViewerKind, start_viewer, wait_for_viewer
+from deformscope.live import (
+    PERIODS_S,
+    LiveFeed,
+    Viewer,
+    ViewerKind,
+    check_answers,
+    check_running,
+    start_viewer,
+    wait_for_viewer,
+)
 from deformscope.losses import losses_of
 from deformscope.recording_lock import create_locked, is_being_written, one_at_a_time
 from deformscope.session import Step
@@ -43,6 +53,7 @@ if TYPE_CHECKING:
 
     RecordingLayout = Layout | Literal["rig", "exploration"]
     from deformscope.log.canvas import Canvas
+    from deformscope.log.live_stream import LiveStream
     from deformscope.log.rig import Place
 
 APPLICATIONS: dict[RecordingLayout, str] = {
@@ -60,7 +71,7 @@ BEAT_S = 1.0
 BEAT_FRAMES = 32
 FLUSH_TIMEOUT_S = 20.0
 CLOSE_TIMEOUT_S = 60.0
-LIVE_TIMEOUT_S = 5.0
+LIVE_TIMEOUT_S = 3.0
 
 _logger = logging.getLogger(__name__)
 
@@ -74,7 +85,8 @@ class RecordingSummary:
     """What was recorded.
 
     path: the finished file, or the unfinished one after an error; None where nothing was written
-    dropped: frames, steps and inputs that the live view did not get; bytes: size of the file
+    dropped: portions (a frame, a step, an input, what the devices gave in a tenth of a second) that the viewer is not
+    known to have got; bytes: size of the file
     """
 
     path: Path | None
@@ -116,7 +128,7 @@ class Recorder:
         self._part: Path | None = None
         self._reserved: BinaryIO | None = None
         self._file: rr.RecordingStream | None = None
-        self._feed: LiveFeed[rr.RecordingStream] | None = None
+        self._feed: LiveFeed[LiveStream] | None = None
         self._viewer: Viewer | None = None
         self._canvas: Canvas | None = None
         self._session_ns: dict[int, int] = {}
@@ -146,7 +158,7 @@ class Recorder:
 
     @property
     def viewer(self) -> Viewer | None:
-        """The viewer that was started, to tell the user where it is."""
+        """The viewer that was started."""
         return self._viewer
 
     def __enter__(self) -> Recorder:
@@ -182,12 +194,15 @@ class Recorder:
             self._canvas = _canvas_of(frame.image)
             if not self._layout.startswith("pair"):
                 self._arrange()
-        png = encode_png(frame.image)
+        image = frame.image
+        png = encode_png(image)
         times = self._times(frame.index)
         stamp = frame.stamp.host_ns, -1 if frame.stamp.device_ticks is None else frame.stamp.device_ticks
-        self._emit(lambda rec: _log_frame(rec, times, png, stamp), len(png))
-        if frame.image.dtype == np.uint16:
-            shown = self._shown(frame.image)
+        self._keep(lambda rec: _log_frame(rec, times, png, stamp))
+        if image.dtype == np.uint8:  # as JPEG, a tenth of the bytes
+            self._show(lambda live: _log_frame(live.rec, times, encode_jpeg(image), stamp, "image/jpeg"), image.nbytes)
+        else:
+            shown = self._shown(image)
             self._emit(lambda rec: _log_shown(rec, times, shown), len(shown))
 
     def write(self, step: Step) -> None:
@@ -249,8 +264,11 @@ class Recorder:
         pictures = [item for item in items if isinstance(item, DepthFrame) and item.device == camera]
         self._pictures_ns += [item.stamp.host_ns - self._first_ns for item in pictures]
         place = self._place(self._touch) if self._exploring else None
-        batch = prepare_items(items, self._first_ns, self._streams, self._lossless, place, self._scales)
-        self._emit(batch.send, sum(_item_size(item) for item in items))
+        kept, start_ns, streams = list(items), self._first_ns, self._streams
+        size = sum(_item_size(item) for item in kept)
+        self._show(lambda live: live.add_items(kept, start_ns, streams, place), size)
+        if self._file is not None:
+            self._keep(prepare_items(kept, start_ns, streams, self._lossless, place, self._scales).send)
 
     def start_exploration(
         self,
@@ -346,8 +364,12 @@ class Recorder:
         if self._viewer_kind != "none":
             viewer = start_viewer(self._viewer_kind)
             self._viewer = viewer
+            print(viewer.where, file=sys.stderr, flush=True)
             application = self._application
-            self._feed = LiveFeed(lambda closing: _live_stream(application, recording_id, viewer, told, closing))
+            self._feed = LiveFeed(
+                lambda give_up: _live_stream(application, recording_id, viewer, told, give_up),
+                period_s=PERIODS_S[self._viewer_kind],
+            )
             self._feed.start()
         if self._part is not None:
             self._file = _file_stream(self._application, recording_id, self._part, self._deterministic)
@@ -359,11 +381,20 @@ class Recorder:
     def _emit(self, job: Callable[[rr.RecordingStream], None], size: int) -> None:
         """To the file first and at once; to the live view when it comes to it. From any thread."""
         with self._lock:
+            self._keep(job)
+            self._show(lambda live: job(live.rec), size, lasting=True)
+
+    def _keep(self, job: Callable[[rr.RecordingStream], None]) -> None:
+        """To the file alone."""
+        with self._lock:
             if self._file is not None:
                 self._beat()
                 job(self._file)
-            if self._feed is not None:
-                self._feed.put(job, size)
+
+    def _show(self, job: Callable[[LiveStream], None], size: int, *, lasting: bool = False) -> None:
+        """To the live view alone. lasting: dropped last where the viewer cannot follow"""
+        if self._feed is not None:
+            self._feed.put(job, size, lasting=lasting)
 
     def _arrange(self) -> None:
         """Send the views, once, as soon as it is known what they show."""
@@ -466,7 +497,6 @@ class Recorder:
         if self._feed is None:
             return 0
         if not self._feed.close(LIVE_TIMEOUT_S):
-            _logger.warning("the viewer did not answer; it was left behind, and the recording is not affected")
             _leave_streams_alone()
         return self._feed.dropped
 
@@ -565,16 +595,22 @@ def _file_stream(application: str, recording_id: str, path: Path, deterministic:
 
 
 def _live_stream(
-    application: str, recording_id: str, viewer: Viewer, told: Mapping[str, object], closing: threading.Event
-) -> rr.RecordingStream:
+    application: str, recording_id: str, viewer: Viewer, told: Mapping[str, object], give_up: threading.Event
+) -> LiveStream:
     """Connected to the viewer; blocks until it is there."""
     import rerun as rr
 
-    wait_for_viewer(viewer, closing)
+    from deformscope.log.live_stream import LiveStream
+
+    def check(timeout_s: float) -> None:
+        check_running(viewer)
+        check_answers(viewer, timeout_s)
+
+    wait_for_viewer(viewer, give_up)
     rec = rr.RecordingStream(application, recording_id=recording_id)
     rec.set_sinks(rr.GrpcSink(viewer.url))
     rec.send_property("session", _any_values(told))
-    return rec
+    return LiveStream(rec, check)
 
 
 def _canvas_of(image: ImageArray) -> Canvas:
@@ -591,12 +627,14 @@ def _set_times(rec: rr.RecordingStream, times: tuple[int, int]) -> None:
     rec.set_time("session", duration=np.timedelta64(session_ns, "ns"))
 
 
-def _log_frame(rec: rr.RecordingStream, times: tuple[int, int], png: bytes, stamp: tuple[int, int]) -> None:
+def _log_frame(
+    rec: rr.RecordingStream, times: tuple[int, int], encoded: bytes, stamp: tuple[int, int], kind: str = "image/png"
+) -> None:
     """stamp: host clock [ns]; device ticks, -1 where there are none."""
     import rerun as rr
 
     _set_times(rec, times)
-    image = rr.EncodedImage(contents=png, media_type="image/png", draw_order=-10.0)
+    image = rr.EncodedImage(contents=encoded, media_type=kind, draw_order=-10.0)
     rec.log("input/image", image, rr.AnyValues(host_ns=stamp[0], device_ticks=stamp[1]))
 
 

@@ -98,6 +98,8 @@ COMMANDS: dict[str, Command] = {
 
 TRACEBACK = "DEFORMSCOPE_TRACEBACK"
 EXIT_INPUT, EXIT_UNEXPECTED, EXIT_INTERRUPTED, EXIT_PIPE = 2, 1, 130, 141
+EXIT_SIGNALLED = 128
+"""From here on a signal ended the command: by its number more."""
 
 PACKAGES = {
     "libusb-1.0": "libusb-1.0-0",
@@ -119,11 +121,20 @@ def main(args: Sequence[str] | None = None) -> int:
     0 done; 1 unexpected; 2 refused, in one line; 3 done with losses, which are named (`common.EXIT_LOSSES`);
     128 + its number: ended by a signal
     """
+    status = _status(list(sys.argv[1:] if args is None else args))
+    if "deformscope.live" in sys.modules and status < EXIT_SIGNALLED:
+        from deformscope.cli.common import keep_page
+
+        keep_page()
+    return status
+
+
+def _status(args: list[str]) -> int:
     # Libraries that complain on stderr by themselves would bury the one line that says what to do.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     try:
-        status = _dispatch(list(sys.argv[1:] if args is None else args))
+        status = _dispatch(args)
         sys.stdout.flush()
         return status
     except KeyboardInterrupt:

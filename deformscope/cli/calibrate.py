@@ -252,7 +252,6 @@ def run_images(
     with Recorder(
         output.record, resolve_viewer(output.viewer), used, layout="images", overwrite=output.overwrite
     ) as recorder:
-        _tell_viewer(recorder)
         if mask is not None:
             recorder.write_input("mask", mask)
         with progress("frames", total=source.count) as advance, fit_progress() as fitting:
@@ -352,7 +351,6 @@ def calibrate_pair_bytes(
     ) as recorder:
         if recorder.active and len({one.rest.shape[1] for one in seen}) > 1:
             raise InputError("pairs all in the plane, or all in space, in one recording", "both", "two commands")
-        _tell_viewer(recorder)
         for index, (_, raw) in enumerate(raws):
             recorder.write_input(f"pair/{index}", raw)
         if layers is not None:
@@ -380,13 +378,6 @@ def calibrate_pair_bytes(
 
 
 # Telling -------------------------------------------------------------------------------------------------------------
-
-
-def _tell_viewer(recorder: Any) -> None:
-    viewer = recorder.viewer
-    if viewer is not None and viewer.page:
-        note = f"viewer: {viewer.page} (open it in a browser; it stays after this command: kill {viewer.pid} ends it)"
-        console().print(note, markup=False, soft_wrap=True)
 
 
 def tell(estimate: Estimate, recording: RecordingSummary, name: str = "", problems: Sequence[str] = ()) -> None:

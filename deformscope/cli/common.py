@@ -7,7 +7,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Literal, TextIO
@@ -27,6 +27,9 @@ EXIT_LOSSES = 3
 """The exit status of a command whose result is whole, but of which something was lost; it names what."""
 SAY_EVERY_S = 20.0
 """Seconds between lines about long work where no bar can be shown."""
+
+PAGE_LOOK_S = 0.2
+"""Seconds between looks at whether a page's server still runs."""
 
 _json_stream: ContextVar[TextIO | None] = ContextVar("json_stream", default=None)
 
@@ -130,6 +133,19 @@ def resolve_viewer(choice: Literal["auto", "native", "page", "none"]) -> Viewer:
     if choice != "auto":
         return choice
     return "native" if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") else "none"
+
+
+def keep_page() -> None:
+    """What was shown on a page stays there until Ctrl-C where somebody sits at a terminal; elsewhere, and then, the
+    page's server ends."""
+    from deformscope.live import end_pages, running_pages
+
+    if sys.stdin is not None and sys.stdin.isatty() and sys.stdout.isatty() and (pages := running_pages()):
+        with suppress(KeyboardInterrupt):
+            say(f"the page stays until Ctrl-C: {', '.join(viewer.page for viewer in pages)}")
+            while running_pages():
+                time.sleep(PAGE_LOOK_S)
+    end_pages()
 
 
 # JSON ----------------------------------------------------------------------------------------------------------------
