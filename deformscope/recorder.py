@@ -21,7 +21,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, BinaryIO, Literal
 
 import numpy as np
 
@@ -41,6 +41,8 @@ from deformscope.live import (
     start_viewer,
     wait_for_viewer,
 )
+from deformscope.losses import losses_of
+from deformscope.recording_lock import create_locked, is_being_written, one_at_a_time
 from deformscope.session import Step
 from deformscope.stages.exploration import NextTouch
 
@@ -116,7 +118,7 @@ class Recorder:
         deterministic: bool = False,
         variant: str = "",
     ) -> None:
-        self._target = None if file is None else Path(file)
+        self._target = None if file is None else _followed(Path(file))
         self._viewer_kind = viewer
         self._settings = dict(settings or {})
         self._layout: RecordingLayout = layout
@@ -124,6 +126,7 @@ class Recorder:
         self._overwrite = overwrite
         self._deterministic = deterministic
         self._part: Path | None = None
+        self._reserved: BinaryIO | None = None
         self._file: rr.RecordingStream | None = None
         self._feed: LiveFeed[LiveStream] | None = None
         self._viewer: Viewer | None = None
@@ -141,6 +144,7 @@ class Recorder:
         self._pictures_ns: list[int] = []
         self._scales: dict[str, tuple[object, int]] = {}
         self._counts: dict[str, int] = {}
+        self._losses: dict[str, dict[str, float]] = {}
         self._beat_at = self._beats = 0.0
         self._broken = False
         self._lock = threading.RLock()
@@ -161,12 +165,13 @@ class Recorder:
         if not self.active:
             return self
         if self._target is not None:
-            self._part = _reserve(self._target, self._overwrite)
+            self._part, self._reserved = _reserve(self._target, self._overwrite)
         try:
             self._open()
         except BaseException:
             if self._part is not None:
                 self._part.unlink(missing_ok=True)
+            self._release()
             raise
         return self
 
@@ -248,6 +253,8 @@ class Recorder:
         for item in items:
             kind = _counted_as(item)
             self._counts[kind] = self._counts.get(kind, 0) + 1
+            if isinstance(item, HealthReport):
+                self._losses = losses_of(item)
         self._frames += sum(isinstance(item, Frame) for item in items)
         if not self.active:
             return
@@ -441,16 +448,13 @@ class Recorder:
         free = shutil.disk_usage(self._part.parent).free
         if free < FREE_BYTES:
             self._broken = True
-            came, need = f"{free >> 20} MiB free", f"{FREE_BYTES >> 20} MiB free on the disk"
-            raise RecordingError(need, came, "another disk; what was recorded is kept", self._part)
+            raise _too_full(free, self._kept_hint, self._part)
         try:
             self._file.flush(timeout_sec=FLUSH_TIMEOUT_S)
         except Exception as error:
             self._broken = True
             came = "a disk that is full, gone or too slow"
-            raise RecordingError(
-                "a disk that takes the recording", came, "another disk; what was recorded is kept", self._part
-            ) from error
+            raise RecordingError("a disk that takes the recording", came, self._kept_hint, self._part) from error
         self._beat_at = time.monotonic()
 
     def _close(self, *, complete: bool) -> None:
@@ -469,6 +473,7 @@ class Recorder:
                 outcome["stopped"] = self._stopped
             if self._counts:
                 outcome["counts"] = json.dumps(self._counts)
+                outcome["losses"] = json.dumps(self._losses)
             self._file.send_property("outcome", _any_values(outcome))
             try:
                 self._flush()
@@ -484,6 +489,7 @@ class Recorder:
         elif self._part is not None:
             path = self._keep_unfinished(self._part)
         size = path.stat().st_size if path is not None else 0
+        self._release()
         self._finished = RecordingSummary(path, self._frames, self._steps, dropped, size)
         if complete and failure is not None:
             raise failure
@@ -506,21 +512,46 @@ class Recorder:
         ledger_path(self._target).unlink(missing_ok=True)
         part.replace(self._target)
         counts = {"frames": self._frames, "steps": self._steps, "inputs": self._inputs, **self._counts}
-        write_ledger(self._target, counts)
+        write_ledger(self._target, counts, self._losses)
         _sync(self._target.parent)
         return self._target
 
-    def _keep_unfinished(self, part: Path) -> Path | None:
+    @property
+    def _kept_hint(self) -> str:
+        return "another disk; what was recorded is kept" if self._holds_something else "another disk"
+
+    def _release(self) -> None:
+        """Let others record to this name."""
+        if self._reserved is not None:
+            self._reserved.close()
+
+    @property
+    def _holds_something(self) -> bool:
+        """Whether an unfinished recording is worth keeping."""
         # an exploration whose checks have not passed has nothing to tell but that its devices were there
-        if not (self._steps or self._inputs or (self._frames and not self._exploring)):
+        return bool(self._steps or self._inputs or (self._frames and not self._exploring))
+
+    def _keep_unfinished(self, part: Path) -> Path | None:
+        if not self._holds_something:
             part.unlink(missing_ok=True)
             return None
         _logger.warning("what was recorded before the error is kept: %s", part)
         return part
 
 
-def _reserve(target: Path, overwrite: bool) -> Path:
-    """An empty file to record into, beside the target; refuses what cannot work before any work is done."""
+def _followed(target: Path) -> Path:
+    """Where a link leads: it stays a link, to the new recording, as with every other output."""
+    if not target.is_symlink():
+        return target
+    found = Path(os.path.realpath(target))
+    if found.is_symlink():
+        raise InputError("a link that leads to a file", "one that leads to itself", where=target)
+    return found
+
+
+def _reserve(target: Path, overwrite: bool) -> tuple[Path, BinaryIO]:
+    """An empty file to record into, beside the target, and its lock until it is closed; refuses what cannot work
+    before any work is done."""
     if target.suffix.lower() != SUFFIX:
         raise InputError(f"a recording's name that ends in {SUFFIX}", f"{target.suffix or 'no ending'}", where=target)
     if target.is_dir():
@@ -529,17 +560,26 @@ def _reserve(target: Path, overwrite: bool) -> Path:
         raise InputError("a new file to record into", "one that exists", "another name, or --overwrite", target)
     if not target.parent.is_dir():
         raise InputError("a folder to record into", "none", f"mkdir -p {target.parent}", target)
-    for number in range(1, 1000):
-        part = target.with_name(f"{target.stem}.part{'' if number == 1 else f'-{number}'}{SUFFIX}")
-        try:
-            part.open("xb").close()
-        except FileExistsError:
-            continue  # of a run that failed, or of one that is running
-        except OSError as error:
-            came = (error.strerror or str(error)).lower()
-            raise InputError("a folder that can be written to", came, "another folder", target.parent) from error
-        return part
+    free = shutil.disk_usage(target.parent).free
+    if free < FREE_BYTES:
+        raise _too_full(free, "another disk", target)
+    with one_at_a_time(target.parent):
+        for number in range(1, 1000):
+            part = target.with_name(f"{target.stem}.part{'' if number == 1 else f'-{number}'}{SUFFIX}")
+            try:
+                return part, create_locked(part)
+            except FileExistsError:
+                if is_being_written(part):
+                    came = f"one that another run is recording to ({part.name})"
+                    raise InputError("a recording of its own", came, "another name", target) from None
+            except OSError as error:
+                came = (error.strerror or str(error)).lower()
+                raise InputError("a folder that can be written to", came, "another folder", target.parent) from error
     raise InputError("fewer unfinished recordings", "1000", "rename or delete some", target.parent)
+
+
+def _too_full(free: int, hint: str, where: Path | None) -> RecordingError:
+    return RecordingError(f"{FREE_BYTES >> 20} MiB free on the disk", f"{free >> 20} MiB free", hint, where)
 
 
 def _file_stream(application: str, recording_id: str, path: Path, deterministic: bool) -> rr.RecordingStream:
@@ -617,6 +657,18 @@ def _log_blob(rec: rr.RecordingStream, times: tuple[int, int], path: str, raw: n
 
     _set_times(rec, times)
     rec.log(path, rr.AnyValues(blob=raw))
+
+
+def write_outcome(path: Path, application: str, recording: str, outcome: Mapping[str, object]) -> None:
+    """How a run ended, as a part of its recording, to be merged with the rest. application, recording: its ids"""
+    import rerun as rr
+
+    rec = rr.RecordingStream(application, recording_id=recording, send_properties=False)
+    rec.set_sinks(rr.FileSink(path))
+    told = {name: json.dumps(value) if isinstance(value, dict) else value for name, value in outcome.items()}
+    rec.send_property("outcome", _any_values(told))
+    rec.flush(timeout_sec=FLUSH_TIMEOUT_S)
+    rec.disconnect()
 
 
 def _any_values(values: Mapping[str, object]) -> rr.AnyValues:

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 Viewer = Literal["native", "page", "none"]
 
+EXIT_LOSSES = 3
+"""The exit status of a command whose result is whole, but of which something was lost; it names what."""
 SAY_EVERY_S = 20.0
 """Seconds between lines about long work where no bar can be shown."""
 
@@ -221,7 +223,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
         with path.open("wb") as stream:
             yield stream
         return
-    path = path.resolve()  # a link stays a link, to the new file
+    path = Path(os.path.realpath(path))  # a link stays a link, to the new file
     draft = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with draft.open("xb") as file:
@@ -255,7 +257,7 @@ def check_writable(path: Path, flag: str, *, replace: bool = True) -> None:
         return
     if path.exists() and not replace:
         raise InputError(f"a new file after {flag}", "one that exists", "another name, or --overwrite", path)
-    path = path.resolve()
+    path = Path(os.path.realpath(path))
     if not path.parent.is_dir():
         came = "something else" if path.parent.exists() else "none"
         raise InputError(f"a folder to hold the file of {flag}", came, f"mkdir -p {path.parent}", path)

@@ -18,7 +18,7 @@ STALE_S = 1.0
 """A reading older than this, or than STALE_READINGS at the stream's own rate, whichever is longer, is stale."""
 STALE_READINGS = 5.0
 
-COUNTERS = ("received", "lost", "dropped", "skipped_bytes", "resyncs", "reconnects")
+COUNTERS = ("received", "lost", "lost_by_time", "dropped", "skipped_bytes", "resyncs", "reconnects")
 COLORS = {
     "ok": GOOD,
     "waiting": IDLE,
@@ -110,6 +110,7 @@ def _log_device(
         *singles("Health", "reason", [one.reason for one in health], pa.string()),
         *singles("Health", "rate_hz", [one.rate_hz for one in health], pa.float64()),
         *lists("Health", "age_s", [[] if one.age_s is None else [one.age_s] for one in health], pa.float64()),
+        *singles("Health", "silent_s", [one.silent_s for one in health], pa.float64()),
         *singles("Health", "stuck", [one.stuck for one in health], pa.bool_()),
         *singles("Health", "refused", [json.dumps(dict(one.refused)) for one in health], pa.string()),
         *singles("Health", "extra", [json.dumps(dict(one.extra)) for one in health], pa.string()),
