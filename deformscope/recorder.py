@@ -32,7 +32,7 @@ from deformscope.images import encode_png
 from deformscope.ledger import ledger_path, write_ledger
 from deformscope.live import LiveFeed, Viewer, ViewerKind, start_viewer, wait_for_viewer
 from deformscope.session import Step
-from deformscope.stages.exploration import NextTouch
+from deformscope.stages.exploration import NextTouch, StageFailed
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -89,6 +89,7 @@ class Recorder:
     it does nothing, and rerun is not even imported.
     settings: everything that decides the results, JSON-able; layout: which views a viewer opens with
     variant: tells apart recordings of one layout whose views differ: a viewer keeps one set of views an application
+    not_shown: results of an exploration that were recorded, but could not be shown
     deterministic: two runs of one input give recordings that `rerun rrd compare --unordered` finds equal; leaves
     out what differs between runs (start time, command line, versions, git state) and writes in larger portions
     """
@@ -125,6 +126,7 @@ class Recorder:
         self._streams: tuple[Stream, ...] = ()
         self._lossless: frozenset[str] = frozenset()
         self._exploring = False
+        self.not_shown: list[StageFailed] = []
         self._touch = 0
         self._pictures_ns: list[int] = []
         self._scales: dict[str, tuple[object, int]] = {}
@@ -287,7 +289,7 @@ class Recorder:
         if self._file is not None:
             self._beat()
         place = self._place(touch, seen_ns)
-        batch = prepare_results(results, now_ns - self._first_ns, place, cell_m=cell_m)
+        batch = prepare_results(results, now_ns - self._first_ns, place, cell_m=cell_m, failed=self.not_shown)
         self._emit(batch.send, sum(_size(result) for result in results))
 
     def _place(self, touch: int, seen_ns: int | None = None) -> Place:
