@@ -276,6 +276,10 @@ def draw_section(axes: Any, touch: TouchTold) -> None:
         axes.plot(*_rings(away_cm, height_mm), color=color, label=f"{name}, mean", zorder=4, **marked)
     if touch.usable and not touch.rigid:
         axes.plot([0.0], [-touch.depth_m * 1e3], "v", color="black", ms=7, label="tip", zorder=5)
+    _title(axes, f"Dent of touch {touch.number + 1}", "over the surface at rest; " + _beta_words(touch))
+    if not axes.lines:
+        _say(axes, "nothing was seen of it")
+        return
     deep_mm = max(touch.depth_m * 1e3, 1.0) if touch.usable else 1.0
     axes.set(xlim=(-0.1, SECTION_CM), ylim=(-1.35 * deep_mm - 1.0, 0.4 * deep_mm + 2.5))
     axes.set_xlabel("distance from the contact [cm]", fontsize=11)
@@ -283,7 +287,6 @@ def draw_section(axes: Any, touch: TouchTold) -> None:
     axes.tick_params(labelsize=10)
     axes.grid(alpha=0.3)
     axes.legend(fontsize=10, loc="lower right", frameon=False)
-    _title(axes, f"Dent of touch {touch.number + 1}", "over the surface at rest; " + _beta_words(touch))
 
 
 def _near(points: FloatArray, at: FloatArray) -> FloatArray:

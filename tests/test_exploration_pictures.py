@@ -96,6 +96,9 @@ def test_every_picture_is_drawn_whatever_is_missing() -> None:
     for number, touch in enumerate((synthetic.touch(0), synthetic.rigid_touch(1), synthetic.unusable_touch(2))):
         assert decoded(pictures.force_png(touch)).std() > 10, number
         assert decoded(pictures.section_png(touch)).std() > 10, number
+    none = np.zeros((0, 3))
+    unseen = dataclasses.replace(synthetic.unusable_touch(2), observed_m=none, simulated_m=none)
+    assert decoded(pictures.section_png(unseen)).std() > 5
     assert share_of(pictures.REGIONS[0], decoded(pictures.regions_png(gradual))) == 0.0
     nowhere = dataclasses.replace(synthetic.plan(2), excluded=np.ones_like(synthetic.plan(2).excluded))
     flat_gain = dataclasses.replace(synthetic.plan(2), gain=np.zeros_like(nowhere.excluded, dtype=np.float64))

@@ -307,9 +307,7 @@ def test_the_sure_cells_of_a_panel_count_the_doubt_about_the_number_of_regions()
     assert "0 % of the cells are sure" in summary(maps)
 
 
-def test_what_cannot_be_shown_is_recorded_with_where_it_failed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_shown_is_recorded_with_where_it_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object) -> None:
         raise FloatingPointError("no ink")
 
