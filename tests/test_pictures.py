@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 
 from deformscope import pictures
 from deformscope.pictures import (
-    _draw_posterior,
     Result,
+    _draw_posterior,
     errors,
     errors_png,
     evidence_png,

@@ -57,7 +57,7 @@ def two() -> tuple[Explorer, list[Moment], dict[str, bytes]]:
 
 
 def test_a_touch_tells_stiffness_and_the_map_its_place(two: tuple[Explorer, list[Moment], dict[str, bytes]]) -> None:
-    explorer, moments, _ = two
+    _, moments, _ = two
     told = of(TouchTold, moments)
     scene = built_in("two-60-150", 0)
     stiff = [one for one in told if scene.modulus_pa(one.xyz_m[:2]) > 60e3]  # type: ignore[attr-defined]
