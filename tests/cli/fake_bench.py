@@ -147,7 +147,7 @@ def use_fake_bench(monkeypatch: pytest.MonkeyPatch) -> FakeBench:
     """From now on `explore` explores this, on coarse maps of few particles."""
     bench = FakeBench()
 
-    def bench_of(name: str, options: ExploreOptions, set_force_n: float | None) -> Any:
+    def bench_of(name: str, options: ExploreOptions, set_force_n: float | None, *, trusted: bool) -> Any:
         options = dataclasses.replace(options, cell_m=0.02, beta_model="none")
         return bench, options, {"scene": name}
 
