@@ -261,7 +261,7 @@ def _map_file(config: ExploreConfig, maps: MapsKnown) -> bytes:
     import numpy as np
 
     known = {name: np.asarray(value) for name in UNITS if (value := getattr(maps, name)) is not None}
-    made_by = {"scenario": config.rig, "seed": config.output.seed, "version": __version__}
+    made_by: dict[str, Any] = {"scenario": config.rig, "seed": config.output.seed, "version": __version__}
     file = io.BytesIO()
     np.savez_compressed(file, allow_pickle=False, units=json.dumps(UNITS), **known, **made_by)
     return file.getvalue()

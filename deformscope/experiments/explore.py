@@ -571,7 +571,7 @@ def explore(robot: Robot, explorer: Explorer) -> Iterator[Moment]:
         maps = explorer.maps()
         spent_s = time.perf_counter() - began
         yield Moment(robot.now_ns(), (PhaseBegan("plan", number),), touch=number + 1)
-        results = (told, *_made(maps), *failed())
+        results: tuple[Result, ...] = (told, *_made(maps), *failed())
         yield Moment(robot.now_ns(), results, touch=number + 1, seen_ns=touched.seen_ns or None)
 
 

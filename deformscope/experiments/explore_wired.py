@@ -249,7 +249,8 @@ class TouchingRobot:
             where = f"at ({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm"
             raise self._stopped(record.ending, f"{where}: {record.reason}" if record.reason else where)
         self._touches += 1
-        after, unseen = np.zeros((0, 3)), ""
+        after: FloatArray = np.zeros((0, 3))
+        unseen = ""
         try:
             after = self._dent(record, dents, xy_m)
         except Exception:  # the touch is made, and its force and depth do not hang on the camera

@@ -226,9 +226,10 @@ class RegionPosterior:
             mean += share * here
             square += share * (here**2 + variance)
 
-        field, field_sd = (one.reshape(self.grid.shape) for one in (mean, np.sqrt(np.maximum(square - mean**2, 0.0))))
+        log_stiffness = mean.reshape(self.grid.shape)
+        log_stiffness_sd = np.sqrt(np.maximum(square - mean**2, 0.0)).reshape(self.grid.shape)
         if self.verdict == "gradual":
-            return self._without_regions(field, field_sd)
+            return self._without_regions(log_stiffness, log_stiffness_sd)
         rng = np.random.default_rng((self.seed, len(self.touches)))
         sd = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
         drawn = (level[:, None] + sd[:, None] * rng.standard_normal((len(level), 4000 // len(level) + 1, k))).reshape(
@@ -254,8 +255,8 @@ class RegionPosterior:
             drawn.std(axis=0),
             interval,
             rigid,
-            field,
-            field_sd,
+            log_stiffness,
+            log_stiffness_sd,
             wrong,
             wrong * area / edge_m if edge_m else np.nan,
         )
