@@ -16,6 +16,10 @@ from deformscope.frames import Frame
 
 Columns = Iterable[rr.ComponentColumn]
 
+Shown = dict[str, tuple[object, int]]
+"""What a viewer was sent last of a thing that seldom changes, and when on the host's clock [ns]: the scale beside each
+device's picture, the state of each device."""
+
 
 @dataclass(frozen=True, slots=True)
 class Place:
@@ -52,16 +56,20 @@ class Place:
 class Batch:
     """Calls to rerun that are made ready once, images encoded, and sent to any number of streams.
 
-    place: of an exploration: where rows stand on its timelines
+    place: of an exploration: where rows stand on its timelines; visible: whether an entity is in a view, the others are
+    left out; None = all go in
     """
 
-    def __init__(self, place: Place | None = None) -> None:
+    def __init__(self, place: Place | None = None, visible: Callable[[str], bool] | None = None) -> None:
         self.bytes = 0
         self._place = place
+        self._visible = visible
         self._calls: list[Callable[[rr.RecordingStream], None]] = []
 
     def send_columns(self, path: str, times: Sequence[rr.TimeColumn], columns: Columns) -> None:
         """As that of a stream."""
+        if self._visible is not None and not self._visible(path):
+            return
         ready = list(columns)
         when = list(times) if self._place is None else self._place.moved(times)
         self.bytes += sum(column.as_arrow_array().nbytes for column in ready)

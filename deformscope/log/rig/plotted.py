@@ -1,6 +1,8 @@
-"""Which quantities of a device are plotted."""
+"""Which quantities of a device are plotted, and which of its entities are in a view at all."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Sequence
 
 from deformscope.frames import Stream
 from deformscope.log.rig.columns import root
@@ -21,3 +23,9 @@ def plotted(stream: Stream) -> list[tuple[str, str]]:
     if stream.kind == "arm":
         return [(root("arm", stream.device, "joint_deg"), "joint angles [deg]")]
     return []
+
+
+def visible_in(streams: Sequence[Stream]) -> Callable[[str], bool]:
+    """Whether an entity is in a view that opens with a rig or an exploration: pictures, plots, states."""
+    plots = {path for stream in streams for path, _ in plotted(stream)}
+    return lambda path: path in plots or path.split("/")[0] in ("color", "depth", "display", "health")
