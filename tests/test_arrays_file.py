@@ -127,7 +127,7 @@ def test_any_bytes_are_refused(raw: bytes) -> None:
 @pytest.mark.parametrize("told", ["{", "[]", "3", "{}", "[" * 5000, '{"tip": 3, "rivals": [], "law": {}}'])
 def test_a_model_whose_text_is_nonsense_is_refused(told: str, tmp_path: Path) -> None:
     path = tmp_path / "m.npz"
-    arrays = {name: REST for name in ("rest", "toward", "fixed", "places", "stiffness", "left_out", "rival_stiffness")}
+    arrays = dict.fromkeys(("rest", "toward", "fixed", "places", "stiffness", "left_out", "rival_stiffness"), REST)
     path.write_bytes(npz(format=np.array("deformscope model 1"), told=np.array(told), **arrays))
     with pytest.raises(InputError, match="a whole model file"):
         load_model(path)
