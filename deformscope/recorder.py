@@ -44,7 +44,7 @@ from deformscope.live import (
 from deformscope.losses import losses_of
 from deformscope.recording_lock import create_locked, is_being_written, one_at_a_time
 from deformscope.session import Step
-from deformscope.stages.exploration import NextTouch
+from deformscope.stages.exploration import NextTouch, StageFailed
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -103,6 +103,7 @@ class Recorder:
     it does nothing, and rerun is not even imported.
     settings: everything that decides the results, JSON-able; layout: which views a viewer opens with
     variant: tells apart recordings of one layout whose views differ: a viewer keeps one set of views an application
+    not_shown: results of an exploration that were recorded, but could not be shown
     deterministic: two runs of one input give recordings that `rerun rrd compare --unordered` finds equal; leaves
     out what differs between runs (start time, command line, versions, git state) and writes in larger portions
     """
@@ -140,6 +141,7 @@ class Recorder:
         self._streams: tuple[Stream, ...] = ()
         self._lossless: frozenset[str] = frozenset()
         self._exploring = False
+        self.not_shown: list[StageFailed] = []
         self._touch = 0
         self._pictures_ns: list[int] = []
         self._scales: dict[str, tuple[object, int]] = {}
@@ -312,7 +314,7 @@ class Recorder:
         if self._file is not None:
             self._beat()
         place = self._place(touch, seen_ns)
-        batch = prepare_results(results, now_ns - self._first_ns, place, cell_m=cell_m)
+        batch = prepare_results(results, now_ns - self._first_ns, place, cell_m=cell_m, failed=self.not_shown)
         self._keep(batch.send)
         self._show(lambda live: live.send(batch), sum(_size(result) for result in results), lasting=True)
 
