@@ -315,7 +315,8 @@ class Recorder:
             self._beat()
         place = self._place(touch, seen_ns)
         batch = prepare_results(results, now_ns - self._first_ns, place, cell_m=cell_m, failed=self.not_shown)
-        self._emit(batch.send, sum(_size(result) for result in results))
+        self._keep(batch.send)
+        self._show(lambda live: live.send(batch), sum(_size(result) for result in results), lasting=True)
 
     def _place(self, touch: int, seen_ns: int | None = None) -> Place:
         """On an exploration's timelines."""
@@ -338,7 +339,7 @@ class Recorder:
         path = f"input/{name}"
         if isinstance(content, bytes):
             raw = np.frombuffer(content, np.uint8)
-            self._emit(lambda rec: _log_blob(rec, times, path, raw), len(content))
+            self._keep(lambda rec: _log_blob(rec, times, path, raw))  # no view shows it
         else:
             png = encode_png(content)
             self._emit(lambda rec: _log_image(rec, path, png), len(png))

@@ -12,7 +12,7 @@ import struct
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 HEAD_BYTES = 1 << 16
 EVEN_SHARE, EVEN_WITHIN = 0.9, 0.25
@@ -144,8 +144,8 @@ def _boxes(file: BinaryIO, start: int, end: int) -> Iterator[tuple[bytes, int, i
         start += length
 
 
-def _unpack(file: BinaryIO, layout: str, at: int) -> tuple[int, ...]:
-    """Numbers of a file; zeros behind its end."""
+def _unpack(file: BinaryIO, layout: str, at: int) -> tuple[Any, ...]:
+    """Values of a file; zeros behind its end."""
     file.seek(at)
     size = struct.calcsize(layout)
     return struct.unpack(layout, file.read(size).ljust(size, b"\0"))

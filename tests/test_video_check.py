@@ -1,4 +1,4 @@
-"""Damaged videos are noticed by what their container lists and by times; whole ones of any rate are not called damaged."""
+"""Damaged videos are noticed by what their container lists and by times; whole ones, of any rate, pass."""
 
 from __future__ import annotations
 

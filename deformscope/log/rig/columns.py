@@ -56,33 +56,30 @@ class Place:
 class Batch:
     """Calls to rerun that are made ready once, images encoded, and sent to any number of streams.
 
-    place: of an exploration: where rows stand on its timelines; visible: whether an entity is in a view, the others are
-    left out; None = all go in
+    place: of an exploration: where rows stand on its timelines
     """
 
-    def __init__(self, place: Place | None = None, visible: Callable[[str], bool] | None = None) -> None:
+    def __init__(self, place: Place | None = None) -> None:
         self.bytes = 0
         self._place = place
-        self._visible = visible
-        self._calls: list[Callable[[rr.RecordingStream], None]] = []
+        self._calls: list[tuple[str, Callable[[rr.RecordingStream], None]]] = []
 
     def send_columns(self, path: str, times: Sequence[rr.TimeColumn], columns: Columns) -> None:
         """As that of a stream."""
-        if self._visible is not None and not self._visible(path):
-            return
         ready = list(columns)
         when = list(times) if self._place is None else self._place.moved(times)
         self.bytes += sum(column.as_arrow_array().nbytes for column in ready)
-        self._calls.append(lambda rec: rec.send_columns(path, when, ready))
+        self._calls.append((path, lambda rec: rec.send_columns(path, when, ready)))
 
     def log(self, path: str, entity: rr.AsComponents, *, static: bool) -> None:
         """As that of a stream."""
-        self._calls.append(lambda rec: rec.log(path, entity, static=static))
+        self._calls.append((path, lambda rec: rec.log(path, entity, static=static)))
 
-    def send(self, rec: rr.RecordingStream) -> None:
-        """Log all of it."""
-        for call in self._calls:
-            call(rec)
+    def send(self, rec: rr.RecordingStream, visible: Callable[[str], bool] | None = None) -> None:
+        """Log all of it, or the entities that are visible."""
+        for path, call in self._calls:
+            if visible is None or visible(path):
+                call(rec)
 
 
 Sink = rr.RecordingStream | Batch
