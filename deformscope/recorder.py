@@ -13,6 +13,7 @@ import json
 import logging
 import os
 import shutil
+import sys
 import threading
 import time
 import uuid
@@ -20,7 +21,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, BinaryIO, Literal
 
 import numpy as np
 
@@ -28,11 +29,22 @@ from deformscope import provenance
 from deformscope.arrays import FloatArray, ImageArray
 from deformscope.errors import InputError
 from deformscope.frames import ColorFrame, DepthFrame, Frame, HealthReport, Item, LinkChange, RawBytes, Stream
-from deformscope.images import encode_png
+from deformscope.images import encode_jpeg, encode_png
 from deformscope.ledger import ledger_path, write_ledger
-from deformscope.live import LiveFeed, Viewer, ViewerKind, start_viewer, wait_for_viewer
+from deformscope.live import (
+    PERIODS_S,
+    LiveFeed,
+    Viewer,
+    ViewerKind,
+    check_answers,
+    check_running,
+    start_viewer,
+    wait_for_viewer,
+)
+from deformscope.losses import losses_of
+from deformscope.recording_lock import create_locked, is_being_written, one_at_a_time
 from deformscope.session import Step
-from deformscope.stages.exploration import NextTouch
+from deformscope.stages.exploration import NextTouch, StageFailed
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -41,6 +53,7 @@ if TYPE_CHECKING:
 
     RecordingLayout = Layout | Literal["rig", "exploration"]
     from deformscope.log.canvas import Canvas
+    from deformscope.log.live_stream import LiveStream
     from deformscope.log.rig import Place
 
 APPLICATIONS: dict[RecordingLayout, str] = {
@@ -58,7 +71,7 @@ BEAT_S = 1.0
 BEAT_FRAMES = 32
 FLUSH_TIMEOUT_S = 20.0
 CLOSE_TIMEOUT_S = 60.0
-LIVE_TIMEOUT_S = 5.0
+LIVE_TIMEOUT_S = 3.0
 
 _logger = logging.getLogger(__name__)
 
@@ -72,7 +85,8 @@ class RecordingSummary:
     """What was recorded.
 
     path: the finished file, or the unfinished one after an error; None where nothing was written
-    dropped: frames, steps and inputs that the live view did not get; bytes: size of the file
+    dropped: portions (a frame, a step, an input, what the devices gave in a tenth of a second) that the viewer is not
+    known to have got; bytes: size of the file
     """
 
     path: Path | None
@@ -89,6 +103,7 @@ class Recorder:
     it does nothing, and rerun is not even imported.
     settings: everything that decides the results, JSON-able; layout: which views a viewer opens with
     variant: tells apart recordings of one layout whose views differ: a viewer keeps one set of views an application
+    not_shown: results of an exploration that were recorded, but could not be shown
     deterministic: two runs of one input give recordings that `rerun rrd compare --unordered` finds equal; leaves
     out what differs between runs (start time, command line, versions, git state) and writes in larger portions
     """
@@ -104,7 +119,7 @@ class Recorder:
         deterministic: bool = False,
         variant: str = "",
     ) -> None:
-        self._target = None if file is None else Path(file)
+        self._target = None if file is None else _followed(Path(file))
         self._viewer_kind = viewer
         self._settings = dict(settings or {})
         self._layout: RecordingLayout = layout
@@ -112,8 +127,9 @@ class Recorder:
         self._overwrite = overwrite
         self._deterministic = deterministic
         self._part: Path | None = None
+        self._reserved: BinaryIO | None = None
         self._file: rr.RecordingStream | None = None
-        self._feed: LiveFeed[rr.RecordingStream] | None = None
+        self._feed: LiveFeed[LiveStream] | None = None
         self._viewer: Viewer | None = None
         self._canvas: Canvas | None = None
         self._session_ns: dict[int, int] = {}
@@ -125,10 +141,12 @@ class Recorder:
         self._streams: tuple[Stream, ...] = ()
         self._lossless: frozenset[str] = frozenset()
         self._exploring = False
+        self.not_shown: list[StageFailed] = []
         self._touch = 0
         self._pictures_ns: list[int] = []
         self._scales: dict[str, tuple[object, int]] = {}
         self._counts: dict[str, int] = {}
+        self._losses: dict[str, dict[str, float]] = {}
         self._beat_at = self._beats = 0.0
         self._broken = False
         self._lock = threading.RLock()
@@ -142,19 +160,22 @@ class Recorder:
 
     @property
     def viewer(self) -> Viewer | None:
-        """The viewer that was started, to tell the user where it is."""
+        """The viewer that was started."""
         return self._viewer
 
     def __enter__(self) -> Recorder:
         if not self.active:
             return self
         if self._target is not None:
-            self._part = _reserve(self._target, self._overwrite)
+            self._part, self._reserved = _reserve(self._target, self._overwrite)
         try:
+            if self._target is not None:
+                _require_space(self._target.parent, "another disk", self._target)
             self._open()
         except BaseException:
             if self._part is not None:
                 self._part.unlink(missing_ok=True)
+            self._release()
             raise
         return self
 
@@ -162,7 +183,10 @@ class Recorder:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self.active and self._finished is None:
-            self._close(complete=kind is None)
+            try:
+                self._close(complete=kind is None)
+            finally:
+                self._release()
 
     def write_frame(self, frame: ColorFrame) -> None:
         """Record one input frame without loss; what follows belongs to it."""
@@ -177,12 +201,15 @@ class Recorder:
             self._canvas = _canvas_of(frame.image)
             if not self._layout.startswith("pair"):
                 self._arrange()
-        png = encode_png(frame.image)
+        image = frame.image
+        png = encode_png(image)
         times = self._times(frame.index)
         stamp = frame.stamp.host_ns, -1 if frame.stamp.device_ticks is None else frame.stamp.device_ticks
-        self._emit(lambda rec: _log_frame(rec, times, png, stamp), len(png))
-        if frame.image.dtype == np.uint16:
-            shown = self._shown(frame.image)
+        self._keep(lambda rec: _log_frame(rec, times, png, stamp))
+        if image.dtype == np.uint8:  # as JPEG, a tenth of the bytes
+            self._show(lambda live: _log_frame(live.rec, times, encode_jpeg(image), stamp, "image/jpeg"), image.nbytes)
+        else:
+            shown = self._shown(image)
             self._emit(lambda rec: _log_shown(rec, times, shown), len(shown))
 
     def write(self, step: Step) -> None:
@@ -233,6 +260,8 @@ class Recorder:
         for item in items:
             kind = _counted_as(item)
             self._counts[kind] = self._counts.get(kind, 0) + 1
+            if isinstance(item, HealthReport):
+                self._losses = losses_of(item)
         self._frames += sum(isinstance(item, Frame) for item in items)
         if not self.active:
             return
@@ -242,8 +271,11 @@ class Recorder:
         pictures = [item for item in items if isinstance(item, DepthFrame) and item.device == camera]
         self._pictures_ns += [item.stamp.host_ns - self._first_ns for item in pictures]
         place = self._place(self._touch) if self._exploring else None
-        batch = prepare_items(items, self._first_ns, self._streams, self._lossless, place, self._scales)
-        self._emit(batch.send, sum(_item_size(item) for item in items))
+        kept, start_ns, streams = list(items), self._first_ns, self._streams
+        size = sum(_item_size(item) for item in kept)
+        self._show(lambda live: live.add_items(kept, start_ns, streams, place), size)
+        if self._file is not None:
+            self._keep(prepare_items(kept, start_ns, streams, self._lossless, place, self._scales).send)
 
     def start_exploration(
         self,
@@ -287,8 +319,9 @@ class Recorder:
         if self._file is not None:
             self._beat()
         place = self._place(touch, seen_ns)
-        batch = prepare_results(results, now_ns - self._first_ns, place, cell_m=cell_m)
-        self._emit(batch.send, sum(_size(result) for result in results))
+        batch = prepare_results(results, now_ns - self._first_ns, place, cell_m=cell_m, failed=self.not_shown)
+        self._keep(batch.send)
+        self._show(lambda live: live.send(batch), sum(_size(result) for result in results), lasting=True)
 
     def _place(self, touch: int, seen_ns: int | None = None) -> Place:
         """On an exploration's timelines."""
@@ -311,7 +344,7 @@ class Recorder:
         path = f"input/{name}"
         if isinstance(content, bytes):
             raw = np.frombuffer(content, np.uint8)
-            self._emit(lambda rec: _log_blob(rec, times, path, raw), len(content))
+            self._keep(lambda rec: _log_blob(rec, times, path, raw))  # no view shows it
         else:
             png = encode_png(content)
             self._emit(lambda rec: _log_image(rec, path, png), len(png))
@@ -339,8 +372,12 @@ class Recorder:
         if self._viewer_kind != "none":
             viewer = start_viewer(self._viewer_kind)
             self._viewer = viewer
+            print(viewer.where, file=sys.stderr, flush=True)
             application = self._application
-            self._feed = LiveFeed(lambda closing: _live_stream(application, recording_id, viewer, told, closing))
+            self._feed = LiveFeed(
+                lambda give_up: _live_stream(application, recording_id, viewer, told, give_up),
+                period_s=PERIODS_S[self._viewer_kind],
+            )
             self._feed.start()
         if self._part is not None:
             self._file = _file_stream(self._application, recording_id, self._part, self._deterministic)
@@ -352,11 +389,20 @@ class Recorder:
     def _emit(self, job: Callable[[rr.RecordingStream], None], size: int) -> None:
         """To the file first and at once; to the live view when it comes to it. From any thread."""
         with self._lock:
+            self._keep(job)
+            self._show(lambda live: job(live.rec), size, lasting=True)
+
+    def _keep(self, job: Callable[[rr.RecordingStream], None]) -> None:
+        """To the file alone."""
+        with self._lock:
             if self._file is not None:
                 self._beat()
                 job(self._file)
-            if self._feed is not None:
-                self._feed.put(job, size)
+
+    def _show(self, job: Callable[[LiveStream], None], size: int, *, lasting: bool = False) -> None:
+        """To the live view alone. lasting: dropped last where the viewer cannot follow"""
+        if self._feed is not None:
+            self._feed.put(job, size, lasting=lasting)
 
     def _arrange(self) -> None:
         """Send the views, once, as soon as it is known what they show."""
@@ -406,19 +452,17 @@ class Recorder:
     def _flush(self) -> None:
         assert self._file is not None
         assert self._part is not None
-        free = shutil.disk_usage(self._part.parent).free
-        if free < FREE_BYTES:
+        try:
+            _require_space(self._part.parent, self._kept_hint, self._part)
+        except RecordingError:
             self._broken = True
-            came, need = f"{free >> 20} MiB free", f"{FREE_BYTES >> 20} MiB free on the disk"
-            raise RecordingError(need, came, "another disk; what was recorded is kept", self._part)
+            raise
         try:
             self._file.flush(timeout_sec=FLUSH_TIMEOUT_S)
         except Exception as error:
             self._broken = True
             came = "a disk that is full, gone or too slow"
-            raise RecordingError(
-                "a disk that takes the recording", came, "another disk; what was recorded is kept", self._part
-            ) from error
+            raise RecordingError("a disk that takes the recording", came, self._kept_hint, self._part) from error
         self._beat_at = time.monotonic()
 
     def _close(self, *, complete: bool) -> None:
@@ -437,6 +481,7 @@ class Recorder:
                 outcome["stopped"] = self._stopped
             if self._counts:
                 outcome["counts"] = json.dumps(self._counts)
+                outcome["losses"] = json.dumps(self._losses)
             self._file.send_property("outcome", _any_values(outcome))
             try:
                 self._flush()
@@ -460,7 +505,6 @@ class Recorder:
         if self._feed is None:
             return 0
         if not self._feed.close(LIVE_TIMEOUT_S):
-            _logger.warning("the viewer did not answer; it was left behind, and the recording is not affected")
             _leave_streams_alone()
         return self._feed.dropped
 
@@ -475,21 +519,46 @@ class Recorder:
         ledger_path(self._target).unlink(missing_ok=True)
         part.replace(self._target)
         counts = {"frames": self._frames, "steps": self._steps, "inputs": self._inputs, **self._counts}
-        write_ledger(self._target, counts)
+        write_ledger(self._target, counts, self._losses)
         _sync(self._target.parent)
         return self._target
 
-    def _keep_unfinished(self, part: Path) -> Path | None:
+    @property
+    def _kept_hint(self) -> str:
+        return "another disk; what was recorded is kept" if self._holds_something else "another disk"
+
+    def _release(self) -> None:
+        """Let others record to this name."""
+        if self._reserved is not None:
+            self._reserved.close()
+
+    @property
+    def _holds_something(self) -> bool:
+        """Whether an unfinished recording is worth keeping."""
         # an exploration whose checks have not passed has nothing to tell but that its devices were there
-        if not (self._steps or self._inputs or (self._frames and not self._exploring)):
+        return bool(self._steps or self._inputs or (self._frames and not self._exploring))
+
+    def _keep_unfinished(self, part: Path) -> Path | None:
+        if not self._holds_something:
             part.unlink(missing_ok=True)
             return None
         _logger.warning("what was recorded before the error is kept: %s", part)
         return part
 
 
-def _reserve(target: Path, overwrite: bool) -> Path:
-    """An empty file to record into, beside the target; refuses what cannot work before any work is done."""
+def _followed(target: Path) -> Path:
+    """Where a link leads: it stays a link, to the new recording, as with every other output."""
+    if not target.is_symlink():
+        return target
+    found = Path(os.path.realpath(target))
+    if found.is_symlink():
+        raise InputError("a link that leads to a file", "one that leads to itself", where=target)
+    return found
+
+
+def _reserve(target: Path, overwrite: bool) -> tuple[Path, BinaryIO]:
+    """An empty file to record into, beside the target, and its lock until it is closed; refuses what cannot work
+    before any work is done."""
     if target.suffix.lower() != SUFFIX:
         raise InputError(f"a recording's name that ends in {SUFFIX}", f"{target.suffix or 'no ending'}", where=target)
     if target.is_dir():
@@ -498,17 +567,25 @@ def _reserve(target: Path, overwrite: bool) -> Path:
         raise InputError("a new file to record into", "one that exists", "another name, or --overwrite", target)
     if not target.parent.is_dir():
         raise InputError("a folder to record into", "none", f"mkdir -p {target.parent}", target)
-    for number in range(1, 1000):
-        part = target.with_name(f"{target.stem}.part{'' if number == 1 else f'-{number}'}{SUFFIX}")
-        try:
-            part.open("xb").close()
-        except FileExistsError:
-            continue  # of a run that failed, or of one that is running
-        except OSError as error:
-            came = (error.strerror or str(error)).lower()
-            raise InputError("a folder that can be written to", came, "another folder", target.parent) from error
-        return part
+    with one_at_a_time(target.parent):
+        for number in range(1, 1000):
+            part = target.with_name(f"{target.stem}.part{'' if number == 1 else f'-{number}'}{SUFFIX}")
+            try:
+                return part, create_locked(part)
+            except FileExistsError:
+                if is_being_written(part):
+                    came = f"one that another run is recording to ({part.name})"
+                    raise InputError("a recording of its own", came, "another name", target) from None
+            except OSError as error:
+                came = (error.strerror or str(error)).lower()
+                raise InputError("a folder that can be written to", came, "another folder", target.parent) from error
     raise InputError("fewer unfinished recordings", "1000", "rename or delete some", target.parent)
+
+
+def _require_space(folder: Path, hint: str, where: Path) -> None:
+    free = shutil.disk_usage(folder).free
+    if free < FREE_BYTES:
+        raise RecordingError(f"{FREE_BYTES >> 20} MiB free on the disk", f"{free >> 20} MiB free", hint, where)
 
 
 def _file_stream(application: str, recording_id: str, path: Path, deterministic: bool) -> rr.RecordingStream:
@@ -525,16 +602,22 @@ def _file_stream(application: str, recording_id: str, path: Path, deterministic:
 
 
 def _live_stream(
-    application: str, recording_id: str, viewer: Viewer, told: Mapping[str, object], closing: threading.Event
-) -> rr.RecordingStream:
+    application: str, recording_id: str, viewer: Viewer, told: Mapping[str, object], give_up: threading.Event
+) -> LiveStream:
     """Connected to the viewer; blocks until it is there."""
     import rerun as rr
 
-    wait_for_viewer(viewer, closing)
+    from deformscope.log.live_stream import LiveStream
+
+    def check(timeout_s: float) -> None:
+        check_running(viewer)
+        check_answers(viewer, timeout_s)
+
+    wait_for_viewer(viewer, give_up)
     rec = rr.RecordingStream(application, recording_id=recording_id)
     rec.set_sinks(rr.GrpcSink(viewer.url))
     rec.send_property("session", _any_values(told))
-    return rec
+    return LiveStream(rec, check)
 
 
 def _canvas_of(image: ImageArray) -> Canvas:
@@ -551,12 +634,14 @@ def _set_times(rec: rr.RecordingStream, times: tuple[int, int]) -> None:
     rec.set_time("session", duration=np.timedelta64(session_ns, "ns"))
 
 
-def _log_frame(rec: rr.RecordingStream, times: tuple[int, int], png: bytes, stamp: tuple[int, int]) -> None:
+def _log_frame(
+    rec: rr.RecordingStream, times: tuple[int, int], encoded: bytes, stamp: tuple[int, int], kind: str = "image/png"
+) -> None:
     """stamp: host clock [ns]; device ticks, -1 where there are none."""
     import rerun as rr
 
     _set_times(rec, times)
-    image = rr.EncodedImage(contents=png, media_type="image/png", draw_order=-10.0)
+    image = rr.EncodedImage(contents=encoded, media_type=kind, draw_order=-10.0)
     rec.log("input/image", image, rr.AnyValues(host_ns=stamp[0], device_ticks=stamp[1]))
 
 
@@ -578,6 +663,18 @@ def _log_blob(rec: rr.RecordingStream, times: tuple[int, int], path: str, raw: n
 
     _set_times(rec, times)
     rec.log(path, rr.AnyValues(blob=raw))
+
+
+def write_outcome(path: Path, application: str, recording: str, outcome: Mapping[str, object]) -> None:
+    """How a run ended, as a part of its recording, to be merged with the rest. application, recording: its ids"""
+    import rerun as rr
+
+    rec = rr.RecordingStream(application, recording_id=recording, send_properties=False)
+    rec.set_sinks(rr.FileSink(path))
+    told = {name: json.dumps(value) if isinstance(value, dict) else value for name, value in outcome.items()}
+    rec.send_property("outcome", _any_values(told))
+    rec.flush(timeout_sec=FLUSH_TIMEOUT_S)
+    rec.disconnect()
 
 
 def _any_values(values: Mapping[str, object]) -> rr.AnyValues:

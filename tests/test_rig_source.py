@@ -19,13 +19,16 @@ from deformscope.driver_table import DRIVERS
 from deformscope.errors import InputError
 from deformscope.frames import HealthReport, Item, LinkChange, RawBytes, TactileFrame, WrenchFrame
 from deformscope.lab.stand_in import stand_in, wire_of
+from deformscope.losses import losses_of, named
 from deformscope.rig_source import RigMember, RigSource, host_ns
 from deformscope.session import watch
+from deformscope_drivers.dsa import Dsa, DsaConfig, DsaDouble
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.health import Link
+from deformscope_drivers.memory import MemoryTransport, SimulatedClock
+from deformscope_drivers.optoforce import Optoforce, OptoforceConfig, OptoforceDouble
 from deformscope_drivers.optoforce.protocol import Decoder, Reading
-
-PATIENCE_S = 20.0
+from tests.patience import PATIENCE_S
 
 
 @contextlib.contextmanager
@@ -62,11 +65,40 @@ def test_frames_bytes_and_health_of_all_devices_in_order_of_time() -> None:
     assert [frame.index for frame in batches] == list(range(len(batches)))
     assert all(isinstance(frame, TactileFrame) for frame in frames_of(items, "pads"))
     assert dict(last.devices)["tip"].dropped == 0
-    assert dict(last.devices)["tip"].lost == 0
     assert any(isinstance(item, HealthReport) for item in items)
     assert streams["pads"].kind == "tactile"
     assert [pad.rows * pad.columns for pad in streams["pads"].pads] == [84, 78] * 3
     assert streams["tip"].simulated
+
+
+def test_on_a_simulated_clock_not_a_reading_is_lost() -> None:
+    """What the host's threads may be late for, never happens here: every reading of every device is there."""
+    clock = SimulatedClock(10**9)
+    tip = Optoforce(OptoforceConfig(port="memory"), transport=MemoryTransport(OptoforceDouble(), clock), clock=clock)
+    pads = Dsa(DsaConfig(port="memory"), transport=MemoryTransport(DsaDouble(), clock), clock=clock)
+
+    def opener() -> None:
+        pads.open(own_thread=False)
+        tip.open(own_thread=False)
+
+    members = [RigMember("tip", DRIVERS["optoforce"], tip), RigMember("pads", DRIVERS["dsa"], pads)]
+    items: list[Item] = []
+    with RigSource(members, clock=clock, opener=opener) as source:
+        items += source.take(0.0)
+        start_ns = clock()
+        while clock() < start_ns + 3 * 10**9:
+            tip.poll(0.01)
+            pads.poll(0.0)
+            items += source.take(0.0)
+        health = dict(source.look().devices)
+    readings = [frame for frame in frames_of(items, "tip") if host_ns(frame) > start_ns]
+
+    assert len(readings) == 3000
+    assert len(frames_of(items, "pads")) == health["pads"].received > 50
+    assert len(frames_of(items, "tip")) == health["tip"].received
+    assert all(one.lost == one.dropped == one.skipped_bytes == one.reconnects == 0 for one in health.values())
+    assert [host_ns(item) for item in items] == sorted(host_ns(item) for item in items)
+    assert sum(isinstance(item, HealthReport) for item in items) in (3, 4)
 
 
 def test_the_raw_bytes_say_what_the_frames_say() -> None:
@@ -97,7 +129,7 @@ def test_a_device_that_cannot_be_opened_closes_the_others_and_is_named() -> None
 
 def test_a_cable_pulled_out_is_an_item_and_the_others_go_on() -> None:
     config = DRIVERS["optoforce"].config_class()()
-    with wire_of("optoforce", config) as wire, doubled("dsa", "pads") as pads:
+    with wire_of("optoforce", config, "") as wire, doubled("dsa", "pads") as pads:
         device = DRIVERS["optoforce"].make(DRIVERS["optoforce"].config_class()(port=wire.port))
         with RigSource([RigMember("tip", DRIVERS["optoforce"], device), pads]) as source:
             gather(source, lambda seen: len(frames_of(seen, "tip")) > 10)
@@ -178,3 +210,39 @@ def test_a_recording_of_files_ends_with_them(tmp_path: Path) -> None:
 
     assert len(frames_of(keeper.items, "camera")) == 3
     assert not source.failures
+
+
+def test_a_device_that_is_gone_for_good_is_a_loss_by_time() -> None:
+    """Its counter cannot know."""
+    config = DRIVERS["optoforce"].config_class()()
+    with wire_of("optoforce", config, "") as wire:
+        device = DRIVERS["optoforce"].make(DRIVERS["optoforce"].config_class()(port=wire.port))
+        with RigSource([RigMember("tip", DRIVERS["optoforce"], device)]) as source:
+            gather(source, lambda seen: len(frames_of(seen, "tip")) > 200)
+            wire.unplug()
+            gather(source, lambda seen: Link.LOST in changes(seen))
+            gather(source, lambda seen: device.health().silent_s > 0.5)
+            source.close()
+            last = source.look()
+            health = dict(last.devices)["tip"]
+
+    lost = losses_of(last)["tip"]
+    assert lost["silent_s"] > 0.5
+    assert lost["readings"] == lost["readings_by_time"] == pytest.approx(1000 * lost["silent_s"], rel=0.2)
+    assert "a port that is there; got none" in health.reason
+    assert "without any" in named({"tip": lost})
+    assert source.look().devices[0][1].silent_s == health.silent_s, "closed: nothing is lost any more"
+
+
+def test_a_device_that_fails_is_a_loss_until_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    with doubled("optoforce", "tip") as tip, RigSource([tip]) as source:
+        gather(source, lambda seen: len(frames_of(seen, "tip")) > 200)
+
+        def fail(timeout_s: float) -> list[Any]:
+            raise ValueError("an index out of range")
+
+        monkeypatch.setattr(tip.device, "_receive", fail)
+        gather(source, lambda seen: tip.device.health().silent_s > 0.3)
+        source.close()
+        assert "an index out of range" in source.failures["tip"]
+        assert losses_of(source.look())["tip"]["silent_s"] > 0.3

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from deformscope.config.flags import JsonFlag, PictureFlag, PositiveFlag, finite, one_word, positive, unset
+from deformscope.config.flags import JsonFlag, PictureFlag, PositiveFlag, TrustFlag, finite, one_word, positive, unset
 from deformscope.config.options import (
     CommandOptions,
     JsonOptions,
@@ -18,6 +18,7 @@ from deformscope.config.options import (
     check_seed,
     check_suffix,
     written_files,
+    written_json,
 )
 from deformscope.errors import InputError
 
@@ -45,6 +46,7 @@ class DoctorConfig(JsonOptions):
     """Print a rig file to start from, and do nothing else."""
     seconds: Annotated[float, one_word("NUMBER", positive)] = 2.0
     """How long every device is listened to [s]."""
+    trust_rig: TrustFlag = False
     json: JsonFlag = None
     """Write what was found as JSON; with -, stdout is the JSON alone."""
 
@@ -66,6 +68,7 @@ class RigRunOptions(RecordedOptions):
     """How long [s]; default: until Ctrl-C."""
     label: str = ""
     """What is being recorded, in your words; kept in the recording."""
+    trust_rig: TrustFlag = False
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def reads(self) -> tuple[str, ...]:
@@ -94,6 +97,29 @@ class VerifyConfig(JsonOptions):
 
     def reads(self) -> tuple[str, ...]:
         return (str(self.recording),)
+
+
+@dataclass(frozen=True, slots=True)
+class RecoverConfig(JsonOptions):
+    """Make a whole recording, with its ledger, of one whose run was killed or that was cut off: all that can be read of
+    it. The original is only read."""
+
+    recording: Annotated[Path, Positional, arg(metavar="FILE.rrd")]
+    """The unfinished recording (NAME.part.rrd), or one that was cut off."""
+    out: Annotated[Path | None, one_word("FILE.rrd", Path), unset] = None
+    """The new recording; default: NAME.recovered.rrd beside it. An existing file is refused."""
+    json: JsonFlag = None
+    """Write what there is as JSON; with -, stdout is the JSON alone."""
+
+    def __post_init__(self) -> None:
+        check_suffix("--out", self.out, ".rrd")
+
+    def reads(self) -> tuple[str, ...]:
+        return (str(self.recording),)
+
+    def writes(self) -> tuple[Written, ...]:
+        out = () if self.out is None else (Written("--out", self.out, replace=False),)
+        return (*out, *written_json(self.json))
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +166,7 @@ class ExploreConfig(RecordedOptions):
     """Write the maps as arrays: stiffness [N/mm], its deviation (of its log), regions, their probability, beta."""
     yes: bool = False
     """Let a real arm move, once the checks have passed, without asking."""
+    trust_rig: TrustFlag = False
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def __post_init__(self) -> None:
@@ -184,6 +211,7 @@ class ArmConfig(JsonOptions):
     target_force_n."""
     yes: bool = False
     """Let a real arm move, once the checks have passed, without asking."""
+    trust_rig: TrustFlag = False
     seed: int = 0
     """Seed of a simulated scene."""
     json: JsonFlag = None

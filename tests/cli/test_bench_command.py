@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import math
 import os
 import subprocess
 import sys
@@ -14,7 +16,7 @@ import pytest
 
 pytest.importorskip("tyro")
 
-from deformscope.bench import peers, report
+from deformscope.bench import peers, report, starting
 from deformscope.bench.numpy_step import NumpyLattice
 from deformscope.bench.peers import Peer
 from deformscope.bench.plan import Plan, Tell
@@ -22,6 +24,7 @@ from deformscope.bench.timing import Contestant, Row, Timing, compare
 from deformscope.cli import EXIT_INPUT, EXIT_INTERRUPTED, main
 from deformscope.stages.msm import reference
 from deformscope.stages.msm.clusters import lattice
+from tests.patience import PATIENCE_S
 
 SHORT = ["bench", "--quick", "--device", "cpu", "--sizes", "64", "--repeats", "3"]
 TOP = {"format", "complete", "machine", "settings", "rows"}
@@ -45,7 +48,7 @@ def run_module(*args: str, without: tuple[str, ...] = ()) -> subprocess.Complete
         [sys.executable, "-c", script + "runpy.run_module('deformscope.bench', run_name='__main__', alter_sys=True)"],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
         check=False,
         env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
     )
@@ -82,13 +85,22 @@ def test_json_has_stdout_to_itself(capsys: pytest.CaptureFixture[str]) -> None:
     assert json.loads(capsys.readouterr().out).keys() == TOP
 
 
-@pytest.mark.parametrize("case", ["sweep", "theta", "gradient", "fit", "cold"])
-def test_every_case_gives_rows(case: str) -> None:
+@pytest.mark.parametrize(
+    "case", ["sweep", "theta", "gradient", "fit", "cold", pytest.param("cold, compiling", marks=pytest.mark.slow)]
+)
+def test_every_case_gives_rows(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    case, _, compiling = case.partition(", ")
+    if not compiling:  # what others have compiled is compiled no second time
+        wp = pytest.importorskip("warp")
+        wp.init()
+        cache = str(Path(wp.config.kernel_cache_dir).parent)
+        monkeypatch.setattr(starting.tempfile, "TemporaryDirectory", lambda: contextlib.nullcontext(cache))
     assert main([*SHORT, "--repeats", "1", "--only", case, "--json", "bench.json"]) == 0
     rows = json.loads(Path("bench.json").read_text(encoding="utf-8"))["rows"]
 
     assert {row["case"] for row in rows} == {case}
-    assert all(row["median"] > 0 for row in rows)
+    # What a busy machine takes from one run and not from the next may turn a difference of two around.
+    assert all(row["repeats"] == 1 and math.isfinite(row["median"]) for row in rows)
 
 
 def test_memory_is_told_of_bodies_that_take_some() -> None:

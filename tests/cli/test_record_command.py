@@ -15,9 +15,10 @@ from typing import IO
 import pytest
 
 from deformscope.cli import main
-from deformscope.frames import HealthReport, RawBytes, WrenchFrame
-from deformscope.ledger import check_ledger
+from deformscope.frames import HealthReport, Item, RawBytes, WrenchFrame
+from deformscope.ledger import check_ledger, read_losses
 from deformscope.rig_replay import read_items
+from tests.patience import PATIENCE_S
 
 SMALL = """
 [devices.tip]
@@ -29,7 +30,8 @@ sensitivity = { counts_at_nominal = [16037.0, 16037.0, 16037.0], nominal = [40.0
 driver = "dsa"
 double = true
 """
-PATIENCE_S = 60.0
+WHOLE = (0, 3)
+"""Exit statuses of a whole recording: what a busy machine loses is named, and is 3."""
 
 
 @pytest.fixture
@@ -86,33 +88,43 @@ def wait_for(stream: IO[str] | None, words: str) -> str:
 def test_a_bench_of_doubles_is_recorded_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file, told = tmp_path / "r.rrd", tmp_path / "r.json"
 
-    assert main(["record", "lab:bench", "--seconds", "3", "--record", str(file), "--json", str(told)]) == 0
+    assert main(["record", "lab:bench", "--seconds", "3", "--record", str(file), "--json", str(told)]) in WHOLE
     found = json.loads(told.read_text())
 
     assert found["recording"] == str(file)
     assert set(found["devices"]) == {"tip", "wrist", "pads", "hand", "arm", "camera", "depth"}
     for name, health in found["devices"].items():
         assert health["received"] > 5, name
-        assert health["dropped"] == health["skipped_bytes"] == 0, (name, health)
-        if name not in ("camera", "depth"):  # on a busy machine a simulated scene may be drawn too late, and says so
-            assert health["lost"] == 0, (name, health)
-    assert found["devices"]["tip"]["received"] > 2000
     assert check_ledger(file) == []
     capsys.readouterr()
 
-    assert main(["verify", str(file), "--json", "-"]) == 0
+    assert main(["verify", str(file), "--json", "-"]) in WHOLE
     verified = json.loads(capsys.readouterr().out)
     assert verified["ok"]
-    # What each device gave is what the file holds.
+    # What each device gave is what the file holds; how much had to be dropped, a busy machine decides.
     for name, health in found["devices"].items():
-        assert verified["counts"][f"{name}/frames"] == health["received"], name
+        assert verified["counts"][f"{name}/frames"] == health["received"] - health["dropped"], name
+
+
+@pytest.mark.realtime
+def test_doubles_on_an_idle_machine_lose_nothing(tmp_path: Path) -> None:
+    told = tmp_path / "r.json"
+    record = ["record", "lab:bench", "--seconds", "3", "--record", str(tmp_path / "r.rrd"), "--json", str(told)]
+
+    assert main(record) in WHOLE
+    devices = json.loads(told.read_text())["devices"]
+    assert devices["tip"]["received"] > 2000
+    for name, health in devices.items():
+        assert health["dropped"] == health["skipped_bytes"] == health["silent_s"] == 0, (name, health)
+        if name not in ("camera", "depth"):  # a simulated scene may be drawn too late, and says so
+            assert health["lost"] == 0, (name, health)
 
 
 def test_frames_and_bytes_in_the_file_agree(rig: Path, tmp_path: Path) -> None:
     from deformscope_drivers.optoforce.protocol import Decoder, Reading
 
     file = tmp_path / "r.rrd"
-    assert main(["record", str(rig), "--seconds", "1.5", "--record", str(file)]) == 0
+    assert main(["record", str(rig), "--seconds", "1.5", "--record", str(file)]) in WHOLE
     items = list(read_items(file))
     data = b"".join(
         item.data for item in items if isinstance(item, RawBytes) and item.device == "tip" and not item.sent
@@ -120,7 +132,7 @@ def test_frames_and_bytes_in_the_file_agree(rig: Path, tmp_path: Path) -> None:
     readings = [event for event in Decoder().feed(data) if isinstance(event, Reading)]
     frames = [item for item in items if isinstance(item, WrenchFrame)]
 
-    assert len(frames) == len(readings) > 1000
+    assert len(frames) == len(readings) > 100
     assert [tuple(frame.counts) for frame in frames] == [tuple(reading.counts[0]) for reading in readings]
     assert dict([item for item in items if isinstance(item, HealthReport)][-1].devices)["tip"].received == len(frames)
 
@@ -131,9 +143,9 @@ def test_ctrl_c_ends_a_recording_cleanly(rig: Path, tmp_path: Path, started: lis
     time.sleep(1.0)
     process.send_signal(signal.SIGINT)
 
-    assert process.wait(PATIENCE_S) == 0
+    assert process.wait(PATIENCE_S) in WHOLE
     assert check_ledger(tmp_path / "r.rrd") == []
-    assert main(["verify", str(tmp_path / "r.rrd")]) == 0
+    assert main(["verify", str(tmp_path / "r.rrd")]) in WHOLE
 
 
 def test_what_was_written_before_a_kill_is_readable(
@@ -141,14 +153,16 @@ def test_what_was_written_before_a_kill_is_readable(
 ) -> None:
     process = start(started, "record", rig, "--record", "r.rrd", cwd=tmp_path)
     wait_for(process.stderr, "Ctrl-C ends it")
-    time.sleep(3.0)
+    (part,) = tmp_path.glob("*.part.rrd")
+    until, written = time.monotonic() + PATIENCE_S, part.stat().st_size
+    while part.stat().st_size < written + 300_000 and time.monotonic() < until:
+        time.sleep(0.02)
     process.kill()
     process.wait(PATIENCE_S)
-    (part,) = tmp_path.glob("*.part.rrd")
     frames = [item for item in read_items(part) if isinstance(item, WrenchFrame)]
 
     assert not (tmp_path / "r.rrd").exists()
-    assert len(frames) > 1000
+    assert len(frames) > 100
     assert [frame.index for frame in frames] == list(range(len(frames)))
     assert main(["verify", str(part)]) != 0
     assert "cut short" in capsys.readouterr().err
@@ -171,13 +185,13 @@ def test_two_recordings_of_one_device_do_not_mix(
     assert "device optoforce" in said
     assert not list(tmp_path.glob("second*"))
     first.send_signal(signal.SIGINT)
-    assert first.wait(PATIENCE_S) == 0
-    assert main(["verify", str(tmp_path / "first.rrd")]) == 0
+    assert first.wait(PATIENCE_S) in WHOLE
+    assert main(["verify", str(tmp_path / "first.rrd")]) in WHOLE
 
 
 def test_a_flipped_bit_is_found(rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "r.rrd"
-    assert main(["record", str(rig), "--seconds", "1", "--record", str(file)]) == 0
+    assert main(["record", str(rig), "--seconds", "1", "--record", str(file)]) in WHOLE
     content = bytearray(file.read_bytes())
     content[len(content) // 2] ^= 4
     file.write_bytes(content)
@@ -243,12 +257,11 @@ def test_devices_on_a_machine_with_none_helps(
     assert "record lab:bench" in said
 
 
-@pytest.mark.parametrize("command", ["doctor", "record"])
-def test_a_device_without_a_port_is_named(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_device_without_a_port_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(f'[devices.hand]\ndriver = "sdh"\n[record]\nfolder = "{tmp_path}"\n')
 
-    assert main([command, str(path)]) == 2
+    assert main(["record", str(path)]) == 2
     told = capsys.readouterr().err
     assert "expected a port or a bus; got neither" in told
     assert "device hand" in told
@@ -261,11 +274,82 @@ def test_double_wants_to_know_what(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_a_damaged_ledger_is_told(rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recording = tmp_path / "r.rrd"
-    assert main(["record", str(rig), "--seconds", "0.5", "--record", str(recording)]) == 0
+    assert main(["record", str(rig), "--seconds", "0.5", "--record", str(recording)]) in WHOLE
     recording.with_name("r.rrd.ledger").write_text("{")
 
     assert main(["verify", str(recording)]) == 2
     assert "the ledger cannot be read" in capsys.readouterr().err
+
+
+def test_a_device_that_is_gone_is_named_with_what_it_cost(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from deformscope.driver_table import DRIVERS
+    from deformscope.lab.stand_in import wire_of
+    from deformscope.rig_source import RigSource
+
+    file, told = tmp_path / "r.rrd", tmp_path / "r.json"
+    take = RigSource.take
+    with wire_of("optoforce", DRIVERS["optoforce"].config_class()(), "") as wire:
+        (tmp_path / "rig.toml").write_text(f'[devices.tip]\ndriver = "optoforce"\nport = "{wire.port}"\n')
+
+        def take_and_unplug(source: RigSource, wait_s: float) -> list[Item]:
+            items = take(source, wait_s)
+            if sum(isinstance(item, WrenchFrame) for item in items):
+                wire.unplug()
+            return items
+
+        monkeypatch.setattr(RigSource, "take", take_and_unplug)
+        command = ["record", str(tmp_path / "rig.toml"), "--seconds", "1.5", "--record", str(file), "--json", str(told)]
+        assert main(command) == 3
+    said = capsys.readouterr()
+    found = json.loads(told.read_text())
+
+    assert found["losses"]["tip"]["silent_s"] > 0.5
+    assert found["devices"]["tip"]["lost"] > 300
+    assert found["ended"].endswith("as asked for")
+    assert "with losses: tip: " in said.err
+    assert "without any" in said.out
+    assert "got none" in said.out
+    assert read_losses(file) == found["losses"]
+
+    assert main(["verify", str(file), "--json", "-"]) == 3
+    said = capsys.readouterr()
+    verified = json.loads(said.out)
+    assert verified["ok"] is True
+    assert verified["losses"]["tip"] == found["losses"]["tip"]
+    assert "tip: " in said.err
+
+
+def test_a_rig_that_is_ended_early_says_so(
+    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from deformscope.rig_source import RigSource
+
+    file, told = tmp_path / "r.rrd", tmp_path / "r.json"
+    take = RigSource.take
+    ends_by = signal.SIGTERM
+
+    def take_and_end(source: RigSource, wait_s: float) -> list[Item]:
+        items = take(source, wait_s)
+        if any(isinstance(item, WrenchFrame) for item in items):
+            os.kill(os.getpid(), ends_by)
+        return items
+
+    monkeypatch.setattr(RigSource, "take", take_and_end)
+    command = ["record", str(rig), "--overwrite", "--record", str(file), "--json", str(told)]
+    assert main([*command, "--seconds", "60"]) == 128 + signal.SIGTERM
+    ended = json.loads(told.read_text())["ended"]
+    assert ended.startswith("by SIGTERM after")
+    assert ended.endswith("earlier than the 60 s asked for")
+    assert ended in capsys.readouterr().err
+    assert check_ledger(file) == []
+    assert main(["verify", str(file)]) in WHOLE
+    assert "by SIGTERM" in capsys.readouterr().out
+
+    ends_by = signal.SIGINT
+    assert main([*command, "--seconds", "60"]) == 128 + signal.SIGINT
+    assert main(command) in WHOLE, "Ctrl-C is the end of a recording that has no other"
 
 
 def test_a_closed_terminal_ends_a_recording_cleanly(
@@ -276,5 +360,5 @@ def test_a_closed_terminal_ends_a_recording_cleanly(
     wait_for(process.stderr, "Ctrl-C ends it")
     process.send_signal(signal.SIGHUP)
 
-    assert process.wait(PATIENCE_S) == 0
+    assert process.wait(PATIENCE_S) == 128 + signal.SIGHUP
     assert check_ledger(recording) == []

@@ -16,6 +16,13 @@ from deformscope.frames import Frame
 
 Columns = Iterable[rr.ComponentColumn]
 
+AGAIN_NS = 10_000_000_000
+"""What does not change is sent again after this, for viewers that missed it."""
+
+Shown = dict[str, tuple[object, int]]
+"""What a viewer was sent last of a thing that seldom changes, and when on the host's clock [ns]: the scale beside each
+device's picture, the state of each device."""
+
 
 @dataclass(frozen=True, slots=True)
 class Place:
@@ -58,27 +65,38 @@ class Batch:
     def __init__(self, place: Place | None = None) -> None:
         self.bytes = 0
         self._place = place
-        self._calls: list[Callable[[rr.RecordingStream], None]] = []
+        self._calls: list[tuple[str, Callable[[rr.RecordingStream], None]]] = []
 
     def send_columns(self, path: str, times: Sequence[rr.TimeColumn], columns: Columns) -> None:
         """As that of a stream."""
         ready = list(columns)
         when = list(times) if self._place is None else self._place.moved(times)
         self.bytes += sum(column.as_arrow_array().nbytes for column in ready)
-        self._calls.append(lambda rec: rec.send_columns(path, when, ready))
+        self._calls.append((path, lambda rec: rec.send_columns(path, when, ready)))
 
     def log(self, path: str, entity: rr.AsComponents, *, static: bool) -> None:
         """As that of a stream."""
-        self._calls.append(lambda rec: rec.log(path, entity, static=static))
+        self._calls.append((path, lambda rec: rec.log(path, entity, static=static)))
 
-    def send(self, rec: rr.RecordingStream) -> None:
-        """Log all of it."""
-        for call in self._calls:
-            call(rec)
+    def send(self, rec: rr.RecordingStream, visible: Callable[[str], bool] | None = None) -> None:
+        """Log all of it, or the entities that are visible."""
+        for path, call in self._calls:
+            if visible is None or visible(path):
+                call(rec)
 
 
 Sink = rr.RecordingStream | Batch
 """What a twin logs to."""
+
+
+def is_news(shown: Shown | None, device: str, what: object, now_ns: int) -> bool:
+    """Whether what stands beside a device's picture has to be sent: it has changed, or viewers may have missed it."""
+    before, since_ns = (None, 0) if shown is None else shown.get(device, (None, 0))
+    if what == before and now_ns - since_ns < AGAIN_NS:
+        return False
+    if shown is not None:
+        shown[device] = what, now_ns
+    return True
 
 
 def root(kind: str, device: str, *below: str) -> str:

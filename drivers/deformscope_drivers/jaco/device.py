@@ -140,6 +140,7 @@ class Jaco(Device[JacoState]):
         self._not_erased = None  # bringing it up has erased what was left
         self._sweep = Sweep(self._functions, self.chain.joint_count, self.config.state_hz, self._clock)
         self._state = self._sweep.whole()
+        self._expect(self.config.state_hz)
         self._pacer.start(self._clock() + PERIOD_NS)  # the zero point of bringing it up had this slot
         self._refused_in_a_row = 0
         self._crowded = False
@@ -302,9 +303,10 @@ class Jaco(Device[JacoState]):
     def set_velocity(self, velocity: Velocity, valid_for_s: float | None = None) -> None:
         """Move at a velocity from the next slot on, for as long as this call vouches for it. Returns at once.
 
-        velocity: CartesianVelocity or JointVelocity; valid_for_s: after this it ends by itself unless it is set again
-        (default: the configured deadline). Raises OutOfLimits (nothing is sent, what was set before still holds) and
-        MotionStopped where the driver has stopped the arm.
+        velocity: CartesianVelocity, translation in the base frame and rotation in the end effector's, or JointVelocity
+        [deg/s]; valid_for_s: after this it ends by itself unless it is set again (default: the configured deadline).
+        Raises OutOfLimits (nothing is sent, what was set before still holds) and MotionStopped where the driver has
+        stopped the arm.
         """
         self._require_open()
         commands.check_velocity(velocity, self.chain, self.config, self.name)

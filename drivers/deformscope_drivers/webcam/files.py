@@ -96,6 +96,7 @@ class Playback(Device[ColorImage]):
         self._shown = self._shown_this_round = 0
         self._started_ns = self._clock()
         self._clock_fit = ClockFit(1000.0) if self._real_time else None
+        self._expect(self._fps if self._real_time else None)
 
     def _receive(self, timeout_s: float) -> Iterable[ColorImage]:
         if not self._real_time and not self._wanted():
@@ -141,7 +142,10 @@ class VideoFile(Playback):
     def _open_file(self) -> tuple[Iterator[Picture | None], float | None]:
         import cv2
 
-        capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
+        if not self.path.is_file():
+            raise NotConnected("a video", "a folder or a device", 'driver = "image_folder"', self.path)
+        # From the root on: FFmpeg takes a name such as `concat:a|b` for a protocol of its own.
+        capture = cv2.VideoCapture(str(self.path.absolute()), cv2.CAP_FFMPEG)
         if not capture.isOpened():
             capture.release()
             raise NotConnected("a video", "a file that is none, or damaged", f"ffprobe {self.path}", self.path)
