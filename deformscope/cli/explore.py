@@ -63,7 +63,14 @@ def explore_on(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any]
     stop, stop_ns = None, 0
     with (
         until_interrupted() as asked,
-        Recorder(record, viewer, settings, layout="exploration", overwrite=config.output.overwrite) as recorder,
+        Recorder(
+            record,
+            viewer,
+            settings,
+            layout="exploration",
+            overwrite=config.output.overwrite,
+            real_time=bench.runs_itself,
+        ) as recorder,
     ):
         with bench.source() as source, status_line() as show:
             recorder.start_exploration(

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import rerun as rr
+from rerun.chunk import Chunk
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.frames import Frame
@@ -50,31 +51,34 @@ class Place:
 
 
 class Batch:
-    """Calls to rerun that are made ready once, images encoded, and sent to any number of streams.
+    """Rows and settings that are made ready once, images encoded, and sent to any number of streams.
 
     place: of an exploration: where rows stand on its timelines
     """
 
     def __init__(self, place: Place | None = None) -> None:
         self.bytes = 0
+        self.parts: list[Chunk | Callable[[rr.RecordingStream], None]] = []
         self._place = place
-        self._calls: list[Callable[[rr.RecordingStream], None]] = []
 
     def send_columns(self, path: str, times: Sequence[rr.TimeColumn], columns: Columns) -> None:
         """As that of a stream."""
         ready = list(columns)
         when = list(times) if self._place is None else self._place.moved(times)
         self.bytes += sum(column.as_arrow_array().nbytes for column in ready)
-        self._calls.append(lambda rec: rec.send_columns(path, when, ready))
+        self.parts.append(Chunk.from_columns(path, when, ready))
 
     def log(self, path: str, entity: rr.AsComponents, *, static: bool) -> None:
         """As that of a stream."""
-        self._calls.append(lambda rec: rec.log(path, entity, static=static))
+        self.parts.append(lambda rec: rec.log(path, entity, static=static))
 
     def send(self, rec: rr.RecordingStream) -> None:
         """Log all of it."""
-        for call in self._calls:
-            call(rec)
+        for part in self.parts:
+            if isinstance(part, Chunk):
+                rec.send_chunks(part)
+            else:
+                part(rec)
 
 
 Sink = rr.RecordingStream | Batch
