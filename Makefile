@@ -4,8 +4,10 @@
 VENV  := .venv
 PY    := $(VENV)/bin/python
 READY := $(VENV)/.ready
-STEPS := not slow and not hardware
-PYTEST := $(PY) -m pytest -q
+STEPS := not slow and not hardware and not realtime
+PYTEST := $(PY) -m pytest -q -rs
+# As many processes as processors, up to 4 for the memory, each with one thread: else their libraries share no core.
+PARALLEL := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(PYTEST) -n logical --maxprocesses 4 --dist worksteal
 
 # The first interpreter that fits; PYTHON=... names another.
 PYTHONS := $(PYTHON) python3 python3.13 python3.12 python3.11
@@ -15,18 +17,20 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONUNBUFFERED := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup system-libraries demo bench bench-suite test test-slow lint format clean
+.PHONY: help setup system-libraries demo bench bench-suite test test-slow test-cores test-realtime lint format clean
 
 help:
-	@printf '%-17s%s\n' 'make demo' 'measure what is built in, and leave the recording in runs/'
-	@printf '%-17s%s\n' 'make test' 'lints, types and tests (minutes)'
-	@printf '%-17s%s\n' 'make test-slow' 'the tests that take many minutes as well'
-	@printf '%-17s%s\n' 'make bench' 'what MSM costs on this machine, as a table (2 minutes)'
-	@printf '%-17s%s\n' 'make bench-suite' 'the same for comparing commits, with pytest-benchmark'
-	@printf '%-17s%s\n' 'make lint' 'lints and types alone'
-	@printf '%-17s%s\n' 'make format' 'write the house format'
-	@printf '%-17s%s\n' 'make setup' 'the virtual environment alone (the others do this by themselves)'
-	@printf '%-17s%s\n' 'make clean' 'remove what was built; recordings in runs/ stay'
+	@printf '%-20s%s\n' 'make demo' 'measure what is built in, and leave the recording in runs/'
+	@printf '%-20s%s\n' 'make test' 'lints, types and tests (minutes)'
+	@printf '%-20s%s\n' 'make test-slow' 'the tests that take many minutes as well'
+	@printf '%-20s%s\n' 'make test-realtime' 'the tests that watch the host'"'"'s clock (on an idle machine)'
+	@printf '%-20s%s\n' 'make test-cores' 'the numerical tests with two kinds of kernels of the BLAS (minutes)'
+	@printf '%-20s%s\n' 'make bench' 'what MSM costs on this machine, as a table (2 minutes)'
+	@printf '%-20s%s\n' 'make bench-suite' 'the same for comparing commits, with pytest-benchmark'
+	@printf '%-20s%s\n' 'make lint' 'lints and types alone'
+	@printf '%-20s%s\n' 'make format' 'write the house format'
+	@printf '%-20s%s\n' 'make setup' 'the virtual environment alone (the others do this by themselves)'
+	@printf '%-20s%s\n' 'make clean' 'remove what was built; recordings in runs/ stay'
 
 setup: $(READY)
 	@:
@@ -60,10 +64,27 @@ demo: setup
 	@$(PY) -m deformscope demo
 
 test: lint
-	$(PYTEST) -m '$(STEPS)'
+	$(PARALLEL) -m '$(STEPS)'
+
+# What a processor needs for the kernels that OpenBLAS has for a core type.
+CORES := Haswell:avx2 SkylakeX:avx512f
+
+test-cores: setup
+	@for core in $(CORES); do \
+		if grep -qw "$${core#*:}" /proc/cpuinfo; then \
+			echo "OPENBLAS_CORETYPE=$${core%:*}"; \
+			OPENBLAS_CORETYPE=$${core%:*} $(PARALLEL) -m '$(STEPS)' tests/stages || exit 1; \
+		else \
+			echo "OPENBLAS_CORETYPE=$${core%:*}: skipped, the processor has no $${core#*:}"; \
+		fi; \
+	done
 
 test-slow: setup
-	$(PYTEST) -m 'not hardware'
+	$(PARALLEL) -m 'not hardware and not realtime'
+
+# One at a time, on a machine with nothing else to do: they watch the host's clock.
+test-realtime: setup
+	$(PYTEST) -m 'realtime and not hardware'
 
 bench: setup
 	@$(PY) -m deformscope bench

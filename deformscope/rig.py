@@ -8,6 +8,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
+import stat
+import sys
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -17,9 +20,19 @@ from typing import Any
 
 from deformscope.driver_table import DRIVERS, Driver
 from deformscope.errors import InputError
+from deformscope.vendor_library import system_library
+from deformscope_drivers.device import Device
+from deformscope_drivers.errors import DeviceError
 
 LAB_SCHEME = "lab:"
-NAME_HINT = "letters, digits, - and _"
+EXAMPLE = "deformscope doctor --example"
+NAME_HINT = "letters, digits, - and _, 64 at most"
+NAME_CHARACTERS = 64
+FILE_BYTES = 100_000
+"""Of a rig file at most: of a larger one, TOML can be made whose reading takes minutes."""
+PLACE_CHARACTERS = 80
+DEEPEST = 16
+"""Tables and lists within one another; a rig needs half."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,12 +41,25 @@ class RigDevice:
 
     name: as its frames and recordings call it; config: its driver's own configuration
     double: run a simulated device in its place
+    trusted: whether a vendor's library that the configuration names is loaded from wherever it is
     """
 
     name: str
     driver: Driver
     config: Any
     double: bool = False
+    trusted: bool = False
+
+    def make(self) -> Device[Any]:
+        """The real device, closed. Raises InputError where its section does not say enough, as without port and bus, or
+        names a library outside of the system's folders while the rig is not trusted."""
+        config = self.config
+        try:
+            if getattr(config, "library", None) and not self.trusted:
+                config = dataclasses.replace(config, library=str(system_library(config.library_file())))
+            return self.driver.make(config)  # type: ignore[no-any-return]
+        except (DeviceError, InputError) as error:
+            raise InputError.about(error, f"device {self.name}") from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,18 +208,36 @@ class Rig:
     record: Record = field(default_factory=Record)
 
 
-def load_rig(where: str | Path) -> Rig:
-    """Read a rig file, or the simulated rig `lab:NAME`. Raises InputError, which says what is wrong and where."""
+def load_rig(where: str | Path, *, trusted: bool = False) -> Rig:
+    """Read a rig file, or the simulated rig `lab:NAME`. Raises InputError, which says what is wrong and where.
+
+    trusted: vendors' libraries that it names may be loaded from anywhere
+    """
     text = str(where)
     if text.startswith(LAB_SCHEME):
         return parse_rig(_scenario(text.removeprefix(LAB_SCHEME)), text)
-    path = Path(text).expanduser()
     try:
-        content = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        came = (getattr(error, "strerror", None) or "a file that is no text").lower()
-        raise InputError("a rig file (TOML), or lab:NAME", came, "deformscope doctor --example", path) from error
-    return parse_rig(content, text)
+        content = _read_regular(Path(text).expanduser()).decode("utf-8")
+    except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: ~ of a user that there is not
+        came = getattr(error, "strerror", None) or (
+            "a file that is no text" if isinstance(error, UnicodeDecodeError) else _line(error)
+        )
+        raise InputError("a rig file (TOML), or lab:NAME", came.lower(), EXAMPLE, text) from error
+    return parse_rig(content, text, trusted=trusted)
+
+
+def _read_regular(path: Path) -> bytes:
+    """A file's bytes; raises InputError for what has no end, such as a device or a pipe, and for what is too large."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe without a writer would block
+    try:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise InputError("a rig file (TOML), or lab:NAME", "no regular file", EXAMPLE, path)
+        content = os.fdopen(descriptor, "rb", closefd=False).read(FILE_BYTES + 1)
+    finally:
+        os.close(descriptor)
+    if len(content) > FILE_BYTES:
+        raise InputError(f"a rig file of up to {FILE_BYTES // 1000} kB", "a larger one", EXAMPLE, path)
+    return content
 
 
 def scenario_names() -> list[str]:
@@ -202,19 +246,35 @@ def scenario_names() -> list[str]:
     return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
 
 
-def parse_rig(text: str, where: str) -> Rig:
-    """A rig out of a file's text; where: its name, for messages."""
+def parse_rig(text: str, where: str, *, trusted: bool = False) -> Rig:
+    """A rig out of a file's text; where: its name, for messages; trusted: as for `load_rig`."""
     try:
         content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError("a rig file in TOML", str(error), "https://toml.io", where) from error
+    except Exception as error:  # also RecursionError, and ValueError for numbers of thousands of digits
+        raise InputError("a rig file in TOML", _line(error), "https://toml.io", where) from error
     try:
-        return _rig(content, text, where)
+        _check_values(content)
+        return _rig(content, text, where, trusted)
     except InputError as error:
         raise InputError.about(error, where) from error
 
 
-def _rig(content: dict[str, Any], text: str, where: str) -> Rig:
+def _check_values(content: dict[str, Any]) -> None:
+    """Every number is finite, every text printable, and nothing nested so deep that looking at it is a risk itself."""
+    waiting: list[tuple[str, Any, int]] = [("", content, 0)]
+    while waiting:
+        place, value, depth = waiting.pop()
+        if isinstance(value, dict | list):
+            _check(depth < DEEPEST, f"at most {DEEPEST} levels of tables and lists", f"more in {place}")
+            inner = value.items() if isinstance(value, dict) else enumerate(value)
+            waiting += ((f"{place}.{key}"[-PLACE_CHARACTERS:].lstrip("."), one, depth + 1) for key, one in inner)
+        elif isinstance(value, int | float):
+            _check(abs(value) <= sys.float_info.max, f"{place} that is finite", "inf, nan, or a number beyond all use")
+        elif isinstance(value, str):
+            _check(value.isprintable(), f"{place} without control characters", repr(value[:PLACE_CHARACTERS]))
+
+
+def _rig(content: dict[str, Any], text: str, where: str, trusted: bool) -> Rig:
     sections = {"camera": Camera, "tool": Tool, "surface": Surface, "workspace": Workspace, "record": Record}
     _check_keys(content, ("devices", *sections), "the rig file")
     devices = content.get("devices")
@@ -225,7 +285,7 @@ def _rig(content: dict[str, Any], text: str, where: str) -> Rig:
         for name, kind in sections.items()
         if content.get(name) is not None
     }
-    rig = Rig(Path(where).stem, text, tuple(_device(name, told) for name, told in devices.items()), **read)
+    rig = Rig(Path(where).stem, text, tuple(_device(name, told, trusted) for name, told in devices.items()), **read)
     if rig.camera.device and rig.camera.device not in devices:
         raise InputError(f"[camera] device out of {', '.join(devices)}", repr(rig.camera.device))
     if unknown := [name for name in rig.record.lossless if name not in devices]:
@@ -233,9 +293,9 @@ def _rig(content: dict[str, Any], text: str, where: str) -> Rig:
     return rig
 
 
-def _device(name: str, told: object) -> RigDevice:
+def _device(name: str, told: object, trusted: bool) -> RigDevice:
     section = f"[devices.{name}]"
-    if not name.replace("-", "").replace("_", "").isalnum():
+    if len(name) > NAME_CHARACTERS or not name.replace("-", "").replace("_", "").isalnum():
         raise InputError(f"a device's name of {NAME_HINT}", repr(name))
     if not isinstance(told, dict):
         raise InputError(f"a section {section}", type(told).__name__)
@@ -248,7 +308,7 @@ def _device(name: str, told: object) -> RigDevice:
         raise InputError(f"{section} double = true or false", repr(double))
     if double and not driver.doubled:
         raise InputError(f"{section} without double: {driver.name} needs none", "double = true")
-    return RigDevice(name, driver, _read(driver.config_class(), rest, section), double)
+    return RigDevice(name, driver, _read(driver.config_class(), rest, section), double, trusted)
 
 
 def _read(kind: Any, told: object, section: str) -> Any:
@@ -265,8 +325,10 @@ def _read(kind: Any, told: object, section: str) -> Any:
     except InputError as error:
         expected, _, came = str(error).removeprefix("expected ").partition("; got ")
         raise InputError(f"{section} with {expected}", came, "lengths in m, forces in N, speeds in m/s") from error
+    except DeviceError as error:
+        raise InputError.about(error, section) from error
     except Exception as error:  # a driver's own check; its errors are not of one kind
-        raise InputError(f"{section} that its driver accepts", " ".join(str(error).split())) from error
+        raise InputError(f"{section} that its driver accepts", _line(error)) from error
 
 
 def _check_keys(told: Mapping[str, Any], known: Any, section: str) -> None:
@@ -276,6 +338,10 @@ def _check_keys(told: Mapping[str, Any], known: Any, section: str) -> None:
         near = difflib.get_close_matches(unknown[0], known, n=1)
         hint = f"{near[0]}" if near else ", ".join(known)
         raise InputError(f"known keys in {section}", ", ".join(map(repr, unknown)), hint)
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 def _words(error: Exception) -> str:

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import deformscope
+from tests.patience import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {"deformscope": ROOT / "deformscope", "deformscope_drivers": ROOT / "drivers" / "deformscope_drivers"}
@@ -136,7 +137,7 @@ print(sorted(set(heavy) & set(sys.modules)))
     # Not installed, the packages are found where pytest found them.
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     shown = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False, env=environment
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=PATIENCE_S, check=False, env=environment
     )
 
     assert shown.stderr == ""
@@ -160,7 +161,7 @@ print(sorted(set(heavy) & set(sys.modules)))
 """
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     shown = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False, env=environment
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=PATIENCE_S, check=False, env=environment
     )
 
     assert shown.stderr == ""

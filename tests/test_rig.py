@@ -48,7 +48,7 @@ def test_a_misspelt_key_is_an_error_that_names_the_right_one() -> None:
         ("[devices]", "at least one [devices.NAME] section"),
         ("[devices.a]\nport = 'x'", "driver out of dsa, sdh, optoforce"),
         ("[devices.a]\ndriver = 'optofarce'", "'optofarce'"),
-        ('[devices."a b"]\ndriver = "dsa"', "a device's name of letters, digits, - and _; got 'a b'"),
+        ('[devices."a b"]\ndriver = "dsa"', "a device's name of letters, digits, - and _, 64 at most; got 'a b'"),
         (TIP + 'double = "yes"', "double = true or false; got 'yes'"),
         (TIP + 'rate_hz = "fast"', "rate_hz: expected"),
         (TIP + "rate_hz = 500", "500"),

@@ -13,6 +13,7 @@ import pytest
 from deformscope.frames import ColorFrame, Frame
 from deformscope.session import Experiment, Step, run, watching
 from deformscope_drivers.clock import Stamp
+from tests.patience import PATIENCE_S
 
 
 @dataclass
@@ -77,7 +78,7 @@ def test_what_keeps_a_rig_from_being_recorded_is_told_while_it_goes_on() -> None
 
     rig: Any = SimpleNamespace(take=lambda wait_s: [])
     recorder: Any = SimpleNamespace(write_items=fail)
-    until = time.monotonic() + 5.0
+    until = time.monotonic() + PATIENCE_S
     with pytest.raises(OSError, match="disk"), watching(rig, recorder) as go_on:  # noqa: PT012
         while time.monotonic() < until:
             go_on()

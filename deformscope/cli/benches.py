@@ -15,11 +15,11 @@ LAB = "lab:"
 
 
 def bench_of(
-    name: str, options: ExploreOptions, set_force_n: float | None
+    name: str, options: ExploreOptions, set_force_n: float | None, *, trusted: bool
 ) -> tuple[Bench, ExploreOptions, dict[str, Any]]:
     """The bench of `lab:NAME` or of a rig file, closed; how to explore on it; and what is to be told of it.
 
-    set_force_n: None = as the rig file says
+    set_force_n: None = as the rig file says; trusted: as for `deformscope.rig.load_rig`
     """
     if name.startswith(LAB):
         from deformscope.experiments.explore_wired import LabBench
@@ -33,7 +33,7 @@ def bench_of(
     from deformscope.experiments.explore_rig import RigBench, options_of
     from deformscope.rig import load_rig
 
-    rig = load_rig(name)
+    rig = load_rig(name, trusted=trusted)
     options = options_of(rig, options, set_force_n)
     return RigBench(rig, options), options, {"rig": rig.text, "rig_name": rig.name, "scene": rig.surface.scene}
 

@@ -27,7 +27,7 @@ def run(config: ArmConfig) -> None:
 
     quiet_warp()
     options = ExploreOptions(budget=config.touches, beta_model="none", seed=config.seed)
-    bench, options, _ = bench_of(config.rig, options, config.set_force)
+    bench, options, _ = bench_of(config.rig, options, config.set_force, trusted=config.trust_rig)
     xy_m = np.array(config.at) if config.at is not None else 0.5 * np.array(bench.size_m)
     if not ((xy_m > 0.0) & (xy_m < bench.size_m)).all():
         width, height = bench.size_m

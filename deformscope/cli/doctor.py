@@ -8,23 +8,26 @@ from __future__ import annotations
 
 import shutil
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from deformscope.cli.common import say, write_json
-from deformscope.cli.rigs import members_of
+from deformscope.cli.rigs import member_of
 from deformscope.config import DoctorConfig
 from deformscope.errors import InputError
 
 if TYPE_CHECKING:
-    from deformscope.rig import Rig
-    from deformscope.rig_source import RigMember
+    from deformscope.rig import Rig, RigDevice
     from deformscope_drivers.health import Health
 
 FREE_BYTES_WANTED = 5 << 30
-RATE_SHARE = 0.8
+FIRST_READING_S = 10.0
+"""A camera, or a double on a busy machine, may take seconds to begin."""
+TRY = "deformscope devices lists what is plugged in; double = true runs a simulated one in its place"
 Verdict = Literal["ok", "look", "FAIL"]
 
 
@@ -48,17 +51,32 @@ def run(config: DoctorConfig) -> None:
     if config.example:
         print((resources.files("deformscope") / "lab" / "rig-example.toml").read_text(encoding="utf-8"), end="")
         return
-    rig = load_rig(config.rig)
-    findings = [Finding("rig file", "ok", f"{len(rig.devices)} devices"), *_sections(rig), *_exploring(rig), _disk(rig)]
-    with members_of(rig) as members:
-        for member in members:
-            say(f"listening to {member.name}")
-            findings += _device(member, config.seconds)
+    rig = load_rig(config.rig, trusted=config.trust_rig)
+    findings = [Finding("rig file", "ok", f"{len(rig.devices)} devices"), *_sections(rig)]
+    findings += _found("explore", lambda: _exploring(rig))
+    findings += _found("disk", lambda: [_disk(rig)])
+    for entry in rig.devices:
+        say(f"listening to {entry.name}")
+        name = f"{entry.name} ({entry.driver.name}{', double' if entry.double else ''})"
+        findings += _found(name, partial(_device, entry, name, config.seconds))
     width = max(len(finding.what) for finding in findings)
     print("\n".join(f"{f.verdict:<5} {f.what:<{width}}  {f.told}" for f in findings), flush=True)
     write_json({"rig": config.rig, "findings": findings}, config.json)
     if failed := [finding.what for finding in findings if finding.verdict == "FAIL"]:
         raise Unfit("a rig that works", f"trouble with {', '.join(failed)}", "what stands behind FAIL", config.rig)
+
+
+def _found(what: str, look: Callable[[], list[Finding]]) -> list[Finding]:
+    """What a look finds; whatever is raised in it is a finding too, and hides none of the others."""
+    from deformscope_drivers.errors import DeviceError
+
+    try:
+        return look()
+    except (InputError, DeviceError, OSError) as error:
+        words = " ".join(str(error).split())
+    except Exception as error:
+        words = f"unexpected {type(error).__name__}: {' '.join(str(error).split())}"
+    return [Finding(what, "FAIL", words if "| try: " in words else f"{words} | try: {TRY}")]
 
 
 def _sections(rig: Rig) -> list[Finding]:
@@ -114,19 +132,13 @@ def _disk(rig: Rig) -> Finding:
     return Finding("disk", verdict, f"{free / 1e9:.1f} GB free for {rig.record.folder}")
 
 
-def _device(member: RigMember, seconds: float) -> list[Finding]:
+def _device(entry: RigDevice, name: str, seconds: float) -> list[Finding]:
     """Open one device and listen to it."""
-    from deformscope_drivers.errors import DeviceError
-
-    name = f"{member.name} ({member.driver.name}{', double' if member.simulated else ''})"
-    try:
-        with member.device as device:
-            told = device.identity()
-            device.next(max(seconds, 1.0))
-            time.sleep(seconds)
-            health = device.health()
-    except (DeviceError, OSError) as error:
-        return [Finding(name, "FAIL", " ".join(str(error).split()))]
+    with member_of(entry) as member, member.device as device:
+        told = device.identity()
+        device.next(max(seconds, FIRST_READING_S))
+        time.sleep(seconds)
+        health = device.health()
     who = " ".join(part for part in (told.model, told.serial, told.firmware) if part)
     findings = [Finding(name, "ok", f"{health.rate_hz:.4g} readings a second{', ' + who if who else ''}")]
     return findings + [Finding(name, "look", told) for told in _doubts(health)]

@@ -7,7 +7,6 @@ deformscope double lab:bench
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -41,7 +40,7 @@ def run(config: DoubleConfig) -> None:
 @contextlib.contextmanager
 def _wires(what: tuple[str, ...]) -> Iterator[list[tuple[str, str, Wire]]]:
     from deformscope.driver_table import DRIVERS
-    from deformscope.lab.stand_in import WIRED, config_bus, wire_of
+    from deformscope.lab.stand_in import WIRED, wire_of
 
     with contextlib.ExitStack() as stack:
         running: list[tuple[str, str, Wire]] = []
@@ -50,9 +49,8 @@ def _wires(what: tuple[str, ...]) -> Iterator[list[tuple[str, str, Wire]]]:
                 known = ", ".join(WIRED)
                 raise InputError(f"drivers that speak bytes: {known}; a rig file; or lab:NAME", repr(driver))
             config = settings if settings is not None else DRIVERS[driver].config_class()()
-            if config_bus(config).startswith("virtual:"):  # within one process alone
-                config = dataclasses.replace(config, bus=f"{SHARED_BUS}?port={FIRST_PORT + len(running)}")
-            running.append((name, driver, stack.enter_context(wire_of(driver, config))))
+            bus = f"{SHARED_BUS}?port={FIRST_PORT + len(running)}"
+            running.append((name, driver, stack.enter_context(wire_of(driver, config, bus))))
         yield running
 
 
@@ -69,5 +67,10 @@ def _wanted(what: tuple[str, ...]) -> list[tuple[str, str, Any]]:
             wanted.append((word if not number else f"{word}-{number + 1}", word, None))
         else:
             rig = load_rig(word)
-            wanted += [(d.name, d.driver.name, d.config) for d in rig.devices if d.driver.name in WIRED]
+            wired = [d for d in rig.devices if d.driver.name in WIRED]
+            if others := [d.name for d in rig.devices if d not in wired]:
+                say(f"{', '.join(others)}: doubled only within a command, by double = true in the rig file")
+            if not wired:
+                raise InputError(f"a rig with devices of {', '.join(WIRED)}", "none", where=word)
+            wanted += [(d.name, d.driver.name, d.config) for d in wired]
     return wanted

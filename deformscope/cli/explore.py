@@ -54,7 +54,7 @@ def explore_on(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any]
     from deformscope.session import watching
 
     faults = [FaultAt.parse(text, options.budget) for text in config.fault]
-    bench, options, told = bench_of(config.rig, options, config.set_force)
+    bench, options, told = bench_of(config.rig, options, config.set_force, trusted=config.trust_rig)
     to_come = FaultsToCome(lab_of(bench), faults, options.seed) if faults else None
     settings = {"explore": dataclasses.asdict(options), "seed": options.seed, "simulated": bench.simulated, **told}
     settings |= {"size_m": list(bench.size_m), "arm": dataclasses.asdict(bench.arm)}

@@ -49,7 +49,7 @@ def _run(config: RigRunOptions, *, always_record: bool) -> None:
     from deformscope.rig_source import RigSource
     from deformscope.session import watch
 
-    rig = load_rig(config.rig)
+    rig = load_rig(config.rig, trusted=config.trust_rig)
     file = config.output.record
     if file is None and always_record:
         file = _new_file(rig)

@@ -10,32 +10,31 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 from deformscope.cli.common import say
-from deformscope.errors import InputError
 
 if TYPE_CHECKING:
-    from deformscope.rig import Rig
+    from deformscope.rig import Rig, RigDevice
     from deformscope.rig_source import RigMember
 
 
 @contextlib.contextmanager
 def members_of(rig: Rig) -> Iterator[tuple[RigMember, ...]]:
     """The rig's devices, closed; doubles run for those that the rig wants doubled, until the end of the context."""
+    with contextlib.ExitStack() as stack:
+        yield tuple([stack.enter_context(member_of(entry)) for entry in rig.devices])
+
+
+@contextlib.contextmanager
+def member_of(entry: RigDevice) -> Iterator[RigMember]:
+    """One device of a rig, closed; its double, where the rig wants one, runs until the end of the context.
+
+    Raises InputError where there is none to be made.
+    """
     from deformscope.lab.stand_in import stand_in
     from deformscope.rig_source import RigMember
-    from deformscope_drivers.errors import DeviceError
 
-    with contextlib.ExitStack() as stack:
-        members = []
-        for entry in rig.devices:
-            try:
-                if entry.double:
-                    device = stack.enter_context(stand_in(entry.driver.name, entry.config))
-                else:
-                    device = entry.driver.make(entry.config)
-            except DeviceError as error:  # as where neither port nor bus is named
-                raise InputError.about(error, f"device {entry.name}") from error
-            members.append(RigMember(entry.name, entry.driver, device, simulated=entry.double))
-        yield tuple(members)
+    stands_in = stand_in(entry.driver.name, entry.config) if entry.double else contextlib.nullcontext(entry.make())
+    with stands_in as device:
+        yield RigMember(entry.name, entry.driver, device, simulated=entry.double)
 
 
 class Interruption(threading.Event):

@@ -203,5 +203,12 @@ ShareFlag = Annotated[float | None, one_word("NUMBER", float), unset]
 PokesFlag = Annotated[tuple[PokeText, ...], one_word("POKE", lambda text: parse_pokes(text), joined("; "))]
 PictureFlag = Annotated[Path | None, one_word("FILE.png", Path), unset]
 ReportFlag = Annotated[Path | None, one_word("FILE.html", Path), unset]
+TrustFlag = Annotated[
+    bool,
+    arg(
+        help="Load the vendors' libraries that RIG names from wherever they are; without it, from the system's folders "
+        "alone. They run as you do."
+    ),
+]
 JsonFlag = Annotated[str | None, one_word("FILE|-", str), unset]
 Sources = Annotated[tuple[str, ...], Positional, arg(metavar="SOURCE...", help_behavior_hint="")]

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from deformscope.config.flags import JsonFlag, PictureFlag, PositiveFlag, finite, one_word, positive, unset
+from deformscope.config.flags import JsonFlag, PictureFlag, PositiveFlag, TrustFlag, finite, one_word, positive, unset
 from deformscope.config.options import (
     CommandOptions,
     JsonOptions,
@@ -45,6 +45,7 @@ class DoctorConfig(JsonOptions):
     """Print a rig file to start from, and do nothing else."""
     seconds: Annotated[float, one_word("NUMBER", positive)] = 2.0
     """How long every device is listened to [s]."""
+    trust_rig: TrustFlag = False
     json: JsonFlag = None
     """Write what was found as JSON; with -, stdout is the JSON alone."""
 
@@ -66,6 +67,7 @@ class RigRunOptions(RecordedOptions):
     """How long [s]; default: until Ctrl-C."""
     label: str = ""
     """What is being recorded, in your words; kept in the recording."""
+    trust_rig: TrustFlag = False
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def reads(self) -> tuple[str, ...]:
@@ -140,6 +142,7 @@ class ExploreConfig(RecordedOptions):
     """Write the maps as arrays: stiffness [N/mm], its deviation (of its log), regions, their probability, beta."""
     yes: bool = False
     """Let a real arm move, once the checks have passed, without asking."""
+    trust_rig: TrustFlag = False
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def __post_init__(self) -> None:
@@ -184,6 +187,7 @@ class ArmConfig(JsonOptions):
     target_force_n."""
     yes: bool = False
     """Let a real arm move, once the checks have passed, without asking."""
+    trust_rig: TrustFlag = False
     seed: int = 0
     """Seed of a simulated scene."""
     json: JsonFlag = None

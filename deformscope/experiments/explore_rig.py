@@ -111,7 +111,7 @@ class RigBench:
                 elif entry.double:
                     device = stack.enter_context(stand_in(entry.driver.name, entry.config))
                 else:
-                    device = _made(entry)
+                    device = entry.make()
                 members.append(RigMember(entry.name, entry.driver, device, simulated=entry.double))
             self._devices = {member.name: member.device for member in members}
             with RigSource(members, raw=self.rig.record.raw) as source:
@@ -200,14 +200,6 @@ def options_of(rig: Rig, options: ExploreOptions, set_force_n: float | None) -> 
         tip_radius_m=rig.tool.radius_m,
         thickness_m=rig.surface.thickness_m,
     )
-
-
-def _made(entry: RigDevice) -> Device[Any]:
-    """A real device, closed. Raises InputError where its section does not say enough, as without port and bus."""
-    try:
-        return entry.driver.make(entry.config)  # type: ignore[no-any-return]
-    except DeviceError as error:
-        raise InputError.about(error, f"device {entry.name}") from error
 
 
 def _check_rates(rig: Rig, roles: Mapping[str, RigDevice]) -> None:

@@ -33,7 +33,7 @@ from deformscope.lab.touch_lab import T_BASE_SURFACE, TouchLab
 from deformscope.rig import Tool, Workspace
 from deformscope.rig_source import RigMember, RigSource
 from deformscope.robot.advice import advice
-from deformscope.robot.placement import Placement, best_joints, reach
+from deformscope.robot.placement import Placement, best_joints, follow
 from deformscope.robot.preflight import Preflight, check
 from deformscope.robot.readings import Observation
 from deformscope.robot.robot import Robot, RobotStopped
@@ -64,7 +64,7 @@ SOFT_STOP_SHARE = 0.75
 PREFLIGHT_CELL_M = 0.02
 COARSE_M = 0.03
 """Reach is asked at places so far apart, and taken for the cells around."""
-LEAST_SINGULAR = 0.02
+UPRIGHT = np.array([0.0, 0.0, 1.0])
 LOOKS = 3
 LOOK_PERIODS = 1000
 CAMERA_HZ = 10.0
@@ -161,8 +161,7 @@ class TouchingRobot:
         """
         corners = self._corners() if places_m is None else list(places_m)
         height_m = self._options.thickness_m
-        up = np.array([0.0, 0.0, 1.0])
-        plans = [self._plan(corner, height_m, up, None) for corner in corners]
+        plans = [self._plan(corner, height_m, UPRIGHT, None) for corner in corners]
         with self._telling():
             found = check(self._robot, plans, calibrated=calibrated)
         self._robot.rest()
@@ -193,19 +192,26 @@ class TouchingRobot:
         self._robot.let_move(preflight)
 
     def reachable(self, grid: MapGrid) -> BoolArray:
-        """Cells that the tip reaches with the stick upright, all but a margin at the border."""
+        """Cells that the tip can be led down to with the stick upright, as deep as a touch goes, all but a margin at
+        the border."""
         rows, columns = grid.shape
         every = max(1, round(COARSE_M / grid.cell_m))
         row, column = np.arange(0, rows, every), np.arange(0, columns, every)
         x, y = np.meshgrid((column + 0.5) * grid.cell_m, (row + 0.5) * grid.cell_m)
-        height = self._options.thickness_m + self._robot.placement.center_offset_m
-        centers = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, height)])
-        found = reach(self._robot.arm.chain, self._robot.placement, centers)
-        good = (found.reached & (found.least_singular > LEAST_SINGULAR)).reshape(x.shape)
+        height_m = self._options.thickness_m
+        plans = [self._plan(np.array(xy), height_m, UPRIGHT, None) for xy in zip(x.flat, y.flat, strict=True)]
+        good = np.array([self._leads(plan) for plan in plans]).reshape(x.shape)
         inside = np.repeat(np.repeat(good, every, 0), every, 1)[:rows, :columns]
         places = grid.centres_m
         within = ((places > BORDER_M) & (places < np.asarray(self.size_m) - BORDER_M)).all(axis=1).reshape(grid.shape)
         return np.asarray(inside & within)
+
+    def _leads(self, plan: TouchPlan) -> bool:
+        """Whether the arm can be led straight down from above, as deep as a touch goes at most."""
+        robot = self._robot
+        down_m = plan.places_m(robot.placement.center_offset_m)[1:]
+        start_deg = robot.pose.joints_deg
+        return bool(follow(robot.arm.chain, robot.placement, down_m, plan.normal, start_deg=start_deg).all())
 
     def look(self) -> Looked:
         """The surface from the newest pictures, without the robot."""
@@ -219,8 +225,11 @@ class TouchingRobot:
         return Looked(np.concatenate([c.points_m for c in clouds]), np.concatenate([c.noise_m for c in clouds]))
 
     def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> Touched:
-        """Go there, touch along the normal, look at the dent, come back. Raises ExplorationStopped."""
+        """Go there, touch along the normal, or upright where the arm cannot be led along it, look at the dent, come
+        back. Raises ExplorationStopped."""
         plan = self._plan(xy_m, height_m, normal, over_m)
+        if not self._leads(plan):  # joint limits and singularities depend on the tilt
+            plan = self._plan(xy_m, height_m, UPRIGHT, over_m)
         self._robot.start()  # nobody looked while the plan was made
         dents: list[tuple[DepthImage, tuple[Capsule, ...]]] = []
 
@@ -422,7 +431,6 @@ class LabBench:
         self.placement = Placement(T_base_surface, self.tool)
         parked = np.array([scene.size_m[0] / 2, scene.size_m[1] / 2, highest_m(options)])
         touching = np.array([*parked[:2], scene.thickness_m])
-        up = np.array([0.0, 0.0, 1.0])
         self.lab = TouchLab(
             self,
             self.clock,
@@ -431,7 +439,7 @@ class LabBench:
             arm_stiffness_n_m=ARM_N_PER_M,
             view=self._see,
             camera_config=SyntheticDepthConfig(rate_hz=CAMERA_HZ, missing=0.02, seed=options.seed),
-            start_deg=best_joints(J2N6S300, [self.placement.T_base_ee(place, up) for place in (parked, touching)]),
+            start_deg=best_joints(J2N6S300, [self.placement.T_base_ee(place, UPRIGHT) for place in (parked, touching)]),
             seed=options.seed,
         )
         self._options = options

@@ -49,11 +49,12 @@ def poke_files(
         pokes,
         spacing=layers.spacing_m,
         cluster_sizes=None if layers.cluster_size is None else [layers.cluster_size],
+        beta_range=fit.bounds,
         theta=layers.theta,
         device=fit.model.device,
         progress=progress,
     )
-    told = conclude(found, bounds=fit.bounds, level=fit.level, settings={"pairs": len(seen)}, provenance=provenance)
+    told = conclude(found, level=fit.level, settings={"pairs": len(seen)}, provenance=provenance)
     for index, comparison in enumerate(told.comparisons):
         yield Step((comparison,), frame=int(np.asarray(found.shaped)[index]))
     yield Step((told.estimate,), frame=len(seen) - 1)

@@ -103,7 +103,7 @@ def study(plan: Plan, *, device: str = "cpu", progress: Progress | None = None) 
     fitted, unseen = seen[: len(plan.fitted)], seen[len(plan.fitted) :]
     surface = Surface(fitted[0].rest, plan.slab.size[2])
     fit = fit_pokes(surface, [seen_poke(one) for one in fitted], device=device, progress=progress)
-    found = conclude(fit, bounds=(0.0, 0.99), level=0.9, settings={}, provenance={"slab": plan.name})
+    found = conclude(fit, level=0.9, settings={}, provenance={"slab": plan.name})
     return Studied(plan, found, tuple(compare(found.model, unseen, device=device, progress=progress)))
 
 

@@ -28,6 +28,7 @@ class Injected(StrEnum):
     ARM_CABLE = "arm's cable out"
     ARM_SILENT = "arm refuses to answer"
     ARM_INVALID = "arm's pose not a number"
+    ARM_TURNS = "arm turns by itself as it moves"
     CAMERA_SILENT = "camera silent"
     CAMERA_FROZEN = "camera frozen"
     CAMERA_CABLE = "camera's cable out"
@@ -48,7 +49,7 @@ FORCE, ARM, CAMERA = (
         Injected.SPIKE,
         Injected.PUSH,
     ),
-    (Injected.ARM_CABLE, Injected.ARM_SILENT, Injected.ARM_INVALID),
+    (Injected.ARM_CABLE, Injected.ARM_SILENT, Injected.ARM_INVALID, Injected.ARM_TURNS),
     (Injected.CAMERA_SILENT, Injected.CAMERA_FROZEN, Injected.CAMERA_CABLE),
 )
 
@@ -82,6 +83,9 @@ def inject(lab: TouchLab, injected: Injected, random: np.random.Generator) -> No
             lab.arm_double.inject("GetAngularPosition", 2005, times=10_000)
         case Injected.ARM_INVALID:
             lab.functions.invalid = True
+        case Injected.ARM_TURNS:
+            axis = random.normal(size=3)
+            lab.functions.turning_rad_s = np.radians(random.uniform(20.0, 35.0)) * axis / np.linalg.norm(axis)
         case Injected.CAMERA_SILENT:
             lab.camera.stop()
         case Injected.CAMERA_FROZEN:

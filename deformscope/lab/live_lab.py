@@ -132,7 +132,7 @@ class LiveLab:
         if entry.driver.name == "optoforce":
             sensitivity = (config.sensitivities or (OMD_20_SE_40N,))[0]
             pipe = stack.enter_context(self._process(_feel, sensitivity))
-            told = dataclasses.replace(config, port=_first(pipe), sensitivity=sensitivity)
+            told = dataclasses.replace(config, port=_first(pipe), bus="", serial="", sensitivity=sensitivity)
             return entry.driver.make(told)  # type: ignore[no-any-return]
         rate_hz = float(config.fps or PICTURES_HZ)
         pipe = stack.enter_context(self._process(_look, rate_hz))

@@ -4,38 +4,44 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import itertools
 from collections.abc import Callable, Iterator
 from typing import Any
 
 from deformscope.driver_table import DRIVERS
+from deformscope_drivers.clock import monotonic_ns
 from deformscope_drivers.device import Device
 from deformscope_drivers.doubles import Double
 from deformscope_drivers.wires import CanWire, PtyWire, TcpWire, Wire
+
+_numbers = itertools.count(1)
 
 
 @contextlib.contextmanager
 def stand_in(driver: str, config: Any) -> Iterator[Device[Any]]:
     """A device of this driver, closed, that a running double is behind; it runs until the end of the context.
 
-    config: as for the real device; its port is replaced, its bus is kept and shared with the double
+    config: as for the real device; wherever it says that the device is, the double is reached in a like way, and no
+    hardware or CAN of the kernel's is needed
     """
     if driver in WIRED:
-        with wire_of(driver, config) as wire:
-            told = config if config_bus(config) else dataclasses.replace(config, port=wire.port)
-            yield DRIVERS[driver].make(told)
+        with wire_of(driver, config, f"virtual:double-{next(_numbers)}") as wire:
+            yield DRIVERS[driver].make(reaching(config, wire))
     else:
-        with _IN_PROCESS[driver](config) as device:
+        with _IN_PROCESS[driver](_of_any_serial(config)) as device:
             yield device
 
 
 @contextlib.contextmanager
-def wire_of(driver: str, config: Any) -> Iterator[Wire]:
+def wire_of(driver: str, config: Any, bus: str) -> Iterator[Wire]:
     """A running double of a byte-stream device, behind a CAN bus where the configuration names one, a socket where it
-    names one, else a pseudo terminal."""
+    names one, else a pseudo terminal.
+
+    bus: what stands in for the CAN bus that the configuration names
+    """
     double = WIRED[driver](config)
-    bus = config_bus(config)
     wire: Wire
-    if bus:
+    if config_bus(config):
         wire = CanWire(double, bus, receive_id=config.receive_id, send_id=config.send_id, bitrate=config.bitrate)
     elif config.port.startswith("socket:"):
         wire = TcpWire(double)
@@ -43,6 +49,19 @@ def wire_of(driver: str, config: Any) -> Iterator[Wire]:
         wire = PtyWire(double)
     with wire:
         yield wire
+
+
+def reaching(config: Any, wire: Wire) -> Any:
+    """The configuration, for the double at the other end of a wire."""
+    ways = {"port": wire.port}
+    if hasattr(config, "bus"):
+        ways = {"port": "", "bus": wire.port} if wire.is_bus else {"port": wire.port, "bus": ""}
+    return dataclasses.replace(_of_any_serial(config), **ways)
+
+
+def _of_any_serial(config: Any) -> Any:
+    """The configuration, for a device with whatever serial number: a double has its own."""
+    return dataclasses.replace(config, serial=type(config)().serial) if hasattr(config, "serial") else config
 
 
 def config_bus(config: Any) -> str:
@@ -54,12 +73,21 @@ def config_bus(config: Any) -> str:
 
 
 def _optoforce(config: Any) -> Double:
-    """A sensor on a stick that presses foam now and then. It is as sensitive as the rig file says."""
-    from deformscope.lab.bench_scene import loads
+    """Sensors on a stick that presses foam now and then, as many and as sensitive as the rig file says. They begin at
+    rest, so that they can be zeroed when they are opened."""
+    from deformscope.lab.bench_scene import PRESS_S, loads
     from deformscope_drivers.optoforce.double import OMD_20_SE_40N, OptoforceDouble, Sensors
+    from deformscope_drivers.optoforce.protocol import Kind
 
     sensitivities = config.sensitivities or (OMD_20_SE_40N,)
-    return OptoforceDouble(Sensors(scene=loads, sensitivity=sensitivities[0]))
+    axes = sensitivities[0].axes
+    kind = Kind.FOUR_CHANNEL if len(sensitivities) > 1 else Kind.SIX_AXIS if axes == 6 else Kind.THREE_AXIS
+    pressed_s = monotonic_ns() / 1e9 - PRESS_S
+
+    def scene(time_s: float) -> tuple[float, ...]:
+        return (*loads(time_s - pressed_s), *(0.0,) * (axes - 3))
+
+    return OptoforceDouble(Sensors(kind, scene, sensitivities))
 
 
 def _dsa(config: Any) -> Double:

@@ -24,7 +24,8 @@ from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig, Vie
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.jaco import Jaco, JacoConfig, JacoDouble
-from deformscope_drivers.jaco.kinematics import CHAINS, FloatArray, transform
+from deformscope_drivers.jaco.kinematics import CHAINS, FloatArray, damped_joint_rates, jacobian_of, transform
+from deformscope_drivers.jaco.structures import AngularInfo, PositionType, actuator_values
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.optoforce import Optoforce, OptoforceConfig
 from deformscope_drivers.optoforce.double import OMD_20_SE_40N, OptoforceDouble, Sensors
@@ -56,6 +57,7 @@ class TouchLab:
         arm_stiffness_n_m: float = ARM_STIFFNESS_N_M,
         view: Callable[[float], View] | None = None,
         camera_config: SyntheticDepthConfig | None = None,
+        arm_model: str = "j2n6s300",
         arm_config: JacoConfig | None = None,
         force_config: OptoforceConfig | None = None,
         start_deg: npt.ArrayLike | None = None,
@@ -63,7 +65,7 @@ class TouchLab:
     ) -> None:
         """arm_stiffness_n_m: of the arm against a push, which its joints' sensors do not see (inf = rigid)
 
-        start_deg: (6,) where the arm stands; default: ready above the middle of the table
+        start_deg: (n,) where the arm stands; default: the six-joint arm ready above the middle of the table
 
         view: what the camera sees at a time since its opening [s]; None = no camera
         """
@@ -73,11 +75,11 @@ class TouchLab:
             start_deg = (
                 CHAINS["j2n6s300"].inverse(self.placement.T_base_ee(READY_M, (0, 0, 1)), READY_NEAR_DEG).joints_deg
             )
-        self.arm_double = JacoDouble(clock=self.clock, start_deg=start_deg)
+        self.arm_double = JacoDouble(arm_model, self.clock, start_deg=start_deg)
         self.contact = ArmContact(
             world, self.arm_double, self.placement, self.clock, arm_stiffness_n_m=arm_stiffness_n_m
         )
-        self.functions = Spoiled(self.arm_double)
+        self.functions = Spoiled(self.arm_double, self.placement.T_ee_center)
         sensors = Sensors(scene=self.contact.load, sensitivity=OMD_20_SE_40N, seed=seed)
         self.sensor_double = OptoforceDouble(sensors)
         self.wire = SpoiledWire(self.sensor_double, self.clock, seed)
@@ -198,16 +200,20 @@ class SpoiledWire(MemoryTransport):
 
 
 class Spoiled:
-    """The vendor's functions, whose answers can be spoiled.
+    """The vendor's functions, whose answers and orders can be spoiled.
 
     invalid: poses and joint angles are not numbers; frozen: every reading is the one before
+    turning_rad_s: (3,) the arm turns its end by this beside what each point of joint rates asks, about the tip's
+    centre, in the base frame
     """
 
-    def __init__(self, arm: JacoDouble) -> None:
+    def __init__(self, arm: JacoDouble, T_ee_center: FloatArray) -> None:
+        """T_ee_center: (4, 4) the tip's centre in the frame of the arm's end [m]"""
         self.where = arm.where
         self.invalid = False
         self.frozen = False
-        self._arm = arm
+        self.turning_rad_s: FloatArray = np.zeros(3)
+        self._arm, self._T_ee_center = arm, T_ee_center
         self._last: dict[str, bytes] = {}
 
     def function(self, name: str) -> Callable[..., int]:
@@ -215,12 +221,25 @@ class Spoiled:
         asked = self._arm.function(name)
 
         def called(*arguments: Any) -> int:
+            if name == "SendBasicTrajectory" and np.any(self.turning_rad_s):
+                self._turn(_structure(arguments[0]))
             code = asked(*arguments)
             if name in ("GetAngularPosition", "GetCartesianPosition") and arguments:
                 self._spoil(name, _structure(arguments[0]))
             return code
 
         return called
+
+    def _turn(self, point: Any) -> None:
+        """Joint rates of a point, with those that turn the arm's end besides."""
+        rates_deg_s = actuator_values(point.Position.Actuators, self._arm.chain.joint_count)
+        if point.Position.Type != PositionType.ANGULAR_VELOCITY or not any(rates_deg_s):
+            return
+        links = self._arm.chain.forward(self._arm.joints_deg)
+        lever_m = links[-1, :3, :3] @ self._T_ee_center[:3, 3]
+        twist = np.concatenate([-np.cross(self.turning_rad_s, lever_m), self.turning_rad_s])
+        more_deg_s = np.degrees(damped_joint_rates(jacobian_of(links), twist))
+        point.Position.Actuators = AngularInfo(*(np.array(rates_deg_s) + more_deg_s))
 
     def _spoil(self, name: str, answer: ctypes.Structure) -> None:
         size = ctypes.sizeof(answer)

@@ -8,6 +8,7 @@ from deformscope.robot.touch import Ending
 _SENSOR = "the force sensor's cable and supply: deformscope doctor RIG listens to it"
 _ARM = "the arm's cable, supply and joystick's red light; move it away by the joystick"
 _CAMERA = "the camera's cable, and that no other program uses it"
+_STANDS = "where arm and surface stand to one another, and the pose that the arm begins in"
 _PLACE = "workspace, rig file and what lies on the table"
 
 ADVICE: dict[Fault | Ending, str] = {
@@ -23,6 +24,10 @@ ADVICE: dict[Fault | Ending, str] = {
     Fault.ARM_INVALID: _ARM,
     Fault.ARM_FIFO: "what else commands the arm, and how busy this computer is",
     Fault.ARM_SPEED: "what moved the arm: a push, or another program",
+    Fault.ARM_TURN: "what turned the arm: a push, or another program",
+    Fault.TILT: "what turned the tool: a push, a loose mount, another program, or an arm of another model",
+    Fault.JOINT_LIMIT: f"{_STANDS}: a joint is near the end of its range; move it away by the joystick",
+    Fault.SINGULAR: f"{_STANDS}: stretched out or folded it cannot follow a straight way; bend it by the joystick",
     Fault.WORKSPACE: _PLACE,
     Fault.CAMERA_SILENT: _CAMERA,
     Fault.CAMERA_FROZEN: _CAMERA,

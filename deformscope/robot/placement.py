@@ -10,18 +10,30 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from deformscope.errors import InputError
 from deformscope.rig import Tool
-from deformscope_drivers.jaco.kinematics import Chain, FloatArray, jacobian_of
+from deformscope.robot.motion import DAMPED_BELOW, OFF_COURSE, off_course
+from deformscope_drivers.jaco.kinematics import (
+    Chain,
+    FloatArray,
+    damped_joint_rates,
+    jacobian_of,
+    least_singular,
+    pose_error,
+)
 
 TURNED_RAD = 0.7
 """An arm whose end is turned further than this from where it should be goes there joint by joint, in another of its
 configurations if that is better."""
+PLAN_MARGIN_DEG = 8.0
+"""Planned poses have every joint so far inside its range: there it may still turn at a third of its greatest rate
+towards the limit (`motion.SLOW_DEG`)."""
+WAY_M = 0.01
 
 
 @dataclass(frozen=True)
@@ -104,8 +116,8 @@ class Placement:
 class Reach:
     """Whether the arm reaches places.
 
-    reached: (n,) inverse kinematics converged there; least_singular: (n,) smallest singular value of the Jacobian, 0
-    where not reached: below about 0.02 the arm cannot follow a Cartesian velocity
+    reached: (n,) inverse kinematics converged there, every joint PLAN_MARGIN_DEG inside its range; least_singular: (n,)
+    smallest singular value of the Jacobian, 0 where not reached
     """
 
     reached: npt.NDArray[np.bool_]
@@ -126,44 +138,108 @@ def reach(
     start_deg: (m,) joint angles that the search begins with for each place: where the arm comes from (default: home)
     """
     directions = np.broadcast_to(np.asarray(normals, dtype=float), (len(centers_m), 3))
-    reached = np.zeros(len(centers_m), bool)
-    least = np.zeros(len(centers_m))
     joints = chain.home_deg if start_deg is None else np.asarray(start_deg, dtype=float)
+    least: list[float | None] = []
+    for center_m, normal in zip(centers_m, directions, strict=True):
+        found = _joints_there(chain, placement.T_base_ee(center_m, normal), joints, starts)
+        least.append(None if found is None else least_singular(chain.jacobian(found)))
+    return _reach(least)
+
+
+def follow(
+    chain: Chain,
+    placement: Placement,
+    centers_m: FloatArray,
+    normals: npt.ArrayLike = (0.0, 0.0, 1.0),
+    *,
+    start_deg: npt.ArrayLike,
+) -> npt.NDArray[np.bool_]:
+    """Whether tip centres (n, 3) [m, surface frame] can be led to on straight ways one after the other, (n,) bool.
+
+    start_deg: (m,) joint angles from which the first place is sought, each other one from the one before: in the
+    configuration that the arm is in. The ways are looked at every WAY_M: joints keep PLAN_MARGIN_DEG, and where
+    a singularity is near, its damping keeps the arm on its way (`motion.OFF_COURSE`).
+    """
+    directions = np.broadcast_to(np.asarray(normals, dtype=float), (len(centers_m), 3))
+    places = np.hstack([centers_m, directions])
+    joints_deg = np.asarray(start_deg, dtype=float)
+    led: list[bool] = []
+    before: FloatArray | None = None
+    for place in places:
+        if before is None:
+            there_deg = _joints_there(chain, placement.T_base_ee(place[:3], place[3:]), joints_deg, 1)
+        else:
+            there_deg = _led(chain, placement, _way(before, place), joints_deg)
+        led.append(there_deg is not None)
+        if there_deg is not None:  # else the next one is sought from the last that was reached
+            joints_deg, before = there_deg, place
+    return np.array(led, dtype=bool)
+
+
+def _led(chain: Chain, placement: Placement, way: FloatArray, joints_deg: FloatArray) -> FloatArray | None:
+    """Joint angles (m,) at the end of a way of places with their normals (n, 6); None where it cannot be followed."""
+    for place in way:
+        T_base_ee = placement.T_base_ee(place[:3], place[3:])
+        links = chain.forward(joints_deg)
+        jacobian, twist = jacobian_of(links), pose_error(links[-1], T_base_ee)
+        if off_course(jacobian, damped_joint_rates(jacobian, twist, DAMPED_BELOW), twist) > OFF_COURSE:
+            return None
+        there_deg = _joints_there(chain, T_base_ee, joints_deg, 1)
+        if there_deg is None:
+            return None
+        joints_deg = there_deg
+    return joints_deg
+
+
+def _way(start: FloatArray, end: FloatArray) -> FloatArray:
+    """Places with their normals (n, 6) on the straight way from one (6,) to another, without the first."""
+    steps = max(1, math.ceil(float(np.linalg.norm(end[:3] - start[:3])) / WAY_M))
+    shares = np.arange(1, steps + 1)[:, None] / steps
+    return np.asarray(start + shares * (end - start))
+
+
+def _joints_there(chain: Chain, T_base_ee: FloatArray, start_deg: FloatArray, starts: int) -> FloatArray | None:
+    """Joint angles (n,) away from their limits, None where none were found."""
+    if float(np.linalg.norm(T_base_ee[:3, 3])) > _longest_m(chain):
+        return None  # many searches for nothing
+    found = chain.inverse(
+        T_base_ee,
+        start_deg,
+        position_tolerance_m=1e-4,
+        rotation_tolerance_rad=1e-3,
+        starts=starts,
+        margin_deg=PLAN_MARGIN_DEG,
+    )
+    return found.joints_deg if found.converged else None
+
+
+@cache
+def _longest_m(chain: Chain) -> float:
+    """From the base to the arm's end with all links stretched out [m]."""
     frames = [np.eye(4), *chain.forward(chain.home_deg)]
-    longest_m = sum(float(np.linalg.norm(b[:3, 3] - a[:3, 3])) for a, b in itertools.pairwise(frames))
-    for index, (center_m, normal) in enumerate(zip(centers_m, directions, strict=True)):
-        T_base_ee = placement.T_base_ee(center_m, normal)
-        if float(np.linalg.norm(T_base_ee[:3, 3])) > longest_m:
-            continue  # all links stretched out would be too short: many searches for nothing
-        found = chain.inverse(
-            T_base_ee,
-            joints,
-            position_tolerance_m=1e-4,
-            rotation_tolerance_rad=1e-3,
-            starts=starts,
-        )
-        if found.converged:
-            reached[index] = True
-            jacobian = jacobian_of(chain.forward(found.joints_deg))
-            least[index] = float(np.linalg.svd(jacobian, compute_uv=False)[-1])
-    return Reach(reached, least)
+    return sum(float(np.linalg.norm(b[:3, 3] - a[:3, 3])) for a, b in itertools.pairwise(frames))
+
+
+def _reach(least: Sequence[float | None]) -> Reach:
+    """Of the smallest singular values, None where a place is not reached."""
+    reached = np.array([one is not None for one in least], dtype=bool)
+    return Reach(reached, np.array([one or 0.0 for one in least]))
 
 
 def best_joints(chain: Chain, T_base_ees: Sequence[FloatArray], tries: int = 16) -> FloatArray | None:
     """Joint angles (n,) for the first of some poses (4, 4), from which a straight way leads through the others.
 
     A six-joint arm has up to eight for one pose; of those found, the ones are given whose way stays furthest from
-    singularities. None = none leads through all.
+    singularities, every joint PLAN_MARGIN_DEG inside its range. None = none leads through all.
     """
     best: tuple[float, FloatArray] | None = None
     for seed in range(tries):
         start_deg = np.random.default_rng([seed, 0x1C]).uniform(0.0, 360.0, chain.joint_count) if seed else None
-        found = first = chain.inverse(T_base_ees[0], start_deg, starts=1)
+        found = first = chain.inverse(T_base_ees[0], start_deg, starts=1, margin_deg=PLAN_MARGIN_DEG)
         least = math.inf if first.converged else 0.0
         for T_base_ee in T_base_ees:
-            found = chain.inverse(T_base_ee, found.joints_deg, starts=1)
-            jacobian = jacobian_of(chain.forward(found.joints_deg))
-            least = min(least, float(np.linalg.svd(jacobian, compute_uv=False)[-1]) if found.converged else 0.0)
+            found = chain.inverse(T_base_ee, found.joints_deg, starts=1, margin_deg=PLAN_MARGIN_DEG)
+            least = min(least, least_singular(chain.jacobian(found.joints_deg)) if found.converged else 0.0)
         if least > 0 and (best is None or least > best[0] + 1e-6):
             best = least, first.joints_deg
     return None if best is None else best[1]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from deformscope.robot.placement import TURNED_RAD, best_joints, reach, towards
+from deformscope.robot.placement import TURNED_RAD, best_joints, follow, towards
 from deformscope.robot.readings import ForceSample, Observation
 from deformscope_drivers.device import Device
 from deformscope_drivers.health import Link
@@ -27,7 +27,6 @@ NOISE_N = 0.05
 STILL_DEG = 0.05
 LATE_MS = 20.0
 CLOCK_PPM = 1000.0
-LEAST_SINGULAR = 0.02
 FREE_M = 0.01
 WAY_STEPS, WRIST_M = 60, 0.045
 FRESH_S = {"arm": 0.05, "force sensor": 0.02, "camera": 0.1}
@@ -41,6 +40,7 @@ HINTS = {
     "arm: accepts": "the reason, then start again",
     "arm: control period": "end what keeps this computer busy",
     "arm: first way": "bring the tip over the surface by the joystick, the stick down",
+    "arm: joints": "turn the joint away from the end of its range by the joystick",
     "arm: reach": "move arm or surface, turn the tool, or bring the arm over the surface by its joystick",
     "force sensor: tare": "let nothing touch the tip, and start again",
     "force sensor: noise": "stop what shakes table or tip; filter_hz in the rig file; no noise at all is no sensor",
@@ -189,6 +189,11 @@ def _arm(robot: Robot, seen: Sequence[Observation]) -> Iterator[Check]:
     joints_deg = np.array([state.joints_deg for state in states])
     moved_deg = float(np.ptp(joints_deg, axis=0).max())
     yield Check("arm: still", moved_deg < STILL_DEG, f"joints within {STILL_DEG:g} deg", f"{moved_deg:.3f} deg")
+    margin_deg = robot.supervisor.limits.joint_margin_deg
+    left_deg = robot.arm.chain.to_limits_deg(joints_deg[-1])
+    joint = int(np.argmin(left_deg))
+    came = f"joint {joint + 1} {left_deg[joint]:.1f} deg"
+    yield Check("arm: joints", left_deg[joint] > margin_deg, f"{margin_deg:g} deg or more inside their ranges", came)
     waiting = max(state.fifo_count for state in states)
     yield Check("arm: FIFO", waiting == 0, "empty", f"{waiting} points")
     stopped = robot.arm.stopped_because
@@ -259,18 +264,21 @@ def _plans(robot: Robot, plans: Sequence[TouchPlan]) -> Iterator[Check]:
         yield Check("workspace: plan inside", outside == 0, "all of it in the box", f"{outside} of {len(ends)} outside")
     # the joint angles that it will come there with: those it has, or the best where it first has to turn
     start_deg: npt.ArrayLike | None = robot.pose.joints_deg
+    here = placement.T_surface_center(robot.pose.T_base_ee)
+    route = [(here[:3, 3], -here[:3, 2])]
     if ends:
         poses = [placement.T_base_ee(*end) for end in ends[:3]]
         if np.linalg.norm(pose_error(robot.pose.T_base_ee, poses[0])[3:]) > TURNED_RAD:
-            start_deg = best_joints(robot.arm.chain, poses)
+            route, start_deg = [], best_joints(robot.arm.chain, poses)
             if start_deg is not None:
                 yield _first_way(robot, np.asarray(start_deg), max(float(plan.point_m[2]) for plan in plans))
-    found = reach(
-        robot.arm.chain,
-        placement,
-        np.array([place_m for place_m, _ in ends]).reshape(-1, 3),
-        np.array([normal for _, normal in ends]).reshape(-1, 3),
-        start_deg=start_deg,
-    )
-    far = int(np.count_nonzero(found.least_singular < LEAST_SINGULAR))
-    yield Check("arm: reach", far == 0, "every place, away from singularities", f"{far} of {len(ends)} not")
+    for plan in plans:
+        crossing_m, above_m, deepest_m = plan.places_m(placement.center_offset_m)
+        route += [(place_m, plan.normal) for place_m in (crossing_m, above_m, deepest_m, crossing_m)]
+    far = len(route)
+    if start_deg is not None and route:
+        centers_m, normals = (np.array(part) for part in zip(*route, strict=True))
+        led = follow(robot.arm.chain, placement, centers_m, normals, start_deg=start_deg)
+        far = int(np.count_nonzero(~led))
+    wanted = "every way, away from joint limits and singularities"
+    yield Check("arm: reach", far == 0, wanted, f"{far} of {len(route)} not")

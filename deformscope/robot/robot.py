@@ -15,17 +15,19 @@ from typing import Any, Protocol
 import numpy as np
 
 from deformscope.errors import InputError
+from deformscope.robot.motion import CommandedRotation, JointMotion, rates_for_twist, within_limits
 from deformscope.robot.placement import Placement
 from deformscope.robot.preflight import Preflight
 from deformscope.robot.readings import PERIOD_NS, ArmSample, CameraSample, ForceSample, Observation
-from deformscope.robot.supervisor import Action, Limits, Supervisor, Verdict
+from deformscope.robot.supervisor import Action, Fault, Limits, Supervisor, Verdict
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.depth_camera.image import DepthImage
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.health import Link
 from deformscope_drivers.images import fingerprint
-from deformscope_drivers.jaco import CartesianVelocity, Jaco, JacoState, JointVelocity
+from deformscope_drivers.jaco import Jaco, JacoState, JointVelocity
+from deformscope_drivers.jaco.commands import joint_limits_deg_s
 from deformscope_drivers.jaco.kinematics import FloatArray
 from deformscope_drivers.optoforce import Optoforce
 from deformscope_drivers.optoforce.measurement import ForceMeasurement
@@ -44,7 +46,11 @@ class RobotStopped(Exception):
 
 @dataclass(frozen=True, slots=True)
 class TipVelocity:
-    """linear_m_s (3,) of the tip's centre and angular_rad_s (3,), both in the surface frame."""
+    """linear_m_s: (3,) of the tip's centre; angular_rad_s: (3,); both in the surface frame, turned about its axes
+
+    angular_rad_s None = the orientation is held as it was commanded last: the robot brings it back itself. Given, it is
+    carried out as it is, by whoever steers by the orientation they see.
+    """
 
     linear_m_s: FloatArray
     angular_rad_s: FloatArray | None = None
@@ -52,7 +58,7 @@ class TipVelocity:
 
 @dataclass(frozen=True, slots=True)
 class JointRates:
-    """rates_deg_s: (n,)"""
+    """rates_deg_s: (n,) of the joints, in the driver's order and sense [deg/s]"""
 
     rates_deg_s: FloatArray
 
@@ -74,8 +80,10 @@ def sleep_until(until_ns: int) -> None:
 class Robot:
     """Opened devices, where they are to one another, and a supervisor; `cycle` is one control period.
 
-    commanded: (time [ns], speed of the tip's centre or, of joint rates, of the arm's end [m/s]) of every period, for
-    recordings and studies
+    The arm is sent joint rates alone (`motion`), in each period for where its joints are then.
+
+    commanded: (time [ns], speed of the tip's centre [m/s]) of every period, for recordings and studies
+    rotation: that of the arm's end as it was commanded; moving: a velocity was sent in this period
     """
 
     def __init__(
@@ -105,9 +113,13 @@ class Robot:
         self.seen = Observation(clock())
         self._pose: ArmSample | None = None
         self._speed_m_s = 0.0
-        self._refusal = ""
+        self._angular_rad_s: FloatArray = np.zeros(3)
+        self._follows = self.moving = False
+        self.rotation = CommandedRotation()
+        self._turned_ns = clock()
+        self._refusal: tuple[Fault, str] | None = None
         self._next_ns = clock()
-        self.supervisor = Supervisor(limits, clock(), placement.T_ee_center)
+        self.supervisor = Supervisor(limits, clock(), placement.T_ee_center, arm.chain)
 
     # What is known ---------------------------------------------------------------------------------------------------
 
@@ -151,12 +163,17 @@ class Robot:
         self._next_ns = max(self._next_ns + PERIOD_NS, now_ns + PERIOD_NS // 2)
         self._wait_until(self._next_ns)
         self.seen = self._look()
+        self._turn_on()
         before = self.supervisor.verdict.action
         verdict = self.supervisor.judge(
-            self.seen, commanded_m_s=self._speed_m_s, camera_needed=self.camera_needed and self.camera is not None
+            self.seen,
+            commanded_m_s=self._speed_m_s,
+            commanded_rotation=self.rotation.rotation,
+            camera_needed=self.camera_needed and self.camera is not None,
         )
-        if self._refusal:  # unless a fault was seen that is the reason of it
-            verdict = self.supervisor.refused(self._refusal, self._clock())
+        if self._refusal is not None:  # unless a fault was seen that is the reason of it
+            fault, reason = self._refusal
+            verdict = self.supervisor.refused(reason, self._clock(), fault)
         self._tell_watch(verdict)
         verdict = self.supervisor.verdict  # whoever watches may have asked to stop
         if verdict.action is Action.STOP:
@@ -205,13 +222,13 @@ class Robot:
         self._may_move = False
         self.arm.acknowledge_stop()
         self._listen()
-        self._next_ns = self._clock()
+        self._begin_anew()
         self.supervisor.acknowledge(self._clock())
 
     def start(self) -> None:
         """After a pause in which nobody looked: forget what waits, count ages from now on."""
         self._listen()
-        self._next_ns = self._clock()
+        self._begin_anew()
         self.supervisor.start(self._clock())
 
     def rest(self) -> None:
@@ -233,9 +250,23 @@ class Robot:
             self.halt(f"what watches it failed: {type(error).__name__}")
             raise
 
+    def _begin_anew(self) -> None:
+        """Nobody looked for a while: the orientation of the arm as it is seen next is what was commanded."""
+        self._next_ns = self._turned_ns = self._clock()
+        self.rotation = CommandedRotation()
+
+    def _turn_on(self) -> None:
+        """The commanded rotation, on by the time that has passed: no longer than a velocity lasts."""
+        now_ns = self._clock()
+        seconds = min(now_ns - self._turned_ns, VALID_PERIODS * PERIOD_NS) / 1e9
+        self._turned_ns = now_ns
+        seen = self.seen.arms[-1].T_base_ee[:3, :3] if self.seen.arms else None
+        measured = seen if seen is not None and np.all(np.isfinite(seen)) else None
+        self.rotation.advance(self._angular_rad_s, seconds, measured, follows=self._follows)
+
     def _send(self, command: Command) -> None:
-        moving = self._speed_m_s > 0
-        self._speed_m_s, self._refusal = 0.0, ""
+        moving, self.moving = self.moving, False
+        self._speed_m_s, self._angular_rad_s, self._follows, self._refusal = 0.0, np.zeros(3), False, None
         try:
             if isinstance(command, TipVelocity):
                 self._send_tip(command)
@@ -245,32 +276,65 @@ class Robot:
                 self.arm.stop()
         except DeviceError as error:
             # What the driver refuses stops the robot too: nobody goes on as if it had been done.
-            self._refusal = str(error)
-            self.halt(self._refusal)
+            self._refuse(Fault.REFUSED, str(error))
         self.commanded.append((self._clock(), self._speed_m_s))
 
+    def _refuse(self, fault: Fault, reason: str) -> None:
+        self._refusal = fault, reason
+        self.halt(f"{fault}: {reason}")
+
     def _send_tip(self, command: TipVelocity) -> None:
+        pose, config = self.pose.T_base_ee, self.arm.config
         linear = self.placement.to_base(command.linear_m_s)
-        angular = np.zeros(3) if command.angular_rad_s is None else self.placement.to_base(command.angular_rad_s)
-        # The arm is told the velocity of its end; the tip turns about it.
-        pose = self.pose.T_base_ee
-        lever_m = pose[:3, :3] @ self.placement.T_ee_center[:3, 3]
-        linear = linear - np.cross(angular, lever_m)
-        fastest = self.arm.config.linear_limit_m_s
-        speed = float(np.linalg.norm(linear))
-        if speed > fastest:  # a turn of the tip asks the arm's end for more than it may: all slower alike
-            linear, angular, speed = linear * (fastest / speed), angular * (fastest / speed), fastest
-        self.arm.set_velocity(
-            CartesianVelocity((float(linear[0]), float(linear[1]), float(linear[2])), tuple(map(float, angular))),  # type: ignore[arg-type]
-            VALID_PERIODS * PERIOD_NS / 1e9,
+        turned = np.zeros(3)
+        if command.angular_rad_s is not None:
+            turned = angular = self.placement.to_base(command.angular_rad_s)
+        else:
+            angular = self.rotation.back_rad_s(pose[:3, :3])
+        # The joints are given the velocity of the arm's end; the tip turns about its own centre.
+        linear = linear - np.cross(angular, pose[:3, :3] @ self.placement.T_ee_center[:3, 3])
+        share = min(1.0, _share(linear, config.linear_limit_m_s), _share(angular, config.angular_limit_rad_s))
+        motion = rates_for_twist(
+            self.arm.chain,
+            self.pose.joints_deg,
+            share * np.concatenate([linear, angular]),
+            joint_limits_deg_s(self.arm.chain, config),
+            self.supervisor.limits.joint_margin_deg,
         )
-        self._speed_m_s = float(np.linalg.norm(command.linear_m_s))
+        if self._sent(motion):
+            share *= motion.share
+            self._speed_m_s = share * float(np.linalg.norm(command.linear_m_s))
+            self._angular_rad_s, self._follows = share * turned, command.angular_rad_s is not None
 
     def _send_joints(self, command: JointRates) -> None:
-        rates = tuple(map(float, command.rates_deg_s))
-        self.arm.set_velocity(JointVelocity(rates), VALID_PERIODS * PERIOD_NS / 1e9)
-        twist = self.arm.chain.jacobian(self.pose.joints_deg) @ np.radians(command.rates_deg_s)
-        self._speed_m_s = float(np.linalg.norm(twist[:3]))
+        chain, limits, joints_deg = self.arm.chain, self.supervisor.limits, self.pose.joints_deg
+        twist = chain.jacobian(joints_deg) @ np.radians(command.rates_deg_s)
+        lever_m = self.pose.T_base_ee[:3, :3] @ self.placement.T_ee_center[:3, 3]
+        center_m_s, angular = twist[:3] + np.cross(twist[3:], lever_m), twist[3:]
+        # half of what the supervisor stops at, as tip velocities keep to
+        share = min(
+            1.0, _share(center_m_s, 0.5 * limits.speed_m_s), _share(angular, 0.5 * np.radians(limits.turn_deg_s))
+        )
+        motion = within_limits(
+            chain,
+            joints_deg,
+            share * np.asarray(command.rates_deg_s, dtype=float),
+            joint_limits_deg_s(chain, self.arm.config),
+            limits.joint_margin_deg,
+        )
+        if self._sent(motion):
+            share *= motion.share
+            self._speed_m_s = share * float(np.linalg.norm(center_m_s))
+            self._angular_rad_s, self._follows = share * angular, True
+
+    def _sent(self, motion: JointMotion) -> bool:
+        """Whether joint rates have gone out, or were such that nothing may."""
+        if motion.fault is not Fault.NONE:
+            self._refuse(motion.fault, motion.reason)
+            return False
+        self.arm.set_velocity(JointVelocity(tuple(map(float, motion.rates_deg_s))), VALID_PERIODS * PERIOD_NS / 1e9)
+        self.moving = True
+        return True
 
     def _look(self) -> Observation:
         forces: list[ForceMeasurement] = _taken(self._forces)
@@ -309,6 +373,11 @@ def _taken(queue: Any) -> list[Any]:
         return list(queue.take())
     except DeviceError:
         return []
+
+
+def _share(vector: FloatArray, most: float) -> float:
+    """By which a vector (3,) is to be multiplied to be no longer than it may."""
+    return most / max(float(np.linalg.norm(vector)), 1e-12)
 
 
 def damaged_frames(force: Optoforce) -> int:

@@ -16,7 +16,7 @@ import numpy as np
 from deformscope.errors import InputError
 from deformscope.rig import Workspace
 from deformscope.robot.readings import ArmSample, CameraSample, ForceSample, Observation
-from deformscope_drivers.jaco.kinematics import FloatArray
+from deformscope_drivers.jaco.kinematics import Chain, FloatArray, rotation_vector
 
 
 class Action(StrEnum):
@@ -43,6 +43,10 @@ class Fault(StrEnum):
     ARM_INVALID = "arm's pose not a number"
     ARM_FIFO = "arm's FIFO fills"
     ARM_SPEED = "arm too fast"
+    ARM_TURN = "arm turns too fast"
+    TILT = "tool turned away"
+    JOINT_LIMIT = "joint near its limit"
+    SINGULAR = "arm near a singularity"
     WORKSPACE = "workspace left"
     CAMERA_SILENT = "depth camera silent"
     CAMERA_FROZEN = "depth camera frozen"
@@ -56,7 +60,10 @@ class Limits:
     """What the robot must keep to. The times are set so that a fault is noticed within 50 ms (force), 100 ms (arm) and
     two frame periods (camera), a control period of 10 ms included.
 
-    soft_force_n, hard_force_n: magnitude backed away at, stopped at; speed_m_s: measured speed of the arm's end
+    soft_force_n, hard_force_n: magnitude backed away at, stopped at
+    speed_m_s, turn_deg_s: measured speed of the tip's centre, and rate at which the arm's end turns, both from poses
+    tilt_deg: between the rotation of the arm's end as measured and as commanded: 5 deg carry a stick of 10 cm 9 mm
+    joint_margin_deg: no joint comes nearer to the end of its range
     low_m, high_m: (3,) box of the tip's centre in the base frame, None = none; look_ahead_s: the box holds for where
     the tip will be by then
     force_silent_s, arm_silent_s: greatest age of the newest reading; force_frozen_s: greatest time of equal readings
@@ -70,6 +77,9 @@ class Limits:
     soft_force_n: float = 8.0
     hard_force_n: float = 15.0
     speed_m_s: float = 0.1
+    turn_deg_s: float = 40.0
+    tilt_deg: float = 5.0
+    joint_margin_deg: float = 5.0
     low_m: tuple[float, float, float] | None = None
     high_m: tuple[float, float, float] | None = None
     look_ahead_s: float = 0.05
@@ -89,6 +99,9 @@ class Limits:
     def __post_init__(self) -> None:
         if not 0 < self.soft_force_n < self.hard_force_n:
             raise InputError("0 < soft_force_n < hard_force_n", f"{self.soft_force_n}, {self.hard_force_n}")
+        angles = self.turn_deg_s, self.tilt_deg, self.joint_margin_deg
+        if not (min(angles) > 0 and math.isfinite(sum(angles))):
+            raise InputError("turn_deg_s, tilt_deg and joint_margin_deg above 0", f"{angles}")
 
     @classmethod
     def of(cls, workspace: Workspace, camera_hz: float = 30.0) -> Limits:
@@ -98,6 +111,8 @@ class Limits:
             soft_force_n=workspace.soft_stop_n,
             hard_force_n=workspace.hard_stop_n,
             speed_m_s=2.0 * workspace.travel_speed_m_s,
+            # an arm whose states may come late is seen behind what was commanded while it turns
+            tilt_deg=max(standard.tilt_deg, 0.6 * standard.turn_deg_s * workspace.arm_silent_s),
             low_m=workspace.low_m,
             high_m=workspace.high_m,
             camera_period_s=1.0 / camera_hz,
@@ -119,6 +134,8 @@ class Verdict:
 
 
 SPEED_OVER_NS = 40_000_000
+APPROACH_DEG_S = 0.5
+"""A joint that moves slower than this towards its limit is at rest."""
 LATE_NS = 20_000_000
 """A judgement so long after the last one came late: the host was busy, and those who read the devices perhaps too. No
 silence is held against a device then, once and not twice in a row."""
@@ -129,10 +146,14 @@ _SEVERITY = {Action.GO_ON: 0, Action.BACK_OFF: 1, Action.STOP: 2}
 class Supervisor:
     """`judge` once in each control period; the verdict stays until `acknowledge`."""
 
-    def __init__(self, limits: Limits, now_ns: int, T_ee_center: FloatArray | None = None) -> None:
-        """T_ee_center: (4, 4) the tip's centre in the frame of the arm's end; default: the arm's end itself"""
+    def __init__(
+        self, limits: Limits, now_ns: int, T_ee_center: FloatArray | None = None, chain: Chain | None = None
+    ) -> None:
+        """T_ee_center: (4, 4) the tip's centre in the frame of the arm's end; default: the arm's end itself
+        chain: whose joints have limits; None = none"""
         self.limits = limits
         self._T_ee_center = np.eye(4) if T_ee_center is None else T_ee_center
+        self._chain = chain
         self._verdict = _GO_ON
         self._refused = 0
         self.start(now_ns)
@@ -151,9 +172,12 @@ class Supervisor:
         """A person wants it to stop. reason: how they said so"""
         self._stop(Fault.ASKED, reason, now_ns)
 
-    def refused(self, reason: str, now_ns: int) -> Verdict:
-        """The arm's driver has refused a command, and would refuse the next ones: nothing of a motion goes on."""
-        self._stop(Fault.REFUSED, reason, now_ns)
+    def refused(self, reason: str, now_ns: int, fault: Fault = Fault.REFUSED) -> Verdict:
+        """A command was not carried out, and the next ones would not be: nothing of a motion goes on.
+
+        fault: REFUSED = by the arm's driver; JOINT_LIMIT, SINGULAR = before it was sent
+        """
+        self._stop(fault, reason, now_ns)
         return self._verdict
 
     def _stop(self, fault: Fault, reason: str, now_ns: int) -> None:
@@ -171,23 +195,33 @@ class Supervisor:
         self._joints: tuple[float, ...] = ()
         self._unmoved_m, self._moved_ns = 0.0, now_ns
         self._judged_ns, self._excused = now_ns, False
-        self._track: deque[tuple[int, FloatArray]] = deque()
+        self._track: deque[ArmSample] = deque()
         self._commanded_ns = now_ns
         self._camera_needed = False
         self._camera_ns = now_ns
         self._picture: object = None
         self._repeats = 0
 
-    def judge(self, seen: Observation, *, commanded_m_s: float = 0.0, camera_needed: bool = False) -> Verdict:
-        """What to do now. commanded_m_s: the speed asked for since the last call; camera_needed: its pictures matter
-        now, so that it must not be silent or frozen"""
+    def judge(
+        self,
+        seen: Observation,
+        *,
+        commanded_m_s: float = 0.0,
+        commanded_rotation: FloatArray | None = None,
+        camera_needed: bool = False,
+    ) -> Verdict:
+        """What to do now.
+
+        commanded_m_s: the speed asked for since the last call; commanded_rotation: (3, 3) of the arm's end in the base
+        frame, None = any; camera_needed: its pictures matter now, so that it must not be silent or frozen
+        """
         self._excused = seen.now_ns - self._judged_ns > LATE_NS and not self._excused
         self._judged_ns = seen.now_ns
         found = [
             *self._links(seen, camera_needed),
             *self._forces(seen.forces, seen.now_ns),
             *self._wire(seen),
-            *self._arm(seen.arms, seen.now_ns, commanded_m_s),
+            *self._arm(seen.arms, seen.now_ns, commanded_m_s, commanded_rotation),
             *self._camera(seen.pictures, seen.now_ns, camera_needed),
         ]
         for action, fault, reason in found:
@@ -238,7 +272,13 @@ class Supervisor:
             return [(Action.STOP, Fault.CHECKSUMS, f"{len(self._refusals)} damaged frames from the force sensor")]
         return []
 
-    def _arm(self, arms: tuple[ArmSample, ...], now_ns: int, commanded_m_s: float) -> list[tuple[Action, Fault, str]]:
+    def _arm(
+        self,
+        arms: tuple[ArmSample, ...],
+        now_ns: int,
+        commanded_m_s: float,
+        commanded_rotation: FloatArray | None,
+    ) -> list[tuple[Action, Fault, str]]:
         limits, found = self.limits, []
         self._unmoved_m += commanded_m_s * (now_ns - self._commanded_ns) / 1e9
         self._commanded_ns = now_ns
@@ -251,7 +291,9 @@ class Supervisor:
                 self._joints, self._unmoved_m, self._moved_ns = sample.joints_deg, 0.0, now_ns
             if sample.fifo_count > limits.fifo:
                 found.append((Action.STOP, Fault.ARM_FIFO, f"{sample.fifo_count} points wait in the arm"))
-            found += self._place(sample)
+            found += self._motion(sample)
+            if commanded_rotation is not None:
+                found += self._tilt(sample, commanded_rotation)
         if (age_s := (now_ns - self._arm_ns) / 1e9) > limits.arm_silent_s and not self._excused:
             found.append((Action.STOP, Fault.ARM_SILENT, f"no state of the arm for {age_s * 1e3:.0f} ms"))
         if self._unmoved_m > limits.arm_frozen_m and now_ns - self._moved_ns >= limits.arm_frozen_s * 1e9:
@@ -259,19 +301,27 @@ class Supervisor:
             found.append((Action.STOP, Fault.ARM_FROZEN, why))
         return found
 
-    def _place(self, sample: ArmSample) -> list[tuple[Action, Fault, str]]:
-        """Speed and box of the tip's centre, both in the base frame."""
+    def _motion(self, sample: ArmSample) -> list[tuple[Action, Fault, str]]:
+        """Speed and box of the tip's centre in the base frame, the rate of turning, and joints on their way to a limit,
+        all from the difference of poses over SPEED_OVER_NS: what an arm reports as its velocities is not trusted."""
         limits, found = self.limits, []
-        center_m = (sample.T_base_ee @ self._T_ee_center)[:3, 3]
-        self._track.append((sample.time_ns, center_m))
-        while len(self._track) > 2 and sample.time_ns - self._track[1][0] >= SPEED_OVER_NS:
+        self._track.append(sample)
+        while len(self._track) > 2 and sample.time_ns - self._track[1].time_ns >= SPEED_OVER_NS:
             self._track.popleft()
-        then_ns, before_m = self._track[0]
-        span_s = (sample.time_ns - then_ns) / 1e9
+        before = self._track[0]
+        span_s = (sample.time_ns - before.time_ns) / 1e9
+        center_m, before_m = ((one.T_base_ee @ self._T_ee_center)[:3, 3] for one in (sample, before))
         velocity_m_s = (center_m - before_m) / span_s if span_s > 0 else np.zeros(3)
-        speed_m_s = float(np.linalg.norm(velocity_m_s))
-        if span_s >= SPEED_OVER_NS / 2e9 and speed_m_s > limits.speed_m_s:
-            found.append((Action.STOP, Fault.ARM_SPEED, f"{speed_m_s:.3f} m/s, limit {limits.speed_m_s:g} m/s"))
+        if span_s >= SPEED_OVER_NS / 2e9:
+            speed_m_s = float(np.linalg.norm(velocity_m_s))
+            if speed_m_s > limits.speed_m_s:
+                found.append((Action.STOP, Fault.ARM_SPEED, f"{speed_m_s:.3f} m/s, limit {limits.speed_m_s:g} m/s"))
+            turn_deg_s = _angle_deg(before.T_base_ee, sample.T_base_ee) / span_s
+            if turn_deg_s > limits.turn_deg_s:
+                found.append(
+                    (Action.STOP, Fault.ARM_TURN, f"{turn_deg_s:.0f} deg/s, limit {limits.turn_deg_s:g} deg/s")
+                )
+            found += self._joint_limits(sample, before, span_s)
         if limits.low_m is not None and limits.high_m is not None:
             ahead_m = center_m + limits.look_ahead_s * velocity_m_s
             low_m, high_m = np.array(limits.low_m), np.array(limits.high_m)
@@ -281,6 +331,33 @@ class Supervisor:
                 where = np.array2string(center_m, precision=3)
                 found.append((Action.STOP, Fault.WORKSPACE, f"the tip at {where} m (base), leaving along {axis}"))
         return found
+
+    def _joint_limits(self, sample: ArmSample, before: ArmSample, span_s: float) -> list[tuple[Action, Fault, str]]:
+        chain = self._chain
+        if chain is None:
+            return []
+        margin_deg, ahead_s = self.limits.joint_margin_deg, self.limits.look_ahead_s
+        joints_deg = np.array(sample.joints_deg)
+        rates_deg_s = (joints_deg - np.array(before.joints_deg)) / span_s
+        left_deg = np.where(rates_deg_s > 0, chain.upper_deg - joints_deg, joints_deg - chain.lower_deg)
+        left_deg = left_deg - ahead_s * np.abs(rates_deg_s)
+        nearing = (np.abs(rates_deg_s) > APPROACH_DEG_S) & (left_deg < margin_deg)
+        return [
+            (
+                Action.STOP,
+                Fault.JOINT_LIMIT,
+                f"joint {joint + 1} at {joints_deg[joint]:.1f} deg turns at {rates_deg_s[joint]:.1f} deg/s towards its "
+                f"limit, margin {margin_deg:g} deg",
+            )
+            for joint in np.flatnonzero(nearing)
+        ]
+
+    def _tilt(self, sample: ArmSample, commanded: FloatArray) -> list[tuple[Action, Fault, str]]:
+        tilt_deg = _angle_deg(commanded, sample.T_base_ee)
+        if tilt_deg <= self.limits.tilt_deg:
+            return []
+        why = f"{tilt_deg:.1f} deg beside what was commanded, limit {self.limits.tilt_deg:g} deg"
+        return [(Action.STOP, Fault.TILT, why)]
 
     def _camera(self, pictures: tuple[CameraSample, ...], now_ns: int, needed: bool) -> list[tuple[Action, Fault, str]]:
         limits = self.limits
@@ -300,6 +377,11 @@ class Supervisor:
         if (age_s := (now_ns - self._camera_ns) / 1e9) > silent_s and not self._excused:
             return [(Action.STOP, Fault.CAMERA_SILENT, f"no picture for {age_s * 1e3:.0f} ms")]
         return []
+
+
+def _angle_deg(one: FloatArray, other: FloatArray) -> float:
+    """Between the rotations of two transforms or rotation matrices [deg]."""
+    return math.degrees(float(np.linalg.norm(rotation_vector(other[:3, :3] @ one[:3, :3].T))))
 
 
 def _count_since(times_ns: deque[int], since_ns: int) -> int:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
 from deformscope.errors import InputError
-from deformscope.robot.placement import TURNED_RAD, best_joints, towards
+from deformscope.robot.placement import TURNED_RAD, best_joints, follow, towards
 from deformscope.robot.robot import JointRates, Robot, TipVelocity
 from deformscope.robot.supervisor import Action
 from deformscope_drivers.jaco.kinematics import FloatArray, pose_error
 
 ANGULAR_RAD_S = 0.3
 JOINT_DEG_S = 15.0
+PATIENCE = 200
+"""Control periods without coming nearer, after which joints count as not coming where they are sent."""
 GAIN_PER_S = 4.0
 REACHED_M, REACHED_RAD, REACHED_DEG = 3e-4, 3e-3, 0.1
 PASSED_M, PASSED_RAD = 3e-3, 0.05
@@ -59,17 +63,18 @@ def move_joints(robot: Robot, joints_deg: npt.ArrayLike) -> None:
 
     Raises as `move_tip` does.
     """
-    chain = robot.arm.chain
-    endless = ~np.isfinite(chain.upper_deg)
-    fastest = min(JOINT_DEG_S, robot.arm.config.joint_limit_deg_s)
+    endless = ~np.isfinite(robot.arm.chain.upper_deg)
     turn = towards(robot.pose.joints_deg, joints_deg, endless)
-    for _ in range(round(100 * (SLACK * float(np.max(np.abs(turn))) / fastest + 2.0))):
+    nearest, patience = math.inf, PATIENCE
+    while patience > 0:
         turn = towards(robot.pose.joints_deg, joints_deg, endless)
         farthest = float(np.max(np.abs(turn)))
         if farthest < REACHED_DEG:
             robot.cycle()
             return
-        step(robot, JointRates(turn / farthest * min(fastest, GAIN_PER_S * farthest)))
+        # slower where tip or tool would be too fast: the robot sees to it
+        nearest, patience = (farthest, PATIENCE) if farthest < nearest - REACHED_DEG else (nearest, patience - 1)
+        step(robot, JointRates(turn / farthest * min(JOINT_DEG_S, GAIN_PER_S * farthest)))
     robot.cycle()
     raise NotThere("the joints where they were sent", f"{np.max(np.abs(turn)):.1f} deg away", "a free way")
 
@@ -80,7 +85,7 @@ def to_above(
     """To a place above the surface: up to height_m, across no lower, and down to it; the first time joint by joint.
 
     height_m: z of the tip's centre while it crosses; deepest_m: (3,) where a straight way goes on to from there [m,
-    surface frame]
+    surface frame]. Raises NotThere, before it moves, where a way leads near a joint's limit or a singularity.
     """
     here = robot.placement.T_surface_center(robot.pose.T_base_ee)
     goal = robot.placement.T_base_ee(center_m, normal)
@@ -97,12 +102,24 @@ def to_above(
             )
         move_joints(robot, joints_deg)
     else:
+        up = np.array([here[0, 3], here[1, 3], high_m + PASSED_M])
+        _require_clear(robot, np.array([here[:3, 3], up, over, center_m, deepest_m]), normal)
         if here[2, 3] < high_m:
-            up = np.array([here[0, 3], here[1, 3], high_m + PASSED_M])
             move_tip(robot, up, -here[:3, 2], speed_m_s, passing=True)
         if high_m > float(center_m[2]) + REACHED_M:
             move_tip(robot, over, normal, speed_m_s, passing=True)
     move_tip(robot, center_m, normal, speed_m_s)
+
+
+def _require_clear(robot: Robot, centers_m: FloatArray, normal: FloatArray) -> None:
+    """That the arm can follow straight ways from place to place (n, 3) [m, surface frame] as it stands."""
+    here, there = -robot.placement.T_surface_center(robot.pose.T_base_ee)[:3, 2], normal
+    normals = np.array([here, here, *[there] * (len(centers_m) - 2)])
+    led = follow(robot.arm.chain, robot.placement, centers_m[1:], normals[1:], start_deg=robot.pose.joints_deg)
+    if not led.all():
+        where = np.round(centers_m[1:][~led][0], 3)
+        came = f"a way to {where} m that leads near a joint's limit or a singularity"
+        raise NotThere("a way that the arm can follow straight", came, "another place, or move arm or surface")
 
 
 def step(robot: Robot, command: TipVelocity | JointRates) -> None:

@@ -32,6 +32,9 @@ from deformscope.stages.stiffness_field import fit_field
 BESIDE = (-0.9, -0.45, -0.2, 0.0, 0.2, 0.45, 0.9)
 """Values of -log(1 - beta) beside the estimate at which the error curve is taken."""
 
+NEXT_TO = 0.01
+"""A value within this of an end of the range is not told from the end."""
+
 BEYOND, CLEAR = 5, 2.5
 """Values taken from there to the end of the range, where the error has not risen to this many times the lowest: high
 betas take long to settle."""
@@ -154,7 +157,6 @@ def continuum(law: Law, stiffness: float, spacing: float) -> tuple[float, float]
 def conclude(
     fit: PokesFit,
     *,
-    bounds: tuple[float, float],
     level: float,
     settings: Mapping[str, object],
     provenance: Mapping[str, object],
@@ -164,7 +166,8 @@ def conclude(
     The misfit of several pokes is of one kind and does not average out: their likelihoods are averaged, not multiplied.
     """
     best = fit.best
-    profile = _Profile(fit, bounds)
+    bounds = fit.beta_range
+    profile = Profile(fit)
     posterior, rise = profile.posterior()
     ends = posterior.shortest(level, best.law.beta)
     comparisons = tuple(_comparison(one, best.law) for one in fit.posed)
@@ -213,40 +216,44 @@ def conclude(
     return PokesFound(estimate, comparisons, fit, model)
 
 
-class _Profile:
+class Profile:
     """Residuals, errors and reactions over beta, theta as fitted.
 
-    beta: (g,) rising, over what may be likely; residual: for each poke (g, n, 3) near it [m]; aee: (g,)
+    stretched: (g,) values of -log(1 - beta), rising, over what may be likely; beta: (g,) the same as beta
+    residual: for each poke (g, n, 3) near it [m]; errors: (g, q) mean distance over each poke [m]; aee: (g,)
     reaction: (g, q) per unit of k [m]
     """
 
-    def __init__(self, fit: PokesFit, bounds: tuple[float, float]) -> None:
-        self.fit, self.bounds = fit, bounds
+    def __init__(self, fit: PokesFit) -> None:
+        self.fit = fit
         law = fit.best.law
-        high = float(-np.log1p(-bounds[1]))
-        at = float(-np.log1p(-law.beta))
-        low = float(-np.log1p(-bounds[0]))
-        self.stretched = np.unique(np.clip(at + np.array(BESIDE), low, high))
+        low, high = (float(-np.log1p(-end)) for end in fit.beta_range)
+        self.stretched = np.empty(0)
         self.residual: list[FloatArray] = [np.empty((0, len(one.places), 3)) for one in fit.posed]
         self.reaction, self.errors = np.empty((0, len(fit.posed))), np.empty((0, len(fit.posed)))
-        self._take(self.stretched)
-        for end in (low, high):
-            if (end < self.stretched[0] or end > self.stretched[-1]) and self._tells_little(end < at):
-                beyond = np.linspace(self.stretched[0 if end < at else -1], end, BEYOND + 1)[1:]
-                self._take(beyond)
-                self.stretched = np.concatenate([self.stretched, beyond])
-        order = np.argsort(self.stretched)
-        self.stretched, self.reaction, self.errors = (
-            each[order] for each in (self.stretched, self.reaction, self.errors)
-        )
-        self.residual = [one[order] for one in self.residual]
-        self.beta, self.aee = -np.expm1(-self.stretched), self.errors.mean(axis=1)
+        self._take(values_beside(float(-np.log1p(-law.beta)), low, high))
+        for place, end in ((0, low), (-1, high)):
+            taken = self.stretched[place]
+            # an error that is still so low at the end of what was taken: values beyond it may be likely
+            if taken != end and self.errors.mean(axis=1)[place] < CLEAR * self.errors.mean(axis=1).min():
+                self._take(np.linspace(taken, end, BEYOND + 1)[1:])
+        self.aee = self.errors.mean(axis=1)
         self.by_theta = [self._slope(one, law) for one in fit.posed] if fit.theta_fitted else None
 
+    @property
+    def beta(self) -> FloatArray:
+        return self._beta_of(self.stretched)
+
+    def _beta_of(self, stretched: FloatArray) -> FloatArray:
+        """beta of values of -log(1 - beta), exactly at the ends of the range: verdicts ask whether they are reached."""
+        low, high = self.fit.beta_range
+        inner = np.where(stretched <= -np.log1p(-low), low, -np.expm1(-stretched))
+        return np.asarray(np.where(stretched >= -np.log1p(-high), high, inner))
+
     def _take(self, stretched: FloatArray) -> None:
-        """Simulate these values of -log(1 - beta)."""
+        """Simulate these values of -log(1 - beta), none of which was before."""
         law = self.fit.best.law
-        laws = [dataclasses.replace(law, beta=float(-np.expm1(-t))) for t in stretched]
+        laws = [dataclasses.replace(law, beta=float(beta)) for beta in self._beta_of(stretched)]
         reaction, errors = [], []
         for column, one in enumerate(self.fit.posed):
             one.settle([law])
@@ -255,14 +262,12 @@ class _Profile:
             reaction.append(one.reaction(state))
             errors.append(distances(one.moved(state), one.poke.moved).mean(axis=1))
         one.settle([law])
-        self.reaction = np.concatenate([self.reaction, np.stack(reaction, axis=1)])
-        self.errors = np.concatenate([self.errors, np.stack(errors, axis=1)])
-
-    def _tells_little(self, below: bool) -> bool:
-        """Whether the error at the end of what was taken is still so low that values beyond it may be likely."""
-        error = self.errors.mean(axis=1)
-        end = int(np.argmin(self.stretched) if below else np.argmax(self.stretched))
-        return bool(error[end] < CLEAR * error.min())
+        every = np.concatenate([self.stretched, stretched])
+        order = np.argsort(every)
+        self.stretched = every[order]
+        self.residual = [one[order] for one in self.residual]
+        self.reaction = np.concatenate([self.reaction, np.stack(reaction, axis=1)])[order]
+        self.errors = np.concatenate([self.errors, np.stack(errors, axis=1)])[order]
 
     def _slope(self, one: PosedPoke, law: Law) -> FloatArray:
         """Change of the residual near a poke by theta, (n, 3) [m]."""
@@ -278,7 +283,7 @@ class _Profile:
         independent as there are patches of the size of the tip. Several pokes share it too: they count as one.
         """
         fine = np.linspace(self.stretched[0], self.stretched[-1], FINE)
-        beta, law = -np.expm1(-fine), self.fit.best.law
+        beta, law = self._beta_of(fine), self.fit.best.law
         thetas = np.linspace(0.0, 1.0, THETAS) if self.by_theta is not None else np.array([law.theta])
         squares = np.zeros((len(thetas), FINE))
         independent = 0.0  # values that tell something by themselves
@@ -300,13 +305,23 @@ class _Profile:
         return Posterior(beta, density), float(np.sqrt(2.0 * (value.max() - value.min())))
 
 
+def values_beside(at: float, low: float, high: float) -> FloatArray:
+    """The values `BESIDE` one of -log(1 - beta) that lie in [low, high], rising, the ends in place of what lies beyond
+    them or next to them: no two are so close that their difference is rounding."""
+    values = at + np.array(BESIDE)
+    next_to = min(NEXT_TO, 0.25 * (high - low))
+    inner = values[(values > low + next_to) & (values < high - next_to)]
+    ends = [end for end, there in ((low, values[0] <= low + next_to), (high, values[-1] >= high - next_to)) if there]
+    return np.sort(np.concatenate([inner, ends]))
+
+
 def _independent(points: FloatArray, length: float) -> float:
     """How many independent values points (n, d) hold that share errors over a length (exponential correlation)."""
     return float(len(points) ** 2 / np.exp(-cdist(points, points) / length).sum())
 
 
 def _stiffness(
-    fit: PokesFit, profile: _Profile, posterior: Posterior, level: float
+    fit: PokesFit, profile: Profile, posterior: Posterior, level: float
 ) -> tuple[float, tuple[float, float]] | None:
     """k and its interval over what beta may be, the misfit of the surface and the scatter among the pokes."""
     told, k = fit.stiffness(fit.best)

@@ -47,7 +47,9 @@ SLIPPED = 0.02
 """A tip slips if the particles under it moved sideways among each other by more than this share of the depth."""
 
 DOWN = np.array([0.0, 0.0, -1.0])
-BETA_MOST = 0.99
+BETA_RANGE = (0.0, 0.99)
+FARTHEST = np.array([-np.log1p(-BETA_RANGE[1]), 1.0])
+"""The largest -log(1 - beta) and theta."""
 
 SLOPE_STEP = 0.03
 """Step of -log(1 - beta) and of theta over which the fit takes slopes: well above what contact is solved to."""
@@ -213,9 +215,15 @@ class PosedPoke:
 
 
 def fit_shape(
-    posed: Sequence[PosedPoke], *, theta: float | None = None, start: tuple[float, float] = (0.3, 0.5)
+    posed: Sequence[PosedPoke],
+    *,
+    beta_range: tuple[float, float] = BETA_RANGE,
+    theta: float | None = None,
+    start: tuple[float, float] = (0.3, 0.5),
 ) -> tuple[Law, bool]:
-    """The law of least squared error over pokes, and whether all its states converged. theta: kept where given.
+    """The law of least squared error over pokes with beta in its range, and whether all its states converged.
+
+    theta: kept where given
 
     All pokes count the same, however many points were seen of each. Slopes are differences, since what slips moves with
     the law; a law and its neighbours settle at once, side by side.
@@ -229,7 +237,7 @@ def fit_shape(
     def around(x: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
         """Residuals (n,), their slopes (n, parameters), and whether the state itself converged."""
         if (key := x.tobytes()) not in seen:
-            steps = np.where(x > 0.5 * high, -SLOPE_STEP, SLOPE_STEP)
+            steps = np.where(x > 0.5 * FARTHEST[:free], -SLOPE_STEP, SLOPE_STEP)
             laws = [law(x), *(law(x + step) for step in np.diag(steps))]
             states = [one.settle(laws) for one in posed]
             every = [
@@ -242,13 +250,16 @@ def fit_shape(
         return seen[key]
 
     free = 2 if theta is None else 1
-    high = np.array([-np.log1p(-BETA_MOST), 1.0])[:free]
-    first = np.clip(np.array([-np.log1p(-start[0]), start[1]])[:free], 1e-3, high - 1e-3)
+    low, high = (
+        np.array([-np.log1p(-end), theta_end])[:free] for end, theta_end in zip(beta_range, (0.0, 1.0), strict=True)
+    )
+    inside = np.minimum(1e-3, 0.1 * (high - low))
+    first = np.clip(np.array([-np.log1p(-start[0]), start[1]])[:free], low + inside, high - inside)
     found = least_squares(
         lambda x: around(x)[0],
         first,
         lambda x: around(x)[1],
-        bounds=(np.zeros(free), high),
+        bounds=(low, high),
         xtol=1e-3,
         ftol=1e-4,
         max_nfev=15,
@@ -319,7 +330,8 @@ class ShapeFit:
 @dataclass(frozen=True, slots=True)
 class PokesFit:
     """Layers fitted to pokes. spacing: of the lattice [m]; tried: every cluster size, the best first; shaped: (q,) the
-    pokes whose surface beta and theta were fitted to; posed: these on the lattice of the best; theta_fitted: or kept"""
+    pokes whose surface beta and theta were fitted to; posed: these on the lattice of the best; beta_range: in which
+    beta was sought; theta_fitted: or kept"""
 
     surface: Surface
     pokes: tuple[SeenPoke, ...]
@@ -327,6 +339,7 @@ class PokesFit:
     tried: tuple[ShapeFit, ...]
     shaped: IntArray
     posed: tuple[PosedPoke, ...]
+    beta_range: tuple[float, float]
     theta_fitted: bool
 
     @property
@@ -346,6 +359,7 @@ def fit_pokes(
     *,
     spacing: float | None = None,
     cluster_sizes: Sequence[int] | None = None,
+    beta_range: tuple[float, float] = BETA_RANGE,
     theta: float | None = None,
     precision: Precision = "float32",
     device: str = "cpu",
@@ -354,7 +368,8 @@ def fit_pokes(
     """Fit the layers below a surface to one or several pokes of it.
 
     spacing: of the lattice [m], default `default_spacing` of the narrowest tip; cluster_sizes: tried, default 3 and 4
-    and then on in the direction that is better; theta: kept where given; progress: called with (what, done, all)
+    and then on in the direction that is better; beta_range: (low, high) in which beta is sought; theta: kept where
+    given; progress: called with (what, done, all)
     """
     narrow = min(pokes, key=lambda poke: poke.tip.width)
     fine = default_spacing(surface, narrow.tip) if spacing is None else spacing
@@ -367,7 +382,7 @@ def fit_pokes(
         if progress is not None:
             progress("cluster sizes", len(tried), len(tried) + 1 + len(waiting))
         posed[size] = [PosedPoke(surface, pokes[i], fine, size, precision, device) for i in shaped]
-        tried[size] = _fit_size(surface, pokes, posed[size], shaped, fine, theta, precision, device)
+        tried[size] = _fit_size(surface, pokes, posed[size], shaped, fine, beta_range, theta, precision, device)
         for other in [one for one in posed if tried[one].score > min(each.score for each in tried.values())]:
             del posed[other]
         if not waiting and cluster_sizes is None:
@@ -377,8 +392,8 @@ def fit_pokes(
                 waiting.append(beyond)
     ranked = sorted(tried.values(), key=lambda one: one.score)
     best_posed = next(iter(posed.values()))
-    ranked[0] = dataclasses.replace(ranked[0], held_out=_hold_out(best_posed, ranked[0].law, theta))
-    return PokesFit(surface, tuple(pokes), fine, tuple(ranked), shaped, tuple(best_posed), theta is None)
+    ranked[0] = dataclasses.replace(ranked[0], held_out=_hold_out(best_posed, ranked[0].law, beta_range, theta))
+    return PokesFit(surface, tuple(pokes), fine, tuple(ranked), shaped, tuple(best_posed), beta_range, theta is None)
 
 
 def _fit_size(
@@ -387,12 +402,13 @@ def _fit_size(
     posed: Sequence[PosedPoke],
     shaped: IntArray,
     spacing: float,
+    beta_range: tuple[float, float],
     theta: float | None,
     precision: Precision,
     device: str,
 ) -> ShapeFit:
     size = posed[0].size
-    law, good = fit_shape(posed, theta=theta)
+    law, good = fit_shape(posed, beta_range=beta_range, theta=theta)
     states = [one.settle([law]) for one in posed]
     error = np.array([_rms(one.residual(state)[0]) for one, state in zip(posed, states, strict=True)])
     settled = {int(place): (one, state) for place, one, state in zip(shaped, posed, states, strict=True)}
@@ -408,13 +424,13 @@ def _fit_size(
     return ShapeFit(law, error, np.full(len(posed), np.nan), reaction, good)
 
 
-def _hold_out(posed: Sequence[PosedPoke], law: Law, theta: float | None) -> FloatArray:
+def _hold_out(posed: Sequence[PosedPoke], law: Law, beta_range: tuple[float, float], theta: float | None) -> FloatArray:
     """Surface error of each poke with beta and theta fitted to the others."""
     error = np.full(len(posed), np.nan)
     if len(posed) > 1:
         for place, left in enumerate(posed):
             others = [one for one in posed if one is not left]
-            elsewhere, _ = fit_shape(others, theta=theta, start=(law.beta, law.theta))
+            elsewhere, _ = fit_shape(others, beta_range=beta_range, theta=theta, start=(law.beta, law.theta))
             error[place] = _rms(left.residual(left.settle([elsewhere]))[0])
     return error
 

@@ -143,11 +143,12 @@ def fit_touch(
         [seen],
         spacing=spacing,
         cluster_sizes=[cluster_size],
+        beta_range=BOUNDS,
         theta=0.0,
         precision=precision,
         device=device,
     )
-    found = conclude(fit, bounds=BOUNDS, level=level, settings={"model": "volume"}, provenance={})
+    found = conclude(fit, level=level, settings={"model": "volume"}, provenance={})
     posed = fit.posed[0]
     top = posed.settle([fit.best.law]).position[0, posed.scene.open]
     return TouchBeta(found.estimate, fit, len(near), np.asarray(top, dtype=np.float64))

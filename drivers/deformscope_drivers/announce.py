@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import stat
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -32,6 +33,9 @@ def announced(driver: str, port: str, name: str) -> Iterator[None]:
     """Tell other processes that a double runs here, until the end of the context."""
     folder = announcements()
     folder.mkdir(mode=0o700, exist_ok=True)
+    if not _is_ours(folder):  # made by another user, who could lead what is written here elsewhere
+        yield
+        return
     path = folder / f"{os.getpid()}-{name}.json"
     path.write_text(json.dumps({"driver": driver, "port": port, "name": name, "pid": os.getpid()}), encoding="utf-8")
     try:
@@ -43,7 +47,8 @@ def announced(driver: str, port: str, name: str) -> Iterator[None]:
 def running_doubles() -> list[RunningDouble]:
     """The doubles whose processes live; what dead ones left is removed."""
     found = []
-    for path in sorted(announcements().glob("*.json")):
+    folder = announcements()
+    for path in sorted(folder.glob("*.json")) if _is_ours(folder) else []:
         try:
             double = RunningDouble(**json.loads(path.read_text(encoding="utf-8")))
         except (OSError, ValueError, TypeError):
@@ -53,6 +58,14 @@ def running_doubles() -> list[RunningDouble]:
         else:
             path.unlink(missing_ok=True)
     return found
+
+
+def _is_ours(folder: Path) -> bool:
+    try:
+        status = folder.lstat()
+    except OSError:
+        return False
+    return stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid()
 
 
 def _lives(pid: int) -> bool:

@@ -6,6 +6,8 @@ class TestOverAPty(DeviceContract):
         wire = PtyWire(OptoforceDouble())
         with wire:
             yield Bench(Optoforce(OptoforceConfig(port=wire.port)), wire.unplug, wire.plug)
+
+What holds only on a machine that is not busy bears pytest's marker `realtime`.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError, LinkLost, NotConnected, Stale
 from deformscope_drivers.health import Link
 
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
 TOLD_WITHIN_S = 1.0
 
 
@@ -201,12 +203,10 @@ class DeviceContract:
         events = device.events()
         readings = device.readings()
         device.next(PATIENCE_S)
-        pulled_ns = time.monotonic_ns()
         bench.unplug()
         lost = events.get(PATIENCE_S)
 
         assert lost.link is Link.LOST
-        assert lost.host_ns - pulled_ns < bench.told_within_s * 1e9
         assert device.health().reason
         bench.plug()
         wait_until(lambda: device.link is Link.CONNECTED)
@@ -217,6 +217,17 @@ class DeviceContract:
         assert events.get(PATIENCE_S).link is Link.CONNECTED
         assert not readings.ended
         assert any(reading.stamp.host_ns >= after_ns for reading in readings.take())
+
+    @pytest.mark.realtime
+    def test_a_cable_pulled_out_is_reported_in_time(self, bench: Bench, device: Device[Any]) -> None:
+        if bench.unplug is None:
+            pytest.skip("this cable cannot be pulled from here")
+        events = device.events()
+        device.next(PATIENCE_S)
+        pulled_ns = time.monotonic_ns()
+        bench.unplug()
+
+        assert events.get(PATIENCE_S).host_ns - pulled_ns < bench.told_within_s * 1e9
 
     def test_it_closes_while_its_link_is_lost(self, bench: Bench, device: Device[Any]) -> None:
         if bench.unplug is None:

@@ -1,6 +1,8 @@
-"""The ways to a device: any serial port or URL that pyserial knows, and any CAN bus that python-can knows.
+"""The ways to a device: serial ports, sockets and CAN buses.
 
 A transport carries bytes. It decodes nothing; it says at once when the link is gone.
+Ports and buses are named by rig files, which come from anywhere: pyserial and python-can know more kinds than are
+accepted here, some of which write files (`spy://`) or load classes (`alt://`).
 """
 
 from __future__ import annotations
@@ -8,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import select
 import threading
 import urllib.parse
@@ -21,6 +24,21 @@ CHUNK_BYTES = 4096
 WRITE_TIMEOUT_S = 1.0
 CAN_FRAME_BYTES = 8
 CAN_DRAIN_FRAMES = 512
+
+PORTS = "a device's path, socket://HOST:PORT or rfc2217://HOST:PORT"
+_NETWORK_PORT = re.compile(r"(socket|rfc2217)://([\w.-]+|\[[0-9a-fA-F:.]+\]):\d{1,5}")
+
+_NAME = re.compile(r"[\w.-]+")
+_BUS_CHANNELS = {
+    "socketcan": _NAME,
+    "virtual": _NAME,
+    "udp_multicast": re.compile(r"[0-9a-fA-F.:]+"),
+    "pcan": _NAME,
+    "kvaser": re.compile(r"\d+"),
+    "slcan": re.compile(r"/dev/[\w./-]+(@\d+)?"),
+}
+"""Interfaces of python-can, and what each may be given as a channel."""
+_BUS_OPTIONS = frozenset({"fd", "hop_limit", "port", "tty_baudrate"})
 
 T = TypeVar("T")
 
@@ -61,10 +79,16 @@ class Transport(ABC):
         return found
 
 
-class SerialTransport(Transport):
-    """A serial port, or any URL of pyserial's: `/dev/ttyACM0`, `socket://host:port`, `rfc2217://host:port`...
+def check_port(port: str) -> None:
+    """Raises NotConnected for what is neither a path nor an address of a documented kind; opens nothing."""
+    if "://" in port and not _NETWORK_PORT.fullmatch(port):
+        raise NotConnected(PORTS, "another kind of port", 'port = "/dev/ttyACM0"', port)
 
-    port: path or URL; baudrate: symbols a second, 8N1, no flow control (USB and sockets ignore it)
+
+class SerialTransport(Transport):
+    """A serial port, or one behind the network: `/dev/ttyACM0`, `socket://host:port`, `rfc2217://host:port`.
+
+    port: as `check_port` accepts it; baudrate: symbols a second, 8N1, no flow control (USB and sockets ignore it)
     """
 
     def __init__(self, port: str, baudrate: int) -> None:
@@ -80,6 +104,7 @@ class SerialTransport(Transport):
 
         import serial
 
+        check_port(self.name)
         try:
             self._serial = serial.serial_for_url(
                 self.name, baudrate=self._baudrate, timeout=0, write_timeout=WRITE_TIMEOUT_S, exclusive=True
@@ -160,8 +185,8 @@ class SerialTransport(Transport):
 class CanTransport(Transport):
     """A byte stream over a CAN bus: the device's frames of one id, one after the other; ours in pieces of 8 bytes.
 
-    bus: `interface:channel`, both as python-can calls them (`socketcan:can0`, `virtual:lab`), and more of python-can's
-    options behind a question mark (`udp_multicast:239.74.163.2?port=43113`, which stays within this host)
+    bus: `interface:channel`, both as python-can calls them (`socketcan:can0`, `virtual:lab`), and options behind a
+    question mark (`udp_multicast:239.74.163.2?port=43113`, which stays within this host); as `parse_bus` accepts it
     receive_id, send_id: the device's and the host's 11-bit identifiers; bitrate: bits a second
     """
 
@@ -216,12 +241,22 @@ class CanTransport(Transport):
 
 
 def parse_bus(bus: str) -> tuple[str, str, dict[str, Any]]:
-    """Interface, channel and options of `interface:channel?option=value&...`; raises NotConnected."""
+    """Interface, channel and options of `interface:channel?option=value&...`; opens nothing.
+
+    Raises NotConnected where a part is missing, or is none that is accepted.
+    """
     interface, colon, rest = bus.partition(":")
     channel, _, query = rest.partition("?")
     if not colon or not interface or not channel:
         raise NotConnected("a bus as interface:channel", repr(bus), "socketcan:can0")
-    return interface, channel, {key: _number(value) for key, value in urllib.parse.parse_qsl(query)}
+    if interface not in _BUS_CHANNELS:
+        raise NotConnected(f"a bus of {', '.join(_BUS_CHANNELS)}", interface, "socketcan:can0", bus)
+    if not _BUS_CHANNELS[interface].fullmatch(channel):
+        raise NotConnected(f"a channel of {interface}", repr(channel), "socketcan:can0", bus)
+    options = urllib.parse.parse_qsl(query, keep_blank_values=True)
+    if unknown := [key for key, _ in options if key not in _BUS_OPTIONS]:
+        raise NotConnected(f"options of {', '.join(sorted(_BUS_OPTIONS))}", ", ".join(unknown), where=bus)
+    return interface, channel, {key: _number(value) for key, value in options}
 
 
 def _number(text: str) -> int | float | str:
@@ -247,6 +282,13 @@ def open_bus(bus: str, receive_id: int, bitrate: int) -> Any:
     except (can.CanError, OSError, ValueError, TypeError, NotImplementedError) as error:
         advice = f"ip link show {channel}; sudo ip link set {channel} up type can bitrate {bitrate}"
         raise NotConnected("a CAN bus", _words(error), advice if interface == "socketcan" else "", bus) from error
+
+
+def check_way(port: str, bus: str) -> None:
+    """Raises NotConnected for a port or a bus of a kind that is not accepted, where they are named; opens nothing."""
+    check_port(port)
+    if bus:
+        parse_bus(bus)
 
 
 def serial_or_can(

@@ -9,11 +9,9 @@ from __future__ import annotations
 import os
 import select
 import socket
-import tempfile
 import threading
 import tty
 from abc import ABC, abstractmethod
-from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -103,31 +101,37 @@ class Wire(ABC):
 
 
 class PtyWire(Wire):
-    """A pseudo terminal; `port` is a link that stays the same when the cable is pulled out and put back.
+    """A pseudo terminal; `port` stays the same when the cable is pulled out and put back.
 
+    The port is a descriptor of this process under /proc, which other processes of the same user can open: the kernel
+    takes it away with the process, however that ends, while a link in a folder would stay behind.
     It has no baud rate: a double that should be slow paces itself (`doubles.Line`).
     """
 
     def __init__(self, double: Double) -> None:
         super().__init__(double)
-        self._folder = tempfile.TemporaryDirectory(prefix="deformscope-pty-")
-        self.port = str(Path(self._folder.name) / "tty")
+        self.port = ""
         self._ours = self._theirs = -1
 
     def _attach(self) -> None:
-        self._ours, self._theirs = os.openpty()  # their end stays open here: bytes wait until a host opens it
-        tty.setraw(self._theirs)
+        self._ours, theirs = os.openpty()
+        tty.setraw(theirs)
         os.set_blocking(self._ours, False)
-        Path(self.port).unlink(missing_ok=True)
-        Path(self.port).symlink_to(os.ttyname(self._theirs))
+        if self._theirs < 0:  # it stays open here: bytes wait until a host opens it
+            self._theirs = theirs
+            self.port = f"/proc/{os.getpid()}/fd/{theirs}"
+        else:
+            os.dup2(theirs, self._theirs, inheritable=False)
+            os.close(theirs)
 
     def _detach(self) -> None:
-        Path(self.port).unlink(missing_ok=True)
-        for end in (self._theirs, self._ours):
-            os.close(end)
+        with socket.socket(socket.AF_UNIX) as nothing:  # keeps the descriptor's number, and cannot be opened by path
+            os.dup2(nothing.fileno(), self._theirs, inheritable=False)
+        os.close(self._ours)
 
     def _clean(self) -> None:
-        self._folder.cleanup()
+        os.close(self._theirs)
+        self._theirs = -1
 
     def _take(self, wait_s: float) -> bytes:
         ready, _, _ = select.select([self._ours], [], [], wait_s)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -22,6 +23,7 @@ from deformscope.bench.timing import Contestant, Row, Timing, compare
 from deformscope.cli import EXIT_INPUT, EXIT_INTERRUPTED, main
 from deformscope.stages.msm import reference
 from deformscope.stages.msm.clusters import lattice
+from tests.patience import PATIENCE_S
 
 SHORT = ["bench", "--quick", "--device", "cpu", "--sizes", "64", "--repeats", "3"]
 TOP = {"format", "complete", "machine", "settings", "rows"}
@@ -45,7 +47,7 @@ def run_module(*args: str, without: tuple[str, ...] = ()) -> subprocess.Complete
         [sys.executable, "-c", script + "runpy.run_module('deformscope.bench', run_name='__main__', alter_sys=True)"],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
         check=False,
         env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
     )
@@ -88,7 +90,8 @@ def test_every_case_gives_rows(case: str) -> None:
     rows = json.loads(Path("bench.json").read_text(encoding="utf-8"))["rows"]
 
     assert {row["case"] for row in rows} == {case}
-    assert all(row["median"] > 0 for row in rows)
+    # What a busy machine takes from one run and not from the next may turn a difference of two around.
+    assert all(row["repeats"] == 1 and math.isfinite(row["median"]) for row in rows)
 
 
 def test_memory_is_told_of_bodies_that_take_some() -> None:

@@ -21,6 +21,7 @@ pytest.importorskip("tyro")
 from deformscope import cli, config
 from deformscope.cli import common
 from deformscope.errors import InputError
+from tests.patience import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
 SYSTEM_LIBRARIES = ROOT / ".ci" / "system-libraries"
@@ -32,7 +33,7 @@ def run_python(*args: str, stdout: int = subprocess.PIPE, **environment: str) ->
         stdout=stdout,
         stderr=subprocess.PIPE,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
         check=False,
         env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))} | environment,
     )

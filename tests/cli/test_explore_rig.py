@@ -1,5 +1,5 @@
-"""`explore RIG` on devices with threads of their own and the host's clock: doubles over a simulated table, reached and
-moved by the code that moves a real arm."""
+"""`explore RIG` on doubles over a simulated table, reached and moved by the code that moves a real arm: on a simulated
+clock, and with threads of their own on the host's."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from deformscope.stages.touches import MapGrid
 from deformscope_drivers.errors import SettingsRefused
 from deformscope_drivers.jaco.kinematics import J2N6S300
 from deformscope_drivers.optoforce import Optoforce
+from tests.cli.rig_on_a_simulated_clock import use_a_simulated_clock
 
 RIG = """
 [devices.arm]
@@ -64,10 +65,16 @@ def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return path
 
 
-def test_a_rig_of_doubles_is_explored_recorded_and_replayed(
+@pytest.fixture
+def simulated_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    use_a_simulated_clock(monkeypatch)
+
+
+def explored_recorded_and_replayed(
     rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(RigBench, "simulated", False)  # all is asked of it that is asked of real devices
+    """All is asked of the doubles that is asked of real devices."""
+    monkeypatch.setattr(RigBench, "simulated", False)
     monkeypatch.setattr(RigBench, "calibrated", property(lambda bench: dict.fromkeys(("all",), True)))
     record, told = tmp_path / "r.rrd", tmp_path / "r.json"
     arguments = ["explore", str(rig), "--touches", "1", "--beta-model", "none", "--record", str(record)]
@@ -87,6 +94,21 @@ def test_a_rig_of_doubles_is_explored_recorded_and_replayed(
     assert main(["replay", str(record)]) == 0, capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("simulated_clock")
+def test_a_rig_of_doubles_is_explored_recorded_and_replayed(
+    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    explored_recorded_and_replayed(rig, tmp_path, capsys, monkeypatch)
+
+
+@pytest.mark.realtime
+def test_a_rig_of_doubles_is_explored_on_the_hosts_clock(
+    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    explored_recorded_and_replayed(rig, tmp_path, capsys, monkeypatch)
+
+
+@pytest.mark.usefixtures("simulated_clock")
 def test_a_real_arm_does_not_move_unless_somebody_says_yes(
     rig: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -103,6 +125,7 @@ def test_a_real_arm_does_not_move_unless_somebody_says_yes(
     assert not moved
 
 
+@pytest.mark.usefixtures("simulated_clock")
 def test_an_arm_that_is_not_calibrated_does_not_move(
     rig: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -147,6 +170,7 @@ def test_a_rig_that_cannot_explore_is_refused_in_one_line(
     assert said.count("\n") == 1
 
 
+@pytest.mark.usefixtures("simulated_clock")
 @pytest.mark.parametrize(
     ("what", "error", "words"),
     [

@@ -15,6 +15,7 @@ import pytest
 pytest.importorskip("tyro")
 
 from deformscope.cli import main
+from tests.patience import PATIENCE_S
 
 MOTION_PX = (2.5, -1.0)
 WITHIN_PX = 0.1
@@ -116,7 +117,7 @@ def test_an_error_below_python_stays_one_line() -> None:
         [sys.executable, "-m", "deformscope", "flow", "before.png", "broken.png", "--out", "f.npz"],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
         check=False,
         env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
     )

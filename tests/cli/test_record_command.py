@@ -18,6 +18,7 @@ from deformscope.cli import main
 from deformscope.frames import HealthReport, RawBytes, WrenchFrame
 from deformscope.ledger import check_ledger
 from deformscope.rig_replay import read_items
+from tests.patience import PATIENCE_S
 
 SMALL = """
 [devices.tip]
@@ -29,7 +30,6 @@ sensitivity = { counts_at_nominal = [16037.0, 16037.0, 16037.0], nominal = [40.0
 driver = "dsa"
 double = true
 """
-PATIENCE_S = 60.0
 
 
 @pytest.fixture
@@ -93,19 +93,29 @@ def test_a_bench_of_doubles_is_recorded_whole(tmp_path: Path, capsys: pytest.Cap
     assert set(found["devices"]) == {"tip", "wrist", "pads", "hand", "arm", "camera", "depth"}
     for name, health in found["devices"].items():
         assert health["received"] > 5, name
-        assert health["dropped"] == health["skipped_bytes"] == 0, (name, health)
-        if name not in ("camera", "depth"):  # on a busy machine a simulated scene may be drawn too late, and says so
-            assert health["lost"] == 0, (name, health)
-    assert found["devices"]["tip"]["received"] > 2000
     assert check_ledger(file) == []
     capsys.readouterr()
 
     assert main(["verify", str(file), "--json", "-"]) == 0
     verified = json.loads(capsys.readouterr().out)
     assert verified["ok"]
-    # What each device gave is what the file holds.
+    # What each device gave is what the file holds; how much had to be dropped, a busy machine decides.
     for name, health in found["devices"].items():
-        assert verified["counts"][f"{name}/frames"] == health["received"], name
+        assert verified["counts"][f"{name}/frames"] == health["received"] - health["dropped"], name
+
+
+@pytest.mark.realtime
+def test_doubles_on_an_idle_machine_lose_nothing(tmp_path: Path) -> None:
+    told = tmp_path / "r.json"
+    record = ["record", "lab:bench", "--seconds", "3", "--record", str(tmp_path / "r.rrd"), "--json", str(told)]
+
+    assert main(record) == 0
+    devices = json.loads(told.read_text())["devices"]
+    assert devices["tip"]["received"] > 2000
+    for name, health in devices.items():
+        assert health["dropped"] == health["skipped_bytes"] == 0, (name, health)
+        if name not in ("camera", "depth"):  # a simulated scene may be drawn too late, and says so
+            assert health["lost"] == 0, (name, health)
 
 
 def test_frames_and_bytes_in_the_file_agree(rig: Path, tmp_path: Path) -> None:
@@ -120,7 +130,7 @@ def test_frames_and_bytes_in_the_file_agree(rig: Path, tmp_path: Path) -> None:
     readings = [event for event in Decoder().feed(data) if isinstance(event, Reading)]
     frames = [item for item in items if isinstance(item, WrenchFrame)]
 
-    assert len(frames) == len(readings) > 1000
+    assert len(frames) == len(readings) > 100
     assert [tuple(frame.counts) for frame in frames] == [tuple(reading.counts[0]) for reading in readings]
     assert dict([item for item in items if isinstance(item, HealthReport)][-1].devices)["tip"].received == len(frames)
 
@@ -141,14 +151,16 @@ def test_what_was_written_before_a_kill_is_readable(
 ) -> None:
     process = start(started, "record", rig, "--record", "r.rrd", cwd=tmp_path)
     wait_for(process.stderr, "Ctrl-C ends it")
-    time.sleep(3.0)
+    (part,) = tmp_path.glob("*.part.rrd")
+    until, written = time.monotonic() + PATIENCE_S, part.stat().st_size
+    while part.stat().st_size < written + 300_000 and time.monotonic() < until:
+        time.sleep(0.02)
     process.kill()
     process.wait(PATIENCE_S)
-    (part,) = tmp_path.glob("*.part.rrd")
     frames = [item for item in read_items(part) if isinstance(item, WrenchFrame)]
 
     assert not (tmp_path / "r.rrd").exists()
-    assert len(frames) > 1000
+    assert len(frames) > 100
     assert [frame.index for frame in frames] == list(range(len(frames)))
     assert main(["verify", str(part)]) != 0
     assert "cut short" in capsys.readouterr().err
@@ -243,12 +255,11 @@ def test_devices_on_a_machine_with_none_helps(
     assert "record lab:bench" in said
 
 
-@pytest.mark.parametrize("command", ["doctor", "record"])
-def test_a_device_without_a_port_is_named(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_device_without_a_port_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(f'[devices.hand]\ndriver = "sdh"\n[record]\nfolder = "{tmp_path}"\n')
 
-    assert main([command, str(path)]) == 2
+    assert main(["record", str(path)]) == 2
     told = capsys.readouterr().err
     assert "expected a port or a bus; got neither" in told
     assert "device hand" in told

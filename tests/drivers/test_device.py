@@ -20,6 +20,7 @@ from deformscope_drivers.health import Link
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.transport import CanTransport, SerialTransport, parse_bus, serial_or_can
 from deformscope_drivers.wires import CanWire, PtyWire, TcpWire
+from tests.drivers.buses import udp_bus
 from tests.drivers.toy import PERIOD_NS, Toy, ToyDouble
 
 QUICK = Reconnect(0.01, 0.1)
@@ -31,9 +32,7 @@ def silence(double: ToyDouble, silent: bool) -> None:
 
 def bench_on(wire, make) -> Bench:
     double = wire.double
-    return Bench(
-        make(), wire.unplug, wire.plug, lambda: silence(double, True), lambda: silence(double, False), told_within_s=1.0
-    )
+    return Bench(make(), wire.unplug, wire.plug, lambda: silence(double, True), lambda: silence(double, False))
 
 
 class TestOverAPty(DeviceContract):
@@ -58,7 +57,7 @@ class TestOverASocket(DeviceContract):
             yield bench_on(wire, lambda: Toy(SerialTransport(wire.port, 115200), reconnect=QUICK))
 
 
-@pytest.mark.parametrize("bus", ["virtual:toy", "udp_multicast:239.74.163.2?port=43217"])
+@pytest.mark.parametrize("bus", ["virtual:toy", udp_bus()], ids=["virtual", "udp"])
 class TestOverCan(DeviceContract):
     @pytest.fixture
     def bench(self, bus: str) -> Iterator[Bench]:
@@ -289,12 +288,10 @@ def test_on_a_simulated_clock_a_run_is_the_same_every_time() -> None:
             assert device.next(0.1).count == 500
             return [(reading.stamp.host_ns, reading.count) for reading in readings.take()]
 
-    start = time.monotonic()
     first = run()
 
     assert first == run()
     assert len(first) == 1001
-    assert time.monotonic() - start < 60
     assert first[0] == (10**9 + PERIOD_NS, 0)
 
 

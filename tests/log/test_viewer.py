@@ -24,6 +24,7 @@ from deformscope.session import Step, run
 from deformscope.sources import open_source
 from deformscope.stages.exploration import MapsKnown
 from tests.log import synthetic, synthetic_exploration, synthetic_rig
+from tests.patience import PATIENCE_S
 from tests.test_closeup import poked
 from tools import screenshot
 from tools.screenshot import LAVAPIPE, headless_viewer, shoot
@@ -48,7 +49,7 @@ def viewer() -> Iterator[ViewerClient]:
     if not Path("/usr/share/vulkan/icd.d").is_dir() and "VK_ICD_FILENAMES" not in os.environ:
         pytest.skip("no Vulkan driver; apt-get install mesa-vulkan-drivers libvulkan1")
     try:
-        with headless_viewer() as client:
+        with headless_viewer("1200x800") as client:
             client.get_state()
             yield client
     except (RuntimeError, ConnectionError) as error:
@@ -154,7 +155,7 @@ def test_a_native_viewer_gets_the_run_and_outlives_it(tmp_path: Path, monkeypatc
     try:
         assert made.summary().dropped == 0
         client = ViewerClient.connect(viewer.url)
-        deadline = time.monotonic() + 10
+        deadline = time.monotonic() + PATIENCE_S
         while len(client.get_state().views) < 6 and time.monotonic() < deadline:
             time.sleep(0.2)
         assert {view.name for view in client.get_state().views} >= {"Particles", "Estimate"}

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from deformscope.errors import InputError
 from deformscope.robot.readings import ArmSample, CameraSample, ForceSample, Observation
 from deformscope.robot.supervisor import Action, Fault, Limits, Supervisor, Verdict
+from deformscope_drivers.jaco.kinematics import J2N6S300, rotation_from_rpy, transform
 
 MS = 1_000_000
 PERIOD = 10 * MS
@@ -26,9 +29,10 @@ def arm(time_ns: int, x_m: float = 0.0, *, joints: float | None = None, fifo: in
 def judged(supervisor: Supervisor, now_ns: int, **changed: object) -> Verdict:
     commanded = float(changed.pop("commanded_m_s", 0.0))  # type: ignore[arg-type]
     needed = bool(changed.pop("camera_needed", False))
+    rotation: Any = changed.pop("commanded_rotation", None)
     well: dict[str, object] = {"forces": (force(now_ns),), "arms": (arm(now_ns),)}
     seen = Observation(now_ns, **(well | changed))  # type: ignore[arg-type]
-    return supervisor.judge(seen, commanded_m_s=commanded, camera_needed=needed)
+    return supervisor.judge(seen, commanded_m_s=commanded, commanded_rotation=rotation, camera_needed=needed)
 
 
 def test_all_well_goes_on() -> None:
@@ -169,6 +173,60 @@ def test_the_arm() -> None:
     assert fast.verdict.fault is Fault.ARM_SPEED
 
 
+def turned(time_ns: int, angle_deg: float) -> ArmSample:
+    """An arm whose end has turned about its y axis, in place."""
+    return ArmSample(
+        time_ns, transform(rotation_from_rpy(0.0, np.radians(angle_deg), 0.0), (0, 0, 0)), (0.1 * angle_deg,)
+    )
+
+
+@pytest.mark.parametrize(("rate_deg_s", "action"), [(35.0, Action.GO_ON), (45.0, Action.STOP)])
+def test_an_arm_that_turns_too_fast(rate_deg_s: float, action: Action) -> None:
+    """From the differences of its poses: what it reports as its velocity is not asked."""
+    supervisor = Supervisor(Limits(turn_deg_s=40.0), 0)
+    for k in range(1, 30):
+        verdict = judged(supervisor, k * PERIOD, arms=(turned(k * PERIOD, 0.01 * k * rate_deg_s),))
+        if verdict.action is not Action.GO_ON:
+            break
+
+    assert verdict.action is action
+    assert verdict.fault is (Fault.ARM_TURN if action is Action.STOP else Fault.NONE)
+    assert k * PERIOD <= 50 * MS or action is Action.GO_ON
+
+
+@pytest.mark.parametrize(("angle_deg", "fault"), [(4.9, Fault.NONE), (-4.9, Fault.NONE), (5.1, Fault.TILT)])
+def test_a_tool_that_stands_otherwise_than_commanded(angle_deg: float, fault: Fault) -> None:
+    supervisor = Supervisor(Limits(tilt_deg=5.0), 0)
+    commanded = rotation_from_rpy(0.0, np.radians(30.0), 0.0)
+
+    verdict = judged(supervisor, PERIOD, arms=(turned(PERIOD, 30.0 + angle_deg),), commanded_rotation=commanded)
+
+    assert verdict.fault is fault
+    assert judged(Supervisor(Limits(), 0), PERIOD, arms=(turned(PERIOD, 90.0),)).fault is Fault.NONE
+
+
+@pytest.mark.parametrize(
+    ("left_deg", "rate_deg_s", "fault"),
+    [
+        (6.5, -10.0, Fault.NONE),  # slows down in time
+        (5.2, -10.0, Fault.JOINT_LIMIT),
+        (4.0, -10.0, Fault.JOINT_LIMIT),
+        (4.0, 10.0, Fault.NONE),  # on its way back
+        (4.0, 0.0, Fault.NONE),  # preflight does not let it move
+    ],
+)
+def test_a_joint_on_its_way_to_its_limit(left_deg: float, rate_deg_s: float, fault: Fault) -> None:
+    supervisor = Supervisor(Limits(joint_margin_deg=5.0), 0, chain=J2N6S300)
+    for k in range(1, 6):
+        joints_deg = J2N6S300.home_deg.copy()
+        joints_deg[2] = J2N6S300.lower_deg[2] + left_deg + 0.01 * (k - 5) * rate_deg_s
+        sample = ArmSample(k * PERIOD, np.eye(4), tuple(joints_deg))
+        verdict = judged(supervisor, k * PERIOD, arms=(sample,))
+
+    assert verdict.fault is fault
+    assert fault is Fault.NONE or "joint 3" in verdict.reason
+
+
 def test_the_box_may_be_entered_and_not_left() -> None:
     limits = Limits(low_m=(-1.0, -1.0, -1.0), high_m=(0.1, 1.0, 1.0))
     leaving, entering = Supervisor(limits, 0), Supervisor(limits, 0)
@@ -192,3 +250,5 @@ def test_the_tip_is_what_has_to_stay_in_the_box() -> None:
 def test_limits_that_make_no_sense_are_refused() -> None:
     with pytest.raises(InputError, match="soft_force_n"):
         Limits(soft_force_n=20.0)
+    with pytest.raises(InputError, match="tilt_deg"):
+        Limits(tilt_deg=0.0)

@@ -174,6 +174,33 @@ def test_a_camera_that_repeats_itself_is_found_before_anything_moves() -> None:
     assert "camera: alive: plug the camera" in report.table()
 
 
+def test_an_arm_that_begins_at_a_joints_limit_is_found_before_anything_moves() -> None:
+    scene = make_scene(6, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
+    double = scene.lab.arm_double
+    double._arm.joints_deg = double.joints_deg.copy()
+    double._arm.joints_deg[2] = double.chain.lower_deg[2] + 3.0
+    double._arm.links = double.chain.forward(double._arm.joints_deg)
+    report = check(scene.robot, [scene.plan], calibrated={})
+    scene.lab.close()
+
+    (found,) = (one for one in report.checks if one.name == "arm: joints")
+    assert not found.passed
+    assert found.came == "joint 3 3.0 deg"
+    assert "arm: joints: turn the joint away" in report.table()
+
+
+def test_a_way_that_the_arm_cannot_be_led_is_refused_before_it_moves() -> None:
+    scene = make_scene(6, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
+    before_deg = scene.lab.arm_double.joints_deg
+    far = TouchPlan(np.array([0.3, -0.35, 0.08]), np.array([0.0, 0.0, 1.0]), travel_height_m=0.15)
+    record = run_touch(scene.robot, far)
+    scene.lab.close()
+
+    assert record.ending is Ending.NOT_REACHED
+    assert "singularity" in record.reason
+    assert np.array_equal(scene.lab.arm_double.joints_deg, before_deg)
+
+
 def test_a_first_way_that_leads_below_the_surface_is_refused() -> None:
     scene = make_scene(6, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
     double = scene.lab.arm_double

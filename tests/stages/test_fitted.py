@@ -21,7 +21,7 @@ from tests.stages.pokes import LAW, SPACING, STIFFNESS, poked, surface
 @pytest.fixture(scope="module")
 def model() -> FittedModel:
     found = fit_pokes(surface(), [seen_poke(poked((0.09, 0.08)))], spacing=SPACING, cluster_sizes=[3])
-    return conclude(found, bounds=(0.0, 0.99), level=0.9, settings={}, provenance={}).model
+    return conclude(found, level=0.9, settings={}, provenance={}).model
 
 
 def test_a_poke_with_another_tip_depth_and_place_is_as_the_law_that_made_both(model: FittedModel) -> None:

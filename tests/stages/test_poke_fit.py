@@ -58,7 +58,7 @@ def test_each_poke_has_its_stiffness_and_the_field_is_judged_by_pokes_left_out()
     at = [(0.05, 0.05), (0.06, 0.11), (0.13, 0.06), (0.12, 0.12), (0.04, 0.08), (0.14, 0.09)]
     seen = [poked(one, stiffness=40.0 if one[0] < 0.09 else 90.0) for one in at]
     found = fit(*seen, cluster_sizes=[3])
-    told = conclude(found, bounds=(0.0, 0.99), level=0.9, settings={}, provenance={})
+    told = conclude(found, level=0.9, settings={}, provenance={})
     np.testing.assert_allclose(told.model.stiffness, [40.0, 40.0, 90.0, 90.0, 40.0, 90.0], rtol=0.02)
     assert told.model.field_kind == "materials"
     assert told.model.stiffness_at(np.array([0.15, 0.05, 0.03]), SPACING) == pytest.approx(90.0, rel=0.02)
@@ -71,7 +71,7 @@ def test_the_interval_holds_the_truth_under_noise_and_shrinks_with_it() -> None:
     for noise in (2e-5, 1e-4):
         seen = poked((0.09, 0.08), noise=noise, seed=3)
         found = fit(seen, cluster_sizes=[3])
-        told = conclude(found, bounds=(0.0, 0.99), level=0.9, settings={}, provenance={}).estimate
+        told = conclude(found, level=0.9, settings={}, provenance={}).estimate
         low, high = told.interval
         assert low <= LAW.beta <= high
         assert low <= told.value <= high
@@ -83,7 +83,7 @@ def test_the_interval_holds_the_truth_under_noise_and_shrinks_with_it() -> None:
 
 def test_without_a_force_there_is_no_stiffness() -> None:
     found = fit(poked((0.09, 0.08), stiffness=None), cluster_sizes=[3])
-    told = conclude(found, bounds=(0.0, 0.99), level=0.9, settings={}, provenance={})
+    told = conclude(found, level=0.9, settings={}, provenance={})
     assert told.estimate.stiffness is None
     assert told.estimate.stiffness_verdict == "unidentified"
     assert told.model.stiffness.size == 0

@@ -339,7 +339,7 @@ class Anderson(Iteration):
         zero = np.zeros(size)
         for name in ("state", "known", "total", "mark"):
             setattr(state, name, layout.each(zero, int))
-        for name in ("path", "norm", "best", "error", "least", "least_before"):
+        for name in ("path", "norm", "best", "error", "least", "least_before", "target"):
             setattr(state, name, layout.each(zero, wp.float64))
         lanes = layout.groups * layout.abreast + layout.width
         state.gamma = upload(np.zeros((k.MEMORY, lanes)), layout.scalar, layout.device)
@@ -347,6 +347,8 @@ class Anderson(Iteration):
         history = wp.types.matrix(shape=(k.MEMORY, k.MEMORY), dtype=wp.float64)
         state.gram = wp.zeros(lanes, dtype=history, device=layout.device)
         state.tolerance, state.floor = self.tolerance, self.floor
+        self._relative = wp.zeros(1, dtype=wp.float64, device=layout.device)
+        state.relative = self._relative
         state.groups, state.count = self.all_groups(), self.all_groups()
         self.state = state
         self._kept = self.operator.kept(volume)
@@ -362,13 +364,17 @@ class Anderson(Iteration):
     ) -> Ended:
         """The static states from displacements (B or 1, K, d); tolerance and result in particle spacings."""
         self.put(start)
+        set_first(self._relative, 0.0)
         return self._iterate(self._goals, tolerance, max_iterations, progress)
 
-    def solve(self, tolerance: float, max_iterations: int) -> Ended:
-        """y of y = J y + right (`linear_right`), where `evaluate` was last called, into `u`."""
+    def solve(self, relative: float, max_iterations: int) -> bool:
+        """y of y = J y + right (`linear_right`) where `evaluate` was last called, into `u`; whether what is left came
+        to `relative` of the right-hand side.
+        """
         set_first(self.floor, 0.0)
+        set_first(self._relative, relative)
         self.u.zero_()
-        return self._iterate(self._linear, tolerance, max_iterations, None)
+        return bool((self._iterate(self._linear, 0.0, max_iterations, None).state == k.CONVERGED).all())
 
     def evaluate(self) -> None:
         """The residual at `u`, and with it what derivatives there need."""

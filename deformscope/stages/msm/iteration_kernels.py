@@ -576,8 +576,10 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
     class Anderson:
         """What Anderson's acceleration keeps of each candidate."""
 
-        tolerance: wp.array(dtype=wp.float64)
-        floor: wp.array(dtype=wp.float64)
+        tolerance: wp.array(dtype=wp.float64)  # of the distance to the static state [spacing]; first entry
+        floor: wp.array(dtype=wp.float64)  # residual that is but rounding [spacing]; first entry
+        relative: wp.array(dtype=wp.float64)  # reduction of a residual that ends a linear solve; first entry, 0: goals
+        target: wp.array(dtype=wp.float64)  # at which the residual of a linear solve ends
         state: wp.array(dtype=int)
         groups: wp.array(dtype=int)
         count: wp.array(dtype=int)  # iterations of a group
@@ -749,8 +751,10 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
         """Anderson's weights of the remembered changes: least squares of the residual over them, slightly damped.
 
         The distance still to go is judged by the path over the last quarter of all iterations, since accelerated steps
-        are as long as the error that they remove, and by the residual over the smallest pull back that they met. When
-        the residual has grown far above its best, the memory is dropped and a plain step follows.
+        are as long as the error that they remove, and by the residual over the smallest pull back that they met. A
+        linear solve ends on its residual as a share of the right-hand side: an estimate that waits for the end of a
+        stretch can come after the residual has reached rounding, where changes say nothing of the pull back. When the
+        residual has grown far above its best, the memory is dropped and a plain step follows.
         """
         group = wp.tid()
         if anderson.groups[group] == 0:
@@ -765,7 +769,9 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
                 norm = wp.sqrt(collected(span, parts, wp.static(2 * MEMORY), groups, group, member) / span.metric_total)
                 anderson.norm[i] = norm
                 anderson.total[i] = anderson.total[i] + 1
-                if k > 0:
+                if k == 0:  # a linear solve starts at 0, where its residual is the right-hand side
+                    anderson.target[i] = anderson.relative[0] * norm
+                else:
                     step = collected(span, parts, wp.static(2 * MEMORY + 1), groups, group, member)
                     newest_row = 2 * ((k - 1) % wp.static(MEMORY))
                     change = collected(span, parts, newest_row, groups, group, member)
@@ -777,6 +783,8 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
                 left = wp.float64(10.0) * norm / wp.max(least, wp.float64(1e-12))
                 if not wp.isfinite(norm) or norm > far:
                     anderson.state[i] = wp.static(DIVERGED)
+                elif norm <= anderson.target[i]:
+                    anderson.state[i] = wp.static(CONVERGED)
                 elif norm <= anderson.floor[0]:
                     anderson.error[i] = left
                     anderson.state[i] = wp.static(STALLED)

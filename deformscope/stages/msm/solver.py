@@ -332,7 +332,7 @@ class Msm:
         if not self.free.any():
             return self._all_held(held_position, size)
         share = TOLERANCE[self.precision] if tolerance is None else tolerance
-        most = max(4000, 40 * len(self.rest)) if max_iterations is None else max_iterations
+        most = _most_iterations(len(self.rest)) if max_iterations is None else max_iterations
         if self._one is not None:
             return self._relax_one(held_position, beta_b.reshape(size, -1)[:, 0], theta_b, volume, start, share, most)
         at_once = max(1, PARTICLES_AT_ONCE // len(self.rest))
@@ -427,8 +427,7 @@ class Msm:
                 out.append(way.layout.get(way.step, self.dim) * self.scale)
             else:
                 way.derive_goals(by, way.linear_right)
-                ended = way.solve(1e-12 * self.extent / self.scale, max(4000, 40 * len(self.rest)))
-                good &= bool((ended.state == CONVERGED).all())
+                good &= way.solve(LINEAR_TOLERANCE["float64"], _most_iterations(len(self.rest)))
                 out.append(way.layout.get(way.u, self.dim) * self.scale)
                 way.layout.put(self._displacements(position), way.u)
                 way.evaluate()
@@ -718,6 +717,10 @@ class _Stepping:
         state = self.state
         state.operator.step(state.u, state.before, motion, self.parameters, self.running, state.ran_away)
         state.swapped = not state.swapped
+
+
+def _most_iterations(particle_count: int) -> int:
+    return max(4000, 40 * particle_count)
 
 
 def pick_device(choice: Literal["auto", "cpu", "cuda"]) -> str:

@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import json
 import math
+import re
 import socket
 import subprocess
 import time
@@ -26,9 +27,12 @@ from deformscope_drivers.errors import DeviceError, LinkLost, NotConnected, Sett
 from deformscope_drivers.images import QUEUE_IMAGES, fingerprint
 from deformscope_drivers.openni.camera import Settings
 from deformscope_drivers.openni.command import process_command, process_environment
+from deformscope_drivers.openni.library import library_file
 from deformscope_drivers.openni.messages import END, FAILED, FRAME, OPENED, unpack_frame, unpack_words
 
 RECORDING_SUFFIX = ".oni"
+_CAMERA = re.compile(r"(\w[\w:/@.-]*)?")
+"""What OpenNI2 may be given as the name of a camera. It takes any other name for a file's, and opens that."""
 OPEN_TIMEOUT_S = 20.0
 END_TIMEOUT_S = 2.0
 WRONG_SIZE = "size"
@@ -63,10 +67,18 @@ class DepthCameraConfig:
     silence_s: float = 5.0
     stuck_after_s: float | None = 5.0
 
+    def __post_init__(self) -> None:
+        if not self.is_recording and not _CAMERA.fullmatch(self.port):
+            raise NotConnected("a camera's name, or the path of a recording (.oni)", repr(self.port))
+
     @property
     def is_recording(self) -> bool:
         """Whether the port is a recording's path."""
         return self.port.lower().endswith(RECORDING_SUFFIX)
+
+    def library_file(self) -> Path | None:
+        """The file that `library` names; None = what the system has."""
+        return library_file(self.library) if self.library else None
 
 
 class DepthCamera(Device[DepthImage]):

@@ -8,6 +8,7 @@ from typing import TypeVar
 from deformscope_drivers.dsa.pressure import SCHUNK_PA_PER_COUNT, Curve
 from deformscope_drivers.dsa.texels import TEXEL_MAX
 from deformscope_drivers.errors import OutOfLimits
+from deformscope_drivers.transport import check_port
 
 T = TypeVar("T")
 
@@ -37,6 +38,7 @@ class DsaConfig:
     stuck_after_s: float | None = 10.0
 
     def __post_init__(self) -> None:
+        check_port(self.port)
         if not 1 <= self.frame_rate_hz <= 0xFFFF:
             raise OutOfLimits("a frame rate from 1 to 65535 Hz", f"{self.frame_rate_hz}", where=self.port)
         for sensitivity in each(self.sensitivity):

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from deformscope_drivers.errors import OutOfLimits
 from deformscope_drivers.jaco import kinematics
 from deformscope_drivers.jaco.config import JacoConfig
-from deformscope_drivers.jaco.kinematics import Chain
+from deformscope_drivers.jaco.kinematics import Chain, FloatArray
 from deformscope_drivers.jaco.structures import (
     FINGER_CLOSED,
     FINGER_COUNT,
@@ -28,10 +29,27 @@ Vector3 = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class CartesianVelocity:
-    """Velocity of the end effector in the base frame: linear_m_s (3,), angular_rad_s (3,)."""
+    """Velocity of the end effector as the arm takes it, in two frames.
+
+    linear_m_s: (3,) in the base frame; angular_rad_s: (3,) about the axes of the end effector's own frame, which turn
+    with it (Kinova's staff, kinova-ros issues 154 and 192; ViSP's driver agrees). `in_base` converts.
+    """
 
     linear_m_s: Vector3
     angular_rad_s: Vector3 = (0.0, 0.0, 0.0)
+
+    @classmethod
+    def in_base(
+        cls, linear_m_s: npt.ArrayLike, angular_rad_s: npt.ArrayLike, T_base_end_effector: npt.ArrayLike
+    ) -> CartesianVelocity:
+        """The same for a velocity (3,) and an angular velocity (3,) that are both in the base frame.
+
+        T_base_end_effector: (4, 4) where the end effector is now: convert again as it turns
+        """
+        rotation = np.asarray(T_base_end_effector, dtype=float)[:3, :3]
+        x, y, z = (float(value) for value in np.asarray(linear_m_s, dtype=float))
+        about_x, about_y, about_z = (float(value) for value in rotation.T @ np.asarray(angular_rad_s, dtype=float))
+        return cls((x, y, z), (about_x, about_y, about_z))
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +82,18 @@ def check_velocity(velocity: Velocity, chain: Chain, config: JacoConfig, where: 
     """Raise OutOfLimits unless every number is finite and no speed is above the configured limit."""
     if isinstance(velocity, JointVelocity):
         rates = finite("joint rates", velocity.rates_deg_s, chain.joint_count, where)
-        _at_most("joint rates", max(map(abs, rates)), config.joint_limit_deg_s, "deg/s", "joint_limit_deg_s", where)
+        for joint, (rate, limit) in enumerate(zip(rates, joint_limits_deg_s(chain, config), strict=True), 1):
+            _at_most(f"rate of joint {joint}", abs(rate), float(limit), "deg/s", "joint_limit_deg_s", where)
         return
     linear = finite("linear velocity", velocity.linear_m_s, 3, where)
     angular = finite("angular velocity", velocity.angular_rad_s, 3, where)
     _at_most("linear speed", math.hypot(*linear), config.linear_limit_m_s, "m/s", "linear_limit_m_s", where)
     _at_most("angular speed", math.hypot(*angular), config.angular_limit_rad_s, "rad/s", "angular_limit_rad_s", where)
+
+
+def joint_limits_deg_s(chain: Chain, config: JacoConfig) -> FloatArray:
+    """(n,) the greatest rate of each joint that a command may ask for [deg/s]: as configured, never beyond its own."""
+    return np.minimum(chain.velocity_deg_s, config.joint_limit_deg_s)
 
 
 def check_target(target: Target, chain: Chain, config: JacoConfig, start_deg: Sequence[float], where: str) -> None:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import ipaddress
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from deformscope_drivers.jaco.kinematics import CHAINS
-from deformscope_drivers.jaco.library import PREFIXES, Connection
+from deformscope_drivers.jaco.library import PREFIXES, Connection, library_file
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +65,7 @@ class JacoConfig:
     serial: of the arm that is meant; None = the only one there is
     model: "j2n6s300" or "j2s7s300"; None = what the arm says of itself
     linear_limit_m_s, angular_limit_rad_s: greatest speed of the end effector that a command may ask for
-    joint_limit_deg_s: greatest speed of any joint that a command may ask for
+    joint_limit_deg_s: greatest speed of any joint that a command may ask for; a joint's own limit holds besides
     workspace: box that commands must keep the end effector in; None = no box
     command_deadline_s: how long a velocity command holds when its sender does not say so, and how late the driver's
     own cycle may be before it stops the arm
@@ -102,3 +103,7 @@ class JacoConfig:
             raise ValueError(f"expected state_hz above 0 and up to 100; came {self.state_hz!r}")
         if self.open_attempts < 1:
             raise ValueError(f"expected open_attempts from 1; came {self.open_attempts!r}")
+
+    def library_file(self) -> Path | None:
+        """The file that `library` names; None = what the system's loader finds."""
+        return library_file(self.library, self.connection) if self.library else None

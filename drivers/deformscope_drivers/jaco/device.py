@@ -302,9 +302,10 @@ class Jaco(Device[JacoState]):
     def set_velocity(self, velocity: Velocity, valid_for_s: float | None = None) -> None:
         """Move at a velocity from the next slot on, for as long as this call vouches for it. Returns at once.
 
-        velocity: CartesianVelocity or JointVelocity; valid_for_s: after this it ends by itself unless it is set again
-        (default: the configured deadline). Raises OutOfLimits (nothing is sent, what was set before still holds) and
-        MotionStopped where the driver has stopped the arm.
+        velocity: CartesianVelocity, translation in the base frame and rotation in the end effector's, or JointVelocity
+        [deg/s]; valid_for_s: after this it ends by itself unless it is set again (default: the configured deadline).
+        Raises OutOfLimits (nothing is sent, what was set before still holds) and MotionStopped where the driver has
+        stopped the arm.
         """
         self._require_open()
         commands.check_velocity(velocity, self.chain, self.config, self.name)

@@ -121,9 +121,14 @@ class Chain:
         torque_nm: FloatArray = -np.einsum("ij,ij->i", axes, moments_nm)
         return torque_nm
 
-    def clip(self, joints_deg: npt.ArrayLike) -> FloatArray:
-        """joints_deg (n,) brought within the joints' ranges."""
-        return np.clip(self._joints(joints_deg), self.lower_deg, self.upper_deg)
+    def clip(self, joints_deg: npt.ArrayLike, margin_deg: float = 0.0) -> FloatArray:
+        """joints_deg (n,) brought within the joints' ranges, or margin_deg inside them."""
+        return np.clip(self._joints(joints_deg), self.lower_deg + margin_deg, self.upper_deg - margin_deg)
+
+    def to_limits_deg(self, joints_deg: npt.ArrayLike) -> FloatArray:
+        """(n,) from each joint of joints_deg (n,) to the nearer end of its range [deg]; inf where it has no end."""
+        joints = self._joints(joints_deg)
+        return np.minimum(joints - self.lower_deg, self.upper_deg - joints)
 
     def within_limits(self, joints_deg: npt.ArrayLike, slack_deg: float = 1e-9) -> bool:
         """Whether every joint of joints_deg (n,) is within its range."""
@@ -140,25 +145,29 @@ class Chain:
         starts: int = 20,
         iterations: int = 100,
         seed: int = 0,
+        margin_deg: float = 0.0,
     ) -> InverseResult:
         """Joint angles that bring the end effector to a pose, by damped least squares from several starts.
 
         T_base_end_effector: (4, 4) the pose asked for [m]; start_deg: (n,) where to begin (default: the home pose);
-        further starts are drawn under the seed. The first start that converges ends the search. A target out of reach
-        is no error: `converged` is then False and the remaining errors are told.
+        further starts are drawn under the seed; margin_deg: the joints stay so far inside their ranges. The first start
+        that converges ends the search. A target out of reach is no error: `converged` is then False and the remaining
+        errors are given.
         """
         target = np.asarray(T_base_end_effector, dtype=float)
         if target.shape != (4, 4) or not np.all(np.isfinite(target)):
             raise ValueError(f"expected a finite 4 x 4 pose of the end effector; came {target.shape} {target.tolist()}")
         rng = np.random.default_rng(seed)
-        lower = np.where(np.isfinite(self.lower_deg), self.lower_deg, 0.0)
-        upper = np.where(np.isfinite(self.upper_deg), self.upper_deg, 360.0)
-        joints = self.clip(self.home_deg if start_deg is None else start_deg)
+        lower = np.where(np.isfinite(self.lower_deg), self.lower_deg + margin_deg, 0.0)
+        upper = np.where(np.isfinite(self.upper_deg), self.upper_deg - margin_deg, 360.0)
+        joints = self.clip(self.home_deg if start_deg is None else start_deg, margin_deg)
         best: tuple[float, FloatArray, FloatArray] | None = None
         taken = tried = 0
         while tried < max(starts, 1):
             tried += 1
-            found, error, used = self._descend(target, joints, position_tolerance_m, rotation_tolerance_rad, iterations)
+            found, error, used = self._descend(
+                target, joints, margin_deg, position_tolerance_m, rotation_tolerance_rad, iterations
+            )
             taken += used
             cost = float(error @ error)
             if best is None or cost < best[0]:
@@ -178,9 +187,16 @@ class Chain:
         )
 
     def _descend(
-        self, target: FloatArray, joints_deg: FloatArray, position_m: float, rotation_rad: float, iterations: int
+        self,
+        target: FloatArray,
+        joints_deg: FloatArray,
+        margin_deg: float,
+        position_m: float,
+        rotation_rad: float,
+        iterations: int,
     ) -> tuple[FloatArray, FloatArray, int]:
         """Levenberg-Marquardt from one start, joints at a limit held there; returns joints, error twist and steps."""
+        lower, upper = self.lower_deg + margin_deg, self.upper_deg - margin_deg
         links = self.forward(joints_deg)
         error = pose_error(links[-1], target)
         damping = 1e-2
@@ -190,7 +206,7 @@ class Chain:
             jacobian = jacobian_of(links)
             gradient = jacobian.T @ error
             # a joint at its limit that the gradient would push further is no freedom in this step
-            held = ((joints_deg <= self.lower_deg) & (gradient < 0)) | ((joints_deg >= self.upper_deg) & (gradient > 0))
+            held = ((joints_deg <= lower) & (gradient < 0)) | ((joints_deg >= upper) & (gradient > 0))
             free = np.where(held, 0.0, 1.0)
             jacobian = jacobian * free
             normal = jacobian.T @ jacobian + damping * np.eye(self.joint_count)
@@ -198,7 +214,7 @@ class Chain:
             longest = float(np.max(np.abs(change_deg)))
             if longest > 45.0:
                 change_deg *= 45.0 / longest
-            tried = self.clip(joints_deg + change_deg)
+            tried = self.clip(joints_deg + change_deg, margin_deg)
             tried_links = self.forward(tried)
             tried_error = pose_error(tried_links[-1], target)
             if tried_error @ tried_error < error @ error:
@@ -232,16 +248,32 @@ def pose_error(T_base_from: FloatArray, T_base_to: FloatArray) -> FloatArray:
     return error
 
 
-def damped_joint_rates(jacobian: FloatArray, twist: FloatArray, damping: float = 0.02) -> FloatArray:
+def damped_joint_rates(
+    jacobian: FloatArray, twist: FloatArray, damping: float = 0.02, wish_rad_s: FloatArray | None = None
+) -> FloatArray:
     """Joint rates (n,) [rad/s] for a twist (6,) [m/s, rad/s]: the pseudo-inverse, damped only near singularities.
 
     damping: smallest singular value that is still inverted in full; below it the rates are held down instead of
     growing without end, and the twist is then not met (Nakamura and Hanafusa 1986; Maciejewski and Klein 1988).
+    wish_rad_s: (n,) rates wanted besides, carried out as far as they leave the end effector where it is: the null
+    space of an arm with more than six joints (Liegeois 1977), nothing of them with six
     """
-    left, values, right = np.linalg.svd(jacobian, full_matrices=False)
+    left, values, right = np.linalg.svd(jacobian, full_matrices=wish_rad_s is not None)
     extra = 0.0 if values[-1] >= damping else (1.0 - (values[-1] / damping) ** 2) * damping**2
-    rates: FloatArray = right.T @ (values / (values**2 + extra) * (left.T @ twist))
+    rates: FloatArray = right[: len(values)].T @ (values / (values**2 + extra) * (left.T @ twist))
+    if wish_rad_s is not None:
+        free = right[len(values) :]
+        rates = rates + free.T @ (free @ wish_rad_s)
     return rates
+
+
+def least_singular(jacobian: FloatArray) -> float:
+    """Smallest singular value of a geometric Jacobian (6, n) [m/rad; rad/rad]: 0 at a singularity.
+
+    Joint rates of size r move the end effector by at least `least_singular * r` in every direction, and in the weakest
+    by no more than that.
+    """
+    return float(np.linalg.svd(jacobian, compute_uv=False)[-1])
 
 
 def transform(rotation: FloatArray, translation_m: npt.ArrayLike) -> FloatArray:

@@ -99,6 +99,12 @@ SIGNATURES: dict[str, tuple[Any, ...]] = {
 }
 
 
+def library_file(path: str | Path, connection: Connection) -> Path:
+    """The library of that path, which may be of the folder that holds it."""
+    chosen = Path(path).expanduser()
+    return chosen / LIBRARY_NAMES[connection] if chosen.is_dir() else chosen
+
+
 class Functions(Protocol):
     """The vendor's functions by name: the library itself, or a double of it."""
 
@@ -119,12 +125,7 @@ class Library:
         """path: the library, or the folder that holds it; None leaves the search to the system's loader."""
         if connection not in PREFIXES:
             raise ValueError(f"expected a connection among {', '.join(PREFIXES)}; came {connection!r}")
-        name = LIBRARY_NAMES[connection]
-        if path is None:
-            self._path = name
-        else:
-            chosen = Path(path).expanduser()
-            self._path = str(chosen / name if chosen.is_dir() else chosen)
+        self._path = LIBRARY_NAMES[connection] if path is None else str(library_file(path, connection))
         self._prefix = PREFIXES[connection]
         self._handle: ctypes.CDLL | None = None
         self._functions: dict[str, Callable[..., int]] = {}

@@ -139,7 +139,9 @@ class SimulatedArm:
             asked = np.array(actuator_values(position.Actuators, self.chain.joint_count))
             rates = np.clip(asked, -self.chain.velocity_deg_s, self.chain.velocity_deg_s)
         elif kind == PositionType.CARTESIAN_VELOCITY:
-            rates = self._rates_of(np.array(cartesian_values(position.CartesianPosition)))
+            twist = np.array(cartesian_values(position.CartesianPosition))
+            twist[3:] = self.links[-1, :3, :3] @ twist[3:]  # a point's rotation is in the end effector's frame
+            rates = self._rates_of(twist)
         elif kind == PositionType.ANGULAR_POSITION:
             target = self.chain.clip(actuator_values(position.Actuators, self.chain.joint_count))
             rates = self._towards(target, self._joint_speeds(point))
@@ -197,7 +199,7 @@ class SimulatedArm:
         return self._rates_of(twist), False
 
     def _rates_of(self, twist: FloatArray) -> FloatArray:
-        """Joint rates (n,) [deg/s] of a twist (6,) [m/s, rad/s], all slowed alike where one would be too fast.
+        """Joint rates (n,) [deg/s] of a twist (6,) [m/s, rad/s] in the base frame, slowed alike where one is too fast.
 
         How the arm itself behaves near singularities is not public; here the pseudo-inverse is damped.
         """

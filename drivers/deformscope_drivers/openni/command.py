@@ -7,8 +7,8 @@ import sys
 
 
 def process_command(*arguments: str) -> list[str]:
-    """What starts the process that reads a camera, by this interpreter."""
-    return [sys.executable, "-S", "-m", "deformscope_drivers.openni.process", *arguments]
+    """What starts the process that reads a camera, by this interpreter; no module of the working folder's (-P)."""
+    return [sys.executable, "-S", "-P", "-m", "deformscope_drivers.openni.process", *arguments]
 
 
 def process_environment() -> dict[str, str]:

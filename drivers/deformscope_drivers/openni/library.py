@@ -343,10 +343,15 @@ def load(library: str = "") -> ctypes.CDLL:
     raise LibraryMissing("OpenNI2", "none that loads", INSTALL, ", ".join(tried))
 
 
+def library_file(path: str) -> Path:
+    """The library of that path, which may be of the folder that holds it."""
+    chosen = Path(path).expanduser()
+    return chosen / LIBRARY_NAME if chosen.is_dir() else chosen
+
+
 def _candidates(library: str) -> list[str]:
     if library:
-        path = Path(library).expanduser()
-        return [str(path / LIBRARY_NAME if path.is_dir() else path)]
+        return [str(library_file(library))]
     redist = os.environ.get(REDIST)
     return [*([str(Path(redist) / LIBRARY_NAME)] if redist else []), SONAME, LIBRARY_NAME]
 

@@ -7,14 +7,15 @@ from dataclasses import dataclass
 from deformscope_drivers.device import RECONNECT, Reconnect
 from deformscope_drivers.optoforce.protocol import Filter, Speed
 from deformscope_drivers.optoforce.sensitivity import Sensitivity
+from deformscope_drivers.transport import check_way
 
 
 @dataclass(frozen=True, slots=True)
 class OptoforceConfig:
     """One of `port` and `bus`, and what else differs from a DAQ as it is sold.
 
-    port: serial port or pyserial URL (`/dev/ttyACM0`); bus: CAN bus (`socketcan:can0`), with the ids of the DAQ's
-    packets and of ours
+    port: serial port or address (`/dev/ttyACM0`, `socket://host:port`); bus: CAN bus (`socketcan:can0`), with the ids
+    of the DAQ's packets and of ours
     rate_hz: 1000, 333, 100, 30, 10, or 0 = it sends nothing; filter_hz: 500, 150, 50, 15, 5, 1.5, or 0 = no filter
     sensitivity: the sensor's sensitivity report, one for each channel of a 4-channel DAQ; without it, readings come in
     counts, and none is made up
@@ -22,7 +23,8 @@ class OptoforceConfig:
     zero_at_start: take the load at opening for zero
     reconnect: None = a lost link ends the session; stuck_after_s: None = readings may stay the same for ever
 
-    Raises ValueError for a rate or a filter that the DAQ does not have.
+    Raises ValueError for a rate, a filter or sensors that no DAQ has, NotConnected for a kind of port or bus that is
+    not accepted.
     """
 
     port: str = ""
@@ -40,8 +42,12 @@ class OptoforceConfig:
     stuck_after_s: float | None = 5.0
 
     def __post_init__(self) -> None:
+        check_way(self.port, self.bus)
         speed_of(self.rate_hz)
         filter_of(self.filter_hz)
+        axes = [report.axes for report in self.sensitivities]
+        if axes not in ([], [3], [6], [3, 3, 3, 3]):
+            raise ValueError(f"expected one sensitivity report, or 4 of 3 axes; got reports of {axes} axes")
 
     @property
     def sensitivities(self) -> tuple[Sensitivity, ...]:

@@ -7,7 +7,7 @@ from typing import Literal
 
 from deformscope_drivers.device import RECONNECT, Reconnect
 from deformscope_drivers.errors import OutOfLimits
-from deformscope_drivers.transport import Transport, serial_or_can
+from deformscope_drivers.transport import Transport, check_way, serial_or_can
 
 BAUDRATE = 115_200
 CAN_BITRATE = 1_000_000
@@ -44,6 +44,7 @@ class SdhConfig:
     reconnect: Reconnect | None = RECONNECT
 
     def __post_init__(self) -> None:
+        check_way(self.port, self.bus)
         if not 0.0 < self.rate_hz <= 1000.0:
             raise OutOfLimits("rate_hz above 0, up to 1000", f"{self.rate_hz:g}")
         if self.protocol not in ("auto", "ascii", "binary"):
@@ -55,7 +56,7 @@ class SdhConfig:
         """Whether binary messages carry a checksum."""
         if self.checksum is not None:
             return self.checksum
-        return bool(self.port) and not self.port.startswith("socket://")
+        return not self.bus and not self.port.startswith("socket://")
 
     def transport(self) -> Transport:
         """The way to the hand, not opened. Raises NotConnected unless there is exactly one of port and bus."""

@@ -48,6 +48,13 @@ class WebcamConfig:
     silence_s: float = 3.0
     stuck_after_s: float | None = 5.0
 
+    def __post_init__(self) -> None:
+        if not self.path.startswith("/"):  # an address or a pipeline, which OpenCV might open
+            raise NotConnected("a camera's number or path", repr(self.port), "ls /dev/v4l/by-id")
+        if not (self.width > 0 and self.height > 0 and self.fps > 0):
+            came = f"{self.width} x {self.height} at {self.fps:g} Hz"
+            raise SettingsRefused("width, height and fps above 0", came, where=self.path)
+
     @property
     def path(self) -> str:
         """The port as a path."""

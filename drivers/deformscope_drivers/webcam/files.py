@@ -141,7 +141,10 @@ class VideoFile(Playback):
     def _open_file(self) -> tuple[Iterator[Picture | None], float | None]:
         import cv2
 
-        capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
+        if not self.path.is_file():
+            raise NotConnected("a video", "a folder or a device", 'driver = "image_folder"', self.path)
+        # From the root on: FFmpeg takes a name such as `concat:a|b` for a protocol of its own.
+        capture = cv2.VideoCapture(str(self.path.absolute()), cv2.CAP_FFMPEG)
         if not capture.isOpened():
             capture.release()
             raise NotConnected("a video", "a file that is none, or damaged", f"ffprobe {self.path}", self.path)

@@ -558,6 +558,7 @@ def test_over_tcp() -> None:
         assert device.threshold(5) == 5
 
 
+@pytest.mark.realtime
 def test_a_paced_pty_shows_the_real_rate() -> None:
     """Wide tolerance: the exact figure is tested in simulated time."""
     with PtyWire(DsaDouble()) as wire, Dsa(DsaConfig(port=wire.port, rle=False)) as device:

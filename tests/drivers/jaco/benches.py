@@ -19,6 +19,7 @@ from deformscope_drivers.jaco.double import JacoDouble
 from deformscope_drivers.jaco.kinematics import CHAINS, Chain, FloatArray
 from deformscope_drivers.jaco.library import PREFIXES, Connection, Functions, Library
 from deformscope_drivers.memory import SimulatedClock
+from tests.patience import PATIENCE_S
 
 SOURCE = Path(__file__).with_name("double.c")
 
@@ -88,7 +89,7 @@ def build(connection: Connection) -> Path:
     target = folder / f"{connection}.so"
     define = ["-DETHERNET"] if connection == "ethernet" else []
     command = [compiler, *define, "-O1", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC"]
-    subprocess.run([*command, "-o", str(target), str(SOURCE), "-lm"], check=True, timeout=60)
+    subprocess.run([*command, "-o", str(target), str(SOURCE), "-lm"], check=True, timeout=PATIENCE_S)
     return target
 
 

@@ -187,7 +187,7 @@ static void jacobian(double *j /* 6 x joints */) {
     }
 }
 
-/* Joint rates [deg/s] for a twist: J^T (J J^T + tiny)^-1 twist, by Gaussian elimination with pivoting */
+/* Joint rates [deg/s] for a twist in the base frame: J^T (J J^T + tiny)^-1 twist, by Gaussian elimination with pivoting */
 static void rates_of(const double *twist, double *rates) {
     double j[42], a[6][7];
     int n = arm.joints;
@@ -296,7 +296,11 @@ static void follow(double *rates) {
         for (int i = 0; i < arm.joints; i++) rates[i] = clamp(target[i], -arm.chain[i].speed, arm.chain[i].speed);
     else if (to->Type == 7) {
         double twist[6] = {to->CartesianPosition.X,      to->CartesianPosition.Y,      to->CartesianPosition.Z,
-                           to->CartesianPosition.ThetaX, to->CartesianPosition.ThetaY, to->CartesianPosition.ThetaZ};
+                           0, 0, 0};
+        const double *hand = arm.frames[arm.joints]; /* a point's rotation is in the end effector's frame */
+        for (int i = 0; i < 3; i++)
+            twist[3 + i] = hand[4 * i] * to->CartesianPosition.ThetaX + hand[4 * i + 1] * to->CartesianPosition.ThetaY +
+                           hand[4 * i + 2] * to->CartesianPosition.ThetaZ;
         rates_of(twist, rates);
     } else if (to->Type == 2) {
         double first = point->LimitationsActive ? point->Limitations.speed[0] : 1e9;

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from deformscope_drivers.contract import Bench, DeviceContract, wait_until
 from deformscope_drivers.device import Reconnect
@@ -220,6 +221,26 @@ def test_a_cartesian_velocity_held_for_1_s_moves_the_double_by_the_right_length(
     np.testing.assert_allclose(moved_m, (0.03, -0.02, 0.01), atol=0.04 * PERIOD_S)
 
 
+def test_a_cartesian_rotation_is_about_the_hand_s_own_axes_and_a_translation_along_the_base_s(simulated: Jaco) -> None:
+    before = simulated.next(1.0).T_base_end_effector
+    hold(simulated, CartesianVelocity((0.02, 0.0, 0.0), (0.05, 0.0, 0.1)), 1.0)
+    after = simulated.next(1.0).T_base_end_effector
+
+    turned = Rotation.from_matrix(before[:3, :3].T @ after[:3, :3]).as_rotvec()
+    assert turned == pytest.approx([0.05, 0.0, 0.1], abs=2e-3)
+    assert after[:3, 3] - before[:3, 3] == pytest.approx([0.02, 0.0, 0.0], abs=1e-3)
+
+
+def test_a_velocity_about_the_base_s_axes_is_converted() -> None:
+    pose = J2N6S300.end_effector(J2N6S300.home_deg)
+    velocity = CartesianVelocity.in_base((0.01, 0.02, 0.03), (0.1, -0.2, 0.3), pose)
+
+    assert velocity.linear_m_s == (0.01, 0.02, 0.03)
+    assert pose[:3, :3] @ velocity.angular_rad_s == pytest.approx([0.1, -0.2, 0.3])
+    assert velocity.angular_rad_s != pytest.approx([0.1, -0.2, 0.3], abs=0.05)
+
+
+@pytest.mark.realtime
 def test_in_real_time_it_turns_by_the_right_angle_too() -> None:
     bench = CBench("j2n6s300")
     bench.real_time(True)
@@ -681,6 +702,14 @@ def test_velocities_beyond_the_limits_are_refused_and_nothing_is_sent(lab: Simul
     lab.run(0.1)
     assert len(lab.recorded.times("SendBasicTrajectory")) == before
     np.testing.assert_allclose(lab.double.joints_deg, J2N6S300.home_deg)
+
+
+def test_a_joint_s_own_greatest_rate_holds_whatever_is_configured() -> None:
+    lab = Simulated(JacoConfig(joint_limit_deg_s=40.0))
+    with lab.arm.open(own_thread=False):
+        lab.arm.set_velocity(JointVelocity((36.0, 0, 0, 40.0, 0, 0)))
+        with pytest.raises(OutOfLimits, match="rate of joint 2 up to 36 deg/s"):
+            lab.arm.set_velocity(JointVelocity((0, 37.0, 0, 0, 0, 0)))
 
 
 @pytest.mark.parametrize("valid_for_s", [0.0, -1.0, math.nan, math.inf, 61.0])

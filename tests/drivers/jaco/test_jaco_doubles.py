@@ -21,6 +21,7 @@ from deformscope_drivers.jaco.structures import (
 )
 from tests.drivers.jaco.benches import CBench, PythonBench, VendorBench
 from tests.drivers.jaco.vendor_contract import VendorContract, joints, pose, stream
+from tests.patience import PATIENCE_S
 
 MODELS = sorted(CHAINS)
 
@@ -84,7 +85,7 @@ def test_in_real_time_the_c_double_turns_by_its_angle() -> None:
     before = joints(bench)
     for _ in range(20):
         stream(bench, JointVelocity((30.0, 0, 0, 0, 0, 0)), 0.01)
-    deadline = time.monotonic() + 5.0
+    deadline = time.monotonic() + PATIENCE_S
     while joints(bench)[0] - before[0] < 6.0 - 1e-3 and time.monotonic() < deadline:
         time.sleep(0.01)
     time.sleep(0.03)

@@ -18,6 +18,7 @@ from deformscope_drivers.jaco.library import SIGNATURES, Connection, Library, ap
 from deformscope_drivers.jaco.startup import ethernet_structure
 from deformscope_drivers.jaco.structures import AngularInfo, CartesianInfo, TrajectoryPoint
 from tests.drivers.jaco.benches import CBench, build
+from tests.patience import PATIENCE_S
 
 # Sizes in bytes: protocol reference section 3 (checked against the vendor's library); the last two from the headers
 SIZES = {
@@ -201,7 +202,9 @@ def test_the_loader_finds_it_where_ld_library_path_says(tmp_path: Path) -> None:
     program = "from deformscope_drivers.jaco.library import *; print(api_version(Library()))"
     path = os.pathsep.join(entry for entry in sys.path if entry)
     environment = {**os.environ, "LD_LIBRARY_PATH": str(tmp_path), "PYTHONPATH": path}
-    run = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=60)
+    run = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=PATIENCE_S
+    )
     assert run.stdout.strip() == "(5, 2, 0)", run.stderr
 
 

@@ -152,14 +152,31 @@ class VendorContract:
         np.testing.assert_allclose(after[:3, 3] - before[:3, 3], (0.04, -0.03, 0.05), atol=0.06 * CYCLE_S)
         assert Rotation.from_matrix(after[:3, :3] @ before[:3, :3].T).magnitude() < 2e-3
 
-    def test_an_angular_velocity_of_the_hand_turns_it_in_place_about_the_base_axes(self, started: VendorBench) -> None:
+    def test_an_angular_velocity_of_the_hand_turns_it_in_place_about_its_own_axes(self, started: VendorBench) -> None:
+        """As Kinova's staff say of their arm: kinova-ros issues 154 and 192."""
         before = pose(started)
         stream(started, CartesianVelocity((0.0, 0.0, 0.0), (0.1, -0.2, 0.3)), seconds=1.0)
         after = pose(started)
 
-        turned = Rotation.from_matrix(after[:3, :3] @ before[:3, :3].T).as_rotvec()
+        turned = Rotation.from_matrix(before[:3, :3].T @ after[:3, :3]).as_rotvec()
         np.testing.assert_allclose(turned, (0.1, -0.2, 0.3), atol=0.4 * CYCLE_S)
         np.testing.assert_allclose(after[:3, 3], before[:3, 3], atol=1e-3)
+
+    def test_a_translation_stays_in_the_base_frame_while_the_hand_turns(self, started: VendorBench) -> None:
+        before = pose(started)
+        stream(started, CartesianVelocity((0.02, -0.03, 0.01), (0.1, 0.2, -0.3)), seconds=1.0)
+        after = pose(started)
+
+        np.testing.assert_allclose(after[:3, 3] - before[:3, 3], (0.02, -0.03, 0.01), atol=1e-3)
+        turned = Rotation.from_matrix(before[:3, :3].T @ after[:3, :3]).as_rotvec()
+        np.testing.assert_allclose(turned, (0.1, 0.2, -0.3), atol=0.4 * CYCLE_S)
+
+    def test_a_base_frame_rotation_is_converted_for_it(self, started: VendorBench) -> None:
+        before = pose(started)
+        for _ in range(100):
+            stream(started, CartesianVelocity.in_base((0.0, 0.0, 0.0), (0.1, -0.2, 0.3), pose(started)), CYCLE_S)
+        turned = Rotation.from_matrix(pose(started)[:3, :3] @ before[:3, :3].T).as_rotvec()
+        np.testing.assert_allclose(turned, (0.1, -0.2, 0.3), atol=0.4 * CYCLE_S)
 
     def test_the_rates_are_told_while_it_moves(self, started: VendorBench) -> None:
         stream(started, CartesianVelocity((0.03, 0.0, -0.02)), seconds=0.2)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 from deformscope_drivers.openni.command import process_command, process_environment
+from tests.patience import PATIENCE_S
 
 
 def test_it_starts_without_what_takes_long_to_load() -> None:
@@ -16,7 +17,7 @@ def test_it_starts_without_what_takes_long_to_load() -> None:
         env=process_environment(),
         capture_output=True,
         text=True,
-        timeout=30,
+        timeout=PATIENCE_S,
         check=True,
     )
 
@@ -26,7 +27,7 @@ def test_it_starts_without_what_takes_long_to_load() -> None:
 def test_cameras_are_listed_in_json() -> None:
     """A list, or why there is none."""
     shown = subprocess.run(
-        process_command("list"), env=process_environment(), capture_output=True, timeout=30, check=True
+        process_command("list"), env=process_environment(), capture_output=True, timeout=PATIENCE_S, check=True
     )
     told = json.loads(shown.stdout)
 

@@ -28,10 +28,11 @@ from deformscope_drivers.optoforce import (
 )
 from deformscope_drivers.optoforce.protocol import Configure, Filter, Reading, Speed, Status, encode
 from deformscope_drivers.wires import CanWire, PtyWire, Wire
+from tests.drivers.buses import udp_bus
 
 QUICK = Reconnect(0.01, 0.1)
 MS = 1_000_000
-UDP = "udp_multicast:239.74.163.2?port=43219"
+UDP = udp_bus()
 
 
 def silence(wire: Wire, silent: bool) -> None:
@@ -53,7 +54,7 @@ class TestOverAPty(DeviceContract):
             )
 
 
-@pytest.mark.parametrize("bus", ["virtual:optoforce", UDP])
+@pytest.mark.parametrize("bus", ["virtual:optoforce", UDP], ids=["virtual", "udp"])
 @pytest.mark.parametrize("padded", [False, True], ids=["", "padded"])
 class TestOverCan(DeviceContract):
     @pytest.fixture
@@ -435,7 +436,7 @@ def test_a_simulated_session_repeats_bit_for_bit() -> None:
     assert session() == session()
 
 
-@pytest.mark.parametrize("bus", ["virtual:zeroing", UDP])
+@pytest.mark.parametrize("bus", ["virtual:zeroing", UDP], ids=["virtual", "udp"])
 def test_it_is_zeroed_over_can(bus: str) -> None:
     with can_wire(OptoforceDouble(), bus) as wire:
         config = OptoforceConfig(bus=bus, sensitivity=OMD_20_SE_40N, rate_hz=333)
@@ -474,17 +475,15 @@ class TornDouble(OptoforceDouble):
 
 
 @pytest.mark.parametrize("cycles", [20, pytest.param(1000, marks=pytest.mark.slow)])
-def test_the_cable_is_pulled_out_and_put_back_again_and_again(cycles: int, capsys) -> None:
-    told_s, skipped_readings = [], []
+def test_the_cable_is_pulled_out_and_put_back_again_and_again(cycles: int) -> None:
+    skipped_readings = []
     with PtyWire(TornDouble()) as wire, Optoforce(OptoforceConfig(port=wire.port, reconnect=QUICK)) as device:
         device.next(5.0)
         before = open_things()
         for cycle in range(cycles):
             time.sleep(0.0003 * (cycle % 10))  # in the middle of whatever comes
-            pulled = time.monotonic()
             wire.unplug()
             wait_until(lambda: device.link is not Link.CONNECTED)
-            told_s.append(time.monotonic() - pulled)
             before_plug = device.health()
             wire.plug()
             wait_until(lambda: device.link is Link.CONNECTED)
@@ -495,11 +494,7 @@ def test_the_cable_is_pulled_out_and_put_back_again_and_again(cycles: int, capsy
             skipped_readings.append((device.health().skipped_bytes - before_plug.skipped_bytes) / 16)
             assert device.health().reconnects == cycle + 1
         wait_until(lambda: nothing_left_since(before))
-    with capsys.disabled():
-        told = f"told after {1e3 * np.median(told_s):.2f} ms (median), {1e3 * max(told_s):.2f} ms (worst)"
-        print(f"\n{cycles} cycles: {told}; {max(skipped_readings):g} readings skipped at most")
     assert 0 < max(skipped_readings) <= 2
-    assert np.median(told_s) < 0.2
 
 
 class NotedDouble(OptoforceDouble):
@@ -515,7 +510,8 @@ class NotedDouble(OptoforceDouble):
         return data
 
 
-@pytest.mark.parametrize("seconds", [3, pytest.param(60, marks=pytest.mark.slow)])
+@pytest.mark.realtime
+@pytest.mark.parametrize("seconds", [3, 60])
 def test_a_kilohertz_over_a_pty_loses_nothing(seconds: int, capsys) -> None:
     double = NotedDouble()
     with (

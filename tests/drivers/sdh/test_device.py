@@ -40,6 +40,7 @@ from deformscope_drivers.sdh import (
 )
 from deformscope_drivers.sdh.codes import ERRORS
 from deformscope_drivers.wires import CanWire, PtyWire, TcpWire
+from tests.drivers.buses import udp_bus
 
 QUICK = Reconnect(0.01, 0.1)
 POSE = [0.0, -20.0, 20.0, -20.0, 20.0, -20.0, 20.0]
@@ -90,7 +91,7 @@ def test_over_tcp() -> None:
         assert hand.move({1: 5.0}, velocity_deg_s=80.0).outcome is Outcome.REACHED
 
 
-@pytest.mark.parametrize("bus", ["virtual:sdh", "udp_multicast:239.74.163.2?port=43261"])
+@pytest.mark.parametrize("bus", ["virtual:sdh", udp_bus()], ids=["virtual", "udp"])
 class TestOverCan(DeviceContract):
     @pytest.fixture
     def bench(self, bus: str) -> Iterator[Bench]:

@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("warp")
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.stages.msm import clusters
+from deformscope.stages.msm import clusters, solver
 from deformscope.stages.msm.clusters import Clusters
 from deformscope.stages.msm.general import GeneralBody
 from deformscope.stages.msm.lattice import LatticeBody
@@ -86,9 +86,10 @@ class Set:
         return self.engine.cluster_count
 
 
-def _build(case: Case, device: str) -> Set:
+def _build(case: Case, device: str, rounding: FloatArray | float = 0.0) -> Set:
+    """rounding: (K, d) relative noise of the rest shape"""
     rng = np.random.default_rng([*case.shape, len(case.kind), int(10 * case.theta)])
-    rest = lattice(case.shape)
+    rest = lattice(case.shape) * (1.0 + rounding)
     grouped: Clusters = clusters.lattice(rest, case.shape, np.arange(len(rest)), case.size)
     if case.kind == "lists":
         grouped = clusters.from_lists(list(grouped), len(rest))
@@ -191,6 +192,26 @@ def test_gradient_by_the_beta_of_each_cluster(device: str, case: Case) -> None:
     np.testing.assert_allclose(found.beta_by_cluster[0, some], expected, rtol=0.0, atol=TOLERANCE * largest)
     assert np.abs(expected).max() > 1e-3 * largest
     np.testing.assert_allclose(found.beta, found.beta_by_cluster.sum(axis=1), rtol=1e-12)
+
+
+ROUNDING = 2e-15
+"""Relative noise of what goes in: as much as other kernels of a BLAS change what they give."""
+
+
+@pytest.mark.parametrize("case", CASES, ids=_name)
+def test_every_solve_has_margin_to_rounding(device: str, case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the last digits are, states and derivatives converge even to a hundredth of the default tolerances."""
+    monkeypatch.setattr(solver, "LINEAR_TOLERANCE", {"float64": 0.01 * solver.LINEAR_TOLERANCE["float64"]})
+    rng = np.random.default_rng(5)
+    for _ in range(6):
+        made = _build(case, device, ROUNDING * rng.standard_normal((np.prod(case.shape), len(case.shape))))
+        position = made.position * (1.0 + ROUNDING * rng.standard_normal(made.position.shape))
+        tolerance = 0.01 * solver.TOLERANCE["float64"]
+        state = made.engine.relax(position, 0.6, case.theta, volume=case.volume, tolerance=tolerance)
+        assert state.converged.all()
+        assert made.engine.sensitivity(state.position, 0.6, case.theta, volume=case.volume).converged
+        cotangent = rng.normal(size=state.position.shape)
+        assert made.engine.gradient(state.position, 0.6, case.theta, cotangent=cotangent, volume=case.volume).converged
 
 
 BATCH = [

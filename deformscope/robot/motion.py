@@ -1,0 +1,157 @@
+"""From a velocity of the arm's end to joint rates, by the own damped Jacobian, with guards at limits and singularities.
+
+The arm is sent joint rates, not its own Cartesian velocities: those take rotation in the end effector's frame, and what
+the arm does near a singularity or a joint's limit in that mode is not published. So these guards are here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from deformscope.robot.supervisor import Fault
+from deformscope_drivers.jaco.kinematics import (
+    Chain,
+    FloatArray,
+    damped_joint_rates,
+    jacobian_of,
+    least_singular,
+    rotation_vector,
+)
+
+SLOW_DEG = 10.0
+"""So far before its margin a joint begins to slow down, linearly to zero at the margin: a velocity damper (Faverjon and
+Tournassoud 1987)."""
+LEAST_SHARE = 0.05
+"""A joint's margin that leaves less of a velocity than this is in its way."""
+NEGLIGIBLE_DEG_S = 0.01
+DAMPED_BELOW = 0.03
+"""Smallest singular value of the Jacobian [m/rad; rad/rad] that is inverted in full. With 20 deg/s of the joints (the
+driver's standard limit) the arm's end then makes at least 0.03 * 0.35 rad/s = 10 mm/s, the speed of a touch, in every
+direction; below it the weakest direction is slower than any touch, and damped."""
+OFF_COURSE, OFF_COURSE_M_S = 0.1, 1e-3
+"""The damping may lose or turn away this share of a velocity, or this much of it: a straight way may lead through a
+singularity where it needs nothing of the weak direction, and corrections at rest are slow."""
+LEVER_M = 0.2
+"""So far from the arm's end a rotation counts as much as a velocity there: hand, stick and tip."""
+AWAY_DEG, AWAY_DEG_S = 40.0, 15.0
+"""What a seventh joint leaves free turns joints away from limits that are nearer than this, wanted the faster the
+nearer (the null space gives a part of it); not towards the middle of their ranges, where elbow and wrist are stretched
+out and singular."""
+HOLD_PER_S = 2.0
+"""An orientation that is to be held is brought back at this share of its error in a second."""
+FOLLOW_PER_S = 1.0
+"""While whoever commands turns the arm by what they see, the commanded rotation follows the measured one at this share
+of the difference in a second: points that the arm has left out do not add up."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointMotion:
+    """Joint rates for a velocity, and whether they may be sent.
+
+    rates_deg_s: (n,); share: of the velocity that is left where a joint would be too fast or near its limit
+    fault, reason: why nothing may be sent; NONE where it may
+    """
+
+    rates_deg_s: FloatArray
+    share: float = 1.0
+    fault: Fault = Fault.NONE
+    reason: str = ""
+
+
+def rates_for_twist(
+    chain: Chain, joints_deg: npt.ArrayLike, twist: FloatArray, limits_deg_s: FloatArray, margin_deg: float
+) -> JointMotion:
+    """Joint rates for a twist (6,) of the arm's end [m/s, rad/s], both parts in the base frame.
+
+    joints_deg: (n,) where the arm stands; limits_deg_s: (n,) greatest rates; margin_deg: no joint comes nearer to the
+    end of its range. Where a joint would be too fast, all are slowed alike: the direction stays.
+    """
+    joints = np.asarray(joints_deg, dtype=float)
+    jacobian = jacobian_of(chain.forward(joints))
+    rates = damped_joint_rates(jacobian, twist, DAMPED_BELOW, _away_from_limits(chain, joints))
+    lost = off_course(jacobian, rates, twist)
+    if lost > OFF_COURSE and lost * _size(twist) > OFF_COURSE_M_S:
+        least = f"smallest singular value {least_singular(jacobian):.3f}, damped below {DAMPED_BELOW:g}"
+        why = f"the tip would leave its way by {100 * lost:.0f} %, limit {100 * OFF_COURSE:.0f} %"
+        return _not(chain, Fault.SINGULAR, f"{why} ({least})")
+    return within_limits(chain, joints, np.degrees(rates), limits_deg_s, margin_deg)
+
+
+def within_limits(
+    chain: Chain, joints_deg: npt.ArrayLike, rates_deg_s: FloatArray, limits_deg_s: FloatArray, margin_deg: float
+) -> JointMotion:
+    """Joint rates (n,) [deg/s], all slowed alike until none is too fast, or too fast so near the end of its range."""
+    joints = np.asarray(joints_deg, dtype=float)
+    way_deg = np.where(rates_deg_s > 0, chain.upper_deg - joints, joints - chain.lower_deg)
+    near = np.clip((way_deg - margin_deg) / SLOW_DEG, 0.0, 1.0)
+    size = np.abs(rates_deg_s)
+    moves = size > NEGLIGIBLE_DEG_S
+    rates = np.where(moves | (near > 0), rates_deg_s, 0.0)
+    shares = np.divide(limits_deg_s, size, out=np.full(chain.joint_count, np.inf), where=moves)
+    share = float(min(1.0, shares.min()))
+    allowed = np.divide(limits_deg_s * near, size * share, out=np.full(chain.joint_count, np.inf), where=moves)
+    worst = int(np.argmin(allowed))
+    if allowed[worst] < LEAST_SHARE:
+        end = chain.upper_deg[worst] if rates_deg_s[worst] > 0 else chain.lower_deg[worst]
+        where = f"joint {worst + 1} at {joints[worst]:.1f} deg, on its way to its limit at {end:g} deg"
+        return _not(chain, Fault.JOINT_LIMIT, f"{where}, margin {margin_deg:g} deg")
+    share *= min(1.0, float(allowed[worst]))
+    return JointMotion(rates * share, share)
+
+
+def off_course(jacobian: FloatArray, rates_rad_s: FloatArray, twist: FloatArray) -> float:
+    """Which share of a twist (6,) is not made by joint rates (n,), 0 to 1: what the damping has taken."""
+    return _size(jacobian @ rates_rad_s - twist) / max(_size(twist), 1e-12)
+
+
+class CommandedRotation:
+    """The rotation of the arm's end in the base frame as it was commanded, to be compared with the measured one.
+
+    rotation: (3, 3), None until the arm was seen
+    """
+
+    def __init__(self) -> None:
+        self.rotation: FloatArray | None = None
+
+    def advance(self, angular_rad_s: FloatArray, seconds: float, measured: FloatArray | None, *, follows: bool) -> None:
+        """Turn on by what was commanded (3,), base frame [rad/s].
+
+        measured: (3, 3) newest, None = nothing new; where there is no rotation yet it is taken for the commanded one
+        follows: whoever commands steers by the measured rotation, so that only what is faster than that is an error
+        """
+        if self.rotation is None:
+            self.rotation = measured
+            return
+        turn = angular_rad_s * seconds
+        if follows and measured is not None:
+            turn = turn + FOLLOW_PER_S * seconds * rotation_vector(measured @ self.rotation.T)
+        if np.any(turn):
+            self.rotation = Rotation.from_rotvec(turn).as_matrix() @ self.rotation
+
+    def back_rad_s(self, measured: FloatArray) -> FloatArray:
+        """(3,) angular velocity, base frame [rad/s], from a measured rotation (3, 3) back to the commanded one."""
+        if self.rotation is None:
+            return np.zeros(3)
+        return HOLD_PER_S * rotation_vector(self.rotation @ measured.T)
+
+
+def _not(chain: Chain, fault: Fault, reason: str) -> JointMotion:
+    return JointMotion(np.zeros(chain.joint_count), 0.0, fault, reason)
+
+
+def _size(twist: FloatArray) -> float:
+    """Of a twist (6,), its rotation taken LEVER_M from the arm's end [m/s]."""
+    return float(np.hypot(np.linalg.norm(twist[:3]), LEVER_M * np.linalg.norm(twist[3:])))
+
+
+def _away_from_limits(chain: Chain, joints_deg: FloatArray) -> FloatArray | None:
+    """(n,) rates [rad/s] away from joint limits that are near; None for an arm without a joint to spare."""
+    if chain.joint_count <= 6:
+        return None
+    low = np.clip(1.0 - (joints_deg - chain.lower_deg) / AWAY_DEG, 0.0, 1.0)
+    high = np.clip(1.0 - (chain.upper_deg - joints_deg) / AWAY_DEG, 0.0, 1.0)
+    return np.radians(AWAY_DEG_S * (low - high))

@@ -1,0 +1,111 @@
+"""A rig file explored on a simulated clock: the same command, robot and drivers as on the host's, but nothing runs by
+itself, so that every run is the same on any machine."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Iterator, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from deformscope.experiments import explore_rig
+from deformscope.lab.depth_view import DepthView
+from deformscope.lab.layer_world import LayerWorld
+from deformscope.lab.live_lab import CAMERA, PARKED_M
+from deformscope.lab.scenes import Scene
+from deformscope.lab.touch_lab import TouchLab
+from deformscope.rig import RigDevice
+from deformscope.rig_source import RigSource
+from deformscope.robot.placement import Placement, best_joints
+from deformscope.robot.robot import Robot
+from deformscope.robot.shape import arm_shape
+from deformscope_drivers.depth_camera import View
+from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
+from deformscope_drivers.device import Device
+from deformscope_drivers.jaco.kinematics import CHAINS
+from deformscope_drivers.memory import SimulatedClock
+from deformscope_drivers.optoforce.double import OMD_20_SE_40N
+
+
+class SimulatedTable:
+    """In place of `LiveLab`: the same table, in this thread and on `clock`."""
+
+    def __init__(
+        self,
+        clock: SimulatedClock,
+        scene: Scene,
+        placement: Placement,
+        *,
+        T_surface_camera: npt.NDArray[np.floating] | None = None,
+        model: str | None = None,
+    ) -> None:
+        self._clock, self._scene, self._placement = clock, scene, placement
+        self.view = DepthView(scene, CAMERA, T_surface_camera)
+        self._world = LayerWorld(scene, placement.tool.radius_m)
+        parked = np.array([scene.size_m[0] / 2, scene.size_m[1] / 2, PARKED_M])
+        touching = np.array([*parked[:2], scene.thickness_m])
+        up = np.array([0.0, 0.0, 1.0])
+        chain = CHAINS[model or "j2n6s300"]
+        self._start_deg = best_joints(chain, [placement.T_base_ee(place, up) for place in (parked, touching)])
+        self.lab: TouchLab
+
+    @property
+    def max_force_n(self) -> float:
+        return self.lab.contact.max_force_n
+
+    @contextlib.contextmanager
+    def devices(self, entries: Sequence[RigDevice]) -> Iterator[dict[str, Device[Any]]]:
+        configs = {entry.driver.name: entry.config for entry in entries}
+        force_config = dataclasses.replace(configs["optoforce"], port="simulated", sensitivity=OMD_20_SE_40N)
+        camera_config = SyntheticDepthConfig(
+            rate_hz=configs["depth_camera"].fps, missing=0.02, intrinsics=self.view.intrinsics
+        )
+        self.lab = TouchLab(
+            self._world,
+            self._clock,
+            tool=self._placement.tool,
+            T_base_surface=self._placement.T_base_surface,
+            view=self._see,
+            camera_config=camera_config,
+            arm_config=configs["jaco"],
+            force_config=force_config,
+            start_deg=self._start_deg,
+        )
+        made = {"jaco": self.lab.arm, "optoforce": self.lab.force, "depth_camera": self.lab.camera}
+        yield {entry.name: made[entry.driver.name] for entry in entries}
+
+    def open(self) -> None:
+        """As `TouchLab.open`, but the force sensor's zero is left to who explores."""
+        for device in (self.lab.force, self.lab.arm, self.lab.camera):
+            if device is not None:
+                device.open(own_thread=False)
+
+    def _see(self, time_s: float) -> View:
+        moved = self._world.displaced_m(self.view.places_m) if self._world.pressed[2] > 0.0 else None
+        arm, center = self.lab.arm_double, self.lab.contact.center_m
+        exact = self.view.render(moved, arm_shape(self._placement, arm.chain, arm.joints_deg, center))
+        return View(exact.depth_m, exact.color)
+
+
+def use_a_simulated_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From now on `RigBench` makes its doubles in this thread, on a clock of their own."""
+    clock = SimulatedClock(1_000_000_000)
+    tables: list[SimulatedTable] = []
+
+    def table(*arguments: Any, **options: Any) -> SimulatedTable:
+        tables.append(SimulatedTable(clock, *arguments, **options))
+        return tables[-1]
+
+    def wait_until(until_ns: int) -> None:
+        tables[-1].lab.wait_until(until_ns)
+
+    monkeypatch.setattr(explore_rig, "LiveLab", table)
+    monkeypatch.setattr(explore_rig, "monotonic_ns", clock)
+    monkeypatch.setattr(explore_rig, "RigSource", partial(RigSource, clock=clock, opener=lambda: tables[-1].open()))
+    monkeypatch.setattr(explore_rig, "Robot", partial(Robot, clock=clock, wait_until=wait_until))
+    monkeypatch.setattr(explore_rig.RigBench, "runs_itself", False)

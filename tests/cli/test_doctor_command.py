@@ -1,0 +1,131 @@
+"""`doctor` prints its whole table whatever one device does; the example rig works with doubles in every place."""
+
+from __future__ import annotations
+
+import json
+from importlib import resources
+from pathlib import Path
+
+import pytest
+
+from deformscope.cli import main
+from deformscope.lab import stand_in
+
+DEVICES = ("tip", "pads", "hand", "arm", "camera", "depth")
+
+
+@pytest.fixture
+def example(tmp_path: Path) -> str:
+    text = (resources.files("deformscope") / "lab" / "rig-example.toml").read_text(encoding="utf-8")
+    return text.replace('folder = "runs"', f'folder = "{tmp_path}"')
+
+
+def doubled(text: str, *but: str) -> str:
+    """The same with doubles in the place of all devices, but for these."""
+    lines = []
+    for line in text.splitlines():
+        lines.append(line)
+        if line.startswith("[devices.") and line.split("]")[0].removeprefix("[devices.") not in but:
+            lines.append("double = true")
+    return "\n".join(lines)
+
+
+def verdicts(path: Path, capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, dict[str, tuple[str, str]]]:
+    """The exit status, and verdict and words by device."""
+    status = main(["doctor", str(path), "--seconds", "0.1", "--json", "-", *arguments])
+    found = json.loads(capsys.readouterr().out)["findings"]
+    return status, {f["what"].split()[0]: (f["verdict"], f["told"]) for f in found if "(" in f["what"]}
+
+
+def test_the_example_works_with_doubles(example: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text(doubled(example))
+
+    status, found = verdicts(path, capsys)
+
+    assert {name: verdict for name, (verdict, _) in found.items()} == dict.fromkeys(DEVICES, "ok")
+    assert status == 0
+
+
+def test_devices_that_fail_are_rows_among_the_others(
+    example: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "rig.toml"
+    for there, missing in (
+        ("usb-OptoForce_DAQ-if00", "none"),
+        ("ttyUSB0", "ttyNONE"),
+        ('bus = "socketcan:can0"', ""),
+    ):
+        assert there in example
+        example = example.replace(there, missing)
+    path.write_text(doubled(example, "tip", "pads", "hand"))
+
+    status, found = verdicts(path, capsys)
+
+    assert tuple(found) == DEVICES
+    assert [name for name in DEVICES if found[name][0] == "ok"] == ["arm", "camera", "depth"]
+    assert all("| try: " in told for verdict, told in found.values() if verdict == "FAIL")
+    assert status == 2
+
+
+def test_whatever_a_device_raises_is_a_row(
+    example: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(config: object) -> None:
+        raise ZeroDivisionError("by zero")
+
+    path = tmp_path / "rig.toml"
+    path.write_text(doubled(example))
+    monkeypatch.setitem(stand_in.WIRED, "dsa", fail)
+
+    status, found = verdicts(path, capsys)
+
+    assert found.pop("pads")[1].startswith("unexpected ZeroDivisionError: by zero | try: ")
+    assert {verdict for verdict, _ in found.values()} == {"ok"}
+    assert len(found) == len(DEVICES) - 1
+    assert status == 2
+
+
+def test_a_folder_that_no_disk_can_have_is_a_row(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text(f'[devices.arm]\ndriver = "jaco"\ndouble = true\n[record]\nfolder = "{"a" * 5000}"\n')
+
+    assert main(["doctor", str(path), "--seconds", "0.1"]) == 2
+    told = capsys.readouterr().out
+    assert "FAIL  disk" in told
+    assert "ok    arm" in told
+
+
+@pytest.mark.parametrize("command", [["record"], ["live", "--viewer", "none"]])
+def test_the_example_with_doubles_is_recorded(command: list[str], example: str, tmp_path: Path) -> None:
+    path, told = tmp_path / "rig.toml", tmp_path / "told.json"
+    path.write_text(doubled(example))
+
+    assert main([*command, str(path), "--seconds", "1", "--json", str(told)]) == 0
+    devices = json.loads(told.read_text())["devices"]
+    assert tuple(devices) == DEVICES
+    assert all(health["received"] for health in devices.values())
+
+
+@pytest.mark.parametrize("all_doubled", [True, False])
+def test_doubles_of_the_example_run_for_others(
+    all_doubled: bool, example: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    path = tmp_path / "rig.toml"
+    path.write_text(doubled(example) if all_doubled else example)
+
+    assert main(["double", str(path), "--seconds", "0.1"]) == 0
+    said = capsys.readouterr()
+    assert [line for line in said.out.splitlines() if line.startswith("[")] == [
+        f"[devices.{name}]" for name in ("tip", "pads", "hand")
+    ]
+    assert "arm, camera, depth: doubled only within a command" in said.err
+
+
+def test_a_rig_without_anything_to_double_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text('[devices.camera]\ndriver = "webcam"\n')
+
+    assert main(["double", str(path)]) == 2
+    assert "expected a rig with devices of optoforce, dsa, sdh; got none" in capsys.readouterr().err

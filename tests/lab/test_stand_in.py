@@ -1,0 +1,54 @@
+"""A double stands in for a device wherever the rig file says that the device is, without hardware and kernel's CAN."""
+
+from __future__ import annotations
+
+from importlib import resources
+
+import pytest
+
+from deformscope.cli.rigs import member_of
+from deformscope.rig import parse_rig
+
+ONE = "{ counts_at_nominal = [NUMBERS], nominal = [NUMBERS] }"
+THREE, SIX = (ONE.replace("NUMBERS", ", ".join(["1.0"] * count)) for count in (3, 6))
+WAYS = {
+    "optoforce": [
+        "",
+        'port = "/dev/ttyACM0"',
+        'port = "socket://192.168.1.1:5"',
+        'port = "rfc2217://host:5"',
+        'bus = "socketcan:can0"',
+        'bus = "pcan:PCAN_USBBUS1"\nreceive_id = 5\nsend_id = 6',
+        'serial = "ANOTHER"',
+        f"sensitivity = {SIX}",
+        f"sensitivity = [{', '.join([THREE] * 4)}]",
+        "zero_at_start = true",
+    ],
+    "dsa": ["", 'port = "/dev/ttyUSB0"', 'port = "socket://192.168.1.1:13000"'],
+    "sdh": [
+        "",
+        'port = "/dev/ttyUSB0"',
+        'port = "socket://192.168.1.1:23"',
+        'bus = "socketcan:can0"',
+        'bus = "socketcan:can0"\nchecksum = true',
+        'port = "/dev/ttyUSB0"\nprotocol = "binary"',
+    ],
+    "jaco": ["", 'connection = "ethernet"', 'library = "/opt/kinova/api"\nserial = "PJ00650"', 'model = "j2s7s300"'],
+    "webcam": ["", "port = 3", 'port = "/dev/v4l/by-id/none"'],
+    "depth_camera": ["", 'port = "usb:1-2"', 'port = "walk.oni"', 'library = "/tmp/x"'],
+}
+
+
+@pytest.mark.parametrize(("driver", "way"), [(driver, way) for driver, ways in WAYS.items() for way in ways])
+def test_a_double_needs_nothing_of_what_the_file_names(driver: str, way: str) -> None:
+    (entry,) = parse_rig(f'[devices.a]\ndriver = "{driver}"\ndouble = true\n{way}', "r").devices
+    with member_of(entry) as member, member.device as device:
+        device.next(20.0)
+
+
+def test_the_example_is_for_every_device_that_can_be_doubled() -> None:
+    text = (resources.files("deformscope") / "lab" / "rig-example.toml").read_text(encoding="utf-8")
+    devices = parse_rig(text, "example").devices
+
+    assert {entry.driver.name for entry in devices} == set(WAYS)
+    assert any(getattr(entry.config, "bus", "").startswith("socketcan:") for entry in devices)

@@ -1,0 +1,71 @@
+"""Every solve of these tests is counted: what converges does so with at most half of the iterations it is allowed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+
+MOST_SHARE = 0.5
+"""Of the allowed iterations: a solve that needs more hangs on the rounding of the processor and its libraries."""
+
+
+@dataclass
+class Effort:
+    """Shares of the allowed iterations that solves needed in which every candidate converged."""
+
+    shares: list[tuple[str, float]]
+
+    @property
+    def most(self) -> float:
+        return max((share for _, share in self.shares), default=0.0)
+
+
+@pytest.fixture(autouse=True)
+def effort(monkeypatch: pytest.MonkeyPatch) -> Iterator[Effort]:
+    """Counts the solves of a test, and fails it where one that converged was near its limit."""
+    pytest.importorskip("warp")
+    from deformscope.stages.msm.iteration import Anderson, Newton
+    from deformscope.stages.msm.iteration_kernels import CONVERGED
+    from deformscope.stages.msm.reduced import OneCluster
+
+    counted = Effort([])
+
+    def relaxing(plain: Callable[..., Any]) -> Callable[..., Any]:
+        def relax(self: Any, start: Any, tolerance: float, most: int, progress: Any = None) -> Any:
+            ended = plain(self, start, tolerance, most, progress)
+            if (ended.state == CONVERGED).all():
+                counted.shares.append((plain.__qualname__, ended.total.max() / most))
+            return ended
+
+        return relax
+
+    def solving(plain: Callable[..., bool], allowed: Callable[..., int]) -> Callable[..., bool]:
+        def solve(self: Any, *args: Any) -> bool:
+            good = plain(self, *args)
+            if good:
+                needed = self.state.total.numpy()[: self.layout.candidates].max()
+                counted.shares.append((plain.__qualname__, needed / allowed(self, *args)))
+            return good
+
+        return solve
+
+    def relaxing_one(plain: Callable[..., Any]) -> Callable[..., Any]:
+        def relax(self: Any, *args: Any, max_iterations: int = 200, **options: Any) -> Any:
+            found = plain(self, *args, max_iterations=max_iterations, **options)
+            if found.converged.all():
+                counted.shares.append((plain.__qualname__, found.iterations.max() / max_iterations))
+            return found
+
+        return relax
+
+    for kind in (Newton, Anderson):
+        monkeypatch.setattr(kind, "relax", relaxing(kind.relax))
+    monkeypatch.setattr(Newton, "solve", solving(Newton.solve, lambda self, relative: self._most))
+    monkeypatch.setattr(Anderson, "solve", solving(Anderson.solve, lambda self, relative, most: most))
+    monkeypatch.setattr(OneCluster, "relax", relaxing_one(OneCluster.relax))
+    yield counted
+    near = [f"{name}: {share:.0%}" for name, share in counted.shares if share > MOST_SHARE]
+    assert not near, f"solves that needed more than {MOST_SHARE:.0%} of the allowed iterations: {', '.join(near)}"
