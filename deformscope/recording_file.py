@@ -78,7 +78,11 @@ class RecordingFile:
         self.write_properties("session", told)
         if name:
             self._log(lambda rec: rec.send_recording_name(name))
-        self.flush()
+        try:
+            self.flush()
+        except RecordingError:
+            self._merged_path.unlink(missing_ok=True)
+            raise
 
     def log(self, job: Callable[[rr.RecordingStream], None]) -> None:
         """Whatever can be done with a stream, now and then with a look at the disk before."""
@@ -133,8 +137,11 @@ class RecordingFile:
             self._flush_merged(self._merged_stream)
         self._beat_at = time.monotonic()
 
-    def close(self) -> Path:
-        """End both files, within a time; return the one that holds the recording. The other is gone."""
+    def close(self) -> None:
+        """End both files, within a time; the one with the larger portions, where it is whole, takes the other's place.
+
+        Raises nothing; `broken` where not even the other could be ended.
+        """
         if self._merged_stream is not None and not self.broken:
             self._merged_stream.send_chunks(list(self._merged.rest()))
             self._flush_merged(self._merged_stream)
@@ -148,9 +155,10 @@ class RecordingFile:
             leave_streams_alone()
         if whole:
             self._merged_path.replace(self.path)
-        else:
-            self._merged_path.unlink(missing_ok=True)
-        return self.path
+            return
+        self._merged_path.unlink(missing_ok=True)
+        if merged is not None and not self.broken:
+            _say_that_it_stays_small("a file was not written to its end")
 
     def _log(self, job: Callable[[rr.RecordingStream], None]) -> None:
         streams = [self._stream] if self._merged_stream is None else [self._stream, self._merged_stream]
@@ -178,9 +186,11 @@ class RecordingFile:
         if not within(merged.disconnect, 2.0):
             leave_streams_alone()
         self._merged_path.unlink(missing_ok=True)
-        _logger.warning(
-            "%s: the recording goes on, but stays in many small portions, which a viewer opens slowly", reason
-        )
+        _say_that_it_stays_small(reason)
+
+
+def _say_that_it_stays_small(reason: str) -> None:
+    _logger.warning("%s: the recording is whole, but in many small portions, which a viewer opens slowly", reason)
 
 
 class _Each:
@@ -205,7 +215,7 @@ def _stream(
     import rerun as rr
 
     if deterministic:
-        batching = rr.ChunkBatcherConfig(NEVER, NEVER, NEVER, NEVER)
+        batching: rr.ChunkBatcherConfig | None = rr.ChunkBatcherConfig(NEVER, NEVER, NEVER, NEVER)
     else:  # what is logged one by one goes to the first file at once, to the other in larger portions
         batching = rr.ChunkBatcherConfig(flush_tick=10.0) if footer else None
     rec = rr.RecordingStream(
