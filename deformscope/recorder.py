@@ -246,7 +246,11 @@ class Recorder:
         self._put(lambda: self._emit(lambda rec: log_streams(rec, told), 0), 0)
 
     def write_items(self, items: Sequence[Item]) -> None:
-        """Record a batch of what a rig's devices gave, without loss."""
+        """Record a batch of what a rig's devices gave, without loss; an empty one asks whether it can go on."""
+        if not items:
+            if self._writer is not None:
+                self._writer.check()
+            return
         for item in items:
             kind = _counted_as(item)
             self._counts[kind] = self._counts.get(kind, 0) + 1

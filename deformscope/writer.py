@@ -54,6 +54,11 @@ class Writer:
             self._bytes += size
             self._changed.notify_all()
 
+    def check(self) -> None:
+        """Raise what made the writer fail."""
+        if self.failure is not None:
+            raise self.failure
+
     @property
     def waiting_bytes(self) -> int:
         """What the jobs that wait keep alive."""
