@@ -6,9 +6,9 @@ Nothing in them is executed (no pickle).
 from __future__ import annotations
 
 import io
+import math
 import zipfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -21,26 +21,43 @@ Arrays = Mapping[str, npt.NDArray[Any]]
 """What a file holds, by name."""
 
 
-@contextmanager
-def open_arrays(
-    raw: bytes, expected: str, where: object = "", *, came: str = "a file that is none, or damaged"
-) -> Iterator[Arrays]:
-    """The arrays in a file's bytes, each read where it is asked for.
-
-    expected, came: what InputError tells of bytes that are no such file, of a missing name, and of a value that is
-    refused while the file is open; where: the file's name
-    """
-    try:
-        with np.load(io.BytesIO(raw), allow_pickle=False) as file:
-            yield file
-    except (ValueError, OSError, zipfile.BadZipFile, EOFError, KeyError) as error:
-        raise InputError(expected, came, where=where) from error
+DEFLATED_AT_MOST = 1100
+"""No compressed byte becomes more than 1032."""
+LATTICE_CELLS = 10_000_000
+"""A lattice with holes may have so many cells: arrays of that size are made of it."""
 
 
 def read_arrays(raw: bytes, expected: str, where: object = "") -> dict[str, npt.NDArray[Any]]:
-    """All arrays in a file's bytes. Raises InputError for bytes that are no such file."""
-    with open_arrays(raw, expected, where) as file:
-        return {name: np.asarray(file[name]) for name in file}
+    """All arrays in a file's bytes.
+
+    expected, where: what the file should be, and its name, for messages. Raises InputError for bytes that are no such
+    file or damaged. Nothing is allocated that the bytes cannot fill.
+    """
+    came = "a file that is none, or damaged"
+    if raw.startswith(np.lib.format.MAGIC_PREFIX):
+        raise InputError(expected, "one array by itself (.npy)", "numpy.savez(FILE.npz, rest=..., ...)", where)
+    try:
+        with zipfile.ZipFile(io.BytesIO(raw)) as archive:
+            entries = [entry for entry in archive.infolist() if entry.filename.endswith(".npy")]
+            return {entry.filename.removesuffix(".npy"): _array(archive, entry) for entry in entries}
+    except MemoryError:
+        raise
+    except Exception as error:  # damaged bytes make zipfile, zlib and NumPy raise what they like
+        raise InputError(expected, came, where=where) from error
+
+
+def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> npt.NDArray[Any]:
+    """One array; refused before it is allocated where the file cannot hold as much as it says."""
+    if entry.file_size > DEFLATED_AT_MOST * (entry.compress_size + 1):
+        raise ValueError("more than its bytes can hold")
+    with archive.open(entry) as file:
+        version = np.lib.format.read_magic(file)
+        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read_header(file)
+    if math.prod(shape) * dtype.itemsize > entry.file_size:
+        raise ValueError("an array larger than its file")
+    content = archive.read(entry)  # to its end, where its checksum is compared
+    return np.asarray(np.lib.format.read_array(io.BytesIO(content), allow_pickle=False))
 
 
 # Single arrays; each raises InputError for what it cannot be ---------------------------------------------------------
@@ -78,12 +95,19 @@ def lattice(found: Arrays, rest: npt.NDArray[Any]) -> tuple[tuple[int, ...] | No
     """`shape` and `cell` (K,) of rest positions (K, d); without `shape` those of a regular rest shape, else None."""
     if "shape" not in found:
         return find_lattice(rest) or (None, None)
-    shape = tuple(int(n) for n in np.atleast_1d(found["shape"]))
-    size = int(np.prod(shape))
-    if min(shape) < 1 or (size != len(rest) and "cell" not in found) or size < len(rest):
+    told = found["shape"].reshape(-1)
+    sides = [float(side) for side in told] if told.dtype.kind in "fiu" and 0 < told.size <= 3 else []
+    if not sides or not all(side.is_integer() and side >= 1.0 for side in sides):
+        raise InputError("a lattice shape of whole numbers", f"{told.dtype} {told[:4].tolist()}", "shape=(4, 3, 2)")
+    shape = tuple(int(side) for side in sides)
+    size = math.prod(shape)
+    if (size != len(rest) and "cell" not in found) or size < len(rest):
         raise InputError(
             f"a lattice shape for {len(rest)} particles", "x".join(map(str, shape)), "give `cell` where it has holes"
         )
+    if size > max(LATTICE_CELLS, len(rest)):
+        came = " x ".join(f"{side:g}" for side in sides)
+        raise InputError(f"a lattice of at most {LATTICE_CELLS} cells", came, "leave out the cells that are empty")
     cell = indices(found, "cell", size) if "cell" in found else np.arange(len(rest))
     if len(cell) != len(rest):
         raise InputError(f"cell of shape ({len(rest)},)", str(cell.shape))

@@ -16,12 +16,23 @@ BLOCK_BYTES = 1 << 20
 
 
 def ledger_path(recording: Path) -> Path:
-    """`run.rrd` has the ledger `run.rrd.ledger`."""
-    return recording.with_name(recording.name + ".ledger")
+    """`run.rrd` has the ledger `run.rrd.ledger`; a link without one has that of what it leads to."""
+    beside = recording.with_name(recording.name + ".ledger")
+    if recording.is_symlink() and not beside.exists():
+        target = Path(os.path.realpath(recording))
+        return target.with_name(target.name + ".ledger")
+    return beside
 
 
-def write_ledger(recording: Path, counts: Mapping[str, int] | None = None) -> Path:
-    """Write down the size and the SHA-256 of the whole and of every MiB; `counts` says what was recorded."""
+Losses = Mapping[str, Mapping[str, float]]
+"""What devices lost, by device and kind (`deformscope.losses`)."""
+
+
+def write_ledger(recording: Path, counts: Mapping[str, int] | None = None, losses: Losses | None = None) -> Path:
+    """Write down the size and the SHA-256 of the whole and of every MiB.
+
+    counts: what was recorded, by kind; losses: what was not
+    """
     size, whole, blocks = _digest(recording)
     content = {
         "format": FORMAT,
@@ -30,6 +41,7 @@ def write_ledger(recording: Path, counts: Mapping[str, int] | None = None) -> Pa
         "block_bytes": BLOCK_BYTES,
         "blocks": blocks,
         "counts": dict(counts or {}),
+        "losses": dict(losses or {}),
     }
     # The ledger answers for itself as well: a flip in it must not pass for one in the recording.
     content["ledger_sha256"] = _seal(content)
@@ -75,6 +87,12 @@ def read_counts(recording: Path) -> dict[str, int]:
     """What the ledger says was recorded, by kind; raises FileNotFoundError where there is none."""
     content = json.loads(ledger_path(recording).read_text(encoding="utf-8"))
     return {str(name): int(count) for name, count in content.get("counts", {}).items()}
+
+
+def read_losses(recording: Path) -> dict[str, dict[str, float]]:
+    """What the ledger says was lost, by device and kind; raises FileNotFoundError where there is none."""
+    content = json.loads(ledger_path(recording).read_text(encoding="utf-8"))
+    return {str(device): dict(lost) for device, lost in content.get("losses", {}).items()}
 
 
 def _digest(path: Path) -> tuple[int, str, list[str]]:

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from deformscope.arrays_file import read_arrays
+from deformscope.arrays_file import lattice, read_arrays
 from deformscope.errors import InputError
 from deformscope.stages.fitted import FittedModel, Rival
 from deformscope.stages.poke import Law, Tip
@@ -69,7 +69,7 @@ def load_model(path: Path) -> FittedModel:
         raise InputError(f"a model file of format {FORMAT!r}", repr(str(found["format"])), where=path)
     try:
         return _model(found)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
         raise InputError("a whole model file", f"one without or with a wrong {error}", where=path) from error
     except InputError as error:
         raise type(error).about(error, path) from error
@@ -79,7 +79,7 @@ def _model(found: dict[str, Any]) -> FittedModel:
     told = json.loads(str(found["told"]))
     tip = told["tip"]
     rivals = zip(told["rivals"], found["rival_stiffness"], strict=True)
-    has_lattice = "shape" in found
+    shape, cell = lattice(found, found["rest"]) if "shape" in found else (None, None)
     return FittedModel(
         body=told["body"],
         law=Law(**told["law"]),
@@ -91,8 +91,8 @@ def _model(found: dict[str, Any]) -> FittedModel:
         held_out=_or_nan(told["held_out"]),
         rivals=tuple(Rival(Law(**one["law"]), np.asarray(k), float(one["surface_error"])) for one, k in rivals),
         provenance=told["provenance"],
-        shape=tuple(int(n) for n in found["shape"]) if has_lattice else None,
-        cell=found["cell"] if has_lattice else None,
+        shape=shape,
+        cell=cell,
         **{name: found[name] for name in ARRAYS},
     )
 

@@ -13,6 +13,7 @@ import dataclasses
 import json
 import logging
 import os
+import sys
 import threading
 import time
 import uuid
@@ -20,7 +21,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, BinaryIO, Literal
 
 import numpy as np
 
@@ -28,12 +29,31 @@ from deformscope import provenance
 from deformscope.arrays import FloatArray, ImageArray, IntArray
 from deformscope.errors import InputError
 from deformscope.frames import ColorFrame, DepthFrame, Frame, HealthReport, Item, LinkChange, RawBytes, Stream, host_ns
-from deformscope.images import encode_png
+from deformscope.images import encode_jpeg, encode_png
 from deformscope.ledger import ledger_path, write_ledger
-from deformscope.live import LiveFeed, Viewer, ViewerKind, start_viewer, wait_for_viewer
-from deformscope.recording_file import RecordingError, RecordingFile, leave_streams_alone, sync
+from deformscope.live import (
+    PERIODS_S,
+    LiveFeed,
+    Viewer,
+    ViewerKind,
+    check_answers,
+    check_running,
+    start_viewer,
+    wait_for_viewer,
+)
+from deformscope.losses import losses_of
+from deformscope.recording_file import (
+    FLUSH_TIMEOUT_S,
+    RecordingError,
+    RecordingFile,
+    check_room,
+    leave_streams_alone,
+    merged_path,
+    sync,
+)
+from deformscope.recording_lock import create_locked, is_being_written, one_at_a_time
 from deformscope.session import Step
-from deformscope.stages.exploration import NextTouch
+from deformscope.stages.exploration import NextTouch, StageFailed
 from deformscope.writer import Writer
 
 if TYPE_CHECKING:
@@ -43,7 +63,8 @@ if TYPE_CHECKING:
 
     RecordingLayout = Layout | Literal["rig", "exploration"]
     from deformscope.log.canvas import Canvas
-    from deformscope.log.rig import Batch, Place
+    from deformscope.log.live_stream import LiveStream
+    from deformscope.log.rig import Place
 
 APPLICATIONS: dict[RecordingLayout, str] = {
     "images": "deformscope",
@@ -64,8 +85,9 @@ AHEAD_JOBS, AHEAD_BYTES = 16, 64 << 20
 ITEM_BYTES = 1 << 10
 """An item costs so much memory beside its arrays."""
 TICK_S = 0.1
+SETTLE_TIMEOUT_S = 10.0
 DRAIN_TIMEOUT_S = 60.0
-LIVE_TIMEOUT_S = 5.0
+LIVE_TIMEOUT_S = 3.0
 
 _logger = logging.getLogger(__name__)
 
@@ -75,7 +97,8 @@ class RecordingSummary:
     """What was recorded.
 
     path: the finished file, or the unfinished one after an error; None where nothing was written
-    dropped: frames, steps and inputs that the live view did not get; bytes: size of the file
+    dropped: portions (a frame, a step, an input, what the devices gave in a tenth of a second) that the viewer is not
+    known to have got; bytes: size of the file
     """
 
     path: Path | None
@@ -114,7 +137,7 @@ class Recorder:
         variant: str = "",
         real_time: bool = False,
     ) -> None:
-        self._target = None if file is None else Path(file)
+        self._target = None if file is None else _followed(Path(file))
         self._viewer_kind = viewer
         self._settings = dict(settings or {})
         self._layout: RecordingLayout = layout
@@ -123,6 +146,7 @@ class Recorder:
         self._deterministic = deterministic
         self._real_time = real_time
         self._part: Path | None = None
+        self._reserved: BinaryIO | None = None
         self._finished: RecordingSummary | None = None
         self._stopped = ""
         # what who calls knows
@@ -131,6 +155,7 @@ class Recorder:
         self._last_frame = 0
         self._frames = self._steps = self._inputs = 0
         self._counts: dict[str, int] = {}
+        self._losses: dict[str, dict[str, float]] = {}
         self._touch = 0
         self._streams: tuple[Stream, ...] = ()
         self._lossless: frozenset[str] = frozenset()
@@ -138,13 +163,14 @@ class Recorder:
         # what the writer's thread alone touches, until it has ended
         self._writer: Writer | None = None
         self._file: RecordingFile | None = None
-        self._feed: LiveFeed[rr.RecordingStream] | None = None
+        self._feed: LiveFeed[LiveStream] | None = None
         self._viewer: Viewer | None = None
         self._canvas: Canvas | None = None
         self._arranged = False
         self._range: tuple[float, float] | None = None
         self._pictures_ns = _Times()
         self._scales: dict[str, tuple[object, int]] = {}
+        self._not_shown: list[StageFailed] = []
         self._gathered: list[Item] = []
         self._gathered_bytes = self._gathered_touch = 0
         self._gathered_at = 0.0
@@ -155,20 +181,28 @@ class Recorder:
         return self._target is not None or self._viewer_kind != "none"
 
     @property
+    def not_shown(self) -> tuple[StageFailed, ...]:
+        """Results of an exploration that were recorded, but could not be shown; waits until all so far were drawn."""
+        if self._writer is not None:
+            self._writer.settle(SETTLE_TIMEOUT_S)
+        return tuple(self._not_shown)
+
+    @property
     def viewer(self) -> Viewer | None:
-        """The viewer that was started, to tell the user where it is."""
+        """The viewer that was started."""
         return self._viewer
 
     def __enter__(self) -> Recorder:
         if not self.active:
             return self
         if self._target is not None:
-            self._part = _reserve(self._target, self._overwrite)
+            self._part, self._reserved = _reserve(self._target, self._overwrite)
         try:
             self._open()
         except BaseException:
             if self._part is not None:
                 self._part.unlink(missing_ok=True)
+            self._release()
             raise
         return self
 
@@ -195,11 +229,14 @@ class Recorder:
             self._canvas = _canvas_of(frame.image)
             if not self._layout.startswith("pair"):
                 self._arrange()
-        png = encode_png(frame.image)
+        image = frame.image
+        png = encode_png(image)
         stamp = frame.stamp.host_ns, -1 if frame.stamp.device_ticks is None else frame.stamp.device_ticks
-        self._emit(lambda rec: _log_frame(rec, times, png, stamp), len(png))
-        if frame.image.dtype == np.uint16:
-            shown = self._shown(frame.image)
+        self._keep(lambda rec: _log_frame(rec, times, png, stamp))
+        if image.dtype == np.uint8:  # as JPEG, a tenth of the bytes
+            self._show(lambda live: _log_frame(live.rec, times, encode_jpeg(image), stamp, "image/jpeg"), image.nbytes)
+        else:
+            shown = self._shown(image)
             self._emit(lambda rec: _log_shown(rec, times, shown), len(shown))
 
     def write(self, step: Step) -> None:
@@ -254,6 +291,8 @@ class Recorder:
         for item in items:
             kind = _counted_as(item)
             self._counts[kind] = self._counts.get(kind, 0) + 1
+            if isinstance(item, HealthReport):
+                self._losses = losses_of(item)
         self._frames += sum(isinstance(item, Frame) for item in items)
         if not self.active:
             return
@@ -271,20 +310,24 @@ class Recorder:
         camera = next((stream.device for stream in self._streams if stream.kind == "depth"), None)
         pictures = [item for item in items if isinstance(item, DepthFrame) and item.device == camera]
         self._pictures_ns.add([item.stamp.host_ns - self._first_ns for item in pictures])
+        start_ns, streams, place = self._first_ns, self._streams, self._place(touch) if self._exploring else None
+        self._show(lambda live: live.add_items(items, start_ns, streams, place), size)
+        if self._file is None:
+            return
         self._gathered += items
         self._gathered_bytes += size
         if self._gathered_bytes >= GATHER_BYTES or _span_s(self._gathered) >= GATHER_S:
             self._write_gathered()
 
     def _write_gathered(self) -> None:
-        if not self._gathered:
+        if not self._gathered or self._file is None:
             return
         from deformscope.log.rig import prepare_items
 
-        items, size = self._gathered, self._gathered_bytes
+        items = self._gathered
         self._gathered, self._gathered_bytes = [], 0
         place = self._place(self._gathered_touch) if self._exploring else None
-        self._emit_batch(prepare_items(items, self._first_ns, self._streams, self._lossless, place, self._scales), size)
+        self._file.send(prepare_items(items, self._first_ns, self._streams, self._lossless, place, self._scales))
 
     def start_exploration(
         self,
@@ -329,7 +372,11 @@ class Recorder:
         def write() -> None:
             from deformscope.log.exploration import prepare_results
 
-            self._emit_batch(prepare_results(given, session_ns, self._place(touch, seen_ns), cell_m=cell_m), size)
+            place = self._place(touch, seen_ns)
+            batch = prepare_results(given, session_ns, place, cell_m=cell_m, failed=self._not_shown)
+            if self._file is not None:
+                self._file.send(batch)
+            self._show(lambda live: live.send(batch), size, lasting=True)
 
         self._put(write, size)
 
@@ -355,7 +402,7 @@ class Recorder:
         def write() -> None:
             if isinstance(content, bytes):
                 raw = np.frombuffer(content, np.uint8)
-                self._emit(lambda rec: _log_blob(rec, times, path, raw), len(content))
+                self._keep(lambda rec: _log_blob(rec, times, path, raw))  # no view shows it
             else:
                 png = encode_png(content)
                 self._emit(lambda rec: _log_image(rec, path, png), len(png))
@@ -385,13 +432,23 @@ class Recorder:
         if self._viewer_kind != "none":
             viewer = start_viewer(self._viewer_kind)
             self._viewer = viewer
+            print(viewer.where, file=sys.stderr, flush=True)
             application = self._application
-            self._feed = LiveFeed(lambda closing: _live_stream(application, recording_id, viewer, told, closing))
+            self._feed = LiveFeed(
+                lambda give_up: _live_stream(application, recording_id, viewer, told, give_up),
+                period_s=PERIODS_S[self._viewer_kind],
+            )
             self._feed.start()
         if self._part is not None:
             name = "" if self._deterministic or self._target is None else self._target.stem
             self._file = RecordingFile(
-                self._application, recording_id, self._part, told, name=name, deterministic=self._deterministic
+                self._application,
+                recording_id,
+                self._part,
+                told,
+                name=name,
+                hint=lambda: self._kept_hint,
+                deterministic=self._deterministic,
             )
         if self._real_time:
             self._writer = Writer(self._tick, TICK_S, BACKLOG_JOBS, BACKLOG_BYTES, self._too_slow)
@@ -407,7 +464,7 @@ class Recorder:
 
     def _too_slow(self, waiting_bytes: int) -> Exception:
         came = f"one that is {waiting_bytes >> 20} MiB behind"
-        return RecordingError("a disk that keeps up", came, "another disk; what was recorded is kept", self._part)
+        return RecordingError("a disk that keeps up", came, self._kept_hint, self._part)
 
     def _tick(self) -> None:
         """Between jobs, and several times a second while there are none."""
@@ -420,16 +477,18 @@ class Recorder:
 
     def _emit(self, job: Callable[[rr.RecordingStream], None], size: int) -> None:
         """To the file, and to the live view when it comes to it."""
-        if self._feed is not None:
-            self._feed.put(job, size)
+        self._keep(job)
+        self._show(lambda live: job(live.rec), size, lasting=True)
+
+    def _keep(self, job: Callable[[rr.RecordingStream], None]) -> None:
+        """To the file alone."""
         if self._file is not None:
             self._file.log(job)
 
-    def _emit_batch(self, batch: Batch, size: int) -> None:
+    def _show(self, job: Callable[[LiveStream], None], size: int, *, lasting: bool = False) -> None:
+        """To the live view alone. lasting: dropped last where the viewer cannot follow"""
         if self._feed is not None:
-            self._feed.put(batch.send, size)
-        if self._file is not None:
-            self._file.send(batch)
+            self._feed.put(job, size, lasting=lasting)
 
     def _arrange(self) -> None:
         """Send the views, once, as soon as it is known what they show."""
@@ -473,17 +532,19 @@ class Recorder:
                     outcome["stopped"] = self._stopped
                 if self._counts:
                     outcome["counts"] = json.dumps(self._counts)
+                    outcome["losses"] = json.dumps(self._losses)
                 self._file.write_properties("outcome", outcome)
                 try:
                     self._file.flush()
                 except RecordingError as error:
                     failure = error
-            self._file.close()
+            whole = self._file.close()
             if complete and failure is None and not self._file.broken:
-                path = self._publish(self._part)
+                path = self._publish(self._part, whole)
             else:
-                path = self._keep_unfinished(self._part)
+                path = self._keep_unfinished(self._part, whole)
         size = path.stat().st_size if path is not None else 0
+        self._release()
         self._finished = RecordingSummary(path, self._frames, self._steps, dropped, size)
         if complete and failure is not None:
             raise failure
@@ -507,36 +568,64 @@ class Recorder:
         if self._feed is None:
             return 0
         if not self._feed.close(LIVE_TIMEOUT_S):
-            _logger.warning("the viewer did not answer; it was left behind, and the recording is not affected")
             leave_streams_alone()
         return self._feed.dropped
 
-    def _publish(self, part: Path) -> Path:
+    def _publish(self, part: Path, whole: Path) -> Path:
+        """whole: what is to be the recording; the part is locked, and goes last."""
         assert self._target is not None
         if self._target.exists() and not self._overwrite:
+            whole.replace(part)
             raise RecordingError(
                 "no file of that name", "one made during the run", f"the new one: {part}", self._target
             )
-        sync(part)
+        sync(whole)
         # An older recording's ledger goes first: a ledger that fits no recording must never stand beside one.
         ledger_path(self._target).unlink(missing_ok=True)
-        part.replace(self._target)
+        whole.replace(self._target)
+        part.unlink(missing_ok=True)
         counts = {"frames": self._frames, "steps": self._steps, "inputs": self._inputs, **self._counts}
-        write_ledger(self._target, counts)
+        write_ledger(self._target, counts, self._losses)
         sync(self._target.parent)
         return self._target
 
-    def _keep_unfinished(self, part: Path) -> Path | None:
+    @property
+    def _kept_hint(self) -> str:
+        return "another disk; what was recorded is kept" if self._holds_something else "another disk"
+
+    def _release(self) -> None:
+        """Let others record to this name."""
+        if self._reserved is not None:
+            self._reserved.close()
+
+    @property
+    def _holds_something(self) -> bool:
+        """Whether an unfinished recording is worth keeping."""
         # an exploration whose checks have not passed has nothing to tell but that its devices were there
-        if not (self._steps or self._inputs or (self._frames and not self._exploring)):
+        return bool(self._steps or self._inputs or (self._frames and not self._exploring))
+
+    def _keep_unfinished(self, part: Path, whole: Path) -> Path | None:
+        whole.replace(part)
+        if not self._holds_something:
             part.unlink(missing_ok=True)
             return None
         _logger.warning("what was recorded before the error is kept: %s", part)
         return part
 
 
-def _reserve(target: Path, overwrite: bool) -> Path:
-    """An empty file to record into, beside the target; refuses what cannot work before any work is done."""
+def _followed(target: Path) -> Path:
+    """Where a link leads: it stays a link, to the new recording, as with every other output."""
+    if not target.is_symlink():
+        return target
+    found = Path(os.path.realpath(target))
+    if found.is_symlink():
+        raise InputError("a link that leads to a file", "one that leads to itself", where=target)
+    return found
+
+
+def _reserve(target: Path, overwrite: bool) -> tuple[Path, BinaryIO]:
+    """An empty file to record into, beside the target, and its lock until it is closed; refuses what cannot work
+    before any work is done."""
     if target.suffix.lower() != SUFFIX:
         raise InputError(f"a recording's name that ends in {SUFFIX}", f"{target.suffix or 'no ending'}", where=target)
     if target.is_dir():
@@ -545,30 +634,40 @@ def _reserve(target: Path, overwrite: bool) -> Path:
         raise InputError("a new file to record into", "one that exists", "another name, or --overwrite", target)
     if not target.parent.is_dir():
         raise InputError("a folder to record into", "none", f"mkdir -p {target.parent}", target)
-    for number in range(1, 1000):
-        part = target.with_name(f"{target.stem}.part{'' if number == 1 else f'-{number}'}{SUFFIX}")
-        try:
-            part.open("xb").close()
-        except FileExistsError:
-            continue  # of a run that failed, or of one that is running
-        except OSError as error:
-            came = (error.strerror or str(error)).lower()
-            raise InputError("a folder that can be written to", came, "another folder", target.parent) from error
-        return part
+    check_room(target, "another disk")
+    with one_at_a_time(target.parent):
+        for number in range(1, 1000):
+            part = target.with_name(f"{target.stem}.part{'' if number == 1 else f'-{number}'}{SUFFIX}")
+            try:
+                return part, create_locked(part)
+            except FileExistsError:
+                if is_being_written(part):
+                    came = f"one that another run is recording to ({part.name})"
+                    raise InputError("a recording of its own", came, "another name", target) from None
+                merged_path(part).unlink(missing_ok=True)  # of a run that was killed: of no use without its end
+            except OSError as error:
+                came = (error.strerror or str(error)).lower()
+                raise InputError("a folder that can be written to", came, "another folder", target.parent) from error
     raise InputError("fewer unfinished recordings", "1000", "rename or delete some", target.parent)
 
 
 def _live_stream(
-    application: str, recording_id: str, viewer: Viewer, told: Mapping[str, object], closing: threading.Event
-) -> rr.RecordingStream:
+    application: str, recording_id: str, viewer: Viewer, told: Mapping[str, object], give_up: threading.Event
+) -> LiveStream:
     """Connected to the viewer; blocks until it is there."""
     import rerun as rr
 
-    wait_for_viewer(viewer, closing)
+    from deformscope.log.live_stream import LiveStream
+
+    def check(timeout_s: float) -> None:
+        check_running(viewer)
+        check_answers(viewer, timeout_s)
+
+    wait_for_viewer(viewer, give_up)
     rec = rr.RecordingStream(application, recording_id=recording_id)
     rec.set_sinks(rr.GrpcSink(viewer.url))
     rec.send_property("session", _any_values(told))
-    return rec
+    return LiveStream(rec, check)
 
 
 def _canvas_of(image: ImageArray) -> Canvas:
@@ -585,12 +684,14 @@ def _set_times(rec: rr.RecordingStream, times: tuple[int, int]) -> None:
     rec.set_time("session", duration=np.timedelta64(session_ns, "ns"))
 
 
-def _log_frame(rec: rr.RecordingStream, times: tuple[int, int], png: bytes, stamp: tuple[int, int]) -> None:
+def _log_frame(
+    rec: rr.RecordingStream, times: tuple[int, int], encoded: bytes, stamp: tuple[int, int], kind: str = "image/png"
+) -> None:
     """stamp: host clock [ns]; device ticks, -1 where there are none."""
     import rerun as rr
 
     _set_times(rec, times)
-    image = rr.EncodedImage(contents=png, media_type="image/png", draw_order=-10.0)
+    image = rr.EncodedImage(contents=encoded, media_type=kind, draw_order=-10.0)
     rec.log("input/image", image, rr.AnyValues(host_ns=stamp[0], device_ticks=stamp[1]))
 
 
@@ -612,6 +713,18 @@ def _log_blob(rec: rr.RecordingStream, times: tuple[int, int], path: str, raw: n
 
     _set_times(rec, times)
     rec.log(path, rr.AnyValues(blob=raw))
+
+
+def write_outcome(path: Path, application: str, recording: str, outcome: Mapping[str, object]) -> None:
+    """How a run ended, as a part of its recording, to be merged with the rest. application, recording: its ids"""
+    import rerun as rr
+
+    rec = rr.RecordingStream(application, recording_id=recording, send_properties=False)
+    rec.set_sinks(rr.FileSink(path))
+    told = {name: json.dumps(value) if isinstance(value, dict) else value for name, value in outcome.items()}
+    rec.send_property("outcome", _any_values(told))
+    rec.flush(timeout_sec=FLUSH_TIMEOUT_S)
+    rec.disconnect()
 
 
 def _any_values(values: Mapping[str, object]) -> rr.AnyValues:

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from deformscope.log.merged import Merged
     from deformscope.log.rig import Batch
 
-MERGED_SUFFIX = ".merged"
 FREE_BYTES = 64 << 20
 BEAT_S = 1.0
 BEAT_FRAMES = 32
@@ -44,10 +43,23 @@ class RecordingError(InputError):
     """The recording cannot go on: the disk is full, gone or too slow."""
 
 
+def merged_path(part: Path) -> Path:
+    """Of the file with the large portions, beside the other."""
+    return part.with_name(part.name + ".merged")
+
+
+def check_room(path: Path, hint: str) -> None:
+    """Raise RecordingError where the disk has too little room for a file there. hint: what to try then"""
+    free = shutil.disk_usage(path.parent).free
+    if free < FREE_BYTES:
+        raise RecordingError(f"{FREE_BYTES >> 20} MiB free on the disk", f"{free >> 20} MiB free", hint, path)
+
+
 class RecordingFile:
     """Written by one thread at a time.
 
     part: an empty file to record into; told: properties of the whole; name: of the recording in a viewer
+    hint: what to try where the disk fails
     deterministic: what is written, and in which portions, depends on nothing but what is recorded
     Raises RecordingError once the disk does not take any more; `broken` then, and nothing but `close` is left.
     """
@@ -60,15 +72,17 @@ class RecordingFile:
         told: Mapping[str, object],
         *,
         name: str = "",
+        hint: Callable[[], str] = lambda: "another disk",
         deterministic: bool = False,
     ) -> None:
         from deformscope.log.merged import Merged
 
         self.path = part
         self.broken = False
+        self._hint = hint
         self._deterministic = deterministic
         self._stream = _stream(application, recording_id, part, deterministic, footer=False)
-        self._merged_path = part.with_name(part.name + MERGED_SUFFIX)
+        self._merged_path = merged_path(part)
         self._merged_stream: rr.RecordingStream | None = _stream(
             application, recording_id, self._merged_path, deterministic, footer=True
         )
@@ -97,7 +111,7 @@ class RecordingFile:
         batch.send(self._stream)
         if self._merged_stream is None:
             return
-        for part in batch.parts:
+        for _, part in batch.parts:
             if isinstance(part, Chunk):
                 self._merged_stream.send_chunks(list(self._merged.add(part)))
             else:
@@ -129,18 +143,16 @@ class RecordingFile:
         except Exception as error:
             self.broken = True
             came = "a disk that is full, gone or too slow"
-            raise RecordingError(
-                "a disk that takes the recording", came, "another disk; what was recorded is kept", self.path
-            ) from error
+            raise RecordingError("a disk that takes the recording", came, self._hint(), self.path) from error
         self._beats += 1
         if self._merged_stream is not None and self._beats % BEATS_MERGED == 0:
             self._flush_merged(self._merged_stream)
         self._beat_at = time.monotonic()
 
-    def close(self) -> None:
-        """End both files, within a time; the one with the larger portions, where it is whole, takes the other's place.
+    def close(self) -> Path:
+        """End both files, within a time; where the recording is: in one of its own, or at `path`.
 
-        Raises nothing; `broken` where not even the other could be ended.
+        Raises nothing; `broken` where neither could be ended.
         """
         if self._merged_stream is not None and not self.broken:
             self._merged_stream.send_chunks(list(self._merged.rest()))
@@ -154,26 +166,24 @@ class RecordingFile:
         if not ended:
             leave_streams_alone()
         if whole:
-            self._merged_path.replace(self.path)
-            return
+            return self._merged_path
         self._merged_path.unlink(missing_ok=True)
         if merged is not None and not self.broken:
             _say_that_it_stays_small("a file was not written to its end")
+        return self.path
 
     def _log(self, job: Callable[[rr.RecordingStream], None]) -> None:
         streams = [self._stream] if self._merged_stream is None else [self._stream, self._merged_stream]
         job(cast("rr.RecordingStream", _Each(streams)))
 
     def _look_at_disk(self) -> None:
-        free = shutil.disk_usage(self.path.parent).free
-        if free >= FREE_BYTES:
-            return
-        came = f"{free >> 20} MiB free"
-        if self._merged_stream is None or free + self._merged_path.stat().st_size < 2 * FREE_BYTES:
-            self.broken = True
-            need = f"{FREE_BYTES >> 20} MiB free on the disk"
-            raise RecordingError(need, came, "another disk; what was recorded is kept", self.path)
-        self._do_without_merged(self._merged_stream, came)
+        try:
+            check_room(self.path, self._hint())
+        except RecordingError as error:
+            if self._merged_stream is None or self._merged_path.stat().st_size < FREE_BYTES:
+                self.broken = True
+                raise
+            self._do_without_merged(self._merged_stream, str(error))  # and more room for the other
 
     def _flush_merged(self, merged: rr.RecordingStream) -> None:
         try:

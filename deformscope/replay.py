@@ -62,6 +62,12 @@ class Replay:
         return self._json(SESSION, "settings")
 
     @cached_property
+    def identity(self) -> tuple[str, str]:
+        """rerun's application and recording id."""
+        entry = next(entry for entry in self._reader().recordings() if _ours(entry.application_id))
+        return entry.application_id, entry.recording_id
+
+    @cached_property
     def outcome(self) -> dict[str, Any]:
         """How the recording ended: frames, steps, live_dropped, complete; empty where the run was cut short."""
         rows = self._rows(OUTCOME)
@@ -263,6 +269,6 @@ def _unreadable(path: Path) -> InputError:
     return InputError(
         "a recording that can be read",
         "one that is cut off or damaged",
-        f"rerun rrd optimize {path.name} -o whole.rrd",
+        f"deformscope recover {path.name}",
         path,
     )

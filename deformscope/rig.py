@@ -266,8 +266,12 @@ def _check_values(content: dict[str, Any]) -> None:
         place, value, depth = waiting.pop()
         if isinstance(value, dict | list):
             _check(depth < DEEPEST, f"at most {DEEPEST} levels of tables and lists", f"more in {place}")
-            inner = value.items() if isinstance(value, dict) else enumerate(value)
-            waiting += ((f"{place}.{key}"[-PLACE_CHARACTERS:].lstrip("."), one, depth + 1) for key, one in inner)
+            inner = dict(enumerate(value)) if isinstance(value, list) else value
+            if odd := [key for key in inner if not str(key).isprintable()]:
+                raise InputError("keys without control characters", repr(str(odd[0])[:PLACE_CHARACTERS]))
+            waiting += (
+                (f"{place}.{key}"[-PLACE_CHARACTERS:].lstrip("."), one, depth + 1) for key, one in inner.items()
+            )
         elif isinstance(value, int | float):
             _check(abs(value) <= sys.float_info.max, f"{place} that is finite", "inf, nan, or a number beyond all use")
         elif isinstance(value, str):

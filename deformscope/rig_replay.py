@@ -46,6 +46,8 @@ MEASURED = (
 """What items are made of; all else is there to be looked at."""
 STAMPS = ("Stamp:host_ns", "RawBytes:host_ns", "LinkEvent:host_ns", "HealthReport:host_ns")
 """One of these every item has, and once."""
+SINCE = ("lost_by_time", "silent_s")
+"""Of a device's health, what older recordings lack."""
 CONTENTS = tuple(f"/{kind}/**" for kind in KINDS)
 
 _PART = re.compile(r"(?:[^/\\]|\\.)+")
@@ -272,6 +274,7 @@ def _health(cells: Cells, device: str, when: int) -> HealthReport:
 
 def _device_health(cells: Cells, prefix: str) -> Health:
     counters = ("received", "lost", "dropped", "skipped_bytes", "resyncs", "reconnects")
+    since = {name: cells[f"{prefix}{name}"][0] for name in SINCE if f"{prefix}{name}" in cells}
     age_s, clock = cells[f"{prefix}age_s"], cells[f"{prefix}clock"]
     return Health(
         link=Link(cells[f"{prefix}link"][0]),
@@ -282,6 +285,8 @@ def _device_health(cells: Cells, prefix: str) -> Health:
         stuck=bool(cells[f"{prefix}stuck"][0]),
         clock=ClockRelation(**json.loads(clock[0])) if len(clock) else None,
         extra=json.loads(cells[f"{prefix}extra"][0]),
+        lost_by_time=int(since.get("lost_by_time", 0)),
+        silent_s=float(since.get("silent_s", 0.0)),
         **{counter: int(cells[f"{prefix}{counter}"][0]) for counter in counters},
     )
 

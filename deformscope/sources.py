@@ -17,9 +17,12 @@ from deformscope.arrays import ImageArray
 from deformscope.errors import InputError
 from deformscope.frames import ColorFrame
 from deformscope.images import read_image, to_rgb
+from deformscope.video_check import VideoCheck
 from deformscope_drivers.clock import Stamp
 
 DEFAULT_FPS = 30.0
+FAILED_READS = 8
+"""So many in a row are the end of a video: single frames may be damaged."""
 IMAGE_SUFFIXES = frozenset(
     {".avif", ".bmp", ".dib", ".gif", ".jp2", ".jpe", ".jpeg", ".jpg", ".pbm"}
     | {".pgm", ".png", ".pnm", ".ppm", ".ras", ".sr", ".tif", ".tiff", ".webp"}
@@ -32,12 +35,19 @@ class Source:
     """A stream of frames, read once and lazily: `with open_source(...) as source: for frame in source: ...`.
 
     name: what it is, for a progress line; count: how many frames it will give, None where only reading tells (the
-    count of a video is what its container claims)
+    count of a video is what its container claims); problems: once all was read, what of it is missing or damaged
     """
 
-    def __init__(self, name: str, frames: Callable[[], Iterator[ColorFrame]], count: int | None) -> None:
+    def __init__(
+        self,
+        name: str,
+        frames: Callable[[], Iterator[ColorFrame]],
+        count: int | None,
+        problems: Callable[[], list[str]] = list,
+    ) -> None:
         self.name = name
         self.count = count
+        self.problems = problems
         self._open = frames
         self._frames: Iterator[ColorFrame] | None = None
         self._ahead: list[ColorFrame] = []
@@ -207,20 +217,24 @@ def _video(path: Path, stride: int, fps: float | None) -> Source:
     rate = fps or (own_fps if math.isfinite(own_fps) and 0 < own_fps < 1e6 else DEFAULT_FPS)
     count = math.ceil(claimed / stride) if math.isfinite(claimed) and 0 < claimed < 1e9 else None
 
+    check = VideoCheck(path, claimed, own_fps)
+
     def read() -> Iterator[ColorFrame]:
         with _capture(path) as capture:
-            for taken in itertools.count():
-                if taken % stride:
-                    if not capture.grab():
-                        return
-                    continue
-                done, image = capture.read()
+            taken = failed = 0
+            while failed < FAILED_READS:
+                done, image = capture.read() if taken % stride == 0 else (capture.grab(), None)
                 if not done:
-                    return
-                rgb = to_rgb(image)  # type: ignore[arg-type]
-                yield ColorFrame(Stamp(round(taken * 1e9 / rate)), taken // stride, rgb)
+                    failed += 1
+                    check.fail()
+                    continue
+                failed = 0
+                check.read(capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3)
+                if image is not None:
+                    yield ColorFrame(Stamp(round(taken * 1e9 / rate)), taken // stride, to_rgb(image))  # type: ignore[arg-type]
+                taken += 1
 
-    return Source(str(path), read, count)
+    return Source(str(path), read, count, check.problems)
 
 
 @contextlib.contextmanager
@@ -228,7 +242,7 @@ def _capture(path: Path) -> Iterator[cv2.VideoCapture]:
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     try:
         if not capture.isOpened():
-            came = "an empty file" if path.stat().st_size == 0 else "a file that is none"
+            came = "an empty file" if path.stat().st_size == 0 else "a file that is none, or damaged"
             raise InputError("a video that FFmpeg can read", came, "convert it to MP4, or to a folder of PNG", path)
         yield capture
     finally:

@@ -31,7 +31,7 @@ class Writer:
         self._tick, self._tick_s = tick, tick_s
         self._capacity, self._overrun = (capacity_jobs, capacity_bytes), overrun
         self._jobs: deque[tuple[Job, int]] = deque()
-        self._bytes = self._done = 0
+        self._bytes = self._given = self._done = 0
         self._closing = False
         self._changed = threading.Condition()
         # A daemon: a disk that hangs must not keep the process from ending.
@@ -52,12 +52,18 @@ class Writer:
                 raise self.failure
             self._jobs.append((job, size))
             self._bytes += size
+            self._given += 1
             self._changed.notify_all()
 
     def check(self) -> None:
         """Raise what made the writer fail."""
         if self.failure is not None:
             raise self.failure
+
+    def settle(self, timeout_s: float) -> None:
+        """Return once everything was done that was handed over, the writer has failed, or the time is over."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._done == self._given or self.failure is not None, timeout_s)
 
     @property
     def waiting_bytes(self) -> int:
@@ -85,11 +91,11 @@ class Writer:
                 job, size = entry
                 job()
                 self._tick()
-                del job, entry  # what a job keeps alive is not kept while the next is waited for
                 with self._changed:
                     self._bytes -= size
-                    self._done += 1
+                    self._done += job is not _nothing
                     self._changed.notify_all()
+                del job, entry  # what a job keeps alive is not kept while the next is waited for
         except Exception as error:
             with self._changed:
                 self.failure = self.failure or error

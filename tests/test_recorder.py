@@ -434,7 +434,7 @@ def test_devices_killed_outright(tmp_path: Path) -> None:
 
 
 def test_a_recording_of_devices_has_few_portions(tmp_path: Path) -> None:
-    """Each costs memory until the end, and a viewer time: from ten a second and entity to one in half a minute."""
+    """Each costs memory until the end, and a viewer time: from ten a second and entity to three a minute."""
     seconds = 70
     items: list[Item] = sorted([*map(rig.hand, range(10 * seconds)), *map(rig.health, range(seconds))], key=order)
     with Recorder(tmp_path / "run.rrd", "none", {}, layout="rig") as made:
@@ -447,7 +447,7 @@ def test_a_recording_of_devices_has_few_portions(tmp_path: Path) -> None:
         if not chunk.is_static:
             portions[chunk.entity_path] = portions.get(chunk.entity_path, 0) + 1
     assert len(portions) == 11  # the hand's numbers, and how the devices do
-    assert set(portions.values()) == {3}
+    assert max(portions.values()) <= 4  # a third of a minute each
     assert_same(read_in_order(tmp_path / "run.rrd"), items)
 
 
@@ -474,7 +474,8 @@ def test_without_the_file_of_large_portions_the_recording_is_the_other(
     if trouble == "little room":
         monkeypatch.setattr(recording_file, "FREE_BYTES", 1000)
         usage = shutil.disk_usage(tmp_path)
-        monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=999 if merged.exists() else 1001))
+        full = merged.exists  # until the other file has gone
+        monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=999 if full() else 1001))
     elif trouble == "does not end":
         monkeypatch.setattr(recording_file, "_has_footer", lambda path: False)
     else:
@@ -483,9 +484,8 @@ def test_without_the_file_of_large_portions_the_recording_is_the_other(
         assert merged.exists() == (trouble != "little room")
         if trouble == "cannot be flushed":
             assert made._file is not None
-            full = made._file._merged_stream
-            assert full is not None
-            monkeypatch.setattr(full, "flush", failing)
+            assert made._file._merged_stream is not None
+            monkeypatch.setattr(made._file._merged_stream, "flush", failing)
         made.start_rig(rig.STREAMS, rig.START_NS)
         for batch in rig.batches(items):
             made.write_items(batch)
@@ -590,7 +590,7 @@ def test_the_file_never_waits_for_the_viewer(
     assert replay.frame_count == 400
     assert replay.outcome["live_dropped"] == made.summary().dropped
     assert unregistered == [True]
-    assert "did not answer" in caplog.text
+    assert "does not answer" in caplog.text
 
 
 def test_a_window_needs_a_display(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -601,23 +601,19 @@ def test_a_window_needs_a_display(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert not list(tmp_path.iterdir())
 
 
-def test_a_page_is_served_on_loopback_and_stays(tmp_path: Path) -> None:
-    with Recorder(tmp_path / "run.rrd", "page", {}) as made:
-        viewer = made.viewer
-        assert viewer is not None
-        try:
-            run(synthetic.frames(3), synthetic.calibration(ROI, SHAPE), made)
-        except BaseException:
-            os.kill(viewer.pid, signal.SIGKILL)
-            raise
+def test_a_page_is_served_on_loopback_and_stays_with_the_process(tmp_path: Path) -> None:
     try:
+        with Recorder(tmp_path / "run.rrd", "page", {}) as made:
+            viewer = made.viewer
+            assert viewer is not None
+            run(synthetic.frames(3), synthetic.calibration(ROI, SHAPE), made)
         assert made.summary().dropped == 0
         assert viewer.page.startswith("http://127.0.0.1:")
         addresses = listening(viewer.pid)
         assert len(addresses) == 2
         assert {address for address, _ in addresses} == {"0100007F"}
     finally:
-        os.kill(viewer.pid, signal.SIGKILL)
+        live.end_pages()
     assert Replay(tmp_path / "run.rrd").frame_count == 3
     assert ledger_path(tmp_path / "run.rrd").exists()
 

@@ -19,6 +19,7 @@ from deformscope.driver_table import DRIVERS
 from deformscope.errors import InputError
 from deformscope.frames import HealthReport, Item, LinkChange, RawBytes, TactileFrame, WrenchFrame, host_ns
 from deformscope.lab.stand_in import stand_in, wire_of
+from deformscope.losses import losses_of, named
 from deformscope.rig_source import RigMember, RigSource
 from deformscope.session import watch
 from deformscope_drivers.dsa import Dsa, DsaConfig, DsaDouble
@@ -209,3 +210,39 @@ def test_a_recording_of_files_ends_with_them(tmp_path: Path) -> None:
 
     assert len(frames_of(keeper.items, "camera")) == 3
     assert not source.failures
+
+
+def test_a_device_that_is_gone_for_good_is_a_loss_by_time() -> None:
+    """Its counter cannot know."""
+    config = DRIVERS["optoforce"].config_class()()
+    with wire_of("optoforce", config) as wire:
+        device = DRIVERS["optoforce"].make(DRIVERS["optoforce"].config_class()(port=wire.port))
+        with RigSource([RigMember("tip", DRIVERS["optoforce"], device)]) as source:
+            gather(source, lambda seen: len(frames_of(seen, "tip")) > 200)
+            wire.unplug()
+            gather(source, lambda seen: Link.LOST in changes(seen))
+            gather(source, lambda seen: device.health().silent_s > 0.5)
+            source.close()
+            last = source.look()
+            health = dict(last.devices)["tip"]
+
+    lost = losses_of(last)["tip"]
+    assert lost["silent_s"] > 0.5
+    assert lost["readings"] == lost["readings_by_time"] == pytest.approx(1000 * lost["silent_s"], rel=0.2)
+    assert "a port that is there; got none" in health.reason
+    assert "without any" in named({"tip": lost})
+    assert source.look().devices[0][1].silent_s == health.silent_s, "closed: nothing is lost any more"
+
+
+def test_a_device_that_fails_is_a_loss_until_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    with doubled("optoforce", "tip") as tip, RigSource([tip]) as source:
+        gather(source, lambda seen: len(frames_of(seen, "tip")) > 200)
+
+        def fail(timeout_s: float) -> list[Any]:
+            raise ValueError("an index out of range")
+
+        monkeypatch.setattr(tip.device, "_receive", fail)
+        gather(source, lambda seen: tip.device.health().silent_s > 0.3)
+        source.close()
+        assert "an index out of range" in source.failures["tip"]
+        assert losses_of(source.look())["tip"]["silent_s"] > 0.3

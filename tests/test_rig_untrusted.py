@@ -172,6 +172,7 @@ def test_every_number_is_finite(text: str, value: str) -> None:
 def test_texts_have_no_control_characters() -> None:
     assert "port without control characters" in refused(TIP.replace("ACM0", "\\u0000"))
     assert "folder without control characters" in refused(TIP + '[record]\nfolder = "a\\u001b[2J"')
+    assert "keys without control characters; got '\\x1b[2J'" in refused('"\\u001b[2J" = inf')
 
 
 def test_a_device_has_a_name_that_a_file_can_have() -> None:

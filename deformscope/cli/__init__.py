@@ -4,7 +4,7 @@
     deformscope flow before.png after.png --out flow.npz
 
 To add a command: a frozen dataclass of its flags in `deformscope/config/`, a file here with `run(config)` that
-imports what is heavy inside, and a line in `COMMANDS`.
+imports what is heavy inside and returns an exit status where it is not always 0, and a line in `COMMANDS`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ import sys
 import traceback
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deformscope import __version__
@@ -91,6 +90,7 @@ COMMANDS: dict[str, Command] = {
     "record": Command("record all devices of a rig", "RecordConfig", "deformscope.cli.record", "record"),
     "live": Command("watch all devices of a rig", "LiveConfig", "deformscope.cli.record", "live"),
     "verify": Command("whether a recording is whole", "VerifyConfig", "deformscope.cli.verify"),
+    "recover": Command("a whole recording out of one that was cut short", "RecoverConfig", "deformscope.cli.recover"),
     "double": Command("run simulated devices on real transports", "DoubleConfig", "deformscope.cli.double"),
     "bench": Command("what MSM costs on this machine", "BenchConfig", "deformscope.cli.bench"),
 }
@@ -98,6 +98,8 @@ COMMANDS: dict[str, Command] = {
 
 TRACEBACK = "DEFORMSCOPE_TRACEBACK"
 EXIT_INPUT, EXIT_UNEXPECTED, EXIT_INTERRUPTED, EXIT_PIPE = 2, 1, 130, 141
+EXIT_SIGNALLED = 128
+"""From here on a signal ended the command: by its number more."""
 
 PACKAGES = {
     "libusb-1.0": "libusb-1.0-0",
@@ -114,12 +116,25 @@ PACKAGES = {
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run one command line and return its exit status; nothing is raised, and no traceback shown unless asked for."""
+    """Run one command line and return its exit status; nothing is raised, and no traceback shown unless asked for.
+
+    0 done; 1 unexpected; 2 refused, in one line; 3 done with losses, which are named (`common.EXIT_LOSSES`);
+    128 + its number: ended by a signal
+    """
+    status = _status(list(sys.argv[1:] if args is None else args))
+    if "deformscope.live" in sys.modules and status < EXIT_SIGNALLED:
+        from deformscope.cli.common import keep_page
+
+        keep_page()
+    return status
+
+
+def _status(args: list[str]) -> int:
     # Libraries that complain on stderr by themselves would bury the one line that says what to do.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     try:
-        status = _dispatch(list(sys.argv[1:] if args is None else args))
+        status = _dispatch(args)
         sys.stdout.flush()
         return status
     except KeyboardInterrupt:
@@ -157,8 +172,8 @@ def _dispatch(args: list[str]) -> int:
     from deformscope.cli.common import json_alone
 
     with json_alone(options.json_target()):
-        getattr(importlib.import_module(command.module), command.function)(options)
-    return 0
+        status = getattr(importlib.import_module(command.module), command.function)(options)
+    return status if isinstance(status, int) else 0
 
 
 def _find(args: list[str]) -> tuple[str, list[str]]:
@@ -289,10 +304,10 @@ def _check_files(options: CommandOptions) -> None:
         return
     from deformscope.cli.common import check_writable
 
-    inputs = {Path(source).resolve() for source in options.reads()}
-    flags: dict[Path, str] = {}
+    inputs = {os.path.realpath(source) for source in options.reads()}
+    flags: dict[str, str] = {}
     for file in written:
-        path = file.path.resolve()
+        path = os.path.realpath(file.path)
         if path in inputs:
             raise InputError(f"a file after {file.flag} that is no input", "an input", "another name", file.path)
         if path in flags and not file.path.is_char_device():

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deformscope.cli.common import (
+    EXIT_LOSSES,
     console,
     fit_progress,
     progress,
@@ -219,7 +220,11 @@ def calibrate_images(
         mask = Replay(Path(sources[0]), trust=True).mask  # its ledger was compared when it was looked at for pairs
     settings = {"sources": list(sources), "stride": images.stride, "fps": images.fps, "mask": images.mask is not None}
     with open_source(sources, stride=images.stride, fps=images.fps, mask=images.mask) as source:
-        return run_images(source, mask, fit, particles, settings, output, summary, motion)
+        found = run_images(source, mask, fit, particles, settings, output, summary, motion)
+    if problems := source.problems():
+        console().print(f"deformscope: {source.name} is damaged: {'; '.join(problems)}", markup=False, soft_wrap=True)
+        raise SystemExit(EXIT_LOSSES)
+    return found
 
 
 def run_images(
@@ -247,7 +252,6 @@ def run_images(
     with Recorder(
         output.record, resolve_viewer(output.viewer), used, layout="images", overwrite=output.overwrite
     ) as recorder:
-        _tell_viewer(recorder)
         if mask is not None:
             recorder.write_input("mask", mask)
         with progress("frames", total=source.count) as advance, fit_progress() as fitting:
@@ -264,13 +268,17 @@ def run_images(
                 else whole_motion(particles, fit, motion, region, fitting)
             )
             found = run(frames(), experiment, recorder)
-    tell(found.estimate, recorder.summary())
+        problems = source.problems()
+        if problems:
+            recorder.stopped_because(f"with what could be read of {source.name}: {'; '.join(problems)}")
+    tell(found.estimate, recorder.summary(), problems=problems)
     if summary.wanted:
         from deformscope.pictures import Result
 
         shown = Result(found.estimate, found.comparisons[-1:], ("",), last[0])
         write_summaries(summary, [shown], seed=output.seed, settings=used)
-    write_json(found.estimate.as_json(), output.json)
+    damage = {"source_problems": problems} if problems else {}
+    write_json(found.estimate.as_json() | damage, output.json)
     return found.estimate
 
 
@@ -343,7 +351,6 @@ def calibrate_pair_bytes(
     ) as recorder:
         if recorder.active and len({one.rest.shape[1] for one in seen}) > 1:
             raise InputError("pairs all in the plane, or all in space, in one recording", "both", "two commands")
-        _tell_viewer(recorder)
         for index, (_, raw) in enumerate(raws):
             recorder.write_input(f"pair/{index}", raw)
         if layers is not None:
@@ -373,16 +380,11 @@ def calibrate_pair_bytes(
 # Telling -------------------------------------------------------------------------------------------------------------
 
 
-def _tell_viewer(recorder: Any) -> None:
-    viewer = recorder.viewer
-    if viewer is not None and viewer.page:
-        note = f"viewer: {viewer.page} (open it in a browser; it stays after this command: kill {viewer.pid} ends it)"
-        console().print(note, markup=False, soft_wrap=True)
-
-
-def tell(estimate: Estimate, recording: RecordingSummary, name: str = "") -> None:
-    """The result as a short table."""
+def tell(estimate: Estimate, recording: RecordingSummary, name: str = "", problems: Sequence[str] = ()) -> None:
+    """The result as a short table. problems: of the source"""
     rows = estimate_rows(estimate)
+    if problems:
+        rows.append(("SOURCE DAMAGED", "; ".join(problems)))
     if recording.path is not None:
         rows.append(("recording", f"{recording.path} ({recording.bytes / 1e6:.1f} MB)"))
         rows.append(("to look at it", f"{_rerun()} {recording.path}"))

@@ -7,7 +7,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Literal, TextIO
@@ -23,8 +23,13 @@ if TYPE_CHECKING:
 
 Viewer = Literal["native", "page", "none"]
 
+EXIT_LOSSES = 3
+"""The exit status of a command whose result is whole, but of which something was lost; it names what."""
 SAY_EVERY_S = 20.0
 """Seconds between lines about long work where no bar can be shown."""
+
+PAGE_LOOK_S = 0.2
+"""Seconds between looks at whether a page's server still runs."""
 
 _json_stream: ContextVar[TextIO | None] = ContextVar("json_stream", default=None)
 
@@ -130,6 +135,19 @@ def resolve_viewer(choice: Literal["auto", "native", "page", "none"]) -> Viewer:
     return "native" if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") else "none"
 
 
+def keep_page() -> None:
+    """What was shown on a page stays there until Ctrl-C where somebody sits at a terminal; elsewhere, and then, the
+    page's server ends."""
+    from deformscope.live import end_pages, running_pages
+
+    if sys.stdin is not None and sys.stdin.isatty() and sys.stdout.isatty() and (pages := running_pages()):
+        with suppress(KeyboardInterrupt):
+            say(f"the page stays until Ctrl-C: {', '.join(viewer.page for viewer in pages)}")
+            while running_pages():
+                time.sleep(PAGE_LOOK_S)
+    end_pages()
+
+
 # JSON ----------------------------------------------------------------------------------------------------------------
 
 
@@ -205,7 +223,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
         with path.open("wb") as stream:
             yield stream
         return
-    path = path.resolve()  # a link stays a link, to the new file
+    path = Path(os.path.realpath(path))  # a link stays a link, to the new file
     draft = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with draft.open("xb") as file:
@@ -239,7 +257,7 @@ def check_writable(path: Path, flag: str, *, replace: bool = True) -> None:
         return
     if path.exists() and not replace:
         raise InputError(f"a new file after {flag}", "one that exists", "another name, or --overwrite", path)
-    path = path.resolve()
+    path = Path(os.path.realpath(path))
     if not path.parent.is_dir():
         came = "something else" if path.parent.exists() else "none"
         raise InputError(f"a folder to hold the file of {flag}", came, f"mkdir -p {path.parent}", path)

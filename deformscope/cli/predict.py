@@ -77,11 +77,13 @@ def run(config: PredictConfig) -> None:
 def _points(path: Path) -> FloatArray:
     import numpy as np
 
-    from deformscope.arrays_file import open_arrays
+    from deformscope.arrays_file import numbers, read_arrays
 
-    raw = read_file(path, "a pair file (.npz)")
-    with open_arrays(raw, "an .npz with `points (n, 3)`", path, came="a file that is none") as file:
-        points = np.asarray(file["points"], dtype=np.float64)
+    expected = "an .npz with `points (n, 3)`"
+    found = read_arrays(read_file(path, expected), expected, path)
+    if "points" not in found:
+        raise InputError(expected, ", ".join(sorted(found)) or "nothing in it", where=path)
+    points = numbers(found, "points")
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
         raise InputError("finite points (n, 3)", f"shape {points.shape}", where=path)
     return points

@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from threading import Event
 from typing import TYPE_CHECKING
 
-from deformscope.cli.common import make_folder, resolve_viewer, say, show_table, write_json
-from deformscope.cli.rigs import members_of, until_interrupted
+from deformscope.cli.common import EXIT_LOSSES, make_folder, resolve_viewer, say, show_table, write_json
+from deformscope.cli.exploring import signal_word
+from deformscope.cli.rigs import Interruption, members_of, until_interrupted
 from deformscope.config import LiveConfig, RecordConfig, RigRunOptions
 from deformscope.errors import InputError
 
@@ -31,19 +32,24 @@ if TYPE_CHECKING:
 TELL_EVERY_S = 10.0
 
 
-def record(config: RecordConfig) -> None:
-    """Record a rig, headless unless a viewer is asked for."""
+def record(config: RecordConfig) -> int:
+    """Record a rig, headless unless a viewer is asked for. Returns the command's exit status."""
     viewer = "none" if config.output.viewer == "auto" else config.output.viewer
-    _run(dataclasses.replace(config, output=dataclasses.replace(config.output, viewer=viewer)), always_record=True)
+    return _run(
+        dataclasses.replace(config, output=dataclasses.replace(config.output, viewer=viewer)), always_record=True
+    )
 
 
-def live(config: LiveConfig) -> None:
-    """Watch a rig in rerun's window, and record it if asked to."""
+def live(config: LiveConfig) -> int:
+    """Watch a rig in rerun's window, and record it if asked to. Returns the command's exit status."""
     viewer = "native" if config.output.viewer == "auto" else config.output.viewer
-    _run(dataclasses.replace(config, output=dataclasses.replace(config.output, viewer=viewer)), always_record=False)
+    return _run(
+        dataclasses.replace(config, output=dataclasses.replace(config.output, viewer=viewer)), always_record=False
+    )
 
 
-def _run(config: RigRunOptions, *, always_record: bool) -> None:
+def _run(config: RigRunOptions, *, always_record: bool) -> int:
+    from deformscope.losses import losses_of, named
     from deformscope.recorder import Recorder
     from deformscope.rig import load_rig
     from deformscope.rig_source import RigSource
@@ -77,21 +83,35 @@ def _run(config: RigRunOptions, *, always_record: bool) -> None:
             end = _Ending(asked, config.seconds, source)
             last = watch(source, recorder, end)
             failures = dict(source.failures)
-    _tell(config, recorder.summary(), last, failures)
-    if failures:
-        name, reason = next(iter(failures.items()))
-        raise InputError(f"device {name} to last until the end", reason, "the recording holds what came before")
+            ended = end.reason + "".join(f"; {name} failed: {reason}" for name, reason in failures.items())
+            recorder.stopped_because(ended)
+    _tell(config, recorder.summary(), last, failures, ended)
+    if (losses := losses_of(last)) and file is not None:
+        say(f"deformscope: the recording is whole, with losses: {named(losses)}")
+    for name, reason in failures.items():
+        say(f"deformscope: device {name} failed: {reason}")
+    if end.early_by:
+        say(f"deformscope: ended {end.reason}")
+        return 128 + end.early_by
+    return EXIT_LOSSES if failures or (losses and file is not None) else 0
 
 
 class _Ending:
-    """Whether a recording's time is over; tells now and then how it goes."""
+    """Whether a recording's time is over; reports now and then how it goes. reason: why it ended"""
 
-    def __init__(self, asked: Event, seconds: float | None, source: RigSource) -> None:
+    def __init__(self, asked: Interruption, seconds: float | None, source: RigSource) -> None:
         self._source = source
         self._last: HealthReport | None = None
         self._asked = asked
-        self._until = None if seconds is None else time.monotonic() + seconds
-        self._told_at = time.monotonic()
+        self._seconds = seconds
+        self._began = self._told_at = time.monotonic()
+        self.reason = ""
+
+    @property
+    def early_by(self) -> int:
+        """The signal that ended it before its end; 0 = none did. Ctrl-C is the end of what has no other."""
+        number = self._asked.signal_number
+        return 0 if number == signal.SIGINT and self._seconds is None else number
 
     def __call__(self, items: Sequence[Item]) -> bool:
         from deformscope.frames import HealthReport, LinkChange
@@ -106,16 +126,27 @@ class _Ending:
             self._told_at = time.monotonic()
             rates = ", ".join(f"{name} {health.rate_hz:.4g}/s" for name, health in self._last.devices)
             say(rates)
-        if self._source.ended:
+        lasted_s = time.monotonic() - self._began
+        early = "" if self._seconds is None else f", earlier than the {self._seconds:g} s asked for"
+        if self._asked.is_set():
+            self.reason = f"by {signal_word(self._asked.signal_number)} after {lasted_s:.1f} s{early}"
+        elif self._source.ended:
+            self.reason = f"after {lasted_s:.1f} s{early}: every device has come to its end"
             say("every device has come to its end")
-            return True
-        return self._asked.is_set() or (self._until is not None and time.monotonic() >= self._until)
+        elif self._seconds is not None and lasted_s >= self._seconds:
+            self.reason = f"after {self._seconds:g} s, as asked for"
+        return bool(self.reason)
 
 
-def _tell(config: RigRunOptions, summary: RecordingSummary, last: HealthReport, failures: dict[str, str]) -> None:
+def _tell(
+    config: RigRunOptions, summary: RecordingSummary, last: HealthReport, failures: Mapping[str, str], ended: str
+) -> None:
     """What was recorded, device by device, on the screen and as JSON."""
+    from deformscope.losses import losses_of
+
     devices = dict(last.devices)
     rows = [(name, _in_words(health, failures.get(name))) for name, health in devices.items()]
+    rows.append(("ended", ended))
     if summary.path is not None:
         rows.append(("recording", f"{summary.path} ({summary.bytes / 1e6:.1f} MB)"))
     show_table(config.label or config.rig, rows)
@@ -125,31 +156,19 @@ def _tell(config: RigRunOptions, summary: RecordingSummary, last: HealthReport, 
         "bytes": summary.bytes,
         "live_dropped": summary.dropped,
         "devices": devices,
+        "losses": losses_of(last),
         "failures": failures,
+        "ended": ended,
     }
     write_json(found, config.output.json)
 
 
 def _in_words(health: Health, failure: str | None) -> str:
-    parts = [f"{health.received} readings"]
-    parts += [f"{count} {what}" for what, count in losses(health).items() if count]
-    if failure:
-        parts.append(f"FAILED: {failure}")
-    return ", ".join(parts)
+    """What came of a device, what it lost, and why where it is known."""
+    from deformscope.losses import in_words, lost_by
 
-
-def losses(health: Health) -> dict[str, int]:
-    """What was lost, in the order in which it matters."""
-    from deformscope_drivers.device import RAW_DROPPED
-
-    return {
-        "lost on the way": health.lost,
-        "dropped here": health.dropped,
-        "pieces of bytes dropped here": int(health.extra.get(RAW_DROPPED, 0)),
-        "frames refused": sum(health.refused.values()),
-        "bytes skipped": health.skipped_bytes,
-        "reconnects": health.reconnects,
-    }
+    why = f"FAILED: {failure}" if failure else health.reason
+    return ", ".join(part for part in (f"{health.received} readings", in_words(lost_by(health)), why) if part)
 
 
 def _variant(rig: Rig) -> str:

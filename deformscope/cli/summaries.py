@@ -228,7 +228,14 @@ def _pokes(found: PokesFound) -> Table:
             )
         )
     names = (
-        *("place x, y [m]", "tip [mm]", "depth [mm]", "force [N]", "k [N/m]", "apparent E* [kPa]"),
+        *(
+            "middle of the touched points x, y [m]",
+            "tip [mm]",
+            "depth [mm]",
+            "force [N]",
+            "k [N/m]",
+            "apparent E* [kPa]",
+        ),
         *("surface error [of the depth]", "the same, left out of the fit", "force predicted from the others"),
     )
     return Table(rows, names, f"Stiffness over the surface: {found.model.field_kind}. E* is of a half-space: apparent.")

@@ -5,98 +5,120 @@ deformscope verify run.rrd
 
 from __future__ import annotations
 
-import subprocess
 from pathlib import Path
 from typing import Any
 
-from deformscope.cli.common import show_table, write_json
+from deformscope.cli.common import EXIT_LOSSES, say, show_table, write_json
 from deformscope.config import VerifyConfig
 from deformscope.errors import InputError
 from deformscope.ledger import check_ledger, read_counts
+from deformscope.recording_facts import Facts, read_facts
+from deformscope.recording_lock import is_being_written
+from deformscope.rerun_tool import run_rrd
 
-VERIFY_TIMEOUT_S = 600.0
 WHOLE = "every byte is as it was recorded"
+UNCHECKED = "not checked, as there is no ledger: a flipped bit would go unnoticed"
 
 
 class Damaged(InputError):
-    """The recording is not what it was."""
+    """The recording is not what it was, or was never finished."""
 
 
-def run(config: VerifyConfig) -> None:
-    """Check bytes, structure and completeness; raises Damaged where something is wrong."""
+def run(config: VerifyConfig) -> int:
+    """Check bytes, structure and completeness. Returns the exit status; raises Damaged where something is wrong."""
     path = config.recording
     if not path.is_file():
         part = next(iter(sorted(path.parent.glob(f"{path.stem}.part*{path.suffix}"))), None)
         hint = f"the unfinished one: {part}" if part is not None else ""
         raise InputError("a recording (.rrd)", "a folder" if path.is_dir() else "nothing there", hint, path)
-    problems: list[str] = []
-    ledger = WHOLE
-    try:
-        problems += check_ledger(path)
-        ledger = "DIFFERS" if problems else ledger
-    except FileNotFoundError:
-        ledger = "none: a flipped bit would go unnoticed"
-    structure = _structure(path)
-    if structure:
+    if is_being_written(path):
+        raise InputError("a recording that has ended", "one that a run is writing", "again when it has ended", path)
+    differs = _differs(path)
+    structure = run_rrd("verify", path)
+    if differs == [] and "footer" in structure:  # finished without one, as where the disk was short
+        structure = run_rrd("verify", "--check-footers=false", path)
+    facts = read_facts(path)
+    outcome, recovered = facts.outcome, "recovered" in facts.outcome
+    # Without a footer, or an outcome that says so, the run did not come to its end: that is no damage.
+    unfinished = not recovered and not differs and ("footer" in structure or not outcome.get("complete"))
+    problems = list(differs or ())
+    if structure and not unfinished:
         problems.append(structure)
-    outcome = _outcome(path)
-    if not outcome.get("complete"):
-        problems.append("the run did not end by itself: it was cut short or failed")
-    counts = read_counts(path) if ledger == WHOLE else {}  # a damaged ledger tells nothing
-    losses = _loss_rows(path)
-    complete = "complete" if outcome.get("complete") else "NOT complete"
-    rows = [
-        ("bytes", ledger),
-        ("structure", structure or "readable to the end"),
-        ("run", f"{complete}; stopped: {outcome['stopped']}" if outcome.get("stopped") else complete),
-        *((name, str(count)) for name, count in sorted(counts.items()) if count),
-        *losses,
-    ]
-    show_table(str(path), rows)
-    found: dict[str, Any] = {"recording": path, "ok": not problems, "problems": problems, "counts": counts}
-    write_json({**found, "outcome": outcome, "losses": dict(losses)}, config.json)
+    if facts.damage and "footer" not in structure:
+        problems.append(facts.damage)
+    unfinished = unfinished and not problems
+    counts = read_counts(path) if differs == [] else facts.counts  # a damaged ledger says nothing
+    reached = "" if facts.until_s is None else f" until {facts.until_s:.1f} s"
+    show_table(str(path), _rows(facts, differs, structure, reached, counts, unfinished=unfinished))
+    found: dict[str, Any] = {
+        "recording": path,
+        "ok": False if problems or unfinished else None if differs is None else True,
+        "checked": differs is not None,
+        "finished": not unfinished,
+        "until_s": facts.until_s,
+        "problems": problems,
+        "counts": counts,
+        "outcome": outcome,
+        "losses": facts.losses,
+    }
+    write_json(found, config.json)
     if problems:
-        raise Damaged("a whole recording", "; ".join(problems), "rerun shows what there is", path)
+        hint = f"an intact copy, or what can be read of it: deformscope recover {path}"
+        raise Damaged("a whole recording", "; ".join(dict.fromkeys(problems)), hint, path)
+    if unfinished:
+        kept = f"everything{reached} is there" if reached else "its readable part is there"
+        raise Damaged("a recording that was finished", f"one of a run cut short; {kept}", _recover(path), path)
+    return _tell_losses(facts, checked=differs is not None, reached=reached)
 
 
-def _structure(path: Path) -> str:
-    """What rerun's own check finds wrong, in a line; empty = nothing."""
-    from deformscope.live import viewer_executable
-
-    command = [str(viewer_executable()), "rrd", "verify", str(path)]
+def _differs(path: Path) -> list[str] | None:
+    """What differs from the ledger; None = there is no ledger."""
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=VERIFY_TIMEOUT_S, check=False)
-    except subprocess.TimeoutExpired:
-        return f"its structure was not read within {VERIFY_TIMEOUT_S:g} s"
-    if done.returncode == 0:
-        return ""
-    said = [line for line in (done.stderr + done.stdout).splitlines() if line.strip()]
-    return " ".join(said[-1].split())[:300] if said else "rerun refuses it without a word"
+        return check_ledger(path)
+    except FileNotFoundError:
+        return None
 
 
-def _outcome(path: Path) -> dict[str, Any]:
-    """How the run ended, as far as the recording can be read."""
-    from deformscope.replay import Replay
+def _rows(
+    facts: Facts,
+    differs: list[str] | None,
+    structure: str,
+    reached: str,
+    counts: dict[str, int],
+    *,
+    unfinished: bool,
+) -> list[tuple[str, str]]:
+    from deformscope.losses import in_words
 
-    try:
-        return dict(Replay(path, trust=True).outcome)
-    except Exception:  # damaged: the structure's line says so
-        return {}
-
-
-def _loss_rows(path: Path) -> list[tuple[str, str]]:
-    """What each device of a rig lost, by the last look at its health."""
-    from deformscope.cli.record import losses
-    from deformscope.frames import HealthReport
-    from deformscope.rig_replay import read_items
-
-    last: HealthReport | None = None
-    try:
-        for item in read_items(path, trust=True, kinds=("health",)):
-            last = item if isinstance(item, HealthReport) else last
-    except Exception:  # damaged: the structure's line says so
-        return []
+    ended = "unfinished: cut short" if unfinished else "complete" if facts.outcome.get("complete") else "NOT complete"
+    if "recovered" in facts.outcome:
+        ended = f"recovered from {facts.outcome['recovered']}, which was cut short"
+    stopped = facts.outcome.get("stopped")
+    devices = {name.rsplit("/", 1)[0] for name in counts if name.endswith("/frames")} | set(facts.losses)
     return [
-        (f"{name} lost", ", ".join(f"{count} {what}" for what, count in losses(health).items() if count) or "nothing")
-        for name, health in (() if last is None else last.devices)
+        ("bytes", UNCHECKED if differs is None else "DIFFERS" if differs else WHOLE),
+        ("structure", structure or "readable to the end"),
+        ("run", f"{ended}{reached}" + (f"; ended {stopped}" if stopped else "")),
+        *((name, str(count)) for name, count in sorted(counts.items()) if count),
+        *((f"{name} lost", in_words(facts.losses.get(name, {})) or "nothing") for name in sorted(devices)),
     ]
+
+
+def _recover(path: Path) -> str:
+    return f"deformscope recover {path}"
+
+
+def _tell_losses(facts: Facts, *, checked: bool, reached: str) -> int:
+    """Name what is not as it should be of a recording that can be read whole."""
+    from deformscope.losses import named
+
+    told = []
+    if facts.losses:
+        told.append(f"losses: {named(facts.losses)}")
+    if "recovered" in facts.outcome:
+        told.append(f"it was recovered{reached}: what came after is lost")
+    if not checked:
+        told.append("it has no ledger: whether its bytes are as they were recorded is not known")
+    for line in told:
+        say(f"deformscope: {line}")
+    return EXIT_LOSSES if told else 0

@@ -30,6 +30,7 @@ from deformscope.config.rigs import (
     ExploreConfig,
     LiveConfig,
     RecordConfig,
+    RecoverConfig,
     RigRunOptions,
     VerifyConfig,
 )
@@ -59,6 +60,7 @@ __all__ = [
     "PredictConfig",
     "RecordConfig",
     "RecordedOptions",
+    "RecoverConfig",
     "ReplayConfig",
     "RigRunOptions",
     "SearchOptions",

@@ -101,8 +101,10 @@ class OutputOptions:
     record: FileFlag = None
     """Write a rerun recording (.rrd). Without it nothing is recorded."""
     viewer: Literal["auto", "native", "page", "none"] = "auto"
-    """Show every stage live: in rerun's window, on a web page, or not at all; auto: the window where there is a
-    display."""
+    """Show every stage live: in rerun's window (stays when the command has ended), on a web page (ends with it, at a
+    terminal with Ctrl-C), or not at all; auto: the window where there is a display. A window or page opens a port on
+    127.0.0.1 that asks for no password: other users of this machine, and by DNS rebinding web sites in its browsers,
+    can read all that is shown, and steer a window (open files, take pictures). On a shared machine: none."""
     overwrite: bool = False
     """Replace a recording that exists; without it an existing one is refused."""
     seed: int = 0

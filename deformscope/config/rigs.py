@@ -18,6 +18,7 @@ from deformscope.config.options import (
     check_seed,
     check_suffix,
     written_files,
+    written_json,
 )
 from deformscope.errors import InputError
 
@@ -96,6 +97,29 @@ class VerifyConfig(JsonOptions):
 
     def reads(self) -> tuple[str, ...]:
         return (str(self.recording),)
+
+
+@dataclass(frozen=True, slots=True)
+class RecoverConfig(JsonOptions):
+    """Make a whole recording, with its ledger, of one whose run was killed or that was cut off: all that can be read of
+    it. The original is only read."""
+
+    recording: Annotated[Path, Positional, arg(metavar="FILE.rrd")]
+    """The unfinished recording (NAME.part.rrd), or one that was cut off."""
+    out: Annotated[Path | None, one_word("FILE.rrd", Path), unset] = None
+    """The new recording; default: NAME.recovered.rrd beside it. An existing file is refused."""
+    json: JsonFlag = None
+    """Write what there is as JSON; with -, stdout is the JSON alone."""
+
+    def __post_init__(self) -> None:
+        check_suffix("--out", self.out, ".rrd")
+
+    def reads(self) -> tuple[str, ...]:
+        return (str(self.recording),)
+
+    def writes(self) -> tuple[Written, ...]:
+        out = () if self.out is None else (Written("--out", self.out, replace=False),)
+        return (*out, *written_json(self.json))
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,6 @@ against, and the lowest errors of one cluster and of overlapping ones when beta 
 from __future__ import annotations
 
 import functools
-import io
 import re
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -20,6 +19,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.arrays_file import read_arrays
 from deformscope.errors import InputError
 from deformscope.lab.elasticity import ElasticBox
 from deformscope.pairs import parse_pair
@@ -181,8 +181,7 @@ def cube_from_pair(raw: bytes, name: str) -> Cube:
     Raises InputError for what is no pair file, or where the ratio is nowhere.
     """
     seen = parse_pair(raw, name)
-    with np.load(io.BytesIO(raw), allow_pickle=False) as file:
-        told = np.asarray(file["nu"]).reshape(-1) if "nu" in file.files else np.empty(0)
+    told = read_arrays(raw, "a pair file (.npz of arrays)", name).get("nu", np.empty(0)).reshape(-1)
     if told.size == 1 and told.dtype.kind in "fiu":
         poisson = float(told[0])
     elif found := _RATIO_IN_NAME.search(PurePath(name).stem):

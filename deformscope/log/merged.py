@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 import pyarrow as pa
 from rerun.chunk import Chunk
 
-MOST_BYTES, MOST_NS = 1 << 20, 30_000_000_000
-"""A portion is complete when it has so many bytes, or spans so much of `session` [ns]."""
+MOST_BYTES, MOST_NS = 1 << 20, 20_000_000_000
+"""A portion is complete when it has so many bytes, or spans so much of `session` [ns]: who reads items in the order of
+their time holds all that the longest one spans."""
 
 
 @dataclass(slots=True)

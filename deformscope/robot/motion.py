@@ -1,4 +1,4 @@
-"""From a velocity of the arm's end to joint rates, by the own damped Jacobian, with guards at limits and singularities.
+"""From a velocity of the arm's end to joint rates: damped inverse of the Jacobian, guards at limits and singularities.
 
 The arm is sent joint rates, not its own Cartesian velocities: those take rotation in the end effector's frame, and what
 the arm does near a singularity or a joint's limit in that mode is not published. So these guards are here.
@@ -77,7 +77,7 @@ def rates_for_twist(
     if lost > OFF_COURSE and lost * _size(twist) > OFF_COURSE_M_S:
         least = f"smallest singular value {least_singular(jacobian):.3f}, damped below {DAMPED_BELOW:g}"
         why = f"the tip would leave its way by {100 * lost:.0f} %, limit {100 * OFF_COURSE:.0f} %"
-        return _not(chain, Fault.SINGULAR, f"{why} ({least})")
+        return _blocked(chain, Fault.SINGULAR, f"{why} ({least})")
     return within_limits(chain, joints, np.degrees(rates), limits_deg_s, margin_deg)
 
 
@@ -98,7 +98,7 @@ def within_limits(
     if allowed[worst] < LEAST_SHARE:
         end = chain.upper_deg[worst] if rates_deg_s[worst] > 0 else chain.lower_deg[worst]
         where = f"joint {worst + 1} at {joints[worst]:.1f} deg, on its way to its limit at {end:g} deg"
-        return _not(chain, Fault.JOINT_LIMIT, f"{where}, margin {margin_deg:g} deg")
+        return _blocked(chain, Fault.JOINT_LIMIT, f"{where}, margin {margin_deg:g} deg")
     share *= min(1.0, float(allowed[worst]))
     return JointMotion(rates * share, share)
 
@@ -139,7 +139,7 @@ class CommandedRotation:
         return HOLD_PER_S * rotation_vector(self.rotation @ measured.T)
 
 
-def _not(chain: Chain, fault: Fault, reason: str) -> JointMotion:
+def _blocked(chain: Chain, fault: Fault, reason: str) -> JointMotion:
     return JointMotion(np.zeros(chain.joint_count), 0.0, fault, reason)
 
 

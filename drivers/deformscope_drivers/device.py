@@ -32,6 +32,9 @@ QUEUE_CHUNKS = 65536
 QUEUE_EVENTS = 1024
 RAW_DROPPED = "raw_dropped"
 """In `Health.extra`: pieces of raw bytes that a reader was too slow to take."""
+JOINING_BYTES = "joining_bytes"
+"""In `Health.extra`: skipped bytes that came before the first good frame of a link, as of a device that was sending
+already: nothing is lost with them."""
 
 
 class Measurement(Protocol):
@@ -182,6 +185,8 @@ class Device(ABC, Generic[MeasurementT]):
         thread = self._thread
         if thread is None:
             return
+        with self._changed:
+            self._tally.continuity.end(self._clock())
         self._closing.set()
         if not self._own_thread:
             self._end(None)
@@ -295,11 +300,15 @@ class Device(ABC, Generic[MeasurementT]):
         now_ns = self._clock()
         last = self._last
         with self._changed:
+            missing = self._tally.continuity.at(now_ns)
+            counts = {RAW_DROPPED: self._tally.raw_dropped, JOINING_BYTES: self._tally.joining_bytes}
             return Health(
                 link=self._link,
                 reason=self._reason,
                 received=self._tally.received,
-                lost=self._tally.lost,
+                lost=self._tally.lost + missing.count,
+                lost_by_time=missing.count,
+                silent_s=missing.silent_s,
                 dropped=self._tally.dropped,
                 skipped_bytes=self._tally.skipped_bytes,
                 refused=dict(self._tally.refused),
@@ -309,8 +318,7 @@ class Device(ABC, Generic[MeasurementT]):
                 age_s=None if last is None else (now_ns - last.stamp.host_ns) / 1e9,
                 stuck=self._stuck(),
                 clock=None if self._clock_fit is None else self._clock_fit.relation(),
-                extra=self._extra_health()
-                | ({RAW_DROPPED: self._tally.raw_dropped} if self._tally.raw_dropped else {}),
+                extra=self._extra_health() | {name: count for name, count in counts.items() if count},
             )
 
     def identity(self) -> Identity:
@@ -344,8 +352,7 @@ class Device(ABC, Generic[MeasurementT]):
         """Hand one reading to all readers."""
         fingerprint = self._fingerprint(reading) if self._stuck_after_ns is not None else None
         with self._changed:
-            self._tally.received += 1
-            self._tally.rate.add(reading.stamp.host_ns)
+            self._tally.receive(reading.stamp.host_ns)
             if fingerprint is None or fingerprint != self._same:
                 self._same, self._same_since_ns = fingerprint, reading.stamp.host_ns
             self._last, self._asked = reading, False
@@ -362,10 +369,16 @@ class Device(ABC, Generic[MeasurementT]):
                 bool(self._readings) or self._asked
             )
 
+    def _expect(self, rate_hz: float | None) -> None:
+        """What should come from now on, so that silence is counted. rate_hz: as the device was set, 0 = not known (as
+        for a device that never says); None = no readings by themselves: it was stopped, or gives them when asked"""
+        with self._changed:
+            self._tally.continuity.expect(self._clock(), rate_hz)
+
     def _count_lost(self, count: int) -> None:
         """Readings that the device sent and that never came, by its own counter."""
         with self._changed:
-            self._tally.lost += count
+            self._tally.lose(count)
 
     def _count_skipped(self, skipped: Skipped) -> None:
         """Bytes that fit no frame."""
@@ -475,7 +488,7 @@ class Device(ABC, Generic[MeasurementT]):
         except Exception as error:  # whatever happens, readers that wait come to their end
             failure = failure or error
         if failure is None:
-            self._tell(Link.CLOSED, reason)
+            self._tell(Link.CLOSED, reason or (self._reason if self._link is Link.LOST else ""))
         else:
             self._tell(Link.FAILED, str(failure) or type(failure).__name__)
         self._refuse_jobs(NotConnected("a device that is open", "one that was closed", where=self.name))
@@ -492,6 +505,7 @@ class Device(ABC, Generic[MeasurementT]):
     def _tell(self, link: Link, reason: str = "") -> None:
         event = LinkEvent(self._clock(), link, reason)
         with self._changed:
+            self._tally.follow_link(link, event.host_ns)
             self._link, self._reason = link, reason
             for queue in self._events:
                 queue.put(event)

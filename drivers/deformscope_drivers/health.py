@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from deformscope_drivers.clock import ClockRelation
+from deformscope_drivers.continuity import Continuity
 from deformscope_drivers.framing import NOISE, Skipped
 
 RATE_WINDOW = 512
@@ -37,7 +38,10 @@ class Health:
     """One look at a device.
 
     link: the state of the connection; reason: why it is so, in words
-    received: readings since it was opened; lost: readings that the device's counter says were sent and never came
+    received: readings since it was opened
+    lost: readings that should have come and never did: sent by the device's counter, or missing by time (see the next)
+    lost_by_time: how many of these are counted by time, at the device's rate, where its counter does not tell: while
+    the link was lost, or the device silent; silent_s: how long that was [s]
     dropped: readings that came and that a reader was too slow to take, over all readers
     skipped_bytes: bytes that fit no frame; refused: frames refused, by reason (checksum, length...)
     resyncs: stretches of skipped bytes; reconnects: links made again
@@ -51,6 +55,8 @@ class Health:
     reason: str = ""
     received: int = 0
     lost: int = 0
+    lost_by_time: int = 0
+    silent_s: float = 0.0
     dropped: int = 0
     skipped_bytes: int = 0
     refused: Mapping[str, int] = field(default_factory=dict)
@@ -99,23 +105,49 @@ class Tally:
 
     def __init__(self) -> None:
         self.received = 0
-        self.lost = 0
+        self.lost = 0  # by the device's own counter
+        self.continuity = Continuity()
         self.dropped = 0
         self.raw_dropped = 0
         self.skipped_bytes = 0
+        self.joining_bytes = 0
         self.resyncs = 0
         self.reconnects = 0
         self.refused: dict[str, int] = {}
         self.rate = Rate()
         self._skipping = False
+        self._joining = True
 
     def skip(self, skipped: Skipped) -> None:
         """Bytes that fit no frame; those that follow one another are one resync."""
         self.skipped_bytes += skipped.count
+        self.joining_bytes += skipped.count if self._joining else 0
         self.resyncs += not self._skipping
         self._skipping = True
         if skipped.reason != NOISE:
             self.refuse(skipped.reason)
+
+    def receive(self, host_ns: int) -> None:
+        """A reading."""
+        self.received += 1
+        self.rate.add(host_ns)
+        self.continuity.add(host_ns)
+
+    def follow_link(self, link: Link, host_ns: int) -> None:
+        """The link is in this state from now on."""
+        match link:
+            case Link.CONNECTED:
+                self.continuity.begin(host_ns)
+            case Link.CLOSED:
+                self.continuity.end(host_ns)
+            case _:
+                self.continuity.lose_link(host_ns)
+                self._joining = True
+
+    def lose(self, count: int) -> None:
+        """Readings that the device's counter says were sent and never came; below 0 takes some back."""
+        self.lost += count
+        self.continuity.count_lost(count)
 
     def refuse(self, reason: str) -> None:
         """A frame that was refused."""
@@ -123,4 +155,4 @@ class Tally:
 
     def in_sync(self) -> None:
         """A good frame came."""
-        self._skipping = False
+        self._skipping = self._joining = False

@@ -131,6 +131,7 @@ class SyntheticSource(Device[MeasurementT], Generic[MeasurementT, ViewT]):
         self._next_index = 0
         self._started_ns = self._heard_ns = self._clock()
         self._clock_fit = ClockFit(1000.0)
+        self._expect(None if self._scene is None else 1e9 / self._period_ns)
 
     def _receive(self, timeout_s: float) -> Iterable[MeasurementT]:
         moment_ns = self._started_ns + self._next_index * self._period_ns

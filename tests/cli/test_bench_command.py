@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -15,7 +16,7 @@ import pytest
 
 pytest.importorskip("tyro")
 
-from deformscope.bench import peers, report
+from deformscope.bench import peers, report, starting
 from deformscope.bench.numpy_step import NumpyLattice
 from deformscope.bench.peers import Peer
 from deformscope.bench.plan import Plan, Tell
@@ -84,8 +85,16 @@ def test_json_has_stdout_to_itself(capsys: pytest.CaptureFixture[str]) -> None:
     assert json.loads(capsys.readouterr().out).keys() == TOP
 
 
-@pytest.mark.parametrize("case", ["sweep", "theta", "gradient", "fit", "cold"])
-def test_every_case_gives_rows(case: str) -> None:
+@pytest.mark.parametrize(
+    "case", ["sweep", "theta", "gradient", "fit", "cold", pytest.param("cold, compiling", marks=pytest.mark.slow)]
+)
+def test_every_case_gives_rows(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    case, _, compiling = case.partition(", ")
+    if not compiling:  # what others have compiled is compiled no second time
+        wp = pytest.importorskip("warp")
+        wp.init()
+        cache = str(Path(wp.config.kernel_cache_dir).parent)
+        monkeypatch.setattr(starting.tempfile, "TemporaryDirectory", lambda: contextlib.nullcontext(cache))
     assert main([*SHORT, "--repeats", "1", "--only", case, "--json", "bench.json"]) == 0
     rows = json.loads(Path("bench.json").read_text(encoding="utf-8"))["rows"]
 

@@ -84,6 +84,8 @@ def test_scenes_are_listed_without_a_rig(capsys: pytest.CaptureFixture[str]) -> 
         (["explore", "lab:disc", "--set-force", "9"], "up to 5 N"),
         (["explore", "lab:disc", "--touches", "0"], "1 or more"),
         (["explore", "rig.toml"], "a rig file (TOML), or lab:NAME"),
+        (["explore", "two-60-150"], "try: lab:two-60-150"),
+        (["calibrate", "arm", "homogeneous-rigid"], "try: lab:homogeneous-rigid"),
         (["explore", "lab:disc", "--fault", "storms@1"], "try: storm@1"),
         (["explore", "lab:disc", "--fault", "storm@9"], "from 1 to 8"),
     ],
@@ -261,10 +263,13 @@ def test_a_full_disk_halts_the_arm_first(
     record = tmp_path / "e.rrd"
 
     assert main(["explore", "lab:two-60-150", *STOPPED, "--record", str(record)]) == 2
-    last = capsys.readouterr().err.strip().splitlines()[-1]
+    shown = capsys.readouterr()
+    last = shown.err.strip().splitlines()[-1]
     assert "MiB free on the disk" in last
     assert Phase.PRESS not in began
     assert stopped == ["what watches it failed: RecordingError"]
+    assert "  touches                0, " in shown.out  # what is known, and that the arm stands
+    assert "  arm                    stands" in shown.out
     assert list(tmp_path.glob("*.part.rrd"))
 
 

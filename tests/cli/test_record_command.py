@@ -15,8 +15,8 @@ from typing import IO
 import pytest
 
 from deformscope.cli import main
-from deformscope.frames import HealthReport, RawBytes, WrenchFrame
-from deformscope.ledger import check_ledger
+from deformscope.frames import HealthReport, Item, RawBytes, WrenchFrame
+from deformscope.ledger import check_ledger, read_losses
 from deformscope.rig_replay import read_items
 from tests.patience import PATIENCE_S
 
@@ -279,6 +279,77 @@ def test_a_damaged_ledger_is_told(rig: Path, tmp_path: Path, capsys: pytest.Capt
     assert "the ledger cannot be read" in capsys.readouterr().err
 
 
+def test_a_device_that_is_gone_is_named_with_what_it_cost(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from deformscope.driver_table import DRIVERS
+    from deformscope.lab.stand_in import wire_of
+    from deformscope.rig_source import RigSource
+
+    file, told = tmp_path / "r.rrd", tmp_path / "r.json"
+    take = RigSource.take
+    with wire_of("optoforce", DRIVERS["optoforce"].config_class()()) as wire:
+        (tmp_path / "rig.toml").write_text(f'[devices.tip]\ndriver = "optoforce"\nport = "{wire.port}"\n')
+
+        def take_and_unplug(source: RigSource, wait_s: float) -> list[Item]:
+            items = take(source, wait_s)
+            if sum(isinstance(item, WrenchFrame) for item in items):
+                wire.unplug()
+            return items
+
+        monkeypatch.setattr(RigSource, "take", take_and_unplug)
+        command = ["record", str(tmp_path / "rig.toml"), "--seconds", "1.5", "--record", str(file), "--json", str(told)]
+        assert main(command) == 3
+    said = capsys.readouterr()
+    found = json.loads(told.read_text())
+
+    assert found["losses"]["tip"]["silent_s"] > 0.5
+    assert found["devices"]["tip"]["lost"] > 300
+    assert found["ended"].endswith("as asked for")
+    assert "with losses: tip: " in said.err
+    assert "without any" in said.out
+    assert "got none" in said.out
+    assert read_losses(file) == found["losses"]
+
+    assert main(["verify", str(file), "--json", "-"]) == 3
+    said = capsys.readouterr()
+    verified = json.loads(said.out)
+    assert verified["ok"] is True
+    assert verified["losses"]["tip"] == found["losses"]["tip"]
+    assert "tip: " in said.err
+
+
+def test_a_rig_that_is_ended_early_says_so(
+    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from deformscope.rig_source import RigSource
+
+    file, told = tmp_path / "r.rrd", tmp_path / "r.json"
+    take = RigSource.take
+    ends_by = signal.SIGTERM
+
+    def take_and_end(source: RigSource, wait_s: float) -> list[Item]:
+        items = take(source, wait_s)
+        if any(isinstance(item, WrenchFrame) for item in items):
+            os.kill(os.getpid(), ends_by)
+        return items
+
+    monkeypatch.setattr(RigSource, "take", take_and_end)
+    command = ["record", str(rig), "--overwrite", "--record", str(file), "--json", str(told)]
+    assert main([*command, "--seconds", "60"]) == 128 + signal.SIGTERM
+    ended = json.loads(told.read_text())["ended"]
+    assert ended.startswith("by SIGTERM after")
+    assert ended.endswith("earlier than the 60 s asked for")
+    assert ended in capsys.readouterr().err
+    assert check_ledger(file) == []
+    assert main(["verify", str(file)]) == 0
+    assert "by SIGTERM" in capsys.readouterr().out
+
+    ends_by = signal.SIGINT
+    assert main([*command, "--seconds", "60"]) == 128 + signal.SIGINT
+    assert main(command) == 0, "Ctrl-C is the end of a recording that has no other"
+
+
 def test_a_closed_terminal_ends_a_recording_cleanly(
     rig: Path, tmp_path: Path, started: list[subprocess.Popen[str]]
 ) -> None:
@@ -287,5 +358,5 @@ def test_a_closed_terminal_ends_a_recording_cleanly(
     wait_for(process.stderr, "Ctrl-C ends it")
     process.send_signal(signal.SIGHUP)
 
-    assert process.wait(PATIENCE_S) == 0
+    assert process.wait(PATIENCE_S) == 128 + signal.SIGHUP
     assert check_ledger(recording) == []

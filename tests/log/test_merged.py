@@ -37,7 +37,7 @@ def test_every_row_is_there_once_with_its_id_in_fewer_portions() -> None:
     found = list(put_together(given))
     for path in ("/w/0", "/w/1"):
         assert rows(found, path) == rows(given, path)
-        assert sum(chunk.entity_path == path for chunk in found) == 3
+        assert sum(chunk.entity_path == path for chunk in found) == 5
     assert len({str(chunk.id) for chunk in found}) == len(found)
 
 

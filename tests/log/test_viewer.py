@@ -15,7 +15,7 @@ import pytest
 import rerun as rr
 from rerun.experimental import ViewerClient
 
-from deformscope import live
+from deformscope import live, recorder
 from deformscope.frames import ArmFrame, HealthReport
 from deformscope.log.exploration import exploration_blueprint, log_exploration_start, prepare_results
 from deformscope.log.rig import Place, log_items, log_streams, prepare_items, rig_blueprint
@@ -164,29 +164,25 @@ def test_a_native_viewer_gets_the_run_and_outlives_it(tmp_path: Path, monkeypatc
         os.kill(viewer.pid, signal.SIGKILL)
 
 
-def test_a_stopped_viewer_costs_the_picture_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stopped_window_costs_the_picture_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if not LAVAPIPE.exists():
         pytest.skip("no software Vulkan driver")
     monkeypatch.setattr(live, "window_options", lambda: ["--headless"])
     monkeypatch.setenv("VK_ICD_FILENAMES", str(LAVAPIPE))
-    started = time.monotonic()
+    monkeypatch.setattr(recorder, "leave_streams_alone", lambda: None)  # other tests' streams end as usual
     with Recorder(tmp_path / "run.rrd", "native", {}) as made:
         viewer = made.viewer
         assert viewer is not None
-        time.sleep(1.5)
-        os.kill(viewer.pid, signal.SIGSTOP)
         try:
-            for frame in synthetic.frames(400, (200, 300)):
+            os.kill(viewer.pid, signal.SIGSTOP)
+            for frame in synthetic.frames(100, (200, 300)):
                 made.write_frame(frame)
         except BaseException:
             os.kill(viewer.pid, signal.SIGKILL)
             raise
-        before_close = time.monotonic()
-    closed_s = time.monotonic() - before_close
     os.kill(viewer.pid, signal.SIGKILL)
-    assert made.summary().frames == 400
-    assert closed_s < 15
-    assert time.monotonic() - started < 40
+    assert made.summary().frames == 100
+    assert made.summary().dropped >= 100
 
 
 @pytest.mark.parametrize(("touch", "truth"), [(0, True), (2, True), (2, False)])

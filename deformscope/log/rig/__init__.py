@@ -37,8 +37,8 @@ from deformscope.frames import (
 )
 from deformscope.log.rig.arm import log_arm, log_arm_stream
 from deformscope.log.rig.blueprint import rig_blueprint
-from deformscope.log.rig.cameras import Shown, log_color, log_depth
-from deformscope.log.rig.columns import Batch, Place, root
+from deformscope.log.rig.cameras import log_color, log_depth
+from deformscope.log.rig.columns import Batch, Place, Shown, root
 from deformscope.log.rig.hand import log_hand, log_hand_stream
 from deformscope.log.rig.health import log_health, log_health_stream
 from deformscope.log.rig.link import log_link, log_link_stream, log_raw
@@ -86,6 +86,8 @@ def prepare_items(
     lossless: Collection[str] = (),
     place: Place | None = None,
     shown: Shown | None = None,
+    *,
+    changes_only: bool = False,
 ) -> Batch:
     """Make a batch of items ready, in any order, for one stream or several: the cost is by device, little by item.
 
@@ -93,6 +95,7 @@ def prepare_items(
     rather than JPEG, because something is computed from them (some 9 ms for 640 x 480 instead of 1 ms, and ten times
     the bytes); place: in an exploration
     shown: what a viewer has already, kept from call to call: it is not sent again and again
+    changes_only: of a device's health, only changes of its state, as `shown` knows it
     """
     batch = Batch(place)
     known = {(stream.kind, stream.device): stream for stream in streams}
@@ -114,7 +117,7 @@ def prepare_items(
         elif kind is LinkChange:
             log_link(batch, device, group, start_ns, streams)
         elif kind is HealthReport:
-            log_health(batch, group, start_ns, streams)
+            log_health(batch, group, start_ns, streams, shown if changes_only else None)
         else:
             raise TypeError(f"no twin in deformscope.log.rig shows a {kind.__name__}")
     return batch

@@ -14,16 +14,13 @@ from deformscope.arrays import ImageArray
 from deformscope.frames import ColorFrame, DepthFrame, Frame
 from deformscope.images import encode_jpeg, encode_png
 from deformscope.log.canvas import TEXT
-from deformscope.log.rig.columns import Batch, frame_times, moments, root, singles, stamps
+from deformscope.log.rig.columns import Batch, Shown, frame_times, moments, root, singles, stamps
 from deformscope.palette import BACKGROUND
 
 LOOK_EVERY, RARE, STEP_M = 8, 0.01, 0.05
 """Of a depth image: which pixels its range is from, the share that may lie beyond, the range's steps [m]."""
 SCALE_NS = 10_000_000_000
 """A scale that does not change is sent again after this, for viewers that missed it."""
-
-Shown = dict[str, tuple[object, int]]
-"""What stands beside each device's picture, and since when on the host's clock [ns]."""
 
 
 def log_color(batch: Batch, device: str, frames: Sequence[ColorFrame], start_ns: int, lossless: bool) -> None:

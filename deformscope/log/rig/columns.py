@@ -17,6 +17,10 @@ from deformscope.frames import Frame
 
 Columns = Iterable[rr.ComponentColumn]
 
+Shown = dict[str, tuple[object, int]]
+"""What a viewer was sent last of a thing that seldom changes, and when on the host's clock [ns]: the scale beside each
+device's picture, the state of each device."""
+
 
 @dataclass(frozen=True, slots=True)
 class Place:
@@ -51,14 +55,14 @@ class Place:
 
 
 class Batch:
-    """Rows and settings that are made ready once, images encoded, and sent to any number of streams.
+    """Calls to rerun that are made ready once, images encoded, and sent to any number of streams.
 
     place: of an exploration: where rows stand on its timelines
     """
 
     def __init__(self, place: Place | None = None) -> None:
         self.bytes = 0
-        self.parts: list[Chunk | Callable[[rr.RecordingStream], None]] = []
+        self.parts: list[tuple[str, Chunk | Callable[[rr.RecordingStream], None]]] = []
         self._place = place
 
     def send_columns(self, path: str, times: Sequence[rr.TimeColumn], columns: Columns) -> None:
@@ -66,15 +70,17 @@ class Batch:
         ready = list(columns)
         when = list(times) if self._place is None else self._place.moved(times)
         self.bytes += sum(column.as_arrow_array().nbytes for column in ready)
-        self.parts.append(Chunk.from_columns(path, when, ready))
+        self.parts.append((path, Chunk.from_columns(path, when, ready)))
 
     def log(self, path: str, entity: rr.AsComponents, *, static: bool) -> None:
         """As that of a stream."""
-        self.parts.append(lambda rec: rec.log(path, entity, static=static))
+        self.parts.append((path, lambda rec: rec.log(path, entity, static=static)))
 
-    def send(self, rec: rr.RecordingStream) -> None:
-        """Log all of it."""
-        for part in self.parts:
+    def send(self, rec: rr.RecordingStream, visible: Callable[[str], bool] | None = None) -> None:
+        """Log all of it, or the entities that are visible."""
+        for path, part in self.parts:
+            if visible is not None and not visible(path):
+                continue
             if isinstance(part, Chunk):
                 rec.send_chunks(part)
             else:

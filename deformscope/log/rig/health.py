@@ -10,7 +10,7 @@ import pyarrow as pa
 import rerun as rr
 
 from deformscope.frames import HealthReport, Stream
-from deformscope.log.rig.columns import Batch, lists, moments, root, singles
+from deformscope.log.rig.columns import Batch, Shown, lists, moments, root, singles
 from deformscope.palette import BAD, GOOD, IDLE, WARN
 from deformscope_drivers.health import Health, Link
 
@@ -18,7 +18,7 @@ STALE_S = 1.0
 """A reading older than this, or than STALE_READINGS at the stream's own rate, whichever is longer, is stale."""
 STALE_READINGS = 5.0
 
-COUNTERS = ("received", "lost", "dropped", "skipped_bytes", "resyncs", "reconnects")
+COUNTERS = ("received", "lost", "lost_by_time", "dropped", "skipped_bytes", "resyncs", "reconnects")
 COLORS = {
     "ok": GOOD,
     "waiting": IDLE,
@@ -48,12 +48,23 @@ def log_health_stream(rec: rr.RecordingStream, device: str) -> None:
     rec.log(root("health", device), colored, static=True)
 
 
-def log_health(batch: Batch, reports: Sequence[HealthReport], start_ns: int, streams: Sequence[Stream]) -> None:
+def log_health(
+    batch: Batch,
+    reports: Sequence[HealthReport],
+    start_ns: int,
+    streams: Sequence[Stream],
+    shown: Shown | None = None,
+) -> None:
+    """shown: the states that a viewer has already: a device's counters are sent with a change of its state alone"""
     known = {stream.device: stream for stream in streams}
     looks: dict[str, list[tuple[int, Health]]] = {}
     for report in reports:
         for device, health in report.devices:
-            looks.setdefault(device, []).append((report.host_ns, health))
+            state = word(health, known.get(device))
+            if shown is None or shown.get(f"health of {device}", ("", 0))[0] != state:
+                looks.setdefault(device, []).append((report.host_ns, health))
+            if shown is not None:
+                shown[f"health of {device}"] = state, report.host_ns
     for device, seen in looks.items():
         _log_device(batch, device, seen, start_ns, known.get(device))
     when = [report.host_ns for report in reports]
@@ -99,6 +110,7 @@ def _log_device(
         *singles("Health", "reason", [one.reason for one in health], pa.string()),
         *singles("Health", "rate_hz", [one.rate_hz for one in health], pa.float64()),
         *lists("Health", "age_s", [[] if one.age_s is None else [one.age_s] for one in health], pa.float64()),
+        *singles("Health", "silent_s", [one.silent_s for one in health], pa.float64()),
         *singles("Health", "stuck", [one.stuck for one in health], pa.bool_()),
         *singles("Health", "refused", [json.dumps(dict(one.refused)) for one in health], pa.string()),
         *singles("Health", "extra", [json.dumps(dict(one.extra)) for one in health], pa.string()),

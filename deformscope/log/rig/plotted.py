@@ -1,6 +1,8 @@
-"""Which quantities of a device are plotted."""
+"""Which quantities of a device are plotted, and which of its entities are in a view at all."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Sequence
 
 from deformscope.frames import Stream
 from deformscope.log.rig.columns import root
@@ -21,3 +23,9 @@ def plotted(stream: Stream) -> list[tuple[str, str]]:
     if stream.kind == "arm":
         return [(root("arm", stream.device, "joint_deg"), "joint angles [deg]")]
     return []
+
+
+def visible_in(streams: Sequence[Stream]) -> Callable[[str], bool]:
+    """Whether an entity is in a view that a rig or an exploration opens with: pictures, plots, states."""
+    single = {path for stream in streams for path, _ in plotted(stream)} | {"exploration/phase"}
+    return lambda path: path in single or path.split("/")[0] in ("color", "depth", "display", "health")

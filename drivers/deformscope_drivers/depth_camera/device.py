@@ -143,6 +143,7 @@ class DepthCamera(Device[DepthImage]):
         self._last_index = None
         self._ticks_before = self._ticks_offset = 0
         self._clock_fit = ClockFit(1000.0) if self.config.speed == 1.0 else None
+        self._expect(None if self._as_fast_as_read else float(self.config.fps or 0) * self.config.speed)
 
     def _receive(self, timeout_s: float) -> Iterable[DepthImage]:
         if self._as_fast_as_read and not self._wanted():

@@ -192,6 +192,7 @@ class Dsa(StreamDevice[TactileReading]):
             self._settings.rle = self._settings.rle if rle is None else rle
             self._settings.streaming = True
             self._stream()
+            self._expect(0.0)
 
         self._command(start)
 
@@ -201,6 +202,7 @@ class Dsa(StreamDevice[TactileReading]):
         def end() -> None:
             self._settings.streaming = False
             self._silence_ns = None
+            self._expect(None)
             self._acknowledged(stop(), "stop")
             self._settle(SETTLE_S)
 
@@ -283,6 +285,7 @@ class Dsa(StreamDevice[TactileReading]):
         self._matrices = matrices
         self._packets.cells = cells
         self._set_all()
+        self._expect(0.0 if self._settings.streaming else None)
         if self._settings.streaming:
             self._stream()
 

@@ -140,6 +140,7 @@ class Jaco(Device[JacoState]):
         self._not_erased = None  # bringing it up has erased what was left
         self._sweep = Sweep(self._functions, self.chain.joint_count, self.config.state_hz, self._clock)
         self._state = self._sweep.whole()
+        self._expect(self.config.state_hz)
         self._pacer.start(self._clock() + PERIOD_NS)  # the zero point of bringing it up had this slot
         self._refused_in_a_row = 0
         self._crowded = False

@@ -352,6 +352,7 @@ class JacoDouble:
 
     def GetCommandVelocity(self, cartesian: ctypes.Array[ctypes.c_float], angular: ctypes.Array[ctypes.c_float]) -> int:
         rates_deg_s = self._arm.rates_deg_s
+        # in the base frame, both: what frame the arm's rotation is in here is not published
         cartesian[:] = (kinematics.jacobian_of(self._arm.links) @ np.radians(rates_deg_s)).tolist()
         angular[: len(rates_deg_s)] = rates_deg_s.tolist()
         return OK

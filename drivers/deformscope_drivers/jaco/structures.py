@@ -19,7 +19,12 @@ FINGER_CLOSED = 6800.0
 
 
 class PositionType(IntEnum):
-    """What a trajectory point asks for."""
+    """What a trajectory point asks for.
+
+    CARTESIAN_POSITION: metres and radians, base frame; ANGULAR_POSITION: degrees
+    CARTESIAN_VELOCITY: X, Y, Z in m/s in the base frame, ThetaX, ThetaY, ThetaZ in rad/s in the end effector's frame
+    ANGULAR_VELOCITY: degrees per second; both velocities for one cycle of 10 ms
+    """
 
     NONE = 0
     CARTESIAN_POSITION = 1

@@ -286,6 +286,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         self._settings = wanted
         self._zero_in_doubt = False
         self._forget_counter(wanted.speed)
+        self._expect(wanted.speed.rate_hz or None)
         quiet_s = max(SILENCE_S, SILENCE_READINGS * wanted.speed * 1e-3)
         self._silence_ns = round(quiet_s * 1e9) if wanted.speed else None
 

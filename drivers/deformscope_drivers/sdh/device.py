@@ -322,6 +322,7 @@ class Sdh(SdhConnection):
     def _start(self) -> None:
         again = self.link is Link.LOST
         super()._start()
+        self._expect(self.config.rate_hz)
         self._controller = self._profile = None
         self._grip_until_ns, self._drive_until_ns = 0, None
         if again:

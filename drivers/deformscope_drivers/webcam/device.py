@@ -100,6 +100,7 @@ class Webcam(Device[ColorImage]):
         self._heard_ns = self._clock()
         self._before_ns = None
         self._clock_fit = ClockFit(1000.0)
+        self._expect(self.config.fps)
 
     def _receive(self, timeout_s: float) -> Iterable[ColorImage]:
         if self._capture is None:

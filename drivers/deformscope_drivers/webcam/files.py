@@ -96,6 +96,7 @@ class Playback(Device[ColorImage]):
         self._shown = self._shown_this_round = 0
         self._started_ns = self._clock()
         self._clock_fit = ClockFit(1000.0) if self._real_time else None
+        self._expect(self._fps if self._real_time else None)
 
     def _receive(self, timeout_s: float) -> Iterable[ColorImage]:
         if not self._real_time and not self._wanted():

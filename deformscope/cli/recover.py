@@ -1,0 +1,117 @@
+"""`deformscope recover`: a whole recording out of an unfinished or cut-off one.
+
+deformscope recover run.part.rrd
+deformscope recover run.part.rrd --out saved.rrd
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from pathlib import Path
+
+from deformscope.cli.common import show_table, write_json
+from deformscope.config import RecoverConfig
+from deformscope.errors import InputError
+from deformscope.ledger import ledger_path, read_counts, write_ledger
+from deformscope.recording_facts import Facts, read_facts
+from deformscope.recording_file import merged_path
+from deformscope.recording_lock import is_being_written
+from deformscope.rerun_tool import run_rrd
+
+
+def run(config: RecoverConfig) -> None:
+    """Write what can be read of a recording as a new one, with its ledger. The original is only read."""
+    path = config.recording
+    out = config.out or path.with_name(f"{path.stem.split('.part')[0]}.recovered.rrd")
+    _check(path, out)
+    # Beside the new file, so that the last step is a rename.
+    with tempfile.TemporaryDirectory(prefix=f".{out.stem}.", suffix=".part", dir=out.parent) as scratch:
+        readable, ending, whole = (Path(scratch) / name for name in ("readable.rrd", "ending.rrd", "whole.rrd"))
+        # Not `optimize`, which tears rows apart: what belongs to one frame would lie in several portions.
+        damage = run_rrd("merge", path, "-o", readable)
+        refused = damage and run_rrd("merge", "--continue-on-error", path, "-o", readable)
+        facts = Facts(damage=refused) if refused else read_facts(readable)
+        if facts.damage or not facts.counts:
+            raise InputError("a recording of which something can be read", facts.damage or "none of it", where=path)
+        _write_ending(ending, facts, path)
+        if refused := run_rrd("merge", readable, ending, "-o", whole):
+            raise InputError("a recording that can be made whole", refused, where=path)
+        with whole.open("rb") as file:
+            os.fsync(file.fileno())
+        _refuse_existing(out)
+        whole.replace(out)
+    merged_path(path).unlink(missing_ok=True)  # what its run could not bring to an end either
+    write_ledger(out, facts.counts, facts.losses)
+    _tell(config, path, out, facts, damage)
+
+
+def _check(path: Path, out: Path) -> None:
+    from deformscope.replay import RRD_MAGIC
+
+    if not path.is_file():
+        raise InputError("a recording (.rrd)", "a folder" if path.is_dir() else "nothing there", where=path)
+    with path.open("rb") as file:
+        if file.read(len(RRD_MAGIC)) != RRD_MAGIC:
+            raise InputError("a recording (.rrd)", "a file that is none", where=path)
+    if is_being_written(path):
+        raise InputError("a recording that has ended", "one that a run is writing", "again when it has ended", path)
+    _refuse_existing(out)
+    if not run_rrd("verify", path) and (facts := read_facts(path)).outcome.get("complete") and not facts.damage:
+        raise InputError("a recording that was cut short", "a finished one", f"deformscope verify {path}", path)
+    free, need = shutil.disk_usage(out.parent).free, 3 * path.stat().st_size
+    if free < need:
+        raise InputError(f"{need >> 20} MiB free on the disk", f"{free >> 20} MiB", "--out on another disk", out.parent)
+
+
+def _refuse_existing(out: Path) -> None:
+    if out.exists() or out.is_symlink():
+        raise InputError("a new file to write", "one that exists", "--out FILE.rrd", out)
+
+
+def _write_ending(ending: Path, facts: Facts, path: Path) -> None:
+    """What the run could not write at its end."""
+    from deformscope.recorder import write_outcome
+
+    write_outcome(
+        ending,
+        facts.application,
+        facts.recording,
+        {"complete": False, "recovered": path.name, "losses": facts.losses, "counts": facts.counts},
+    )
+
+
+def _tell(config: RecoverConfig, path: Path, out: Path, facts: Facts, damage: str) -> None:
+    """damage: where reading ended before the end of the file; empty = nowhere"""
+    from deformscope.losses import in_words
+
+    missing: dict[str, int] = {}
+    if ledger_path(path).exists():
+        try:
+            then = read_counts(path)
+        except ValueError:  # the ledger is damaged as well
+            then = {}
+        missing = {name: count - facts.counts.get(name, 0) for name, count in then.items() if name in facts.counts}
+        missing = {name: count for name, count in missing.items() if count > 0}
+    until = "" if facts.until_s is None else f"until {facts.until_s:.2f} s"
+    rows = [
+        ("recovered", f"{out} ({out.stat().st_size / 1e6:.1f} MB), with its ledger"),
+        ("there is", f"everything {until}"),
+        *((name, str(count)) for name, count in sorted(facts.counts.items())),
+        *((f"{name} lost", in_words(lost)) for name, lost in sorted(facts.losses.items())),
+        ("lost", ", ".join(f"{count} {name}" for name, count in missing.items()) or "what came after"),
+        *((("damage", f"{damage}: nothing behind it can be read"),) if damage else ()),
+        ("original", f"{path}: as it was"),
+    ]
+    show_table(str(path), rows)
+    found = {
+        "recording": path,
+        "recovered": out,
+        "until_s": facts.until_s,
+        "counts": facts.counts,
+        "losses": facts.losses,
+        "missing": missing,
+        "damage": damage,
+    }
+    write_json(found, config.json)

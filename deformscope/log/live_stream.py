@@ -1,0 +1,60 @@
+"""The stream to a viewer that shows what goes on: it gets what can be seen, and says when it has got it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+import rerun as rr
+
+from deformscope.frames import Item, Stream
+from deformscope.log.rig import Batch, Place, Shown, prepare_items
+from deformscope.log.rig.plotted import visible_in
+from deformscope.log.rig.thinned import thinned
+
+
+class LiveStream:
+    """What is logged to `rec` goes out at once; items of devices are gathered, and thinned when it is flushed.
+
+    check: raises TimeoutError where the viewer does not answer within a time [s], another error where it is gone
+    """
+
+    def __init__(self, rec: rr.RecordingStream, check: Callable[[float], None]) -> None:
+        self.rec = rec
+        self._check = check
+        self._items: dict[int, list[Item]] = {}
+        self._places: dict[int, Place | None] = {}
+        self._shown: Shown = {}
+        self._start_ns, self._streams = 0, tuple[Stream, ...]()
+
+    def add_items(self, items: Sequence[Item], start_ns: int, streams: Sequence[Stream], place: Place | None) -> None:
+        """Show them with the next flush; the arguments are those of `prepare_items`."""
+        touch = -1 if place is None else place.touch
+        self._start_ns, self._streams = start_ns, tuple(streams)
+        self._items.setdefault(touch, []).extend(items)
+        self._places[touch] = place  # the latest: it knows the most pictures
+
+    def send(self, batch: Batch) -> None:
+        """Show what of it is in a view: a page's time goes by the number of entities."""
+        batch.send(self.rec, visible_in(self._streams))
+
+    def flush(self, *, timeout_sec: float) -> None:
+        """Send what was gathered, and return once the viewer has all. Raises TimeoutError where that takes longer,
+        another error where the viewer is gone."""
+        for touch, items in sorted(self._items.items()):
+            place = self._places[touch]
+            few = thinned(items)
+            self.send(prepare_items(few, self._start_ns, self._streams, (), place, self._shown, changes_only=True))
+        self._items.clear()
+        began = time.monotonic()
+        try:
+            self.rec.flush(timeout_sec=timeout_sec)
+        except Exception as error:
+            if time.monotonic() - began < timeout_sec:
+                raise
+            raise TimeoutError(str(error)) from error
+        # rerun calls that done which the operating system has taken for a viewer that reads nothing any more
+        self._check(timeout_sec)
+
+    def disconnect(self) -> None:
+        self.rec.disconnect()

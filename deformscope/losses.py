@@ -1,0 +1,65 @@
+"""What a recording of devices lost, by device: as numbers for files, and in words for people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from deformscope.frames import HealthReport
+from deformscope_drivers.device import JOINING_BYTES, RAW_DROPPED
+from deformscope_drivers.health import Health
+
+WORDS = {
+    "readings": "readings lost",
+    "dropped": "readings dropped here",
+    "raw_dropped": "pieces of bytes dropped here",
+    "refused": "frames refused",
+    "skipped_bytes": "bytes skipped",
+    "reconnects": "reconnects",
+}
+"""Each count that is a loss, and how it is called; the order is that in which it matters."""
+
+
+def lost_by(health: Health) -> dict[str, float]:
+    """What a device lost, without what it did not lose; empty = nothing.
+
+    readings: that should have come, of these readings_by_time where only the time tells; silent_s: the time without
+    readings [s]; dropped, raw_dropped: readings and pieces of bytes that came and were not taken in time
+    """
+    found: dict[str, float] = {
+        "readings": health.lost,
+        "readings_by_time": health.lost_by_time,
+        "silent_s": round(health.silent_s, 3),
+        "dropped": health.dropped,
+        "raw_dropped": int(health.extra.get(RAW_DROPPED, 0)),
+        "refused": sum(health.refused.values()),
+        "skipped_bytes": health.skipped_bytes - int(health.extra.get(JOINING_BYTES, 0)),
+        "reconnects": health.reconnects,
+    }
+    return {name: value for name, value in found.items() if value}
+
+
+def losses_of(report: HealthReport) -> dict[str, dict[str, float]]:
+    """What the devices lost that lost something, by name. report: the last look at them"""
+    found = {name: lost_by(health) for name, health in report.devices}
+    return {name: lost for name, lost in found.items() if lost}
+
+
+def in_words(lost: Mapping[str, float]) -> str:
+    """One device's losses in a line; empty where there are none."""
+    parts = []
+    silent_s, by_time = lost.get("silent_s", 0.0), int(lost.get("readings_by_time", 0))
+    for name, words in WORDS.items():
+        count = int(lost.get(name, 0))
+        if name == "readings" and (count or silent_s):
+            silence = f"{silent_s:.3g} s without any" if silent_s else ""
+            share = "" if not by_time else f"about {by_time} of them by time" if by_time != count else "by time"
+            more = ", ".join(part for part in (share, silence) if part)
+            parts.append(f"{count or 'an unknown number of'} {words}" + (f" ({more})" if more else ""))
+        elif count:
+            parts.append(f"{count} {words}")
+    return ", ".join(parts)
+
+
+def named(losses: Mapping[str, Mapping[str, float]]) -> str:
+    """All devices' losses in one line."""
+    return "; ".join(f"{device}: {in_words(lost)}" for device, lost in losses.items())

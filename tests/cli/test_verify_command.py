@@ -1,0 +1,163 @@
+"""`verify` and `recover`: what is said of whole, unchecked, unfinished, cut-off and damaged recordings."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deformscope import recording_facts
+from deformscope.cli import main
+from deformscope.frames import ColorFrame
+from deformscope.ledger import check_ledger, ledger_path
+from deformscope.recorder import Recorder
+from deformscope.replay import Replay
+from deformscope_drivers.clock import Stamp
+
+FRAMES = 12
+
+
+def frames() -> Iterator[ColorFrame]:
+    for index in range(FRAMES):
+        image = np.random.default_rng(index).integers(0, 255, (32, 48), np.uint8)
+        yield ColorFrame(Stamp(index * 100_000_000), index, image)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A recording, and what its file was when the run would have been killed."""
+    folder = tmp_path_factory.mktemp("made")
+    whole, killed = folder / "run.rrd", folder / "killed.part.rrd"
+    with Recorder(whole, settings={"seed": 1}) as recorder:
+        for frame in frames():
+            recorder.write_frame(frame)
+            recorder._flush()  # so that each is a message of its own
+        shutil.copy(folder / "run.part.rrd", killed)
+    return whole, killed
+
+
+@pytest.fixture
+def whole(made: tuple[Path, Path], tmp_path: Path) -> Path:
+    shutil.copy(ledger_path(made[0]), ledger_path(tmp_path / "run.rrd"))
+    return Path(shutil.copy(made[0], tmp_path / "run.rrd"))
+
+
+@pytest.fixture
+def killed(made: tuple[Path, Path], tmp_path: Path) -> Path:
+    return Path(shutil.copy(made[1], tmp_path / "run.part.rrd"))
+
+
+def verified(path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, object], str]:
+    """(exit status, JSON, what was said on stderr without the table)"""
+    status = main(["verify", str(path), "--json", "-"])
+    said = capsys.readouterr()
+    return status, json.loads(said.out), said.err
+
+
+def test_a_whole_recording(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    status, found, _ = verified(whole, capsys)
+    assert (status, found["ok"], found["checked"], found["finished"]) == (0, True, True, True)
+
+
+def test_without_a_ledger_nothing_is_called_checked(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ledger_path(whole).unlink()
+    status, found, said = verified(whole, capsys)
+    assert (status, found["ok"], found["checked"], found["problems"]) == (3, None, False, [])
+    assert "it has no ledger: whether its bytes are as they were recorded is not known" in said
+
+
+def test_an_unfinished_recording_is_no_damage_and_recover_makes_it_whole(
+    killed: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = killed.read_bytes()
+    status, found, said = verified(killed, capsys)
+    assert (status, found["ok"], found["finished"], found["problems"]) == (2, False, False, [])
+    assert "one of a run cut short; everything until 1.1 s is there" in said
+    assert f"deformscope recover {killed}" in said
+    assert "Verification failed" not in said
+
+    assert main(["recover", str(killed), "--json", "-"]) == 0
+    recovered = json.loads(capsys.readouterr().out)
+    out = killed.with_name("run.recovered.rrd")
+    assert recovered["recovered"] == str(out)
+    assert recovered["until_s"] == pytest.approx(1.1)
+    assert recovered["counts"]["frames"] == FRAMES
+    assert killed.read_bytes() == before
+    assert check_ledger(out) == []
+    assert [frame.image.tolist() for frame in Replay(out).frames()] == [frame.image.tolist() for frame in frames()]
+    assert Replay(out).settings == {"seed": 1}
+    assert sorted(left.name for left in killed.parent.iterdir()) == [
+        *("run.part.rrd", "run.recovered.rrd", "run.recovered.rrd.ledger")
+    ]
+
+    status, found, said = verified(out, capsys)
+    assert (status, found["ok"], found["finished"]) == (3, True, True)
+    assert "recovered until 1.1 s: what came after is lost" in said
+
+
+def test_a_file_cut_within_a_message_gives_what_came_before(killed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cut = killed.with_name("cut.rrd")
+    cut.write_bytes(killed.read_bytes()[: round(0.7 * killed.stat().st_size)])
+    status, found, said = verified(cut, capsys)
+    assert (status, found["finished"]) == (2, False)
+    assert f"deformscope recover {cut}" in said
+
+    out = killed.with_name("saved.rrd")
+    assert main(["recover", str(cut), "--out", str(out), "--json", "-"]) == 0
+    recovered = json.loads(capsys.readouterr().out)
+    kept = [frame.image.tolist() for frame in Replay(out).frames()]
+    assert 0 < len(kept) == recovered["counts"]["frames"] < FRAMES
+    assert kept == [frame.image.tolist() for frame in frames()][: len(kept)]
+
+
+def test_a_cut_recording_is_compared_with_its_ledger(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    whole.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+    assert verified(whole, capsys)[0] == 2
+    assert main(["recover", str(whole), "--json", "-"]) == 0
+    recovered = json.loads(capsys.readouterr().out)
+    assert recovered["missing"]["frames"] == FRAMES - recovered["counts"]["frames"] > 0
+
+
+def test_recover_refuses_what_it_cannot_or_need_not_mend(
+    whole: Path, killed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text, noise = tmp_path / "text.rrd", tmp_path / "noise.rrd"
+    text.write_text("no recording")
+    noise.write_bytes(killed.read_bytes()[:16] + np.random.default_rng(0).bytes(5000))
+    with Recorder(tmp_path / "now.rrd") as recorder:
+        recorder.write_input("a", b"1")
+        refused = {
+            text: "a file that is none",
+            noise: "of which something can be read",
+            whole: "a finished one",
+            tmp_path / "now.part.rrd": "one that a run is writing",
+            tmp_path / "none.rrd": "nothing there",
+            tmp_path: "a folder",
+        }
+        for path, said in refused.items():
+            assert main(["recover", str(path), "--out", str(tmp_path / "out.rrd")]) == 2, path
+            (line,) = capsys.readouterr().err.splitlines()
+            assert said in line
+        assert main(["verify", str(tmp_path / "now.part.rrd")]) == 2
+        assert "one that a run is writing" in capsys.readouterr().err
+    assert main(["recover", str(killed), "--out", str(whole)]) == 2
+    assert "one that exists" in capsys.readouterr().err
+    assert not (tmp_path / "out.rrd").exists()
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_bytes_that_end_the_reader_are_one_line(
+    whole: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ledger_path(whole).unlink()
+    aborted = subprocess.CompletedProcess([], -signal.SIGABRT, "", "")
+    monkeypatch.setattr(recording_facts.subprocess, "run", lambda *args, **options: aborted)
+    status, found, said = verified(whole, capsys)
+    assert (status, found["ok"]) == (2, False)
+    assert "its bytes end rerun's reader (SIGABRT)" in said.splitlines()[-1]
