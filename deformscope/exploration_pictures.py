@@ -179,7 +179,7 @@ def draw_beta_deviation(axes: Any, maps: MapsKnown) -> None:
 def draw_regions(axes: Any, maps: MapsKnown) -> None:
     if not maps.region_count:
         _title(axes, "No regions", f"the stiffness changes smoothly (probability {maps.probability:.2f})")
-        _say(axes, "gradual", maps.labels.shape, maps.cell_m)
+        _say(axes, "", maps.labels.shape, maps.cell_m)
         _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
         return
     sure = np.clip((maps.label_probability - LEAST_SURE) / (1.0 - LEAST_SURE), 0.0, 1.0)

@@ -31,7 +31,7 @@ def region_words(maps: MapsKnown, region: int) -> str:
 
 def travel_words(travel_m: float) -> str:
     """How far it was over the surface."""
-    return f"{travel_m:.2f} m over the surface"
+    return f"travel {travel_m:.2f} m over the surface"
 
 
 def iou_words(maps: MapsKnown) -> str:

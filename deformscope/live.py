@@ -39,9 +39,9 @@ StreamT = TypeVar("StreamT", bound=Stream)
 
 CAPACITY_JOBS = 256
 CAPACITY_BYTES = 128 << 20
-PERIODS_S: dict[ViewerKind, float] = {"native": 0.1, "page": 0.4}
-"""Jobs are passed on together at most so often. A page that a processor draws takes in what came for some 10 ms of each
-picture that it draws, of which it draws one to three a second."""
+PERIODS_S: dict[ViewerKind, float] = {"native": 0.1, "page": 0.8}
+"""Jobs are passed on together at most so often. A page without a graphics card takes in a few tens of entities a
+second, whatever their size, and fewer on a busy machine; a bench of seven devices has 10 in each portion."""
 VIEWER_MEMORY = "2GB"
 BACKLOG_MEMORY = "512MB"
 START_TIMEOUT_S = 20.0

@@ -8,7 +8,6 @@ untouched. An unfinished recording is never written over.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import json
 import logging
@@ -198,6 +197,8 @@ class Recorder:
         if self._target is not None:
             self._part, self._reserved = _reserve(self._target, self._overwrite)
         try:
+            if self._target is not None:
+                check_room(self._target, "another disk")
             self._open()
         except BaseException:
             if self._part is not None:
@@ -210,7 +211,10 @@ class Recorder:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self.active and self._finished is None:
-            self._close(complete=kind is None)
+            try:
+                self._close(complete=kind is None)
+            finally:
+                self._release()
 
     def write_frame(self, frame: ColorFrame) -> None:
         """Record one input frame without loss; what follows belongs to it."""
@@ -544,7 +548,6 @@ class Recorder:
             else:
                 path = self._keep_unfinished(self._part, whole)
         size = path.stat().st_size if path is not None else 0
-        self._release()
         self._finished = RecordingSummary(path, self._frames, self._steps, dropped, size)
         if complete and failure is not None:
             raise failure
@@ -554,15 +557,16 @@ class Recorder:
         writer, self._writer = self._writer, None
         if writer is None:
             return None
-        with contextlib.suppress(Exception):  # it has failed before: `failure` below
-            writer.put(self._write_gathered, 0)
-            if self._file is not None:
-                writer.put(self._file.flush, 0)
-        if writer.close(DRAIN_TIMEOUT_S):
+        if writer.close(DRAIN_TIMEOUT_S, self._write_last):
             return writer.failure
         if self._file is not None:
             self._file.broken = True
         return self._too_slow(writer.waiting_bytes)
+
+    def _write_last(self) -> None:
+        self._write_gathered()
+        if self._file is not None:
+            self._file.flush()
 
     def _close_live(self) -> int:
         if self._feed is None:
@@ -634,7 +638,6 @@ def _reserve(target: Path, overwrite: bool) -> tuple[Path, BinaryIO]:
         raise InputError("a new file to record into", "one that exists", "another name, or --overwrite", target)
     if not target.parent.is_dir():
         raise InputError("a folder to record into", "none", f"mkdir -p {target.parent}", target)
-    check_room(target, "another disk")
     with one_at_a_time(target.parent):
         for number in range(1, 1000):
             part = target.with_name(f"{target.stem}.part{'' if number == 1 else f'-{number}'}{SUFFIX}")

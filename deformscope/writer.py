@@ -70,9 +70,12 @@ class Writer:
         """What the jobs that wait keep alive."""
         return self._bytes
 
-    def close(self, timeout_s: float) -> bool:
-        """Do what still waits, unless one job takes longer than the time; return whether the thread has ended."""
+    def close(self, timeout_s: float, last: Job | None = None) -> bool:
+        """Do what still waits, then the last job, unless one of them takes longer than the time; return whether the
+        thread has ended."""
         with self._changed:
+            if last is not None and self.failure is None:
+                self._jobs.append((last, 0))
             self._closing = True
             self._changed.notify_all()
         done = -1

@@ -215,7 +215,7 @@ def test_a_recording_of_files_ends_with_them(tmp_path: Path) -> None:
 def test_a_device_that_is_gone_for_good_is_a_loss_by_time() -> None:
     """Its counter cannot know."""
     config = DRIVERS["optoforce"].config_class()()
-    with wire_of("optoforce", config) as wire:
+    with wire_of("optoforce", config, "") as wire:
         device = DRIVERS["optoforce"].make(DRIVERS["optoforce"].config_class()(port=wire.port))
         with RigSource([RigMember("tip", DRIVERS["optoforce"], device)]) as source:
             gather(source, lambda seen: len(frames_of(seen, "tip")) > 200)

@@ -125,8 +125,8 @@ def test_whoever_can_wait_waits_for_room(gate: threading.Event, jobs: int, size:
     assert len(handed) <= 3
     gate.set()
     source.join(PATIENCE_S)
-    assert writer.close(PATIENCE_S)
-    assert done == list(range(20))
+    assert writer.close(PATIENCE_S, lambda: done.append(20))
+    assert done == list(range(21))
 
 
 def test_one_that_waits_for_room_learns_of_the_failure(gate: threading.Event) -> None:
@@ -153,9 +153,10 @@ def test_one_that_waits_for_room_learns_of_the_failure(gate: threading.Event) ->
 
 
 def test_one_that_hangs_is_left_behind_and_one_that_gets_on_is_not(gate: threading.Event) -> None:
-    writer = started()
+    writer = started(jobs=1)
     blocked(writer, gate, 7)
-    assert not writer.close(0.01)
+    writer.put(nothing, 0)
+    assert not writer.close(0.01, nothing)  # which waits for no room either
     assert writer.waiting_bytes == 7
     gate.set()
     assert writer.close(PATIENCE_S)

@@ -240,7 +240,7 @@ def _rows(found: dict[str, Any], explorer: Explorer, bench: Bench) -> list[tuple
     ended = reason if reason.startswith("stopped") else f"stopped: {reason or 'before its plan said so'}"
     rows += [("failed", failed_words(one)) for one in explorer.failures]
     rows += [
-        ("touches", f"{len(explorer.told)}, travel {travel_words(found['travel_m'])}; {ended}"),
+        ("touches", f"{len(explorer.told)}, {travel_words(found['travel_m'])}; {ended}"),
         ("largest contact force", f"{largest:.2f} N, {'true' if bench.simulated else 'measured'}"),
         ("arm", "stands" if found["arm_stands"] else "COULD NOT BE TOLD TO STOP: use its emergency stop"),
         ("time", f"{found['seconds']['session']:.0f} s of the robot, {found['seconds']['wall']:.0f} s here"),

@@ -30,6 +30,8 @@ sensitivity = { counts_at_nominal = [16037.0, 16037.0, 16037.0], nominal = [40.0
 driver = "dsa"
 double = true
 """
+WHOLE = (0, 3)
+"""Exit statuses of a whole recording: what a busy machine loses is named, and is 3."""
 
 
 @pytest.fixture
@@ -86,7 +88,7 @@ def wait_for(stream: IO[str] | None, words: str) -> str:
 def test_a_bench_of_doubles_is_recorded_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file, told = tmp_path / "r.rrd", tmp_path / "r.json"
 
-    assert main(["record", "lab:bench", "--seconds", "3", "--record", str(file), "--json", str(told)]) == 0
+    assert main(["record", "lab:bench", "--seconds", "3", "--record", str(file), "--json", str(told)]) in WHOLE
     found = json.loads(told.read_text())
 
     assert found["recording"] == str(file)
@@ -96,7 +98,7 @@ def test_a_bench_of_doubles_is_recorded_whole(tmp_path: Path, capsys: pytest.Cap
     assert check_ledger(file) == []
     capsys.readouterr()
 
-    assert main(["verify", str(file), "--json", "-"]) == 0
+    assert main(["verify", str(file), "--json", "-"]) in WHOLE
     verified = json.loads(capsys.readouterr().out)
     assert verified["ok"]
     # What each device gave is what the file holds; how much had to be dropped, a busy machine decides.
@@ -109,11 +111,11 @@ def test_doubles_on_an_idle_machine_lose_nothing(tmp_path: Path) -> None:
     told = tmp_path / "r.json"
     record = ["record", "lab:bench", "--seconds", "3", "--record", str(tmp_path / "r.rrd"), "--json", str(told)]
 
-    assert main(record) == 0
+    assert main(record) in WHOLE
     devices = json.loads(told.read_text())["devices"]
     assert devices["tip"]["received"] > 2000
     for name, health in devices.items():
-        assert health["dropped"] == health["skipped_bytes"] == 0, (name, health)
+        assert health["dropped"] == health["skipped_bytes"] == health["silent_s"] == 0, (name, health)
         if name not in ("camera", "depth"):  # a simulated scene may be drawn too late, and says so
             assert health["lost"] == 0, (name, health)
 
@@ -122,7 +124,7 @@ def test_frames_and_bytes_in_the_file_agree(rig: Path, tmp_path: Path) -> None:
     from deformscope_drivers.optoforce.protocol import Decoder, Reading
 
     file = tmp_path / "r.rrd"
-    assert main(["record", str(rig), "--seconds", "1.5", "--record", str(file)]) == 0
+    assert main(["record", str(rig), "--seconds", "1.5", "--record", str(file)]) in WHOLE
     items = list(read_items(file))
     data = b"".join(
         item.data for item in items if isinstance(item, RawBytes) and item.device == "tip" and not item.sent
@@ -141,9 +143,9 @@ def test_ctrl_c_ends_a_recording_cleanly(rig: Path, tmp_path: Path, started: lis
     time.sleep(1.0)
     process.send_signal(signal.SIGINT)
 
-    assert process.wait(PATIENCE_S) == 0
+    assert process.wait(PATIENCE_S) in WHOLE
     assert check_ledger(tmp_path / "r.rrd") == []
-    assert main(["verify", str(tmp_path / "r.rrd")]) == 0
+    assert main(["verify", str(tmp_path / "r.rrd")]) in WHOLE
 
 
 def test_what_was_written_before_a_kill_is_readable(
@@ -183,13 +185,13 @@ def test_two_recordings_of_one_device_do_not_mix(
     assert "device optoforce" in said
     assert not list(tmp_path.glob("second*"))
     first.send_signal(signal.SIGINT)
-    assert first.wait(PATIENCE_S) == 0
-    assert main(["verify", str(tmp_path / "first.rrd")]) == 0
+    assert first.wait(PATIENCE_S) in WHOLE
+    assert main(["verify", str(tmp_path / "first.rrd")]) in WHOLE
 
 
 def test_a_flipped_bit_is_found(rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "r.rrd"
-    assert main(["record", str(rig), "--seconds", "1", "--record", str(file)]) == 0
+    assert main(["record", str(rig), "--seconds", "1", "--record", str(file)]) in WHOLE
     content = bytearray(file.read_bytes())
     content[len(content) // 2] ^= 4
     file.write_bytes(content)
@@ -272,7 +274,7 @@ def test_double_wants_to_know_what(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_a_damaged_ledger_is_told(rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recording = tmp_path / "r.rrd"
-    assert main(["record", str(rig), "--seconds", "0.5", "--record", str(recording)]) == 0
+    assert main(["record", str(rig), "--seconds", "0.5", "--record", str(recording)]) in WHOLE
     recording.with_name("r.rrd.ledger").write_text("{")
 
     assert main(["verify", str(recording)]) == 2
@@ -288,7 +290,7 @@ def test_a_device_that_is_gone_is_named_with_what_it_cost(
 
     file, told = tmp_path / "r.rrd", tmp_path / "r.json"
     take = RigSource.take
-    with wire_of("optoforce", DRIVERS["optoforce"].config_class()()) as wire:
+    with wire_of("optoforce", DRIVERS["optoforce"].config_class()(), "") as wire:
         (tmp_path / "rig.toml").write_text(f'[devices.tip]\ndriver = "optoforce"\nport = "{wire.port}"\n')
 
         def take_and_unplug(source: RigSource, wait_s: float) -> list[Item]:
@@ -342,12 +344,12 @@ def test_a_rig_that_is_ended_early_says_so(
     assert ended.endswith("earlier than the 60 s asked for")
     assert ended in capsys.readouterr().err
     assert check_ledger(file) == []
-    assert main(["verify", str(file)]) == 0
+    assert main(["verify", str(file)]) in WHOLE
     assert "by SIGTERM" in capsys.readouterr().out
 
     ends_by = signal.SIGINT
     assert main([*command, "--seconds", "60"]) == 128 + signal.SIGINT
-    assert main(command) == 0, "Ctrl-C is the end of a recording that has no other"
+    assert main(command) in WHOLE, "Ctrl-C is the end of a recording that has no other"
 
 
 def test_a_closed_terminal_ends_a_recording_cleanly(

@@ -68,6 +68,26 @@ def test_rivals_widen_the_interval_of_the_force(model: FittedModel) -> None:
     assert wide[0] == pytest.approx(alone[0], rel=1e-3)
 
 
+def test_the_interval_of_the_force_is_made_of_errors_of_logarithms(model: FittedModel) -> None:
+    """A stiffness predicted five times too low is off by -80 % of the measured one: the force may be five-fold."""
+    at, tip = np.array([0.08, 0.08, 0.03]), Tip("flat", (0.02, 0.02))
+    places = np.array([[0.04, 0.08, 0.03], [0.12, 0.08, 0.03], [0.08, 0.12, 0.03]])
+    unsure = dataclasses.replace(
+        model, places=places, stiffness=np.full(3, STIFFNESS), field_kind="uniform", left_out=np.full(3, 1 / 5 - 1)
+    )
+    found = predict(unsure, Poke(at, tip, depth=0.001))
+    assert found.force is not None
+    assert found.force_interval is not None
+    low, high = found.force_interval
+    assert high >= 5.0 * found.force
+    assert low > 0.0
+    assert low * high == pytest.approx(found.force**2, rel=1e-6)
+    beside = predict(unsure, Poke(places[0] + [0.001, 0.0, 0.0], tip, depth=0.001))
+    assert beside.force_interval is not None
+    assert beside.force is not None
+    assert beside.force_interval[1] < 1.2 * beside.force
+
+
 def test_a_model_without_force_predicts_shape_alone(model: FittedModel) -> None:
     mute = dataclasses.replace(model, stiffness=np.zeros(0), places=np.zeros((0, 3)), left_out=np.zeros(0))
     at, tip = np.array([0.08, 0.08, 0.03]), Tip("flat", (0.02, 0.02))

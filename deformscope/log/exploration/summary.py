@@ -28,7 +28,7 @@ def summary(maps: MapsKnown) -> str:
     lines = [
         f"# {verdict[0].upper()}{verdict[1:]} (probability {maps.probability:.2f})",
         "",
-        f"after **{counted(maps.touches, 'touch')}**, travel {travel_words(maps.travel_m)}",
+        f"after **{counted(maps.touches, 'touch')}**, {travel_words(maps.travel_m)}",
         "",
         f"{100 * float(np.mean(maps.label_probability > SURE)):.0f} % of the cells are sure (p > {SURE:g}){scored}",
         "",

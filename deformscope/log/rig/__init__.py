@@ -103,7 +103,7 @@ def prepare_items(
         if kind is WrenchFrame:
             log_wrench(batch, device, group, start_ns)
         elif kind is TactileFrame:
-            log_tactile(batch, device, group, start_ns, known.get(("tactile", device)))
+            log_tactile(batch, device, group, start_ns, known.get(("tactile", device)), shown)
         elif kind is ArmFrame:
             log_arm(batch, device, group, start_ns, known.get(("arm", device)))
         elif kind is HandFrame:

@@ -17,6 +17,9 @@ from deformscope.frames import Frame
 
 Columns = Iterable[rr.ComponentColumn]
 
+AGAIN_NS = 10_000_000_000
+"""What does not change is sent again after this, for viewers that missed it."""
+
 Shown = dict[str, tuple[object, int]]
 """What a viewer was sent last of a thing that seldom changes, and when on the host's clock [ns]: the scale beside each
 device's picture, the state of each device."""
@@ -89,6 +92,16 @@ class Batch:
 
 Sink = rr.RecordingStream | Batch
 """What a twin logs to."""
+
+
+def is_news(shown: Shown | None, device: str, what: object, now_ns: int) -> bool:
+    """Whether what stands beside a device's picture has to be sent: it has changed, or viewers may have missed it."""
+    before, since_ns = (None, 0) if shown is None else shown.get(device, (None, 0))
+    if what == before and now_ns - since_ns < AGAIN_NS:
+        return False
+    if shown is not None:
+        shown[device] = what, now_ns
+    return True
 
 
 def root(kind: str, device: str, *below: str) -> str:
