@@ -169,6 +169,8 @@ class Recorder:
         if self._target is not None:
             self._part, self._reserved = _reserve(self._target, self._overwrite)
         try:
+            if self._target is not None:
+                _require_space(self._target.parent, "another disk", self._target)
             self._open()
         except BaseException:
             if self._part is not None:
@@ -181,7 +183,10 @@ class Recorder:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self.active and self._finished is None:
-            self._close(complete=kind is None)
+            try:
+                self._close(complete=kind is None)
+            finally:
+                self._release()
 
     def write_frame(self, frame: ColorFrame) -> None:
         """Record one input frame without loss; what follows belongs to it."""
@@ -447,10 +452,11 @@ class Recorder:
     def _flush(self) -> None:
         assert self._file is not None
         assert self._part is not None
-        free = shutil.disk_usage(self._part.parent).free
-        if free < FREE_BYTES:
+        try:
+            _require_space(self._part.parent, self._kept_hint, self._part)
+        except RecordingError:
             self._broken = True
-            raise _too_full(free, self._kept_hint, self._part)
+            raise
         try:
             self._file.flush(timeout_sec=FLUSH_TIMEOUT_S)
         except Exception as error:
@@ -491,7 +497,6 @@ class Recorder:
         elif self._part is not None:
             path = self._keep_unfinished(self._part)
         size = path.stat().st_size if path is not None else 0
-        self._release()
         self._finished = RecordingSummary(path, self._frames, self._steps, dropped, size)
         if complete and failure is not None:
             raise failure
@@ -562,9 +567,6 @@ def _reserve(target: Path, overwrite: bool) -> tuple[Path, BinaryIO]:
         raise InputError("a new file to record into", "one that exists", "another name, or --overwrite", target)
     if not target.parent.is_dir():
         raise InputError("a folder to record into", "none", f"mkdir -p {target.parent}", target)
-    free = shutil.disk_usage(target.parent).free
-    if free < FREE_BYTES:
-        raise _too_full(free, "another disk", target)
     with one_at_a_time(target.parent):
         for number in range(1, 1000):
             part = target.with_name(f"{target.stem}.part{'' if number == 1 else f'-{number}'}{SUFFIX}")
@@ -580,8 +582,10 @@ def _reserve(target: Path, overwrite: bool) -> tuple[Path, BinaryIO]:
     raise InputError("fewer unfinished recordings", "1000", "rename or delete some", target.parent)
 
 
-def _too_full(free: int, hint: str, where: Path | None) -> RecordingError:
-    return RecordingError(f"{FREE_BYTES >> 20} MiB free on the disk", f"{free >> 20} MiB free", hint, where)
+def _require_space(folder: Path, hint: str, where: Path) -> None:
+    free = shutil.disk_usage(folder).free
+    if free < FREE_BYTES:
+        raise RecordingError(f"{FREE_BYTES >> 20} MiB free on the disk", f"{free >> 20} MiB free", hint, where)
 
 
 def _file_stream(application: str, recording_id: str, path: Path, deterministic: bool) -> rr.RecordingStream:
