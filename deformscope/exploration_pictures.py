@@ -17,6 +17,16 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.exploration_words import (
+    counted,
+    dent_words,
+    interval_words,
+    iou_words,
+    level_words,
+    stiffness_words,
+    travel_words,
+    verdict_words,
+)
 from deformscope.images import encode_png
 from deformscope.palette import OBSERVED, SIMULATED, hexadecimal
 from deformscope.stages.exploration import MapsKnown, NextTouch, SurfaceSeen, TouchTold
@@ -47,6 +57,8 @@ DPI = 130
 PLACE = (0.12, 0.12, 0.7, 0.69)
 """Of a map in its picture (left, bottom, width, height): room for title, labels and colour bar."""
 ROWS_OF_WORDS = 3
+LEAST_SURE = 0.25
+"""Probability of a label at which its colour is as pale as it gets."""
 
 
 def stiffness_png(maps: MapsKnown) -> bytes:
@@ -125,11 +137,6 @@ def result_png(maps: MapsKnown, title: str = "") -> bytes:
     return _png(figure, DPI)
 
 
-def travel_m(maps: MapsKnown) -> float:
-    """How far apart the touches are, in their order, all together [m]."""
-    return float(np.linalg.norm(np.diff(maps.contacts_m, axis=0), axis=1).sum()) if len(maps.contacts_m) > 1 else 0.0
-
-
 # One drawing a quantity ----------------------------------------------------------------------------------------------
 
 
@@ -170,15 +177,18 @@ def draw_beta_deviation(axes: Any, maps: MapsKnown) -> None:
 
 
 def draw_regions(axes: Any, maps: MapsKnown) -> None:
-    tints = _label_colors(maps.labels)
-    weakest = 1.0 / max(maps.region_count, 1)
-    sure = np.clip((maps.label_probability - weakest) / (1.0 - weakest), 0.0, 1.0) if maps.region_count > 1 else 1.0
-    _draw_labels(axes, tints, np.broadcast_to(0.3 + 0.7 * np.asarray(sure), maps.labels.shape), maps.cell_m)
+    if not maps.region_count:
+        _title(axes, "No regions", f"the stiffness changes smoothly (probability {maps.probability:.2f})")
+        _say(axes, "", maps.labels.shape, maps.cell_m)
+        _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
+        return
+    sure = np.clip((maps.label_probability - LEAST_SURE) / (1.0 - LEAST_SURE), 0.0, 1.0)
+    _draw_labels(axes, _label_colors(maps.labels), 0.3 + 0.7 * sure, maps.cell_m)
     _draw_outline(axes, maps.labels, maps.cell_m, "black")
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
     _draw_keys(axes, maps)
-    said = "no regions: it changes gradually" if maps.verdict == "gradual" else "the paler, the less sure"
-    _title(axes, f"{_counted(maps.region_count, 'region')} found", said)
+    title = f"{verdict_words(maps)} found (probability {maps.probability:.2f})"
+    _title(axes, title, "the paler, the less sure")
 
 
 def draw_truth(axes: Any, maps: MapsKnown) -> None:
@@ -191,8 +201,8 @@ def draw_truth(axes: Any, maps: MapsKnown) -> None:
     _draw_labels(axes, drawn, np.ones(truth.shape), maps.cell_m)
     _draw_outline(axes, maps.labels, maps.cell_m, "black")
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
-    told = f"IoU {maps.iou:.2f}; " if maps.iou is not None else ""
-    _title(axes, f"Truth: {_counted(len(np.unique(truth)), 'region')}", f"{told}line: as found")
+    told = f"{iou_words(maps)}; " if maps.iou is not None else ""
+    _title(axes, f"Truth: {counted(len(np.unique(truth)), 'region')}", f"{told}line: as found")
 
 
 def draw_gain(axes: Any, plan: NextTouch, cell_m: float, contacts_m: FloatArray | None = None) -> None:
@@ -222,6 +232,14 @@ def draw_height(axes: Any, surface: SurfaceSeen) -> None:
 
 
 def draw_force(axes: Any, touch: TouchTold) -> None:
+    if not touch.usable:
+        _title(
+            axes, f"Touch {touch.number + 1}: {stiffness_words(touch)}", f"{dent_words(touch)}; {_beta_words(touch)}"
+        )
+        axes.plot(touch.approach_m * 1e3, touch.approach_n, ".", color=hexadecimal(OBSERVED), ms=5)
+        axes.set_xlabel("way of the tip [mm]", fontsize=11)
+        axes.set_ylabel("force [N]", fontsize=11)
+        return
     depth_mm = (touch.approach_m - touch.contact_m) * 1e3
     order = np.argsort(depth_mm, kind="stable")
     axes.plot(depth_mm, touch.approach_n, ".", color=hexadecimal(OBSERVED), ms=5, label="measured")
@@ -237,16 +255,12 @@ def draw_force(axes: Any, touch: TouchTold) -> None:
     axes.tick_params(labelsize=10)
     axes.grid(alpha=0.3)
     axes.legend(fontsize=10, loc="lower right", bbox_to_anchor=(1.0, 0.08), frameon=False)
-    low, high = touch.stiffness_interval
-    if touch.rigid:
-        told = f"stiffer than {touch.stiffness_n_per_mm:.3g} N/mm"
-    else:
-        told = f"{touch.stiffness_n_per_mm:.3g} N/mm"
-    words = [f"interval {low:.3g} to {high:.3g}", f"{touch.depth_m * 1e3:.1f} mm at {touch.peak_force_n:.2f} N"]
+    words = [] if touch.rigid else [f"interval {interval_words(touch)}"]
+    words.append(dent_words(touch))
     if touch.modulus_pa is not None:
         words.append(f"modulus {touch.modulus_pa / 1e3:.3g} kPa")
     words.append(_beta_words(touch))
-    _title(axes, f"Touch {touch.number + 1}: {told}", ", ".join(words))
+    _title(axes, f"Touch {touch.number + 1}: {stiffness_words(touch)}", ", ".join(words))
 
 
 def draw_section(axes: Any, touch: TouchTold) -> None:
@@ -260,16 +274,19 @@ def draw_section(axes: Any, touch: TouchTold) -> None:
         axes.plot(away_cm, height_mm, ".", color=color, ms=2.5 if name == "observed" else 5, alpha=0.3, mew=0)
         marked = {"marker": "o", "ms": 5, "mec": "white", "lw": 0} if name == "observed" else {"lw": 2}
         axes.plot(*_rings(away_cm, height_mm), color=color, label=f"{name}, mean", zorder=4, **marked)
-    if not touch.rigid:
+    if touch.usable and not touch.rigid:
         axes.plot([0.0], [-touch.depth_m * 1e3], "v", color="black", ms=7, label="tip", zorder=5)
-    deep_mm = max(touch.depth_m * 1e3, 1.0)
+    _title(axes, f"Dent of touch {touch.number + 1}", "over the surface at rest; " + _beta_words(touch))
+    if not axes.lines:
+        _say(axes, "nothing was seen of it")
+        return
+    deep_mm = max(touch.depth_m * 1e3, 1.0) if touch.usable else 1.0
     axes.set(xlim=(-0.1, SECTION_CM), ylim=(-1.35 * deep_mm - 1.0, 0.4 * deep_mm + 2.5))
     axes.set_xlabel("distance from the contact [cm]", fontsize=11)
     axes.set_ylabel("height [mm]", fontsize=11)
     axes.tick_params(labelsize=10)
     axes.grid(alpha=0.3)
     axes.legend(fontsize=10, loc="lower right", frameon=False)
-    _title(axes, f"Dent of touch {touch.number + 1}", "over the surface at rest; " + _beta_words(touch))
 
 
 def _near(points: FloatArray, at: FloatArray) -> FloatArray:
@@ -467,7 +484,7 @@ def _draw_keys(axes: Any, maps: MapsKnown) -> None:
         if inside.any():
             x, y = _middle(inside, maps.cell_m, maps.contacts_m)
             axes.text(
-                x, y, f"{maps.level_words(int(label))}\nN/mm", ha="center", va="center", fontsize=11,
+                x, y, f"{level_words(maps, label)}\nN/mm", ha="center", va="center", fontsize=11,
                 weight="bold", zorder=7, path_effects=[withStroke(linewidth=2.5, foreground="white")],
             )  # fmt: skip
 
@@ -519,17 +536,9 @@ def _title(axes: Any, title: str, words: str) -> None:
     )  # fmt: skip
 
 
-def _counted(number: int, word: str) -> str:
-    return f"{number} {word}{'' if number == 1 else 's'}"
-
-
 def _headline(maps: MapsKnown) -> str:
-    found = "gradual: no regions" if maps.verdict == "gradual" else _counted(maps.region_count, "region")
-    said = [f"{maps.touches} touch{'' if maps.touches == 1 else 'es'}", found]
-    if maps.iou is not None:
-        said.append(f"IoU {maps.iou:.2f}")
-    said.append(f"{travel_m(maps):.2f} m between touches")
-    return ", ".join(said)
+    said = [counted(maps.touches, "touch"), verdict_words(maps), iou_words(maps), travel_words(maps.travel_m)]
+    return ", ".join(one for one in said if one)
 
 
 # Figures -------------------------------------------------------------------------------------------------------------

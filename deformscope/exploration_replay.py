@@ -18,15 +18,24 @@ import numpy.typing as npt
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.replay import Replay
-from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, Stopped, SurfaceSeen, TouchTold
+from deformscope.stages.exploration import (
+    MapsKnown,
+    NextTouch,
+    PhaseBegan,
+    StageFailed,
+    Stopped,
+    SurfaceSeen,
+    TouchTold,
+)
 
-Result = SurfaceSeen | TouchTold | MapsKnown | NextTouch | PhaseBegan | Stopped
+Result = SurfaceSeen | TouchTold | MapsKnown | NextTouch | StageFailed | PhaseBegan | Stopped
 
 ENTITIES: dict[type[Result], str] = {
     SurfaceSeen: "exploration/surface",
     TouchTold: "exploration/touch",
     MapsKnown: "exploration/maps",
     NextTouch: "exploration/plan",
+    StageFailed: "exploration/failed",
     PhaseBegan: "exploration/phase",
     Stopped: "exploration/stopped",
 }

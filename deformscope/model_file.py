@@ -37,6 +37,8 @@ def save_model(model: FittedModel, path: Path) -> None:
         "field": model.field_kind,
         "surface_error": _number(model.surface_error),
         "held_out": _number(model.held_out),
+        "fitted_depth_m": _number(model.fitted_depth),
+        "fitted_strain": _number(model.fitted_strain),
         "rivals": [{"law": dataclasses.asdict(one.law), "surface_error": one.surface_error} for one in model.rivals],
         "provenance": dict(model.provenance),
     }
@@ -89,6 +91,8 @@ def _model(found: dict[str, Any]) -> FittedModel:
         field_kind=told["field"],
         surface_error=_or_nan(told["surface_error"]),
         held_out=_or_nan(told["held_out"]),
+        fitted_depth=_or_nan(told.get("fitted_depth_m")),
+        fitted_strain=_or_nan(told.get("fitted_strain")),
         rivals=tuple(Rival(Law(**one["law"]), np.asarray(k), float(one["surface_error"])) for one, k in rivals),
         provenance=told["provenance"],
         shape=shape,

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from deformscope.arrays_file import Arrays, indices, lattice, numbers, read_arrays
 from deformscope.errors import InputError
 from deformscope.stages.motion import Motion
+from deformscope.stages.plausible import check_metres, check_same_unit
 
 NEEDED = ("rest", "motion", "held")
 
@@ -20,7 +21,7 @@ def parse_motion(raw: bytes, where: object = "", *, noise_m: float | None = None
     Needed: `rest (K, d)` before any load and `motion (T, K, d)` in metres, d = 2 or 3, NaN where a particle was not
     seen; `held`, whose positions are prescribed: indices `(n,)` for all frames, or bool `(T, K)` where a tool comes and
     goes. Optional: `dt` [s] between frames, or `(T - 1,)`; `shape` and `cell` as in a pair file; `noise_m`.
-    noise_m: instead of the file's. Raises InputError for what is missing or does not fit together.
+    noise_m: instead of the file's. Raises InputError for what is missing, does not fit together or cannot be metres.
     """
     found = read_arrays(raw, "a motion file (.npz of arrays)", where)
     try:
@@ -42,9 +43,13 @@ def _motion(found: Arrays, noise_m: float | None) -> Motion:
     if not np.isfinite(rest).all():
         raise InputError("finite positions", "NaN or infinity in rest", "drop those particles")
     shape, cell = lattice(found, rest)
-    return Motion(
-        rest, motion, _held(found, motion), _duration(found, len(motion)), shape, cell, _noise(found, noise_m)
-    )
+    noise = _noise(found, noise_m)
+    check_metres(rest, None if noise is None else np.array([noise]))
+    for position in motion:
+        seen = np.isfinite(position).all(axis=1)
+        if seen.any():
+            check_same_unit(rest, position, seen)
+    return Motion(rest, motion, _held(found, motion), _duration(found, len(motion)), shape, cell, noise)
 
 
 def _held(found: Arrays, motion: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from deformscope.arrays_file import Arrays, indices, lattice, numbers, read_arrays, sized
 from deformscope.errors import InputError
 from deformscope.stages.model import Observation, touched_of
+from deformscope.stages.plausible import check_metres, check_same_unit
 from deformscope.stages.poke import TIP_SHAPES, Tip
 
 
@@ -23,7 +24,7 @@ def parse_pair(raw: bytes, where: object = "", *, noise_m: float | None = None) 
     without `contact` it acts on the held particles that moved (`stages.model.TOUCHED_SHARE`).
     `tip` (flat, disc, sphere) with `tip_size_m`: what pressed `contact`, where particles do not tell its size.
     Without `shape`, a rest shape that is regular within 1 % is taken as a lattice. noise_m: instead of the file's.
-    Raises InputError for what is missing, does not fit together, or is not finite.
+    Raises InputError for what is missing, does not fit together, is not finite, or cannot be metres.
     """
     found = read_arrays(raw, "a pair file (.npz of arrays)", where)
     try:
@@ -68,6 +69,10 @@ def _observation(found: Arrays, noise_m: float | None) -> Observation:
         exact = bool(held_noise[0] == 0.0)
         if noise is not None and not exact:
             noise[held] = held_noise[0]
+    check_metres(rest, noise)
+    known = observed | np.isin(np.arange(count), held)
+    if np.isfinite(deformed[known]).all():  # an Observation refuses what is not
+        check_same_unit(rest, deformed, known)
     force, contact = _force(found, rest, deformed, held)
     return Observation(
         rest,

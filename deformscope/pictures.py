@@ -32,6 +32,8 @@ ERROR, INTERVAL, MINIMUM, POSTERIOR = "#1f5fd0", "#9db8e8", "#d92b2b", "#5b3fa0"
 VERDICT_COLORS = {"identified": "#177a2b", "weak": "#a86400"}
 OTHER_VERDICT = "#b01818"
 
+APART = 0.02
+"""Share of the range by which a posterior's peak may be off the estimate without being marked by itself."""
 NARROW = 0.05
 """An interval below this share of the range is drawn once more, enlarged."""
 
@@ -212,7 +214,9 @@ def _draw_curve(axes: Axes, estimate: Estimate, size: int) -> None:
         label="error, all particles",
     )
     if math.isfinite(best):
-        axes.plot([estimate.value], [best], "D", color=MINIMUM, ms=8, label=f"estimate: {estimate.value:.3g}")
+        axes.plot(
+            [estimate.value], [best], "D", color=MINIMUM, ms=8, label=f"estimate, lowest error: {estimate.value:.3g}"
+        )
     lowest, highest = estimate.bounds
     room = 0.03 * (highest - lowest)  # a mark at a bound is seen whole
     axes.set_xlim(lowest - room, highest + room)
@@ -231,6 +235,13 @@ def _draw_posterior(axes: Axes, estimate: Estimate, size: int) -> None:
     axes.tick_params(labelsize=size - 1)
     axes.grid(alpha=0.3)
     (low, high), (lowest, highest) = estimate.interval, estimate.bounds
+    posterior = estimate.posterior
+    likeliest = float(posterior.parameter[np.argmax(posterior.density)])
+    if abs(likeliest - estimate.value) > APART * (highest - lowest):
+        peak, lowest_error = f"likeliest, all else weighed: {likeliest:.3g}", f"lowest error: {estimate.value:.3g}"
+        axes.plot([likeliest], [posterior.density.max()], "v", color=POSTERIOR, ms=7, label=peak)
+        axes.plot([estimate.value], [0.0], "D", color=MINIMUM, ms=7, label=lowest_error, clip_on=False)
+        axes.legend(fontsize=size - 2)
     if high - low >= NARROW * (highest - lowest):
         return
     left = 0.5 * (low + high) > 0.5 * (lowest + highest)

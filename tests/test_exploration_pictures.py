@@ -88,13 +88,18 @@ def test_every_picture_is_drawn_whatever_is_missing() -> None:
     empty = dataclasses.replace(first, contacts_m=np.zeros((0, 2)), touches=0)
     flat = dataclasses.replace(first, stiffness_n_per_mm=np.full(first.labels.shape, 2.0))
     holed = dataclasses.replace(MAPS, stiffness_n_per_mm=np.full(first.labels.shape, np.nan))
-    gradual = dataclasses.replace(MAPS, verdict="gradual", labels=np.zeros_like(MAPS.labels), region_count=1)
+    gradual = synthetic.gradual(6)
     assert decoded(pictures.result_png(first, "made up")).std() > 10
     for maps in (empty, flat, holed, gradual):
         for draw in (pictures.stiffness_png, pictures.regions_png, pictures.truth_png):
             assert decoded(draw(maps)).std() > 10
-    for number, touch in enumerate((synthetic.touch(0), synthetic.rigid_touch(1))):
+    for number, touch in enumerate((synthetic.touch(0), synthetic.rigid_touch(1), synthetic.unusable_touch(2))):
         assert decoded(pictures.force_png(touch)).std() > 10, number
+        assert decoded(pictures.section_png(touch)).std() > 10, number
+    none = np.zeros((0, 3))
+    unseen = dataclasses.replace(synthetic.unusable_touch(2), observed_m=none, simulated_m=none)
+    assert decoded(pictures.section_png(unseen)).std() > 5
+    assert share_of(pictures.REGIONS[0], decoded(pictures.regions_png(gradual))) == 0.0
     nowhere = dataclasses.replace(synthetic.plan(2), excluded=np.ones_like(synthetic.plan(2).excluded))
     flat_gain = dataclasses.replace(synthetic.plan(2), gain=np.zeros_like(nowhere.excluded, dtype=np.float64))
     for plan in (synthetic.plan(0), nowhere, flat_gain):
@@ -110,12 +115,6 @@ def test_a_scale_holds_its_values_and_ends_at_round_ones(ends: tuple[float, floa
     for end in (low, high):
         digits = end / 10 ** np.floor(np.log10(end) + 1e-9)
         assert min(abs(digits - step) for step in pictures.STEPS) < 1e-9
-
-
-def test_travel_is_the_way_from_touch_to_touch() -> None:
-    square = np.array([[0.0, 0.0], [0.3, 0.0], [0.3, 0.4], [0.0, 0.4]])
-    assert pictures.travel_m(dataclasses.replace(MAPS, contacts_m=square)) == pytest.approx(1.0)
-    assert pictures.travel_m(dataclasses.replace(MAPS, contacts_m=square[:1])) == 0.0
 
 
 def test_a_result_is_one_picture_the_same_each_time(tmp_path: Path) -> None:

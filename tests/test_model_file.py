@@ -30,6 +30,8 @@ def model() -> FittedModel:
         left_out=np.array([0.1, -0.2]),
         surface_error=0.02,
         held_out=float("nan"),
+        fitted_depth=0.003,
+        fitted_strain=0.15,
         rivals=(Rival(Law(0.4, 1.0, 3), np.array([25.0, 60.0]), 0.03),),
         provenance={"sources": ["a.npz"]},
     )

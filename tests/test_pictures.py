@@ -7,10 +7,12 @@ import dataclasses
 import cv2
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from deformscope import pictures
 from deformscope.pictures import (
     Result,
+    _draw_posterior,
     errors,
     errors_png,
     evidence_png,
@@ -84,6 +86,19 @@ def test_the_heat_map_is_bright_where_the_error_is() -> None:
     bar = 0.75 * picture.shape[1]  # the colour bar stands to the right of the body
     assert violet.min() < yellow[yellow < bar].min()
     assert violet[violet < bar].max() < yellow[yellow < bar].max()
+
+
+def test_a_posterior_that_peaks_elsewhere_than_the_lowest_error_says_so() -> None:
+    said = []
+    for middle in (estimate().value, 0.25):
+        axes = Figure().subplots()
+        found = dataclasses.replace(estimate(), posterior=posterior(middle, 0.1))
+        _draw_posterior(axes, found, 11)
+        legend = axes.get_legend()
+        said.append([] if legend is None else [text.get_text() for text in legend.get_texts()])
+    assert said[0] == []
+    assert any("likeliest" in one and "0.25" in one for one in said[1])
+    assert any(f"lowest error: {estimate().value:.3g}" in one for one in said[1])
 
 
 def test_evidence_with_and_without_posterior_and_very_narrow() -> None:

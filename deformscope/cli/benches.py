@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deformscope.errors import InputError
@@ -33,9 +35,20 @@ def bench_of(
     from deformscope.experiments.explore_rig import RigBench, options_of
     from deformscope.rig import load_rig
 
+    if not Path(name).exists() and _is_scene(name):
+        raise InputError("a rig file, or lab:NAME", repr(name), f"{LAB}{name}")
     rig = load_rig(name, trusted=trusted)
     options = options_of(rig, options, set_force_n)
     return RigBench(rig, options), options, {"rig": rig.text, "rig_name": rig.name, "scene": rig.surface.scene}
+
+
+def _is_scene(name: str) -> bool:
+    from deformscope.lab.scenes import built_in
+
+    with contextlib.suppress(InputError):
+        built_in(name)
+        return True
+    return False
 
 
 def lab_of(bench: Bench) -> Any:

@@ -20,6 +20,7 @@ from deformscope.cli.common import (
     EXIT_LOSSES,
     console,
     fit_progress,
+    note_sizes,
     progress,
     quiet_warp,
     read_file,
@@ -332,6 +333,7 @@ def calibrate_pair_bytes(
     if save is not None and layers is None and len(raws) > 1:
         raise InputError("one pair file with --save, or --thickness-m with several pokes of a surface", str(len(raws)))
     seen = [parse_pair(raw, name, noise_m=noise_m) for name, raw in raws]
+    note_sizes(one.rest for one in seen)
     if layers is None and any(one.rest.shape[1] == 3 and rank(one.rest) == 2 for one in seen):
         console().print("note: a flat surface by itself hardly feels beta; --thickness-m fits the material below it")
     names = [name for name, _ in raws]

@@ -44,17 +44,15 @@ def run(config: ArmConfig) -> None:
             companion.follow(robot)
             known = {name: there for name, there in bench.calibrated.items() if "compliance" not in name}
             try:
-                let_move(robot, bench, options, known, asked, yes=config.yes, places_m=xy_m[None])
-                for one in touch_rigid(robot, options, xy_m, config.touches):
-                    made.append(one)
-                    give = 1e3 * one.found.compliance_m_per_n
-                    show("")
-                    say(f"touch {len(made)}: gives {give:.3f} mm/N, pressed with {one.peak_force_n:.2f} N")
+                with companion.halts(robot):
+                    let_move(robot, bench, options, known, asked, yes=config.yes, places_m=xy_m[None])
+                    for one in touch_rigid(robot, options, xy_m, config.touches):
+                        made.append(one)
+                        give = 1e3 * one.found.compliance_m_per_n
+                        show("")
+                        say(f"touch {len(made)}: gives {give:.3f} mm/N, pressed with {one.peak_force_n:.2f} N")
             except ExplorationStopped as error:
-                stop = companion.stopped(error)
-            except BaseException as error:
-                robot.halt(f"the calibration failed: {type(error).__name__}")
-                raise
+                stop = companion.stopped(error, robot)
     if stop is not None:
         leave(stop, len(made), asked.signal_number, None, arm_told=companion.arm_told)
     found = arm_give(made)

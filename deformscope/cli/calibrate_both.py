@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deformscope.cli.common import fit_progress, quiet_warp, read_file, show_table, write_json
+from deformscope.cli.common import fit_progress, note_sizes, quiet_warp, read_file, show_table, write_json
 from deformscope.config import BothConfig
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ def run(config: BothConfig) -> None:
     seen = [
         parse_pair(read_file(source, "a pair file (.npz)"), source, noise_m=config.noise_m) for source in config.sources
     ]
+    note_sizes(one.rest for one in seen)
     sets = [seen] if config.joint else [[one] for one in seen]
     names = ["all pairs"] if config.joint else list(config.sources)
     found = []
@@ -46,6 +47,8 @@ def run(config: BothConfig) -> None:
 
 def tell(found: JointEstimate, name: str) -> None:
     """The result as a short table."""
+    from deformscope.stages.estimate import explained_text
+
     rows: list[tuple[str, str]] = []
     for one in (found.beta, found.theta):
         low, high = one.interval
@@ -54,6 +57,8 @@ def tell(found: JointEstimate, name: str) -> None:
         rows.append(("verdict", one.verdict_text()))
     rows.append(("correlation", f"{found.correlation:+.2f}"))
     rows.append(("stiffness", found.beta.stiffness_text()))
+    if found.beta.explained is not None:
+        rows.append(("explained", explained_text(found.beta.explained)))
     rows.append(("converged", "yes" if found.beta.converged else "NO: do not rely on the values"))
     show_table(f"beta and theta of {name}", rows)
 

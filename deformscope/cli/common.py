@@ -6,7 +6,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import TaskID
 
+    from deformscope.arrays import FloatArray
     from deformscope.stages.search import Progress
 
 Viewer = Literal["native", "page", "none"]
@@ -47,6 +48,15 @@ def console() -> Console:
 def say(remark: str) -> None:
     """One line of progress or a remark, on stderr; never folded."""
     print(remark, file=sys.stderr, flush=True)
+
+
+def note_sizes(rest: Iterable[FloatArray]) -> None:
+    """Remarks on bodies (K, d) that are unusually large, if their positions are metres."""
+    from deformscope.stages.plausible import size_note
+
+    for note in dict.fromkeys(size_note(one) for one in rest):
+        if note is not None:
+            say(note)
 
 
 def show_table(title: str, rows: Sequence[tuple[str, str]]) -> None:

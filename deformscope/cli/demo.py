@@ -7,10 +7,13 @@ deformscope demo --images --viewer none --json -
 from __future__ import annotations
 
 import dataclasses
+import os
+import shlex
+import sys
 from datetime import datetime
 from pathlib import Path
 
-from deformscope.cli.common import quiet_warp
+from deformscope.cli.common import quiet_warp, say
 from deformscope.config import DemoConfig, ExploreConfig, SearchOptions
 from deformscope.config.options import OutputOptions
 from deformscope.errors import InputError
@@ -29,10 +32,20 @@ def run(config: DemoConfig) -> None:
         output = dataclasses.replace(output, record=_new_recording())
     if config.images:
         _fit_images(output)
+        _say_how_to_open(output.record)
         return
     from deformscope.cli.explore import run as explore
 
     explore(ExploreConfig(SCENE, touches=TOUCHES, output=output))
+    _say_how_to_open(output.record)
+
+
+def _say_how_to_open(recording: Path | None) -> None:
+    """The command for a shell in this folder; the viewer stands beside the Python that runs this."""
+    assert recording is not None
+    viewer = Path(sys.executable).with_name("rerun")
+    command = os.path.relpath(viewer) if viewer.is_relative_to(Path.cwd()) else str(viewer)
+    say(f"open it with: {shlex.join([command if viewer.exists() else 'rerun', str(recording)])}")
 
 
 def _fit_images(output: OutputOptions) -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from deformscope.cli.common import say
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 
 AFTER_S = 0.5
 """A recording goes on for so long after the robot was stopped."""
+HALTS = 3
+"""Attempts to halt the arm, each of which an interruption may cut short."""
 SHOW_EVERY, RECORD_EVERY = 10, 50
 """Control periods between two words to the user, and two portions of the recording: each costs bytes and seconds."""
 
@@ -31,7 +34,7 @@ class Companion:
     """Called in every control period (`__call__`) and at each phase of a touch (`phase_began`).
 
     touch: the one under way, or the last, from 1; 0 before the first
-    arm_told: whether the arm could be told to stop, where it was
+    arm_told: whether the arm could be told to stand
     """
 
     def __init__(
@@ -91,19 +94,38 @@ class Companion:
         if self._source is not None:
             self._recorder.write_items(self._source.take(0.0))
 
-    def stopped(self, error: ExplorationStopped) -> Stopped:
+    @contextlib.contextmanager
+    def halts(self, robot: TouchingRobot) -> Iterator[None]:
+        """Whatever ends this, the arm is then told to stand, also where telling it was interrupted. Beyond it are the
+        end of each velocity after 40 ms, and the driver, which erases the arm's trajectories as it closes."""
+        reason = "what moved it has ended"
+        try:
+            yield
+        except BaseException as error:
+            reason += f": {type(error).__name__}"
+            raise
+        finally:
+            self.arm_told = False
+            for attempt in range(HALTS):
+                try:
+                    self.arm_told = robot.halt(reason)
+                    break
+                except BaseException:
+                    if attempt == HALTS - 1:
+                        raise
+
+    def stopped(self, error: ExplorationStopped, robot: TouchingRobot) -> Stopped:
         """Record why and when it was stopped, and what came after; the robot stands."""
         from deformscope.stages.exploration import PhaseBegan
 
         stop = error.stop
-        self._show("")
-        self.write()
-        phase = PhaseBegan(f"stopped: {stop.kind}", stop.touch)
-        self._recorder.write_results((phase, stop), error.time_ns, self.touch, 0.0)
-        self._recorder.stopped_because(f"{stop.kind}: {stop.reason}")
-        if self.robot is not None:
-            self.robot.look_on(AFTER_S)
-            self.arm_told = self.robot.halt(stop.kind)
+        with self.halts(robot):
+            self._show("")
+            self.write()
+            phase = PhaseBegan(f"stopped: {stop.kind}", stop.touch)
+            self._recorder.write_results((phase, stop), error.time_ns, self.touch, 0.0)
+            self._recorder.stopped_because(f"{stop.kind}: {stop.reason}")
+            robot.look_on(AFTER_S)
         return stop
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deformscope.cli.common import fit_progress, quiet_warp, read_file, replacing, show_table, write_json
+from deformscope.cli.common import fit_progress, note_sizes, quiet_warp, read_file, replacing, show_table, write_json
 from deformscope.config import AxesConfig, YieldConfig
 
 if TYPE_CHECKING:
@@ -32,6 +32,7 @@ def axes(config: AxesConfig) -> None:
 
     quiet_warp()
     seen = [parse_pair(read_file(one, "a pair file (.npz)"), one, noise_m=config.noise_m) for one in config.sources]
+    note_sizes(one.rest for one in seen)
     d = seen[0].rest.shape[1]
     turn = np.deg2rad(config.turn_deg)
     directions = np.eye(d)
@@ -51,6 +52,7 @@ def yielding(config: YieldConfig) -> None:
 
     quiet_warp()
     motion = parse_motion(read_file(config.source, "a motion file (.npz)"), config.source, noise_m=config.noise_m)
+    note_sizes([motion.rest])
     options = YieldOptions(
         beta=config.beta,
         creep=config.creep,
@@ -73,6 +75,8 @@ def yielding(config: YieldConfig) -> None:
 
 
 def _tell_axes(found: AxisEstimate, name: str) -> None:
+    from deformscope.stages.estimate import explained_text
+
     rows = []
     for k, (low, high) in enumerate(found.interval):
         axis = ", ".join(f"{x:.2g}" for x in found.axes[:, k])
@@ -83,12 +87,15 @@ def _tell_axes(found: AxisEstimate, name: str) -> None:
         ("one beta", f"{found.beta:.4g}"),
         ("error, axes / one beta", f"{1e3 * found.aee:.3g} mm / {1e3 * found.aee_isotropic:.3g} mm"),
         ("noise of a position", f"{1e3 * found.noise:.3g} mm"),
+        ("explained", explained_text(found.explained)),
         ("converged", "yes" if found.converged else "NO: do not rely on the values"),
     ]
     show_table(f"beta along the axes of {name} ({found.level:.0%} intervals)", rows)
 
 
 def _tell_yield(found: YieldEstimate, config: YieldConfig) -> None:
+    from deformscope.stages.estimate import EXPLAINED_LEAST, explained_text
+
     low, high = found.yield_strain.interval
     strain = f"{found.yield_strain.value:.4g} ({low:.4g} to {high:.4g})" if high is not None else f"above {low:.4g}"
     meaning = {
@@ -99,6 +106,8 @@ def _tell_yield(found: YieldEstimate, config: YieldConfig) -> None:
         if high is None
         else "it yielded, but where it began is not told",
     }
+    if found.explained < EXPLAINED_LEAST:
+        meaning["unidentified"] = "the model does not explain the motion"
     rows = [
         ("yield strain", strain),
         ("verdict", f"{found.verdict}: {meaning[found.verdict]}"),
@@ -107,6 +116,7 @@ def _tell_yield(found: YieldEstimate, config: YieldConfig) -> None:
         *([] if found.creep is None else [("creep [1/s]", _parameter(found.creep))]),
         ("permanent set (rms)", f"{1e3 * found.set:.3g} mm"),
         ("error, yielding / elastic", f"{1e3 * found.aee:.3g} mm / {1e3 * found.elastic_aee:.3g} mm"),
+        ("explained", explained_text(found.explained)),
         ("converged", "yes" if found.converged else "NO: do not rely on the value"),
         *([] if config.picture is None else [("picture", str(config.picture))]),
     ]

@@ -79,7 +79,8 @@ def _tell_pokes(found: PokesFound) -> None:
             parts.append(f"{row.surface_error_held_out:.1%} when left out of the fit")
         if row.left_out_error is not None:
             parts.append(f"force predicted from the others off by {row.left_out_error:+.1%}")
-        rows.append((f"({row.xy_m[0]:.3g}, {row.xy_m[1]:.3g}) m", ", ".join(parts)))
+        # of points: where between them the tip was, a pair file does not say
+        rows.append((f"touched points around ({row.xy_m[0]:.3g}, {row.xy_m[1]:.3g}) m", ", ".join(parts)))
     show_table(f"Pokes (stiffness over the surface: {found.model.field_kind})", rows)
     sizes = [
         (

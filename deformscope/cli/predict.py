@@ -120,6 +120,8 @@ def _tell(found: Prediction) -> None:
         rows.append(("force", f"{found.force:.4g} N, 90 % interval {low:.4g} to {high:.4g}"))
     rows.append(("surface", f"off by {1e3 * found.surface_error:.3g} mm near the tip (rms, as in the fit)"))
     rows.append(("touched", f"{len(found.touched)} particles"))
+    if found.extrapolated:
+        rows.append(("extrapolated", f"BEYOND what was fitted: {'; '.join(found.extrapolated)}"))
     rows.append(("converged", "yes" if found.converged else "NO: do not rely on it"))
     show_table(f"Poke {_words(found.poke)}", rows)
 
@@ -136,6 +138,8 @@ def _tell_comparison(name: str, found: Comparison) -> None:
         force = "no force" if one.force is None else f"force {one.force:.3g} N"
         off = "" if one.force_error is None else f" ({one.force_error:+.1%})"
         rows.append((one.method, f"surface off by {one.surface_error:.1%} of the depth, {force}{off}"))
+    if found.prediction.extrapolated:
+        rows.append(("extrapolated", f"BEYOND what was fitted: {'; '.join(found.prediction.extrapolated)}"))
     if found.poke.force is not None:
         rows.append(("measured", f"force {found.poke.force:.3g} N at {1e3 * found.poke.depth:.3g} mm"))
     show_table(f"Against {name}", rows)
@@ -157,6 +161,7 @@ def _told(found: Prediction, points: FloatArray | None) -> dict[str, Any]:
         "force_interval_n": found.force_interval,
         "stiffness_n_per_m": found.stiffness,
         "surface_error_m": found.surface_error,
+        "extrapolated": found.extrapolated,
         "converged": found.converged,
         "surface": {"rest": found.rest[found.surface], "deformed": found.position[found.surface]},
         "touched": found.touched,

@@ -82,22 +82,27 @@ def run(config: ReplayConfig) -> None:
 
 
 def _explored(recording: Replay, settings: dict[str, Any], config: ReplayConfig) -> None:
-    """Estimate and map again from what the robot saw and felt; every result must be the same to the last bit."""
+    """Estimate and map again from what the robot saw and felt; every result must be the same to the last bit. A stage
+    that failed when it was recorded is told, not computed again: whether it fails may hang on the machine."""
     import msgspec
     import numpy as np
 
     from deformscope.experiments.explore import ExploreOptions, Explorer, explore_again
     from deformscope.exploration_replay import components, read_results
+    from deformscope.exploration_words import failed_words
     from deformscope.stages.contact import ArmCompliance
-    from deformscope.stages.exploration import MapsKnown, SurfaceSeen, TouchTold
+    from deformscope.stages.exploration import MapsKnown, StageFailed, SurfaceSeen, TouchTold
 
     options = msgspec.convert(settings["explore"], ExploreOptions)
     arm = msgspec.convert(settings["arm"], ArmCompliance)
     width, depth = settings["size_m"]
-    explorer = Explorer((float(width), float(depth)), options, arm)
+    failed = [one.result for one in read_results(config.recording, (StageFailed,), trust=True)]
+    explorer = Explorer((float(width), float(depth)), options, arm, failed=failed)  # type: ignore[arg-type]
     kinds = (SurfaceSeen, TouchTold, MapsKnown)
     recorded = [found.result for found in read_results(config.recording, kinds, trust=True)]
     again = [result for results in explore_again(recording.read_inputs("explored"), explorer) for result in results]
+    for fresh in [one for one in explorer.failures if one not in failed]:
+        raise Different("the recorded numbers", failed_words(fresh), where=config.recording)
     if len(recorded) != len(again):
         raise Different(f"{len(recorded)} results as recorded", str(len(again)), where=config.recording)
     for before, now in zip(recorded, again, strict=True):
@@ -107,8 +112,11 @@ def _explored(recording: Replay, settings: dict[str, Any], config: ReplayConfig)
             if not np.array_equal(first[name][1], second[name][1], equal_nan=first[name][0] == "float64"):
                 came = f"another {name} of {type(before).__name__}"
                 raise Different("the recorded numbers, to the last bit", came, where=config.recording)
+    for one in failed:
+        console().print(f"failed when it was recorded: {failed_words(one)}", markup=False)  # type: ignore[arg-type]
     console().print(f"replay: {len(again)} results, identical to the recorded numbers")
-    write_json({"results": len(again), "identical": True}, config.output.json)
+    told = {"results": len(again), "identical": True, "failures": failed}
+    write_json(told, config.output.json)
 
 
 def _wait(frame: ColorFrame) -> None:

@@ -97,6 +97,8 @@ def provenance_sections(*, seed: int, settings: Mapping[str, object]) -> list[Se
 
 def estimate_rows(estimate: Estimate) -> Rows:
     """An estimate as names and values."""
+    from deformscope.stages.estimate import explained_text
+
     low, high = estimate.interval
     rows = [
         (estimate.parameter, f"{estimate.value:.4g}"),
@@ -108,6 +110,8 @@ def estimate_rows(estimate: Estimate) -> Rows:
         ("noise of a position", _length(estimate, estimate.settings.get("noise"))),
         ("converged", "yes" if estimate.converged else "NO: do not rely on the value"),
     ]
+    if estimate.explained is not None:
+        rows.insert(-1, ("explained", explained_text(estimate.explained)))
     if not estimate.settings.get("pose_held", True):
         rows.insert(-1, ("pose", "the held particles leave the body free to turn: hold more for a value to rely on"))
     if lost := estimate.settings.get("lost"):
@@ -228,7 +232,14 @@ def _pokes(found: PokesFound) -> Table:
             )
         )
     names = (
-        *("place x, y [m]", "tip [mm]", "depth [mm]", "force [N]", "k [N/m]", "apparent E* [kPa]"),
+        *(
+            "middle of the touched points x, y [m]",
+            "tip [mm]",
+            "depth [mm]",
+            "force [N]",
+            "k [N/m]",
+            "apparent E* [kPa]",
+        ),
         *("surface error [of the depth]", "the same, left out of the fit", "force predicted from the others"),
     )
     return Table(rows, names, f"Stiffness over the surface: {found.model.field_kind}. E* is of a half-space: apparent.")

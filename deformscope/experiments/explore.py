@@ -1,7 +1,9 @@
 """Thesis chapter 4: look, decide where to touch, touch, estimate, map, again; until the map tells what it can.
 
 `Explorer` computes: what a robot saw and felt goes in, frozen results come out, the same every time. A `Robot` looks
-and touches; whether it is the laboratory's or a real one, `explore` does not know.
+and touches; whether it is the laboratory's or a real one, `explore` does not know. A stage that fails on one touch
+costs that stage's result: the failure is a result like the others (`StageFailed`), and the robot goes on with the
+touches that could be used, until too many in a row could not.
 """
 
 from __future__ import annotations
@@ -9,9 +11,9 @@ from __future__ import annotations
 import dataclasses
 import io
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Literal, Protocol
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, field
+from typing import Literal, Protocol, TypeVar
 
 import numpy as np
 
@@ -20,7 +22,15 @@ from deformscope.errors import InputError
 from deformscope.experiments.map_score import boundary_distance, called_labels, match_regions
 from deformscope.stages.cloud import Box, Intrinsics, tactile_points
 from deformscope.stages.contact import ArmCompliance, ContactFit, fit_approach, layer_modulus
-from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, Stopped, SurfaceSeen, TouchTold
+from deformscope.stages.exploration import (
+    MapsKnown,
+    NextTouch,
+    PhaseBegan,
+    StageFailed,
+    Stopped,
+    SurfaceSeen,
+    TouchTold,
+)
 from deformscope.stages.field import BETA_PRIOR, fit_field
 from deformscope.stages.plan import ALLOWED, FieldKernel, Planner, PlanOptions, plan_touch
 from deformscope.stages.regions import RegionMap, RegionPosterior
@@ -30,6 +40,7 @@ from deformscope.stages.touches import MapGrid, Touch
 from deformscope_drivers.depth_camera import Intrinsics as CameraIntrinsics
 
 BetaModel = Literal["volume", "thesis", "none"]
+StageResult = TypeVar("StageResult")
 SECOND_FORCE_N, SECOND_SHARE = 5.0, 5.0 / 3.0
 SHALLOW_M = 0.002
 NEAR_M = 0.08
@@ -43,6 +54,9 @@ EDGE_M, ABOVE_M, LOW_SHARE = 0.005, 0.08, 0.5
 LAW_STEPS = 400
 """Forces at which the fitted law is taken, from none to twice the largest."""
 THESIS_ROI_M, TACTILE_NOISE_M = 0.08, 2e-4
+MOST_FAILED = 3
+"""After so many touches in a row that gave no map the exploration ends: whatever is wrong does not pass by itself."""
+ESTIMATES_FAILED = "estimates failed"
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +112,7 @@ class Touched:
     time_s: (n,) rising; position_m: (n, 3) middle of the ball as the arm says; force_n: (n, 3) on it; surface frame
     after_m: (k, 3) points seen while it pressed, without the robot; reached: the set force, rather than the depth
     seen_ns: until when they were seen, on the robot's clock; 0 = nobody looked
+    unseen: where the points could not be taken from what the camera saw, the error's traceback
     """
 
     xy_m: FloatArray
@@ -108,6 +123,7 @@ class Touched:
     after_m: FloatArray
     reached: bool
     seen_ns: int = 0
+    unseen: str = ""
 
 
 class Robot(Protocol):
@@ -140,16 +156,27 @@ class Truth:
 
 
 class Explorer:
-    """The estimates after each touch; pure, but for what it has been told so far."""
+    """The estimates after each touch; pure, but for what it has been told so far.
+
+    told: every touch made; known: the newest maps, None before the first; failures: every stage that failed
+    """
 
     def __init__(
-        self, size_m: tuple[float, float], options: ExploreOptions, arm: ArmCompliance, truth: Truth | None = None
+        self,
+        size_m: tuple[float, float],
+        options: ExploreOptions,
+        arm: ArmCompliance,
+        truth: Truth | None = None,
+        failed: Collection[StageFailed] = (),
     ) -> None:
+        """failed: what failed when this was recorded: it is not computed again, and fails as it did"""
         self.options = options
         self.grid = MapGrid(size_m, options.cell_m)
         self.world: HeightProcess | None = None
         self.posterior = RegionPosterior.before_touches(self.grid, seed=options.seed)
         self.told: list[TouchTold] = []
+        self.known: MapsKnown | None = None
+        self.failures: list[StageFailed] = []
         self.travel_m = 0.0
         self.stop_reason = ""
         self.plan_cell_m = PLAN_CELL_M
@@ -159,20 +186,31 @@ class Explorer:
         self._beta_sd: list[float] = []
         self._inputs: list[tuple[str, bytes]] = []
         self._heights: HeightMap | None = None
+        self._failed_before = {(one.touch, one.stage): one for one in failed}
+        self._touch = 0
+        self._left_out: list[FloatArray] = []
+        self._usable = False
+        self._without_map = 0
 
     # Each step --------------------------------------------------------------------------------------------------------
 
-    def look(self, looked: Looked) -> SurfaceSeen:
-        """Take the surface before any touch in."""
+    def look(self, looked: Looked) -> SurfaceSeen | None:
+        """Take the surface before any touch in; None where it could not be fitted."""
         self._inputs.append(("explored/looked", pack(looked)))
+        return self._stage("surface", lambda: self._surface(looked))
+
+    def next(self, reachable: BoolArray | None = None) -> NextTouch | None:
+        """Where to touch next, and why; None where that could not be planned."""
+        return self._stage("plan", lambda: self._plan(reachable))
+
+    def _surface(self, looked: Looked) -> SurfaceSeen:
         size_m = self.grid.size_m
         self.world = fit_surface(looked.points_m, noise_m=looked.noise_m, within_m=((0.0, 0.0), size_m), outlier_sd=5.0)
         heights = self.world.on(self.grid)
         self._heights = heights
         return SurfaceSeen(looked.points_m, heights.mean_m, heights.deviation_m, self.grid.cell_m)
 
-    def next(self, reachable: BoolArray | None = None) -> NextTouch:
-        """Where to touch next, and why."""
+    def _plan(self, reachable: BoolArray | None) -> NextTouch:
         options = self.options
         plan = plan_touch(
             self.posterior,
@@ -180,6 +218,8 @@ class Explorer:
             PlanOptions(
                 planner=options.planner, budget=options.budget, threshold=options.threshold, cell_m=self.plan_cell_m
             ),
+            tip_m=self.told[-1].xyz_m[:2] if self.told else None,
+            left_out_m=np.reshape(self._left_out, (-1, 2)),
             reachable=reachable,
             seed=options.seed + len(self.told),
         )
@@ -187,6 +227,10 @@ class Explorer:
         target = None if enough else plan.target_m
         self.stop_reason = plan.stop or ""
         return NextTouch(target, plan.gain, plan.cost_s, plan.excluded != ALLOWED, plan.reason, plan.stop or "")
+
+    def approach(self, xy_m: FloatArray) -> tuple[float, FloatArray, float | None] | None:
+        """What a robot is told of a touch at a place (2,) [m]: `aim` and `over_m`; None where that failed."""
+        return self._stage("plan", lambda: (*self.aim(xy_m), self.over_m(xy_m)))
 
     def aim(self, xy_m: FloatArray) -> tuple[float, FloatArray]:
         """Height of the surface at a place (2,) [m], and its unit normal (3,), as the camera saw them."""
@@ -209,27 +253,49 @@ class Explorer:
     def touch(self, touched: Touched) -> TouchTold:
         """Take a touch in."""
         self._inputs.append((f"explored/touched-{len(self.told):03d}", pack(touched)))
-        options = self.options
-        fit = fit_approach(
-            touched.time_s,
-            touched.position_m,
-            touched.force_n,
-            touched.normal,
-            set_force_n=options.set_force_n,
-            arm=self._arm,
-        )
+        self._touch = len(self.told) + 1
         before = self.told[-1].xyz_m[:2] if self.told else np.zeros(2)
         self.travel_m += float(np.hypot(*(touched.xy_m - before)))
-        self._regions = None
-        self.posterior = self.posterior.with_touch(Touch(touched.xy_m, fit.log_stiffness, fit.log_sd, fit.rigid))
-        told = self._told(touched, fit)
+        if touched.unseen:
+            reason = touched.unseen.strip().splitlines()[-1]
+            self.failures.append(StageFailed("dent", self._touch, reason, touched.unseen))
+        contact = self._stage("contact", lambda: self._contact(touched))
+        posterior = None
+        if contact is not None:
+            fit = contact.fit
+            seen = Touch(touched.xy_m, fit.log_stiffness, fit.log_sd, fit.rigid)
+            posterior = self._stage("regions", lambda: self.posterior.with_touch(seen))
+        self._usable = posterior is not None
+        if posterior is None:
+            self._left_out.append(touched.xy_m)
+        else:
+            self.posterior, self._regions = posterior, None
+        told = self._told(touched, contact)
         self.told.append(told)
         return told
 
-    def maps(self) -> MapsKnown:
-        """The maps after the touches so far."""
+    def maps(self) -> MapsKnown | None:
+        """The maps after the newest touch; None where it gave none."""
+        maps = self._stage("maps", self._maps) if self._usable else None
+        self._without_map = self._without_map + 1 if maps is None else 0
+        self.known = self.known if maps is None else maps
+        return maps
+
+    @property
+    def given_up(self) -> str:
+        """Why it makes no sense to touch on; empty where it does."""
+        if self._without_map < MOST_FAILED:
+            return ""
+        last = next(one for one in reversed(self.failures) if one.stage in ("contact", "regions", "maps"))
+        return f"{self._without_map} touches in a row gave no map, the last for {last.stage}: {last.reason}"
+
+    def failed(self, touch: int) -> list[str]:
+        """What failed on a touch, from 1, in words."""
+        return [f"{one.stage}: {one.reason}" for one in self.failures if one.touch == touch]
+
+    def _maps(self) -> MapsKnown:
         found = self.region_map()
-        beta, beta_sd = self._beta_field()
+        beta, beta_sd = self._stage("beta field", self._beta_field) or (None, None)
         truth = None if self._truth is None else self._truth.labels
         return MapsKnown(
             touches=len(self.told),
@@ -239,15 +305,19 @@ class Explorer:
             beta=beta,
             beta_sd=beta_sd,
             labels=found.labels,
-            label_probability=np.take_along_axis(found.label_probability, found.labels[None], axis=0)[0],
+            label_probability=found.label_probability,
             region_count=found.region_count,
             verdict=found.verdict,
+            probability=found.probability[str(found.region_count or "gradual")],
+            level_n_per_mm=np.exp(found.level),
+            level_interval_n_per_mm=np.exp(found.level_interval),
+            level_rigid=found.rigid,
             contacts_m=np.array([told.xyz_m[:2] for told in self.told]),
             tip_radius_m=self.options.tip_radius_m,
+            travel_m=self.travel_m,
             truth_labels=truth,
             iou=None if truth is None else match_regions(called_labels(found), truth)[0],
-            level_n_per_mm=np.exp(found.level),
-            level_rigid=found.rigid,
+            boundary_m=None if truth is None else boundary_distance(called_labels(found), truth, self.grid.cell_m),
         )
 
     def region_map(self) -> RegionMap:
@@ -255,12 +325,6 @@ class Explorer:
         if self._regions is None:
             self._regions = self.posterior.region_map()
         return self._regions
-
-    def boundary_m(self) -> float | None:
-        """Mean distance between the true boundary and that of the map, both ways; None where there is none of both."""
-        if self._truth is None or self._truth.labels is None:
-            return None
-        return boundary_distance(called_labels(self.region_map()), self._truth.labels, self.grid.cell_m)
 
     def new_inputs(self) -> list[tuple[str, bytes]]:
         """What was taken in since the last call: names and files of arrays (.npz), from which all can be computed
@@ -270,73 +334,90 @@ class Explorer:
 
     # Within -----------------------------------------------------------------------------------------------------------
 
-    def _told(self, touched: Touched, fit: ContactFit) -> TouchTold:
+    def _stage(self, name: str, compute: Callable[[], StageResult]) -> StageResult | None:
+        """What a stage computes; None where it fails, which `failures` then says."""
+        if (failed := self._failed_before.get((self._touch, name))) is not None:
+            self.failures.append(failed)
+            return None
+        try:
+            return compute()
+        except Exception as error:  # whatever it is, the arm is over a table and the touches made are worth something
+            self.failures.append(StageFailed.of(name, self._touch, error))
+            return None
+
+    def _contact(self, touched: Touched) -> _Contact:
         options = self.options
-        normal = touched.normal / np.linalg.norm(touched.normal)
-        along = -(touched.position_m @ normal)
-        force = touched.force_n @ normal
-        start = along[0]
+        fit = fit_approach(
+            touched.time_s,
+            touched.position_m,
+            touched.force_n,
+            touched.normal,
+            set_force_n=options.set_force_n,
+            arm=self._arm,
+        )
         forces = np.linspace(0.0, 2.0 * max(fit.peak_force_n, fit.at_force_n), LAW_STEPS)
         dent = max(fit.depth_m, 1e-9) * (forces / fit.at_force_n) ** (1.0 / fit.exponent)
-        law = np.interp(along, fit.contact_m + dent + self._arm.compliance_m_per_n * forces, forces)
-        xyz = np.append(touched.xy_m, self.aim(touched.xy_m)[0])
+        along = fit.contact_m + dent + self._arm.compliance_m_per_n * forces
+        law = np.interp(_along(touched), along, forces)
         modulus = None
         if not fit.rigid and fit.depth_m > 0.0:
             modulus = layer_modulus(
                 fit.depth_m, fit.at_force_n, radius_m=options.tip_radius_m, thickness_m=options.thickness_m
             )
-        beta, interval, verdict, simulated = self._beta(touched, fit)
+        return _Contact(fit, law, modulus)
+
+    def _told(self, touched: Touched, contact: _Contact | None) -> TouchTold:
+        along = _along(touched)
+        nan = float("nan")
+        aimed = self._stage("surface", lambda: self.aim(touched.xy_m))
+        lowest_m = float(touched.position_m[:, 2].min()) - self.options.tip_radius_m
+        xyz = np.append(touched.xy_m, lowest_m if aimed is None else aimed[0])
+        beta = _Beta("not fitted: no contact")
+        if contact is not None:
+            fitted = self._stage("beta", lambda: self._beta(touched, contact.fit))
+            beta = fitted or _Beta(f"not fitted: {self.failures[-1].reason}")
+        self._beta_sd.append(beta.sd)
         near = np.abs(touched.after_m[:, :2] - touched.xy_m).max(axis=1) < NEAR_M if len(touched.after_m) else []
+        fit = None if contact is None else contact.fit
         return TouchTold(
             number=len(self.told),
             xyz_m=xyz,
-            normal=normal,
-            approach_m=along - start,
-            approach_n=force,
-            fitted_n=law,
-            contact_m=fit.contact_m - start,
-            stiffness_n_per_mm=fit.stiffness_n_per_mm,
-            stiffness_interval=fit.interval_n_per_mm,
-            rigid=fit.rigid,
-            modulus_pa=modulus,
-            depth_m=_dent_m(fit),
-            peak_force_n=fit.peak_force_n,
-            beta=beta,
-            beta_interval=interval,
-            beta_verdict=verdict,
+            normal=touched.normal / np.linalg.norm(touched.normal),
+            approach_m=along - along[0],
+            approach_n=_force_along(touched),
+            fitted_n=np.full(len(along), nan) if contact is None else contact.law_n,
+            contact_m=nan if fit is None else fit.contact_m - along[0],
+            stiffness_n_per_mm=nan if fit is None else fit.stiffness_n_per_mm,
+            stiffness_interval=(nan, nan) if fit is None else fit.interval_n_per_mm,
+            rigid=False if fit is None else fit.rigid,
+            modulus_pa=None if contact is None else contact.modulus_pa,
+            depth_m=nan if fit is None else _dent_m(fit),
+            peak_force_n=float(_force_along(touched).max()) if fit is None else fit.peak_force_n,
+            beta=beta.value,
+            beta_interval=beta.interval,
+            beta_verdict=beta.verdict,
             observed_m=touched.after_m[near],
-            simulated_m=simulated,
+            simulated_m=beta.simulated_m,
         )
 
-    def _beta(
-        self, touched: Touched, fit: ContactFit
-    ) -> tuple[float | None, tuple[float, float] | None, str, FloatArray]:
-        """beta with interval and verdict, and the fitted model's particles; why not, where there is none."""
-        nothing = np.zeros((0, 3))
-        self._beta_sd.append(np.nan)
+    def _beta(self, touched: Touched, fit: ContactFit) -> _Beta:
         if self.options.beta_model == "none":
-            return None, None, "not asked for", nothing
+            return _Beta("not asked for")
         if fit.rigid:
-            return None, None, "rigid: no dent to fit", nothing
+            return _Beta("rigid: no dent to fit")
         assert self.world is not None
         radius = self.options.tip_radius_m
         deepest = int(np.argmax(-(touched.position_m @ touched.normal)))
         gives_m = self._arm.compliance_m_per_n * fit.peak_force_n  # the arm says that it is that much deeper
         lowest = touched.position_m[deepest] - (radius - gives_m) * touched.normal
         ball = BallTouch(lowest, radius, _dent_m(fit), fit.peak_force_n)
-        try:
-            if self.options.beta_model == "thesis":
-                return self._thesis(touched, ball)
-            found = fit_touch(self.world, touched.after_m, ball, thickness_m=self.options.thickness_m)
-        except InputError as error:
-            return None, None, f"not fitted: {error}", nothing
-        self._beta_sd[-1] = found.sd
+        if self.options.beta_model == "thesis":
+            return self._thesis(touched, ball)
+        found = fit_touch(self.world, touched.after_m, ball, thickness_m=self.options.thickness_m)
         estimate = found.estimate
-        return estimate.value, estimate.interval, estimate.verdict, found.simulated_m
+        return _Beta(estimate.verdict, estimate.value, estimate.interval, found.sd, found.simulated_m)
 
-    def _thesis(
-        self, touched: Touched, ball: BallTouch
-    ) -> tuple[float | None, tuple[float, float] | None, str, FloatArray]:
+    def _thesis(self, touched: Touched, ball: BallTouch) -> _Beta:
         """The thesis's way: the touch surface's own process, with virtual points where the ball is."""
         assert self.world is not None
         tactile = tactile_points(ball.lowest_m, ball.radius_m, ball.depth_m, normal=touched.normal)
@@ -345,7 +426,7 @@ class Explorer:
             touched.after_m[near], known_m=tactile, known_noise_m=np.full(len(tactile), TACTILE_NOISE_M)
         )
         found = thesis_beta(self.world, surface, touched.xy_m)
-        return found.beta, None, f"thesis: {found.note}", found.simulated_m
+        return _Beta(f"thesis: {found.note}", found.beta, simulated_m=found.simulated_m)
 
     def _beta_field(self) -> tuple[FloatArray | None, FloatArray | None]:
         known = [
@@ -360,6 +441,37 @@ class Explorer:
         field = fit_field(places, values, sds, prior=BETA_PRIOR)
         found = field.on(self.grid)
         return found.mean.clip(0.0, 1.0), found.deviation
+
+
+@dataclass(frozen=True, slots=True)
+class _Contact:
+    """fit; law_n: (n,) its force at each reading [N]; modulus_pa: of the layer, None where it cannot be told"""
+
+    fit: ContactFit
+    law_n: FloatArray
+    modulus_pa: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Beta:
+    """verdict: or why there is no value; value, interval: of beta, None where there is none; sd: nan where not known
+    simulated_m: (p, 3) particles of the fitted model"""
+
+    verdict: str
+    value: float | None = None
+    interval: tuple[float, float] | None = None
+    sd: float = float("nan")
+    simulated_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+
+
+def _along(touched: Touched) -> FloatArray:
+    """(n,) way of the tip into the surface [m]."""
+    return np.asarray(-(touched.position_m @ touched.normal) / np.linalg.norm(touched.normal))
+
+
+def _force_along(touched: Touched) -> FloatArray:
+    """(n,) force out of the surface [N]."""
+    return np.asarray(touched.force_n @ touched.normal / np.linalg.norm(touched.normal))
 
 
 def _dent_m(fit: ContactFit) -> float:
@@ -386,7 +498,8 @@ def unpack_touched(content: bytes) -> Touched:
     """The reverse of `pack`."""
     with np.load(io.BytesIO(content), allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
-    return Touched(**{**arrays, "reached": bool(arrays["reached"]), "seen_ns": int(arrays.get("seen_ns", 0))})
+    scalars = {"reached": bool(arrays["reached"]), "seen_ns": int(arrays.get("seen_ns", 0))}
+    return Touched(**arrays | scalars | {"unseen": str(arrays.get("unseen", ""))})
 
 
 def pinhole(told: CameraIntrinsics) -> Intrinsics:
@@ -408,7 +521,7 @@ class ExplorationStopped(InputError):
         self.stop, self.time_ns = stop, time_ns
 
 
-Result = SurfaceSeen | TouchTold | MapsKnown | NextTouch | PhaseBegan | Stopped
+Result = SurfaceSeen | TouchTold | MapsKnown | NextTouch | StageFailed | PhaseBegan | Stopped
 
 
 @dataclass(frozen=True, slots=True)
@@ -429,38 +542,67 @@ class Moment:
 def explore(robot: Robot, explorer: Explorer) -> Iterator[Moment]:
     """Look, then touch until the plan says enough; gives results as they come. `explorer` holds what was found.
 
-    Raises ExplorationStopped when the robot must not go on: what was found until then stands.
+    Raises ExplorationStopped when the robot must not go on, or it makes no sense: what was found until then stands.
     """
     yield Moment(robot.now_ns(), (PhaseBegan("look", 0),))
     looked = robot.look()
     began = time.perf_counter()
     seen = explorer.look(looked)
-    yield Moment(robot.now_ns(), (seen,), time.perf_counter() - began)
+    failed = _NewFailures(explorer)
+    yield Moment(robot.now_ns(), (*_made(seen), *failed()), time.perf_counter() - began)
+    if seen is None:
+        raise _given_up(robot, explorer)
     reachable = robot.reachable(explorer.grid)
     spent_s = 0.0
     while True:
         began = time.perf_counter()
-        plan = explorer.next(reachable)
+        plan = None if explorer.given_up else explorer.next(reachable)
+        aimed = None if plan is None or plan.target_m is None else explorer.approach(plan.target_m)
         spent_s += time.perf_counter() - began
-        yield Moment(robot.now_ns(), (plan,), spent_s, len(explorer.told))
-        if plan.target_m is None:
+        yield Moment(robot.now_ns(), (*_made(plan), *failed()), spent_s, len(explorer.told))
+        if plan is not None and plan.target_m is None:
             return
+        if plan is None or plan.target_m is None or aimed is None:
+            raise _given_up(robot, explorer)
         number = len(explorer.told)
-        height_m, normal = explorer.aim(plan.target_m)
-        touched = robot.touch(plan.target_m, height_m, normal, explorer.over_m(plan.target_m))
+        touched = robot.touch(plan.target_m, *aimed)
         began = time.perf_counter()
         told = explorer.touch(touched)
         maps = explorer.maps()
         spent_s = time.perf_counter() - began
         yield Moment(robot.now_ns(), (PhaseBegan("plan", number),), touch=number + 1)
-        yield Moment(robot.now_ns(), (told, maps), touch=number + 1, seen_ns=touched.seen_ns or None)
+        results: tuple[Result, ...] = (told, *_made(maps), *failed())
+        yield Moment(robot.now_ns(), results, touch=number + 1, seen_ns=touched.seen_ns or None)
+
+
+class _NewFailures:
+    """Those that came since the last call."""
+
+    def __init__(self, explorer: Explorer) -> None:
+        self._explorer, self._count = explorer, 0
+
+    def __call__(self) -> tuple[StageFailed, ...]:
+        fresh = tuple(self._explorer.failures[self._count :])
+        self._count = len(self._explorer.failures)
+        return fresh
+
+
+def _made(result: StageResult | None) -> tuple[StageResult, ...]:
+    return () if result is None else (result,)
+
+
+def _given_up(robot: Robot, explorer: Explorer) -> ExplorationStopped:
+    last = explorer.failures[-1]
+    reason = explorer.given_up or f"{last.stage}: {last.reason}"
+    stop = Stopped(ESTIMATES_FAILED, reason, "what failed, in the recording", "stop", len(explorer.told))
+    return ExplorationStopped(stop, robot.now_ns())
 
 
 def explore_again(inputs: dict[str, bytes], explorer: Explorer) -> Iterator[tuple[Result, ...]]:
     """The same computations on recorded inputs (`Explorer.new_inputs`), in their order."""
     if "looked" not in inputs:  # it was stopped before it had looked
         return
-    yield (explorer.look(unpack_looked(inputs["looked"])),)
+    yield _made(explorer.look(unpack_looked(inputs["looked"])))
     for name in sorted(name for name in inputs if name.startswith("touched-")):
         told = explorer.touch(unpack_touched(inputs[name]))
-        yield told, explorer.maps()
+        yield told, *_made(explorer.maps())

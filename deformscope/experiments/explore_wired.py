@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any, Protocol
@@ -248,7 +249,12 @@ class TouchingRobot:
             where = f"at ({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm"
             raise self._stopped(record.ending, f"{where}: {record.reason}" if record.reason else where)
         self._touches += 1
-        after = self._dent(record, dents, xy_m)
+        after: FloatArray = np.zeros((0, 3))
+        unseen = ""
+        try:
+            after = self._dent(record, dents, xy_m)
+        except Exception:  # the touch is made, and its force and depth do not hang on the camera
+            unseen = traceback.format_exc()
         kept = slice(0, max(record.loading, 10))
         return Touched(
             xy_m,
@@ -259,6 +265,7 @@ class TouchingRobot:
             after,
             record.ending is Ending.SET_FORCE,
             max((round(span.end_s * 1e9) for span in _dwells(record)), default=0),
+            unseen,
         )
 
     @property

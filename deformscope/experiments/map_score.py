@@ -46,7 +46,7 @@ class TrueMap:
 class MapScore:
     """A map against the truth. What there is no truth for is None; shares are from 0 to 1.
 
-    region_count: 1 where the verdict is "gradual", which calls no regions; right: verdict and number of regions are
+    region_count: 0 where the verdict is "gradual"; right: verdict and number of regions are
     iou: `match_regions`; least_iou: of the smallest true region with what it is matched to; boundary_m:
     `boundary_distance`
     ordered: the matched regions' levels stand in the true order
@@ -77,18 +77,18 @@ def score_map(shown: RegionMap, truth: TrueMap) -> MapScore:
         float(np.sqrt((off**2).mean())),
         float((np.abs(off) <= Z_90 * shown.field_sd[truth.measurable]).mean()),
     )
-    labels = called_labels(shown)
-    count = int(labels.max()) + 1
+    labels, count = called_labels(shown), shown.region_count
     if truth.labels is None:
         gradual = shown.verdict == "gradual"
         return MapScore(count, shown.verdict, gradual, None, None, None, True, None, None, rms, covered)
     iou, pairs = match_regions(labels, truth.labels)
-    right = shown.verdict == "regions" and count == truth.region_count
+    right = count == truth.region_count
     inside = [
         shown.level_interval[found, 0] <= truth.level[true] <= shown.level_interval[found, 1]
         for found, true in pairs
-        if not truth.rigid[true]
+        if right and not truth.rigid[true]
     ]
+    found_rigid = np.append(shown.rigid, False)[shown.labels]  # label -1, no region, is not rigid
     there = truth.rigid[truth.labels]
     smallest = int(np.bincount(truth.labels.ravel()).argmin())
     matched = {true: found for found, true in pairs}
@@ -104,16 +104,16 @@ def score_map(shown: RegionMap, truth: TrueMap) -> MapScore:
         least_iou=least,
         boundary_m=boundary_distance(labels, truth.labels, shown.grid.cell_m),
         ordered=bool(np.all(np.diff([truth.level[true] for _, true in sorted(pairs)]) > 0.0)),
-        rigid_found=bool((there & shown.rigid[shown.labels]).sum() > 0.5 * there.sum()) if there.any() else None,
-        levels_covered=float(np.mean(inside)) if right and inside else None,
+        rigid_found=bool((there & found_rigid).sum() > 0.5 * there.sum()) if there.any() else None,
+        levels_covered=float(np.mean(inside)) if inside else None,
         field_rms=rms,
         field_covered=covered,
     )
 
 
 def called_labels(shown: RegionMap) -> IntArray:
-    """(rows, columns) the regions that a map tells of: one everywhere where its verdict is "gradual"."""
-    return shown.labels if shown.verdict == "regions" else np.zeros_like(shown.labels)
+    """(rows, columns) labels to be matched with others: one region everywhere where a map has none."""
+    return np.maximum(shown.labels, 0)
 
 
 def match_regions(found: IntArray, truth: IntArray) -> tuple[float, list[tuple[int, int]]]:

@@ -11,6 +11,7 @@ from deformscope.errors import InputError
 from deformscope.session import Experiment, Step
 from deformscope.stages.layers import Surface
 from deformscope.stages.model import FitOptions, Observation
+from deformscope.stages.plausible import check_poke
 from deformscope.stages.poke_estimate import PokesFound, conclude
 from deformscope.stages.poke_fit import fit_pokes, seen_poke
 from deformscope.stages.search import Progress
@@ -44,6 +45,7 @@ def poke_files(
             raise InputError(
                 "pokes of one surface", f"one at ({poke.at[0]:.3g}, {poke.at[1]:.3g}) m, beside the first file's points"
             )
+        check_poke(surface.points, surface.thickness, poke.depth, poke.tip.width)
     found = fit_pokes(
         surface,
         pokes,

@@ -8,7 +8,8 @@ from collections.abc import Callable, Sequence
 import rerun as rr
 
 from deformscope.frames import Item, Stream
-from deformscope.log.rig import Place, Shown, prepare_items
+from deformscope.log.rig import Batch, Place, Shown, prepare_items
+from deformscope.log.rig.plotted import visible_in
 from deformscope.log.rig.thinned import thinned
 
 
@@ -33,15 +34,17 @@ class LiveStream:
         self._items.setdefault(touch, []).extend(items)
         self._places[touch] = place  # the latest: it knows the most pictures
 
+    def send(self, batch: Batch) -> None:
+        """Show what of it is in a view: a page's time goes by the number of entities."""
+        batch.send(self.rec, visible_in(self._streams))
+
     def flush(self, *, timeout_sec: float) -> None:
         """Send what was gathered, and return once the viewer has all. Raises TimeoutError where that takes longer,
         another error where the viewer is gone."""
         for touch, items in sorted(self._items.items()):
             place = self._places[touch]
-            batch = prepare_items(
-                thinned(items), self._start_ns, self._streams, place=place, shown=self._shown, visible_only=True
-            )
-            batch.send(self.rec)
+            few = thinned(items)
+            self.send(prepare_items(few, self._start_ns, self._streams, (), place, self._shown, changes_only=True))
         self._items.clear()
         began = time.monotonic()
         try:

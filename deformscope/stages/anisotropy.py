@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,15 +12,16 @@ from scipy.stats import chi2
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
 from deformscope.stages import least_squares
-from deformscope.stages.calibrate import BETA_LIMIT, Model, Observation
-from deformscope.stages.estimate import Verdict, verdict
+from deformscope.stages.calibrate import BETA_LIMIT, Model, Observation, explained
+from deformscope.stages.estimate import Identifiability, Verdict, verdict
 from deformscope.stages.least_squares import Noise
 from deformscope.stages.msm.materials import AxisBeta
 from deformscope.stages.msm.solver import TOLERANCE, Msm
+from deformscope.stages.noise import independent, shared_over
 from deformscope.stages.search import Progress
 
-STARTS = 13
-"""Betas, the same along all axes, of which the best is where the search starts."""
+RANGE = np.linspace(0.0, -np.log1p(-0.99), 13)
+"""Values of -log(1 - beta): of these, the same along all axes, the best is where the search starts."""
 
 DIFFERENCE = 2e-3
 """Of -log(1 - beta), for derivatives."""
@@ -38,6 +40,7 @@ class AxisEstimate:
     axes: (d, d) columns; value: (d,); interval: (d, 2) at `level`; correlation: (d, d) of -log(1 - beta)
     verdict: (d,) of each, as for one beta; anisotropic: one beta for all axes is ruled out (p_isotropic below 1 %)
     beta: the best single one, and p_isotropic: how likely it leaves so much more error if it were true
+    identifiability: (d,) of each axis, its rise with the betas along the others as they are
     aee, aee_isotropic: average Euclidean error over all observed particles [unit] (Thesis eq. 3.18)
     """
 
@@ -47,6 +50,7 @@ class AxisEstimate:
     level: float
     correlation: FloatArray
     verdict: tuple[Verdict, ...]
+    identifiability: tuple[Identifiability, ...]
     anisotropic: bool
     p_isotropic: float
     beta: float
@@ -55,6 +59,11 @@ class AxisEstimate:
     noise: float
     converged: bool
     settings: dict[str, object]
+
+    @property
+    def explained(self) -> float:
+        """Share of the motion beyond a rigid one that the betas explain."""
+        return self.identifiability[0].explained
 
     def as_json(self) -> dict[str, object]:
         """The public form."""
@@ -77,6 +86,8 @@ class AxisEstimate:
             "aee_m": self.aee,
             "aee_isotropic_m": self.aee_isotropic,
             "noise_m": self.noise,
+            "explained": self.explained,
+            "identifiability": {"rise_sd": [one.rise for one in self.identifiability], "explained": self.explained},
             "converged": self.converged,
             "settings": self.settings,
         }
@@ -93,9 +104,10 @@ def fit_axes(
 ) -> AxisEstimate:
     """The betas along `axes` (d, d; default x, y, z) that leave the least squared error over all observations.
 
-    The intervals are Gaussian in -log(1 - beta), with the noise of observed and of measured prescribed positions, and
-    without a model's misfit: where the thing is no such body they are too narrow. A beta whose interval reaches 0 or
-    the upper end of the search is `at-bound`.
+    The intervals are Gaussian in -log(1 - beta), with the noise of observed and of measured prescribed positions;
+    errors that neighbours share, as those of a model that misfits are, widen them. The verdicts follow the rule of one
+    beta: `at-bound` where the interval reaches 0 or the upper end of the search, `unidentified` where it is wide, the
+    data do not rise over the range of that beta, or the betas explain too little of the motion.
     """
     d = seen[0].rest.shape[1]
     if any(s.rest.shape[1] != d for s in seen):
@@ -109,7 +121,7 @@ def fit_axes(
     note("one beta", 0, 2)
     top = float(-np.log1p(-BETA_LIMIT))
     one_bounds = np.array([[0.0, top]])
-    every = np.linspace(0.0, -np.log1p(-0.99), STARTS)[:, None]
+    every = RANGE[:, None]
     squares = np.sum((observed - fit.isotropic(every)) ** 2, axis=1)
     if not np.isfinite(squares).any():
         raise InputError("a simulation that settles", "none for any beta", "check what is held")
@@ -130,8 +142,14 @@ def fit_axes(
     p_isotropic = float(chi2.sf(excess, d - 1))
     converged = bool(best.converged and even.converged and np.isfinite(best.jacobian).all())
     deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    told = explained(seen, fit.positions(best))
+    identifiability = tuple(
+        Identifiability(rise, told, float(spread * np.exp(-at)), least_squares.deviation_of(best.residual, d))
+        for rise, spread, at in zip(fit.rises(best, noise), deviation, best.at, strict=True)
+    )
     verdicts = tuple(
-        verdict((float(low), float(high)), (0.0, BETA_LIMIT)) if converged else "unidentified" for low, high in ends
+        verdict((float(low), float(high)), (0.0, BETA_LIMIT), one) if converged else "unidentified"
+        for (low, high), one in zip(ends, identifiability, strict=True)
     )
     return AxisEstimate(
         axes=directions,
@@ -140,6 +158,7 @@ def fit_axes(
         level=level,
         correlation=covariance / np.outer(deviation, deviation),
         verdict=verdicts,
+        identifiability=identifiability,
         anisotropic=converged and p_isotropic < 1.0 - SURE,
         p_isotropic=p_isotropic,
         beta=float(-np.expm1(-even.at[0])),
@@ -195,7 +214,42 @@ class _AxisFit:
         beta = AxisBeta(-np.expm1(-best.at), self.axes)
         moved = self._relax(beta, shaken, HELD_REPEATS) - best.simulated
         moved = moved[np.isfinite(moved).all(axis=1)]
-        return least_squares.shared_noise(best.residual, len(best.at), moved, tried, least)
+        found = least_squares.shared_noise(best.residual, len(best.at), moved, tried, least)
+        return dataclasses.replace(found, shared=self._shared(best))
+
+    def _shared(self, best: least_squares.Minimum) -> float:
+        """How many times more a mean of the residuals varies than if neighbours shared no error: a misfit is shared."""
+        worth = count = 0.0
+        for s, j, body, one in zip(self.seen, self.judged, self.bodies, self.positions(best), strict=True):
+            points, residual = s.rest[j], (s.deformed - one)[j]
+            length = shared_over(points, residual, body.scale)
+            worth += independent(points, length) if length > 0.0 else len(points)
+            count += len(points)
+        return count / worth
+
+    def rises(self, best: least_squares.Minimum, noise: Noise) -> list[float]:
+        """By how many standard deviations the data tell each beta from the least likely one of its range, (d,)."""
+        d = len(best.at)
+        tried = np.repeat(best.at[None], d * len(RANGE), axis=0)
+        for k in range(d):
+            tried[k * len(RANGE) : (k + 1) * len(RANGE), k] = RANGE
+        square = np.zeros(len(tried))
+        for row, simulated in enumerate(self.along(tried)):
+            if np.isfinite(simulated).all():
+                away = simulated - best.simulated
+                more = float(np.sum((best.residual - away) ** 2)) - best.squares
+                square[row] = max(more, 0.0) / noise.variance_along(away)
+        return [float(np.sqrt(one)) for one in square.reshape(d, -1).max(axis=1)]
+
+    def positions(self, best: least_squares.Minimum) -> list[FloatArray]:
+        """(K, d) of every observation at the best betas; what was not judged is as it was seen."""
+        found, first = [], 0
+        for s, j in zip(self.seen, self.judged, strict=True):
+            position, size = s.deformed.copy(), int(j.sum()) * s.rest.shape[1]
+            position[j] = best.simulated[first : first + size].reshape(-1, s.rest.shape[1])
+            found.append(position)
+            first += size
+        return found
 
     def aee(self, simulated: FloatArray) -> float:
         """Average Euclidean error over all observed particles, the held ones, which have none, included."""

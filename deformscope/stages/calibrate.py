@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from deformscope.arrays import BoolArray
+from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.distance import distances, nearest_error, rigid_positions
+from deformscope.stages.distance import distances, explained_share, nearest_error, unexplained
 from deformscope.stages.dynamics import MovingSearch, Pace
 from deformscope.stages.estimate import (
     Comparison,
@@ -159,20 +159,21 @@ def identifiability(
     seen: Sequence[Observation], comparisons: Sequence[Comparison], inferred: Inferred
 ) -> Identifiability:
     """Whether the data can tell the parameter at all: see there."""
-    left = moved = 0.0
-    for s, c in zip(seen, comparisons, strict=True):
-        free = s.free_observed
-        known = s.observed | clusters.held_mask(len(s.rest), s.held)
-        rigid = rigid_positions(s.rest, s.deformed, known)
-        left += float(np.sum((c.simulated - s.deformed)[free] ** 2))
-        moved += float(np.sum((rigid - s.deformed)[free] ** 2))
-    size = max(float(np.ptp(s.rest, axis=0).max()) for s in seen)
     return Identifiability(
         rise=inferred.rise,
-        explained=1.0 - left / moved if moved > (1e-9 * size) ** 2 else 0.0,
+        explained=explained(seen, [c.simulated for c in comparisons]),
         deviation=inferred.posterior.deviation(),
         misfit=float(np.sqrt(np.mean([one.misfit() ** 2 for one in inferred.explanations]))),
     )
+
+
+def explained(seen: Sequence[Observation], simulated: Sequence[FloatArray]) -> float:
+    """Share of the motion beyond a rigid one that simulations (K, d) of all observations explain together."""
+    left = [
+        unexplained(s.rest, s.deformed, one, s.free_observed, s.observed | clusters.held_mask(len(s.rest), s.held))
+        for s, one in zip(seen, simulated, strict=True)
+    ]
+    return explained_share(left, max(float(np.ptp(s.rest, axis=0).max()) for s in seen))
 
 
 def _stiffness(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -23,6 +25,25 @@ def nearest_error(simulated: FloatArray, observed: FloatArray) -> float:
     """
     distance, _ = cKDTree(observed).query(simulated)
     return float(np.mean(distance))
+
+
+def unexplained(
+    rest: FloatArray, deformed: FloatArray, simulated: FloatArray, judged: BoolArray, known: BoolArray
+) -> tuple[float, float]:
+    """What a simulation leaves of a motion, and what the best rigid motion leaves of it: sums of squared distances over
+    the particles judged, [unit^2].
+
+    rest, deformed, simulated: (K, d); judged: (K,) free and seen; known: (K,) those whose deformed position is known
+    """
+    rigid = rigid_positions(rest, deformed, known)
+    return float(np.sum((simulated - deformed)[judged] ** 2)), float(np.sum((rigid - deformed)[judged] ** 2))
+
+
+def explained_share(left: Iterable[tuple[float, float]], size: float) -> float:
+    """Share of a motion beyond a rigid one that a simulation explains, from its parts (`unexplained`); 0 or less where
+    it explains nothing, and 0 where nothing deformed. size: of the body [unit]"""
+    by_model, by_rigid = np.sum(list(left), axis=0)
+    return float(1.0 - by_model / by_rigid) if by_rigid > (1e-9 * size) ** 2 else 0.0
 
 
 def rigid_positions(rest: FloatArray, deformed: FloatArray, fitted: BoolArray) -> FloatArray:

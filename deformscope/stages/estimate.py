@@ -20,8 +20,9 @@ IDENTIFIED_WIDTH, WEAK_WIDTH = 0.2, 0.7
 RISE_LEAST = 2.0
 """Standard deviations by which the data must tell the likeliest value from the least likely, to tell anything."""
 
-EXPLAINED_LEAST = 0.3
-"""Share of the non-rigid motion that a model must explain before its parameter means anything."""
+EXPLAINED_LEAST, EXPLAINED_LOW = 0.3, 0.6
+"""Share of the non-rigid motion that a model must explain before its parameter means anything, and below which so much
+is left that a warning goes with the parameter."""
 
 SHOWN = 121
 """Values of a posterior in the JSON."""
@@ -186,6 +187,11 @@ class Estimate:
     selection: tuple[Choice, ...] = ()
     selection_text: str = ""
 
+    @property
+    def explained(self) -> float | None:
+        """Share of the motion beyond a rigid one that the model explains; None where it was not judged."""
+        return None if self.identifiability is None else self.identifiability.explained
+
     def verdict_text(self) -> str:
         """The verdict in plain words."""
         low, high = self.interval
@@ -253,6 +259,7 @@ class Estimate:
                 "aee": [float(v) if math.isfinite(v) else None for v in aee],
                 "unit": "px" if metres is None else "m",
             },
+            "explained": self.explained,
             "converged": self.converged,
             "settings": self.settings,
         }
@@ -278,6 +285,14 @@ class Estimate:
         return found
 
 
+def explained_text(share: float) -> str:
+    """What share of a motion beyond a rigid one is explained, in plain words, with a warning where it is little."""
+    told = f"{max(share, 0.0):.0%} of the motion beyond a rigid one"
+    if share >= EXPLAINED_LOW:
+        return told
+    return f"{told}: LITTLE; wrong units, order or held particles, or a thing that this model does not describe"
+
+
 def verdict(
     ends: tuple[float, float], bounds: tuple[float, float], identifiability: Identifiability | None = None
 ) -> Verdict:
@@ -291,9 +306,14 @@ def verdict(
     return "identified" if width < IDENTIFIED_WIDTH else "weak"
 
 
-def relative_verdict(value: float, ends: tuple[float, float]) -> Verdict:
-    """The verdict on a positive quantity without bounds: its interval's width against its value."""
+def relative_verdict(value: float, ends: tuple[float, float], explained: float = 1.0) -> Verdict:
+    """The verdict on a positive quantity without bounds: its interval's width against its value.
+
+    explained: share of the motion that the model explains
+    """
     width = (ends[1] - ends[0]) / value
+    if explained < EXPLAINED_LEAST:
+        return "unidentified"
     return "identified" if width < IDENTIFIED_WIDTH else "weak" if width < WEAK_WIDTH else "unidentified"
 
 

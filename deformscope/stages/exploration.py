@@ -6,11 +6,16 @@ frame has x, y in the table's plane and z up.
 
 from __future__ import annotations
 
+import traceback
 from dataclasses import dataclass
 
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.errors import InputError
+
+DISPLAY = "display"
+"""The stage that shows results."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +42,7 @@ class TouchTold:
     modulus_pa: corrected for the tip and the layer, None = not told; depth_m, peak_force_n: of the dent
     beta, beta_interval, beta_verdict: of the MSM fitted to the dent, None = not fitted
     observed_m: (k, 3) raw points around the dent; simulated_m: (p, 3) particles of the fitted model there
+    usable: whether it has a stiffness: where its contact could not be fitted, all that comes from the fit is nan
     """
 
     number: int
@@ -58,17 +64,26 @@ class TouchTold:
     observed_m: FloatArray
     simulated_m: FloatArray
 
+    @property
+    def usable(self) -> bool:
+        return bool(np.isfinite(self.stiffness_n_per_mm))
+
 
 @dataclass(frozen=True, slots=True)
 class MapsKnown:
-    """The maps after a number of touches.
+    """The maps after a number of touches, and every number that is reported of them: terminal, JSON, panel, pictures
+    and replay take them from here.
 
     stiffness_n_per_mm: (rows, columns) median; stiffness_log_sd: of its logarithm
     beta, beta_sd: (rows, columns), None before two touches gave one
-    labels: (rows, columns) region of each cell, 0 the softest; label_probability: of that label; region_count
-    level_n_per_mm: (region_count,) stiffness of each region; of a rigid one a lower bound
-    verdict: "regions" or "gradual"; truth_labels: where it is known; truth_log_stiffness: likewise
+    labels: (rows, columns) region of each cell, 0 the softest, -1 without regions
+    label_probability: of that label, the doubt about the number of regions and about `gradual` included
+    region_count: 0 without regions; verdict: "regions" or "gradual"; probability: of verdict and region_count
+    level_n_per_mm: (region_count,) stiffness of each region; level_interval_n_per_mm: (region_count, 2) of 90 %
+    level_rigid: (region_count,) regions whose level is a lower bound, at which the interval begins; it is open above
     contacts_m: (n, 2) touches so far; tip_radius_m: of what touched
+    travel_m: over the surface, in straight lines from its corner (0, 0), where planning begins, from touch to touch
+    truth_labels: where it is known; iou, boundary_m: against it; boundary_m is None where one has no boundary
     """
 
     touches: int
@@ -81,19 +96,16 @@ class MapsKnown:
     label_probability: FloatArray
     region_count: int
     verdict: str
+    probability: float
+    level_n_per_mm: FloatArray
+    level_interval_n_per_mm: FloatArray
+    level_rigid: BoolArray
     contacts_m: FloatArray
     tip_radius_m: float
+    travel_m: float
     truth_labels: IntArray | None = None
     iou: float | None = None
-    level_n_per_mm: FloatArray | None = None
-    level_rigid: BoolArray | None = None
-
-    def level_words(self, region: int) -> str:
-        """A region's stiffness in words, without its unit; the fields' median where levels are not known."""
-        if self.level_n_per_mm is None or region >= len(self.level_n_per_mm):
-            return f"{np.median(self.stiffness_n_per_mm[self.labels == region]):.2g}"
-        rigid = self.level_rigid is not None and bool(self.level_rigid[region])
-        return f"{'> ' * rigid}{self.level_n_per_mm[region]:.2g}"
+    boundary_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +123,27 @@ class NextTouch:
     excluded: BoolArray
     reason: str
     stop_reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class StageFailed:
+    """A stage failed on one touch: the exploration goes on without what it would have given.
+
+    stage: surface, dent, contact, regions, beta, maps, beta field, plan or display; touch: from 1, 0 = before the first
+    reason: in one line; trace: where it failed, for whoever mends it
+    """
+
+    stage: str
+    touch: int
+    reason: str
+    trace: str
+
+    @classmethod
+    def of(cls, stage: str, touch: int, error: Exception) -> StageFailed:
+        """What an error says of itself."""
+        words = " ".join(str(error).split())
+        kind = "" if isinstance(error, InputError) else type(error).__name__ + ": " * bool(words)
+        return cls(stage, touch, kind + words, "".join(traceback.format_exception(error)))
 
 
 @dataclass(frozen=True, slots=True)

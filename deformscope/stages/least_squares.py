@@ -21,6 +21,9 @@ Simulate = Callable[[FloatArray], FloatArray]
 DAMPINGS = (0.0, 1e-3, 1e-1, 1e1)
 """Tried in every round, as shares of the derivatives' squares."""
 
+NOTHING = 1e-8
+"""A derivative this much smaller than the largest is of a parameter that does nothing."""
+
 ROUNDS = 25
 SETTLED = 1e-4
 """A step shorter than this, in every parameter, is the last."""
@@ -93,27 +96,36 @@ def minimise(
 class Noise:
     """What repeats of an observation would differ by.
 
-    deviation: of one observed number; held: (r, n) what the simulation would differ by in repeats of the prescribed
+    deviation: of one observed number; shared: how many times more the mean of all varies than if their errors were
+    independent (variances); held: (r, n) what the simulation would differ by in repeats of the prescribed
     positions' noise; none (0, n) where they are exact
     """
 
     deviation: float
     held: FloatArray
+    shared: float = 1.0
 
     def variance_along(self, direction: FloatArray) -> float:
         """Variance of the noise along a direction (n,) of any length."""
         size = float(direction @ direction)
         if size <= 0.0:
-            return self.deviation**2
+            return self.shared * self.deviation**2
         held = float(np.mean((self.held @ direction) ** 2)) / size if len(self.held) else 0.0
-        return self.deviation**2 + held
+        return self.shared * self.deviation**2 + held
 
     def covariance(self, jacobian: FloatArray) -> FloatArray:
-        """Covariance (m, m) of a least squares estimate with these derivatives (n, m)."""
-        inverse = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
-        moved = self.held @ jacobian @ inverse
-        held = moved.T @ moved / len(moved) if len(moved) else np.zeros_like(inverse)
-        return np.asarray(self.deviation**2 * inverse + held)
+        """Covariance (m, m) of a least squares estimate with these derivatives (n, m).
+
+        A parameter, or a combination of some, that changes nothing that was seen has a variance without bound, here a
+        very large one.
+        """
+        size = np.linalg.norm(jacobian, axis=0)
+        size = np.maximum(size, NOTHING * size.max(initial=0.0)) if size.any() else np.ones_like(size)
+        across, strength, along = np.linalg.svd(jacobian / size, full_matrices=False)
+        inverse = (along.T / np.maximum(strength, NOTHING)) / size[:, None]  # (m, m), of the directions `across`
+        held = self.held @ across @ inverse.T
+        own = self.shared * self.deviation**2 * inverse @ inverse.T
+        return np.asarray(own + held.T @ held / len(held) if len(held) else own)
 
 
 def shared_noise(residual: FloatArray, parameters: int, held: FloatArray, tried: float, least: float) -> Noise:

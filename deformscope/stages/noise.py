@@ -25,6 +25,7 @@ from typing import Literal
 
 import numpy as np
 from scipy.linalg import block_diag, eigh
+from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
@@ -62,6 +63,9 @@ SCALE_SPREAD = 1.0
 
 SCALE_LEAST = 0.05
 """Residuals this far below the stated noise are no sample of it (made-up or smoothed data): the statement stands."""
+
+NEIGHBOURS = 1.2
+"""Particles within this many spacings are neighbours."""
 
 PRODUCTS_AT_ONCE = 2_000_000
 """Numbers that the sizes of a field make at once."""
@@ -295,6 +299,24 @@ class ErrorModel:
         if pull:
             value -= np.log1p(-level / (np.sqrt(2.0 * np.pi) * SCALE_SPREAD))
         return Evidence(value + log_prior, t, bend**-0.5)
+
+
+def independent(points: FloatArray, length: float) -> float:
+    """How many independent values points (n, d) hold that share errors over a length (exponential correlation)."""
+    return float(len(points) ** 2 / np.exp(-cdist(points, points) / length).sum())
+
+
+def shared_over(points: FloatArray, residual: FloatArray, spacing: float) -> float:
+    """Length over which residuals (n, d) of points share errors, by the correlation of neighbours; 0 where noise alone
+    makes neighbours as alike, in 95 % of cases."""
+    pairs = cKDTree(points).query_pairs(NEIGHBOURS * spacing, output_type="ndarray")
+    square = float(np.mean(residual**2))
+    if not len(pairs) or square <= 0.0:
+        return 0.0
+    near = float(np.mean(residual[pairs[:, 0]] * residual[pairs[:, 1]])) / square
+    near -= 1.645 / np.sqrt(len(pairs) * residual.shape[1])
+    apart = float(np.mean(np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)))
+    return apart / -float(np.log(min(near, 0.95))) if near > 0.0 else 0.0
 
 
 def correlation(field: int, scaled_distance: FloatArray) -> FloatArray:

@@ -113,25 +113,28 @@ def plan_touch(
     options: PlanOptions,
     *,
     tip_m: FloatArray | None = None,
+    left_out_m: FloatArray | None = None,
     reachable: BoolArray | None = None,
     seed: int = 0,
 ) -> Plan:
     """Where to touch next.
 
-    tip_m: (2,) where the tip is now, default the last touch, else the surface's corner [m]; reachable: (rows, columns)
-    of `posterior.grid`; seed: of the random planner
+    tip_m: (2,) where the tip is now, default the last touch, else the surface's corner [m]
+    left_out_m: (n, 2) touches that gave nothing: they count for the budget, and are not made again at their places
+    reachable: (rows, columns) of `posterior.grid`; seed: of the random planner
     """
     grid = MapGrid(posterior.grid.size_m, options.cell_m)
     places = grid.centres_m
     touched = np.array([touch.xy_m for touch in posterior.touches]).reshape(-1, 2)
+    made = touched if left_out_m is None else np.concatenate([touched, left_out_m])
     tip = tip_m if tip_m is not None else touched[-1] if len(touched) else np.zeros(2)
-    excluded = _excluded(places, touched, posterior.grid, reachable, options)
+    excluded = _excluded(places, made, posterior.grid, reachable, options)
     cost = options.touch_s + np.hypot(*(places - tip).T) / options.speed_m_s
     variance = _variance(kernel, touched, places)
     allowed = excluded == ALLOWED
     with threadpool_limits(1):
         gain, unit, score = _gain(posterior, kernel, options, places, allowed, touched, variance, cost, seed)
-    stop = _stop(posterior, options, gain, unit, variance[allowed] / kernel.sd**2)
+    stop = _stop(posterior, options, len(made), gain, unit, variance[allowed] / kernel.sd**2)
 
     target, reason = None, f"stopped: {stop}"
     if allowed.any():
@@ -338,10 +341,10 @@ def _region_gain(posterior: RegionPosterior, noise_sd: float, places: FloatArray
 
 
 def _stop(
-    posterior: RegionPosterior, options: PlanOptions, gain: FloatArray, unit: str, variance: FloatArray
+    posterior: RegionPosterior, options: PlanOptions, made: int, gain: FloatArray, unit: str, variance: FloatArray
 ) -> StopReason | None:
     """Why no further touch is made. While the number of regions is in doubt, only the budget and the reach end it."""
-    if len(posterior.touches) >= options.budget:
+    if made >= options.budget:
         return "budget"
     if not np.isfinite(gain).any():
         return "nowhere to go"

@@ -16,7 +16,8 @@ from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages import least_squares
 from deformscope.stages.calibrate import BETA_LIMIT, Model, Observation
-from deformscope.stages.estimate import IDENTIFIED_WIDTH, WEAK_WIDTH, Verdict
+from deformscope.stages.distance import explained_share, unexplained
+from deformscope.stages.estimate import relative_verdict
 from deformscope.stages.least_squares import Minimum, Noise
 from deformscope.stages.motion import Motion
 from deformscope.stages.msm.materials import Plasticity
@@ -83,8 +84,8 @@ def fit_yield(motion: Motion, options: YieldOptions | None = None, progress: Pro
 
     The interval of the yield strain holds every value whose squared error, with beta and creep at their best, exceeds
     the least by no more than noise does in `level` of all repeats. It is open above, and the verdict `unidentified`,
-    where an elastic body is not ruled out at 99 %. Noise: of observed and of prescribed positions, without a misfit of
-    the model.
+    where an elastic body is not ruled out at 99 %; `unidentified` too where the model explains too little of the
+    motion. Noise: of observed and of prescribed positions, without a misfit of the model.
     """
     options = options or YieldOptions()
     fit = _YieldFit(motion, options)
@@ -125,16 +126,17 @@ def fit_yield(motion: Motion, options: YieldOptions | None = None, progress: Pro
         None if open_ or high is None else max(high, value * (1.0 + SETTLED)),
     )
     converged = bool(best.converged and np.isfinite(best.jacobian).all())
-    width = np.inf if high_end is None else (high_end - low) / value
-    verdict: Verdict = "identified" if width < IDENTIFIED_WIDTH else "weak" if width < WEAK_WIDTH else "unidentified"
+    simulated = fit.history(best.at)
+    explained = fit.explained(simulated)
+    verdict = relative_verdict(value, (low, np.inf if high_end is None else high_end), explained)
     if verdict != "unidentified" and value <= LEAST_SHARE * largest * 1.001:
         verdict = "at-bound"
     covariance = noise.covariance(best.jacobian)
     half = least_squares.half_width(covariance, options.level, observed.size - len(best.at))
-    simulated = fit.history(best.at)
     return YieldEstimate(
         yield_strain=Parameter(value, (low, high_end)),
         verdict=verdict if converged else "unidentified",
+        explained=explained,
         beta=fit.beta(best, half),
         creep=fit.creep(best, half),
         level=options.level,
@@ -402,6 +404,15 @@ class _YieldFit:
         """Root mean square distance of two states (K, d) of the last frame, at its free particles."""
         free = ~self.motion.held[-1]
         return float(np.sqrt(np.mean(np.sum((one - other)[free] ** 2, axis=1))))
+
+    def explained(self, states: FloatArray) -> float:
+        """Share of the motion beyond a rigid one that states (T, K, d) explain."""
+        motion = self.motion
+        left = [
+            unexplained(motion.rest, seen, state, judged, judged | held)
+            for seen, state, judged, held in zip(motion.position, states, self.judged, motion.held, strict=True)
+        ]
+        return explained_share(left, self.body.extent)
 
     def aee(self, simulated: FloatArray) -> float:
         """Average Euclidean error over all observed particles of all frames, held ones included."""

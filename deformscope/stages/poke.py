@@ -7,6 +7,7 @@ stiffness times the reaction at the touched particles.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -156,12 +157,13 @@ def press(
     poke: Poke,
     *,
     stiffness: float | None = None,
+    deepest: float = np.inf,
     precision: Precision = "float64",
     device: str = "cpu",
 ) -> Pressed:
     """The static state under a poke. With a force, `stiffness` k [N/m] tells how deep it goes.
 
-    poke.at: (d,) a point on the tip's axis
+    poke.at: (d,) a point on the tip's axis; deepest: depth [m] at which the search for that of a force is given up
     Each round relaxes the body with the touched particles held, lets those that slip go to where nothing pulls them
     sideways, drops from under a round tip what the tip would pull at and adds what it has reached, and corrects the
     depth until the force is as asked.
@@ -180,7 +182,7 @@ def press(
     gap = np.where(reached, rise + level, np.inf)
     gap -= gap.min()
     depth = poke.depth if poke.depth is not None else 0.02 * scene.spacing
-    solve = _Contact(scene, law, poke, gap, stiffness, precision, device)
+    solve = _Contact(scene, law, poke, gap, stiffness, deepest, precision, device)
     return solve.run(depth)
 
 
@@ -244,10 +246,11 @@ class _Contact:
         poke: Poke,
         gap: FloatArray,
         stiffness: float | None,
+        deepest: float,
         precision: Precision,
         device: str,
     ) -> None:
-        self.scene, self.law, self.poke, self.gap = scene, law, poke, gap
+        self.scene, self.law, self.poke, self.gap, self.deepest = scene, law, poke, gap, deepest
         self.stiffness, self.precision, self.device = stiffness, precision, device
         self.round_tip = bool((gap[np.isfinite(gap)] > 1e-6 * scene.spacing).any())
 
@@ -281,6 +284,8 @@ class _Contact:
                 factor = float(np.clip(share, 0.02, 50.0)) ** (2.0 / 3.0 if self.round_tip else 1.0)
                 depth *= factor
                 slide *= factor
+                if depth >= self.deepest:
+                    return dataclasses.replace(found, depth=depth, converged=False)
                 position = scene.rest + factor * (position - scene.rest)
         return found
 

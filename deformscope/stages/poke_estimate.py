@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
-from scipy.spatial.distance import cdist
 from scipy.special import logsumexp
 
 from deformscope.arrays import FloatArray
@@ -25,6 +24,7 @@ from deformscope.stages.estimate import (
     verdict,
 )
 from deformscope.stages.fitted import FittedModel, Rival
+from deformscope.stages.noise import independent
 from deformscope.stages.poke import Law, Tip
 from deformscope.stages.poke_fit import DOWN, PokesFit, PosedPoke
 from deformscope.stages.stiffness_field import fit_field
@@ -286,11 +286,11 @@ class Profile:
         beta, law = self._beta_of(fine), self.fit.best.law
         thetas = np.linspace(0.0, 1.0, THETAS) if self.by_theta is not None else np.array([law.theta])
         squares = np.zeros((len(thetas), FINE))
-        independent = 0.0  # values that tell something by themselves
+        values = 0.0  # that tell something by themselves
         for place, one in enumerate(self.fit.posed):
             along = CubicSpline(self.stretched, self.residual[place], axis=0)(fine)
-            patches = _independent(one.places, one.poke.misfit_over or one.poke.tip.width)
-            independent += one.poke.components * patches / len(self.fit.posed)
+            patches = independent(one.places, one.poke.misfit_over or one.poke.tip.width)
+            values += one.poke.components * patches / len(self.fit.posed)
             for row, theta in enumerate(thetas):
                 shifted = along
                 if self.by_theta is not None and law.beta > 0.0:
@@ -299,7 +299,7 @@ class Profile:
                 squares[row] += np.mean(np.sum(shifted**2, axis=2), axis=1) / one.poke.depth**2
         squares += NUMERICS**2
         # Gaussian errors of unknown size: its integral leaves a power of the sum of squares
-        value = logsumexp(-0.5 * independent * np.log(squares), axis=0)
+        value = logsumexp(-0.5 * values * np.log(squares), axis=0)
         density = np.exp(value - value.max())
         density /= np.trapezoid(density, beta)
         return Posterior(beta, density), float(np.sqrt(2.0 * (value.max() - value.min())))
@@ -313,11 +313,6 @@ def values_beside(at: float, low: float, high: float) -> FloatArray:
     inner = values[(values > low + next_to) & (values < high - next_to)]
     ends = [end for end, there in ((low, values[0] <= low + next_to), (high, values[-1] >= high - next_to)) if there]
     return np.sort(np.concatenate([inner, ends]))
-
-
-def _independent(points: FloatArray, length: float) -> float:
-    """How many independent values points (n, d) hold that share errors over a length (exponential correlation)."""
-    return float(len(points) ** 2 / np.exp(-cdist(points, points) / length).sum())
 
 
 def _stiffness(
@@ -379,6 +374,8 @@ def _model(fit: PokesFit, provenance: Mapping[str, object]) -> FittedModel:
         left_out=field.left_out if field is not None else np.zeros(0),
         surface_error=float(np.sqrt(np.mean(fit.best.surface_error**2))),
         held_out=float(np.sqrt(np.mean(held_out**2))) if np.isfinite(held_out).all() else float("nan"),
+        fitted_depth=max(poke.depth for poke in fit.pokes),
+        fitted_strain=max(poke.depth / poke.tip.width for poke in fit.pokes),
         rivals=tuple(rivals),
         provenance=provenance,
     )

@@ -70,13 +70,15 @@ class RegionMap:
     """What the touches say of the whole surface, arrays (rows, columns) of the grid.
 
     verdict: "gradual" where a smooth field explains the touches better than regions
-    region_count: k, the most probable number of regions; probability: of 1, 2, 3 regions and "gradual"
-    labels: 0 (softest) to k - 1; label_probability: (k, rows, columns)
+    region_count: k, the most probable number of regions, 0 where the verdict is "gradual"
+    probability: of 1, 2, 3 regions and "gradual"
+    labels: 0 (softest) to k - 1; -1 everywhere without regions
+    label_probability: that the verdict is right, the number of regions too, and so is the cell's label
     level, level_sd: (k,) log stiffness of each region; level_interval: (k, 2) of 90 %; rigid: (k,) regions for which
-    the level is a lower bound, whose interval is open above
+    the level is a lower bound, the highest of their touches', at which the interval begins; it is open above
     field, field_sd: log stiffness at every cell, over all hypotheses
-    wrong_share: share of the surface that is expected to have a wrong label, given k; boundary_sd_m: the same as a
-    distance from the boundary; nan without one
+    wrong_share: share of the surface that is expected to have a wrong label, given k; nan without regions
+    boundary_sd_m: the same as a distance from the boundary; nan without one
     """
 
     grid: MapGrid
@@ -175,7 +177,7 @@ class RegionPosterior:
 
     @property
     def region_count(self) -> int:
-        """The most probable number of regions, "gradual" left aside."""
+        """The most probable number of regions, were it regions."""
         return int(np.argmax([self.probability[str(k)] for k in range(1, MOST_REGIONS + 1)])) + 1
 
     @property
@@ -224,16 +226,22 @@ class RegionPosterior:
             mean += share * here
             square += share * (here**2 + variance)
 
+        log_stiffness = mean.reshape(self.grid.shape)
+        log_stiffness_sd = np.sqrt(np.maximum(square - mean**2, 0.0)).reshape(self.grid.shape)
+        if self.verdict == "gradual":
+            return self._without_regions(log_stiffness, log_stiffness_sd)
         rng = np.random.default_rng((self.seed, len(self.touches)))
         sd = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
         drawn = (level[:, None] + sd[:, None] * rng.standard_normal((len(level), 4000 // len(level) + 1, k))).reshape(
             -1, k
         )
         labels = probability.argmax(axis=0).reshape(self.grid.shape)
-        rigid = self._rigid_regions(labels, drawn.mean(axis=0))
+        mean_level = drawn.mean(axis=0)
+        rigid = self._rigid_regions(labels, mean_level)
         interval = np.quantile(drawn, [0.05, 0.95], axis=0).T
-        interval[rigid, 1] = np.inf
-        wrong = float(1.0 - probability.max(axis=0).mean())
+        mean_level[rigid], interval[rigid] = self._rigid_bound, (self._rigid_bound, np.inf)
+        right = probability.max(axis=0)
+        wrong = float(1.0 - right.mean())
         edge_m = self.grid.cell_m * _edges(labels)
         area = self.grid.size_m[0] * self.grid.size_m[1]
         return RegionMap(
@@ -242,28 +250,52 @@ class RegionPosterior:
             k,
             self.probability,
             labels,
-            probability.reshape(k, *self.grid.shape),
-            drawn.mean(axis=0),
+            self.probability[str(k)] * right.reshape(self.grid.shape),
+            mean_level,
             drawn.std(axis=0),
             interval,
             rigid,
-            mean.reshape(self.grid.shape),
-            np.sqrt(np.maximum(square - mean**2, 0.0)).reshape(self.grid.shape),
+            log_stiffness,
+            log_stiffness_sd,
             wrong,
             wrong * area / edge_m if edge_m else np.nan,
         )
+
+    def _without_regions(self, field: FloatArray, field_sd: FloatArray) -> RegionMap:
+        """The map of a stiffness that changes smoothly."""
+        shape, none = self.grid.shape, np.zeros(0)
+        return RegionMap(
+            self.grid,
+            "gradual",
+            0,
+            self.probability,
+            np.full(shape, -1),
+            np.full(shape, self.probability["gradual"]),
+            none,
+            none,
+            np.zeros((0, 2)),
+            np.zeros(0, dtype=bool),
+            field,
+            field_sd,
+            np.nan,
+            np.nan,
+        )
+
+    @property
+    def _rigid_bound(self) -> float:
+        """The highest lower bound of log stiffness that rigid touches give; inf without one."""
+        return max((touch.log_stiffness for touch in self.touches if touch.rigid), default=np.inf)
 
     def _rigid_regions(self, labels: IntArray, level: FloatArray) -> BoolArray:
         """(k,) regions with a rigid touch whose level stands at its bound: softer touches in them are those that a
         boundary explains."""
         rows, columns = self.grid.shape
         rigid = np.zeros(len(level), dtype=bool)
-        bound = max((touch.log_stiffness for touch in self.touches if touch.rigid), default=np.inf)
         for touch in self.touches:
             if touch.rigid:
                 column, row = np.clip((touch.xy_m / self.grid.cell_m).astype(int), 0, [columns - 1, rows - 1])
                 rigid[labels[row, column]] = True
-        return rigid & (level > bound - 2.0 * self.prior.rigid_sd)
+        return rigid & (level > self._rigid_bound - 2.0 * self.prior.rigid_sd)
 
     def _draw(self, one: _Particles, count: int, readings: _Readings) -> tuple[Partitions, FloatArray, FloatArray]:
         """`count` maps in proportion to their weights, their levels and covariances."""

@@ -1,7 +1,8 @@
 """Stiffness over a surface, from what a few pokes met: one value, a few materials with borders, or a gradual field.
 
 Which of the three describes the pokes is decided by leaving each poke out and predicting it from the others; the
-simpler one stands unless the next is clearly better.
+simpler one stands unless the next is clearly better, or a poke excludes it: a field that is as wrong at one of its own
+pokes as noise cannot be is no description of them, however well it predicts the others.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+from scipy.spatial.distance import cdist
+from scipy.special import softmax
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 from sklearn.svm import SVC
@@ -26,8 +29,15 @@ MATERIALS_APART = float(np.log(1.22))
 BETTER = 0.8
 """A richer field must bring the error on pokes left out below this share of the simpler one's."""
 
+EXCLUDED = 0.3
+"""A field whose log stiffness differs from that of one of its pokes by more than this is excluded by it: nearly four
+times the noise of 8 % a touch."""
+
 POKE_NOISE = 0.05
 """Scatter of log stiffness from poke to poke that a gradual field need not follow."""
+
+LENGTHS = (0.12, 0.25, 0.5, 1.0, 2.0)
+"""Over which a gradual field may change, as shares of the extent of the pokes."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +57,30 @@ class StiffnessField:
         """Stiffness (n,) [N/m] at places (n, 2)."""
         return np.exp(FITS[self.kind](self.places, np.log(self.stiffness))(np.atleast_2d(place)))
 
+    def deviation(self, place: FloatArray) -> FloatArray:
+        """Standard deviation of the logarithm of the stiffness (n,) at places (n, 2).
+
+        The pokes around a place say how far off the field is that does not know them; that error was made as far away
+        as their nearest neighbours are, and nearer to a poke it is smaller in proportion, down to what the field misses
+        the pokes by that it knows. One poke alone says nothing.
+        """
+        away = cdist(np.atleast_2d(place), self.places)
+        if len(self.places) == 1:
+            return np.full(len(away), POKE_NOISE)
+        between = float(np.median(np.sort(cdist(self.places, self.places), axis=1)[:, 1]))
+        if between <= 0.0:
+            between = float(np.ptp(self.places, axis=0).max()) or 1.0
+        weight = softmax(-0.5 * (away / between) ** 2, axis=1)
+        around, here = (
+            weight @ np.log1p(self.left_out) ** 2,
+            weight @ np.log(self.at(self.places) / self.stiffness) ** 2,
+        )
+        share = np.minimum(away.min(axis=1) / between, 1.0)
+        return np.asarray(np.sqrt(np.maximum(POKE_NOISE**2, here) + share**2 * around))
+
 
 def fit_field(places: FloatArray, stiffness: FloatArray) -> StiffnessField:
-    """The field that predicts each poke from the others best.
+    """The field that predicts each poke from the others best, among those that no poke excludes.
 
     Raises InputError for stiffness that is not above 0.
     """
@@ -59,9 +90,14 @@ def fit_field(places: FloatArray, stiffness: FloatArray) -> StiffnessField:
     value = np.log(stiffness)
     if count == 1:
         return StiffnessField(places, stiffness, "uniform", np.full(1, np.nan))
-    best: FieldKind = "uniform"
-    errors = {kind: _left_out(fit, places, value) for kind, fit in FITS.items() if count > FEWEST[kind]}
-    for kind in errors:
+    left: list[FieldKind] = [
+        kind
+        for kind, fit in FITS.items()
+        if count > FEWEST[kind] and np.abs(fit(places, value)(places) - value).max() <= EXCLUDED
+    ]
+    best, *richer = left or ["gradual"]
+    errors = {kind: _left_out(FITS[kind], places, value) for kind in (best, *richer)}
+    for kind in richer:
         if np.mean(np.abs(errors[kind])) < BETTER * np.mean(np.abs(errors[best])):
             best = kind
     return StiffnessField(places, stiffness, best, np.expm1(errors[best]))
@@ -111,7 +147,7 @@ def _gradual(places: FloatArray, value: FloatArray) -> Fitted:
     size = float(np.ptp(places, axis=0).max()) or 1.0
     spread = max(float(np.var(value)), POKE_NOISE**2)
     found: list[tuple[float, Any]] = []
-    for share in (0.25, 0.5, 1.0, 2.0):
+    for share in LENGTHS:
         kernel = ConstantKernel(spread) * Matern(share * size, nu=1.5)
         process = GaussianProcessRegressor(kernel, alpha=POKE_NOISE**2, optimizer=None)
         process.fit(places, value - value.mean())

@@ -23,7 +23,9 @@ class YieldEstimate:
 
     yield_strain: |S - I|_2 above which it flows; where the verdict is `unidentified` its interval has no upper end:
     no yield strain above the lower one contradicts the motion
-    verdict: by the interval's width over the value (`identified` below 0.2, `weak` below 0.7)
+    verdict: by the interval's width over the value (`identified` below 0.2, `weak` below 0.7); `unidentified` too where
+    too little is explained
+    explained: share of the motion beyond a rigid one that the model explains (sums of squares; free particles)
     largest_strain: that any cluster would have seen had nothing yielded
     set: root mean square distance between the last frame simulated with and without yielding, at its free particles
     deviation, elastic_deviation: root mean square of a coordinate's residual, at the best and without yielding
@@ -34,6 +36,7 @@ class YieldEstimate:
 
     yield_strain: Parameter
     verdict: Verdict
+    explained: float
     beta: Parameter
     creep: Parameter | None
     level: float
@@ -63,6 +66,7 @@ class YieldEstimate:
             **(told(self.yield_strain) or {}),
             "level": self.level,
             "verdict": self.verdict,
+            "explained": self.explained,
             "beta": told(self.beta),
             "creep_per_s": told(self.creep),
             "largest_strain": self.largest_strain,

@@ -36,6 +36,7 @@ command_deadline_s = 0.5
 [devices.tip]
 driver = "optoforce"
 double = true
+bus = "socketcan:can0"
 rate_hz = 1000
 [devices.depth]
 driver = "depth_camera"

@@ -64,6 +64,53 @@ def test_a_poke_is_predicted_with_particles_and_force(folder: Path, capsys: pyte
     assert picture.read_bytes()[:4] == b"\x89PNG"
 
 
+def test_nonsense_is_refused_and_what_is_beyond_the_fit_is_said(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = str(folder / "model.npz")
+    for poke, said in (
+        ("at=0.09,0.08 depth=3", "try: depths are in metres"),
+        ("at=0.09,0.08 force=500", "got 500 N, which would press the tip through"),
+        ("at=0.09,0.08 tip=flat size=30x30 depth=0.002", "a tip in metres"),
+    ):
+        assert main(["predict", model, "--poke", poke]) == 2
+        refusal = capsys.readouterr().err
+        assert said in refusal
+        assert len(refusal.splitlines()) == 1
+    assert main(["predict", model, "--poke", "at=0.09,0.08 depth=0.004"]) == 0
+    assert "BEYOND what was fitted: 4 mm deep, fitted to 2 mm" in capsys.readouterr().out
+    assert main(["predict", model, "--poke", "at=0.09,0.08 depth=0.002", "--json", "-"]) == 0
+    assert json.loads(capsys.readouterr().out)["predictions"][0]["extrapolated"] == []
+
+
+def test_a_range_that_ends_close_above_beta_is_fitted(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The ends of the range are next to the best value on both sides."""
+    flags = ["--thickness-m", str(THICKNESS), "--spacing-m", str(SPACING), "--cluster-size", "3", "--viewer", "none"]
+    args = ["calibrate", "beta", str(folder / "poke.npz"), *flags, "--theta", "0.7", "--json", "-"]
+    assert main([*args, "--beta-range", "0.3,0.5"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["value"] == pytest.approx(0.45, abs=0.03)
+    assert told["bounds"] == [0.3, 0.5]
+    assert told["explained"] > 0.99
+
+
+def test_pokes_in_other_units_are_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with np.load(folder / "poke.npz") as file:
+        found = dict(file)
+    flags = ["--viewer", "none"]
+    for name, change, said in (
+        ("mm", {"rest": 1e3 * found["rest"], "deformed": 1e3 * found["deformed"]}, "expected positions in metres"),
+        ("mixed", {"deformed": 1e3 * found["deformed"]}, "in the unit of rest"),
+    ):
+        np.savez(folder / f"{name}.npz", **(found | change))
+        assert main(["calibrate", "beta", str(folder / f"{name}.npz"), "--thickness-m", "0.03", *flags]) == 2
+        assert said in capsys.readouterr().err
+    assert main(["calibrate", "beta", str(folder / "poke.npz"), "--thickness-m", "30", *flags]) == 2
+    assert "a thickness in metres" in capsys.readouterr().err
+    assert main(["calibrate", "beta", str(folder / "poke.npz"), "--thickness-m", "0.001", *flags]) == 2
+    assert "less deep than the 1 mm" in capsys.readouterr().err
+
+
 def test_points_of_the_users_own_are_told_too(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     points = np.array([[0.09, 0.08, THICKNESS], [0.123, 0.081, THICKNESS]])
     np.savez(folder / "points.npz", points=points)

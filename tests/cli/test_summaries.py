@@ -118,7 +118,14 @@ def test_pokes_have_their_table(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert found["identifiability"]["misfit_m"] == pytest.approx(share * 0.002 / np.sqrt(3))  # in metres, as it says
     assert record.exists()
     assert f"{record} (" in capsys.readouterr().out  # and not the name that it had while it was written
-    for said in ("place x, y [m]", "0.05, 0.06", "0.07, 0.06", "Cluster sizes tried", "N/m", "poke1.npz"):
+    for said in (
+        "middle of the touched points x, y [m]",
+        "0.05, 0.06",
+        "0.07, 0.06",
+        "Cluster sizes tried",
+        "N/m",
+        "poke1.npz",
+    ):
         assert said in page.words
 
 

@@ -28,7 +28,7 @@ def told(labels: np.ndarray, level: tuple[float, ...] = (0.0, 1.0)) -> RegionMap
         count,
         {str(count): 1.0},
         labels,
-        np.stack([labels == region for region in range(count)]).astype(float),
+        np.ones(labels.shape),
         levels,
         np.full(count, 0.06),
         np.stack([levels - 0.1, levels + 0.1], axis=1),
@@ -104,13 +104,23 @@ def test_rigid_is_found_by_its_flag_and_left_out_of_field_and_levels() -> None:
 
 
 def test_a_gradual_verdict_calls_no_regions() -> None:
-    gradual = replace(told(halves(5)), verdict="gradual")
+    gradual = replace(
+        told(halves(5)),
+        verdict="gradual",
+        region_count=0,
+        labels=np.full((4, 10), -1),
+        level=np.zeros(0),
+        level_interval=np.zeros((0, 2)),
+        rigid=np.zeros(0, dtype=bool),
+    )
     smooth = TrueMap(None, np.zeros(0), np.zeros(0, dtype=bool), halves(5) + 0.05)
 
     assert not called_labels(gradual).any()
     assert not score_map(gradual, truth(halves(5))).right
+    assert score_map(gradual, truth(halves(5), rigid=(1,))).rigid_found is False
     score = score_map(gradual, smooth)
     assert score.right
+    assert score.region_count == 0
     assert score.iou is None
     assert score.field_rms == pytest.approx(0.05)
     assert not score_map(told(halves(5)), smooth).right

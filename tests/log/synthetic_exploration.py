@@ -103,6 +103,8 @@ def maps(touches: int, truth: bool = True) -> MapsKnown:
     labels = (edge < X).astype(np.int64) if found else np.zeros_like(TRUTH)
     share = 1 / (1 + np.exp(-(X - edge) / (0.16 / touches)))
     log_stiffness = np.log(SOFT) + np.log(FIRM / SOFT) * (share if found else 0 * share)
+    count = 1 + found
+    levels = np.array([SOFT, FIRM])[:count]
     both = [((labels == label), np.equal(TRUTH, label)) for label in (0, 1)]
     values = [np.mean(one & other) / np.mean(one | other) for one, other in both]
     return MapsKnown(
@@ -114,12 +116,33 @@ def maps(touches: int, truth: bool = True) -> MapsKnown:
         beta_sd=0.3 * log_sd if found else None,
         labels=labels,
         label_probability=np.maximum(share, 1 - share) if found else np.ones_like(share),
-        region_count=1 + found,
+        region_count=count,
         verdict="regions",
+        probability=0.93,
+        level_n_per_mm=levels,
+        level_interval_n_per_mm=levels[:, None] * [0.9, 1.1],
+        level_rigid=np.zeros(count, dtype=bool),
         contacts_m=CONTACTS_M[:touches].copy(),
         tip_radius_m=TIP_M,
+        travel_m=0.31 * touches,
         truth_labels=TRUTH if truth else None,
         iou=float(np.mean(values)) if truth else None,
+        boundary_m=0.012 if truth and found else None,
+    )
+
+
+def gradual(touches: int) -> MapsKnown:
+    """A map without regions."""
+    known = maps(touches, truth=False)
+    none = np.zeros(0)
+    return dataclasses.replace(
+        known,
+        labels=np.full_like(known.labels, -1),
+        region_count=0,
+        verdict="gradual",
+        level_n_per_mm=none,
+        level_interval_n_per_mm=np.zeros((0, 2)),
+        level_rigid=none.astype(bool),
     )
 
 
@@ -158,3 +181,11 @@ def story() -> Iterator[tuple[float, int, object]]:
 
 def rigid_touch(number: int) -> TouchTold:
     return dataclasses.replace(touch(number), rigid=True, modulus_pa=None, stiffness_interval=(21.0, np.inf))
+
+
+def unusable_touch(number: int) -> TouchTold:
+    """Its contact could not be fitted."""
+    nan = float("nan")
+    told = dataclasses.replace(touch(number), contact_m=nan, stiffness_n_per_mm=nan, stiffness_interval=(nan, nan))
+    unfitted = np.full_like(told.fitted_n, nan)
+    return dataclasses.replace(told, depth_m=nan, modulus_pa=None, beta=None, beta_interval=None, fitted_n=unfitted)

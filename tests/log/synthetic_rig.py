@@ -143,7 +143,16 @@ def health(time_s: float) -> HealthReport:
         (
             (
                 "fingertip",
-                Health(Link.CONNECTED, "", int(1000 * time_s), 3, 0, 12, {"checksum": 2}, 1, 0, 999.7, 0.0013),
+                Health(
+                    Link.CONNECTED,
+                    received=int(1000 * time_s),
+                    lost=3,
+                    skipped_bytes=12,
+                    refused={"checksum": 2},
+                    resyncs=1,
+                    rate_hz=999.7,
+                    age_s=0.0013,
+                ),
             ),
             ("skin", Health(Link.CONNECTED, received=int(12 * time_s), rate_hz=11.7, age_s=0.04, clock=clock)),
             (

@@ -21,7 +21,7 @@ from deformscope.log.exploration.summary import summary
 from deformscope.log.rig import Place, log_streams, prepare_items
 from deformscope.recorder import Recorder
 from deformscope.rig_replay import read_items
-from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, Stopped, TouchTold
+from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, StageFailed, Stopped, TouchTold
 from tests.log import synthetic_exploration as synthetic
 from tests.log import synthetic_rig as rig
 from tests.log.test_rig import assert_same, cells, order, same
@@ -73,6 +73,7 @@ def test_results_come_back_equal_to_the_last_bit(tmp_path: Path) -> None:
         *((round(at * 1e9), touch, [result]) for at, touch, result in synthetic.story() if at < 6.9),
         (7_500_000_001, 2, [synthetic.touch(1), synthetic.maps(2, truth=False), synthetic.plan(2)]),
         (60_000_000_000, 8, [synthetic.rigid_touch(7), synthetic.plan(8)]),
+        (61_000_000_000, 9, [synthetic.gradual(8), StageFailed("beta", 9, "ValueError: x", "Traceback\n...")]),
     ]
     record(tmp_path / "run.rrd", told)
     found = back(tmp_path / "run.rrd")
@@ -290,15 +291,45 @@ def test_why_it_was_stopped_is_data_a_line_of_text_and_a_red_state(tmp_path: Pat
 def test_a_summary_tells_regions_or_that_there_are_none() -> None:
     maps = synthetic.maps(8)
     told = summary(maps)
-    assert told.startswith("# 2 regions")
-    assert f"**{maps.iou:.2f}**" in told
+    assert told.startswith("# 2 regions (probability 0.93)")
+    assert f"**IoU {maps.iou:.3f}**" in told
     assert told.count("\n| ") == 4
     areas = [int(line.split("|")[3]) for line in told.splitlines()[-2:]]
     assert sum(areas) == pytest.approx(60 * 40, abs=1)
-    gradual = summary(dataclasses.replace(maps, verdict="gradual", iou=None))
-    assert "no regions" in gradual
+    gradual = summary(synthetic.gradual(8))
+    assert "# Gradual: no regions" in gradual
     assert "IoU" not in gradual
     assert "| region |" not in gradual
+
+
+def test_the_sure_cells_of_a_panel_count_the_doubt_about_the_number_of_regions() -> None:
+    maps = dataclasses.replace(synthetic.maps(1), label_probability=np.full((80, 120), 0.47))
+    assert "0 % of the cells are sure" in summary(maps)
+
+
+def test_what_cannot_be_shown_is_recorded_with_where_it_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise FloatingPointError("no ink")
+
+    monkeypatch.setattr("deformscope.log.exploration.log_curves", broken)
+    told, maps = synthetic.touch(1), synthetic.maps(2)
+    rec = rr.RecordingStream("deformscope-explore", recording_id="exploration")
+    rec.set_sinks(rr.FileSink(tmp_path / "run.rrd"))
+    failed: list[StageFailed] = []
+    prepare_results([told, maps], 5, Place(2, PICTURES_NS), failed=failed).send(rec)
+    rec.flush(timeout_sec=10)
+    rec.disconnect()
+
+    (one,) = failed
+    assert (one.stage, one.touch, one.reason) == ("display", 2, "FloatingPointError: no ink")
+    results = [found.result for found in back(tmp_path / "run.rrd")]
+    assert_equal(next(result for result in results if isinstance(result, TouchTold)), told)
+    assert_equal(next(result for result in results if isinstance(result, MapsKnown)), maps)
+    assert one in results
+    (text,) = [text for text in cells(tmp_path / "run.rrd", "/exploration/failed", "TextLog:text") if text]
+    assert "touch 2: display failed: FloatingPointError: no ink" in text[0]
+    assert 'raise FloatingPointError("no ink")' in text[0]
+    assert cells(tmp_path / "run.rrd", "/display/summary", "TextDocument:text")  # the rest is shown
 
 
 def test_what_is_no_result_is_refused() -> None:

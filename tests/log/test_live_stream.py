@@ -42,6 +42,7 @@ from deformscope.log.rig.thinned import (
 )
 from deformscope.recorder import Recorder
 from deformscope_drivers.clock import Stamp
+from tests.log import synthetic_exploration
 from tests.log import synthetic_rig as rig
 
 FLUSHES_A_SECOND = 5
@@ -188,16 +189,18 @@ def test_a_severed_stream_is_no_slow_one() -> None:
         LiveStream(Frozen(waits=False), lambda timeout_s: None).flush(timeout_sec=60.0)  # type: ignore[arg-type]
 
 
-def test_the_file_keeps_everything_that_the_viewer_does_not_get(
-    tmp_path: Path, second: list[Item], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    shown = tmp_path / "shown.rrd"
-
-    def connect(*given: object) -> LiveStream:
-        return LiveStream(to_file(shown), lambda timeout_s: None)
-
+@pytest.fixture
+def shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """What a recorder sends to its viewer goes into this file."""
+    path = tmp_path / "shown.rrd"
     monkeypatch.setattr(recorder, "start_viewer", lambda kind: Viewer(0, "", ""))
-    monkeypatch.setattr(recorder, "_live_stream", connect)
+    monkeypatch.setattr(recorder, "_live_stream", lambda *given: LiveStream(to_file(path), lambda timeout_s: None))
+    return path
+
+
+def test_the_file_keeps_everything_that_the_viewer_does_not_get(
+    tmp_path: Path, second: list[Item], shown: Path
+) -> None:
     items = [item for item in second if not isinstance(item, ColorFrame | DepthFrame)]
     items += [rig.color(index, size=(48, 640)) for index in range(30)]
     with Recorder(tmp_path / "run.rrd", "page", {}, layout="rig") as made:
@@ -218,3 +221,28 @@ def test_the_file_keeps_everything_that_the_viewer_does_not_get(
         for blob in chunk.to_record_batch().column("EncodedImage:blob").to_pylist()
     }
     assert sizes == {COLOR_WIDTH}
+
+
+def test_what_no_view_of_an_exploration_shows_is_not_sent(tmp_path: Path, shown: Path) -> None:
+    streams = [stream for stream in rig.STREAMS if stream.kind in ("wrench", "depth")]
+    with Recorder(tmp_path / "run.rrd", "page", {}, layout="exploration") as made:
+        made.start_exploration(streams, rig.START_NS, (0.6, 0.4), None, truth=True)
+        made.write_input("explored/looked", b"the whole cloud")
+        for at_s, touch, result in synthetic_exploration.story():
+            made.write_results([result], rig.ns(at_s), touch, 0.01)
+    kept, live = contents(tmp_path / "run.rrd")[2], contents(shown)[2]
+    recorded, sent = ({path for path in rows if not path.startswith("/display")} for rows in (kept, live))
+    assert recorded > {"/exploration/maps", "/input/explored/looked", "/exploration/phase"}
+    assert sent == {"/exploration/phase"}
+    assert set(kept) - recorded == set(live) - sent
+
+
+def test_a_state_is_sent_when_it_changes(tmp_path: Path) -> None:
+    """And the table of all devices with every look."""
+    stream = LiveStream(to_file(tmp_path / "live.rrd"), lambda timeout_s: None)
+    for at_s in np.arange(1.0, 9.0):  # the hand's link is lost at 5 s
+        stream.add_items([rig.health(float(at_s))], rig.START_NS, rig.STREAMS, None)
+        stream.flush(timeout_sec=10)
+    stream.disconnect()
+    rows = contents(tmp_path / "live.rrd")[2]
+    assert (rows["/health"], rows["/health/fingertip"], rows["/health/hand"]) == (8, 1, 3)

@@ -11,6 +11,7 @@ pytest.importorskip("warp")
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
+from deformscope.lab.elasticity import ElasticBox
 from deformscope.stages.anisotropy import fit_axes
 from deformscope.stages.calibrate import Model, Observation
 from deformscope.stages.msm.materials import AxisBeta
@@ -103,10 +104,37 @@ def test_what_tells_nothing_is_not_identified() -> None:
     assert claimed <= 1
 
 
+def test_an_isotropic_body_that_is_no_such_model_claims_nothing() -> None:
+    """A cube of finite elements (nu 0.25), pressed between plates: it has no betas, and sideways nothing tells any."""
+    axis = np.linspace(0.0, 0.1, 5)
+    box = ElasticBox(axis, axis, axis, young=1e5, poisson=0.25)
+    bottom, top = box.plane(2, 0.0), box.plane(2, 0.1)
+    held = np.flatnonzero((bottom | top)[box.corners])
+    for part in (top, top & (box.nodes[:, 0] < 0.05)):
+        fixed = bottom | part
+        pressed = np.zeros(box.nodes.shape)
+        pressed[part, 2] = -0.01
+        moved = box.hold(np.repeat(fixed[:, None], 3, axis=1)).solve(pressed).displacement[box.corners]
+        rest = box.nodes[box.corners]
+        held = np.flatnonzero(fixed[box.corners])
+        everyone = np.ones(len(rest), dtype=bool)
+        seen = Observation(
+            rest, rest + moved, held, everyone, shape=(5, 5, 5), cell=np.arange(125), held_measured=False
+        )
+        found = fit_axes([seen], Model())
+        assert "identified" not in found.verdict
+        assert not found.anisotropic
+        assert 0.3 < found.explained < 0.9
+        if part is top:  # only the axis of the push does anything
+            np.testing.assert_allclose(found.interval[:2], [[0.0, 0.9999]] * 2)
+            assert max(one.rise for one in found.identifiability[:2]) < 0.1
+
+
 def test_the_public_form_lists_the_axes() -> None:
     told = fit_axes([_observed((5, 5), np.array([0.3, 0.8]), None, 0.01, 5)], Model()).as_json()
     axes = told["axes"]
     assert isinstance(axes, list)
+    assert 0.9 < float(str(told["explained"])) <= 1.0
     assert [each["axis"] for each in axes] == [[1.0, 0.0], [0.0, 1.0]]
     assert set(axes[0]) == {"axis", "value", "interval", "verdict"}
 

@@ -44,6 +44,30 @@ def test_a_force_gives_the_depth_that_makes_it(model: FittedModel) -> None:
     assert predict(model, Poke(at, tip, depth=found.depth)).force == pytest.approx(1.5, rel=1e-2)
 
 
+def test_a_poke_that_the_material_has_no_room_for_is_refused(model: FittedModel) -> None:
+    at, tip = np.array([0.08, 0.08, 0.03]), Tip("flat", (0.02, 0.02))
+    with pytest.raises(InputError, match="less deep than the 30 mm"):
+        predict(model, Poke(at, tip, depth=3.0))
+    with pytest.raises(InputError, match="a force that the 30 mm of material under the tip can bear; got 500 N"):
+        predict(model, Poke(at, tip, force=500.0))
+
+
+def test_what_lies_beyond_what_was_fitted_is_called_extrapolated(model: FittedModel) -> None:
+    """Fitted to 2 mm with a tip of 20 mm, in 30 mm of material."""
+    tip, narrow = Tip("flat", (0.02, 0.02)), Tip("flat", (0.01, 0.01))
+    assert model.fitted_depth == pytest.approx(0.002)
+    assert model.fitted_strain == pytest.approx(0.1)
+    assert model.beyond(0.002, tip) == ()
+    assert model.beyond(0.0024, tip) == ()
+    assert model.beyond(0.004, tip) == ("4 mm deep, fitted to 2 mm", "depth over tip width 0.2, fitted to 0.1")
+    assert model.beyond(0.0018, narrow) == ("depth over tip width 0.18, fitted to 0.1",)
+    assert model.beyond(0.015, tip)[-1].startswith("50% of the thickness deep")
+    unknown = dataclasses.replace(model, fitted_depth=float("nan"), fitted_strain=float("nan"))
+    assert unknown.beyond(0.004, tip) == ()  # a model saved before these were kept
+    at = np.array([0.08, 0.08, 0.03])
+    assert predict(model, Poke(at, tip, depth=0.004)).extrapolated == model.beyond(0.004, tip)
+
+
 def test_a_finer_lattice_of_the_same_material_has_nearly_the_same_force(model: FittedModel) -> None:
     at, tip = np.array([0.08, 0.08, 0.03]), Tip("flat", (0.04, 0.04))
     coarse = predict(model, Poke(at, tip, depth=0.001))
@@ -66,6 +90,26 @@ def test_rivals_widen_the_interval_of_the_force(model: FittedModel) -> None:
     assert wide is not None
     assert wide[1] == pytest.approx(1.5 * alone[1], rel=0.05)
     assert wide[0] == pytest.approx(alone[0], rel=1e-3)
+
+
+def test_the_interval_of_the_force_is_made_of_errors_of_logarithms(model: FittedModel) -> None:
+    """A stiffness predicted five times too low is off by -80 % of the measured one: the force may be five-fold."""
+    at, tip = np.array([0.08, 0.08, 0.03]), Tip("flat", (0.02, 0.02))
+    places = np.array([[0.04, 0.08, 0.03], [0.12, 0.08, 0.03], [0.08, 0.12, 0.03]])
+    unsure = dataclasses.replace(
+        model, places=places, stiffness=np.full(3, STIFFNESS), field_kind="uniform", left_out=np.full(3, 1 / 5 - 1)
+    )
+    found = predict(unsure, Poke(at, tip, depth=0.001))
+    assert found.force is not None
+    assert found.force_interval is not None
+    low, high = found.force_interval
+    assert high >= 5.0 * found.force
+    assert low > 0.0
+    assert low * high == pytest.approx(found.force**2, rel=1e-6)
+    beside = predict(unsure, Poke(places[0] + [0.001, 0.0, 0.0], tip, depth=0.001))
+    assert beside.force_interval is not None
+    assert beside.force is not None
+    assert beside.force_interval[1] < 1.2 * beside.force
 
 
 def test_a_model_without_force_predicts_shape_alone(model: FittedModel) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -67,6 +69,7 @@ def test_a_known_yield_strain_is_found_again_under_one_percent_noise(shape: tupl
     assert found.converged
     assert found.yield_strain.value == pytest.approx(truth, rel=0.04)
     assert found.verdict == "identified"
+    assert found.explained > 0.9
     low, high = found.yield_strain.interval
     assert high is not None
     assert 0.8 * truth < low < high < 1.2 * truth
@@ -164,3 +167,15 @@ def test_motions_that_make_no_sense_are_refused() -> None:
         fit_yield(_broken(), YieldOptions(creep="fit"))
     with pytest.raises(InputError, match="none, fit or a rate"):
         YieldOptions(creep="soon")
+
+
+@pytest.mark.slow
+def test_a_motion_that_the_model_does_not_explain_has_no_yield_strain() -> None:
+    """Particles that go each its own way, between prescribed ones that are pressed and let go."""
+    motion = pressed((5, 4), 0.08)
+    astray = np.random.default_rng(4).normal(0.0, 0.6 * SPACING_M, motion.position.shape)
+    position = np.where(motion.held[:, :, None], motion.position, motion.position + astray)
+    found = fit_yield(dataclasses.replace(motion, position=position), YieldOptions(beta=BETA))
+    assert found.explained < 0.3
+    assert found.verdict == "unidentified"
+    assert found.as_json()["explained"] == found.explained

@@ -90,7 +90,9 @@ def test_two_halves_are_found_with_their_levels_and_order() -> None:
     assert np.mean(shown.labels == truth) > 0.9
     np.testing.assert_allclose(shown.level, [0.0, 0.9], atol=0.08)
     assert ((shown.level_interval[:, 0] < [0.0, 0.9]) & (shown.level_interval[:, 1] > [0.0, 0.9])).all()
-    np.testing.assert_allclose(shown.label_probability.sum(axis=0), 1.0)
+    assert shown.label_probability.shape == GRID.shape
+    assert 0.5 * shown.probability["2"] <= shown.label_probability.min()
+    assert shown.label_probability.max() <= shown.probability["2"]
     assert sum(shown.probability.values()) == pytest.approx(1.0, abs=1e-6)
     assert not shown.rigid.any()
     # what it expects to have wrong is about what is wrong
@@ -113,7 +115,10 @@ def test_a_slope_is_called_gradual_and_its_field_followed(seed: int) -> None:
     noise = 0.05 * np.random.default_rng(seed).standard_normal(len(SPREAD))
     shown = posterior(touches(1.5 * np.array(SPREAD)[:, 0] + noise)).region_map()
     truth = 1.5 * GRID.centres_m[:, 0].reshape(GRID.shape)
-    assert shown.verdict == "gradual"
+    assert (shown.verdict, shown.region_count) == ("gradual", 0)
+    assert len(shown.level) == len(shown.level_interval) == len(shown.rigid) == 0
+    assert (shown.labels == -1).all()
+    assert (shown.label_probability == shown.probability["gradual"]).all()
     assert np.sqrt(np.mean((shown.field - truth) ** 2)) < 0.1
 
 
@@ -129,6 +134,14 @@ def test_rigid_touches_make_a_region_whose_level_is_a_bound() -> None:
     np.testing.assert_array_equal(shown.rigid, [False, True])
     assert shown.level[0] == pytest.approx(0.0, abs=0.1)
     np.testing.assert_array_equal(np.isinf(shown.level_interval[:, 1]), shown.rigid)
+    assert shown.level[1] == shown.level_interval[1, 0] == 2.5  # the bound that its touches give
+
+
+def test_one_touch_makes_no_cell_sure() -> None:
+    shown = posterior(halves(0.9)[:1]).region_map()
+    assert shown.region_count == 1
+    np.testing.assert_allclose(shown.label_probability, shown.probability["1"])
+    assert shown.label_probability.max() < 0.6
 
 
 def test_a_rigid_region_stays_one_when_most_of_its_touches_are_near_its_boundary() -> None:

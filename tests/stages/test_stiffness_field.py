@@ -74,3 +74,51 @@ def test_the_error_of_a_poke_left_out_is_that_of_predicting_it() -> None:
 def test_a_stiffness_that_is_none_is_refused(bad: float) -> None:
     with pytest.raises(InputError, match="stiffness above 0"):
         fit_field(places(2), np.array([20.0, bad]))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_stiff_inclusion_under_three_of_twelve_pokes_is_never_denied(seed: int) -> None:
+    """At the pokes on it the field is near what they met, and beside them near it or unsure enough to hold it."""
+    rng = np.random.default_rng(seed)
+    x, y = np.meshgrid([0.05, 0.15, 0.25, 0.35], [0.05, 0.15, 0.25], indexing="ij")
+    at = np.column_stack([x.ravel(), y.ravel()]) + rng.uniform(-0.02, 0.02, (12, 2))
+    centre = rng.uniform([0.1, 0.08], [0.3, 0.22])
+    stiff = np.argsort(np.linalg.norm(at - centre, axis=1))[:3]
+    stiffness = 20.0 * np.exp(rng.normal(0.0, 0.03, 12))
+    stiffness[stiff] *= rng.uniform(3.4, 5.8, 3)
+    field = fit_field(at, stiffness)
+    assert field.kind != "uniform"
+    off = np.abs(np.log(field.at(at) / stiffness))
+    assert off.max() <= 0.3
+    beside = at[stiff] + rng.normal(0.0, 0.01, (3, 2))
+    off = np.abs(np.log(field.at(beside) / stiffness[stiff]))
+    assert np.all((off < 0.3) | (off < 1.645 * field.deviation(beside)))
+    # the soft ones stay soft, and are known to be
+    soft = np.setdiff1d(np.arange(12), stiff)
+    assert field.deviation(at[soft] + [0.01, 0.0]).max() < 0.3
+
+
+def test_two_pokes_that_differ_are_both_believed() -> None:
+    at = np.array([[0.1, 0.1], [0.3, 0.1]])
+    field = fit_field(at, np.array([20.0, 80.0]))
+    np.testing.assert_allclose(field.at(at), [20.0, 80.0], rtol=0.05)
+    between = np.array([[0.2, 0.1]])
+    low, high = (field.at(between)[0] * np.exp(sign * 1.645 * field.deviation(between)[0]) for sign in (-1, 1))
+    assert low < 20.0
+    assert high > 80.0
+
+
+def test_pokes_of_one_place_that_differ_leave_it_unsure() -> None:
+    at = np.array([[0.1, 0.1], [0.1, 0.1], [0.3, 0.1]])
+    field = fit_field(at, np.array([20.0, 80.0, 40.0]))
+    assert field.deviation(at[:1])[0] > 0.4
+
+
+def test_the_deviation_is_of_logarithms_of_pokes_left_out() -> None:
+    field = fit_field(places(8, 2), 20.0 * np.exp(np.random.default_rng(2).normal(0.0, 0.05, 8)))
+    assert field.kind == "uniform"
+    scatter = np.abs(np.log1p(field.left_out))
+    far = field.deviation(np.array([[2.0, 2.0]]))[0]
+    assert scatter.min() < far < np.hypot(scatter.max(), 0.06)
+    assert np.all((field.deviation(field.places) >= 0.05) & (field.deviation(field.places) < 0.1))
+    assert fit_field(np.array([[0.1, 0.2]]), np.array([20.0])).deviation(places(2)).tolist() == [0.05, 0.05]

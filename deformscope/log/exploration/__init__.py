@@ -6,7 +6,7 @@ What a touch told is at the frame of its dent. `deformscope.exploration_replay` 
 
     exploration/surface|touch|maps|plan   one row a result, every field of it a component of the same name
     exploration/phase                     likewise, and the state that a timeline shows
-    exploration/stopped                   likewise, and why as a line of text
+    exploration/failed|stopped            likewise, and why as a line of text
     display/scene/...                     the surface in space, the contacts, the next touch; the arm stands in it
     display/dent/...                      close up: observed points and simulated particles around the last touch
     display/maps/...                      pictures of the maps with their axes and colour bars
@@ -17,7 +17,8 @@ What a touch told is at the frame of its dent. `deformscope.exploration_replay` 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 import numpy as np
 import rerun as rr
@@ -27,6 +28,7 @@ from deformscope.exploration_replay import Result
 from deformscope.frames import Stream
 from deformscope.log.exploration.blueprint import exploration_blueprint
 from deformscope.log.exploration.dent import log_dent, log_no_dent
+from deformscope.log.exploration.failed import log_failed
 from deformscope.log.exploration.moment import Moment
 from deformscope.log.exploration.phases import log_phase, log_phase_colors
 from deformscope.log.exploration.pictured import log_curves, log_gain, log_height, log_maps, log_nothing_known
@@ -36,7 +38,16 @@ from deformscope.log.exploration.summary import log_no_summary, log_summary
 from deformscope.log.rig.columns import Batch, Place
 from deformscope.log.rig.plotted import plotted
 from deformscope.log.rig.warm_up import nowhere
-from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, Stopped, SurfaceSeen, TouchTold
+from deformscope.stages.exploration import (
+    DISPLAY,
+    MapsKnown,
+    NextTouch,
+    PhaseBegan,
+    StageFailed,
+    Stopped,
+    SurfaceSeen,
+    TouchTold,
+)
 
 __all__ = ["exploration_blueprint", "log_exploration_start", "prepare_results", "warm_up"]
 
@@ -69,11 +80,19 @@ def log_exploration_start(
     batch.send(rec)
 
 
-def prepare_results(results: Sequence[object], session_ns: int, place: Place, *, cell_m: float = CELL_M) -> Batch:
+def prepare_results(
+    results: Sequence[object],
+    session_ns: int,
+    place: Place,
+    *,
+    cell_m: float = CELL_M,
+    failed: list[StageFailed] | None = None,
+) -> Batch:
     """Make results ready for one stream or several, pictures drawn: some 0.1 s a picture, six of them for the maps.
 
     session_ns: when, since the recording's start [ns]; place: on the other timelines; cell_m: of a plan's maps, where
     no map beside it tells
+    failed: takes what could not be shown: every result is recorded all the same, and that with them
     A plan that comes with maps is drawn over their contacts. Raises TypeError for what is no result of an exploration.
     """
     batch = Batch(place)
@@ -83,25 +102,40 @@ def prepare_results(results: Sequence[object], session_ns: int, place: Place, *,
         if not isinstance(result, Result):
             raise TypeError(f"no twin in deformscope.log.exploration shows a {type(result).__name__}")
         now.record(result)
-        if isinstance(result, SurfaceSeen):
-            log_surface(now, result, colored=place.touch == 0)
-            log_height(now, result)
-        elif isinstance(result, TouchTold):
-            log_contact(now, result)
-            log_dent(now, result)
-            log_curves(now, result)
-        elif isinstance(result, MapsKnown):
-            log_stiffness(now, result)
-            log_maps(now, result)
-            log_summary(now, result)
-        elif isinstance(result, NextTouch):
-            log_target(now, result)
-            log_gain(now, result, cell_m if maps is None else maps.cell_m, None if maps is None else maps.contacts_m)
-        elif isinstance(result, PhaseBegan):
-            log_phase(now, result)
-        elif isinstance(result, Stopped):
-            log_stopped(now, result)
+        for show in _twins(now, result, place.touch, maps, cell_m):
+            try:
+                show()
+            except Exception as error:  # a picture that cannot be drawn must not end what is drawn
+                found = StageFailed.of(DISPLAY, place.touch, error)
+                now.record(found)
+                log_failed(now, found)
+                if failed is not None:
+                    failed.append(found)
     return batch
+
+
+def _twins(
+    now: Moment, result: Result, touch: int, maps: MapsKnown | None, cell_m: float
+) -> Iterator[Callable[[], None]]:
+    """What shows a result."""
+    match result:
+        case SurfaceSeen():
+            yield partial(log_surface, now, result, colored=touch == 0)
+            yield partial(log_height, now, result)
+        case TouchTold():
+            yield from (partial(show, now, result) for show in (log_contact, log_dent, log_curves))
+        case MapsKnown():
+            yield from (partial(show, now, result) for show in (log_stiffness, log_maps, log_summary))
+        case NextTouch():
+            yield partial(log_target, now, result)
+            contacts_m = None if maps is None else maps.contacts_m
+            yield partial(log_gain, now, result, cell_m if maps is None else maps.cell_m, contacts_m)
+        case PhaseBegan():
+            yield partial(log_phase, now, result)
+        case StageFailed():
+            yield partial(log_failed, now, result)
+        case Stopped():
+            yield partial(log_stopped, now, result)
 
 
 def warm_up() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 
-from deformscope.exploration_pictures import travel_m
+from deformscope.exploration_words import counted, iou_words, level_words, travel_words, verdict_words
 from deformscope.log.exploration.moment import Moment
 from deformscope.stages.exploration import MapsKnown
 
@@ -23,22 +23,20 @@ def log_no_summary(now: Moment) -> None:
 
 def summary(maps: MapsKnown) -> str:
     """Markdown: the verdict first, then the regions and the numbers."""
-    gradual = maps.verdict == "gradual"
-    counted = f"{maps.region_count} region{'' if maps.region_count == 1 else 's'}"
-    scored = "" if maps.iou is None else f"; IoU with the truth **{maps.iou:.2f}**"
+    verdict = verdict_words(maps)
+    scored = f"; **{iou_words(maps)}** with the truth" if maps.iou is not None else ""
     lines = [
-        f"# {'Gradual: no regions' if gradual else counted}",
+        f"# {verdict[0].upper()}{verdict[1:]} (probability {maps.probability:.2f})",
         "",
-        f"after **{maps.touches}** touches, {travel_m(maps):.2f} m from one to the next",
+        f"after **{counted(maps.touches, 'touch')}**, {travel_words(maps.travel_m)}",
         "",
         f"{100 * float(np.mean(maps.label_probability > SURE)):.0f} % of the cells are sure (p > {SURE:g}){scored}",
         "",
     ]
-    if gradual:
+    if not maps.region_count:
         return "\n".join(lines)
     lines += ["| region | stiffness [N/mm] | area [cm²] |", "| --- | --- | --- |"]
     for label in range(maps.region_count):
-        inside = maps.labels == label
-        if inside.any():
-            lines.append(f"| {label + 1} | {maps.level_words(label)} | {inside.sum() * (100 * maps.cell_m) ** 2:.0f} |")
+        area_cm2 = (maps.labels == label).sum() * (100 * maps.cell_m) ** 2
+        lines.append(f"| {label + 1} | {level_words(maps, label)} | {area_cm2:.0f} |")
     return "\n".join(lines)

@@ -42,7 +42,6 @@ from deformscope.log.rig.columns import Batch, Place, Shown, root
 from deformscope.log.rig.hand import log_hand, log_hand_stream
 from deformscope.log.rig.health import log_health, log_health_stream
 from deformscope.log.rig.link import log_link, log_link_stream, log_raw
-from deformscope.log.rig.plotted import visible_in
 from deformscope.log.rig.tactile import log_tactile, log_tactile_stream
 from deformscope.log.rig.warm_up import nowhere, small_items
 from deformscope.log.rig.wrench import log_wrench, log_wrench_stream
@@ -88,7 +87,7 @@ def prepare_items(
     place: Place | None = None,
     shown: Shown | None = None,
     *,
-    visible_only: bool = False,
+    changes_only: bool = False,
 ) -> Batch:
     """Make a batch of items ready, in any order, for one stream or several: the cost is by device, little by item.
 
@@ -96,15 +95,15 @@ def prepare_items(
     rather than JPEG, because something is computed from them (some 9 ms for 640 x 480 instead of 1 ms, and ten times
     the bytes); place: in an exploration
     shown: what a viewer has already, kept from call to call: it is not sent again and again
-    visible_only: leave out what is in no view: a viewer's time goes by the number of entities
+    changes_only: of a device's health, only changes of its state, as `shown` knows it
     """
-    batch = Batch(place, visible_in(streams) if visible_only else None)
+    batch = Batch(place)
     known = {(stream.kind, stream.device): stream for stream in streams}
     for (kind, device), group in _by_device(items).items():
         if kind is WrenchFrame:
             log_wrench(batch, device, group, start_ns)
         elif kind is TactileFrame:
-            log_tactile(batch, device, group, start_ns, known.get(("tactile", device)))
+            log_tactile(batch, device, group, start_ns, known.get(("tactile", device)), shown)
         elif kind is ArmFrame:
             log_arm(batch, device, group, start_ns, known.get(("arm", device)))
         elif kind is HandFrame:
@@ -118,7 +117,7 @@ def prepare_items(
         elif kind is LinkChange:
             log_link(batch, device, group, start_ns, streams)
         elif kind is HealthReport:
-            log_health(batch, group, start_ns, streams, shown if visible_only else None)
+            log_health(batch, group, start_ns, streams, shown if changes_only else None)
         else:
             raise TypeError(f"no twin in deformscope.log.rig shows a {kind.__name__}")
     return batch

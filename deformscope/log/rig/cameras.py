@@ -14,13 +14,11 @@ from deformscope.arrays import ImageArray
 from deformscope.frames import ColorFrame, DepthFrame, Frame
 from deformscope.images import encode_jpeg, encode_png
 from deformscope.log.canvas import TEXT
-from deformscope.log.rig.columns import Batch, Shown, frame_times, moments, root, singles, stamps
+from deformscope.log.rig.columns import Batch, Shown, frame_times, is_news, moments, root, singles, stamps
 from deformscope.palette import BACKGROUND
 
 LOOK_EVERY, RARE, STEP_M = 8, 0.01, 0.05
 """Of a depth image: which pixels its range is from, the share that may lie beyond, the range's steps [m]."""
-SCALE_NS = 10_000_000_000
-"""A scale that does not change is sent again after this, for viewers that missed it."""
 
 
 def log_color(batch: Batch, device: str, frames: Sequence[ColorFrame], start_ns: int, lossless: bool) -> None:
@@ -55,12 +53,8 @@ def log_depth(
         *stamps(frames),
     ]
     batch.send_columns(root("depth", device), frame_times(frames, start_ns), columns)
-    scale, now_ns = (*reach, frames[0].depth.shape), frames[0].stamp.host_ns
-    before, since_ns = (None, 0) if shown is None else shown.get(device, (None, 0))
-    if scale != before or now_ns - since_ns >= SCALE_NS:
+    if is_news(shown, device, (*reach, frames[0].depth.shape), frames[0].stamp.host_ns):
         _log_scale(batch, device, frames[0], reach, start_ns)
-        if shown is not None:
-            shown[device] = scale, now_ns
 
 
 def _range(depth: ImageArray, unit_m: float) -> tuple[float, float]:

@@ -10,11 +10,15 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import rerun as rr
+from rerun.chunk import Chunk
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.frames import Frame
 
 Columns = Iterable[rr.ComponentColumn]
+
+AGAIN_NS = 10_000_000_000
+"""What does not change is sent again after this, for viewers that missed it."""
 
 Shown = dict[str, tuple[object, int]]
 """What a viewer was sent last of a thing that seldom changes, and when on the host's clock [ns]: the scale beside each
@@ -56,37 +60,48 @@ class Place:
 class Batch:
     """Calls to rerun that are made ready once, images encoded, and sent to any number of streams.
 
-    place: of an exploration: where rows stand on its timelines; visible: whether an entity is in a view, the others are
-    left out; None = all go in
+    place: of an exploration: where rows stand on its timelines
     """
 
-    def __init__(self, place: Place | None = None, visible: Callable[[str], bool] | None = None) -> None:
+    def __init__(self, place: Place | None = None) -> None:
         self.bytes = 0
+        self.parts: list[tuple[str, Chunk | Callable[[rr.RecordingStream], None]]] = []
         self._place = place
-        self._visible = visible
-        self._calls: list[Callable[[rr.RecordingStream], None]] = []
 
     def send_columns(self, path: str, times: Sequence[rr.TimeColumn], columns: Columns) -> None:
         """As that of a stream."""
-        if self._visible is not None and not self._visible(path):
-            return
         ready = list(columns)
         when = list(times) if self._place is None else self._place.moved(times)
         self.bytes += sum(column.as_arrow_array().nbytes for column in ready)
-        self._calls.append(lambda rec: rec.send_columns(path, when, ready))
+        self.parts.append((path, Chunk.from_columns(path, when, ready)))
 
     def log(self, path: str, entity: rr.AsComponents, *, static: bool) -> None:
         """As that of a stream."""
-        self._calls.append(lambda rec: rec.log(path, entity, static=static))
+        self.parts.append((path, lambda rec: rec.log(path, entity, static=static)))
 
-    def send(self, rec: rr.RecordingStream) -> None:
-        """Log all of it."""
-        for call in self._calls:
-            call(rec)
+    def send(self, rec: rr.RecordingStream, visible: Callable[[str], bool] | None = None) -> None:
+        """Log all of it, or the entities that are visible."""
+        for path, part in self.parts:
+            if visible is not None and not visible(path):
+                continue
+            if isinstance(part, Chunk):
+                rec.send_chunks(part)
+            else:
+                part(rec)
 
 
 Sink = rr.RecordingStream | Batch
 """What a twin logs to."""
+
+
+def is_news(shown: Shown | None, device: str, what: object, now_ns: int) -> bool:
+    """Whether what stands beside a device's picture has to be sent: it has changed, or viewers may have missed it."""
+    before, since_ns = (None, 0) if shown is None else shown.get(device, (None, 0))
+    if what == before and now_ns - since_ns < AGAIN_NS:
+        return False
+    if shown is not None:
+        shown[device] = what, now_ns
+    return True
 
 
 def root(kind: str, device: str, *below: str) -> str:

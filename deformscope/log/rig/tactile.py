@@ -12,7 +12,19 @@ import rerun as rr
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.frames import Pad, Stream, TactileFrame
 from deformscope.log.canvas import TEXT
-from deformscope.log.rig.columns import Batch, Sink, frame_times, lists, log_series, moments, root, scalars, stamps
+from deformscope.log.rig.columns import (
+    Batch,
+    Shown,
+    Sink,
+    frame_times,
+    is_news,
+    lists,
+    log_series,
+    moments,
+    root,
+    scalars,
+    stamps,
+)
 from deformscope.palette import BACKGROUND, JOINTS, colors, round_up
 
 FINGER_GAP, PART_GAP = 5, 4
@@ -125,7 +137,12 @@ def log_tactile_stream(rec: rr.RecordingStream, stream: Stream) -> None:
 
 
 def log_tactile(
-    batch: Batch, device: str, frames: Sequence[TactileFrame], start_ns: int, stream: Stream | None
+    batch: Batch,
+    device: str,
+    frames: Sequence[TactileFrame],
+    start_ns: int,
+    stream: Stream | None,
+    shown: Shown | None = None,
 ) -> None:
     times = frame_times(frames, start_ns)
     shapes = [[side for pad in frame.pressure_pa for side in pad.shape] for frame in frames]
@@ -146,7 +163,7 @@ def log_tactile(
         return
     drawn = [frame for frame in frames if [pad.shape for pad in frame.pressure_pa] == hand.shapes]
     if drawn:
-        _log_pictures(batch, device, hand, drawn, start_ns, stream)
+        _log_pictures(batch, device, hand, drawn, start_ns, stream, shown)
 
 
 def _texels_pa(frame: TactileFrame) -> FloatArray:
@@ -194,6 +211,7 @@ def _log_pictures(
     frames: Sequence[TactileFrame],
     start_ns: int,
     stream: Stream | None,
+    shown: Shown | None,
 ) -> None:
     path = root("display/tactile", device)
     times = moments([frame.stamp.host_ns for frame in frames], start_ns)
@@ -205,7 +223,9 @@ def _log_pictures(
     picture[:, hand.places()] = colors(share.ravel()).reshape(*share.shape, 3)
     batch.send_columns(f"{path}/picture", times, rr.Image.columns(buffer=list(picture.reshape(len(picture), -1))))
     _send_labels(batch, f"{path}/peak", times, [[f"{peak:.2f} kPa" for peak in row] for row in peaks_kpa])
-    _send_labels(batch, f"{path}/scale", times, [[f"{end_kpa * at:.3g} kPa" for at in (0.0, 0.5, 1.0)]] * len(frames))
+    if is_news(shown, device, end_kpa, frames[0].stamp.host_ns):
+        since = moments([frames[0].stamp.host_ns], start_ns)
+        _send_labels(batch, f"{path}/scale", since, [[f"{end_kpa * at:.3g} kPa" for at in (0.0, 0.5, 1.0)]])
 
 
 def _send_labels(batch: Batch, path: str, times: Sequence[rr.TimeColumn], labels: Sequence[Sequence[str]]) -> None:

@@ -29,6 +29,7 @@ from deformscope_drivers.optoforce import (
 from deformscope_drivers.optoforce.protocol import Configure, Filter, Reading, Speed, Status, encode
 from deformscope_drivers.wires import CanWire, PtyWire, Wire
 from tests.drivers.buses import udp_bus
+from tests.patience import PATIENCE_S
 
 QUICK = Reconnect(0.01, 0.1)
 MS = 1_000_000
@@ -39,6 +40,13 @@ def silence(wire: Wire, silent: bool) -> None:
     wire.double.silent = silent
 
 
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A busy machine may keep a double from sending for longer than a DAQ would be silent."""
+    monkeypatch.setattr("deformscope_drivers.optoforce.device.SILENCE_S", PATIENCE_S)
+
+
+@pytest.mark.usefixtures("patient")
 class TestOverAPty(DeviceContract):
     @pytest.fixture
     def bench(self) -> Iterator[Bench]:
@@ -56,6 +64,7 @@ class TestOverAPty(DeviceContract):
 
 @pytest.mark.parametrize("bus", ["virtual:optoforce", UDP], ids=["virtual", "udp"])
 @pytest.mark.parametrize("padded", [False, True], ids=["", "padded"])
+@pytest.mark.usefixtures("patient")
 class TestOverCan(DeviceContract):
     @pytest.fixture
     def bench(self, bus: str, padded: bool) -> Iterator[Bench]:

@@ -1,0 +1,267 @@
+"""What an exploration leaves, however it ends: the table, the JSON, the maps, the picture, and what the arm does."""
+
+from __future__ import annotations
+
+import io
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deformscope import __version__
+from deformscope.cli.common import replacing, say, show_table, write_json
+from deformscope.errors import InputError
+
+if TYPE_CHECKING:
+    from deformscope.config import ExploreConfig
+    from deformscope.experiments.explore import Explorer
+    from deformscope.experiments.explore_wired import Bench
+    from deformscope.lab.faults import FaultsToCome
+    from deformscope.recorder import Recorder
+    from deformscope.stages.exploration import MapsKnown, Stopped, TouchTold
+
+UNITS = {
+    "cell_m": "m",
+    "stiffness_n_per_mm": "N/mm",
+    "stiffness_log_sd": "natural logarithm",
+    "labels": "region from 0, the softest; -1: no regions",
+    "label_probability": "1",
+    "contacts_m": "m, (x, y)",
+    "beta": "1",
+    "beta_sd": "1",
+    "truth_labels": "region from 0",
+}
+"""Of the arrays in a file of maps."""
+JSON_UNITS = {
+    "apparent_stiffness_n_per_mm": "N/mm",
+    "beta": "1",
+    "depth_m": "m",
+    "log_stiffness": "natural logarithm of N/mm",
+    "max_force_n": "N",
+    "modulus_pa": "Pa",
+    "peak_force_n": "N",
+    "seconds": "s",
+    "travel_m": "m",
+    "xy_m": "m",
+}
+
+
+@dataclass
+class Ending:
+    """Why and when an exploration ended; filled in as it goes on.
+
+    error: that ended it, other than a stop; stop, stop_ns: why the robot stopped before its plan said so, and when
+    arm_told: whether the arm could be told to stand; began_s: when it could first move, 0 = never [s]
+    compute_s, slowest_s, session_s: spent computing, on the slowest step, and by the robot's clock [s]
+    unwritten: outputs that could not be written, and why
+    """
+
+    error: BaseException | None = None
+    stop: Stopped | None = None
+    stop_ns: int = 0
+    start_ns: int = 0
+    arm_told: bool = True
+    began_s: float = 0.0
+    compute_s: float = 0.0
+    slowest_s: float = 0.0
+    session_s: float = 0.0
+    unwritten: list[InputError] = field(default_factory=list)
+
+    @property
+    def worth_a_report(self) -> bool:
+        """Whether the arm could move, or was stopped before."""
+        return self.began_s > 0.0 or self.stop is not None
+
+    def raise_unwritten(self) -> None:
+        """Raises the first output that could not be written, once all else is done."""
+        if self.unwritten:
+            raise self.unwritten[0]
+
+
+def report(
+    config: ExploreConfig,
+    bench: Bench,
+    explorer: Explorer,
+    recorder: Recorder,
+    ending: Ending,
+    faults: FaultsToCome | None,
+) -> dict[str, Any]:
+    """Write and print what is known; returns the JSON of design 5. What cannot be written does not keep the rest from
+    being written, and is in `ending.unwritten`."""
+    explorer.failures += recorder.not_shown
+    if ending.error is not None:
+        explorer.stop_reason = f"error: {' '.join(str(ending.error).split()) or type(ending.error).__name__}"
+    found = _found(config, explorer, bench, ending, _recording(config, recorder, ending))
+    found["fault"] = _fault(ending, faults)
+    maps, written = explorer.known, []
+    if maps is not None and config.map is not None and _write(ending, config.map, lambda: _map_file(config, maps)):
+        written.append(("map", str(config.map)))
+    if maps is not None and config.picture is not None and _write(ending, config.picture, lambda: _png(config, maps)):
+        written.append(("picture", str(config.picture)))
+    try:
+        write_json(found, config.output.json)
+    except OSError as error:
+        ending.unwritten.append(_unwritten(config.output.json or "", error))
+    show_table(
+        f"{config.rig} (simulated)" if bench.simulated else config.rig, [*_rows(found, explorer, bench), *written]
+    )
+    for one in ending.unwritten:
+        say(f"deformscope: not written: {one}")
+    return found
+
+
+def _recording(config: ExploreConfig, recorder: Recorder, ending: Ending) -> Path | None:
+    """Where the recording will be: after an error it keeps the name of an unfinished one."""
+    return config.output.record if ending.error is None else recorder.summary().path
+
+
+def _write(ending: Ending, path: Path, make: Callable[[], bytes]) -> bool:
+    try:
+        with replacing(path) as file:
+            file.write(make())
+    except Exception as error:
+        ending.unwritten.append(_unwritten(path, error))
+        return False
+    return True
+
+
+def _unwritten(path: Path | str, error: Exception) -> InputError:
+    words = error.strerror if isinstance(error, OSError) and error.strerror else f"{type(error).__name__}: {error}"
+    return InputError("an output that can be written", " ".join(words.split()).lower(), where=path)
+
+
+def _found(
+    config: ExploreConfig, explorer: Explorer, bench: Bench, ending: Ending, recording: Path | None
+) -> dict[str, Any]:
+    import numpy as np
+
+    maps = explorer.known
+    truth = None
+    if bench.truth is not None:  # a gradient has no regions, and none to compare with
+        labels = bench.truth.labels
+        truth = {
+            "region_count": 0 if labels is None else int(labels.max()) + 1,
+            "iou": None if maps is None else maps.iou,
+            "boundary_m": None if maps is None else maps.boundary_m,
+        }
+    regions = () if maps is None else range(maps.region_count)
+    return {
+        "scenario": config.rig,
+        "seed": explorer.options.seed,
+        "version": __version__,
+        "units": JSON_UNITS,
+        "verdict": None if maps is None else maps.verdict,
+        "verdict_probability": None if maps is None else maps.probability,
+        "touches": [_touch(told, explorer.failed(told.number + 1)) for told in explorer.told],
+        "region_count": None if maps is None else maps.region_count,
+        "regions": [
+            {
+                "log_stiffness": float(np.log(maps.level_n_per_mm[region])),
+                "interval": np.log(maps.level_interval_n_per_mm[region]),
+                "rigid": bool(maps.level_rigid[region]),
+            }
+            for region in regions
+            if maps is not None
+        ],
+        "probability": explorer.region_map().probability if maps is not None else None,
+        "truth": truth,
+        "travel_m": explorer.travel_m,
+        "max_force_n": bench.max_force_n,
+        "seconds": {
+            "compute": ending.compute_s,
+            "slowest": ending.slowest_s,
+            "session": ending.session_s,
+            "wall": time.perf_counter() - ending.began_s if ending.began_s else 0.0,
+        },
+        "stop_reason": explorer.stop_reason,
+        "arm_stands": ending.arm_told,
+        "failures": [{"stage": one.stage, "touch": one.touch, "reason": one.reason} for one in explorer.failures],
+        "recording": recording,
+    }
+
+
+def _touch(told: TouchTold, failed: list[str]) -> dict[str, Any]:
+    return {
+        "xy_m": told.xyz_m[:2],
+        "beta": told.beta,
+        "beta_interval": told.beta_interval,
+        "beta_verdict": told.beta_verdict,
+        "apparent_stiffness_n_per_mm": told.stiffness_n_per_mm,
+        "apparent_stiffness_interval": told.stiffness_interval,
+        "rigid": told.rigid,
+        "modulus_pa": told.modulus_pa,
+        "depth_m": told.depth_m,
+        "peak_force_n": told.peak_force_n,
+        "failed": failed,
+    }
+
+
+def _fault(ending: Ending, faults: FaultsToCome | None) -> dict[str, Any] | None:
+    """Why it was stopped, and how long after the laboratory's fault; None where it was not."""
+    stop = ending.stop
+    if stop is None:
+        return None
+    struck = faults.struck if faults is not None else ()
+    struck_ns = [struck_ns for _, struck_ns in struck if struck_ns <= ending.stop_ns]
+    return {
+        "kind": stop.kind,
+        "reason": stop.reason,
+        "time_s": (ending.stop_ns - ending.start_ns) / 1e9,
+        "noticed_after_s": (ending.stop_ns - struck_ns[-1]) / 1e9 if struck_ns else None,
+    }
+
+
+def _rows(found: dict[str, Any], explorer: Explorer, bench: Bench) -> list[tuple[str, str]]:
+    from deformscope.exploration_words import failed_words, iou_words, region_words, travel_words, verdict_words
+
+    maps = explorer.known
+    rows = [("verdict", "none: no touch gave a map")]
+    if maps is not None:
+        smooth = "" if maps.region_count else ", the stiffness changes smoothly"
+        rows = [("verdict", f"{verdict_words(maps)}{smooth} (probability {maps.probability:.2f})")]
+        at = f" at {explorer.options.set_force_n:g} N"
+        rows += [(f"region {one + 1}", region_words(maps, one) + at) for one in range(maps.region_count)]
+    truth = found["truth"]
+    if truth is not None and maps is not None and maps.iou is not None:
+        off = "" if maps.boundary_m is None else f", border {100 * maps.boundary_m:.1f} cm off"
+        rows.append(("truth", f"{truth['region_count']} regions; {iou_words(maps)}{off}"))
+    elif truth is not None and not truth["region_count"]:
+        rows.append(("truth", "no regions: the stiffness changes smoothly"))
+    betas = [told.beta_verdict for told in explorer.told if told.beta is not None]
+    if betas:
+        common = max(set(betas), key=betas.count)
+        rows.append(("beta", f"{common} in {betas.count(common)} of {len(betas)} touches"))
+    largest = found["max_force_n"]
+    if largest is None:
+        largest = max((told.peak_force_n for told in explorer.told), default=0.0)
+    reason = found["stop_reason"]
+    ended = reason if reason.startswith("stopped") else f"stopped: {reason or 'before its plan said so'}"
+    rows += [("failed", failed_words(one)) for one in explorer.failures]
+    rows += [
+        ("touches", f"{len(explorer.told)}, {travel_words(found['travel_m'])}; {ended}"),
+        ("largest contact force", f"{largest:.2f} N, {'true' if bench.simulated else 'measured'}"),
+        ("arm", "stands" if found["arm_stands"] else "COULD NOT BE TOLD TO STOP: use its emergency stop"),
+        ("time", f"{found['seconds']['session']:.0f} s of the robot, {found['seconds']['wall']:.0f} s here"),
+    ]
+    if found["recording"] is not None:
+        rows.append(("recording", str(found["recording"])))
+    return rows
+
+
+def _png(config: ExploreConfig, maps: MapsKnown) -> bytes:
+    from deformscope.exploration_pictures import result_png
+
+    return result_png(maps, config.rig)
+
+
+def _map_file(config: ExploreConfig, maps: MapsKnown) -> bytes:
+    """The maps as arrays (.npz): rows along y, columns along x, cells of cell_m with the surface's corner at (0, 0)."""
+    import numpy as np
+
+    known = {name: np.asarray(value) for name in UNITS if (value := getattr(maps, name)) is not None}
+    made_by: dict[str, Any] = {"scenario": config.rig, "seed": config.output.seed, "version": __version__}
+    file = io.BytesIO()
+    np.savez_compressed(file, allow_pickle=False, units=json.dumps(UNITS), **known, **made_by)
+    return file.getvalue()

@@ -1,0 +1,173 @@
+"""A bench without devices, explored in a moment: two foams side by side, and an arm that says whether it stands."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Callable, Iterator
+from functools import partial
+from types import SimpleNamespace
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from deformscope.arrays import BoolArray, FloatArray
+from deformscope.experiments.explore import ExploreOptions, Looked, Touched
+from deformscope.frames import HealthReport, Item
+from deformscope.images import encode_png
+from deformscope.rig import Tool
+from deformscope.robot.placement import Placement
+from deformscope.robot.preflight import Check, Preflight
+from deformscope.robot.touch import Phase
+from deformscope.stages.contact import ArmCompliance
+from deformscope.stages.regions import RegionPosterior
+from deformscope.stages.surface import HeightProcess, fit_surface
+from deformscope.stages.touches import MapGrid
+
+SIZE_M = (0.6, 0.4)
+THICKNESS_M = 0.05
+PERIOD_NS = 10_000_000
+
+
+class FakeRobot:
+    """Looks and touches at once. moving: what the arm does; halts: why it was told to stand; calls: of this robot"""
+
+    size_m = SIZE_M
+    forces_told = "3 N"
+    doing = ""
+
+    def __init__(self, bench: FakeBench, on_cycle: Callable[[], None] | None) -> None:
+        self._bench, self._on_cycle = bench, on_cycle
+        self.arm = ArmCompliance()
+        self.moving = False
+        self.halts: list[str] = []
+        self.on_phase: Callable[[Phase, int], None] = lambda phase, time_ns: None
+
+    def _cycles(self, count: int) -> None:
+        for _ in range(count):
+            self._bench.now_ns += PERIOD_NS
+            if self._on_cycle is not None:
+                self._on_cycle()
+
+    def now_ns(self) -> int:
+        return self._bench.now_ns
+
+    def preflight(self, calibrated: object, places_m: object = None) -> Preflight:
+        return Preflight((Check("arm: still", True, "at rest", "at rest"),))
+
+    def let_move(self, preflight: Preflight) -> None:
+        pass
+
+    def reachable(self, grid: MapGrid) -> BoolArray:
+        return np.ones(grid.shape, dtype=bool)
+
+    def look(self) -> Looked:
+        self._cycles(2)
+        x, y = (one.ravel() for one in np.meshgrid(np.linspace(0.01, 0.59, 25), np.linspace(0.01, 0.39, 17)))
+        wavy = THICKNESS_M + 1e-4 * np.sin(40.0 * x) * np.cos(50.0 * y)
+        return Looked(np.column_stack([x, y, wavy]), np.full(len(x), 5e-4))
+
+    def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> Touched:
+        self.moving = True
+        for phase in (Phase.TRAVEL, Phase.PRESS, Phase.RETREAT):
+            self.on_phase(phase, self._bench.now_ns)
+            self._cycles(2)
+        self.moving = False
+        stiffness = 1.5 if xy_m[0] > 0.3 else 0.6
+        force = np.concatenate([np.zeros(30), np.linspace(0.0, 3.0, 60)])
+        depth = 3e-3 / stiffness * (force / 3.0) ** (1.0 / 1.5)
+        free = np.concatenate([np.linspace(0.01, 0.0, 30), np.zeros(60)])
+        height = height_m + 0.01 + free - depth
+        position = np.column_stack([np.tile(xy_m, (90, 1)), height])
+        along = np.column_stack([np.zeros((90, 2)), force])
+        up = np.array([0.0, 0.0, 1.0])
+        return Touched(xy_m, up, np.arange(90) * 0.01, position, along, np.zeros((0, 3)), True)
+
+    def ask_to_stop(self, reason: str) -> None:
+        pass
+
+    def look_on(self, duration_s: float) -> None:
+        self._cycles(2)
+
+    def halt(self, reason: str) -> bool:
+        self.halts.append(reason)
+        self.moving = False
+        return True
+
+
+class FakeSource:
+    """Devices that give nothing."""
+
+    streams = ()
+    start_ns = 0
+    failures: ClassVar[dict[str, str]] = {}
+
+    def take(self, wait_s: float) -> list[Item]:
+        return []
+
+    def rest(self) -> list[Item]:
+        return []
+
+    def look(self) -> HealthReport:
+        return HealthReport(0, ())
+
+
+class FakeBench:
+    """A `Bench`. robots: that were opened"""
+
+    size_m = SIZE_M
+    truth = None
+    runs_itself = False
+    simulated = True
+    calibrated: ClassVar[dict[str, bool]] = {}
+    max_force_n = 3.0
+    arm = ArmCompliance()
+
+    def __init__(self) -> None:
+        self.placement = Placement(np.eye(4), Tool())
+        self.now_ns = 0
+        self.robots: list[FakeRobot] = []
+
+    @property
+    def clock(self) -> Callable[[], int]:
+        return lambda: self.now_ns
+
+    @contextlib.contextmanager
+    def source(self) -> Iterator[FakeSource]:
+        yield FakeSource()
+
+    @contextlib.contextmanager
+    def robot(self, on_cycle: Callable[[], None] | None = None) -> Iterator[FakeRobot]:
+        self.robots.append(FakeRobot(self, on_cycle))
+        yield self.robots[-1]
+
+
+def use_fake_bench(monkeypatch: pytest.MonkeyPatch) -> FakeBench:
+    """From now on `explore` explores this, on coarse maps of few particles."""
+    bench = FakeBench()
+
+    def bench_of(name: str, options: ExploreOptions, set_force_n: float | None, *, trusted: bool) -> Any:
+        options = dataclasses.replace(options, cell_m=0.02, beta_model="none")
+        return bench, options, {"scene": name}
+
+    monkeypatch.setattr("deformscope.cli.explore.bench_of", bench_of)
+    pixel = encode_png(np.zeros((1, 1, 3), np.uint8))
+    monkeypatch.setattr("deformscope.exploration_pictures._one", lambda *_: pixel)
+    monkeypatch.setattr("deformscope.exploration_pictures.result_png", lambda *_: pixel)
+    monkeypatch.setattr("deformscope.experiments.explore.fit_surface", _surface)
+    few = partial(RegionPosterior.before_touches, particle_count=50)
+    posterior = SimpleNamespace(before_touches=few)
+    monkeypatch.setattr("deformscope.experiments.explore.RegionPosterior", posterior)
+    return bench
+
+
+_surfaces: dict[bytes, HeightProcess] = {}
+
+
+def _surface(points_m: FloatArray, **options: Any) -> HeightProcess:
+    """Fitted once: the table of all these benches is the same."""
+    key = points_m.tobytes()
+    if key not in _surfaces:
+        _surfaces[key] = fit_surface(points_m, **options)
+    return _surfaces[key]

@@ -1,0 +1,378 @@
+"""However an exploration ends, the arm is told to stand, and what is known is reported."""
+
+from __future__ import annotations
+
+import errno
+import json
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deformscope.cli import main
+from deformscope.errors import InputError
+from deformscope.exploration_replay import read_results
+from deformscope.recorder import RecordingError
+from deformscope.stages.exploration import StageFailed
+from tests.cli.fake_bench import FakeBench, FakeRobot, use_fake_bench
+
+EXPLORE = ["explore", "lab:two-60-150", "--touches", "4", "--viewer", "none"]
+EXPLORER = "deformscope.experiments.explore"
+STAGES = {
+    "contact": f"{EXPLORER}.fit_approach",
+    "regions": "deformscope.stages.regions.RegionPosterior.with_touch",
+    "maps": "deformscope.stages.regions.RegionPosterior.region_map",
+    "surface": "deformscope.stages.surface.HeightProcess.at",
+    "beta": f"{EXPLORER}.Explorer._beta",
+    "beta field": f"{EXPLORER}.Explorer._beta_field",
+    "display": "deformscope.log.exploration.log_maps",
+}
+ERRORS = [
+    ValueError("x must be strictly increasing"),
+    np.linalg.LinAlgError("Singular matrix"),
+    FloatingPointError("overflow"),
+    InputError("points near the touch", "none"),
+    MemoryError(),
+]
+
+
+@pytest.fixture
+def bench(monkeypatch: pytest.MonkeyPatch) -> FakeBench:
+    return use_fake_bench(monkeypatch)
+
+
+def fail_on(monkeypatch: pytest.MonkeyPatch, target: str, touch: int | None, error: Exception) -> None:
+    """A function fails once while this touch is estimated or shown (0: what comes before), or always at every one."""
+    where, _, name = target.rpartition(".")
+    made: list[object] = []
+    failed: list[int] = []
+    touch_of = FakeRobot.touch
+
+    def counted(robot: FakeRobot, *arguments: Any) -> Any:
+        made.append(robot)
+        return touch_of(robot, *arguments)
+
+    monkeypatch.setattr(FakeRobot, "touch", counted)
+    owner = _owner(where)
+    whole = getattr(owner, name)
+
+    def failing(*arguments: Any, **options: Any) -> Any:
+        if touch == len(made) and not failed:
+            failed.append(touch)
+            raise error
+        if touch is None and made:
+            raise error
+        return whole(*arguments, **options)
+
+    monkeypatch.setattr(owner, name, failing)
+
+
+def _owner(path: str) -> Any:
+    import importlib
+
+    try:
+        return importlib.import_module(path)
+    except ModuleNotFoundError:
+        module, _, name = path.rpartition(".")
+        return getattr(importlib.import_module(module), name)
+
+
+@pytest.mark.parametrize(
+    ("stage", "error"),
+    [(stage, ERRORS[number % len(ERRORS)]) for number, stage in enumerate(STAGES)]
+    + [
+        pytest.param(stage, error, marks=pytest.mark.slow)
+        for number, stage in enumerate(STAGES)
+        for other, error in enumerate(ERRORS)
+        if other != number % len(ERRORS)
+    ],
+)
+def test_a_stage_that_fails_on_one_touch_does_not_end_it(
+    stage: str,
+    error: Exception,
+    bench: FakeBench,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    files = {name: tmp_path / f"e.{name}" for name in ("rrd", "json", "npz", "png")}
+    arguments = ["--record", str(files["rrd"]), "--json", str(files["json"]), "--map", str(files["npz"])]
+
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        fail_on(monkeypatch, STAGES[stage], 2, error)
+        assert main([*EXPLORE, *arguments, "--picture", str(files["png"])]) == 0, capsys.readouterr().err
+    shown = capsys.readouterr()
+
+    found = json.loads(files["json"].read_text())
+    assert [len(touch["failed"]) > 0 for touch in found["touches"]] == [False, True, False, False]
+    (failed,) = found["touches"][1]["failed"]
+    assert failed.startswith(f"{stage}: ")
+    assert found["stop_reason"] == "budget"
+    assert found["region_count"] == 2
+    assert f"touch 2: {stage} failed: " in shown.out
+    assert (found["touches"][1]["apparent_stiffness_n_per_mm"] is None) == (stage == "contact")
+    assert not bench.robots[-1].moving
+    assert files["png"].read_bytes().startswith(b"\x89PNG")
+    assert files["npz"].exists()
+
+    (recorded,) = (one.result for one in read_results(files["rrd"], (StageFailed,)))
+    assert isinstance(recorded, StageFailed)
+    assert (recorded.stage, recorded.touch) == (stage, 2)
+    assert "in failing" in recorded.trace
+    assert main(["replay", str(files["rrd"])]) == 0, capsys.readouterr().err
+    assert f"touch 2: {stage} failed: " in capsys.readouterr().err.replace("\n", " ")
+
+
+@pytest.mark.parametrize(("stage", "touches"), [("contact", 3), ("regions", 3), ("maps", 3), ("plan", 1), ("look", 0)])
+def test_failures_without_end_end_it_in_order(
+    stage: str,
+    touches: int,
+    bench: FakeBench,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    targets = STAGES | {"plan": f"{EXPLORER}.plan_touch", "look": f"{EXPLORER}.fit_surface"}
+    record, told = tmp_path / "e.rrd", tmp_path / "e.json"
+
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        fail_on(monkeypatch, targets[stage], touches and None, ZeroDivisionError("division by zero"))
+        assert main([*EXPLORE, "--record", str(record), "--json", str(told)]) == 2
+    shown = capsys.readouterr()
+
+    found = json.loads(told.read_text())
+    assert len(found["touches"]) == touches
+    assert found["stop_reason"] == "stopped: estimates failed"
+    assert "division by zero" in found["fault"]["reason"]
+    assert "the arm stands" in shown.err.splitlines()[-1]
+    assert len({tuple(touch["xy_m"]) for touch in found["touches"]}) == touches  # none is made twice
+    assert main(["verify", str(record)]) == 0
+    assert main(["replay", str(record)]) == 0, capsys.readouterr().err
+
+
+# Any call fails once -------------------------------------------------------------------------------------------------
+
+ROBOT = [f"tests.cli.fake_bench.FakeRobot.{name}" for name in ("look", "reachable", "touch", "let_move", "now_ns")]
+RECORDER = [f"deformscope.recorder.Recorder.{name}" for name in ("write_results", "write_items", "write_input")]
+COMPANION = [f"deformscope.cli.exploring.Companion.{name}" for name in ("__call__", "phase_began", "write")]
+COMMAND = ["deformscope.cli.explore._remarks", f"{EXPLORER}.Explorer.new_inputs", f"{EXPLORER}.Explorer.touch"]
+ENDS: list[BaseException] = [
+    RuntimeError("a bug"),
+    KeyboardInterrupt(),
+    RecordingError("64 MiB free on the disk", "0 MiB free"),
+    OSError(errno.ENOSPC, "No space left on device"),
+]
+
+
+def fail_once(monkeypatch: pytest.MonkeyPatch, target: str, at: int, error: BaseException) -> list[int]:
+    """The call with this number raises; the calls that were made."""
+    where, _, name = target.rpartition(".")
+    owner = _owner(where)
+    whole, calls = getattr(owner, name), [0]
+
+    def failing(*arguments: Any, **options: Any) -> Any:
+        calls[0] += 1
+        if calls[0] == at:
+            raise error
+        return whole(*arguments, **options)
+
+    monkeypatch.setattr(owner, name, failing)
+    return calls
+
+
+def ends_well(
+    target: str, at: int, error: BaseException, bench: FakeBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> bool:
+    """Explore with a call that fails; whether it was reached."""
+    calls = fail_once(monkeypatch, target, at, error)
+    told = tmp_path / "e.json"
+    status = main([*EXPLORE, "--json", str(told), "--picture", str(tmp_path / "e.png")])
+    if calls[0] < at:
+        assert status == 0
+        return False
+    (robot,) = bench.robots
+    assert status == (130 if isinstance(error, KeyboardInterrupt) else 2 if isinstance(error, InputError) else 1)
+    assert robot.halts
+    assert not robot.moving
+    if told.exists():  # it could move, so that it is told what came of it
+        found = json.loads(told.read_text())
+        assert found["arm_stands"]
+        assert found["stop_reason"].startswith("error: ")
+        assert (tmp_path / "e.png").exists() == (found["verdict"] is not None)
+    else:
+        assert target.endswith("let_move") or at == 1
+    return True
+
+
+@pytest.mark.parametrize(
+    ("target", "at", "error"),
+    [
+        (ROBOT[2], 2, ENDS[0]),
+        (RECORDER[0], 5, ENDS[2]),
+        (COMPANION[0], 12, ENDS[1]),
+        (COMPANION[0], 12, ENDS[3]),
+        (COMMAND[2], 1, ENDS[0]),
+    ],
+)
+def test_an_error_leaves_the_arm_standing_and_what_is_known(
+    target: str,
+    at: int,
+    error: BaseException,
+    bench: FakeBench,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert ends_well(target, at, error, bench, tmp_path, monkeypatch)
+    shown = capsys.readouterr()
+    assert "  arm                    stands" in shown.out
+    assert "  touches " in shown.out
+    assert "Traceback" not in shown.err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("error", ENDS, ids=lambda error: type(error).__name__)
+@pytest.mark.parametrize("target", [*ROBOT, *RECORDER, *COMPANION, *COMMAND])
+def test_every_call_may_fail(
+    target: str, error: BaseException, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for at in range(1, 200):
+        with pytest.MonkeyPatch.context() as monkeypatch:
+            (tmp_path / "e.json").unlink(missing_ok=True)
+            (tmp_path / "e.png").unlink(missing_ok=True)
+            if not ends_well(target, at, error, use_fake_bench(monkeypatch), tmp_path, monkeypatch):
+                break
+    assert 1 < at < 199
+
+
+def test_an_interrupted_halt_is_tried_again(
+    bench: FakeBench, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fail_once(monkeypatch, "tests.cli.fake_bench.FakeRobot.halt", 1, KeyboardInterrupt())
+    fail_once(monkeypatch, "tests.cli.fake_bench.FakeRobot.touch", 2, RuntimeError("a bug"))
+
+    assert main(EXPLORE) == 1
+    assert len(bench.robots[0].halts) == 1
+    assert "  arm                    stands" in capsys.readouterr().out
+
+
+def test_an_arm_that_was_not_reached_is_told_loudly(
+    bench: FakeBench, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(FakeRobot, "halt", lambda robot, reason: False)
+    fail_once(monkeypatch, "tests.cli.fake_bench.FakeRobot.touch", 2, RuntimeError("a bug"))
+
+    assert main(EXPLORE) == 1
+    assert "COULD NOT BE TOLD TO STOP" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("flag", "name"), [("--picture", "e.png"), ("--map", "e.npz"), ("--json", "e.json")])
+def test_an_output_that_cannot_be_written_does_not_keep_the_others(
+    flag: str,
+    name: str,
+    bench: FakeBench,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    outputs = {"--picture": tmp_path / "e.png", "--map": tmp_path / "e.npz", "--json": tmp_path / "e.json"}
+    arguments = [word for pair in outputs.items() for word in map(str, pair)]
+    replaced = Path.replace
+
+    def replace(path: Path, target: Path) -> Path:
+        if target.name == name:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return replaced(path, target)
+
+    monkeypatch.setattr(Path, "replace", replace)
+
+    assert main([*EXPLORE, *arguments]) == 2
+    shown = capsys.readouterr()
+    assert "no space left on device" in shown.err.splitlines()[-1]
+    assert name in shown.err.splitlines()[-1]
+    assert [path.exists() for path in outputs.values()] == [one != flag for one in outputs]
+    assert "  verdict " in shown.out
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_while_it_computes_is_no_loss(
+    number: int, bench: FakeBench, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It comes with the last touch, when no control period follows that could notice it."""
+    touch_of: Callable[..., Any] = FakeRobot.touch
+    made: list[int] = []
+
+    def touch(robot: FakeRobot, *arguments: Any) -> Any:
+        touched = touch_of(robot, *arguments)
+        made.append(len(made) + 1)
+        if made[-1] == 4:
+            signal.raise_signal(number)
+        return touched
+
+    monkeypatch.setattr(FakeRobot, "touch", touch)
+    told = tmp_path / "e.json"
+
+    assert main([*EXPLORE, "--json", str(told)]) == 128 + number
+    assert len(json.loads(told.read_text())["touches"]) == 4
+    assert "the arm stands" in capsys.readouterr().err
+
+
+# One number, one value -----------------------------------------------------------------------------------------------
+
+
+def test_terminal_json_panel_and_map_file_give_the_same_numbers(
+    bench: FakeBench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from deformscope.exploration_pictures import _headline
+    from deformscope.log.exploration.summary import summary
+    from deformscope.stages.exploration import MapsKnown
+
+    record, told, arrays = tmp_path / "e.rrd", tmp_path / "e.json", tmp_path / "e.npz"
+    outputs = ["--record", str(record), "--json", str(told), "--map", str(arrays)]
+    assert main([*EXPLORE, *outputs, "--seed", "5"]) == 0
+    shown, found = capsys.readouterr().out, json.loads(told.read_text())
+    *_, last = (one.result for one in read_results(record, (MapsKnown,)))
+    assert isinstance(last, MapsKnown)
+    panel = summary(last)
+
+    travel = f"{found['travel_m']:.2f} m over the surface"
+    assert travel in shown
+    assert travel in panel
+    assert travel in _headline(last)
+    way = np.linalg.norm(np.diff([(0.0, 0.0), *(touch["xy_m"] for touch in found["touches"])], axis=0), axis=1)
+    assert found["travel_m"] == pytest.approx(way.sum())
+    assert found["region_count"] == len(found["regions"]) == last.region_count == 2
+    for number, region in enumerate(found["regions"], start=1):
+        level = f"{np.exp(region['log_stiffness']):.3g}"
+        assert f"region {number}               {level} N/mm (" in shown
+        assert f"| {number} | {level} |" in panel
+    probability = f"(probability {found['verdict_probability']:.2f})"
+    assert f"2 regions {probability}" in shown
+    assert probability in panel
+    with np.load(arrays, allow_pickle=False) as file:
+        assert set(np.unique(file["labels"])) == {0, 1}
+        assert (file["seed"], str(file["version"])) == (5, found["version"])
+        assert str(file["scenario"]) == found["scenario"] == "lab:two-60-150"
+        assert set(json.loads(str(file["units"]))) >= {"stiffness_n_per_mm", "cell_m", "labels"}
+    assert found["seed"] == 5
+    assert found["units"]["travel_m"] == "m"
+
+
+def test_a_gradual_surface_has_no_regions_anywhere(
+    bench: FakeBench, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from deformscope.stages.regions import RegionPosterior
+
+    sure = {"1": 0.0, "2": 0.02, "3": 0.03, "gradual": 0.95}
+    monkeypatch.setattr(RegionPosterior, "probability", sure)
+    told, arrays = tmp_path / "e.json", tmp_path / "e.npz"
+
+    assert main([*EXPLORE, "--json", str(told), "--map", str(arrays), "--picture", str(tmp_path / "e.png")]) == 0
+    shown, found = capsys.readouterr(), json.loads(told.read_text())
+    assert (found["verdict"], found["regions"], found["region_count"]) == ("gradual", [], 0)
+    assert "gradual: no regions, the stiffness changes smoothly (probability 0.95)" in shown.out
+    assert "region 1" not in shown.out
+    assert "  map: gradual: no regions" in shown.err
+    with np.load(arrays) as file:
+        assert (file["labels"] == -1).all()
