@@ -9,7 +9,10 @@ from deformscope.robot.supervisor import Fault
 from deformscope.robot.touch import Ending
 
 
-@pytest.mark.parametrize("cause", [*(fault for fault in Fault if fault is not Fault.NONE), Ending.NO_CONTACT, Ending.NOT_REACHED])
+FAULTS = [fault for fault in Fault if fault is not Fault.NONE]
+
+
+@pytest.mark.parametrize("cause", [*FAULTS, Ending.NO_CONTACT, Ending.NOT_REACHED])
 def test_every_cause_has_its_advice(cause: Fault | Ending) -> None:
     assert cause in ADVICE
     assert bool(advice(cause)) is (cause is not Fault.ASKED)
