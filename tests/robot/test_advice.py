@@ -8,7 +8,6 @@ from deformscope.robot.advice import ADVICE, advice
 from deformscope.robot.supervisor import Fault
 from deformscope.robot.touch import Ending
 
-
 FAULTS = [fault for fault in Fault if fault is not Fault.NONE]
 
 
