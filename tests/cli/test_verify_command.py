@@ -6,6 +6,7 @@ import json
 import shutil
 import signal
 import subprocess
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,10 +16,11 @@ import pytest
 from deformscope import recording_facts
 from deformscope.cli import main
 from deformscope.frames import ColorFrame
-from deformscope.ledger import check_ledger, ledger_path
+from deformscope.ledger import check_ledger, ledger_path, write_ledger
 from deformscope.recorder import Recorder
 from deformscope.replay import Replay
 from deformscope_drivers.clock import Stamp
+from tests.patience import PATIENCE_S
 
 FRAMES = 12
 
@@ -37,7 +39,11 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     with Recorder(whole, settings={"seed": 1}) as recorder:
         for frame in frames():
             recorder.write_frame(frame)
-            recorder._flush()  # so that each is a message of its own
+            assert recorder._file is not None
+            recorder._put(recorder._file.flush, 0)  # so that each is a message of its own
+        written = threading.Event()
+        recorder._put(written.set, 0)
+        assert written.wait(PATIENCE_S)
         shutil.copy(folder / "run.part.rrd", killed)
     return whole, killed
 
@@ -116,10 +122,11 @@ def test_a_file_cut_within_a_message_gives_what_came_before(killed: Path, capsys
     assert kept == [frame.image.tolist() for frame in frames()][: len(kept)]
 
 
-def test_a_cut_recording_is_compared_with_its_ledger(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    whole.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
-    assert verified(whole, capsys)[0] == 2
-    assert main(["recover", str(whole), "--json", "-"]) == 0
+def test_a_cut_recording_is_compared_with_its_ledger(killed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_ledger(killed, {"frames": FRAMES})
+    killed.write_bytes(killed.read_bytes()[: round(0.7 * killed.stat().st_size)])
+    assert verified(killed, capsys)[0] == 2
+    assert main(["recover", str(killed), "--json", "-"]) == 0
     recovered = json.loads(capsys.readouterr().out)
     assert recovered["missing"]["frames"] == FRAMES - recovered["counts"]["frames"] > 0
 

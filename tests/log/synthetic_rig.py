@@ -161,7 +161,7 @@ def health(time_s: float) -> HealthReport:
             ),
             (
                 "hand",
-                Health(Link.LOST, "cable pulled out", 40, reconnects=0, age_s=time_s - 4.0)
+                Health(Link.LOST, "cable pulled out", 40, lost=20, lost_by_time=20, silent_s=2.0, age_s=time_s - 4.0)
                 if lost
                 else Health(
                     Link.CONNECTED, received=int(10 * time_s), reconnects=int(time_s >= 6), rate_hz=10, age_s=0.1

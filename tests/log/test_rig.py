@@ -376,7 +376,7 @@ def test_states_in_a_word(health: Health, expected: str) -> None:
 def test_the_table_tells_what_is_wrong() -> None:
     lines = table(rig.health(5.0), {stream.device: stream for stream in rig.STREAMS}).splitlines()
     assert lines[2] == "| fingertip (SIMULATED) | ok | 999.7 | 5 000 | 3 | 0 | 2 (checksum 2) | 12 | 0 |  |"
-    assert lines[5] == "| hand | **LOST** | 0 | 40 | 0 | 0 | 0 | 0 | 0 | cable pulled out |"
+    assert lines[5] == "| hand | **LOST** | 0 | 40 | 20 | 0 | 0 | 0 | 0 | cable pulled out |"
     assert len(lines) == 8
 
 

@@ -24,6 +24,8 @@ from deformscope_drivers.webcam.image import ColorImage
 DEFAULT_FPS = 30.0
 IMAGE_SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".png", ".ppm", ".tif", ".tiff", ".webp"})
 UNREADABLE = "unreadable"
+FAILED_READS = 8
+"""So many in a row are the end of a video: single pictures may be damaged."""
 
 Picture = NDArray[np.uint8]
 
@@ -177,6 +179,7 @@ class _VideoPictures:
 
     def __init__(self, capture: Any) -> None:
         self._capture = capture
+        self._unreadable = 0
 
     def __iter__(self) -> Iterator[Picture | None]:
         return self
@@ -184,9 +187,18 @@ class _VideoPictures:
     def __next__(self) -> Picture | None:
         import cv2
 
-        if not self._capture.grab():
-            self.close()
-            raise StopIteration
+        if self._unreadable:
+            self._unreadable -= 1
+            return None
+        failed = 0
+        while not self._capture.grab():
+            failed += 1
+            if failed == FAILED_READS:
+                self.close()
+                raise StopIteration
+        if failed:  # damaged pictures, and a good one behind them, which is lost with them
+            self._unreadable = failed
+            return None
         decoded, picture = self._capture.retrieve()
         return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), np.uint8) if decoded else None
 
