@@ -154,6 +154,15 @@ Item = Frame | RawBytes | LinkChange | HealthReport
 """What a recording of a rig holds."""
 
 
+def host_ns(item: Item) -> int:
+    """When an item was taken, on the host's clock [ns]."""
+    if isinstance(item, RawBytes | HealthReport):
+        return item.host_ns
+    if isinstance(item, LinkChange):
+        return item.event.host_ns
+    return item.stamp.host_ns
+
+
 @dataclass(frozen=True, slots=True)
 class Pad:
     """One pad of a tactile sensor. rows, columns: its texels; texel_m: (width, height) of one [m]; index: its place

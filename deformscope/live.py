@@ -39,11 +39,12 @@ StreamT = TypeVar("StreamT", bound=Stream)
 
 CAPACITY_JOBS = 256
 CAPACITY_BYTES = 128 << 20
-PERIODS_S: dict[ViewerKind, float] = {"native": 0.1, "page": 0.8}
+PERIODS_S: dict[ViewerKind, float] = {"native": 0.1, "page": 1.0}
 """Jobs are passed on together at most so often. A page without a graphics card takes in a few tens of entities a
 second, whatever their size, and fewer on a busy machine; a bench of seven devices has 10 in each portion."""
 VIEWER_MEMORY = "2GB"
-BACKLOG_MEMORY = "512MB"
+BACKLOG_MEMORY: dict[ViewerKind, str] = {"native": "512MB", "page": "128MB"}
+"""What a server keeps for who comes later: a page takes all of it in before what is new; what is static stays."""
 START_TIMEOUT_S = 20.0
 FLUSH_TIMEOUT_S = 1.0
 LOOPBACK = "127.0.0.1"
@@ -86,11 +87,11 @@ def start_viewer(kind: Literal["native", "page"]) -> Viewer:
     page = ""
     if kind == "page":
         page_port = _free_port()
-        command += ["--serve-web", "--web-viewer-port", str(page_port), "--server-memory-limit", VIEWER_MEMORY]
+        command += ["--serve-web", "--web-viewer-port", str(page_port), "--server-memory-limit", BACKLOG_MEMORY[kind]]
         page = f"http://{LOOPBACK}:{page_port}?url={url.replace(':', '%3A').replace('/', '%2F').replace('+', '%2B')}"
         command = _ending_with_this_process(command)
     else:
-        command += ["--memory-limit", VIEWER_MEMORY, "--server-memory-limit", BACKLOG_MEMORY]
+        command += ["--memory-limit", VIEWER_MEMORY, "--server-memory-limit", BACKLOG_MEMORY[kind]]
         command += ["--hide-welcome-screen", "--expect-data-soon", *window_options()]
     quiet = {"RERUN_APP_ONLY": "true", "RUST_LOG": "error"}
     messages, path = tempfile.mkstemp()

@@ -12,7 +12,6 @@ import dataclasses
 import json
 import logging
 import os
-import shutil
 import sys
 import threading
 import time
@@ -26,9 +25,9 @@ from typing import TYPE_CHECKING, BinaryIO, Literal
 import numpy as np
 
 from deformscope import provenance
-from deformscope.arrays import FloatArray, ImageArray
+from deformscope.arrays import FloatArray, ImageArray, IntArray
 from deformscope.errors import InputError
-from deformscope.frames import ColorFrame, DepthFrame, Frame, HealthReport, Item, LinkChange, RawBytes, Stream
+from deformscope.frames import ColorFrame, DepthFrame, Frame, HealthReport, Item, LinkChange, RawBytes, Stream, host_ns
 from deformscope.images import encode_jpeg, encode_png
 from deformscope.ledger import ledger_path, write_ledger
 from deformscope.live import (
@@ -42,9 +41,19 @@ from deformscope.live import (
     wait_for_viewer,
 )
 from deformscope.losses import losses_of
+from deformscope.recording_file import (
+    FLUSH_TIMEOUT_S,
+    RecordingError,
+    RecordingFile,
+    check_room,
+    leave_streams_alone,
+    merged_path,
+    sync,
+)
 from deformscope.recording_lock import create_locked, is_being_written, one_at_a_time
 from deformscope.session import Step
 from deformscope.stages.exploration import NextTouch, StageFailed
+from deformscope.writer import Writer
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -66,18 +75,20 @@ APPLICATIONS: dict[RecordingLayout, str] = {
 }
 """rerun's application of each layout: a viewer keeps one set of views an application, and these differ."""
 SUFFIX = ".rrd"
-FREE_BYTES = 64 << 20
-BEAT_S = 1.0
-BEAT_FRAMES = 32
-FLUSH_TIMEOUT_S = 20.0
-CLOSE_TIMEOUT_S = 60.0
+GATHER_S, GATHER_BYTES = 1.0, 8 << 20
+"""What devices give is gathered for so long, or until it is so much, and written together: the cost is by portion."""
+BACKLOG_JOBS, BACKLOG_BYTES = 1 << 20, 512 << 20
+"""What may wait to be written of devices, which go on by themselves."""
+AHEAD_JOBS, AHEAD_BYTES = 16, 64 << 20
+"""The same of what can itself wait for its recording."""
+ITEM_BYTES = 1 << 10
+"""An item costs so much memory beside its arrays."""
+TICK_S = 0.1
+SETTLE_TIMEOUT_S = 10.0
+DRAIN_TIMEOUT_S = 60.0
 LIVE_TIMEOUT_S = 3.0
 
 _logger = logging.getLogger(__name__)
-
-
-class RecordingError(InputError):
-    """The recording cannot go on: the disk is full, or gone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,9 +114,14 @@ class Recorder:
     it does nothing, and rerun is not even imported.
     settings: everything that decides the results, JSON-able; layout: which views a viewer opens with
     variant: tells apart recordings of one layout whose views differ: a viewer keeps one set of views an application
-    not_shown: results of an exploration that were recorded, but could not be shown
     deterministic: two runs of one input give recordings that `rerun rrd compare --unordered` finds equal; leaves
     out what differs between runs (start time, command line, versions, git state) and writes in larger portions
+    real_time: what is recorded goes on by itself, as devices do: a disk that stays too slow for it ends the recording
+    with a RecordingError. Otherwise whoever writes waits, once the disk is far behind
+
+    Nothing is encoded, and no disk waited for, in the thread that calls `write...`: that is done in order in a thread
+    of the recorder's own, so what is handed over must not be changed any more. What fails there is raised by the next
+    call, or in the end.
     """
 
     def __init__(
@@ -118,6 +134,7 @@ class Recorder:
         overwrite: bool = False,
         deterministic: bool = False,
         variant: str = "",
+        real_time: bool = False,
     ) -> None:
         self._target = None if file is None else _followed(Path(file))
         self._viewer_kind = viewer
@@ -126,37 +143,48 @@ class Recorder:
         self._application = f"{APPLICATIONS[layout]}-{variant}" if variant else APPLICATIONS[layout]
         self._overwrite = overwrite
         self._deterministic = deterministic
+        self._real_time = real_time
         self._part: Path | None = None
         self._reserved: BinaryIO | None = None
-        self._file: rr.RecordingStream | None = None
-        self._feed: LiveFeed[LiveStream] | None = None
-        self._viewer: Viewer | None = None
-        self._canvas: Canvas | None = None
+        self._finished: RecordingSummary | None = None
+        self._stopped = ""
+        # what who calls knows
         self._session_ns: dict[int, int] = {}
         self._first_ns = 0
         self._last_frame = 0
-        self._arranged = False
-        self._range: tuple[float, float] | None = None
         self._frames = self._steps = self._inputs = 0
+        self._counts: dict[str, int] = {}
+        self._losses: dict[str, dict[str, float]] = {}
+        self._touch = 0
         self._streams: tuple[Stream, ...] = ()
         self._lossless: frozenset[str] = frozenset()
         self._exploring = False
-        self.not_shown: list[StageFailed] = []
-        self._touch = 0
-        self._pictures_ns: list[int] = []
+        # what the writer's thread alone touches, until it has ended
+        self._writer: Writer | None = None
+        self._file: RecordingFile | None = None
+        self._feed: LiveFeed[LiveStream] | None = None
+        self._viewer: Viewer | None = None
+        self._canvas: Canvas | None = None
+        self._arranged = False
+        self._range: tuple[float, float] | None = None
+        self._pictures_ns = _Times()
         self._scales: dict[str, tuple[object, int]] = {}
-        self._counts: dict[str, int] = {}
-        self._losses: dict[str, dict[str, float]] = {}
-        self._beat_at = self._beats = 0.0
-        self._broken = False
-        self._lock = threading.RLock()
-        self._stopped = ""
-        self._finished: RecordingSummary | None = None
+        self._not_shown: list[StageFailed] = []
+        self._gathered: list[Item] = []
+        self._gathered_bytes = self._gathered_touch = 0
+        self._gathered_at = 0.0
 
     @property
     def active(self) -> bool:
         """Whether anything is recorded or shown."""
         return self._target is not None or self._viewer_kind != "none"
+
+    @property
+    def not_shown(self) -> tuple[StageFailed, ...]:
+        """Results of an exploration that were recorded, but could not be shown; waits until all so far were drawn."""
+        if self._writer is not None:
+            self._writer.settle(SETTLE_TIMEOUT_S)
+        return tuple(self._not_shown)
 
     @property
     def viewer(self) -> Viewer | None:
@@ -170,7 +198,7 @@ class Recorder:
             self._part, self._reserved = _reserve(self._target, self._overwrite)
         try:
             if self._target is not None:
-                _require_space(self._target.parent, "another disk", self._target)
+                check_room(self._target, "another disk")
             self._open()
         except BaseException:
             if self._part is not None:
@@ -197,13 +225,16 @@ class Recorder:
         self._frames += 1
         if not self.active:
             return
+        times = self._times(frame.index)
+        self._put(lambda: self._write_frame(frame, times), frame.image.nbytes)
+
+    def _write_frame(self, frame: ColorFrame, times: tuple[int, int]) -> None:
         if self._canvas is None:
             self._canvas = _canvas_of(frame.image)
             if not self._layout.startswith("pair"):
                 self._arrange()
         image = frame.image
         png = encode_png(image)
-        times = self._times(frame.index)
         stamp = frame.stamp.host_ns, -1 if frame.stamp.device_ticks is None else frame.stamp.device_ticks
         self._keep(lambda rec: _log_frame(rec, times, png, stamp))
         if image.dtype == np.uint8:  # as JPEG, a tenth of the bytes
@@ -217,10 +248,14 @@ class Recorder:
         self._steps += 1
         if not self.active or not step.results:
             return
+        times = self._times(self._last_frame if step.frame is None else step.frame)
+        size = sum(_size(result) for result in step.results)
+        self._put(lambda: self._write_step(step, times, size), size)
+
+    def _write_step(self, step: Step, times: tuple[int, int], size: int) -> None:
         from deformscope.log import canvas_with, log_result
         from deformscope.log.canvas import Canvas
 
-        times = self._times(self._last_frame if step.frame is None else step.frame)
         canvas = self._canvas or Canvas()
         shown = []
         for result in step.results:
@@ -235,7 +270,7 @@ class Recorder:
             for result, drawn_on in shown:
                 log_result(rec, result, drawn_on)
 
-        self._emit(log, sum(_size(result) for result in step.results))
+        self._emit(log, size)
 
     def start_rig(self, streams: Sequence[Stream], start_ns: int, lossless: Collection[str] = ()) -> None:
         """From here on it is the devices of a rig that are recorded.
@@ -248,14 +283,14 @@ class Recorder:
         from deformscope.log.rig import log_streams, rig_blueprint
 
         views, told = rig_blueprint(self._streams), self._streams
-        self._emit(lambda rec: rec.send_blueprint(views), 0)
-        self._emit(lambda rec: log_streams(rec, told), 0)
+        self._put(lambda: self._emit(lambda rec: rec.send_blueprint(views), 0), 0)
+        self._put(lambda: self._emit(lambda rec: log_streams(rec, told), 0), 0)
 
     def write_items(self, items: Sequence[Item]) -> None:
-        """Record a batch of what a rig's devices gave, without loss."""
-        if self._file is not None:
-            self._beat()
+        """Record a batch of what a rig's devices gave, without loss; an empty one asks whether it can go on."""
         if not items:
+            if self._writer is not None:
+                self._writer.check()
             return
         for item in items:
             kind = _counted_as(item)
@@ -265,17 +300,38 @@ class Recorder:
         self._frames += sum(isinstance(item, Frame) for item in items)
         if not self.active:
             return
-        from deformscope.log.rig import prepare_items
+        given, touch = tuple(items), self._touch
+        size = sum(_item_size(item) for item in given)
+        self._put(lambda: self._take_items(given, touch, size), size)
 
+    def _take_items(self, items: Sequence[Item], touch: int, size: int) -> None:
+        """Gather them with others of the same touch."""
+        if touch != self._gathered_touch:
+            self._write_gathered()
+            self._gathered_touch = touch
+        if not self._gathered:
+            self._gathered_at = time.monotonic()
         camera = next((stream.device for stream in self._streams if stream.kind == "depth"), None)
         pictures = [item for item in items if isinstance(item, DepthFrame) and item.device == camera]
-        self._pictures_ns += [item.stamp.host_ns - self._first_ns for item in pictures]
-        place = self._place(self._touch) if self._exploring else None
-        kept, start_ns, streams = list(items), self._first_ns, self._streams
-        size = sum(_item_size(item) for item in kept)
-        self._show(lambda live: live.add_items(kept, start_ns, streams, place), size)
-        if self._file is not None:
-            self._keep(prepare_items(kept, start_ns, streams, self._lossless, place, self._scales).send)
+        self._pictures_ns.add([item.stamp.host_ns - self._first_ns for item in pictures])
+        start_ns, streams, place = self._first_ns, self._streams, self._place(touch) if self._exploring else None
+        self._show(lambda live: live.add_items(items, start_ns, streams, place), size)
+        if self._file is None:
+            return
+        self._gathered += items
+        self._gathered_bytes += size
+        if self._gathered_bytes >= GATHER_BYTES or _span_s(self._gathered) >= GATHER_S:
+            self._write_gathered()
+
+    def _write_gathered(self) -> None:
+        if not self._gathered or self._file is None:
+            return
+        from deformscope.log.rig import prepare_items
+
+        items = self._gathered
+        self._gathered, self._gathered_bytes = [], 0
+        place = self._place(self._gathered_touch) if self._exploring else None
+        self._file.send(prepare_items(items, self._first_ns, self._streams, self._lossless, place, self._scales))
 
     def start_exploration(
         self,
@@ -297,9 +353,9 @@ class Recorder:
         from deformscope.log.rig import log_streams
 
         views, told = exploration_blueprint(self._streams, size_m, truth=truth), self._streams
-        self._emit(lambda rec: rec.send_blueprint(views), 0)
-        self._emit(lambda rec: log_streams(rec, told), 0)
-        self._emit(lambda rec: log_exploration_start(rec, told, base_from_surface), 0)
+        self._put(lambda: self._emit(lambda rec: rec.send_blueprint(views), 0), 0)
+        self._put(lambda: self._emit(lambda rec: log_streams(rec, told), 0), 0)
+        self._put(lambda: self._emit(lambda rec: log_exploration_start(rec, told, base_from_surface), 0), 0)
 
     def write_results(
         self, results: Sequence[object], now_ns: int, touch: int, cell_m: float, seen_ns: int | None = None
@@ -314,20 +370,25 @@ class Recorder:
         self._steps += 1
         if not self.active:
             return
-        from deformscope.log.exploration import prepare_results
+        given, session_ns = tuple(results), now_ns - self._first_ns
+        size = sum(_size(result) for result in given)
 
-        if self._file is not None:
-            self._beat()
-        place = self._place(touch, seen_ns)
-        batch = prepare_results(results, now_ns - self._first_ns, place, cell_m=cell_m, failed=self.not_shown)
-        self._keep(batch.send)
-        self._show(lambda live: live.send(batch), sum(_size(result) for result in results), lasting=True)
+        def write() -> None:
+            from deformscope.log.exploration import prepare_results
+
+            place = self._place(touch, seen_ns)
+            batch = prepare_results(given, session_ns, place, cell_m=cell_m, failed=self._not_shown)
+            if self._file is not None:
+                self._file.send(batch)
+            self._show(lambda live: live.send(batch), size, lasting=True)
+
+        self._put(write, size)
 
     def _place(self, touch: int, seen_ns: int | None = None) -> Place:
         """On an exploration's timelines."""
         from deformscope.log.rig import Place
 
-        place = Place(touch, np.array(self._pictures_ns, np.int64))
+        place = Place(touch, self._pictures_ns.all)
         if seen_ns is None:
             return place
         return dataclasses.replace(place, frame=int(place.at(np.array([seen_ns - self._first_ns]))[0]))
@@ -340,14 +401,17 @@ class Recorder:
         self._inputs += 1
         if not self.active:
             return
-        times = self._times(self._last_frame)
-        path = f"input/{name}"
-        if isinstance(content, bytes):
-            raw = np.frombuffer(content, np.uint8)
-            self._keep(lambda rec: _log_blob(rec, times, path, raw))  # no view shows it
-        else:
-            png = encode_png(content)
-            self._emit(lambda rec: _log_image(rec, path, png), len(png))
+        times, path = self._times(self._last_frame), f"input/{name}"
+
+        def write() -> None:
+            if isinstance(content, bytes):
+                raw = np.frombuffer(content, np.uint8)
+                self._keep(lambda rec: _log_blob(rec, times, path, raw))  # no view shows it
+            else:
+                png = encode_png(content)
+                self._emit(lambda rec: _log_image(rec, path, png), len(png))
+
+        self._put(write, len(content) if isinstance(content, bytes) else content.nbytes)
 
     def stopped_because(self, reason: str) -> None:
         """What is recorded ended before its time, and the recording with it: whole, and saying why."""
@@ -380,24 +444,50 @@ class Recorder:
             )
             self._feed.start()
         if self._part is not None:
-            self._file = _file_stream(self._application, recording_id, self._part, self._deterministic)
-            self._file.send_property("session", _any_values(told))
-            if not self._deterministic and self._target is not None:
-                self._file.send_recording_name(self._target.stem)
-            self._flush()
+            name = "" if self._deterministic or self._target is None else self._target.stem
+            self._file = RecordingFile(
+                self._application,
+                recording_id,
+                self._part,
+                told,
+                name=name,
+                hint=lambda: self._kept_hint,
+                deterministic=self._deterministic,
+            )
+        if self._real_time:
+            self._writer = Writer(self._tick, TICK_S, BACKLOG_JOBS, BACKLOG_BYTES, self._too_slow)
+        else:
+            self._writer = Writer(self._tick, TICK_S, AHEAD_JOBS, AHEAD_BYTES)
+        self._writer.start()
+
+    def _put(self, job: Callable[[], None], size: int) -> None:
+        """Have the writer's thread do it, in order. From any thread."""
+        if self._writer is None:
+            raise ValueError("nothing can be written before the recorder's context, or after it")
+        self._writer.put(job, size)
+
+    def _too_slow(self, waiting_bytes: int) -> Exception:
+        came = f"one that is {waiting_bytes >> 20} MiB behind"
+        return RecordingError("a disk that keeps up", came, self._kept_hint, self._part)
+
+    def _tick(self) -> None:
+        """Between jobs, and several times a second while there are none."""
+        if self._deterministic:
+            return
+        if self._gathered and time.monotonic() - self._gathered_at >= GATHER_S:
+            self._write_gathered()
+        if self._file is not None:
+            self._file.beat()
 
     def _emit(self, job: Callable[[rr.RecordingStream], None], size: int) -> None:
-        """To the file first and at once; to the live view when it comes to it. From any thread."""
-        with self._lock:
-            self._keep(job)
-            self._show(lambda live: job(live.rec), size, lasting=True)
+        """To the file, and to the live view when it comes to it."""
+        self._keep(job)
+        self._show(lambda live: job(live.rec), size, lasting=True)
 
     def _keep(self, job: Callable[[rr.RecordingStream], None]) -> None:
         """To the file alone."""
-        with self._lock:
-            if self._file is not None:
-                self._beat()
-                job(self._file)
+        if self._file is not None:
+            self._file.log(job)
 
     def _show(self, job: Callable[[LiveStream], None], size: int, *, lasting: bool = False) -> None:
         """To the live view alone. lasting: dropped last where the viewer cannot follow"""
@@ -433,94 +523,74 @@ class Recorder:
             raise ValueError(f"a step belongs to frame {frame}, which was never written")
         return frame, self._session_ns.get(frame, 0)
 
-    def _beat(self) -> None:
-        """Notice now and then that the disk is full or gone: rerun would go on without a word."""
-        with self._lock:
-            self._look_at_disk()
-
-    def _look_at_disk(self) -> None:
-        if self._broken:
-            raise RecordingError("a recording that goes on", "one that has failed", where=self._part)
-        if self._deterministic:  # by count, since every flush ends a portion of the file
-            self._beats += 1
-            due = self._beats % BEAT_FRAMES == 0
-        else:
-            due = time.monotonic() - self._beat_at > BEAT_S
-        if due:
-            self._flush()
-
-    def _flush(self) -> None:
-        assert self._file is not None
-        assert self._part is not None
-        try:
-            _require_space(self._part.parent, self._kept_hint, self._part)
-        except RecordingError:
-            self._broken = True
-            raise
-        try:
-            self._file.flush(timeout_sec=FLUSH_TIMEOUT_S)
-        except Exception as error:
-            self._broken = True
-            came = "a disk that is full, gone or too slow"
-            raise RecordingError("a disk that takes the recording", came, self._kept_hint, self._part) from error
-        self._beat_at = time.monotonic()
-
     def _close(self, *, complete: bool) -> None:
-        """End both streams, each within its time; give the file its name where all went well."""
-        failure: RecordingError | None = None
-        try:
-            if self._file is not None and not self._broken:
-                self._flush()  # safe on the disk before anything waits for a viewer
-        except RecordingError as error:
-            failure = error
+        """End the file and the live view, each within its time; give the file its name where all went well."""
+        failure = self._end_writing()  # safe on the disk before anything waits for a viewer
         dropped = self._close_live()
-        if self._file is not None and not self._broken:
-            outcome: dict[str, object] = {"frames": self._frames, "steps": self._steps}
-            outcome |= {"live_dropped": dropped, "complete": complete}
-            if self._stopped:
-                outcome["stopped"] = self._stopped
-            if self._counts:
-                outcome["counts"] = json.dumps(self._counts)
-                outcome["losses"] = json.dumps(self._losses)
-            self._file.send_property("outcome", _any_values(outcome))
-            try:
-                self._flush()
-            except RecordingError as error:
-                failure = error
-        file, self._file = self._file, None
-        if file is not None and not _within(file.disconnect, CLOSE_TIMEOUT_S if not self._broken else 2.0):
-            self._broken = True
-            _leave_streams_alone()
         path = self._part
-        if complete and not self._broken and self._part is not None:
-            path = self._publish(self._part)
-        elif self._part is not None:
-            path = self._keep_unfinished(self._part)
+        if self._file is not None and self._part is not None:
+            if not self._file.broken:
+                outcome: dict[str, object] = {"frames": self._frames, "steps": self._steps}
+                outcome |= {"live_dropped": dropped, "complete": complete and failure is None}
+                if self._stopped:
+                    outcome["stopped"] = self._stopped
+                if self._counts:
+                    outcome["counts"] = json.dumps(self._counts)
+                    outcome["losses"] = json.dumps(self._losses)
+                self._file.write_properties("outcome", outcome)
+                try:
+                    self._file.flush()
+                except RecordingError as error:
+                    failure = error
+            whole = self._file.close()
+            if complete and failure is None and not self._file.broken:
+                path = self._publish(self._part, whole)
+            else:
+                path = self._keep_unfinished(self._part, whole)
         size = path.stat().st_size if path is not None else 0
         self._finished = RecordingSummary(path, self._frames, self._steps, dropped, size)
         if complete and failure is not None:
             raise failure
 
+    def _end_writing(self) -> Exception | None:
+        """Have the writer finish; what kept it from that."""
+        writer, self._writer = self._writer, None
+        if writer is None:
+            return None
+        if writer.close(DRAIN_TIMEOUT_S, self._write_last):
+            return writer.failure
+        if self._file is not None:
+            self._file.broken = True
+        return self._too_slow(writer.waiting_bytes)
+
+    def _write_last(self) -> None:
+        self._write_gathered()
+        if self._file is not None:
+            self._file.flush()
+
     def _close_live(self) -> int:
         if self._feed is None:
             return 0
         if not self._feed.close(LIVE_TIMEOUT_S):
-            _leave_streams_alone()
+            leave_streams_alone()
         return self._feed.dropped
 
-    def _publish(self, part: Path) -> Path:
+    def _publish(self, part: Path, whole: Path) -> Path:
+        """whole: what is to be the recording; the part is locked, and goes last."""
         assert self._target is not None
         if self._target.exists() and not self._overwrite:
+            whole.replace(part)
             raise RecordingError(
                 "no file of that name", "one made during the run", f"the new one: {part}", self._target
             )
-        _sync(part)
+        sync(whole)
         # An older recording's ledger goes first: a ledger that fits no recording must never stand beside one.
         ledger_path(self._target).unlink(missing_ok=True)
-        part.replace(self._target)
+        whole.replace(self._target)
+        part.unlink(missing_ok=True)
         counts = {"frames": self._frames, "steps": self._steps, "inputs": self._inputs, **self._counts}
         write_ledger(self._target, counts, self._losses)
-        _sync(self._target.parent)
+        sync(self._target.parent)
         return self._target
 
     @property
@@ -538,7 +608,8 @@ class Recorder:
         # an exploration whose checks have not passed has nothing to tell but that its devices were there
         return bool(self._steps or self._inputs or (self._frames and not self._exploring))
 
-    def _keep_unfinished(self, part: Path) -> Path | None:
+    def _keep_unfinished(self, part: Path, whole: Path) -> Path | None:
+        whole.replace(part)
         if not self._holds_something:
             part.unlink(missing_ok=True)
             return None
@@ -576,29 +647,11 @@ def _reserve(target: Path, overwrite: bool) -> tuple[Path, BinaryIO]:
                 if is_being_written(part):
                     came = f"one that another run is recording to ({part.name})"
                     raise InputError("a recording of its own", came, "another name", target) from None
+                merged_path(part).unlink(missing_ok=True)  # of a run that was killed: of no use without its end
             except OSError as error:
                 came = (error.strerror or str(error)).lower()
                 raise InputError("a folder that can be written to", came, "another folder", target.parent) from error
     raise InputError("fewer unfinished recordings", "1000", "rename or delete some", target.parent)
-
-
-def _require_space(folder: Path, hint: str, where: Path) -> None:
-    free = shutil.disk_usage(folder).free
-    if free < FREE_BYTES:
-        raise RecordingError(f"{FREE_BYTES >> 20} MiB free on the disk", f"{free >> 20} MiB free", hint, where)
-
-
-def _file_stream(application: str, recording_id: str, path: Path, deterministic: bool) -> rr.RecordingStream:
-    import rerun as rr
-
-    never = 10**9
-    batching = rr.ChunkBatcherConfig(never, never, never, never) if deterministic else None
-    rec = rr.RecordingStream(
-        application, recording_id=recording_id, send_properties=not deterministic, batcher_config=batching
-    )
-    rec.set_log_time_enabled(not deterministic)
-    rec.set_sinks(rr.FileSink(path))
-    return rec
 
 
 def _live_stream(
@@ -706,7 +759,34 @@ def _counted_as(item: Item) -> str:
 
 def _item_size(item: Item) -> int:
     """Bytes that an item keeps alive."""
-    return len(item.data) if isinstance(item, RawBytes) else _size(item)
+    return ITEM_BYTES + (len(item.data) if isinstance(item, RawBytes) else _size(item))
+
+
+def _span_s(items: Sequence[Item]) -> float:
+    """From the first to the last."""
+    return (host_ns(items[-1]) - host_ns(items[0])) / 1e9
+
+
+class _Times:
+    """Times that only ever become more: what was read of them stays as it was."""
+
+    def __init__(self) -> None:
+        self._held: IntArray = np.zeros(1024, np.int64)
+        self._count = 0
+
+    @property
+    def all(self) -> IntArray:
+        """(n,) so far."""
+        return self._held[: self._count]
+
+    def add(self, times: Sequence[int]) -> None:
+        count = self._count + len(times)
+        if count > len(self._held):
+            longer = np.zeros(2 * count, np.int64)
+            longer[: self._count] = self.all
+            self._held = longer
+        self._held[self._count : count] = times
+        self._count = count
 
 
 def _provenance(settings: Mapping[str, object], *, brief: bool) -> dict[str, object]:
@@ -721,27 +801,3 @@ def _provenance(settings: Mapping[str, object], *, brief: bool) -> dict[str, obj
         found["command"] = json.dumps(provenance.command())
         found["platform"] = provenance.machine()
     return found
-
-
-def _within(action: Callable[[], object], timeout_s: float) -> bool:
-    """Run an action that may hang; whether it ended in time."""
-    thread = threading.Thread(target=action, name="deformscope-close", daemon=True)
-    thread.start()
-    thread.join(timeout_s)
-    return not thread.is_alive()
-
-
-def _leave_streams_alone() -> None:
-    """Keep the end of the process from waiting for a stream that hangs."""
-    import rerun as rr
-
-    rr.unregister_shutdown()
-
-
-def _sync(path: Path) -> None:
-    """Have the operating system put a file or a folder on the disk."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

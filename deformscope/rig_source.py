@@ -12,7 +12,7 @@ from typing import Any
 
 from deformscope.driver_table import Driver
 from deformscope.errors import InputError
-from deformscope.frames import HealthReport, Item, LinkChange, RawBytes, Stream
+from deformscope.frames import HealthReport, Item, LinkChange, RawBytes, Stream, host_ns
 from deformscope.measured import describe, to_frame
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import Device, RawChunk
@@ -163,15 +163,6 @@ class RigSource:
         if opened.raw is not None:
             items += [RawBytes(c.host_ns, c.data, c.sent, name) for c in _all(opened.raw, opened)]
         return items
-
-
-def host_ns(item: Item) -> int:
-    """When an item was taken, on the host's clock [ns]."""
-    if isinstance(item, RawBytes | HealthReport):
-        return item.host_ns
-    if isinstance(item, LinkChange):
-        return item.event.host_ns
-    return item.stamp.host_ns
 
 
 def _all(queue: Subscription[Any], opened: _Opened) -> list[Any]:

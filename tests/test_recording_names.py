@@ -15,7 +15,8 @@ import pytest
 from deformscope.cli import main
 from deformscope.errors import InputError
 from deformscope.ledger import check_ledger
-from deformscope.recorder import FREE_BYTES, Recorder, RecordingError
+from deformscope.recorder import Recorder, RecordingError
+from deformscope.recording_file import FREE_BYTES
 from deformscope.recording_lock import is_being_written
 
 USAGE = namedtuple("USAGE", "total used free")

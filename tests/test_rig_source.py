@@ -17,10 +17,10 @@ import pytest
 
 from deformscope.driver_table import DRIVERS
 from deformscope.errors import InputError
-from deformscope.frames import HealthReport, Item, LinkChange, RawBytes, TactileFrame, WrenchFrame
+from deformscope.frames import HealthReport, Item, LinkChange, RawBytes, TactileFrame, WrenchFrame, host_ns
 from deformscope.lab.stand_in import stand_in, wire_of
 from deformscope.losses import losses_of, named
-from deformscope.rig_source import RigMember, RigSource, host_ns
+from deformscope.rig_source import RigMember, RigSource
 from deformscope.session import watch
 from deformscope_drivers.dsa import Dsa, DsaConfig, DsaDouble
 from deformscope_drivers.errors import DeviceError

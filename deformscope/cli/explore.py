@@ -69,6 +69,7 @@ def explore_on(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any]
             settings,
             layout="exploration",
             overwrite=output.overwrite,
+            real_time=bench.runs_itself,
         ) as recorder,
     ):
         try:

@@ -65,7 +65,13 @@ def _run(config: RigRunOptions, *, always_record: bool) -> int:
     with (
         until_interrupted() as asked,
         Recorder(
-            file, viewer, settings, layout="rig", overwrite=config.output.overwrite, variant=_variant(rig)
+            file,
+            viewer,
+            settings,
+            layout="rig",
+            overwrite=config.output.overwrite,
+            variant=_variant(rig),
+            real_time=True,
         ) as recorder,
         members_of(rig) as members,
     ):

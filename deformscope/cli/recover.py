@@ -16,6 +16,7 @@ from deformscope.config import RecoverConfig
 from deformscope.errors import InputError
 from deformscope.ledger import ledger_path, read_counts, write_ledger
 from deformscope.recording_facts import Facts, read_facts
+from deformscope.recording_file import merged_path
 from deformscope.recording_lock import is_being_written
 from deformscope.rerun_tool import run_rrd
 
@@ -41,6 +42,7 @@ def run(config: RecoverConfig) -> None:
             os.fsync(file.fileno())
         _refuse_existing(out)
         whole.replace(out)
+    merged_path(path).unlink(missing_ok=True)  # what its run could not bring to an end either
     write_ledger(out, facts.counts, facts.losses)
     _tell(config, path, out, facts, damage)
 

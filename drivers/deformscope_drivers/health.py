@@ -39,9 +39,7 @@ class Health:
 
     link: the state of the connection; reason: why it is so, in words
     received: readings since it was opened
-    lost: readings that should have come and never did: sent by the device's counter, or missing by time (see the next)
-    lost_by_time: how many of these are counted by time, at the device's rate, where its counter does not tell: while
-    the link was lost, or the device silent; silent_s: how long that was [s]
+    lost: readings that should have come and never did: by the device's counter, or by time
     dropped: readings that came and that a reader was too slow to take, over all readers
     skipped_bytes: bytes that fit no frame; refused: frames refused, by reason (checksum, length...)
     resyncs: stretches of skipped bytes; reconnects: links made again
@@ -49,14 +47,14 @@ class Health:
     stuck: the same reading came again and again, as from a sensor that has died behind a link that lives
     clock: how the device's clock runs beside the host's, None where it has none
     extra: what only this kind of device counts
+    lost_by_time: how many of the lost ones are counted at the device's rate, for the time of a lost link or of silence,
+    where its counter does not tell; silent_s: how long that was [s]
     """
 
     link: Link
     reason: str = ""
     received: int = 0
     lost: int = 0
-    lost_by_time: int = 0
-    silent_s: float = 0.0
     dropped: int = 0
     skipped_bytes: int = 0
     refused: Mapping[str, int] = field(default_factory=dict)
@@ -67,6 +65,8 @@ class Health:
     stuck: bool = False
     clock: ClockRelation | None = None
     extra: Mapping[str, float] = field(default_factory=dict)
+    lost_by_time: int = 0
+    silent_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -77,6 +77,8 @@ def test_pair_json_is_the_public_contract(pair: Path, capsys: pytest.CaptureFixt
     assert found["verdict"] == "identified"
     assert found["stiffness_verdict"] == "unidentified"
     assert found["converged"] is True
+    assert found["explained"] == found["identifiability"]["explained"]
+    assert found["explained"] > 0.99
     assert found["aee_px"] is None
     assert 0 <= found["aee_m"] < found["aee_free_m"] < 1e-6
     assert len(found["curve"]["parameter"]) == len(found["curve"]["aee"]) == 12

@@ -8,6 +8,7 @@ import re
 import shutil
 import signal
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
@@ -22,10 +23,13 @@ from deformscope.frames import DepthFrame
 from deformscope.lab.fault_study import ALLOWED_S
 from deformscope.lab.faults import CAMERA, Injected
 from deformscope.ledger import check_ledger
+from deformscope.recording_file import RecordingFile
 from deformscope.rig_replay import read_items
 from deformscope.rig_source import RigSource
+from deformscope.robot.supervisor import Supervisor
 from deformscope.robot.touch import Phase
 from deformscope.stages.exploration import PhaseBegan, Stopped
+from tests.patience import PATIENCE_S
 
 
 def test_a_simulated_table_is_explored_recorded_and_replayed(
@@ -236,13 +240,19 @@ def test_a_full_disk_halts_the_arm_first(
     began: list[Phase] = []
     stopped: list[str] = []
     free = shutil.disk_usage
+    noticed = threading.Event()
 
     def filling(path: Path) -> Any:
         usage = free(path)
-        return usage._replace(free=0) if Phase.APPROACH in began else usage
+        if Phase.APPROACH not in began:
+            return usage
+        noticed.set()
+        return usage._replace(free=0)
 
     def phase_began(self: Companion, phase: Phase, time_ns: int) -> None:
         began.append(phase)
+        if phase is Phase.APPROACH:
+            assert noticed.wait(PATIENCE_S)  # a simulated arm is faster than any look at a disk
 
     def leave(self: RigSource, *error: object) -> None:
         """As the devices are closed: how the arm stands."""
@@ -253,7 +263,7 @@ def test_a_full_disk_halts_the_arm_first(
     monkeypatch.setattr(shutil, "disk_usage", filling)
     monkeypatch.setattr(Companion, "phase_began", phase_began)
     monkeypatch.setattr(RigSource, "__exit__", leave)
-    monkeypatch.setattr("deformscope.recorder.BEAT_S", 0.0)
+    monkeypatch.setattr("deformscope.recording_file.BEAT_S", 0.0)
     record = tmp_path / "e.rrd"
 
     assert main(["explore", "lab:two-60-150", *STOPPED, "--record", str(record)]) == 2
@@ -265,3 +275,47 @@ def test_a_full_disk_halts_the_arm_first(
     assert "  touches                0, " in shown.out  # what is known, and that the arm stands
     assert "  arm                    stands" in shown.out
     assert list(tmp_path.glob("*.part.rrd"))
+
+
+def test_the_robot_is_watched_while_the_disk_blocks(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From one phase to another no flush comes back: what looks at the force goes on as before."""
+    blocks, free, given_up = threading.Event(), threading.Event(), list[bool]()
+    looks = 0
+    flush, judge, followed = RecordingFile.flush, Supervisor.judge, Companion.phase_began
+
+    def slow(self: RecordingFile) -> None:
+        if Phase.APPROACH in begun and not free.is_set():
+            blocks.set()
+            given_up.append(not free.wait(60.0))
+        flush(self)
+
+    def looked(self: Supervisor, *given: Any, **named: Any) -> Any:
+        nonlocal looks
+        looks += blocks.is_set() and not free.is_set()
+        return judge(self, *given, **named)
+
+    begun: list[Phase] = []
+
+    def phase_began(self: Companion, phase: Phase, time_ns: int) -> None:
+        begun.append(phase)
+        if phase is Phase.APPROACH:
+            assert blocks.wait(PATIENCE_S)
+        if phase is Phase.RETREAT:
+            free.set()
+        followed(self, phase, time_ns)
+
+    monkeypatch.setattr(RecordingFile, "flush", slow)
+    monkeypatch.setattr(Supervisor, "judge", looked)
+    monkeypatch.setattr(Companion, "phase_began", phase_began)
+    monkeypatch.setattr("deformscope.recording_file.BEAT_S", 0.0)
+    monkeypatch.setattr("deformscope.recorder.AHEAD_JOBS", 1000)  # as of devices that go on by themselves
+    record = tmp_path / "e.rrd"
+    once = ["--touches", "1", *STOPPED[2:]]
+
+    assert main(["explore", "lab:two-60-150", *once, "--record", str(record)]) == 0, capsys.readouterr().err
+    assert given_up == [False]
+    assert looks > 300  # of the approach, the press and the dwell, a hundred a second
+    assert check_ledger(record) == []
+    assert main(["verify", str(record)]) == 0

@@ -62,6 +62,7 @@ def test_axes_tells_a_beta_for_each(pair: Path, capsys: pytest.CaptureFixture[st
     shown = capsys.readouterr().out
     assert "beta along (0.87, 0.5)" in shown
     assert "the axes differ" in shown
+    assert "100% of the motion beyond a rigid one" in shown
 
 
 def test_yield_tells_the_strain_and_draws(press: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

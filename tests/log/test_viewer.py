@@ -169,7 +169,7 @@ def test_a_stopped_window_costs_the_picture_alone(tmp_path: Path, monkeypatch: p
         pytest.skip("no software Vulkan driver")
     monkeypatch.setattr(live, "window_options", lambda: ["--headless"])
     monkeypatch.setenv("VK_ICD_FILENAMES", str(LAVAPIPE))
-    monkeypatch.setattr(recorder, "_leave_streams_alone", lambda: None)  # other tests' streams end as usual
+    monkeypatch.setattr(recorder, "leave_streams_alone", lambda: None)  # other tests' streams end as usual
     with Recorder(tmp_path / "run.rrd", "native", {}) as made:
         viewer = made.viewer
         assert viewer is not None

@@ -8,8 +8,10 @@ from deformscope.robot.advice import ADVICE, advice
 from deformscope.robot.supervisor import Fault
 from deformscope.robot.touch import Ending
 
+FAULTS = [fault for fault in Fault if fault is not Fault.NONE]
 
-@pytest.mark.parametrize("cause", [*(set(Fault) - {Fault.NONE}), Ending.NO_CONTACT, Ending.NOT_REACHED])
+
+@pytest.mark.parametrize("cause", [*FAULTS, Ending.NO_CONTACT, Ending.NOT_REACHED])
 def test_every_cause_has_its_advice(cause: Fault | Ending) -> None:
     assert cause in ADVICE
     assert bool(advice(cause)) is (cause is not Fault.ASKED)

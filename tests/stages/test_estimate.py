@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from deformscope.stages.estimate import Curve, Estimate, Identifiability, Posterior, Verdict, verdict
+from deformscope.stages.estimate import (
+    Curve,
+    Estimate,
+    Identifiability,
+    Posterior,
+    Verdict,
+    explained_text,
+    relative_verdict,
+    verdict,
+)
 
 
 def gaussian(mean: float, deviation: float, low: float = 0.0, high: float = 1.0) -> Posterior:
@@ -60,6 +69,19 @@ def test_ranks_and_quantiles_are_inverse() -> None:
 )
 def test_a_verdict_needs_data_that_tell(ends: tuple[float, float], told: Identifiability, expected: Verdict) -> None:
     assert verdict(ends, (0.0, 0.99), told) == expected
+
+
+def test_a_quantity_without_bounds_needs_data_that_tell_too() -> None:
+    assert relative_verdict(10.0, (9.5, 10.5)) == "identified"
+    assert relative_verdict(10.0, (8.0, 13.0)) == "weak"
+    assert relative_verdict(10.0, (8.0, float("inf"))) == "unidentified"
+    assert relative_verdict(10.0, (9.5, 10.5), explained=0.2) == "unidentified"
+
+
+def test_little_that_is_explained_comes_with_a_warning() -> None:
+    assert explained_text(0.934) == "93% of the motion beyond a rigid one"
+    assert "48% of the motion beyond a rigid one: LITTLE" in explained_text(0.48)
+    assert explained_text(-3.0).startswith("0%")
 
 
 @pytest.mark.parametrize(

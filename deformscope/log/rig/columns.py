@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import rerun as rr
+from rerun.chunk import Chunk
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.frames import Frame
@@ -64,25 +65,29 @@ class Batch:
 
     def __init__(self, place: Place | None = None) -> None:
         self.bytes = 0
+        self.parts: list[tuple[str, Chunk | Callable[[rr.RecordingStream], None]]] = []
         self._place = place
-        self._calls: list[tuple[str, Callable[[rr.RecordingStream], None]]] = []
 
     def send_columns(self, path: str, times: Sequence[rr.TimeColumn], columns: Columns) -> None:
         """As that of a stream."""
         ready = list(columns)
         when = list(times) if self._place is None else self._place.moved(times)
         self.bytes += sum(column.as_arrow_array().nbytes for column in ready)
-        self._calls.append((path, lambda rec: rec.send_columns(path, when, ready)))
+        self.parts.append((path, Chunk.from_columns(path, when, ready)))
 
     def log(self, path: str, entity: rr.AsComponents, *, static: bool) -> None:
         """As that of a stream."""
-        self._calls.append((path, lambda rec: rec.log(path, entity, static=static)))
+        self.parts.append((path, lambda rec: rec.log(path, entity, static=static)))
 
     def send(self, rec: rr.RecordingStream, visible: Callable[[str], bool] | None = None) -> None:
         """Log all of it, or the entities that are visible."""
-        for path, call in self._calls:
-            if visible is None or visible(path):
-                call(rec)
+        for path, part in self.parts:
+            if visible is not None and not visible(path):
+                continue
+            if isinstance(part, Chunk):
+                rec.send_chunks(part)
+            else:
+                part(rec)
 
 
 Sink = rr.RecordingStream | Batch

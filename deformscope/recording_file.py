@@ -1,0 +1,273 @@
+"""The file of a recording in progress: flushed every second, and readable whatever ends the process.
+
+What is recorded goes to two files. `NAME.part.rrd` has all of it at the next flush, in many small portions and without
+a footer: for one, rerun keeps some kilobytes of memory for each portion until the file is closed (1 MB for each second
+of a rig's recording), and a viewer reads a file of many portions slowly. `NAME.part.rrd.merged` gets the same rows in
+a hundredth of the portions, with a footer: it becomes the recording in the end. It can be done without: where it does
+not get on, or the disk is short, it is left out, and the recording is the first file.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+import threading
+import time
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+from deformscope.errors import InputError
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+    from deformscope.log.merged import Merged
+    from deformscope.log.rig import Batch
+
+FREE_BYTES = 64 << 20
+BEAT_S = 1.0
+BEAT_FRAMES = 32
+BEATS_MERGED = 30
+"""Beats from one flush of the merged file to the next: each ends the portions that rerun is gathering."""
+FLUSH_TIMEOUT_S = 20.0
+CLOSE_TIMEOUT_S = 60.0
+NEVER = 10**9
+
+_logger = logging.getLogger(__name__)
+
+
+class RecordingError(InputError):
+    """The recording cannot go on: the disk is full, gone or too slow."""
+
+
+def merged_path(part: Path) -> Path:
+    """Of the file with the large portions, beside the other."""
+    return part.with_name(part.name + ".merged")
+
+
+def check_room(path: Path, hint: str) -> None:
+    """Raise RecordingError where the disk has too little room for a file there. hint: what to try then"""
+    free = shutil.disk_usage(path.parent).free
+    if free < FREE_BYTES:
+        raise RecordingError(f"{FREE_BYTES >> 20} MiB free on the disk", f"{free >> 20} MiB free", hint, path)
+
+
+class RecordingFile:
+    """Written by one thread at a time.
+
+    part: an empty file to record into; told: properties of the whole; name: of the recording in a viewer
+    hint: what to try where the disk fails
+    deterministic: what is written, and in which portions, depends on nothing but what is recorded
+    Raises RecordingError once the disk does not take any more; `broken` then, and nothing but `close` is left.
+    """
+
+    def __init__(
+        self,
+        application: str,
+        recording_id: str,
+        part: Path,
+        told: Mapping[str, object],
+        *,
+        name: str = "",
+        hint: Callable[[], str] = lambda: "another disk",
+        deterministic: bool = False,
+    ) -> None:
+        from deformscope.log.merged import Merged
+
+        self.path = part
+        self.broken = False
+        self._hint = hint
+        self._deterministic = deterministic
+        self._stream = _stream(application, recording_id, part, deterministic, footer=False)
+        self._merged_path = merged_path(part)
+        self._merged_stream: rr.RecordingStream | None = _stream(
+            application, recording_id, self._merged_path, deterministic, footer=True
+        )
+        self._merged: Merged = Merged()
+        self._beat_at = 0.0
+        self._looks = self._beats = 0
+        self.write_properties("session", told)
+        if name:
+            self._log(lambda rec: rec.send_recording_name(name))
+        try:
+            self.flush()
+        except RecordingError:
+            self._merged_path.unlink(missing_ok=True)
+            raise
+
+    def log(self, job: Callable[[rr.RecordingStream], None]) -> None:
+        """Whatever can be done with a stream, now and then with a look at the disk before."""
+        self.beat()
+        self._log(job)
+
+    def send(self, batch: Batch) -> None:
+        """What was made ready, with a look at the disk as well."""
+        from rerun.chunk import Chunk
+
+        self.beat()
+        batch.send(self._stream)
+        if self._merged_stream is None:
+            return
+        for _, part in batch.parts:
+            if isinstance(part, Chunk):
+                self._merged_stream.send_chunks(list(self._merged.add(part)))
+            else:
+                part(self._merged_stream)
+
+    def write_properties(self, name: str, values: Mapping[str, object]) -> None:
+        """Of the whole recording."""
+        import rerun as rr
+
+        self._log(lambda rec: rec.send_property(name, rr.AnyValues(True, **values)))
+
+    def beat(self) -> None:
+        """Notice now and then that the disk is full or gone: rerun would go on without a word."""
+        if self.broken:
+            raise RecordingError("a recording that goes on", "one that has failed", where=self.path)
+        if self._deterministic:  # by count, since every flush ends a portion of the file
+            self._looks += 1
+            due = self._looks % BEAT_FRAMES == 0
+        else:
+            due = time.monotonic() - self._beat_at > BEAT_S
+        if due:
+            self.flush()
+
+    def flush(self) -> None:
+        """Have the disk take what was written."""
+        self._look_at_disk()
+        try:
+            self._stream.flush(timeout_sec=FLUSH_TIMEOUT_S)
+        except Exception as error:
+            self.broken = True
+            came = "a disk that is full, gone or too slow"
+            raise RecordingError("a disk that takes the recording", came, self._hint(), self.path) from error
+        self._beats += 1
+        if self._merged_stream is not None and self._beats % BEATS_MERGED == 0:
+            self._flush_merged(self._merged_stream)
+        self._beat_at = time.monotonic()
+
+    def close(self) -> Path:
+        """End both files, within a time; where the recording is: in one of its own, or at `path`.
+
+        Raises nothing; `broken` where neither could be ended.
+        """
+        if self._merged_stream is not None and not self.broken:
+            self._merged_stream.send_chunks(list(self._merged.rest()))
+            self._flush_merged(self._merged_stream)
+        merged, self._merged_stream = self._merged_stream, None
+        timeout_s = 2.0 if self.broken else CLOSE_TIMEOUT_S
+        ended = merged is None or within(merged.disconnect, timeout_s)
+        whole = merged is not None and ended and not self.broken and _has_footer(self._merged_path)
+        if not within(self._stream.disconnect, timeout_s):
+            ended, self.broken = False, not whole
+        if not ended:
+            leave_streams_alone()
+        if whole:
+            return self._merged_path
+        self._merged_path.unlink(missing_ok=True)
+        if merged is not None and not self.broken:
+            _say_that_it_stays_small("a file was not written to its end")
+        return self.path
+
+    def _log(self, job: Callable[[rr.RecordingStream], None]) -> None:
+        streams = [self._stream] if self._merged_stream is None else [self._stream, self._merged_stream]
+        job(cast("rr.RecordingStream", _Each(streams)))
+
+    def _look_at_disk(self) -> None:
+        try:
+            check_room(self.path, self._hint())
+        except RecordingError as error:
+            if self._merged_stream is None or self._merged_path.stat().st_size < FREE_BYTES:
+                self.broken = True
+                raise
+            self._do_without_merged(self._merged_stream, str(error))  # and more room for the other
+
+    def _flush_merged(self, merged: rr.RecordingStream) -> None:
+        try:
+            merged.flush(timeout_sec=FLUSH_TIMEOUT_S)
+        except Exception as error:
+            self._do_without_merged(merged, str(error))
+
+    def _do_without_merged(self, merged: rr.RecordingStream, reason: str) -> None:
+        self._merged_stream = None
+        if not within(merged.disconnect, 2.0):
+            leave_streams_alone()
+        self._merged_path.unlink(missing_ok=True)
+        _say_that_it_stays_small(reason)
+
+
+def _say_that_it_stays_small(reason: str) -> None:
+    _logger.warning("%s: the recording is whole, but in many small portions, which a viewer opens slowly", reason)
+
+
+class _Each:
+    """Whatever is called of it is called of each stream: what a job works out for it is worked out once."""
+
+    def __init__(self, streams: Sequence[rr.RecordingStream]) -> None:
+        self._streams = streams
+
+    def __getattr__(self, name: str) -> Callable[..., None]:
+        methods = [getattr(stream, name) for stream in self._streams]
+
+        def call(*arguments: object, **named: object) -> None:
+            for method in methods:
+                method(*arguments, **named)
+
+        return call
+
+
+def _stream(
+    application: str, recording_id: str, path: Path, deterministic: bool, *, footer: bool
+) -> rr.RecordingStream:
+    import rerun as rr
+
+    if deterministic:
+        batching: rr.ChunkBatcherConfig | None = rr.ChunkBatcherConfig(NEVER, NEVER, NEVER, NEVER)
+    else:  # what is logged one by one goes to the first file at once, to the other in larger portions
+        batching = rr.ChunkBatcherConfig(flush_tick=10.0) if footer else None
+    rec = rr.RecordingStream(
+        application, recording_id=recording_id, send_properties=not deterministic, batcher_config=batching
+    )
+    rec.set_log_time_enabled(not deterministic)
+    rec.set_sinks(rr.FileSink(path, write_footer=footer))
+    return rec
+
+
+def _has_footer(path: Path) -> bool:
+    """Whether a file was written to its end."""
+    from rerun.chunk import RrdReader
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            RrdReader(path).store()
+    except Exception:  # the reader raises what it likes
+        return False
+    return True
+
+
+def within(action: Callable[[], object], timeout_s: float) -> bool:
+    """Run an action that may hang; whether it ended in time."""
+    thread = threading.Thread(target=action, name="deformscope-close", daemon=True)
+    thread.start()
+    thread.join(timeout_s)
+    return not thread.is_alive()
+
+
+def leave_streams_alone() -> None:
+    """Keep the end of the process from waiting for a stream that hangs."""
+    import rerun as rr
+
+    rr.unregister_shutdown()
+
+
+def sync(path: Path) -> None:
+    """Have the operating system put a file or a folder on the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
