@@ -24,7 +24,7 @@ from deformscope.stages.inference import Inferred, white_noise
 from deformscope.stages.model import Model, Observation
 from deformscope.stages.msm.solver import Relaxed
 from deformscope.stages.residuals import DROP, Explanation, Residuals
-from deformscope.stages.search import Progress
+from deformscope.stages.search import Progress, beta_of
 
 KNOTS = (17, 11)
 BETWEEN = 3
@@ -226,7 +226,7 @@ class _Joint:
         return float(beta), float(theta), float(error)
 
     def shrink(self, stretched: FloatArray) -> FloatArray:
-        return np.clip(-np.expm1(-stretched), *self.options.beta_bounds)
+        return beta_of(stretched, self.options.beta_bounds)
 
     def _response(self, part: Residuals, beta: float, theta: float, base: FloatArray) -> FloatArray:
         def relax(held: FloatArray, start: FloatArray, tolerance: float) -> Relaxed:

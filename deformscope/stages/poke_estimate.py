@@ -27,6 +27,7 @@ from deformscope.stages.fitted import FittedModel, Rival
 from deformscope.stages.noise import independent
 from deformscope.stages.poke import Law, Tip
 from deformscope.stages.poke_fit import DOWN, PokesFit, PosedPoke
+from deformscope.stages.search import beta_of
 from deformscope.stages.stiffness_field import fit_field
 
 BESIDE = (-0.9, -0.45, -0.2, 0.0, 0.2, 0.45, 0.9)
@@ -242,18 +243,12 @@ class Profile:
 
     @property
     def beta(self) -> FloatArray:
-        return self._beta_of(self.stretched)
-
-    def _beta_of(self, stretched: FloatArray) -> FloatArray:
-        """beta of values of -log(1 - beta), exactly at the ends of the range: verdicts ask whether they are reached."""
-        low, high = self.fit.beta_range
-        inner = np.where(stretched <= -np.log1p(-low), low, -np.expm1(-stretched))
-        return np.asarray(np.where(stretched >= -np.log1p(-high), high, inner))
+        return beta_of(self.stretched, self.fit.beta_range)
 
     def _take(self, stretched: FloatArray) -> None:
         """Simulate these values of -log(1 - beta), none of which was before."""
         law = self.fit.best.law
-        laws = [dataclasses.replace(law, beta=float(beta)) for beta in self._beta_of(stretched)]
+        laws = [dataclasses.replace(law, beta=float(beta)) for beta in beta_of(stretched, self.fit.beta_range)]
         reaction, errors = [], []
         for column, one in enumerate(self.fit.posed):
             one.settle([law])
@@ -283,7 +278,7 @@ class Profile:
         independent as there are patches of the size of the tip. Several pokes share it too: they count as one.
         """
         fine = np.linspace(self.stretched[0], self.stretched[-1], FINE)
-        beta, law = self._beta_of(fine), self.fit.best.law
+        beta, law = beta_of(fine, self.fit.beta_range), self.fit.best.law
         thetas = np.linspace(0.0, 1.0, THETAS) if self.by_theta is not None else np.array([law.theta])
         squares = np.zeros((len(thetas), FINE))
         values = 0.0  # that tell something by themselves

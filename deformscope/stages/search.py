@@ -234,8 +234,14 @@ class Search:
 
     def shrink(self, stretched: FloatArray | float) -> FloatArray:
         value = np.asarray(stretched, dtype=np.float64)
-        value = -np.expm1(-value) if self.model.parameter == "beta" else value
-        return np.clip(value, *self.bounds)
+        return beta_of(value, self.bounds) if self.model.parameter == "beta" else np.clip(value, *self.bounds)
+
+
+def beta_of(stretched: FloatArray, bounds: tuple[float, float]) -> FloatArray:
+    """beta of values of -log(1 - beta), within its bounds and exactly at them: verdicts ask if they are reached."""
+    low, high = bounds
+    inner = np.where(stretched <= -np.log1p(-low), low, np.clip(-np.expm1(-stretched), low, high))
+    return np.asarray(np.where(stretched >= -np.log1p(-high), high, inner))
 
 
 def _shared_bodies(seen: Sequence[Observation], model: Model) -> list[Msm]:

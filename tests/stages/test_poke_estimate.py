@@ -16,6 +16,7 @@ from deformscope.stages.layers import Surface
 from deformscope.stages.poke import Law, Tip
 from deformscope.stages.poke_estimate import Profile, conclude, values_beside
 from deformscope.stages.poke_fit import PokesFit, SeenPoke, ShapeFit, fit_pokes, seen_poke
+from deformscope.stages.search import beta_of
 from tests.stages.pokes import SPACING, poked, surface
 
 POINTS = np.column_stack([np.linspace(0.0, 0.05, 6), np.zeros(6), np.zeros(6)])
@@ -93,6 +94,15 @@ def test_values_beside_keep_off_the_ends() -> None:
         values = values_beside(at, 0.0, 2.3)
         assert np.diff(values).min() > 0.009
     np.testing.assert_array_equal(values_beside(0.5, 0.4999, 0.5001)[[0, -1]], [0.4999, 0.5001])
+
+
+def test_bounds_are_met_exactly() -> None:
+    """Of the hundredths, 1 - exp(log(1 - beta)) is not beta for 0.23, 0.24, 0.25, 0.31, 0.33, 0.45 and 0.67."""
+    for low, high in zip(np.arange(0, 60) / 100, np.arange(1, 61) / 100, strict=True):
+        stretched = np.linspace(-np.log1p(-low), -np.log1p(-high), 7)
+        found = beta_of(stretched, (low, high))
+        assert (found[0], found[-1]) == (low, high)
+        np.testing.assert_allclose(found, -np.expm1(-stretched), rtol=1e-12)
 
 
 def test_beta_is_sought_in_the_range_that_is_asked_for() -> None:
