@@ -71,9 +71,9 @@ def test_each_kind_of_body(name: str) -> None:
     exact = dataclasses.replace(comparison, simulated=np.where(comparison.seen[:, None], comparison.observed, 0.0))
     perfect = dataclasses.replace(result, comparisons=(exact,))
     for draw in (particles_png, errors_png):
-        picture = decoded(draw(result, 0))
-        assert draw(perfect, 0) != draw(result, 0)
-        assert max(picture.shape) < 800
+        drawn = draw(result, 0)
+        assert draw(perfect, 0) != drawn
+        assert max(decoded(drawn).shape) < 800
 
 
 def test_the_heat_map_is_bright_where_the_error_is() -> None:
