@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from deformscope.cli import main
+from deformscope.cli.common import EXIT_LOSSES
 from deformscope.lab import stand_in
 
 DEVICES = ("tip", "pads", "hand", "arm", "camera", "depth")
@@ -103,10 +104,14 @@ def test_the_example_with_doubles_is_recorded(command: list[str], example: str, 
     path, told = tmp_path / "rig.toml", tmp_path / "told.json"
     path.write_text(doubled(example))
 
-    assert main([*command, str(path), "--seconds", "1", "--json", str(told)]) == 0
-    devices = json.loads(told.read_text())["devices"]
+    status = main([*command, str(path), "--seconds", "1", "--json", str(told)])
+    found = json.loads(told.read_text())
+    devices = found["devices"]
     assert tuple(devices) == DEVICES
     assert all(health["received"] for health in devices.values())
+    assert not found["failures"]
+    # doubles keep to the host's clock: a busy machine loses readings of theirs
+    assert status == (EXIT_LOSSES if found["losses"] and command == ["record"] else 0)
 
 
 @pytest.mark.parametrize("all_doubled", [True, False])

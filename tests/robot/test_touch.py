@@ -176,7 +176,8 @@ def test_a_camera_that_repeats_itself_is_found_before_anything_moves() -> None:
 
 def test_an_arm_that_begins_at_a_joints_limit_is_found_before_anything_moves() -> None:
     scene = make_scene(6, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
-    double = scene.lab.arm_double
+    supervisor, double = scene.robot.supervisor, scene.lab.arm_double
+    supervisor.limits = dataclasses.replace(supervisor.limits, low_m=(-1.0, -1.0, -1.0), high_m=(1.0, 1.0, 1.0))
     double._arm.joints_deg = double.joints_deg.copy()
     double._arm.joints_deg[2] = double.chain.lower_deg[2] + 3.0
     double._arm.links = double.chain.forward(double._arm.joints_deg)
