@@ -8,14 +8,24 @@ from pathlib import Path
 
 import pytest
 
+from deformscope_drivers import transport
+from tests.patience import PATIENCE_S
+
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # Started in the background, as by nohup: else no program that a test starts would know Ctrl-C.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 os.environ["MPLBACKEND"] = "Agg"
 os.environ["RUST_LOG"] = "off"  # rerun's own chatter
+transport.WRITE_TIMEOUT_S = PATIENCE_S  # a thread that a busy machine stops in the middle of a write has not failed
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 """Real recordings that are too large to be kept in the repository; they lie beside a checkout where there are any."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The drivers' tests first: they need no kernels, so that of two test processes the other has compiled them when
+    both need them; and they wait for doubles, while the other computes."""
+    items.sort(key=lambda item: not item.nodeid.startswith("tests/drivers/"))
 
 
 @pytest.fixture(params=["cpu", pytest.param("cuda:0", marks=pytest.mark.cuda)])
