@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from deformscope.cli.benches import bench_of, lab_of
-from deformscope.cli.common import quiet_warp, resolve_viewer, say, status_line
+from deformscope.cli.common import EXIT_LOSSES, quiet_warp, resolve_viewer, say, status_line
 from deformscope.cli.explored import Ending, report
 from deformscope.cli.exploring import Companion, leave, let_move
 from deformscope.cli.rigs import until_interrupted
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
     from deformscope.recorder import Recorder
 
 
-def run(config: ExploreConfig) -> None:
-    """Explore a simulated scene, or what is before a rig."""
+def run(config: ExploreConfig) -> int:
+    """Explore a simulated scene, or what is before a rig. Returns the command's exit status."""
     if config.list_scenarios:
         _list()
-        return
+        return 0
     from deformscope.experiments.explore import ExploreOptions
 
     quiet_warp()
@@ -43,7 +43,13 @@ def run(config: ExploreConfig) -> None:
         beta_model=config.beta_model,
         seed=config.output.seed,
     )
-    explore_on(config, options)
+    found = explore_on(config, options)
+    if found is None or not found["losses"] or config.output.record is None:
+        return 0
+    from deformscope.losses import named
+
+    say(f"deformscope: the recording is whole, with losses: {named(found['losses'])}")
+    return EXIT_LOSSES
 
 
 def explore_on(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any] | None:
@@ -99,6 +105,7 @@ def _run(
 ) -> None:
     """Open the devices, explore, close them; `explorer` and `ending` hold what is known, also where this raises."""
     from deformscope.experiments.explore import ExplorationStopped
+    from deformscope.losses import losses_of
     from deformscope.session import watching
 
     with bench.source() as source, status_line() as show:
@@ -127,7 +134,9 @@ def _run(
                 ending.arm_told = companion.arm_told
                 ending.session_s = (bench.clock() - source.start_ns) / 1e9
         recorder.write_items(source.take(0.0))
-    recorder.write_items([*source.rest(), source.look()])
+    last = source.look()
+    ending.losses = losses_of(last)
+    recorder.write_items([*source.rest(), last])
     for name, reason in source.failures.items():
         say(f"deformscope: device {name} failed: {reason}")
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from deformscope import __version__
 from deformscope.cli.common import replacing, say, show_table, write_json
 from deformscope.errors import InputError
+from deformscope.losses import named
 
 if TYPE_CHECKING:
     from deformscope.config import ExploreConfig
@@ -55,6 +56,7 @@ class Ending:
     error: that ended it, other than a stop; stop, stop_ns: why the robot stopped before its plan said so, and when
     arm_told: whether the arm could be told to stand; began_s: when it could first move, 0 = never [s]
     compute_s, slowest_s, session_s: spent computing, on the slowest step, and by the robot's clock [s]
+    losses: of each device that lost something (`deformscope.losses`)
     unwritten: outputs that could not be written, and why
     """
 
@@ -67,6 +69,7 @@ class Ending:
     compute_s: float = 0.0
     slowest_s: float = 0.0
     session_s: float = 0.0
+    losses: dict[str, dict[str, float]] = field(default_factory=dict)
     unwritten: list[InputError] = field(default_factory=list)
 
     @property
@@ -178,6 +181,7 @@ def _found(
         "stop_reason": explorer.stop_reason,
         "arm_stands": ending.arm_told,
         "failures": [{"stage": one.stage, "touch": one.touch, "reason": one.reason} for one in explorer.failures],
+        "losses": ending.losses,
         "recording": recording,
     }
 
@@ -245,6 +249,8 @@ def _rows(found: dict[str, Any], explorer: Explorer, bench: Bench) -> list[tuple
         ("arm", "stands" if found["arm_stands"] else "COULD NOT BE TOLD TO STOP: use its emergency stop"),
         ("time", f"{found['seconds']['session']:.0f} s of the robot, {found['seconds']['wall']:.0f} s here"),
     ]
+    if found["losses"]:
+        rows.append(("lost", named(found["losses"])))
     if found["recording"] is not None:
         rows.append(("recording", str(found["recording"])))
     return rows
