@@ -34,8 +34,8 @@ Experiment = Generator[Step, ColorFrame | None, SummaryT]
 steps (each naming its frame) and returns its summary."""
 
 
-class Recorder(Protocol):
-    """Where a session's frames and results go (`deformscope.recorder.Recorder`)."""
+class SessionRecorder(Protocol):
+    """Where a session's frames and results go (`deformscope.recording.recorder.Recorder`)."""
 
     def write_frame(self, frame: ColorFrame) -> None: ...
 
@@ -44,7 +44,7 @@ class Recorder(Protocol):
     def write_items(self, items: Sequence[Item]) -> None: ...
 
 
-def run(source: Iterable[ColorFrame], experiment: Experiment[SummaryT], recorder: Recorder) -> SummaryT:
+def run(source: Iterable[ColorFrame], experiment: Experiment[SummaryT], recorder: SessionRecorder) -> SummaryT:
     """Drive one experiment over one source to its end and return its summary."""
     next(experiment)
     try:
@@ -60,8 +60,8 @@ def run(source: Iterable[ColorFrame], experiment: Experiment[SummaryT], recorder
         return summary
 
 
-class Rig(Protocol):
-    """Open devices (`deformscope.rig_source.RigSource`)."""
+class SessionRig(Protocol):
+    """Open devices (`deformscope.rig.source.RigSource`)."""
 
     def take(self, wait_s: float) -> list[Item]: ...
 
@@ -73,7 +73,7 @@ class Rig(Protocol):
 
 
 @contextlib.contextmanager
-def watching(rig: Rig, recorder: Recorder) -> Iterator[Callable[[], None]]:
+def watching(rig: SessionRig, recorder: SessionRecorder) -> Iterator[Callable[[], None]]:
     """Record what the devices of a rig give, from a thread, while something else goes on; what comes last is left to
     who closes them. Yields what raises, once it is asked, what keeps it from recording; so does the context's end."""
     ended = threading.Event()
@@ -100,7 +100,7 @@ def watching(rig: Rig, recorder: Recorder) -> Iterator[Callable[[], None]]:
     go_on()
 
 
-def watch(rig: Rig, recorder: Recorder, ended: Callable[[Sequence[Item]], bool]) -> HealthReport:
+def watch(rig: SessionRig, recorder: SessionRecorder, ended: Callable[[Sequence[Item]], bool]) -> HealthReport:
     """Record what the devices of a rig give until `ended` says so; it sees every batch. Nothing that came is left.
 
     Returns the last look at the devices, closed by then: its counts are those of the whole session.

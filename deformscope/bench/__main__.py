@@ -31,7 +31,7 @@ def main() -> int:
 
     import warp as wp
 
-    from deformscope.bench.plan import Plan, default_sizes
+    from deformscope.bench.plan import BenchPlan, default_sizes
     from deformscope.bench.report import check, measure, report
     from deformscope.errors import InputError
     from deformscope.stages.msm.solver import pick_device
@@ -40,7 +40,7 @@ def main() -> int:
     try:
         device = pick_device(asked.device)
         sizes = asked.sizes or default_sizes(device, asked.quick)
-        plan = Plan(device, sizes, asked.repeats, asked.quick, asked.peers, asked.only)
+        plan = BenchPlan(device, sizes, asked.repeats, asked.quick, asked.peers, asked.only)
         check(plan)
         rows, complete = [], False
         try:

@@ -18,7 +18,7 @@ PUSH = 1.5
 
 
 @dataclass(frozen=True, slots=True)
-class Body:
+class BenchBody:
     """A full lattice with some particles held. Lengths are in units of its spacing.
 
     named: in the table; shape: (d,); rest: (K, d); held: (n,) indices; held_position: (n, d)
@@ -44,7 +44,7 @@ def counted(particles: int) -> str:
     return f"{particles:,} particles".replace(",", " ")
 
 
-def cube(side: int) -> Body:
+def cube(side: int) -> BenchBody:
     """side^3 particles; the bottom plate is held, the top plate pressed towards it."""
     shape = (side, side, side)
     rest = np.indices(shape, dtype=np.float64).reshape(3, -1).T
@@ -52,10 +52,10 @@ def cube(side: int) -> Body:
     held = np.concatenate([plate, plate + side**3 - side * side])
     position = rest[held]
     position[side * side :, 0] -= PRESSED * (side - 1)
-    return Body(f"{counted(side**3)} between plates", shape, rest, held, position)
+    return BenchBody(f"{counted(side**3)} between plates", shape, rest, held, position)
 
 
-def poked(side: int) -> Body:
+def poked(side: int) -> BenchBody:
     """The same cube with the middle ninth of its top held and pressed as far.
 
     Between plates that hold it all over, a cube without volume conservation is pressed alike in every column, which
@@ -67,14 +67,14 @@ def poked(side: int) -> Body:
     held = np.concatenate([index[0].ravel(), index[-1, tool, tool].ravel()])
     position = body.rest[held]
     position[side * side :, 0] -= PRESSED * (side - 1)
-    return Body(f"{counted(side**3)} poked", body.shape, body.rest, held, position)
+    return BenchBody(f"{counted(side**3)} poked", body.shape, body.rest, held, position)
 
 
-def sheet() -> Body:
+def sheet() -> BenchBody:
     """7 x 15 particles in the plane; the bottom row stands, the top middle particle is pushed in."""
     rows, columns = SHEET
     rest = np.indices(SHEET, dtype=np.float64).reshape(2, -1).T
     held = np.array([*range(columns), (rows - 1) * columns + columns // 2])
     position = rest[held]
     position[-1, 0] -= PUSH
-    return Body(f"{rows} x {columns} sheet", SHEET, rest, held, position)
+    return BenchBody(f"{rows} x {columns} sheet", SHEET, rest, held, position)

@@ -11,9 +11,9 @@ from scipy.optimize import minimize_scalar
 
 from deformscope.arrays import FloatArray
 from deformscope.bench.bodies import SHEET_CLUSTERS, sheet
-from deformscope.bench.plan import Plan, Tell
+from deformscope.bench.plan import BenchPlan, Tell
 from deformscope.bench.statics import SWEPT
-from deformscope.bench.timing import OURS, Contestant, Row, clock, compare
+from deformscope.bench.timing import OURS, Contestant, TimingRow, clock, compare
 from deformscope.stages.msm.solver import Msm
 
 TRUE_BETA, NOISE = 0.637, 0.02
@@ -27,7 +27,7 @@ TIGHT = 1e-11
 Error = Callable[[FloatArray, FloatArray], float]
 
 
-def fit(plan: Plan, tell: Tell) -> Iterator[Row]:
+def fit(plan: BenchPlan, tell: Tell) -> Iterator[TimingRow]:
     """The same beta found in two ways, and how far each is from the error's minimum."""
     from deformscope.stages.msm.fit import fit_beta
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from deformscope.bench.bodies import Body
+from deformscope.bench.bodies import BenchBody
 from deformscope.bench.timing import CASES, Case, Timing, clock
 from deformscope.stages.msm.solver import Msm, Precision
 
@@ -25,7 +25,7 @@ Tell = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class BenchPlan:
     """What to measure.
 
     device: warp's name; sizes: particles of the cubes, each n^3; repeats: rounds of every comparison, None = what fits
@@ -64,7 +64,7 @@ class Plan:
         """The same where a round is made short, so that there are always some."""
         return self.rounds(seconds, 3)
 
-    def engine(self, body: Body, size: int = CLUSTER, precision: Precision = "float64") -> Msm:
+    def engine(self, body: BenchBody, size: int = CLUSTER, precision: Precision = "float64") -> Msm:
         """The body in overlapping clusters on the plan's device."""
         return Msm(body.rest, body.clusters(size), body.held, precision=precision, device=self.device)
 

@@ -8,18 +8,18 @@ from dataclasses import dataclass
 from deformscope.bench.fitting import fit
 from deformscope.bench.machine import machine
 from deformscope.bench.peers import require_peers
-from deformscope.bench.plan import Plan, Tell, side_of
+from deformscope.bench.plan import BenchPlan, Tell, side_of
 from deformscope.bench.starting import cold
 from deformscope.bench.statics import gradient, relax, sweep, theta
 from deformscope.bench.steps import candidates_at_once, steps
 from deformscope.bench.surface import surface
-from deformscope.bench.timing import Case, Row
+from deformscope.bench.timing import Case, TimingRow
 from deformscope.errors import InputError
 
 FORMAT = 1
 """Of the JSON; a change that breaks readers raises it."""
 
-Rows = Callable[[Plan, Tell], Iterator[Row]]
+Rows = Callable[[BenchPlan, Tell], Iterator[TimingRow]]
 
 MEASURES: tuple[tuple[frozenset[Case], Rows], ...] = (
     (frozenset({"step", "memory"}), steps),
@@ -34,7 +34,7 @@ MEASURES: tuple[tuple[frozenset[Case], Rows], ...] = (
 )
 
 
-def check(plan: Plan) -> None:
+def check(plan: BenchPlan) -> None:
     """Raises InputError for what cannot be measured."""
     odd = [size for size in plan.sizes if side_of(size) < 4]
     if odd:
@@ -43,7 +43,7 @@ def check(plan: Plan) -> None:
         require_peers()
 
 
-def measure(plan: Plan, tell: Tell) -> Iterator[Row]:
+def measure(plan: BenchPlan, tell: Tell) -> Iterator[TimingRow]:
     """Each row of the plan as soon as it is known."""
     for cases, rows in MEASURES:
         if cases & set(plan.only):
@@ -57,10 +57,10 @@ class Report:
     format: int
     complete: bool
     machine: Mapping[str, object]
-    settings: Plan
+    settings: BenchPlan
     rows: tuple[Mapping[str, object], ...]
 
 
-def report(plan: Plan, rows: Sequence[Row], *, complete: bool) -> Report:
+def report(plan: BenchPlan, rows: Sequence[TimingRow], *, complete: bool) -> Report:
     """All of it. The machine's load is that of the end."""
     return Report(FORMAT, complete, machine(plan.device), plan, tuple(row.plain() for row in rows))

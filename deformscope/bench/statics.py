@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from deformscope.arrays import FloatArray
-from deformscope.bench.bodies import SHEET_CLUSTERS, Body, counted, cube, poked, sheet
-from deformscope.bench.plan import BETA, CLUSTER, MIDDLE, Plan, Tell, side_of
-from deformscope.bench.timing import OURS, Contestant, Row, clock, compare
+from deformscope.bench.bodies import SHEET_CLUSTERS, BenchBody, counted, cube, poked, sheet
+from deformscope.bench.plan import BETA, CLUSTER, MIDDLE, BenchPlan, Tell, side_of
+from deformscope.bench.timing import OURS, Contestant, TimingRow, clock, compare
 from deformscope.stages.msm.clusters import single
 from deformscope.stages.msm.solver import Msm, Relaxed
 
@@ -24,14 +24,14 @@ ALL_PARTICLES_MOST = 1331
 """Particles up to which the single cluster is also relaxed by `Msm`, which says where every particle is."""
 
 
-def relax(plan: Plan, tell: Tell) -> Iterator[Row]:
+def relax(plan: BenchPlan, tell: Tell) -> Iterator[TimingRow]:
     """The static state of ever larger cubes, from rest."""
     plan.engine(cube(4)).relax(cube(4).held_position, BETA)  # loads the kernels
     for make in (cube, poked):
         yield from _growing(plan, tell, make)
 
 
-def _growing(plan: Plan, tell: Tell, make: Callable[[int], Body]) -> Iterator[Row]:
+def _growing(plan: BenchPlan, tell: Tell, make: Callable[[int], BenchBody]) -> Iterator[TimingRow]:
     last_s, before = 0.0, 1
     for particles in plan.sizes:
         body = make(side_of(particles))
@@ -39,14 +39,14 @@ def _growing(plan: Plan, tell: Tell, make: Callable[[int], Body]) -> Iterator[Ro
         tell(f"relax: {what}")
         # Iterations grow with the side.
         if (expected_s := last_s * (particles / before) ** (4 / 3)) > plan.longest_s:
-            yield Row("relax", what, OURS, "ms", (), note=f"left out: it would take some {expected_s:.0f} s")
+            yield TimingRow("relax", what, OURS, "ms", (), note=f"left out: it would take some {expected_s:.0f} s")
             continue
         (row,) = compare("relax", [_relaxing(plan.engine(body), body, what, BETA)], plan.rounds)
         last_s, before = min(row.samples) / 1e3, particles
         yield row
 
 
-def sweep(plan: Plan, tell: Tell) -> Iterator[Row]:
+def sweep(plan: BenchPlan, tell: Tell) -> Iterator[TimingRow]:
     """Static states of 100 betas in one launch."""
     for small in (sheet(), cube(4)):
         plan.engine(small).relax(small.held_position, BETA)  # loads the kernels
@@ -57,7 +57,7 @@ def sweep(plan: Plan, tell: Tell) -> Iterator[Row]:
         yield from compare("sweep", [_relaxing(plan.engine(body, size), body, what, SWEPT)], plan.rounds)
 
 
-def _relaxing(engine: Msm, body: Body, what: str, beta: FloatArray | float) -> Contestant:
+def _relaxing(engine: Msm, body: BenchBody, what: str, beta: FloatArray | float) -> Contestant:
     last: list[Relaxed] = []
 
     def run() -> None:
@@ -71,7 +71,7 @@ def _relaxing(engine: Msm, body: Body, what: str, beta: FloatArray | float) -> C
     return Contestant(what, OURS, lambda: clock(run), found=facts)
 
 
-def theta(plan: Plan, tell: Tell) -> Iterator[Row]:
+def theta(plan: BenchPlan, tell: Tell) -> Iterator[TimingRow]:
     """The static state of a single quadratic cluster under eq. 3.17, by its moments and by all its particles."""
     from deformscope.stages.msm.reduced import OneCluster
 
@@ -98,7 +98,7 @@ def theta(plan: Plan, tell: Tell) -> Iterator[Row]:
     yield from compare("theta", contestants, plan.rounds_of_steps)
 
 
-def gradient(plan: Plan, tell: Tell) -> Iterator[Row]:
+def gradient(plan: BenchPlan, tell: Tell) -> Iterator[TimingRow]:
     """The gradient of an error over every cluster's beta, beside one static state."""
     for body, size in ((poked(MIDDLE), CLUSTER), (sheet(), 4)):
         what = f"{body.named}, clusters of {size}^{body.rest.shape[1]}"

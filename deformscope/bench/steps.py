@@ -9,12 +9,12 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from deformscope.bench.bodies import Body, counted, cube
+from deformscope.bench.bodies import BenchBody, counted, cube
 from deformscope.bench.memory import Meter
 from deformscope.bench.numpy_step import NumpyLattice
 from deformscope.bench.peers import Peer, PeerFailed
-from deformscope.bench.plan import BETA, CLUSTER, MIDDLE, Plan, Tell, side_of
-from deformscope.bench.timing import OURS, Contestant, Row, Timing, clock, compare
+from deformscope.bench.plan import BETA, CLUSTER, MIDDLE, BenchPlan, Tell, side_of
+from deformscope.bench.timing import OURS, Contestant, Timing, TimingRow, clock, compare
 from deformscope.stages.msm.solver import Msm
 
 WIDE_CLUSTER, WIDE_AT = 9, 50_653
@@ -38,7 +38,7 @@ class Stepping:
     two_s: what a call of 2 steps takes, nearly all of it setting up, recording and copying the result [s]
     """
 
-    def __init__(self, engine: Msm, body: Body, turn_s: float, candidates: int = 1) -> None:
+    def __init__(self, engine: Msm, body: BenchBody, turn_s: float, candidates: int = 1) -> None:
         self._engine, self._body, self._size = engine, body, candidates
         self._beta = BETA if candidates == 1 else np.linspace(0.0, 0.99, candidates)
         self._call(2)  # loads the kernels
@@ -59,19 +59,21 @@ class Stepping:
         return clock(lambda: self._engine.step(state, self._body.held_position, self._beta, steps=steps))
 
 
-def steps(plan: Plan, tell: Tell) -> Iterator[Row]:
+def steps(plan: BenchPlan, tell: Tell) -> Iterator[TimingRow]:
     """One step of ever larger cubes, and the memory that it takes."""
     setup_s, before = 0.0, 1
     for particles in plan.sizes:
         what = counted(particles)
         tell(f"step: {what}")
         if (expected_s := setup_s * particles / before) > SETUP_MOST_S:
-            yield Row("step", what, OURS, "ms/step", (), note=f"left out: setting up would take {expected_s:.0f} s")
+            yield TimingRow(
+                "step", what, OURS, "ms/step", (), note=f"left out: setting up would take {expected_s:.0f} s"
+            )
             continue
         setup_s, before = (yield from _one_size(plan, tell, particles)), particles
 
 
-def _one_size(plan: Plan, tell: Tell, particles: int) -> Generator[Row, None, float]:
+def _one_size(plan: BenchPlan, tell: Tell, particles: int) -> Generator[TimingRow, None, float]:
     """Rows of one cube, all of whose memory is free again afterwards. Returns the seconds of setting up."""
     what, body, meter = counted(particles), cube(side_of(particles)), Meter(plan.device)
     began_s = time.perf_counter()
@@ -84,7 +86,7 @@ def _one_size(plan: Plan, tell: Tell, particles: int) -> Generator[Row, None, fl
         where = "process" if plan.cpu else "device"
         for doing, peak in (("set-up", built), ("stepping", meter.peak())):
             if peak is not None:
-                yield Row("memory", f"{what}, {doing}", OURS, f"B/particle ({where})", (peak / particles,))
+                yield TimingRow("memory", f"{what}, {doing}", OURS, f"B/particle ({where})", (peak / particles,))
     if "step" in plan.only:
         facts = {"particles": particles, "clusters": engine.cluster_count, "setup_s": setup_s, "bits": 32}
         named = f"{what}, clusters of {CLUSTER}^3"
@@ -93,7 +95,7 @@ def _one_size(plan: Plan, tell: Tell, particles: int) -> Generator[Row, None, fl
     return setup_s
 
 
-def _beside(plan: Plan, tell: Tell, body: Body, ours: Contestant) -> Iterator[Row]:
+def _beside(plan: BenchPlan, tell: Tell, body: BenchBody, ours: Contestant) -> Iterator[TimingRow]:
     """The engine's row, and those of whoever can do the same or something like it."""
     with contextlib.ExitStack() as stack:
         contestants = [ours]
@@ -112,21 +114,21 @@ def _beside(plan: Plan, tell: Tell, body: Body, ours: Contestant) -> Iterator[Ro
             try:
                 peer = stack.enter_context(Peer(engine_name, body.shape[0]))
             except PeerFailed as error:
-                yield Row("step", ours.what, engine_name, "ms/step", (), note=f"failed: {error}")
+                yield TimingRow("step", ours.what, engine_name, "ms/step", (), note=f"failed: {error}")
                 continue
             contestants.append(peer_contestant(plan, peer, ours))
         tell(f"step: {ours.what}")
         yield from compare("step", contestants, plan.rounds_of_steps)
 
 
-def _peers(plan: Plan, body: Body) -> list[str]:
+def _peers(plan: BenchPlan, body: BenchBody) -> list[str]:
     if not plan.peers or not plan.cpu:
         return []
     context = [name for name in PHYSICS if find_spec(name) is not None] if body.particles == CONTEXT_AT else []
     return [*(["pypbd"] if body.particles <= PEER_MOST else []), *context]
 
 
-def numpy_contestant(plan: Plan, body: Body, size: int, ours: Contestant) -> Contestant:
+def numpy_contestant(plan: BenchPlan, body: BenchBody, size: int, ours: Contestant) -> Contestant:
     """The same step by NumPy."""
     held = np.zeros(body.shape, dtype=bool)
     held.reshape(-1)[body.held] = True
@@ -144,7 +146,7 @@ def numpy_contestant(plan: Plan, body: Body, size: int, ours: Contestant) -> Con
     return Contestant(ours.what, NUMPY, lambda: some(count), "ms/step", beside=ours, facts={"bits": 64})
 
 
-def peer_contestant(plan: Plan, peer: Peer, ours: Contestant, unit: str = "ms/step") -> Contestant:
+def peer_contestant(plan: BenchPlan, peer: Peer, ours: Contestant, unit: str = "ms/step") -> Contestant:
     """A step of another engine in its own process, on one thread."""
     count = 2 * max(1, int(plan.turn_s / 2 / peer.steps(4).wall_s))
     note = PHYSICS.get(peer.engine, "rigid clusters, Gauss-Seidel, 1 iteration")
@@ -158,7 +160,7 @@ def peer_contestant(plan: Plan, peer: Peer, ours: Contestant, unit: str = "ms/st
     )
 
 
-def candidates_at_once(plan: Plan, tell: Tell) -> Iterator[Row]:
+def candidates_at_once(plan: BenchPlan, tell: Tell) -> Iterator[TimingRow]:
     """Simulation steps a second of many candidates in one launch, beside one simulation of another engine."""
     body = cube(MIDDLE)
     engine = plan.engine(body, precision="float32")

@@ -12,11 +12,11 @@ from scipy.linalg import cho_factor, cho_solve
 
 from deformscope.arrays import FloatArray
 from deformscope.bench.memory import Meter
-from deformscope.bench.plan import Plan, Tell
-from deformscope.bench.timing import OURS, Contestant, Row, clock, compare
+from deformscope.bench.plan import BenchPlan, Tell
+from deformscope.bench.timing import OURS, Contestant, TimingRow, clock, compare
 
 if TYPE_CHECKING:
-    from deformscope.stages.surface import HeightProcess
+    from deformscope.stages.map.surface import HeightProcess
 
 POINTS, QUICK_POINTS = 12_000, 3000
 SIZE_M = (0.6, 0.4)
@@ -27,11 +27,11 @@ ASKED_M, MAP_M = 0.02, 0.005
 BYTES = 8
 
 
-def surface(plan: Plan, tell: Tell) -> Iterator[Row]:
+def surface(plan: BenchPlan, tell: Tell) -> Iterator[TimingRow]:
     """Fit and map of one cloud; the exact process at places 2 cm apart, with the same hyper-parameters given to it."""
     try:
-        from deformscope.stages.surface import fit_surface
-        from deformscope.stages.touches import MapGrid
+        from deformscope.stages.map.surface import fit_surface
+        from deformscope.stages.map.touches import MapGrid
     except ImportError:  # a machine with numpy, scipy and warp alone
         return
     count = QUICK_POINTS if plan.quick else POINTS

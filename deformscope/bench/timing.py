@@ -30,7 +30,7 @@ class Timing:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class TimingRow:
     """One line of the table.
 
     case: which part of the bench; what: was done; who: did it; unit: of the samples; samples: one a round
@@ -117,7 +117,7 @@ def clock(work: Callable[[], object]) -> Timing:
     return timing
 
 
-def compare(case: Case, contestants: Sequence[Contestant], rounds: Callable[[float], int]) -> list[Row]:
+def compare(case: Case, contestants: Sequence[Contestant], rounds: Callable[[float], int]) -> list[TimingRow]:
     """Every contestant once a round, in turn (A B C A B C...): what disturbs the machine disturbs all alike.
 
     rounds: how many, told the seconds of the first; that one only warms up, unless there is no other.
@@ -133,7 +133,7 @@ def compare(case: Case, contestants: Sequence[Contestant], rounds: Callable[[flo
     return [_row(case, index, contestants, taken) for index in range(len(contestants))]
 
 
-def _row(case: Case, index: int, contestants: Sequence[Contestant], taken: Sequence[Sequence[Timing]]) -> Row:
+def _row(case: Case, index: int, contestants: Sequence[Contestant], taken: Sequence[Sequence[Timing]]) -> TimingRow:
     contestant, timings, costs = contestants[index], taken[index], None
     other = contestant.beside
     if other is not None:
@@ -143,7 +143,7 @@ def _row(case: Case, index: int, contestants: Sequence[Contestant], taken: Seque
         )
     wall_s = sum(timing.wall_s for timing in timings)
     threads = {"threads": round(sum(timing.cpu_s for timing in timings) / wall_s, 2)}
-    return Row(
+    return TimingRow(
         *(case, contestant.what, contestant.who, contestant.unit, tuple(map(contestant.sample, timings)), costs),
         beside="" if other is None else f"{other.who}: {other.what}",
         same=contestant.same,

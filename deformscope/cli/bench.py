@@ -15,7 +15,7 @@ from deformscope.cli.common import console, quiet_warp, write_json
 from deformscope.config import BenchConfig
 
 if TYPE_CHECKING:
-    from deformscope.bench.timing import Row
+    from deformscope.bench.timing import TimingRow
 
 WIDTH = 200
 """Columns of the table where there is no terminal to fit it to."""
@@ -44,16 +44,16 @@ REMARK = (
 def run(config: BenchConfig) -> None:
     """Measure, and show what there is when it ends, also where it ends early."""
     quiet_warp()
-    from deformscope.bench.plan import Plan, default_sizes
+    from deformscope.bench.plan import BenchPlan, default_sizes
     from deformscope.bench.report import check, measure, report
     from deformscope.bench.timing import CASES
     from deformscope.stages.msm.solver import pick_device
 
     device = pick_device(config.device)
     sizes = config.sizes or default_sizes(device, config.quick)
-    plan = Plan(device, sizes, config.repeats, config.quick, config.peers, config.only or CASES)
+    plan = BenchPlan(device, sizes, config.repeats, config.quick, config.peers, config.only or CASES)
     check(plan)
-    rows: list[Row] = []
+    rows: list[TimingRow] = []
     complete = False
     where = console()
     try:
@@ -68,7 +68,7 @@ def run(config: BenchConfig) -> None:
         write_json(told, config.json)
 
 
-def show(rows: Sequence[Row], machine: Mapping[str, Any], complete: bool) -> None:
+def show(rows: Sequence[TimingRow], machine: Mapping[str, Any], complete: bool) -> None:
     """One line a row, in sections by case; on stderr where `--json -` has taken stdout."""
     from rich.console import Console
     from rich.table import Table
@@ -113,7 +113,7 @@ def number(value: float | None) -> str:
     return f"{value:.3g}"
 
 
-def details(row: Row) -> str:
+def details(row: TimingRow) -> str:
     """What a reader must know of a row besides its figures."""
     told = [text(row.facts[name]) for name, text in FACTS.items() if row.facts.get(name) is not None]
     threads = row.facts.get("threads")

@@ -21,7 +21,7 @@ def bench_of(
 ) -> tuple[Bench, ExploreOptions, dict[str, Any]]:
     """The bench of `lab:NAME` or of a rig file, closed; how to explore on it; and what is to be told of it.
 
-    set_force_n: None = as the rig file says; trusted: as for `deformscope.rig.load_rig`
+    set_force_n: None = as the rig file says; trusted: as for `deformscope.rig.rig_file.load_rig`
     """
     if name.startswith(LAB):
         from deformscope.experiments.explore_wired import LabBench
@@ -33,7 +33,7 @@ def bench_of(
             options = dataclasses.replace(options, set_force_n=set_force_n)
         return LabBench(scene, options), options, {"scene": scene.name}
     from deformscope.experiments.explore_rig import RigBench, options_of
-    from deformscope.rig import load_rig
+    from deformscope.rig.rig_file import load_rig
 
     if not Path(name).exists() and _is_scene(name):
         raise InputError("a rig file, or lab:NAME", repr(name), f"{LAB}{name}")

@@ -40,17 +40,17 @@ if TYPE_CHECKING:
     from deformscope.experiments.foam_video import ParticleOptions
     from deformscope.experiments.poke_files import LayersOptions
     from deformscope.experiments.whole_motion import MotionOptions
+    from deformscope.files.sources import Source
     from deformscope.log.blueprint import Layout
-    from deformscope.recorder import RecordingSummary
-    from deformscope.sources import Source
-    from deformscope.stages.calibrate import Calibration, FitOptions, Model
-    from deformscope.stages.estimate import Choice, Estimate
-    from deformscope.stages.poke_estimate import PokesFound
+    from deformscope.recording.recorder import RecordingSummary
+    from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model
+    from deformscope.stages.fit.estimate import Choice, Estimate
+    from deformscope.stages.poke.poke_estimate import PokesFound
 
 
 def beta(config: BetaConfig) -> None:
     """`calibrate beta`: overlapping clusters, theta fixed."""
-    from deformscope.stages.calibrate import Model
+    from deformscope.stages.fit.calibrate import Model
 
     quiet_warp()
     model = Model(
@@ -67,7 +67,7 @@ def beta(config: BetaConfig) -> None:
 
 def theta(config: ThetaConfig) -> None:
     """`calibrate theta`: one quadratic cluster unless asked otherwise, beta fixed."""
-    from deformscope.stages.calibrate import Model
+    from deformscope.stages.fit.calibrate import Model
 
     quiet_warp()
     model = Model(
@@ -89,7 +89,7 @@ def _device(config: BetaConfig | ThetaConfig) -> str:
 
 
 def _calibrate(config: BetaConfig | ThetaConfig, model: Model, bounds: tuple[float, float]) -> None:
-    from deformscope.stages.calibrate import FitOptions
+    from deformscope.stages.fit.calibrate import FitOptions
 
     sources, search, images, output = config.sources, config.search, config.images, config.output
     fit = FitOptions(model, bounds, search.method, search.candidates, search.level, output.seed)
@@ -148,7 +148,7 @@ def _layers(config: BetaConfig | ThetaConfig) -> LayersOptions | None:
 def _recorded_pairs(source: str) -> list[tuple[str, bytes]]:
     if Path(source).suffix.lower() != ".rrd":
         return []
-    from deformscope.replay import Replay
+    from deformscope.recording.reader import Replay
 
     return [(f"{source}, pair {index}", raw) for index, raw in enumerate(Replay(Path(source)).read_pair_bytes())]
 
@@ -160,7 +160,7 @@ def sample_images(name: str) -> ImageOptions:
     """The flags that suit a sample that ships, out of its `sample.toml`."""
     import tomllib
 
-    from deformscope.sources import sample_path
+    from deformscope.files.sources import sample_path
 
     folder = sample_path(name)
     told = tomllib.loads((folder / "sample.toml").read_text(encoding="utf-8"))
@@ -210,9 +210,9 @@ def calibrate_images(
     motion: MotionOptions | None = None,
 ) -> Estimate:
     """Fit a sequence, record it where asked, tell and write the result."""
+    from deformscope.files.sources import open_source
     from deformscope.images import read_image
-    from deformscope.replay import Replay
-    from deformscope.sources import open_source
+    from deformscope.recording.reader import Replay
 
     mask: ImageArray | None = None
     if images.mask is not None:
@@ -241,9 +241,9 @@ def run_images(
     """One sequence through the loop: the same for files, samples and recordings. motion: all frames are fitted."""
     from deformscope.experiments.foam_video import foam_video
     from deformscope.experiments.whole_motion import whole_motion
-    from deformscope.recorder import Recorder
+    from deformscope.recording.recorder import Recorder
     from deformscope.session import run
-    from deformscope.stages.particles import clean_mask
+    from deformscope.stages.see.particles import clean_mask
 
     used = settings | {"particles": dataclasses.asdict(particles), "fit": dataclasses.asdict(fit)}
     if motion is not None:
@@ -274,7 +274,7 @@ def run_images(
             recorder.stopped_because(f"with what could be read of {source.name}: {'; '.join(problems)}")
     tell(found.estimate, recorder.summary(), problems=problems)
     if summary.wanted:
-        from deformscope.pictures import Result
+        from deformscope.pictures.evidence import Result
 
         shown = Result(found.estimate, found.comparisons[-1:], ("",), last[0])
         write_summaries(summary, [shown], seed=output.seed, settings=used)
@@ -324,9 +324,9 @@ def calibrate_pair_bytes(
     layers: all are pokes of one surface, fitted together with the material below it
     """
     from deformscope.experiments.pair_files import pair_files
-    from deformscope.pairs import parse_pair
-    from deformscope.pictures import Result
-    from deformscope.recorder import Recorder
+    from deformscope.files.pairs import parse_pair
+    from deformscope.pictures.evidence import Result
+    from deformscope.recording.recorder import Recorder
     from deformscope.session import run
     from deformscope.stages.msm.clusters import rank
 

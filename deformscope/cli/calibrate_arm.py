@@ -22,7 +22,7 @@ def run(config: ArmConfig) -> None:
 
     from deformscope.experiments.arm_compliance import SURE_SD, arm_give, touch_rigid
     from deformscope.experiments.explore import ExplorationStopped, ExploreOptions
-    from deformscope.recorder import Recorder
+    from deformscope.recording.recorder import Recorder
     from deformscope.session import watching
 
     quiet_warp()

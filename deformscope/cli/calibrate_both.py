@@ -13,15 +13,15 @@ from deformscope.cli.common import fit_progress, note_sizes, quiet_warp, read_fi
 from deformscope.config import BothConfig
 
 if TYPE_CHECKING:
-    from deformscope.stages.joint import JointEstimate
+    from deformscope.stages.fit.joint import JointEstimate
 
 
 def run(config: BothConfig) -> None:
     """Fit each pair, or all together; tell, draw and write what was found."""
     quiet_warp()
-    from deformscope.pairs import parse_pair
-    from deformscope.stages.joint import JointOptions, calibrate_both
-    from deformscope.stages.model import Model
+    from deformscope.files.pairs import parse_pair
+    from deformscope.stages.fit.joint import JointOptions, calibrate_both
+    from deformscope.stages.fit.model import Model
     from deformscope.stages.msm.solver import pick_device
 
     device = pick_device(config.device)
@@ -47,7 +47,7 @@ def run(config: BothConfig) -> None:
 
 def tell(found: JointEstimate, name: str) -> None:
     """The result as a short table."""
-    from deformscope.stages.estimate import explained_text
+    from deformscope.stages.fit.estimate import explained_text
 
     rows: list[tuple[str, str]] = []
     for one in (found.beta, found.theta):

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rich.progress import TaskID
 
     from deformscope.arrays import FloatArray
-    from deformscope.stages.search import Progress
+    from deformscope.stages.fit.search import Progress
 
 Viewer = Literal["native", "page", "none"]
 
@@ -52,7 +52,7 @@ def say(remark: str) -> None:
 
 def note_sizes(rest: Iterable[FloatArray]) -> None:
     """Remarks on bodies (K, d) that are unusually large, if their positions are metres."""
-    from deformscope.stages.plausible import size_note
+    from deformscope.stages.fit.plausible import size_note
 
     for note in dict.fromkeys(size_note(one) for one in rest):
         if note is not None:
@@ -148,7 +148,7 @@ def resolve_viewer(choice: Literal["auto", "native", "page", "none"]) -> Viewer:
 def keep_page() -> None:
     """What was shown on a page stays there until Ctrl-C where somebody sits at a terminal; elsewhere, and then, the
     page's server ends."""
-    from deformscope.live import end_pages, running_pages
+    from deformscope.recording.live import end_pages, running_pages
 
     if sys.stdin is not None and sys.stdin.isatty() and sys.stdout.isatty() and (pages := running_pages()):
         with suppress(KeyboardInterrupt):

@@ -17,10 +17,10 @@ from deformscope.config import CoverageConfig
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from deformscope.experiments.coverage import Rate, Row
-    from deformscope.experiments.unseen_pokes import Prediction
-    from deformscope.stages.estimate import Verdict
-    from deformscope.stages.search import Progress
+    from deformscope.stages.fit.estimate import Verdict
+    from deformscope.stages.fit.search import Progress
+    from deformscope.studies.coverage import CoverageRow, Rate
+    from deformscope.studies.unseen_pokes import UnseenPrediction
 
 WIDTH = 190
 """Columns of the tables where there is no terminal to fit them to."""
@@ -31,7 +31,7 @@ def run(config: CoverageConfig) -> None:
     if config.out is not None:
         make_folder(config.out)
     quiet_warp()
-    from deformscope.experiments.coverage import (
+    from deformscope.studies.coverage import (
         NOTHING,
         PART_APART,
         QUICK_OBJECTS,
@@ -42,8 +42,8 @@ def run(config: CoverageConfig) -> None:
         try_nothing,
         try_object,
     )
-    from deformscope.experiments.rank_histogram import draw_ranks, rank_counts
-    from deformscope.experiments.unseen_pokes import PokeCase, try_unseen_poke
+    from deformscope.studies.rank_histogram import draw_ranks, rank_counts
+    from deformscope.studies.unseen_pokes import PokeCase, try_unseen_poke
 
     begun = time.monotonic()
     cases, nothing = plan(config.objects, config.seed, config.level, quick=config.quick)
@@ -129,7 +129,7 @@ def told_rate(rate: Rate) -> dict[str, Any]:
     return {"cases": rate.cases, "hits": rate.hits, "rate": rate.rate, "band": list(rate.band)}
 
 
-def prediction_groups(predictions: Sequence[Prediction]) -> dict[str, list[Prediction]]:
+def prediction_groups(predictions: Sequence[UnseenPrediction]) -> dict[str, list[UnseenPrediction]]:
     """All, and by dimension and cluster size."""
     groups = {"all": list(predictions)}
     groups |= {f"{dim}D": [one for one in predictions if one.dim == dim] for dim in (2, 3)}
@@ -137,13 +137,13 @@ def prediction_groups(predictions: Sequence[Prediction]) -> dict[str, list[Predi
     return {name: some for name, some in groups.items() if some}
 
 
-def pooled(some: Sequence[Prediction]) -> Rate:
-    from deformscope.experiments.coverage import Rate
+def pooled(some: Sequence[UnseenPrediction]) -> Rate:
+    from deformscope.studies.coverage import Rate
 
     return Rate(sum(one.coordinates for one in some), sum(one.covered for one in some))
 
 
-def middle(some: Sequence[Prediction], of: Callable[[Prediction], float]) -> float:
+def middle(some: Sequence[UnseenPrediction], of: Callable[[UnseenPrediction], float]) -> float:
     from statistics import median
 
     return median(of(one) for one in some)
@@ -154,10 +154,10 @@ def middle(some: Sequence[Prediction], of: Callable[[Prediction], float]) -> flo
 
 def show(
     config: CoverageConfig,
-    rows: Sequence[Row],
+    rows: Sequence[CoverageRow],
     told: dict[Any, list[Verdict]],
     unidentified: dict[Any, Rate],
-    groups: dict[str, list[Prediction]],
+    groups: dict[str, list[UnseenPrediction]],
 ) -> None:
     """Three tables; on stderr where `--json -` has taken stdout."""
     from rich.console import Console
@@ -184,9 +184,9 @@ def show(
     out.print(table)
 
 
-def coverage_table(title: str, rows: Sequence[Row]) -> Table:
+def coverage_table(title: str, rows: Sequence[CoverageRow]) -> Table:
     """A line a condition: all truths in between, parts of them, and apart those where the range ends."""
-    from deformscope.experiments.coverage import GROUPS
+    from deformscope.studies.coverage import GROUPS
 
     table = _table(title)
     found = {row.group for row in rows}

@@ -50,7 +50,7 @@ def _say_how_to_open(recording: Path | None) -> None:
 
 def _fit_images(output: OutputOptions) -> None:
     from deformscope.cli.calibrate import calibrate_images, particle_options, sample_images
-    from deformscope.stages.calibrate import FitOptions, Model
+    from deformscope.stages.fit.calibrate import FitOptions, Model
 
     images = sample_images(SAMPLE)
     calibrate_images(

@@ -26,7 +26,7 @@ Without hardware: deformscope double optoforce (in another terminal), or deforms
 
 
 @dataclass(frozen=True, slots=True)
-class Listed:
+class ListedDevice:
     """One line of the list. health: `ok at 1000/s`, or why not; empty where nothing was asked"""
 
     driver: str
@@ -80,17 +80,17 @@ def _found() -> list[Any]:
     return found
 
 
-def _listed(found: Any, probe: bool) -> Listed:
+def _listed(found: Any, probe: bool) -> ListedDevice:
     serial, firmware, health = found.serial, found.firmware, ""
     if probe and found.driver in PROBES:
         serial_told, firmware_told, health = _ask(found)
         serial, firmware = serial_told or serial, firmware_told or firmware
-    return Listed(found.driver, found.port, found.name, serial, firmware, health, found.note)
+    return ListedDevice(found.driver, found.port, found.name, serial, firmware, health, found.note)
 
 
 def _ask(found: Any) -> tuple[str, str, str]:
     """Serial number, firmware and health of a device that is opened for a moment. Nothing moves."""
-    from deformscope.driver_table import DRIVERS
+    from deformscope.rig.driver_table import DRIVERS
     from deformscope_drivers.errors import Busy, DeviceError
 
     driver = DRIVERS[found.driver]

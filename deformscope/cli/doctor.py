@@ -21,7 +21,7 @@ from deformscope.config import DoctorConfig
 from deformscope.errors import InputError
 
 if TYPE_CHECKING:
-    from deformscope.rig import Rig, RigDevice
+    from deformscope.rig.rig_file import Rig, RigDevice
     from deformscope_drivers.health import Health
 
 FREE_BYTES_WANTED = 5 << 30
@@ -46,7 +46,7 @@ class Unfit(InputError):
 
 def run(config: DoctorConfig) -> None:
     """Look at everything, tell all of it, and raise Unfit where something fails."""
-    from deformscope.rig import load_rig
+    from deformscope.rig.rig_file import load_rig
 
     if config.example:
         print((resources.files("deformscope") / "lab" / "rig-example.toml").read_text(encoding="utf-8"), end="")

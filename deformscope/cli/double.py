@@ -39,8 +39,8 @@ def run(config: DoubleConfig) -> None:
 
 @contextlib.contextmanager
 def _wires(what: tuple[str, ...]) -> Iterator[list[tuple[str, str, Wire]]]:
-    from deformscope.driver_table import DRIVERS
     from deformscope.lab.stand_in import WIRED, wire_of
+    from deformscope.rig.driver_table import DRIVERS
 
     with contextlib.ExitStack() as stack:
         running: list[tuple[str, str, Wire]] = []
@@ -56,9 +56,9 @@ def _wires(what: tuple[str, ...]) -> Iterator[list[tuple[str, str, Wire]]]:
 
 def _wanted(what: tuple[str, ...]) -> list[tuple[str, str, Any]]:
     """Name, driver and configuration of every double asked for; None = as the driver has it."""
-    from deformscope.driver_table import DRIVERS
     from deformscope.lab.stand_in import WIRED
-    from deformscope.rig import load_rig
+    from deformscope.rig.driver_table import DRIVERS
+    from deformscope.rig.rig_file import load_rig
 
     wanted: list[tuple[str, str, Any]] = []
     for word in what:

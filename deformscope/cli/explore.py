@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from deformscope.cli.benches import bench_of, lab_of
 from deformscope.cli.common import EXIT_LOSSES, quiet_warp, resolve_viewer, say, status_line
-from deformscope.cli.explored import Ending, report
+from deformscope.cli.explored import ExplorationEnd, report
 from deformscope.cli.exploring import Companion, leave, let_move
 from deformscope.cli.rigs import until_interrupted
 from deformscope.config import ExploreConfig
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from deformscope.experiments.explore import ExploreOptions, Explorer, Moment
     from deformscope.experiments.explore_wired import Bench, TouchingRobot
     from deformscope.lab.faults import FaultsToCome
-    from deformscope.recorder import Recorder
+    from deformscope.recording.recorder import Recorder
 
 
 def run(config: ExploreConfig) -> int:
@@ -46,7 +46,7 @@ def run(config: ExploreConfig) -> int:
     found = explore_on(config, options)
     if found is None or not found["losses"] or config.output.record is None:
         return 0
-    from deformscope.losses import named
+    from deformscope.recording.losses import named
 
     say(f"deformscope: the recording is whole, with losses: {named(found['losses'])}")
     return EXIT_LOSSES
@@ -57,7 +57,7 @@ def explore_on(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any]
     was begun. Whatever ends it, the arm is halted, and what is known is reported before the recording is closed."""
     from deformscope.experiments.explore import Explorer
     from deformscope.lab.faults import FaultAt, FaultsToCome
-    from deformscope.recorder import Recorder
+    from deformscope.recording.recorder import Recorder
 
     faults = [FaultAt.parse(text, options.budget) for text in config.fault]
     bench, options, told = bench_of(config.rig, options, config.set_force, trusted=config.trust_rig)
@@ -66,7 +66,7 @@ def explore_on(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any]
     settings |= {"size_m": list(bench.size_m), "arm": dataclasses.asdict(bench.arm)}
     output = config.output
     explorer = Explorer(bench.size_m, options, bench.arm, bench.truth)
-    ending = Ending()
+    ending = ExplorationEnd()
     with (
         until_interrupted() as asked,
         Recorder(
@@ -101,11 +101,11 @@ def _run(
     recorder: Recorder,
     asked: Interruption,
     to_come: FaultsToCome | None,
-    ending: Ending,
+    ending: ExplorationEnd,
 ) -> None:
     """Open the devices, explore, close them; `explorer` and `ending` hold what is known, also where this raises."""
     from deformscope.experiments.explore import ExplorationStopped
-    from deformscope.losses import losses_of
+    from deformscope.recording.losses import losses_of
     from deformscope.session import watching
 
     with bench.source() as source, status_line() as show:
@@ -151,7 +151,7 @@ def _explore(
     recorder: Recorder,
     companion: Companion,
     show: Callable[[str], None],
-    ending: Ending,
+    ending: ExplorationEnd,
 ) -> None:
     """Run it to its end."""
     from deformscope.experiments.explore import explore
@@ -169,7 +169,7 @@ def _explore(
 
 
 def _remarks(moment: Moment) -> Iterator[str]:
-    from deformscope.exploration_words import (
+    from deformscope.pictures.words import (
         dent_words,
         failed_words,
         interval_words,
@@ -177,22 +177,22 @@ def _remarks(moment: Moment) -> Iterator[str]:
         stiffness_words,
         verdict_words,
     )
-    from deformscope.stages.exploration import MapsKnown, NextTouch, StageFailed, TouchTold
+    from deformscope.stages.map.exploration import MapEstimate, PlannedTouch, StageFailure, TouchEstimate
 
     for result in moment.results:
-        if isinstance(result, NextTouch):
+        if isinstance(result, PlannedTouch):
             where = "" if result.target_m is None else f"next touch at {_cm(result.target_m)} cm: "
             yield where + result.reason
-        elif isinstance(result, TouchTold):
+        elif isinstance(result, TouchEstimate):
             between = interval_words(result)
             yield (
                 f"touch {result.number + 1} at {_cm(result.xyz_m[:2])} cm: {stiffness_words(result)}"
                 + (f" ({between})" if between else "")
                 + f", dent {dent_words(result)}"
             )
-        elif isinstance(result, MapsKnown):
+        elif isinstance(result, MapEstimate):
             yield "  map: " + ", ".join(one for one in (verdict_words(result), iou_words(result)) if one)
-        elif isinstance(result, StageFailed):
+        elif isinstance(result, StageFailure):
             yield f"deformscope: {failed_words(result)}"
 
 

@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any
 from deformscope import __version__
 from deformscope.cli.common import replacing, say, show_table, write_json
 from deformscope.errors import InputError
-from deformscope.losses import named
+from deformscope.recording.losses import named
 
 if TYPE_CHECKING:
     from deformscope.config import ExploreConfig
     from deformscope.experiments.explore import Explorer
     from deformscope.experiments.explore_wired import Bench
     from deformscope.lab.faults import FaultsToCome
-    from deformscope.recorder import Recorder
-    from deformscope.stages.exploration import MapsKnown, Stopped, TouchTold
+    from deformscope.recording.recorder import Recorder
+    from deformscope.stages.map.exploration import ExplorationStop, MapEstimate, TouchEstimate
 
 UNITS = {
     "cell_m": "m",
@@ -50,18 +50,18 @@ JSON_UNITS = {
 
 
 @dataclass
-class Ending:
+class ExplorationEnd:
     """Why and when an exploration ended; filled in as it goes on.
 
     error: that ended it, other than a stop; stop, stop_ns: why the robot stopped before its plan said so, and when
     arm_told: whether the arm could be told to stand; began_s: when it could first move, 0 = never [s]
     compute_s, slowest_s, session_s: spent computing, on the slowest step, and by the robot's clock [s]
-    losses: of each device that lost something (`deformscope.losses`)
+    losses: of each device that lost something (`deformscope.recording.losses`)
     unwritten: outputs that could not be written, and why
     """
 
     error: BaseException | None = None
-    stop: Stopped | None = None
+    stop: ExplorationStop | None = None
     stop_ns: int = 0
     start_ns: int = 0
     arm_told: bool = True
@@ -88,7 +88,7 @@ def report(
     bench: Bench,
     explorer: Explorer,
     recorder: Recorder,
-    ending: Ending,
+    ending: ExplorationEnd,
     faults: FaultsToCome | None,
 ) -> dict[str, Any]:
     """Write and print what is known; returns the JSON of design 5. What cannot be written does not keep the rest from
@@ -115,12 +115,12 @@ def report(
     return found
 
 
-def _recording(config: ExploreConfig, recorder: Recorder, ending: Ending) -> Path | None:
+def _recording(config: ExploreConfig, recorder: Recorder, ending: ExplorationEnd) -> Path | None:
     """Where the recording will be: after an error it keeps the name of an unfinished one."""
     return config.output.record if ending.error is None else recorder.summary().path
 
 
-def _write(ending: Ending, path: Path, make: Callable[[], bytes]) -> bool:
+def _write(ending: ExplorationEnd, path: Path, make: Callable[[], bytes]) -> bool:
     try:
         with replacing(path) as file:
             file.write(make())
@@ -136,7 +136,7 @@ def _unwritten(path: Path | str, error: Exception) -> InputError:
 
 
 def _found(
-    config: ExploreConfig, explorer: Explorer, bench: Bench, ending: Ending, recording: Path | None
+    config: ExploreConfig, explorer: Explorer, bench: Bench, ending: ExplorationEnd, recording: Path | None
 ) -> dict[str, Any]:
     import numpy as np
 
@@ -186,7 +186,7 @@ def _found(
     }
 
 
-def _touch(told: TouchTold, failed: list[str]) -> dict[str, Any]:
+def _touch(told: TouchEstimate, failed: list[str]) -> dict[str, Any]:
     return {
         "xy_m": told.xyz_m[:2],
         "beta": told.beta,
@@ -202,7 +202,7 @@ def _touch(told: TouchTold, failed: list[str]) -> dict[str, Any]:
     }
 
 
-def _fault(ending: Ending, faults: FaultsToCome | None) -> dict[str, Any] | None:
+def _fault(ending: ExplorationEnd, faults: FaultsToCome | None) -> dict[str, Any] | None:
     """Why it was stopped, and how long after the laboratory's fault; None where it was not."""
     stop = ending.stop
     if stop is None:
@@ -218,7 +218,7 @@ def _fault(ending: Ending, faults: FaultsToCome | None) -> dict[str, Any] | None
 
 
 def _rows(found: dict[str, Any], explorer: Explorer, bench: Bench) -> list[tuple[str, str]]:
-    from deformscope.exploration_words import failed_words, iou_words, region_words, travel_words, verdict_words
+    from deformscope.pictures.words import failed_words, iou_words, region_words, travel_words, verdict_words
 
     maps = explorer.known
     rows = [("verdict", "none: no touch gave a map")]
@@ -256,13 +256,13 @@ def _rows(found: dict[str, Any], explorer: Explorer, bench: Bench) -> list[tuple
     return rows
 
 
-def _png(config: ExploreConfig, maps: MapsKnown) -> bytes:
-    from deformscope.exploration_pictures import result_png
+def _png(config: ExploreConfig, maps: MapEstimate) -> bytes:
+    from deformscope.pictures.exploration import result_png
 
     return result_png(maps, config.rig)
 
 
-def _map_file(config: ExploreConfig, maps: MapsKnown) -> bytes:
+def _map_file(config: ExploreConfig, maps: MapEstimate) -> bytes:
     """The maps as arrays (.npz): rows along y, columns along x, cells of cell_m with the surface's corner at (0, 0)."""
     import numpy as np
 

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from deformscope.cli.rigs import Interruption
     from deformscope.experiments.explore import ExplorationStopped, ExploreOptions
     from deformscope.experiments.explore_wired import Bench, TouchingRobot
-    from deformscope.recorder import Recorder
-    from deformscope.rig_source import RigSource
+    from deformscope.recording.recorder import Recorder
+    from deformscope.rig.source import RigSource
     from deformscope.robot.touch import Phase
-    from deformscope.stages.exploration import Stopped
+    from deformscope.stages.map.exploration import ExplorationStop
 
 AFTER_S = 0.5
 """A recording goes on for so long after the robot was stopped."""
@@ -86,11 +86,11 @@ class Companion:
 
     def write(self) -> None:
         """Record what began and what the devices gave since the last call."""
-        from deformscope.stages.exploration import PhaseBegan
+        from deformscope.stages.map.exploration import PhaseStart
 
         begun, self._begun = self._begun, []
         for name, time_ns, touch in begun:
-            self._recorder.write_results((PhaseBegan(name, touch - 1),), time_ns, touch, 0.0)
+            self._recorder.write_results((PhaseStart(name, touch - 1),), time_ns, touch, 0.0)
         if self._source is not None:
             self._recorder.write_items(self._source.take(0.0))
 
@@ -114,15 +114,15 @@ class Companion:
                     if attempt == HALTS - 1:
                         raise
 
-    def stopped(self, error: ExplorationStopped, robot: TouchingRobot) -> Stopped:
+    def stopped(self, error: ExplorationStopped, robot: TouchingRobot) -> ExplorationStop:
         """Record why and when it was stopped, and what came after; the robot stands."""
-        from deformscope.stages.exploration import PhaseBegan
+        from deformscope.stages.map.exploration import PhaseStart
 
         stop = error.stop
         with self.halts(robot):
             self._show("")
             self.write()
-            phase = PhaseBegan(f"stopped: {stop.kind}", stop.touch)
+            phase = PhaseStart(f"stopped: {stop.kind}", stop.touch)
             self._recorder.write_results((phase, stop), error.time_ns, self.touch, 0.0)
             self._recorder.stopped_because(f"{stop.kind}: {stop.reason}")
             robot.look_on(AFTER_S)
@@ -178,7 +178,7 @@ def _says_yes(asked: Interruption) -> bool:
 
 
 def leave(
-    stop: Stopped | None, touched: int, signal_number: int, recording: Path | None, *, arm_told: bool = True
+    stop: ExplorationStop | None, touched: int, signal_number: int, recording: Path | None, *, arm_told: bool = True
 ) -> None:
     """End the command as the stop demands: with the reason and what to do, or by the signal's own exit status."""
     from deformscope.robot.supervisor import Fault

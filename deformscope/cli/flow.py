@@ -25,7 +25,7 @@ def run(config: FlowConfig) -> None:
     import numpy as np
 
     from deformscope.images import read_image
-    from deformscope.stages.flow import dense_flow
+    from deformscope.stages.see.flow import dense_flow
 
     before, after = read_image(config.before), read_image(config.after)
     if before.shape[:2] != after.shape[:2]:

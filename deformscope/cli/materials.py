@@ -16,18 +16,18 @@ from deformscope.config import AxesConfig, YieldConfig
 
 if TYPE_CHECKING:
     from deformscope.arrays import FloatArray
-    from deformscope.stages.anisotropy import AxisEstimate
-    from deformscope.stages.motion import Motion
-    from deformscope.stages.yield_estimate import Parameter, YieldEstimate
+    from deformscope.stages.fit.motion import Motion
+    from deformscope.stages.materials.anisotropy import AxisEstimate
+    from deformscope.stages.materials.yield_estimate import Parameter, YieldEstimate
 
 
 def axes(config: AxesConfig) -> None:
     """`calibrate axes`: one fit to all pairs."""
     import numpy as np
 
-    from deformscope.pairs import parse_pair
-    from deformscope.stages.anisotropy import fit_axes
-    from deformscope.stages.calibrate import Model
+    from deformscope.files.pairs import parse_pair
+    from deformscope.stages.fit.calibrate import Model
+    from deformscope.stages.materials.anisotropy import fit_axes
     from deformscope.stages.msm.solver import pick_device
 
     quiet_warp()
@@ -46,9 +46,9 @@ def axes(config: AxesConfig) -> None:
 
 def yielding(config: YieldConfig) -> None:
     """`calibrate yield`: one motion."""
-    from deformscope.motions import parse_motion
+    from deformscope.files.motions import parse_motion
+    from deformscope.stages.materials.plasticity import YieldOptions, fit_yield
     from deformscope.stages.msm.solver import pick_device
-    from deformscope.stages.plasticity import YieldOptions, fit_yield
 
     quiet_warp()
     motion = parse_motion(read_file(config.source, "a motion file (.npz)"), config.source, noise_m=config.noise_m)
@@ -75,7 +75,7 @@ def yielding(config: YieldConfig) -> None:
 
 
 def _tell_axes(found: AxisEstimate, name: str) -> None:
-    from deformscope.stages.estimate import explained_text
+    from deformscope.stages.fit.estimate import explained_text
 
     rows = []
     for k, (low, high) in enumerate(found.interval):
@@ -94,7 +94,7 @@ def _tell_axes(found: AxisEstimate, name: str) -> None:
 
 
 def _tell_yield(found: YieldEstimate, config: YieldConfig) -> None:
-    from deformscope.stages.estimate import EXPLAINED_LEAST, explained_text
+    from deformscope.stages.fit.estimate import EXPLAINED_LEAST, explained_text
 
     low, high = found.yield_strain.interval
     strain = f"{found.yield_strain.value:.4g} ({low:.4g} to {high:.4g})" if high is not None else f"above {low:.4g}"

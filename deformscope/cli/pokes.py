@@ -13,10 +13,10 @@ from deformscope.cli.common import console, fit_progress, show_table, write_json
 if TYPE_CHECKING:
     from deformscope.config import OutputOptions
     from deformscope.experiments.poke_files import LayersOptions
-    from deformscope.recorder import Recorder, RecordingSummary
-    from deformscope.stages.calibrate import FitOptions, Model, Observation
-    from deformscope.stages.estimate import Estimate
-    from deformscope.stages.poke_estimate import PokesFound
+    from deformscope.recording.recorder import Recorder, RecordingSummary
+    from deformscope.stages.fit.calibrate import FitOptions, Model, Observation
+    from deformscope.stages.fit.estimate import Estimate
+    from deformscope.stages.poke.poke_estimate import PokesFound
 
 
 def fit_layers(
@@ -36,7 +36,7 @@ def tell_layers(
 ) -> None:
     """Tell, save and write, once the recording is whole."""
     from deformscope.cli.calibrate import tell
-    from deformscope.model_file import save_model
+    from deformscope.files.model_file import save_model
 
     tell(found.estimate, recording, names[0] if len(names) == 1 else f"{len(names)} pokes")
     _tell_pokes(found)
@@ -53,9 +53,9 @@ def tell_layers(
 
 def save_pair_model(seen: Observation, name: str, model: Model, estimate: Estimate, path: Path) -> None:
     """Save the very particles of one pair as a model."""
-    from deformscope.model_file import save_model
-    from deformscope.stages.fitted import from_pair
-    from deformscope.stages.poke import Law
+    from deformscope.files.model_file import save_model
+    from deformscope.stages.msm.poke import Law
+    from deformscope.stages.poke.fitted import from_pair
 
     beta, theta = (estimate.value, model.theta) if model.parameter == "beta" else (model.beta, estimate.value)
     law = Law(beta, theta, model.cluster_size, model.basis, model.volume)

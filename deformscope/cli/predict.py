@@ -16,20 +16,20 @@ from deformscope.errors import InputError
 
 if TYPE_CHECKING:
     from deformscope.arrays import FloatArray
-    from deformscope.experiments.prediction import Comparison
-    from deformscope.stages.fitted import FittedModel, Prediction
-    from deformscope.stages.poke import Poke
+    from deformscope.stages.msm.poke import Poke
+    from deformscope.stages.poke.fitted import FittedModel, Prediction
+    from deformscope.studies.prediction import PokeComparison
 
 
 def run(config: PredictConfig) -> None:
     """Predict, compare, tell and write."""
     import numpy as np
 
-    from deformscope.experiments.prediction import compare
-    from deformscope.model_file import load_model
-    from deformscope.pairs import parse_pair
-    from deformscope.stages.fitted import predict
+    from deformscope.files.model_file import load_model
+    from deformscope.files.pairs import parse_pair
     from deformscope.stages.msm.solver import pick_device
+    from deformscope.stages.poke.fitted import predict
+    from deformscope.studies.prediction import compare
 
     model = load_model(config.source)
     asked = [_poke(text, model) for text in config.poke]
@@ -56,7 +56,7 @@ def run(config: PredictConfig) -> None:
         with replacing(config.out) as file:
             np.savez_compressed(file, **arrays)
     if config.picture is not None:
-        from deformscope.experiments.dents_figure import draw_dents
+        from deformscope.studies.dents_figure import draw_dents
 
         with replacing(config.picture) as file:
             draw_dents(every, compared, file)
@@ -77,7 +77,7 @@ def run(config: PredictConfig) -> None:
 def _points(path: Path) -> FloatArray:
     import numpy as np
 
-    from deformscope.arrays_file import numbers, read_arrays
+    from deformscope.files.arrays_file import numbers, read_arrays
 
     expected = "an .npz with `points (n, 3)`"
     found = read_arrays(read_file(path, expected), expected, path)
@@ -93,7 +93,7 @@ def _poke(text: PokeText, model: FittedModel) -> Poke:
     """A typed poke with what it left out taken from the model."""
     import numpy as np
 
-    from deformscope.stages.poke import Poke, Tip
+    from deformscope.stages.msm.poke import Poke, Tip
 
     if text.tip is None and model.tip is None:
         raise InputError("a tip, since the model knows none", "none", "tip=flat size=0.02x0.02")
@@ -132,7 +132,7 @@ def _words(poke: Poke) -> str:
     return f"at ({place}) m with a {poke.tip.shape} tip of {size} mm"
 
 
-def _tell_comparison(name: str, found: Comparison) -> None:
+def _tell_comparison(name: str, found: PokeComparison) -> None:
     rows = []
     for one in found.scores:
         force = "no force" if one.force is None else f"force {one.force:.3g} N"

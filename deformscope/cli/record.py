@@ -24,9 +24,9 @@ from deformscope.errors import InputError
 
 if TYPE_CHECKING:
     from deformscope.frames import HealthReport, Item
-    from deformscope.recorder import RecordingSummary
-    from deformscope.rig import Rig
-    from deformscope.rig_source import RigSource
+    from deformscope.recording.recorder import RecordingSummary
+    from deformscope.rig.rig_file import Rig
+    from deformscope.rig.source import RigSource
     from deformscope_drivers.health import Health
 
 TELL_EVERY_S = 10.0
@@ -49,10 +49,10 @@ def live(config: LiveConfig) -> int:
 
 
 def _run(config: RigRunOptions, *, always_record: bool) -> int:
-    from deformscope.losses import losses_of, named
-    from deformscope.recorder import Recorder
-    from deformscope.rig import load_rig
-    from deformscope.rig_source import RigSource
+    from deformscope.recording.losses import losses_of, named
+    from deformscope.recording.recorder import Recorder
+    from deformscope.rig.rig_file import load_rig
+    from deformscope.rig.source import RigSource
     from deformscope.session import watch
 
     rig = load_rig(config.rig, trusted=config.trust_rig)
@@ -142,7 +142,7 @@ def _tell(
     config: RigRunOptions, summary: RecordingSummary, last: HealthReport, failures: Mapping[str, str], ended: str
 ) -> None:
     """What was recorded, device by device, on the screen and as JSON."""
-    from deformscope.losses import losses_of
+    from deformscope.recording.losses import losses_of
 
     devices = dict(last.devices)
     rows = [(name, _in_words(health, failures.get(name))) for name, health in devices.items()]
@@ -165,7 +165,7 @@ def _tell(
 
 def _in_words(health: Health, failure: str | None) -> str:
     """What came of a device, what it lost, and why where it is known."""
-    from deformscope.losses import in_words, lost_by
+    from deformscope.recording.losses import in_words, lost_by
 
     why = f"FAILED: {failure}" if failure else health.reason
     return ", ".join(part for part in (f"{health.received} readings", in_words(lost_by(health)), why) if part)

@@ -14,11 +14,11 @@ from pathlib import Path
 from deformscope.cli.common import show_table, write_json
 from deformscope.config import RecoverConfig
 from deformscope.errors import InputError
-from deformscope.ledger import ledger_path, read_counts, write_ledger
-from deformscope.recording_facts import Facts, read_facts
-from deformscope.recording_file import merged_path
-from deformscope.recording_lock import is_being_written
-from deformscope.rerun_tool import run_rrd
+from deformscope.recording.facts import Facts, read_facts
+from deformscope.recording.ledger import ledger_path, read_counts, write_ledger
+from deformscope.recording.lock import is_being_written
+from deformscope.recording.rerun_tool import run_rrd
+from deformscope.recording.rrd_file import merged_path
 
 
 def run(config: RecoverConfig) -> None:
@@ -48,7 +48,7 @@ def run(config: RecoverConfig) -> None:
 
 
 def _check(path: Path, out: Path) -> None:
-    from deformscope.replay import RRD_MAGIC
+    from deformscope.recording.reader import RRD_MAGIC
 
     if not path.is_file():
         raise InputError("a recording (.rrd)", "a folder" if path.is_dir() else "nothing there", where=path)
@@ -72,7 +72,7 @@ def _refuse_existing(out: Path) -> None:
 
 def _write_ending(ending: Path, facts: Facts, path: Path) -> None:
     """What the run could not write at its end."""
-    from deformscope.recorder import write_outcome
+    from deformscope.recording.recorder import write_outcome
 
     write_outcome(
         ending,
@@ -84,7 +84,7 @@ def _write_ending(ending: Path, facts: Facts, path: Path) -> None:
 
 def _tell(config: RecoverConfig, path: Path, out: Path, facts: Facts, damage: str) -> None:
     """damage: where reading ended before the end of the file; empty = nowhere"""
-    from deformscope.losses import in_words
+    from deformscope.recording.losses import in_words
 
     missing: dict[str, int] = {}
     if ledger_path(path).exists():

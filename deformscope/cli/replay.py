@@ -19,7 +19,7 @@ from deformscope.errors import InputError
 
 if TYPE_CHECKING:
     from deformscope.frames import ColorFrame
-    from deformscope.replay import Replay
+    from deformscope.recording.reader import Replay
 
 CLOSE = 0.01
 """Largest difference that another machine's arithmetic may make: of the value and its interval as a share of the
@@ -37,9 +37,9 @@ def run(config: ReplayConfig) -> None:
     from deformscope.experiments.foam_video import ParticleOptions
     from deformscope.experiments.poke_files import LayersOptions
     from deformscope.experiments.whole_motion import MotionOptions
-    from deformscope.replay import Replay
-    from deformscope.sources import Source
-    from deformscope.stages.calibrate import FitOptions
+    from deformscope.files.sources import Source
+    from deformscope.recording.reader import Replay
+    from deformscope.stages.fit.calibrate import FitOptions
     from deformscope.stages.msm.solver import pick_device
 
     quiet_warp()
@@ -88,17 +88,18 @@ def _explored(recording: Replay, settings: dict[str, Any], config: ReplayConfig)
     import numpy as np
 
     from deformscope.experiments.explore import ExploreOptions, Explorer, explore_again
-    from deformscope.exploration_replay import components, read_results
-    from deformscope.exploration_words import failed_words
-    from deformscope.stages.contact import ArmCompliance
-    from deformscope.stages.exploration import MapsKnown, StageFailed, SurfaceSeen, TouchTold
+    from deformscope.pictures.words import failed_words
+    from deformscope.recording.results import read_results
+    from deformscope.rows import components
+    from deformscope.stages.map.exploration import MapEstimate, StageFailure, SurfaceEstimate, TouchEstimate
+    from deformscope.stages.poke.contact import ArmCompliance
 
     options = msgspec.convert(settings["explore"], ExploreOptions)
     arm = msgspec.convert(settings["arm"], ArmCompliance)
     width, depth = settings["size_m"]
-    failed = [one.result for one in read_results(config.recording, (StageFailed,), trust=True)]
+    failed = [one.result for one in read_results(config.recording, (StageFailure,), trust=True)]
     explorer = Explorer((float(width), float(depth)), options, arm, failed=failed)  # type: ignore[arg-type]
-    kinds = (SurfaceSeen, TouchTold, MapsKnown)
+    kinds = (SurfaceEstimate, TouchEstimate, MapEstimate)
     recorded = [found.result for found in read_results(config.recording, kinds, trust=True)]
     again = [result for results in explore_again(recording.read_inputs("explored"), explorer) for result in results]
     for fresh in [one for one in explorer.failures if one not in failed]:

@@ -17,15 +17,15 @@ from deformscope.cli.common import make_folder, progress, quiet_warp, read_file,
 from deformscope.config import CubesConfig
 
 if TYPE_CHECKING:
-    from deformscope.experiments.cubes import Cube, ElementTime, Found, Options
+    from deformscope.studies.cubes import Cube, ElementTime, Found, Options
 
 
 def run(config: CubesConfig) -> None:
     """Make or read the cubes, fit each in some process, then draw, write and tell."""
     make_folder(config.out)
     quiet_warp()
-    from deformscope.experiments.cubes import Options, model_times
-    from deformscope.experiments.cubes_figures import sem_rows, time_rows
+    from deformscope.studies.cubes import Options, model_times
+    from deformscope.studies.cubes_figures import sem_rows, time_rows
 
     began = time.perf_counter()
     cubes, elements = _read(config.pairs) if config.pairs else _make(config.quick)
@@ -46,7 +46,7 @@ def run(config: CubesConfig) -> None:
 
 
 def _make(quick: bool) -> tuple[list[Cube], list[ElementTime]]:
-    from deformscope.experiments.cubes import POISSON, SIDES, thesis_cubes
+    from deformscope.studies.cubes import POISSON, SIDES, thesis_cubes
 
     sides = SIDES[:1] if quick else SIDES
     with progress("finite elements", total=len(sides) * len(POISSON)) as advance:
@@ -54,7 +54,7 @@ def _make(quick: bool) -> tuple[list[Cube], list[ElementTime]]:
 
 
 def _read(paths: Sequence[Path]) -> tuple[list[Cube], list[ElementTime]]:
-    from deformscope.experiments.cubes import cube_from_pair
+    from deformscope.studies.cubes import cube_from_pair
 
     cubes = [cube_from_pair(read_file(path, "a pair file (.npz)"), str(path)) for path in paths]
     return sorted(cubes, key=lambda cube: (len(cube.seen.rest), cube.poisson, cube.depth)), []
@@ -62,7 +62,7 @@ def _read(paths: Sequence[Path]) -> tuple[list[Cube], list[ElementTime]]:
 
 def _examine(cubes: Sequence[Cube], options: Options, workers: int | None) -> list[Found]:
     from deformscope.cli.workers import in_processes
-    from deformscope.experiments.cubes import compared
+    from deformscope.studies.cubes import compared
 
     jobs = list(zip(range(len(cubes)), cubes, compared(cubes, options), strict=True))
     jobs.sort(key=lambda job: -len(job[1].seen.rest))  # the long ones first, so that none is left alone at the end
@@ -75,7 +75,7 @@ def _examine(cubes: Sequence[Cube], options: Options, workers: int | None) -> li
 
 
 def _one(options: Options, job: tuple[int, Cube, bool]) -> Found:
-    from deformscope.experiments.cubes import examine
+    from deformscope.studies.cubes import examine
 
     return examine(job[1], options, job[2])
 
@@ -90,7 +90,7 @@ def _draw(
     sems: Sequence[dict[str, object]],
     times: Sequence[dict[str, object]],
 ) -> None:
-    from deformscope.experiments import cubes_figures as figures
+    from deformscope.studies import cubes_figures as figures
 
     figures.draw_theta(out / "figure-3.10.png", found)
     figures.draw_errors(out / "figure-3.11.png", found)
@@ -110,7 +110,7 @@ def report(
     seconds: dict[str, float],
 ) -> dict[str, Any]:
     """What `cubes.json` holds; lengths in metres."""
-    from deformscope.experiments.cubes import rises
+    from deformscope.studies.cubes import rises
 
     def both(fit: Any) -> dict[str, object] | None:
         if fit is None:
@@ -191,8 +191,8 @@ def _spread(row: dict[str, Any]) -> str:
 
 def _drift(sems: Sequence[dict[str, Any]], found: Sequence[Found]) -> list[tuple[str, str]]:
     """SEM over resolutions at the largest depth, also where the held particles' share of mass is the same."""
-    from deformscope.experiments.cubes import depths_of
-    from deformscope.experiments.cubes_figures import depth_name
+    from deformscope.studies.cubes import depths_of
+    from deformscope.studies.cubes_figures import depth_name
 
     depth = depth_name(depths_of([one.cube for one in found])[-1])
     deepest = [row for row in sems if row["by"] == "depth" and row["of"] == depth and row["cubes"] > 1]

@@ -19,9 +19,9 @@ from deformscope.cli.common import fit_progress, make_folder, quiet_warp, replac
 from deformscope.config import FoamsConfig
 
 if TYPE_CHECKING:
-    from deformscope.experiments.foams import Control, Fit, FoamResult, Setup, Trend
     from deformscope.frames import ColorFrame
     from deformscope.lab.foam import Foam
+    from deformscope.studies.foams import Control, FoamFit, FoamResult, Setup, Trend
 
 
 COLUMNS = (
@@ -37,8 +37,8 @@ def run(config: FoamsConfig) -> None:
     quiet_warp()
     from threadpoolctl import threadpool_limits
 
-    from deformscope.experiments import foams_figures as figures
-    from deformscope.experiments.foams import HELD, SOURCES, Setup, controls, measure, trend
+    from deformscope.studies import foams_figures as figures
+    from deformscope.studies.foams import HELD, SOURCES, Setup, controls, measure, trend
 
     setup = Setup()
     if config.quick:
@@ -111,7 +111,7 @@ def tell(results: Sequence[FoamResult], trends: Sequence[Trend], seconds: float,
     show_table(f"Written in {seconds:.0f} s", [("", str(path)) for path in files])
 
 
-def name(one: Fit | Trend) -> str:
+def name(one: FoamFit | Trend) -> str:
     """How a fit was made."""
     held = {"one": "one particle held", "clamp": "clamp held"}[one.held]
     source = {"flow": "flow", "true": "true positions"}[one.source]
@@ -163,7 +163,7 @@ def as_json(
     }
 
 
-def fit_json(fit: Fit) -> dict[str, Any]:
+def fit_json(fit: FoamFit) -> dict[str, Any]:
     """One fit: how it was made, and its estimate."""
     how = {"source": fit.source, "held": fit.held, "cluster_size": fit.cluster_size}
     return how | fit.calibration.estimate.as_json()

@@ -12,16 +12,16 @@ from deformscope.cli.common import console, fit_progress, make_folder, quiet_war
 from deformscope.config import PokesConfig
 
 if TYPE_CHECKING:
-    from deformscope.experiments.poke_study import Studied
+    from deformscope.studies.poke_study import Studied
 
 
 def run(config: PokesConfig) -> None:
     """Make the slabs, fit, predict, draw, write and tell."""
     make_folder(config.out)
     quiet_warp()
-    from deformscope.experiments.dents_figure import draw_dents
-    from deformscope.experiments.figures import write_table
-    from deformscope.experiments.poke_study import PLANS, rows, study
+    from deformscope.pictures.figures import write_table
+    from deformscope.studies.dents_figure import draw_dents
+    from deformscope.studies.poke_study import PLANS, rows, study
 
     studied = []
     with fit_progress() as progress:

@@ -19,14 +19,14 @@ from deformscope.config import Table41Config
 from deformscope.errors import InputError
 
 if TYPE_CHECKING:
-    from deformscope.experiments.table41 import TableJob, TableRun
+    from deformscope.studies.table41 import TableJob, TableRun
 
 RUNS = "runs.jsonl"
 
 
 def run(config: Table41Config) -> None:
     """Explore every scene with every planner over the seeds; write and tell the table."""
-    from deformscope.experiments.table41 import TableJob
+    from deformscope.studies.table41 import TableJob
 
     make_folder(config.out)
     planners = _planners(config.planners)
@@ -42,7 +42,7 @@ def run(config: Table41Config) -> None:
 
 def _explored(jobs: Sequence[TableJob], config: Table41Config) -> list[TableRun]:
     """The run of each job; kept in the folder as they are done, and taken from there with --resume."""
-    from deformscope.experiments.table41 import add_run, read_runs, run_table
+    from deformscope.studies.table41 import add_run, read_runs, run_table
 
     path = config.out / RUNS
     known = {}
@@ -66,9 +66,9 @@ def _explored(jobs: Sequence[TableJob], config: Table41Config) -> list[TableRun]
 
 
 def _write(runs: Sequence[TableRun], config: Table41Config) -> None:
-    from deformscope.experiments.figures import write_table
-    from deformscope.experiments.table41_figures import curves
-    from deformscope.experiments.table41_summary import LOOKED_AT, summarise
+    from deformscope.pictures.figures import write_table
+    from deformscope.studies.table41_figures import curves
+    from deformscope.studies.table41_summary import LOOKED_AT, summarise
 
     scenes = list(dict.fromkeys(one.job.scene for one in runs))
     planners: list[str] = list(dict.fromkeys(one.job.planner for one in runs))
@@ -101,7 +101,7 @@ def _write(runs: Sequence[TableRun], config: Table41Config) -> None:
 
 def _compared(by: dict[tuple[str, str], list[TableRun]], planners: Sequence[str]) -> list[dict[str, Any]]:
     """The first planner beside each of the others, scene by scene and over all that have borders."""
-    from deformscope.experiments.table41_summary import PASSED_IOU, compare
+    from deformscope.studies.table41_summary import PASSED_IOU, compare
 
     bordered = [scene for (scene, planner), runs in by.items() if planner == planners[0] and runs[0].region_count > 1]
     groups = {scene: [scene] for scene in bordered} | ({"all of these": bordered} if len(bordered) > 1 else {})
@@ -123,7 +123,7 @@ def _scenes(named: str) -> Sequence[str]:
 
 
 def _planners(named: str) -> Sequence[Any]:
-    from deformscope.stages.plan import Planner
+    from deformscope.stages.map.plan import Planner
 
     planners = [name.strip() for name in named.split(",")]
     if unknown := [name for name in planners if name not in get_args(Planner)]:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 from deformscope.cli.common import say
 
 if TYPE_CHECKING:
-    from deformscope.rig import Rig, RigDevice
-    from deformscope.rig_source import RigMember
+    from deformscope.rig.rig_file import Rig, RigDevice
+    from deformscope.rig.source import RigMember
 
 
 @contextlib.contextmanager
@@ -30,7 +30,7 @@ def member_of(entry: RigDevice) -> Iterator[RigMember]:
     Raises InputError where there is none to be made.
     """
     from deformscope.lab.stand_in import stand_in
-    from deformscope.rig_source import RigMember
+    from deformscope.rig.source import RigMember
 
     stands_in = stand_in(entry.driver.name, entry.config) if entry.double else contextlib.nullcontext(entry.make())
     with stands_in as device:

@@ -13,10 +13,10 @@ from deformscope.plain import plain
 
 if TYPE_CHECKING:
     from deformscope.config import SummaryOptions
-    from deformscope.pictures import Result
-    from deformscope.report import Part, Section, Table
-    from deformscope.stages.estimate import Estimate
-    from deformscope.stages.poke_estimate import PokesFound
+    from deformscope.pictures.evidence import Result
+    from deformscope.pictures.report import Part, Section, Table
+    from deformscope.stages.fit.estimate import Estimate
+    from deformscope.stages.poke.poke_estimate import PokesFound
 
 Rows = list[tuple[str, str]]
 
@@ -34,13 +34,13 @@ def write_summaries(
 ) -> None:
     """Write the picture and the report that were asked for. settings: of the command, beside those of the estimates"""
     if files.picture is not None:
-        from deformscope.pictures import results_png
+        from deformscope.pictures.evidence import results_png
 
         with replacing(files.picture) as file:
             file.write(results_png(results))
         console().print(f"picture: {files.picture}", markup=False, soft_wrap=True)
     if files.report is not None:
-        from deformscope.report import html_report
+        from deformscope.pictures.report import html_report
 
         sections = calibration_sections(results, seed=seed, settings=settings, pokes=pokes)
         with replacing(files.report) as file:
@@ -52,7 +52,7 @@ def calibration_sections(
     results: Sequence[Result], *, seed: int, settings: Mapping[str, object], pokes: PokesFound | None = None
 ) -> list[Section]:
     """The parts of a report on calibrations: verdicts first, then numbers, pictures, and how it was done."""
-    from deformscope.report import Section, Table
+    from deformscope.pictures.report import Section, Table
 
     several = len(results) > 1
     sections = [Section("", [part for one in results for part in _verdict(one, named=several)])]
@@ -76,8 +76,8 @@ def calibration_sections(
 
 def provenance_sections(*, seed: int, settings: Mapping[str, object]) -> list[Section]:
     """What made a result, and how to make it again."""
-    from deformscope import provenance
-    from deformscope.report import Code, Section, Table
+    from deformscope.pictures.report import Code, Section, Table
+    from deformscope.recording import provenance
 
     rows: list[tuple[str, str]] = [
         ("made", datetime.datetime.now().astimezone().isoformat(sep=" ", timespec="seconds"))
@@ -97,7 +97,7 @@ def provenance_sections(*, seed: int, settings: Mapping[str, object]) -> list[Se
 
 def estimate_rows(estimate: Estimate) -> Rows:
     """An estimate as names and values."""
-    from deformscope.stages.estimate import explained_text
+    from deformscope.stages.fit.estimate import explained_text
 
     low, high = estimate.interval
     rows = [
@@ -147,14 +147,14 @@ def _length(estimate: Estimate, value: object) -> str:
 
 
 def _verdict(result: Result, *, named: bool) -> list[Part]:
-    from deformscope.pictures import headline, verdict_color
-    from deformscope.report import Verdict
+    from deformscope.pictures.evidence import headline, verdict_color
+    from deformscope.pictures.report import ReportVerdict
 
     found = result.estimate
     name = f"{_name(result)}: " if named else ""
     words = (f"Stiffness: {found.stiffness_text()}.", *([] if named else [_explained(found)]))
     return [
-        Verdict(f"{name}{found.verdict_text()}", (f"{headline(found)}.", *words), verdict_color(found)),
+        ReportVerdict(f"{name}{found.verdict_text()}", (f"{headline(found)}.", *words), verdict_color(found)),
     ]
 
 
@@ -169,7 +169,7 @@ def _explained(found: Estimate) -> str:
 
 
 def _overview(results: Sequence[Result]) -> Table:
-    from deformscope.report import Table
+    from deformscope.pictures.report import Table
 
     rows = []
     for one in results:
@@ -182,8 +182,8 @@ def _overview(results: Sequence[Result]) -> Table:
 
 
 def _evidence(result: Result) -> list[Part]:
-    from deformscope.pictures import evidence_png
-    from deformscope.report import Figure, Table
+    from deformscope.pictures.evidence import evidence_png
+    from deformscope.pictures.report import Figure, Table
 
     found = result.estimate
     rows = estimate_rows(found)
@@ -196,8 +196,8 @@ def _evidence(result: Result) -> list[Part]:
 
 
 def _pictures(result: Result, count: int) -> list[Part]:
-    from deformscope.pictures import errors_png, particles_png, where_wrong
-    from deformscope.report import Figure
+    from deformscope.pictures.evidence import errors_png, particles_png, where_wrong
+    from deformscope.pictures.report import Figure
 
     parts: list[Part] = []
     for index in range(count):
@@ -212,7 +212,7 @@ def _pictures(result: Result, count: int) -> list[Part]:
 
 
 def _pokes(found: PokesFound) -> Table:
-    from deformscope.report import Table
+    from deformscope.pictures.report import Table
 
     rows = []
     for one in found.rows():
@@ -246,7 +246,7 @@ def _pokes(found: PokesFound) -> Table:
 
 
 def _sizes(found: PokesFound) -> Table:
-    from deformscope.report import Table
+    from deformscope.pictures.report import Table
 
     rows = [
         (str(one["cluster_size"]), f"{one['error']:.1%}", f"{one['beta']:.3g}", f"{one['theta']:.3g}")

@@ -11,10 +11,10 @@ from typing import Any
 from deformscope.cli.common import EXIT_LOSSES, say, show_table, write_json
 from deformscope.config import VerifyConfig
 from deformscope.errors import InputError
-from deformscope.ledger import check_ledger, read_counts
-from deformscope.recording_facts import Facts, read_facts
-from deformscope.recording_lock import is_being_written
-from deformscope.rerun_tool import run_rrd
+from deformscope.recording.facts import Facts, read_facts
+from deformscope.recording.ledger import check_ledger, read_counts
+from deformscope.recording.lock import is_being_written
+from deformscope.recording.rerun_tool import run_rrd
 
 WHOLE = "every byte is as it was recorded"
 UNCHECKED = "not checked, as there is no ledger: a flipped bit would go unnoticed"
@@ -88,7 +88,7 @@ def _rows(
     *,
     unfinished: bool,
 ) -> list[tuple[str, str]]:
-    from deformscope.losses import in_words
+    from deformscope.recording.losses import in_words
 
     ended = "unfinished: cut short" if unfinished else "complete" if facts.outcome.get("complete") else "NOT complete"
     if "recovered" in facts.outcome:
@@ -110,7 +110,7 @@ def _recover(path: Path) -> str:
 
 def _tell_losses(facts: Facts, *, checked: bool, reached: str) -> int:
     """Name what is not as it should be of a recording that can be read whole."""
-    from deformscope.losses import named
+    from deformscope.recording.losses import named
 
     told = []
     if facts.losses:

@@ -23,7 +23,7 @@ def check_unit(flag: str, value: float) -> None:
 
 
 BETA_LIMIT = 0.9999
-"""Highest beta that can be searched (`deformscope.stages.calibrate.BETA_LIMIT`, which would import numpy here)."""
+"""Highest beta that can be searched (`deformscope.stages.fit.calibrate.BETA_LIMIT`, which would import numpy here)."""
 
 
 def check_span(flag: str, span: Span, limit: float = 1.0) -> None:

@@ -9,9 +9,9 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.experiments.explore import ExploreOptions, Robot, Touched
-from deformscope.stages.contact import ArmCompliance, calibrate_compliance, fit_approach
-from deformscope.stages.surface import fit_surface
+from deformscope.experiments.explore import ExploreOptions, ExploringRobot, TouchMeasurement
+from deformscope.stages.map.surface import fit_surface
+from deformscope.stages.poke.contact import ArmCompliance, calibrate_compliance, fit_approach
 
 SURE_SD = 0.1
 """Of a compliance that is to be taken off dents, at most this share of it should be unknown."""
@@ -47,7 +47,7 @@ class ArmGive:
     off_sd_m: float
 
 
-def touch_rigid(robot: Robot, options: ExploreOptions, xy_m: FloatArray, touches: int) -> Iterator[GiveTouch]:
+def touch_rigid(robot: ExploringRobot, options: ExploreOptions, xy_m: FloatArray, touches: int) -> Iterator[GiveTouch]:
     """Touch a place (2,) [m] of something rigid so often, after a look at it. Raises ExplorationStopped, and InputError
     where there is nothing to see."""
     looked = robot.look()
@@ -73,7 +73,7 @@ def touch_rigid(robot: Robot, options: ExploreOptions, xy_m: FloatArray, touches
         yield GiveTouch(found, law.peak_force_n, height_m, met_m)
 
 
-def _straight(made: Touched, normal: FloatArray, found: ArmCompliance, contact_m: float) -> bool:
+def _straight(made: TouchMeasurement, normal: FloatArray, found: ArmCompliance, contact_m: float) -> bool:
     """Whether depth goes with the force, rather than with its power 2/3 as under a ball in foam (Hertz 1882)."""
     force_n = made.force_n @ normal
     depth_m = -(made.position_m @ normal) - contact_m

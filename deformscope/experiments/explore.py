@@ -1,8 +1,8 @@
 """Thesis chapter 4: look, decide where to touch, touch, estimate, map, again; until the map tells what it can.
 
-`Explorer` computes: what a robot saw and felt goes in, frozen results come out, the same every time. A `Robot` looks
-and touches; whether it is the laboratory's or a real one, `explore` does not know. A stage that fails on one touch
-costs that stage's result: the failure is a result like the others (`StageFailed`), and the robot goes on with the
+`Explorer` computes: what a robot saw and felt goes in, frozen results come out, the same every time. An
+`ExploringRobot` looks and touches; `explore` does not know whether it is simulated. A stage that fails on one touch
+costs that stage's result: the failure is a result like the others (`StageFailure`), and the robot goes on with the
 touches that could be used, until too many in a row could not.
 """
 
@@ -19,24 +19,24 @@ import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.experiments.map_score import boundary_distance, called_labels, match_regions
-from deformscope.stages.cloud import Box, Intrinsics, tactile_points
-from deformscope.stages.contact import ArmCompliance, ContactFit, fit_approach, layer_modulus
-from deformscope.stages.exploration import (
-    MapsKnown,
-    NextTouch,
-    PhaseBegan,
-    StageFailed,
-    Stopped,
-    SurfaceSeen,
-    TouchTold,
+from deformscope.stages.map.exploration import (
+    ExplorationStop,
+    MapEstimate,
+    PhaseStart,
+    PlannedTouch,
+    StageFailure,
+    SurfaceEstimate,
+    TouchEstimate,
 )
-from deformscope.stages.field import BETA_PRIOR, fit_field
-from deformscope.stages.plan import ALLOWED, FieldKernel, Planner, PlanOptions, plan_touch
-from deformscope.stages.regions import RegionMap, RegionPosterior
-from deformscope.stages.surface import HeightMap, HeightProcess, fit_surface
-from deformscope.stages.touch_beta import BallTouch, fit_touch, thesis_beta
-from deformscope.stages.touches import MapGrid, Touch
+from deformscope.stages.map.field import BETA_PRIOR, fit_field
+from deformscope.stages.map.map_score import boundary_distance, called_labels, match_regions
+from deformscope.stages.map.plan import ALLOWED, FieldKernel, Planner, PlanOptions, plan_touch
+from deformscope.stages.map.regions import RegionMap, RegionPosterior
+from deformscope.stages.map.surface import HeightMap, HeightProcess, fit_surface
+from deformscope.stages.map.touch_beta import BallContact, fit_touch, thesis_beta
+from deformscope.stages.map.touches import MapGrid, StiffnessSample
+from deformscope.stages.poke.contact import ArmCompliance, ContactFit, fit_approach, layer_modulus
+from deformscope.stages.see.cloud import Box, Intrinsics, tactile_points
 from deformscope_drivers.depth_camera import Intrinsics as CameraIntrinsics
 
 BetaModel = Literal["volume", "thesis", "none"]
@@ -96,7 +96,7 @@ class ExploreOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class Looked:
+class SurfaceMeasurement:
     """What the camera saw. points_m: (n, 3) of the surface, robot and outliers taken away, surface frame [m]
     noise_m: (n,) deviation of each height [m]"""
 
@@ -105,7 +105,7 @@ class Looked:
 
 
 @dataclass(frozen=True, slots=True)
-class Touched:
+class TouchMeasurement:
     """What a touch gave.
 
     xy_m: (2,) where it was to be; normal: (3,) that it went along
@@ -126,7 +126,7 @@ class Touched:
     unseen: str = ""
 
 
-class Robot(Protocol):
+class ExploringRobot(Protocol):
     """What looks and touches."""
 
     size_m: tuple[float, float]
@@ -135,9 +135,9 @@ class Robot(Protocol):
     def reachable(self, grid: MapGrid) -> BoolArray:
         """(rows, columns) cells that the tip can touch."""
 
-    def look(self) -> Looked: ...
+    def look(self) -> SurfaceMeasurement: ...
 
-    def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> Touched:
+    def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> TouchMeasurement:
         """Touch a place whose surface was seen at this height.
 
         over_m: how high the surface may be on the straight way from the touch before, None = not known. Raises
@@ -167,16 +167,16 @@ class Explorer:
         options: ExploreOptions,
         arm: ArmCompliance,
         truth: Truth | None = None,
-        failed: Collection[StageFailed] = (),
+        failed: Collection[StageFailure] = (),
     ) -> None:
         """failed: what failed when this was recorded: it is not computed again, and fails as it did"""
         self.options = options
         self.grid = MapGrid(size_m, options.cell_m)
         self.world: HeightProcess | None = None
         self.posterior = RegionPosterior.before_touches(self.grid, seed=options.seed)
-        self.told: list[TouchTold] = []
-        self.known: MapsKnown | None = None
-        self.failures: list[StageFailed] = []
+        self.told: list[TouchEstimate] = []
+        self.known: MapEstimate | None = None
+        self.failures: list[StageFailure] = []
         self.travel_m = 0.0
         self.stop_reason = ""
         self.plan_cell_m = PLAN_CELL_M
@@ -194,23 +194,23 @@ class Explorer:
 
     # Each step --------------------------------------------------------------------------------------------------------
 
-    def look(self, looked: Looked) -> SurfaceSeen | None:
+    def look(self, looked: SurfaceMeasurement) -> SurfaceEstimate | None:
         """Take the surface before any touch in; None where it could not be fitted."""
         self._inputs.append(("explored/looked", pack(looked)))
         return self._stage("surface", lambda: self._surface(looked))
 
-    def next(self, reachable: BoolArray | None = None) -> NextTouch | None:
+    def next(self, reachable: BoolArray | None = None) -> PlannedTouch | None:
         """Where to touch next, and why; None where that could not be planned."""
         return self._stage("plan", lambda: self._plan(reachable))
 
-    def _surface(self, looked: Looked) -> SurfaceSeen:
+    def _surface(self, looked: SurfaceMeasurement) -> SurfaceEstimate:
         size_m = self.grid.size_m
         self.world = fit_surface(looked.points_m, noise_m=looked.noise_m, within_m=((0.0, 0.0), size_m), outlier_sd=5.0)
         heights = self.world.on(self.grid)
         self._heights = heights
-        return SurfaceSeen(looked.points_m, heights.mean_m, heights.deviation_m, self.grid.cell_m)
+        return SurfaceEstimate(looked.points_m, heights.mean_m, heights.deviation_m, self.grid.cell_m)
 
-    def _plan(self, reachable: BoolArray | None) -> NextTouch:
+    def _plan(self, reachable: BoolArray | None) -> PlannedTouch:
         options = self.options
         plan = plan_touch(
             self.posterior,
@@ -226,7 +226,7 @@ class Explorer:
         enough = plan.stop is not None and not (options.go_on and len(self.told) < options.budget)
         target = None if enough else plan.target_m
         self.stop_reason = plan.stop or ""
-        return NextTouch(target, plan.gain, plan.cost_s, plan.excluded != ALLOWED, plan.reason, plan.stop or "")
+        return PlannedTouch(target, plan.gain, plan.cost_s, plan.excluded != ALLOWED, plan.reason, plan.stop or "")
 
     def approach(self, xy_m: FloatArray) -> tuple[float, FloatArray, float | None] | None:
         """What a robot is told of a touch at a place (2,) [m]: `aim` and `over_m`; None where that failed."""
@@ -250,7 +250,7 @@ class Explorer:
         crossed = beside_m.reshape(self.grid.shape) <= self.options.tip_radius_m + BESIDE_M
         return float((self._heights.mean_m + SURE_SD * self._heights.deviation_m)[crossed].max())
 
-    def touch(self, touched: Touched) -> TouchTold:
+    def touch(self, touched: TouchMeasurement) -> TouchEstimate:
         """Take a touch in."""
         self._inputs.append((f"explored/touched-{len(self.told):03d}", pack(touched)))
         self._touch = len(self.told) + 1
@@ -258,12 +258,12 @@ class Explorer:
         self.travel_m += float(np.hypot(*(touched.xy_m - before)))
         if touched.unseen:
             reason = touched.unseen.strip().splitlines()[-1]
-            self.failures.append(StageFailed("dent", self._touch, reason, touched.unseen))
+            self.failures.append(StageFailure("dent", self._touch, reason, touched.unseen))
         contact = self._stage("contact", lambda: self._contact(touched))
         posterior = None
         if contact is not None:
             fit = contact.fit
-            seen = Touch(touched.xy_m, fit.log_stiffness, fit.log_sd, fit.rigid)
+            seen = StiffnessSample(touched.xy_m, fit.log_stiffness, fit.log_sd, fit.rigid)
             posterior = self._stage("regions", lambda: self.posterior.with_touch(seen))
         self._usable = posterior is not None
         if posterior is None:
@@ -274,7 +274,7 @@ class Explorer:
         self.told.append(told)
         return told
 
-    def maps(self) -> MapsKnown | None:
+    def maps(self) -> MapEstimate | None:
         """The maps after the newest touch; None where it gave none."""
         maps = self._stage("maps", self._maps) if self._usable else None
         self._without_map = self._without_map + 1 if maps is None else 0
@@ -293,11 +293,11 @@ class Explorer:
         """What failed on a touch, from 1, in words."""
         return [f"{one.stage}: {one.reason}" for one in self.failures if one.touch == touch]
 
-    def _maps(self) -> MapsKnown:
+    def _maps(self) -> MapEstimate:
         found = self.region_map()
         beta, beta_sd = self._stage("beta field", self._beta_field) or (None, None)
         truth = None if self._truth is None else self._truth.labels
-        return MapsKnown(
+        return MapEstimate(
             touches=len(self.told),
             cell_m=self.grid.cell_m,
             stiffness_n_per_mm=np.exp(found.field),
@@ -342,10 +342,10 @@ class Explorer:
         try:
             return compute()
         except Exception as error:  # whatever it is, the arm is over a table and the touches made are worth something
-            self.failures.append(StageFailed.of(name, self._touch, error))
+            self.failures.append(StageFailure.of(name, self._touch, error))
             return None
 
-    def _contact(self, touched: Touched) -> _Contact:
+    def _contact(self, touched: TouchMeasurement) -> _Contact:
         options = self.options
         fit = fit_approach(
             touched.time_s,
@@ -366,7 +366,7 @@ class Explorer:
             )
         return _Contact(fit, law, modulus)
 
-    def _told(self, touched: Touched, contact: _Contact | None) -> TouchTold:
+    def _told(self, touched: TouchMeasurement, contact: _Contact | None) -> TouchEstimate:
         along = _along(touched)
         nan = float("nan")
         aimed = self._stage("surface", lambda: self.aim(touched.xy_m))
@@ -379,7 +379,7 @@ class Explorer:
         self._beta_sd.append(beta.sd)
         near = np.abs(touched.after_m[:, :2] - touched.xy_m).max(axis=1) < NEAR_M if len(touched.after_m) else []
         fit = None if contact is None else contact.fit
-        return TouchTold(
+        return TouchEstimate(
             number=len(self.told),
             xyz_m=xyz,
             normal=touched.normal / np.linalg.norm(touched.normal),
@@ -400,7 +400,7 @@ class Explorer:
             simulated_m=beta.simulated_m,
         )
 
-    def _beta(self, touched: Touched, fit: ContactFit) -> _Beta:
+    def _beta(self, touched: TouchMeasurement, fit: ContactFit) -> _Beta:
         if self.options.beta_model == "none":
             return _Beta("not asked for")
         if fit.rigid:
@@ -410,14 +410,14 @@ class Explorer:
         deepest = int(np.argmax(-(touched.position_m @ touched.normal)))
         gives_m = self._arm.compliance_m_per_n * fit.peak_force_n  # the arm says that it is that much deeper
         lowest = touched.position_m[deepest] - (radius - gives_m) * touched.normal
-        ball = BallTouch(lowest, radius, _dent_m(fit), fit.peak_force_n)
+        ball = BallContact(lowest, radius, _dent_m(fit), fit.peak_force_n)
         if self.options.beta_model == "thesis":
             return self._thesis(touched, ball)
         found = fit_touch(self.world, touched.after_m, ball, thickness_m=self.options.thickness_m)
         estimate = found.estimate
         return _Beta(estimate.verdict, estimate.value, estimate.interval, found.sd, found.simulated_m)
 
-    def _thesis(self, touched: Touched, ball: BallTouch) -> _Beta:
+    def _thesis(self, touched: TouchMeasurement, ball: BallContact) -> _Beta:
         """The thesis's way: the touch surface's own process, with virtual points where the ball is."""
         assert self.world is not None
         tactile = tactile_points(ball.lowest_m, ball.radius_m, ball.depth_m, normal=touched.normal)
@@ -464,12 +464,12 @@ class _Beta:
     simulated_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
 
-def _along(touched: Touched) -> FloatArray:
+def _along(touched: TouchMeasurement) -> FloatArray:
     """(n,) way of the tip into the surface [m]."""
     return np.asarray(-(touched.position_m @ touched.normal) / np.linalg.norm(touched.normal))
 
 
-def _force_along(touched: Touched) -> FloatArray:
+def _force_along(touched: TouchMeasurement) -> FloatArray:
     """(n,) force out of the surface [N]."""
     return np.asarray(touched.force_n @ touched.normal / np.linalg.norm(touched.normal))
 
@@ -480,7 +480,7 @@ def _dent_m(fit: ContactFit) -> float:
     return float(fit.depth_m * (fit.peak_force_n / fit.at_force_n) ** (1.0 / fit.exponent))
 
 
-def pack(taken: Looked | Touched) -> bytes:
+def pack(taken: SurfaceMeasurement | TouchMeasurement) -> bytes:
     """What a robot gave as a file of arrays; the same bytes for the same values."""
     file = io.BytesIO()
     told = {field.name: np.asarray(getattr(taken, field.name)) for field in dataclasses.fields(taken)}
@@ -488,18 +488,18 @@ def pack(taken: Looked | Touched) -> bytes:
     return file.getvalue()
 
 
-def unpack_looked(content: bytes) -> Looked:
+def unpack_looked(content: bytes) -> SurfaceMeasurement:
     """The reverse of `pack`."""
     with np.load(io.BytesIO(content), allow_pickle=False) as file:
-        return Looked(file["points_m"], file["noise_m"])
+        return SurfaceMeasurement(file["points_m"], file["noise_m"])
 
 
-def unpack_touched(content: bytes) -> Touched:
+def unpack_touched(content: bytes) -> TouchMeasurement:
     """The reverse of `pack`."""
     with np.load(io.BytesIO(content), allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
     scalars = {"reached": bool(arrays["reached"]), "seen_ns": int(arrays.get("seen_ns", 0))}
-    return Touched(**arrays | scalars | {"unseen": str(arrays.get("unseen", ""))})
+    return TouchMeasurement(**arrays | scalars | {"unseen": str(arrays.get("unseen", ""))})
 
 
 def pinhole(told: CameraIntrinsics) -> Intrinsics:
@@ -516,12 +516,12 @@ def sample_box(size_m: tuple[float, float], thickness_m: float) -> Box:
 class ExplorationStopped(InputError):
     """The robot must not go on, or what it was to do came to nothing. stop: why, and when on the robot's clock"""
 
-    def __init__(self, stop: Stopped, time_ns: int) -> None:
+    def __init__(self, stop: ExplorationStop, time_ns: int) -> None:
         super().__init__("an exploration that comes to its end", f"{stop.kind}: {stop.reason}", stop.advice)
         self.stop, self.time_ns = stop, time_ns
 
 
-Result = SurfaceSeen | TouchTold | MapsKnown | NextTouch | StageFailed | PhaseBegan | Stopped
+Result = SurfaceEstimate | TouchEstimate | MapEstimate | PlannedTouch | StageFailure | PhaseStart | ExplorationStop
 
 
 @dataclass(frozen=True, slots=True)
@@ -539,12 +539,12 @@ class Moment:
     seen_ns: int | None = None
 
 
-def explore(robot: Robot, explorer: Explorer) -> Iterator[Moment]:
+def explore(robot: ExploringRobot, explorer: Explorer) -> Iterator[Moment]:
     """Look, then touch until the plan says enough; gives results as they come. `explorer` holds what was found.
 
     Raises ExplorationStopped when the robot must not go on, or it makes no sense: what was found until then stands.
     """
-    yield Moment(robot.now_ns(), (PhaseBegan("look", 0),))
+    yield Moment(robot.now_ns(), (PhaseStart("look", 0),))
     looked = robot.look()
     began = time.perf_counter()
     seen = explorer.look(looked)
@@ -570,7 +570,7 @@ def explore(robot: Robot, explorer: Explorer) -> Iterator[Moment]:
         told = explorer.touch(touched)
         maps = explorer.maps()
         spent_s = time.perf_counter() - began
-        yield Moment(robot.now_ns(), (PhaseBegan("plan", number),), touch=number + 1)
+        yield Moment(robot.now_ns(), (PhaseStart("plan", number),), touch=number + 1)
         results: tuple[Result, ...] = (told, *_made(maps), *failed())
         yield Moment(robot.now_ns(), results, touch=number + 1, seen_ns=touched.seen_ns or None)
 
@@ -581,7 +581,7 @@ class _NewFailures:
     def __init__(self, explorer: Explorer) -> None:
         self._explorer, self._count = explorer, 0
 
-    def __call__(self) -> tuple[StageFailed, ...]:
+    def __call__(self) -> tuple[StageFailure, ...]:
         fresh = tuple(self._explorer.failures[self._count :])
         self._count = len(self._explorer.failures)
         return fresh
@@ -591,10 +591,10 @@ def _made(result: StageResult | None) -> tuple[StageResult, ...]:
     return () if result is None else (result,)
 
 
-def _given_up(robot: Robot, explorer: Explorer) -> ExplorationStopped:
+def _given_up(robot: ExploringRobot, explorer: Explorer) -> ExplorationStopped:
     last = explorer.failures[-1]
     reason = explorer.given_up or f"{last.stage}: {last.reason}"
-    stop = Stopped(ESTIMATES_FAILED, reason, "what failed, in the recording", "stop", len(explorer.told))
+    stop = ExplorationStop(ESTIMATES_FAILED, reason, "what failed, in the recording", "stop", len(explorer.told))
     return ExplorationStopped(stop, robot.now_ns())
 
 

@@ -13,21 +13,21 @@ import numpy as np
 
 from deformscope.errors import InputError
 from deformscope.experiments.explore import ExploreOptions, Truth
-from deformscope.experiments.explore_lab import ARM_DOUBT, ARM_N_PER_M, truth_of
 from deformscope.experiments.explore_wired import TouchingRobot
 from deformscope.lab.live_lab import LiveLab
 from deformscope.lab.scenes import Scene, built_in
 from deformscope.lab.stand_in import stand_in
 from deformscope.lab.touch_lab import T_BASE_SURFACE
-from deformscope.rig import Rig, RigDevice
-from deformscope.rig_source import RigMember, RigSource
+from deformscope.rig.rig_file import Rig, RigDevice
+from deformscope.rig.source import RigMember, RigSource
 from deformscope.robot.advice import advice
 from deformscope.robot.placement import Placement
-from deformscope.robot.readings import Observation
+from deformscope.robot.readings import RobotObservation
 from deformscope.robot.robot import Robot, RobotStopped
-from deformscope.robot.supervisor import Limits, Verdict
-from deformscope.stages.cloud import Intrinsics
-from deformscope.stages.contact import ArmCompliance
+from deformscope.robot.supervisor import Limits, SafetyVerdict
+from deformscope.stages.poke.contact import ArmCompliance
+from deformscope.stages.see.cloud import Intrinsics
+from deformscope.studies.surface_robot import ARM_DOUBT, ARM_N_PER_M, truth_of
 from deformscope_drivers.clock import monotonic_ns
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
@@ -121,7 +121,7 @@ class RigBench:
     def robot(self, on_cycle: Callable[[], None] | None = None) -> Iterator[TouchingRobot]:
         """The robot over the opened devices. on_cycle: called in every control period"""
 
-        def watch(seen: Observation, verdict: Verdict) -> None:
+        def watch(seen: RobotObservation, verdict: SafetyVerdict) -> None:
             if on_cycle is not None:
                 on_cycle()
 

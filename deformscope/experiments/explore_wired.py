@@ -13,38 +13,38 @@ from numpy.typing import NDArray
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.capsule import Capsule
-from deformscope.driver_table import DRIVERS
 from deformscope.errors import InputError
 from deformscope.experiments.explore import (
     ABOVE_M,
     ExplorationStopped,
     ExploreOptions,
-    Looked,
-    Touched,
+    SurfaceMeasurement,
+    TouchMeasurement,
     Truth,
     pinhole,
     sample_box,
 )
-from deformscope.experiments.explore_lab import ARM_DOUBT, ARM_N_PER_M, BORDER_M, VIEW_CELL_M, truth_of
 from deformscope.lab.depth_view import DepthView, DepthViewConfig
 from deformscope.lab.scenes import Scene
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import Contact, SlabWorld
 from deformscope.lab.touch_lab import T_BASE_SURFACE, TouchLab
-from deformscope.rig import Tool, Workspace
-from deformscope.rig_source import RigMember, RigSource
+from deformscope.rig.driver_table import DRIVERS
+from deformscope.rig.rig_file import Tool, Workspace
+from deformscope.rig.source import RigMember, RigSource
 from deformscope.robot.advice import advice
 from deformscope.robot.placement import Placement, best_joints, follow
 from deformscope.robot.preflight import Preflight, check
-from deformscope.robot.readings import Observation
+from deformscope.robot.readings import RobotObservation
 from deformscope.robot.robot import Robot, RobotStopped
 from deformscope.robot.shape import arm_shape
-from deformscope.robot.supervisor import Action, Fault, Limits, Verdict
-from deformscope.robot.touch import Ending, Phase, PhaseSpan, TouchPlan, TouchRecord, run_touch
-from deformscope.stages.cloud import Box, Intrinsics, perceive
-from deformscope.stages.contact import ArmCompliance
-from deformscope.stages.exploration import Stopped
-from deformscope.stages.touches import MapGrid
+from deformscope.robot.supervisor import Action, Fault, Limits, SafetyVerdict
+from deformscope.robot.touch import Phase, PhaseSpan, TouchEnding, TouchPlan, TouchRecord, run_touch
+from deformscope.stages.map.exploration import ExplorationStop
+from deformscope.stages.map.touches import MapGrid
+from deformscope.stages.poke.contact import ArmCompliance
+from deformscope.stages.see.cloud import Box, Intrinsics, perceive
+from deformscope.studies.surface_robot import ARM_DOUBT, ARM_N_PER_M, BORDER_M, VIEW_CELL_M, truth_of
 from deformscope_drivers.depth_camera import View
 from deformscope_drivers.depth_camera.image import DepthImage
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
@@ -214,7 +214,7 @@ class TouchingRobot:
         start_deg = robot.pose.joints_deg
         return bool(follow(robot.arm.chain, robot.placement, down_m, plan.normal, start_deg=start_deg).all())
 
-    def look(self) -> Looked:
+    def look(self) -> SurfaceMeasurement:
         """The surface from the newest pictures, without the robot."""
         self._robot.start()
         with self._pictures_kept():
@@ -223,9 +223,11 @@ class TouchingRobot:
         self._robot.rest()
         box = sample_box(self.size_m, self._options.thickness_m)
         clouds = [self._seen(picture, links, box) for picture in pictures]
-        return Looked(np.concatenate([c.points_m for c in clouds]), np.concatenate([c.noise_m for c in clouds]))
+        return SurfaceMeasurement(
+            np.concatenate([c.points_m for c in clouds]), np.concatenate([c.noise_m for c in clouds])
+        )
 
-    def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> Touched:
+    def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> TouchMeasurement:
         """Go there, touch along the normal, or upright where the arm cannot be led along it, look at the dent, come
         back. Raises ExplorationStopped."""
         plan = self._plan(xy_m, height_m, normal, over_m)
@@ -245,7 +247,7 @@ class TouchingRobot:
         verdict = self._robot.supervisor.verdict
         if verdict.action is not Action.GO_ON:
             raise self._stopped(verdict.fault, verdict.reason, verdict.action, verdict.time_ns)
-        if record.contact_m is None or record.ending in (Ending.NOT_REACHED, Ending.NO_CONTACT):
+        if record.contact_m is None or record.ending in (TouchEnding.NOT_REACHED, TouchEnding.NO_CONTACT):
             where = f"at ({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm"
             raise self._stopped(record.ending, f"{where}: {record.reason}" if record.reason else where)
         self._touches += 1
@@ -256,14 +258,14 @@ class TouchingRobot:
         except Exception:  # the touch is made, and its force and depth do not hang on the camera
             unseen = traceback.format_exc()
         kept = slice(0, max(record.loading, 10))
-        return Touched(
+        return TouchMeasurement(
             xy_m,
             plan.normal,
             record.time_s[kept],
             record.position_m[kept],
             record.force_n[kept],
             after,
-            record.ending is Ending.SET_FORCE,
+            record.ending is TouchEnding.SET_FORCE,
             max((round(span.end_s * 1e9) for span in _dwells(record)), default=0),
             unseen,
         )
@@ -331,12 +333,12 @@ class TouchingRobot:
             raise self._stopped(verdict.fault, verdict.reason, verdict.action, verdict.time_ns) from error
 
     def _stopped(
-        self, cause: Fault | Ending, reason: str, action: Action = Action.STOP, time_ns: int | None = None
+        self, cause: Fault | TouchEnding, reason: str, action: Action = Action.STOP, time_ns: int | None = None
     ) -> ExplorationStopped:
         """The arm stands, and whoever explores is told why."""
         self._robot.halt(f"{cause}: {reason}")
         self._phase = self._pressed_m = None
-        told = Stopped(str(cause), reason, advice(cause), str(action), self._touches)
+        told = ExplorationStop(str(cause), reason, advice(cause), str(action), self._touches)
         return ExplorationStopped(told, self._clock() if time_ns is None else time_ns)
 
     def _dent(
@@ -361,7 +363,7 @@ class TouchingRobot:
 
     def _seen(
         self, picture: DepthImage, links: tuple[Capsule, ...], box: Box, cell_m: float | None = VIEW_CELL_M
-    ) -> Looked:
+    ) -> SurfaceMeasurement:
         intrinsics, T_surface_camera = self._camera
         if intrinsics is None:
             told = picture.intrinsics
@@ -371,7 +373,7 @@ class TouchingRobot:
         if T_surface_camera is None:
             raise InputError("[camera] T_arm_camera", "none", "where the camera stands")
         found = perceive(picture.depth_m(), intrinsics, T_surface_camera, box, links=links, margin_m=0.0, cell_m=cell_m)
-        return Looked(found.points_m, found.noise_m)
+        return SurfaceMeasurement(found.points_m, found.noise_m)
 
     def _links(self) -> tuple[Capsule, ...]:
         """What arm and stick may fill where the arm says they are, surface frame."""
@@ -481,7 +483,7 @@ class LabBench:
     def robot(self, on_cycle: Callable[[], None] | None = None) -> Iterator[TouchingRobot]:
         """The robot over the opened laboratory. on_cycle: called in every control period"""
 
-        def watch(seen: Observation, verdict: Verdict) -> None:
+        def watch(seen: RobotObservation, verdict: SafetyVerdict) -> None:
             if on_cycle is not None:
                 on_cycle()
 

@@ -14,10 +14,10 @@ import numpy as np
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.session import Experiment, Step
-from deformscope.stages.calibrate import Calibration, FitOptions, Model, Observation, Progress, calibrate
-from deformscope.stages.estimate import Comparison
-from deformscope.stages.flow import FlowMethod, dense_flow
-from deformscope.stages.particles import ParticleGrid, Rect, Tracked, advance, seed_grid, select_held, start
+from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation, Progress, calibrate
+from deformscope.stages.fit.estimate import Comparison
+from deformscope.stages.see.flow import FlowMethod, dense_flow
+from deformscope.stages.see.particles import ParticleGrid, Rect, Tracked, advance, seed_grid, select_held, start
 
 FRAMES_AT_ONCE = 256
 """Frames that are simulated in one launch; the next ones start from the last of them."""

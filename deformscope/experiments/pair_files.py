@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from deformscope.session import Experiment, Step
-from deformscope.stages.calibrate import Calibration, FitOptions, Observation, Progress, calibrate
+from deformscope.stages.fit.calibrate import Calibration, FitOptions, Observation, Progress, calibrate
 
 
 def pair_files(

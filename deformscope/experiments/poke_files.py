@@ -9,12 +9,12 @@ import numpy as np
 
 from deformscope.errors import InputError
 from deformscope.session import Experiment, Step
-from deformscope.stages.layers import Surface
-from deformscope.stages.model import FitOptions, Observation
-from deformscope.stages.plausible import check_poke
-from deformscope.stages.poke_estimate import PokesFound, conclude
-from deformscope.stages.poke_fit import fit_pokes, seen_poke
-from deformscope.stages.search import Progress
+from deformscope.stages.fit.model import FitOptions, Observation
+from deformscope.stages.fit.plausible import check_poke
+from deformscope.stages.fit.search import Progress
+from deformscope.stages.poke.layers import MeasuredSurface
+from deformscope.stages.poke.poke_estimate import PokesFound, conclude
+from deformscope.stages.poke.poke_fit import fit_pokes, seen_poke
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ def poke_files(
 ) -> Experiment[PokesFound]:
     """Fit all pokes of one surface together. Each poke is one place on the `frame` timeline."""
     yield Step()
-    surface = Surface(seen[0].rest, layers.thickness_m)
+    surface = MeasuredSurface(seen[0].rest, layers.thickness_m)
     pokes = [seen_poke(one) for one in seen]
     for poke in pokes:
         if not surface.covers(poke.at[None, :2])[0]:

@@ -1,9 +1,9 @@
 """All frames of a sequence in one fit, and the choice of what is fitted by held-out error (Thesis 3, future work).
 
 Every frame has its own held positions; beta, clusters and the held set are shared. How frames count together is in
-`deformscope.stages.shared_errors`, how ways of fitting are compared in `deformscope.stages.held_out`. Cluster size and
-held set are chosen by static states, which alpha and dt do not alter; these two by time stepping through the frames,
-afterwards.
+`deformscope.stages.fit.shared_errors`, how ways of fitting are compared in `deformscope.stages.fit.held_out`. Cluster
+size and held set are chosen by static states, which alpha and dt do not alter; these two by time stepping through the
+frames, afterwards.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from deformscope.arrays import BoolArray, IntArray
 from deformscope.errors import InputError
 from deformscope.experiments.foam_video import ParticleOptions, follow, hold_what_is_seen, observe, track
 from deformscope.session import Experiment, Step
-from deformscope.stages.calibrate import Calibration, FitOptions, Model, Observation, Progress, calibrate
-from deformscope.stages.dynamics import MovingSearch, Pace
-from deformscope.stages.estimate import Choice, Comparison
-from deformscope.stages.held_out import TOLD_LEAST, HeldOut, blocks_of, difference, hold_out, tells
+from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation, Progress, calibrate
+from deformscope.stages.fit.dynamics import MovingSearch, Pace
+from deformscope.stages.fit.estimate import Choice, Comparison
+from deformscope.stages.fit.held_out import TOLD_LEAST, HeldOut, blocks_of, difference, hold_out, tells
+from deformscope.stages.fit.search import Search
 from deformscope.stages.msm.clusters import held_mask, spacing
-from deformscope.stages.particles import ParticleGrid, Tracked
-from deformscope.stages.search import Search
+from deformscope.stages.see.particles import ParticleGrid, Tracked
 
 Selectable = Literal["cluster-size", "held", "alpha", "dt"]
 
@@ -60,7 +60,7 @@ class MotionOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class TrackedMotion:
     """Particles followed through a sequence: the grid, where they are at each frame, and when that is [s]."""
 
     grid: ParticleGrid
@@ -113,7 +113,7 @@ def whole_motion(
     grid, history = yield from track(particles, mask, times)
     if len(history) < 2:
         raise InputError("at least two frames", "one", "a longer sequence, or a smaller --stride")
-    motion = Motion(grid, history, times)
+    motion = TrackedMotion(grid, history, times)
     found, way = fit_motion(motion, particles, fit, options, progress)
     for index, comparison in enumerate(simulated(motion, particles, way, found)):
         yield Step((comparison,), frame=index)
@@ -122,7 +122,7 @@ def whole_motion(
 
 
 def fit_motion(
-    motion: Motion,
+    motion: TrackedMotion,
     particles: ParticleOptions,
     fit: FitOptions,
     options: MotionOptions,
@@ -160,7 +160,7 @@ def fit_motion(
     return dataclasses.replace(found, estimate=estimate), way
 
 
-def simulated(motion: Motion, particles: ParticleOptions, way: Way, found: Calibration) -> list[Comparison]:
+def simulated(motion: TrackedMotion, particles: ParticleOptions, way: Way, found: Calibration) -> list[Comparison]:
     """The best value simulated at every frame."""
     if way.pace is None:
         seen = motion.observations(np.array([len(motion.history) - 1]), way.held, particles)[0]
@@ -174,7 +174,7 @@ def simulated(motion: Motion, particles: ParticleOptions, way: Way, found: Calib
 
 
 def select(
-    motion: Motion,
+    motion: TrackedMotion,
     particles: ParticleOptions,
     fit: FitOptions,
     options: MotionOptions,
@@ -212,7 +212,7 @@ def held_sets(particles: ParticleOptions) -> list[tuple[str, ...]]:
     return list(dict.fromkeys([particles.held, *every]))
 
 
-def _ways(motion: Motion, particles: ParticleOptions, model: Model, choices: Sequence[Selectable]) -> list[Way]:
+def _ways(motion: TrackedMotion, particles: ParticleOptions, model: Model, choices: Sequence[Selectable]) -> list[Way]:
     """Those of static states; the first is the one that was asked for."""
     last, contact = motion.history[-1], particles.contact_rect
     sizes: list[int | None] = [model.cluster_size]
@@ -231,7 +231,7 @@ def _ways(motion: Motion, particles: ParticleOptions, model: Model, choices: Seq
     return ways
 
 
-def _judges(motion: Motion, ways: Sequence[Way]) -> BoolArray:
+def _judges(motion: TrackedMotion, ways: Sequence[Way]) -> BoolArray:
     """(K,) particles that are free whatever is held: else holding more would always win."""
     judged: BoolArray = ~np.any([held_mask(len(motion.grid.rest_px), way.held) for way in ways], axis=0)
     if np.count_nonzero(judged & motion.history[-1].seen) < JUDGES_LEAST:
@@ -243,7 +243,7 @@ def _judges(motion: Motion, ways: Sequence[Way]) -> BoolArray:
     return judged
 
 
-def _moving_ways(motion: Motion, model: Model, still: Way, choices: Sequence[Selectable]) -> list[Way]:
+def _moving_ways(motion: TrackedMotion, model: Model, still: Way, choices: Sequence[Selectable]) -> list[Way]:
     """Time stepping with each alpha and dt, the frames' times permitting."""
     alphas = sorted({*ALPHAS, model.alpha}) if "alpha" in choices else [model.alpha]
     times = tuple(float(time) for time in motion.times[1:])
@@ -260,7 +260,7 @@ Trial = tuple[Way, HeldOut]
 
 
 def _try(
-    motion: Motion,
+    motion: TrackedMotion,
     particles: ParticleOptions,
     fit: FitOptions,
     ways: Sequence[Way],

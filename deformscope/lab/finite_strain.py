@@ -38,7 +38,7 @@ class Block:
 
 
 @dataclass(frozen=True, slots=True)
-class Pressed:
+class PressedBlock:
     """The block at one depth of the clamp.
 
     force_n: with which the clamp pushes down [N]; ground_n: with which the ground pushes up
@@ -67,7 +67,7 @@ def press(
     depths_m: Sequence[float],
     element_m: float = 0.005,
     progress: Callable[[int, int], None] | None = None,
-) -> list[Pressed]:
+) -> list[PressedBlock]:
     """The block at each of the rising depths of a clamp that is `clamp_m` wide and sits on its middle.
 
     element_m: size of the elements below the clamp; further off they grow to twice that
@@ -185,7 +185,7 @@ class _Half:
         tangent = np.moveaxis(tangent.reshape(*f.shape, 2, 2), (0, 1), (-2, -1))
         return _INNER_FORCE.assemble(self.basis, stress=stress), _STIFFNESS.assemble(self.basis, tangent=tangent)
 
-    def result(self, state: FloatArray, depth: float) -> Pressed:
+    def result(self, state: FloatArray, depth: float) -> PressedBlock:
         """What is told of a state."""
         force, _ = self._assemble(state)
         vertical = self.axis == 1
@@ -195,7 +195,7 @@ class _Half:
             probe = self.scalar.probes(rest.T)
             return np.asarray(probe @ moved)
 
-        return Pressed(
+        return PressedBlock(
             depth_m=depth,
             force_n=-self.thickness * float(force[self.clamped & vertical].sum()),
             ground_n=self.thickness * float(force[self.bottom & vertical].sum()),

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope.lab.scenes import Scene
-from deformscope.stages.contact import layer_modulus
+from deformscope.stages.poke.contact import layer_modulus
 from deformscope_drivers.jaco.kinematics import FloatArray
 
 BLUR_M = 0.012

@@ -25,7 +25,7 @@ from deformscope.lab.arm_contact import ARM_CYCLE_NS, ArmContact
 from deformscope.lab.depth_view import DepthView, DepthViewConfig
 from deformscope.lab.layer_world import LayerWorld
 from deformscope.lab.scenes import Scene, built_in
-from deformscope.rig import RigDevice
+from deformscope.rig.rig_file import RigDevice
 from deformscope.robot.placement import Placement, best_joints
 from deformscope.robot.shape import arm_shape
 from deformscope_drivers.clock import monotonic_ns

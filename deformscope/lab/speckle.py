@@ -22,7 +22,7 @@ from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline
 
 from deformscope.arrays import BoolArray, FloatArray
-from deformscope.lab.finite_strain import Block, Pressed
+from deformscope.lab.finite_strain import Block, PressedBlock
 
 SPECKLE_PX = 1.5
 """Standard deviation of the blur that makes white noise speckles: they are about 5 px across."""
@@ -56,10 +56,10 @@ class View:
         )
 
 
-class Motion:
+class SpeckleMotion:
     """The true motion of one pose in the image: where each point of the foam at rest has gone."""
 
-    def __init__(self, pressed: Pressed | None, block: Block, view: View) -> None:
+    def __init__(self, pressed: PressedBlock | None, block: Block, view: View) -> None:
         reach = 40  # the surroundings that are pushed into the view
         ground = view.top_px + block.height_m * view.px_per_m
         columns = np.arange(-reach, view.width + reach + KNOT_PX, KNOT_PX, dtype=np.float64)
@@ -114,15 +114,15 @@ class Film:
     """
 
     mask: BoolArray
-    motions: tuple[Motion, ...]
+    motions: tuple[SpeckleMotion, ...]
     images: Callable[[], Iterator[npt.NDArray[np.uint8]]]
 
 
 def film(
-    poses: Sequence[Pressed], block: Block, clamp_m: float, view: View, *, noise: float = 2.0, seed: int = 0
+    poses: Sequence[PressedBlock], block: Block, clamp_m: float, view: View, *, noise: float = 2.0, seed: int = 0
 ) -> Film:
     """The block at rest and at each pose under a clamp `clamp_m` wide, with camera noise of `noise` grey values."""
-    motions = (Motion(None, block, view), *(Motion(pose, block, view) for pose in poses))
+    motions = (SpeckleMotion(None, block, view), *(SpeckleMotion(pose, block, view) for pose in poses))
     scene = _Scene(block, clamp_m, view, seed)
 
     def images() -> Iterator[npt.NDArray[np.uint8]]:
@@ -153,12 +153,12 @@ class _Scene:
         self.behind = np.where(y >= self.ground_px, GROUND_GREY, BEHIND_GREY) + still
         self.tool = CLAMP_GREY + still[::-1]
 
-    def foam_share(self, motion: Motion) -> FloatArray:
+    def foam_share(self, motion: SpeckleMotion) -> FloatArray:
         """Share of each pixel that the foam covers, (H, W)."""
         low = [[self.view.width + 100.0, self.ground_px], [-100.0, self.ground_px]]
         return _covered(np.concatenate([motion.surface(self.view), low]), self.view)
 
-    def render(self, motion: Motion, start: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def render(self, motion: SpeckleMotion, start: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The image without noise (H, W), and the place at rest of each pixel."""
         view = self.view
         rest = motion.rest_of(self.pixels, start)

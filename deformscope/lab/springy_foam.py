@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from deformscope.rig import Tool
+from deformscope.rig.rig_file import Tool
 from deformscope_drivers.jaco.kinematics import FloatArray
 
 POISSON = 0.3

@@ -8,7 +8,7 @@ import itertools
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from deformscope.driver_table import DRIVERS
+from deformscope.rig.driver_table import DRIVERS
 from deformscope_drivers.clock import monotonic_ns
 from deformscope_drivers.device import Device
 from deformscope_drivers.doubles import Double

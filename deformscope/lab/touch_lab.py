@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope.lab.arm_contact import ARM_CYCLE_NS, ARM_STIFFNESS_N_M, ArmContact, World
-from deformscope.rig import Tool
+from deformscope.rig.rig_file import Tool
 from deformscope.robot.placement import Placement
 from deformscope_drivers.depth_camera import SyntheticDepthCamera
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig, View

@@ -8,15 +8,15 @@ import functools
 import rerun as rr
 
 from deformscope.arrays import FloatArray
-from deformscope.closeup import close_up
 from deformscope.log.canvas import Canvas
 from deformscope.log.estimate import log_comparison, log_estimate
 from deformscope.log.flow import log_flow
 from deformscope.log.particles import log_grid, log_tracked
-from deformscope.stages.estimate import Comparison, Estimate
-from deformscope.stages.flow import FlowField
-from deformscope.stages.particles import ParticleGrid, Tracked
-from deformscope.stages.triangulation import spacing_of
+from deformscope.pictures.close_up import close_up
+from deformscope.stages.fit.estimate import Comparison, Estimate
+from deformscope.stages.see.flow import FlowField
+from deformscope.stages.see.particles import ParticleGrid, Tracked
+from deformscope.stages.see.triangulation import spacing_of
 
 
 def log_result(rec: rr.RecordingStream, result: object, canvas: Canvas) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 
 from deformscope.arrays import FloatArray
-from deformscope.palette import Rgb, colors, readable
+from deformscope.pictures.palette import Rgb, colors, readable
 
 TEXT: Rgb = (225, 225, 225)
 

@@ -14,11 +14,11 @@ import rerun as rr
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.log.canvas import Canvas, log_color_bar, log_deep_legend, log_legend, log_place
 from deformscope.log.particles import REST_RADIUS, SIMULATED_RADIUS, log_observed, log_rest
-from deformscope.palette import HELD, OBSERVED, REST, SIMULATED, Rgb, colors, readable, round_up
-from deformscope.pictures import errors, evidence_png
+from deformscope.pictures.evidence import errors, evidence_png
+from deformscope.pictures.palette import HELD, OBSERVED, REST, SIMULATED, Rgb, colors, readable, round_up
 from deformscope.plain import plain
-from deformscope.stages.estimate import Comparison, Estimate
-from deformscope.stages.triangulation import raster, triangulate
+from deformscope.stages.fit.estimate import Comparison, Estimate
+from deformscope.stages.see.triangulation import raster, triangulate
 
 RESIDUAL_RADIUS, DEEP_RADIUS, DEEP_OBSERVED_RADIUS = 0.15, 0.13, 0.16
 """Shares of the spacing. In space observed spheres are larger, so that red is what departs from them."""

@@ -7,8 +7,8 @@ import rerun as rr
 
 from deformscope.arrays import FloatArray
 from deformscope.log.canvas import TEXT, Canvas, log_color_bar, log_legend
-from deformscope.palette import colors, round_up
-from deformscope.stages.flow import FlowField
+from deformscope.pictures.palette import colors, round_up
+from deformscope.stages.see.flow import FlowField
 
 ARROWS_ALONG = 34
 """Arrows along the longer side of the image: more would hide it."""

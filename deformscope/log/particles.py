@@ -7,8 +7,8 @@ import rerun as rr
 
 from deformscope.arrays import FloatArray
 from deformscope.log.canvas import Canvas, log_labels, log_legend, log_place
-from deformscope.palette import LOST, OBSERVED, REST
-from deformscope.stages.particles import ParticleGrid, Tracked
+from deformscope.pictures.palette import LOST, OBSERVED, REST
+from deformscope.stages.see.particles import ParticleGrid, Tracked
 
 EDGE = (30, 30, 30)
 REST_RADIUS, OBSERVED_RADIUS, SIMULATED_RADIUS, CROSS = 0.10, 0.22, 0.12, 0.2

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from deformscope.robot.supervisor import Fault
-from deformscope.robot.touch import Ending
+from deformscope.robot.touch import TouchEnding
 
 _SENSOR = "the force sensor's cable and supply: deformscope doctor RIG listens to it"
 _ARM = "the arm's cable, supply and joystick's red light; move it away by the joystick"
@@ -11,7 +11,7 @@ _CAMERA = "the camera's cable, and that no other program uses it"
 _STANDS = "where arm and surface stand to one another, and the pose that the arm begins in"
 _PLACE = "workspace, rig file and what lies on the table"
 
-ADVICE: dict[Fault | Ending, str] = {
+ADVICE: dict[Fault | TouchEnding, str] = {
     Fault.FORCE_SOFT: "what pushed the tip; it has backed away from it",
     Fault.FORCE_HARD: "what pushed the tip, and the tip itself, before the arm moves again",
     Fault.FORCE_SILENT: _SENSOR,
@@ -34,12 +34,12 @@ ADVICE: dict[Fault | Ending, str] = {
     Fault.LINK: "the cable and supply of the device that was lost",
     Fault.REFUSED: "the reason, and how busy this computer is: a late command stops the arm",
     Fault.ASKED: "",
-    Ending.NO_CONTACT: "where the surface is: the camera's pose in the rig file, and the sample's place",
-    Ending.NOT_REACHED: _PLACE,
+    TouchEnding.NO_CONTACT: "where the surface is: the camera's pose in the rig file, and the sample's place",
+    TouchEnding.NOT_REACHED: _PLACE,
 }
 """What to look at, by the supervisor's fault or the touch's ending."""
 
 
-def advice(cause: Fault | Ending) -> str:
+def advice(cause: Fault | TouchEnding) -> str:
     """What to look at; empty where there is nothing to see to."""
     return ADVICE.get(cause, "the robot and what lies around it")

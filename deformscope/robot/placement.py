@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope.errors import InputError
-from deformscope.rig import Tool
+from deformscope.rig.rig_file import Tool
 from deformscope.robot.motion import DAMPED_BELOW, OFF_COURSE, off_course
 from deformscope_drivers.jaco.kinematics import (
     Chain,

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope.robot.placement import TURNED_RAD, best_joints, follow, towards
-from deformscope.robot.readings import ForceSample, Observation
+from deformscope.robot.readings import ForceSample, RobotObservation
 from deformscope_drivers.device import Device
 from deformscope_drivers.health import Link
 from deformscope_drivers.jaco.kinematics import FloatArray, pose_error
@@ -132,7 +132,7 @@ def _configured_rates(robot: Robot) -> dict[str, float]:
     return rates
 
 
-def _devices(robot: Robot, seen: Sequence[Observation], rates_hz: Mapping[str, float]) -> Iterator[Check]:
+def _devices(robot: Robot, seen: Sequence[RobotObservation], rates_hz: Mapping[str, float]) -> Iterator[Check]:
     devices: dict[str, tuple[Device[Any] | None, int]] = {
         "arm": (robot.arm, sum(len(one.arms) for one in seen)),
         "force sensor": (robot.force, sum(len(one.forces) for one in seen)),
@@ -152,7 +152,7 @@ def _devices(robot: Robot, seen: Sequence[Observation], rates_hz: Mapping[str, f
         yield Check(f"{name}: rate", enough, f"{least_hz:.0f} Hz or more", f"{hz:.0f} Hz")
 
 
-def _force(robot: Robot, seen: Sequence[Observation]) -> Iterator[Check]:
+def _force(robot: Robot, seen: Sequence[RobotObservation]) -> Iterator[Check]:
     samples = [sample for one in seen for sample in one.forces]
     usable = sum(sample.usable for sample in samples)
     well = bool(samples) and usable == len(samples)
@@ -181,7 +181,7 @@ def _longest_repeat_s(samples: Sequence[ForceSample]) -> float:
     return longest_ns / 1e9
 
 
-def _arm(robot: Robot, seen: Sequence[Observation]) -> Iterator[Check]:
+def _arm(robot: Robot, seen: Sequence[RobotObservation]) -> Iterator[Check]:
     states = [state for one in seen for state in one.arms]
     if not states:
         yield Check("arm: still", False, "states", "none")
@@ -200,7 +200,7 @@ def _arm(robot: Robot, seen: Sequence[Observation]) -> Iterator[Check]:
     yield Check("arm: accepts commands", not stopped, "nobody stopped it", stopped or "nobody")
 
 
-def _clocks(robot: Robot, seen: Sequence[Observation]) -> Iterator[Check]:
+def _clocks(robot: Robot, seen: Sequence[RobotObservation]) -> Iterator[Check]:
     times_ms = np.array([state.time_ns for one in seen for state in one.arms]) / 1e6
     if len(times_ms) > 1:  # what happened before, while devices opened, does not matter any more
         late_ms = float(np.percentile(np.diff(times_ms), 95)) - 1e3 / robot.arm.config.state_hz
@@ -213,7 +213,7 @@ def _clocks(robot: Robot, seen: Sequence[Observation]) -> Iterator[Check]:
         yield Check("force sensor: clock", drift_ppm < CLOCK_PPM, f"within {CLOCK_PPM:g} ppm", f"{drift_ppm:.0f} ppm")
 
 
-def _pictures(seen: Sequence[Observation]) -> Iterator[Check]:
+def _pictures(seen: Sequence[RobotObservation]) -> Iterator[Check]:
     pictures = [picture.pattern for one in seen for picture in one.pictures]
     if not pictures:  # its rate has told so
         return

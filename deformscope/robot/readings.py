@@ -61,7 +61,7 @@ class CameraSample:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Observation:
+class RobotObservation:
     """What came since the last control period, oldest first.
 
     refused: frames of the force sensor's wire that failed their checksum or made no sense, since opening

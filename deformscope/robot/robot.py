@@ -18,8 +18,8 @@ from deformscope.errors import InputError
 from deformscope.robot.motion import CommandedRotation, JointMotion, rates_for_twist, within_limits
 from deformscope.robot.placement import Placement
 from deformscope.robot.preflight import Preflight
-from deformscope.robot.readings import PERIOD_NS, ArmSample, CameraSample, ForceSample, Observation
-from deformscope.robot.supervisor import Action, Fault, Limits, Supervisor, Verdict
+from deformscope.robot.readings import PERIOD_NS, ArmSample, CameraSample, ForceSample, RobotObservation
+from deformscope.robot.supervisor import Action, Fault, Limits, SafetyVerdict, Supervisor
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.depth_camera.image import DepthImage
 from deformscope_drivers.device import Device
@@ -39,7 +39,7 @@ VALID_PERIODS = 4
 class RobotStopped(Exception):
     """The supervisor has stopped the robot. verdict: why"""
 
-    def __init__(self, verdict: Verdict) -> None:
+    def __init__(self, verdict: SafetyVerdict) -> None:
         super().__init__(f"the robot was stopped: {verdict.fault}: {verdict.reason}")
         self.verdict = verdict
 
@@ -96,7 +96,7 @@ class Robot:
         camera: Device[DepthImage] | None = None,
         clock: Clock = monotonic_ns,
         wait_until: Waits = sleep_until,
-        watch: Callable[[Observation, Verdict], None] | None = None,
+        watch: Callable[[RobotObservation, SafetyVerdict], None] | None = None,
     ) -> None:
         """watch: called with what was seen and judged in each period, for a recording; when it fails, the arm is halted
         first"""
@@ -110,7 +110,7 @@ class Robot:
         self.camera_needed = False
         self._may_move = False
         self.commanded: list[tuple[int, float]] = []
-        self.seen = Observation(clock())
+        self.seen = RobotObservation(clock())
         self._pose: ArmSample | None = None
         self._speed_m_s = 0.0
         self._angular_rad_s: FloatArray = np.zeros(3)
@@ -147,7 +147,7 @@ class Robot:
 
     # The control period ----------------------------------------------------------------------------------------------
 
-    def cycle(self, command: Command = None) -> Observation:
+    def cycle(self, command: Command = None) -> RobotObservation:
         """Send a velocity (None = stand still), let a control period pass, look, and have it judged.
 
         Raises RobotStopped, now and ever after until the supervisor's `acknowledge`, when the robot must not go on: the
@@ -240,7 +240,7 @@ class Robot:
 
     # Within ----------------------------------------------------------------------------------------------------------
 
-    def _tell_watch(self, verdict: Verdict) -> None:
+    def _tell_watch(self, verdict: SafetyVerdict) -> None:
         """Nobody goes on whose recording has failed, or who cannot be watched for another reason."""
         if self.watch is None:
             return
@@ -336,14 +336,14 @@ class Robot:
         self.moving = True
         return True
 
-    def _look(self) -> Observation:
+    def _look(self) -> RobotObservation:
         forces: list[ForceMeasurement] = _taken(self._forces)
         states: list[JacoState] = _taken(self._states)
         pictures: list[DepthImage] = _taken(self._pictures) if self._pictures is not None else []
         arms = tuple(map(ArmSample.of, states))
         if arms:
             self._pose = arms[-1]
-        return Observation(
+        return RobotObservation(
             self._clock(),
             tuple(ForceSample.of(reading, self.tare_n) for reading in forces),
             arms,

@@ -14,8 +14,8 @@ from enum import StrEnum
 import numpy as np
 
 from deformscope.errors import InputError
-from deformscope.rig import Workspace
-from deformscope.robot.readings import ArmSample, CameraSample, ForceSample, Observation
+from deformscope.rig.rig_file import Workspace
+from deformscope.robot.readings import ArmSample, CameraSample, ForceSample, RobotObservation
 from deformscope_drivers.jaco.kinematics import Chain, FloatArray, rotation_vector
 
 
@@ -124,7 +124,7 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class SafetyVerdict:
     """What to do, and why. time_ns: when it was noticed"""
 
     action: Action = Action.GO_ON
@@ -139,7 +139,7 @@ APPROACH_DEG_S = 0.5
 LATE_NS = 20_000_000
 """A judgement so long after the last one came late: the host was busy, and those who read the devices perhaps too. No
 silence is held against a device then, once and not twice in a row."""
-_GO_ON = Verdict()
+_GO_ON = SafetyVerdict()
 _SEVERITY = {Action.GO_ON: 0, Action.BACK_OFF: 1, Action.STOP: 2}
 
 
@@ -159,7 +159,7 @@ class Supervisor:
         self.start(now_ns)
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> SafetyVerdict:
         """The last one, or the one that holds."""
         return self._verdict
 
@@ -172,7 +172,7 @@ class Supervisor:
         """A person wants it to stop. reason: how they said so"""
         self._stop(Fault.ASKED, reason, now_ns)
 
-    def refused(self, reason: str, now_ns: int, fault: Fault = Fault.REFUSED) -> Verdict:
+    def refused(self, reason: str, now_ns: int, fault: Fault = Fault.REFUSED) -> SafetyVerdict:
         """A command was not carried out, and the next ones would not be: nothing of a motion goes on.
 
         fault: REFUSED = by the arm's driver; JOINT_LIMIT, SINGULAR = before it was sent
@@ -182,7 +182,7 @@ class Supervisor:
 
     def _stop(self, fault: Fault, reason: str, now_ns: int) -> None:
         if self._verdict.action is not Action.STOP:
-            self._verdict = Verdict(Action.STOP, fault, reason, now_ns)
+            self._verdict = SafetyVerdict(Action.STOP, fault, reason, now_ns)
 
     def start(self, now_ns: int) -> None:
         """Ages count from now on, as after a pause in which nobody looked."""
@@ -204,12 +204,12 @@ class Supervisor:
 
     def judge(
         self,
-        seen: Observation,
+        seen: RobotObservation,
         *,
         commanded_m_s: float = 0.0,
         commanded_rotation: FloatArray | None = None,
         camera_needed: bool = False,
-    ) -> Verdict:
+    ) -> SafetyVerdict:
         """What to do now.
 
         commanded_m_s: the speed asked for since the last call; commanded_rotation: (3, 3) of the arm's end in the base
@@ -226,12 +226,12 @@ class Supervisor:
         ]
         for action, fault, reason in found:
             if _SEVERITY[action] > _SEVERITY[self._verdict.action]:
-                self._verdict = Verdict(action, fault, reason, seen.now_ns)
+                self._verdict = SafetyVerdict(action, fault, reason, seen.now_ns)
         return self._verdict
 
     # What it looks at ------------------------------------------------------------------------------------------------
 
-    def _links(self, seen: Observation, camera_needed: bool) -> list[tuple[Action, Fault, str]]:
+    def _links(self, seen: RobotObservation, camera_needed: bool) -> list[tuple[Action, Fault, str]]:
         return [
             (Action.STOP, Fault.LINK, f"the link to the {name} is down: {reason}")
             for name, reason in seen.lost_links
@@ -263,7 +263,7 @@ class Supervisor:
             found.append((Action.STOP, Fault.FORCE_UNUSABLE, f"{len(self._unusable)} readings that are not usable"))
         return found
 
-    def _wire(self, seen: Observation) -> list[tuple[Action, Fault, str]]:
+    def _wire(self, seen: RobotObservation) -> list[tuple[Action, Fault, str]]:
         if self._recount:
             self._refused, self._recount = seen.refused, False
         self._refusals.extend([seen.now_ns] * (seen.refused - self._refused))

@@ -18,7 +18,7 @@ import numpy as np
 
 from deformscope.errors import InputError
 from deformscope.robot.pressing import ForceControl
-from deformscope.robot.readings import ForceSample, Observation
+from deformscope.robot.readings import ForceSample, RobotObservation
 from deformscope.robot.robot import Robot, RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Action, Fault
 from deformscope.robot.travel import NotThere, to_above
@@ -42,7 +42,7 @@ class Phase(StrEnum):
     DONE = "done"
 
 
-class Ending(StrEnum):
+class TouchEnding(StrEnum):
     """Why a touch ended."""
 
     SET_FORCE = "set force reached"
@@ -156,7 +156,7 @@ class TouchRecord:
     tare_n: FloatArray
     noise_n: FloatArray
     phases: tuple[PhaseSpan, ...]
-    ending: Ending
+    ending: TouchEnding
     reason: str = ""
     fault: Fault = Fault.NONE
     settled: bool = False
@@ -175,7 +175,7 @@ AVERAGED_NS = 3_000_000
 """Forces within so much of an arm's state are averaged for it: both ways alike, so that nothing lags."""
 
 
-class Touch:
+class TouchStateMachine:
     """The states from approach to retreat; `step` once in a control period, then `phase` is DONE.
 
     It sees the force along the normal and the depth, never a device. place: of the tip's centre when the touch would
@@ -186,7 +186,7 @@ class Touch:
         self.plan = plan
         self.phase = Phase.APPROACH
         self.spans: list[PhaseSpan] = []
-        self.ending = Ending.NO_CONTACT
+        self.ending = TouchEnding.NO_CONTACT
         self.settled = False
         self.contact_m: FloatArray | None = None
         self._touching_m = plan.point_m + center_offset_m * plan.normal
@@ -208,7 +208,7 @@ class Touch:
     def back_off(self, time_s: float) -> None:
         """The force is too high: stand, then away."""
         if self.phase not in (Phase.BACK_OFF, Phase.DONE):
-            self.ending = Ending.SOFT_STOP
+            self.ending = TouchEnding.SOFT_STOP
             self._pause = PAUSE_PERIODS
             self._enter(Phase.BACK_OFF, time_s)
 
@@ -271,13 +271,13 @@ class Touch:
         self._remember(time_s, depth_m, along_n)
         dwell = Phase.DWELL if self.phase is Phase.PRESS else Phase.DWELL_MORE
         if along_n >= set_n - max(STILL_FORCE * set_n, STILL_FORCE_N):
-            self.ending = Ending.SET_FORCE
+            self.ending = TouchEnding.SET_FORCE
             self._enter(dwell, time_s)
         elif depth_m >= plan.max_depth_m - NEAR_M:
-            self.ending = Ending.DEPTH
+            self.ending = TouchEnding.DEPTH
             self._enter(dwell, time_s)
         elif time_s - self._since_s > PRESS_AT_MOST_S:
-            self.ending = Ending.NOT_SETTLED
+            self.ending = TouchEnding.NOT_SETTLED
             self._enter(dwell, time_s)
         return self._down(set_n, along_n, depth_m)
 
@@ -290,7 +290,7 @@ class Touch:
         long_enough = time_s - self._since_s >= plan.dwell_s
         if (still and long_enough) or time_s - self._since_s >= plan.dwell_at_most_s:
             self.settled = still
-            more = plan.more_force_n is not None and plan.more_force_n > set_n and self.ending is Ending.SET_FORCE
+            more = plan.more_force_n is not None and plan.more_force_n > set_n and self.ending is TouchEnding.SET_FORCE
             if more and self.phase is Phase.DWELL and depth_m < plan.small_dent_m:
                 self._enter(Phase.PRESS_MORE, time_s)
             else:
@@ -339,7 +339,7 @@ class Touch:
         if times[-1] - times[0] < STILL_S - 2 * PERIOD_S:
             return False
         near_n = max(STILL_FORCE * set_n, STILL_FORCE_N)
-        at_force = self.ending is not Ending.SET_FORCE or all(abs(one - set_n) < near_n for one in forces_n)
+        at_force = self.ending is not TouchEnding.SET_FORCE or all(abs(one - set_n) < near_n for one in forces_n)
         quiet = max(forces_n) - min(forces_n) < 2 * near_n
         return at_force and quiet and max(depths_m) - min(depths_m) < STILL_M
 
@@ -368,13 +368,13 @@ def run_touch(
         run.tare()
         run.touch(still_seen)
     except RobotStopped as stopped:
-        run.fail(Ending.STOPPED, str(stopped.verdict.reason), stopped.verdict.fault)
+        run.fail(TouchEnding.STOPPED, str(stopped.verdict.reason), stopped.verdict.fault)
     except NotThere as error:
-        run.fail(Ending.NOT_REACHED, str(error), Fault.NONE)
+        run.fail(TouchEnding.NOT_REACHED, str(error), Fault.NONE)
     except InputError as error:
         if robot.supervisor.verdict.action is Action.GO_ON:
             raise
-        run.fail(Ending.SOFT_STOP, str(error), robot.supervisor.verdict.fault)
+        run.fail(TouchEnding.SOFT_STOP, str(error), robot.supervisor.verdict.fault)
     finally:
         robot.camera_needed = False
     return run.record()
@@ -393,12 +393,12 @@ class _Run:
         self._centers: list[FloatArray] = []
         self._forces: list[tuple[int, FloatArray]] = []
         self._rotations: list[FloatArray] = []
-        self._machine: Touch | None = None
+        self._machine: TouchStateMachine | None = None
         self._loading_s = math.inf
         self._end_s = math.inf
         self._depth_m = 0.0
         self._noise_n: FloatArray = np.full(3, np.nan)
-        self._ending, self._reason, self._fault = Ending.NO_CONTACT, "", Fault.NONE
+        self._ending, self._reason, self._fault = TouchEnding.NO_CONTACT, "", Fault.NONE
 
     def travel(self) -> None:
         self._robot.cycle()
@@ -427,7 +427,7 @@ class _Run:
 
     def touch(self, still_seen: Callable[[], bool]) -> None:
         robot = self._robot
-        self._machine = machine = Touch(self._plan, robot.placement.center_offset_m, self._now_s())
+        self._machine = machine = TouchStateMachine(self._plan, robot.placement.center_offset_m, self._now_s())
         velocity: FloatArray = np.zeros(3)
         self._tell(machine.phase)
         while machine.phase is not Phase.DONE:
@@ -452,7 +452,7 @@ class _Run:
             self._told = phase
             self._on_phase(phase, self._robot.seen.now_ns)
 
-    def _follow(self, before: Phase, machine: Touch) -> None:
+    def _follow(self, before: Phase, machine: TouchStateMachine) -> None:
         """When the loading ended (the last one where there are two), when the dwell, and how deep it was then."""
         if before in (Phase.PRESS, Phase.PRESS_MORE) and machine.phase is not before:
             self._loading_s = self._now_s()
@@ -461,7 +461,7 @@ class _Run:
         elif self._end_s == math.inf and before is not Phase.APPROACH:
             self._end_s = self._now_s()
 
-    def _see(self, seen: Observation) -> FloatArray:
+    def _see(self, seen: RobotObservation) -> FloatArray:
         """Keep what came; the mean force of this period, in the surface frame (the last one where none came)."""
         robot = self._robot
         for sample in seen.arms:
@@ -475,10 +475,10 @@ class _Run:
             return np.asarray(np.mean([force for _, force in good], axis=0))
         return self._forces[-1][1] if self._forces else np.zeros(3)
 
-    def fail(self, ending: Ending, reason: str, fault: Fault) -> None:
+    def fail(self, ending: TouchEnding, reason: str, fault: Fault) -> None:
         verdict = self._robot.supervisor.verdict
         if verdict.action is not Action.GO_ON:
-            ending = Ending.STOPPED if verdict.action is Action.STOP else Ending.SOFT_STOP
+            ending = TouchEnding.STOPPED if verdict.action is Action.STOP else TouchEnding.SOFT_STOP
             reason, fault = verdict.reason, verdict.fault
         self._ending, self._reason, self._fault = ending, reason, fault
         if self._machine is not None:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deformscope.bench.bodies import Body, cube
+from deformscope.bench.bodies import BenchBody, cube
 from deformscope.stages.msm.solver import Msm, Precision
 
 pytestmark = pytest.mark.bench
@@ -23,34 +23,34 @@ STEPS = 200
 
 
 @pytest.fixture(params=[6, 8, 11], ids=["216", "512", "1331"])
-def body(request: pytest.FixtureRequest) -> Body:
+def body(request: pytest.FixtureRequest) -> BenchBody:
     return cube(request.param)
 
 
-def engine(body: Body, device: str, precision: Precision = "float64") -> Any:
+def engine(body: BenchBody, device: str, precision: Precision = "float64") -> Any:
     return Msm(body.rest, body.clusters(3), body.held, precision=precision, device=device)
 
 
-def test_step(benchmark: Any, body: Body, device: str) -> None:
+def test_step(benchmark: Any, body: BenchBody, device: str) -> None:
     msm = engine(body, device, "float32")
     benchmark.extra_info["steps"] = STEPS
 
     benchmark(lambda: msm.step(msm.start(), body.held_position, BETA, steps=STEPS))
 
 
-def test_relax(benchmark: Any, body: Body, device: str) -> None:
+def test_relax(benchmark: Any, body: BenchBody, device: str) -> None:
     static = benchmark(partial(engine(body, device).relax, body.held_position, BETA))
 
     assert static.converged.all()
 
 
-def test_sweep(benchmark: Any, body: Body, device: str) -> None:
+def test_sweep(benchmark: Any, body: BenchBody, device: str) -> None:
     static = benchmark(partial(engine(body, device).relax, body.held_position, np.arange(100) * 0.01))
 
     assert static.converged.all()
 
 
-def test_gradient(benchmark: Any, body: Body, device: str) -> None:
+def test_gradient(benchmark: Any, body: BenchBody, device: str) -> None:
     msm = engine(body, device)
     position = msm.relax(body.held_position, BETA).position
     cotangent = np.random.default_rng(0).standard_normal(position.shape)

@@ -13,17 +13,17 @@ import numpy as np
 import pytest
 
 from deformscope.arrays import BoolArray, FloatArray
-from deformscope.experiments.explore import ExploreOptions, Looked, Touched
+from deformscope.experiments.explore import ExploreOptions, SurfaceMeasurement, TouchMeasurement
 from deformscope.frames import HealthReport, Item
 from deformscope.images import encode_png
-from deformscope.rig import Tool
+from deformscope.rig.rig_file import Tool
 from deformscope.robot.placement import Placement
 from deformscope.robot.preflight import Check, Preflight
 from deformscope.robot.touch import Phase
-from deformscope.stages.contact import ArmCompliance
-from deformscope.stages.regions import RegionPosterior
-from deformscope.stages.surface import HeightProcess, fit_surface
-from deformscope.stages.touches import MapGrid
+from deformscope.stages.map.regions import RegionPosterior
+from deformscope.stages.map.surface import HeightProcess, fit_surface
+from deformscope.stages.map.touches import MapGrid
+from deformscope.stages.poke.contact import ArmCompliance
 
 SIZE_M = (0.6, 0.4)
 THICKNESS_M = 0.05
@@ -62,13 +62,13 @@ class FakeRobot:
     def reachable(self, grid: MapGrid) -> BoolArray:
         return np.ones(grid.shape, dtype=bool)
 
-    def look(self) -> Looked:
+    def look(self) -> SurfaceMeasurement:
         self._cycles(2)
         x, y = (one.ravel() for one in np.meshgrid(np.linspace(0.01, 0.59, 25), np.linspace(0.01, 0.39, 17)))
         wavy = THICKNESS_M + 1e-4 * np.sin(40.0 * x) * np.cos(50.0 * y)
-        return Looked(np.column_stack([x, y, wavy]), np.full(len(x), 5e-4))
+        return SurfaceMeasurement(np.column_stack([x, y, wavy]), np.full(len(x), 5e-4))
 
-    def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> Touched:
+    def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> TouchMeasurement:
         self.moving = True
         for phase in (Phase.TRAVEL, Phase.PRESS, Phase.RETREAT):
             self.on_phase(phase, self._bench.now_ns)
@@ -82,7 +82,7 @@ class FakeRobot:
         position = np.column_stack([np.tile(xy_m, (90, 1)), height])
         along = np.column_stack([np.zeros((90, 2)), force])
         up = np.array([0.0, 0.0, 1.0])
-        return Touched(xy_m, up, np.arange(90) * 0.01, position, along, np.zeros((0, 3)), True)
+        return TouchMeasurement(xy_m, up, np.arange(90) * 0.01, position, along, np.zeros((0, 3)), True)
 
     def ask_to_stop(self, reason: str) -> None:
         pass
@@ -153,8 +153,8 @@ def use_fake_bench(monkeypatch: pytest.MonkeyPatch) -> FakeBench:
 
     monkeypatch.setattr("deformscope.cli.explore.bench_of", bench_of)
     pixel = encode_png(np.zeros((1, 1, 3), np.uint8))
-    monkeypatch.setattr("deformscope.exploration_pictures._one", lambda *_: pixel)
-    monkeypatch.setattr("deformscope.exploration_pictures.result_png", lambda *_: pixel)
+    monkeypatch.setattr("deformscope.pictures.exploration._one", lambda *_: pixel)
+    monkeypatch.setattr("deformscope.pictures.exploration.result_png", lambda *_: pixel)
     monkeypatch.setattr("deformscope.experiments.explore.fit_surface", _surface)
     few = partial(RegionPosterior.before_touches, particle_count=50)
     posterior = SimpleNamespace(before_touches=few)

@@ -19,8 +19,8 @@ from deformscope.lab.layer_world import LayerWorld
 from deformscope.lab.live_lab import CAMERA, PARKED_M
 from deformscope.lab.scenes import Scene
 from deformscope.lab.touch_lab import TouchLab
-from deformscope.rig import RigDevice
-from deformscope.rig_source import RigSource
+from deformscope.rig.rig_file import RigDevice
+from deformscope.rig.source import RigSource
 from deformscope.robot.placement import Placement, best_joints
 from deformscope.robot.robot import Robot
 from deformscope.robot.shape import arm_shape

@@ -19,8 +19,8 @@ pytest.importorskip("tyro")
 from deformscope.bench import peers, report, starting
 from deformscope.bench.numpy_step import NumpyLattice
 from deformscope.bench.peers import Peer
-from deformscope.bench.plan import Plan, Tell
-from deformscope.bench.timing import Contestant, Row, Timing, compare
+from deformscope.bench.plan import BenchPlan, Tell
+from deformscope.bench.timing import Contestant, Timing, TimingRow, compare
 from deformscope.cli import EXIT_INPUT, EXIT_INTERRUPTED, main
 from deformscope.stages.msm import reference
 from deformscope.stages.msm.clusters import lattice
@@ -166,8 +166,8 @@ def test_other_engines_that_are_not_installed_are_asked_for(
 def test_what_was_measured_is_kept_when_it_is_interrupted(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def interrupted(plan: Plan, tell: Tell) -> Iterator[Row]:
-        yield Row("step", "64 particles", "deformscope", "ms/step", (1.5,))
+    def interrupted(plan: BenchPlan, tell: Tell) -> Iterator[TimingRow]:
+        yield TimingRow("step", "64 particles", "deformscope", "ms/step", (1.5,))
         raise KeyboardInterrupt
 
     monkeypatch.setattr(report, "MEASURES", ((frozenset({"step"}), interrupted),))

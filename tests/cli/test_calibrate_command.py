@@ -212,7 +212,7 @@ def test_demo_leaves_a_recording_each_time(
     assert "beta" in shown
     assert "runs/demo-" in shown
     newest = max((tmp_path / "runs").glob("demo-*.rrd"))
-    from deformscope.replay import Replay
+    from deformscope.recording.reader import Replay
 
     assert Replay(newest).outcome["complete"]
     (estimate,) = Replay(newest).read_results()

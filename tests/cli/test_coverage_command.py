@@ -12,8 +12,8 @@ pytest.importorskip("warp")
 pytest.importorskip("tyro")
 
 from deformscope.cli import main
-from deformscope.experiments import coverage
-from deformscope.stages.calibrate import Model, Observation
+from deformscope.stages.fit.calibrate import Model, Observation
+from deformscope.studies import coverage
 from tests.stages.bodies import pushed
 
 

@@ -18,17 +18,17 @@ import pytest
 
 from deformscope.cli import main
 from deformscope.cli.exploring import Companion
-from deformscope.exploration_replay import read_results
 from deformscope.frames import DepthFrame
-from deformscope.lab.fault_study import ALLOWED_S
 from deformscope.lab.faults import CAMERA, Injected
-from deformscope.ledger import check_ledger
-from deformscope.recording_file import RecordingFile
-from deformscope.rig_replay import read_items
-from deformscope.rig_source import RigSource
+from deformscope.recording.items import read_items
+from deformscope.recording.ledger import check_ledger
+from deformscope.recording.results import read_results
+from deformscope.recording.rrd_file import RecordingFile
+from deformscope.rig.source import RigSource
 from deformscope.robot.supervisor import Supervisor
 from deformscope.robot.touch import Phase
-from deformscope.stages.exploration import PhaseBegan, Stopped
+from deformscope.stages.map.exploration import ExplorationStop, PhaseStart
+from deformscope.studies.fault_study import ALLOWED_S
 from tests.patience import PATIENCE_S
 
 
@@ -146,11 +146,11 @@ def test_a_fault_stops_it_and_the_recording_is_whole(
     assert len(found["touches"]) == int(fault[-1]) - 1
     assert found["max_force_n"] < 15.0
 
-    results = list(read_results(record, (PhaseBegan, Stopped)))
-    ((stop, at_ns),) = [(one.result, one.session_ns) for one in results if isinstance(one.result, Stopped)]
+    results = list(read_results(record, (PhaseStart, ExplorationStop)))
+    ((stop, at_ns),) = [(one.result, one.session_ns) for one in results if isinstance(one.result, ExplorationStop)]
     assert (stop.kind, stop.reason) == (kind, found["fault"]["reason"])
     assert at_ns / 1e9 == pytest.approx(found["fault"]["time_s"])
-    names = [one.result.name for one in results if isinstance(one.result, PhaseBegan)]
+    names = [one.result.name for one in results if isinstance(one.result, PhaseStart)]
     assert f"stopped: {kind}" in names
     assert names[:2] == ["look", "travel"]
     assert found["seconds"]["session"] > found["fault"]["time_s"] + 0.49
@@ -219,7 +219,7 @@ def test_ctrl_c_stops_the_arm_and_keeps_all(
     assert found["touches"] == []
     assert found["verdict"] is None
     assert check_ledger(record) == []
-    assert [one.result.action for one in read_results(record, (Stopped,))] == ["stop"]  # type: ignore[union-attr]
+    assert [one.result.action for one in read_results(record, (ExplorationStop,))] == ["stop"]  # type: ignore[union-attr]
 
 
 def test_a_second_ctrl_c_leaves_at_once(
@@ -263,7 +263,7 @@ def test_a_full_disk_halts_the_arm_first(
     monkeypatch.setattr(shutil, "disk_usage", filling)
     monkeypatch.setattr(Companion, "phase_began", phase_began)
     monkeypatch.setattr(RigSource, "__exit__", leave)
-    monkeypatch.setattr("deformscope.recording_file.BEAT_S", 0.0)
+    monkeypatch.setattr("deformscope.recording.rrd_file.BEAT_S", 0.0)
     record = tmp_path / "e.rrd"
 
     assert main(["explore", "lab:two-60-150", *STOPPED, "--record", str(record)]) == 2
@@ -309,8 +309,8 @@ def test_the_robot_is_watched_while_the_disk_blocks(
     monkeypatch.setattr(RecordingFile, "flush", slow)
     monkeypatch.setattr(Supervisor, "judge", looked)
     monkeypatch.setattr(Companion, "phase_began", phase_began)
-    monkeypatch.setattr("deformscope.recording_file.BEAT_S", 0.0)
-    monkeypatch.setattr("deformscope.recorder.AHEAD_JOBS", 1000)  # as of devices that go on by themselves
+    monkeypatch.setattr("deformscope.recording.rrd_file.BEAT_S", 0.0)
+    monkeypatch.setattr("deformscope.recording.recorder.AHEAD_JOBS", 1000)  # as of devices that go on by themselves
     record = tmp_path / "e.rrd"
     once = ["--touches", "1", *STOPPED[2:]]
 

@@ -14,18 +14,18 @@ import pytest
 
 from deformscope.cli import main
 from deformscope.errors import InputError
-from deformscope.exploration_replay import read_results
-from deformscope.recorder import RecordingError
-from deformscope.stages.exploration import StageFailed
+from deformscope.recording.recorder import RecordingError
+from deformscope.recording.results import read_results
+from deformscope.stages.map.exploration import StageFailure
 from tests.cli.fake_bench import FakeBench, FakeRobot, use_fake_bench
 
 EXPLORE = ["explore", "lab:two-60-150", "--touches", "4", "--viewer", "none"]
 EXPLORER = "deformscope.experiments.explore"
 STAGES = {
     "contact": f"{EXPLORER}.fit_approach",
-    "regions": "deformscope.stages.regions.RegionPosterior.with_touch",
-    "maps": "deformscope.stages.regions.RegionPosterior.region_map",
-    "surface": "deformscope.stages.surface.HeightProcess.at",
+    "regions": "deformscope.stages.map.regions.RegionPosterior.with_touch",
+    "maps": "deformscope.stages.map.regions.RegionPosterior.region_map",
+    "surface": "deformscope.stages.map.surface.HeightProcess.at",
     "beta": f"{EXPLORER}.Explorer._beta",
     "beta field": f"{EXPLORER}.Explorer._beta_field",
     "display": "deformscope.log.exploration.log_maps",
@@ -117,8 +117,8 @@ def test_a_stage_that_fails_on_one_touch_does_not_end_it(
     assert files["png"].read_bytes().startswith(b"\x89PNG")
     assert files["npz"].exists()
 
-    (recorded,) = (one.result for one in read_results(files["rrd"], (StageFailed,)))
-    assert isinstance(recorded, StageFailed)
+    (recorded,) = (one.result for one in read_results(files["rrd"], (StageFailure,)))
+    assert isinstance(recorded, StageFailure)
     assert (recorded.stage, recorded.touch) == (stage, 2)
     assert "in failing" in recorded.trace
     assert main(["replay", str(files["rrd"])]) == 0, capsys.readouterr().err
@@ -154,7 +154,9 @@ def test_failures_without_end_end_it_in_order(
 # Any call fails once -------------------------------------------------------------------------------------------------
 
 ROBOT = [f"tests.cli.fake_bench.FakeRobot.{name}" for name in ("look", "reachable", "touch", "let_move", "now_ns")]
-RECORDER = [f"deformscope.recorder.Recorder.{name}" for name in ("write_results", "write_items", "write_input")]
+RECORDER = [
+    f"deformscope.recording.recorder.Recorder.{name}" for name in ("write_results", "write_items", "write_input")
+]
 COMPANION = [f"deformscope.cli.exploring.Companion.{name}" for name in ("__call__", "phase_began", "write")]
 COMMAND = ["deformscope.cli.explore._remarks", f"{EXPLORER}.Explorer.new_inputs", f"{EXPLORER}.Explorer.touch"]
 ENDS: list[BaseException] = [
@@ -324,16 +326,16 @@ def test_a_signal_while_it_computes_is_no_loss(
 def test_terminal_json_panel_and_map_file_give_the_same_numbers(
     bench: FakeBench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from deformscope.exploration_pictures import _headline
     from deformscope.log.exploration.summary import summary
-    from deformscope.stages.exploration import MapsKnown
+    from deformscope.pictures.exploration import _headline
+    from deformscope.stages.map.exploration import MapEstimate
 
     record, told, arrays = tmp_path / "e.rrd", tmp_path / "e.json", tmp_path / "e.npz"
     outputs = ["--record", str(record), "--json", str(told), "--map", str(arrays)]
     assert main([*EXPLORE, *outputs, "--seed", "5"]) == 0
     shown, found = capsys.readouterr().out, json.loads(told.read_text())
-    *_, last = (one.result for one in read_results(record, (MapsKnown,)))
-    assert isinstance(last, MapsKnown)
+    *_, last = (one.result for one in read_results(record, (MapEstimate,)))
+    assert isinstance(last, MapEstimate)
     panel = summary(last)
 
     travel = f"{found['travel_m']:.2f} m over the surface"
@@ -362,7 +364,7 @@ def test_terminal_json_panel_and_map_file_give_the_same_numbers(
 def test_a_gradual_surface_has_no_regions_anywhere(
     bench: FakeBench, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from deformscope.stages.regions import RegionPosterior
+    from deformscope.stages.map.regions import RegionPosterior
 
     sure = {"1": 0.0, "2": 0.02, "3": 0.03, "gradual": 0.95}
     monkeypatch.setattr(RegionPosterior, "probability", sure)

@@ -16,12 +16,12 @@ import pytest
 from deformscope.cli import main
 from deformscope.experiments.explore import ExploreOptions
 from deformscope.experiments.explore_rig import RigBench, options_of
-from deformscope.rig import parse_rig
-from deformscope.rig_replay import read_items
+from deformscope.recording.items import read_items
+from deformscope.rig.rig_file import parse_rig
 from deformscope.robot.placement import reach
 from deformscope.robot.robot import Robot, RobotStopped
-from deformscope.robot.supervisor import Action, Fault, Verdict
-from deformscope.stages.touches import MapGrid
+from deformscope.robot.supervisor import Action, Fault, SafetyVerdict
+from deformscope.stages.map.touches import MapGrid
 from deformscope_drivers.errors import SettingsRefused
 from deformscope_drivers.jaco.kinematics import J2N6S300
 from deformscope_drivers.optoforce import Optoforce
@@ -180,7 +180,11 @@ def test_a_rig_that_cannot_explore_is_refused_in_one_line(
             SettingsRefused("still readings", "a shaking tip", "hold on"),
             "a shaking tip | try: hold on | device tip",
         ),
-        (Robot, RobotStopped(Verdict(Action.STOP, Fault.ARM_SILENT, "no state")), "arm silent: no state | try: see to"),
+        (
+            Robot,
+            RobotStopped(SafetyVerdict(Action.STOP, Fault.ARM_SILENT, "no state")),
+            "arm silent: no state | try: see to",
+        ),
     ],
 )
 def test_what_goes_wrong_before_the_checks_is_told_in_one_line(

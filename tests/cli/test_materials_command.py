@@ -16,7 +16,7 @@ from deformscope.cli import main
 from deformscope.stages.msm.materials import AxisBeta
 from deformscope.stages.msm.solver import Msm
 from tests.stages.bodies import pushed
-from tests.stages.test_plasticity import BETA, pressed
+from tests.stages.materials.test_plasticity import BETA, pressed
 
 
 @pytest.fixture

@@ -16,8 +16,8 @@ import pytest
 
 from deformscope.cli import main
 from deformscope.frames import HealthReport, Item, RawBytes, WrenchFrame
-from deformscope.ledger import check_ledger, read_losses
-from deformscope.rig_replay import read_items
+from deformscope.recording.items import read_items
+from deformscope.recording.ledger import check_ledger, read_losses
 from tests.patience import PATIENCE_S
 
 SMALL = """
@@ -216,7 +216,7 @@ def test_doctor_says_what_works_and_what_does_not(
 
 
 def test_the_example_of_doctor_is_a_rig_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from deformscope.rig import parse_rig
+    from deformscope.rig.rig_file import parse_rig
 
     assert main(["doctor", "--example"]) == 0
     assert len(parse_rig(capsys.readouterr().out, "example").devices) == 6
@@ -284,9 +284,9 @@ def test_a_damaged_ledger_is_told(rig: Path, tmp_path: Path, capsys: pytest.Capt
 def test_a_device_that_is_gone_is_named_with_what_it_cost(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from deformscope.driver_table import DRIVERS
     from deformscope.lab.stand_in import wire_of
-    from deformscope.rig_source import RigSource
+    from deformscope.rig.driver_table import DRIVERS
+    from deformscope.rig.source import RigSource
 
     file, told = tmp_path / "r.rrd", tmp_path / "r.json"
     take = RigSource.take
@@ -324,7 +324,7 @@ def test_a_device_that_is_gone_is_named_with_what_it_cost(
 def test_a_rig_that_is_ended_early_says_so(
     rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from deformscope.rig_source import RigSource
+    from deformscope.rig.source import RigSource
 
     file, told = tmp_path / "r.rrd", tmp_path / "r.json"
     take = RigSource.take

@@ -13,7 +13,7 @@ pytest.importorskip("tyro")
 pytest.importorskip("warp")
 
 from deformscope.cli import EXIT_INPUT, main
-from deformscope.experiments import cubes
+from deformscope.studies import cubes
 
 TOP = {
     *("cubes", "theta_rises", "theta_rises_to_bound", "aee_m_most", "over_grid_most", "ratio_most"),

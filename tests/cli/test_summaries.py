@@ -15,8 +15,8 @@ pytest.importorskip("tyro")
 
 from deformscope.cli import main
 from deformscope.stages.msm import reference
+from tests.pictures.test_report import Page
 from tests.stages.bodies import pushed
-from tests.test_report import Page
 
 FAST = ["--candidates", "12", "--viewer", "none"]
 

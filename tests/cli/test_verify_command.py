@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deformscope import recording_facts
 from deformscope.cli import main
 from deformscope.frames import ColorFrame
-from deformscope.ledger import check_ledger, ledger_path, write_ledger
-from deformscope.recorder import Recorder
-from deformscope.replay import Replay
+from deformscope.recording import facts as recording_facts
+from deformscope.recording.ledger import check_ledger, ledger_path, write_ledger
+from deformscope.recording.reader import Replay
+from deformscope.recording.recorder import Recorder
 from deformscope_drivers.clock import Stamp
 from tests.patience import PATIENCE_S
 

@@ -16,9 +16,9 @@ import pytest
 from deformscope.cli import main
 from deformscope.errors import InputError
 from deformscope.frames import WrenchFrame
-from deformscope.ledger import check_ledger, ledger_path
-from deformscope.replay import Replay
-from deformscope.rig_replay import read_items
+from deformscope.recording.items import read_items
+from deformscope.recording.ledger import check_ledger, ledger_path
+from deformscope.recording.reader import Replay
 
 pytestmark = pytest.mark.slow
 

@@ -10,9 +10,9 @@ import pytest
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.arm_compliance import COMMON_SD, arm_give, touch_rigid
-from deformscope.experiments.explore import ExploreOptions, Looked, Touched
-from deformscope.stages.contact import ArmCompliance
-from deformscope.stages.touches import MapGrid
+from deformscope.experiments.explore import ExploreOptions, SurfaceMeasurement, TouchMeasurement
+from deformscope.stages.map.touches import MapGrid
+from deformscope.stages.poke.contact import ArmCompliance
 
 GIVES_M_PER_N = 3e-4
 HEIGHT_M, OFF_M = 0.05, 0.002
@@ -33,13 +33,13 @@ class RigidTable:
     def reachable(self, grid: MapGrid) -> BoolArray:
         return np.ones(grid.shape, bool)
 
-    def look(self) -> Looked:
+    def look(self) -> SurfaceMeasurement:
         x, y = np.meshgrid(np.linspace(0.0, 0.3, 61), np.linspace(0.0, 0.2, 41))
         points_m = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, HEIGHT_M + OFF_M)])
         points_m[:, 2] += 1e-4 * self._random.standard_normal(x.size)
-        return Looked(points_m, np.full(x.size, 1e-4))
+        return SurfaceMeasurement(points_m, np.full(x.size, 1e-4))
 
-    def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> Touched:
+    def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> TouchMeasurement:
         gives = GIVES_M_PER_N * (1.0 + self._scatter * self._random.standard_normal())
         force_n = np.clip(np.linspace(-2.0, 3.0, 250), 0.0, None)
         approach_m = np.linspace(0.008, 0.0, 250).clip(0.0032) - 0.0032  # in the air, then only the arm gives
@@ -47,7 +47,7 @@ class RigidTable:
         place_m = np.column_stack([np.full(250, xy_m[0]), np.full(250, xy_m[1]), height])
         place_m[:, 2] += 1e-5 * self._random.standard_normal(250)
         felt_n = np.outer(force_n + 0.005 * self._random.standard_normal(250), [0.0, 0.0, 1.0])
-        return Touched(xy_m, normal, np.arange(250) * 0.01, place_m, felt_n, np.zeros((0, 3)), True)
+        return TouchMeasurement(xy_m, normal, np.arange(250) * 0.01, place_m, felt_n, np.zeros((0, 3)), True)
 
 
 def test_it_is_found_again_and_so_is_where_the_camera_is_off() -> None:
@@ -79,7 +79,7 @@ def test_nothing_tells_nothing() -> None:
 class FoamTable(RigidTable):
     """Foam where a rigid block should be: a ball sinks with the power 2/3 of the force."""
 
-    def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> Touched:
+    def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> TouchMeasurement:
         made = super().touch(xy_m, height_m, normal, over_m)
         force_n = made.force_n[:, 2].clip(0.0)
         place_m = made.position_m.copy()

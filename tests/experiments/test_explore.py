@@ -12,19 +12,19 @@ from deformscope.errors import InputError
 from deformscope.experiments.explore import (
     ExploreOptions,
     Explorer,
-    Looked,
     Moment,
-    Touched,
+    SurfaceMeasurement,
+    TouchMeasurement,
     explore,
     explore_again,
     pack,
     unpack_touched,
 )
-from deformscope.experiments.explore_lab import LabRobot
-from deformscope.exploration_replay import components
 from deformscope.lab.scenes import built_in
-from deformscope.stages.contact import ArmCompliance
-from deformscope.stages.exploration import MapsKnown, NextTouch, SurfaceSeen, TouchTold
+from deformscope.rows import components
+from deformscope.stages.map.exploration import MapEstimate, PlannedTouch, SurfaceEstimate, TouchEstimate
+from deformscope.stages.poke.contact import ArmCompliance
+from deformscope.studies.surface_robot import LabRobot
 
 
 def explored(name: str, **changes: object) -> tuple[Explorer, list[Moment], dict[str, bytes]]:
@@ -58,7 +58,7 @@ def two() -> tuple[Explorer, list[Moment], dict[str, bytes]]:
 
 def test_a_touch_tells_stiffness_and_the_map_its_place(two: tuple[Explorer, list[Moment], dict[str, bytes]]) -> None:
     _, moments, _ = two
-    told = of(TouchTold, moments)
+    told = of(TouchEstimate, moments)
     scene = built_in("two-60-150", 0)
     stiff = [one for one in told if scene.modulus_pa(one.xyz_m[:2]) > 60e3]  # type: ignore[attr-defined]
     soft = [one for one in told if one not in stiff]
@@ -70,7 +70,7 @@ def test_a_touch_tells_stiffness_and_the_map_its_place(two: tuple[Explorer, list
     for one in told:
         low, high = one.stiffness_interval  # type: ignore[attr-defined]
         assert low < one.stiffness_n_per_mm < high  # type: ignore[attr-defined]
-    maps = of(MapsKnown, moments)[-1]
+    maps = of(MapEstimate, moments)[-1]
     assert maps.region_count == 2  # type: ignore[attr-defined]
     assert maps.iou > 0.7  # type: ignore[attr-defined]
     assert maps.boundary_m is not None  # type: ignore[attr-defined]
@@ -78,8 +78,8 @@ def test_a_touch_tells_stiffness_and_the_map_its_place(two: tuple[Explorer, list
 
 def test_the_law_that_is_shown_is_the_one_that_was_felt(two: tuple[Explorer, list[Moment], dict[str, bytes]]) -> None:
     """Over the whole way of the tip, what the arm gives among it."""
-    for told in of(TouchTold, two[1]):
-        assert isinstance(told, TouchTold)
+    for told in of(TouchEstimate, two[1]):
+        assert isinstance(told, TouchEstimate)
         pressing = told.approach_n > 2.0
         assert np.count_nonzero(pressing) > 5
         assert abs(float(np.mean((told.fitted_n - told.approach_n)[pressing]))) < 0.08
@@ -95,9 +95,9 @@ def test_a_dent_that_was_pressed_on_is_as_deep_as_at_its_last_force() -> None:
     explorer = Explorer(scene.size_m, ExploreOptions(beta_model="none"), ArmCompliance())
     places = np.random.default_rng(0).uniform(size=(500, 2)) * scene.size_m
     points = np.column_stack([places, np.full(500, 0.05)])
-    explorer.look(Looked(points, np.full(500, 1e-3)))
+    explorer.look(SurfaceMeasurement(points, np.full(500, 1e-3)))
     up, none = np.array([0.0, 0.0, 1.0]), np.zeros((0, 3))
-    touched = Touched(np.array([0.2, 0.2]), up, np.arange(230) * 0.01, position, along, none, True)
+    touched = TouchMeasurement(np.array([0.2, 0.2]), up, np.arange(230) * 0.01, position, along, none, True)
     told = explorer.touch(touched)
     assert told.stiffness_n_per_mm == pytest.approx(3.0 / 1.8, rel=0.02)  # at the set force
     assert told.peak_force_n == pytest.approx(5.0, rel=0.01)
@@ -111,7 +111,9 @@ def test_results_of_a_touch_say_which_and_when_its_dent_was_seen() -> None:
         def __init__(self) -> None:
             self.inner = LabRobot(built_in("two-60-150", 0), ExploreOptions(beta_model="none"), sees=False)
 
-        def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> Touched:
+        def touch(
+            self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None
+        ) -> TouchMeasurement:
             return dataclasses.replace(self.inner.touch(xy_m, height_m, normal, over_m), seen_ns=40)
 
         def __getattr__(self, name: str) -> object:
@@ -119,14 +121,14 @@ def test_results_of_a_touch_say_which_and_when_its_dent_was_seen() -> None:
 
     explorer = Explorer((0.6, 0.4), ExploreOptions(budget=2, beta_model="none"), ArmCompliance())
     moments = list(explore(Once(), explorer))  # type: ignore[arg-type]
-    told = [moment for moment in moments if any(isinstance(one, TouchTold) for one in moment.results)]
+    told = [moment for moment in moments if any(isinstance(one, TouchEstimate) for one in moment.results)]
     assert [(moment.touch, moment.seen_ns) for moment in told] == [(1, 40), (2, 40)]
-    plans = [moment for moment in moments if any(isinstance(one, NextTouch) for one in moment.results)]
+    plans = [moment for moment in moments if any(isinstance(one, PlannedTouch) for one in moment.results)]
     assert [(moment.touch, moment.seen_ns) for moment in plans] == [(0, None), (1, None), (2, None)]
 
 
 def test_the_surface_is_seen_where_it_is(two: tuple[Explorer, list[Moment], dict[str, bytes]]) -> None:
-    (seen,) = of(SurfaceSeen, two[1])
+    (seen,) = of(SurfaceEstimate, two[1])
     scene = built_in("two-60-150", 0)
 
     assert np.abs(seen.height_m - scene.height_m(scene.cells_m())).max() < 5e-4  # type: ignore[attr-defined]
@@ -134,7 +136,7 @@ def test_the_surface_is_seen_where_it_is(two: tuple[Explorer, list[Moment], dict
 
 def test_it_stops_for_a_reason_and_says_why_it_goes_where(two: tuple[Explorer, list[Moment], dict[str, bytes]]) -> None:
     explorer, moments, _ = two
-    plans = of(NextTouch, moments)
+    plans = of(PlannedTouch, moments)
 
     assert explorer.stop_reason == "budget"
     assert plans[-1].target_m is None  # type: ignore[attr-defined]
@@ -148,7 +150,7 @@ def test_the_same_seed_gives_the_same_map(two: tuple[Explorer, list[Moment], dic
     _, again, inputs = explored("two-60-150", budget=4)
 
     assert inputs == two[2]
-    assert all(same(a, b) for a, b in zip(of(MapsKnown, two[1]), of(MapsKnown, again), strict=True))
+    assert all(same(a, b) for a, b in zip(of(MapEstimate, two[1]), of(MapEstimate, again), strict=True))
 
 
 def test_what_was_recorded_gives_the_same_results_to_the_last_bit(
@@ -157,17 +159,17 @@ def test_what_was_recorded_gives_the_same_results_to_the_last_bit(
     before, moments, inputs = two
     explorer = Explorer(before.grid.size_m, before.options, before._arm)
     again = [result for results in explore_again(inputs, explorer) for result in results]
-    told = [one for one in again if isinstance(one, TouchTold)]
+    told = [one for one in again if isinstance(one, TouchEstimate)]
 
-    assert all(same(a, b) for a, b in zip(of(TouchTold, moments), told, strict=True))
-    last = [one for one in again if isinstance(one, MapsKnown)][-1]
-    first = of(MapsKnown, moments)[-1]
+    assert all(same(a, b) for a, b in zip(of(TouchEstimate, moments), told, strict=True))
+    last = [one for one in again if isinstance(one, MapEstimate)][-1]
+    first = of(MapEstimate, moments)[-1]
     np.testing.assert_array_equal(last.stiffness_n_per_mm, first.stiffness_n_per_mm)  # type: ignore[attr-defined]
     np.testing.assert_array_equal(last.labels, first.labels)  # type: ignore[attr-defined]
 
 
 def test_a_touch_survives_its_file() -> None:
-    touched = Touched(
+    touched = TouchMeasurement(
         np.zeros(2), np.array([0, 0, 1.0]), np.arange(3.0), np.ones((3, 3)), np.ones((3, 3)), np.zeros((0, 3)), True
     )
     back = unpack_touched(pack(touched))
@@ -179,7 +181,7 @@ def test_a_touch_survives_its_file() -> None:
 
 def test_beta_comes_with_a_verdict_and_the_maps_with_its_field() -> None:
     _, moments, _ = explored("homogeneous-60", budget=2, beta_model="volume")
-    told = of(TouchTold, moments)
+    told = of(TouchEstimate, moments)
 
     assert all(one.beta_verdict for one in told)  # type: ignore[attr-defined]
     fitted = [one for one in told if one.beta is not None]  # type: ignore[attr-defined]
@@ -191,7 +193,7 @@ def test_beta_comes_with_a_verdict_and_the_maps_with_its_field() -> None:
 
 def test_the_thesis_way_says_what_its_trend_is() -> None:
     _, moments, _ = explored("homogeneous-60", budget=1, beta_model="thesis")
-    (told,) = of(TouchTold, moments)
+    (told,) = of(TouchEstimate, moments)
 
     assert told.beta is not None  # type: ignore[attr-defined]
     assert "contact patch" in told.beta_verdict  # type: ignore[attr-defined]
@@ -200,9 +202,9 @@ def test_the_thesis_way_says_what_its_trend_is() -> None:
 def test_it_goes_on_where_it_is_told_to() -> None:
     """A gradient is soon known; the plan still says that it would stop."""
     _, moments, _ = explored("gradient", budget=6, go_on=True)
-    plans = of(NextTouch, moments)
+    plans = of(PlannedTouch, moments)
 
-    assert len(of(TouchTold, moments)) == 6
+    assert len(of(TouchEstimate, moments)) == 6
     assert plans[-1].stop_reason == "budget"  # type: ignore[attr-defined]
     assert any(plan.stop_reason and plan.target_m is not None for plan in plans)  # type: ignore[attr-defined]
 

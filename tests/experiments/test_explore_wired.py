@@ -8,11 +8,11 @@ import pytest
 from deformscope.experiments.explore import ExploreOptions
 from deformscope.experiments.explore_wired import LabBench, TouchingRobot
 from deformscope.lab.depth_view import FOAM
-from deformscope.lab.fault_study import make_scene
 from deformscope.lab.scenes import built_in
-from deformscope.rig import Workspace
+from deformscope.rig.rig_file import Workspace
 from deformscope.robot.shape import arm_shape
-from deformscope.stages.contact import ArmCompliance
+from deformscope.stages.poke.contact import ArmCompliance
+from deformscope.studies.fault_study import make_scene
 from deformscope_drivers.jaco.kinematics import J2N6S300
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -16,10 +16,10 @@ from deformscope.errors import InputError
 from deformscope.experiments.foam_video import ParticleOptions, foam_video
 from deformscope.frames import ColorFrame
 from deformscope.session import Step
-from deformscope.stages.calibrate import Calibration, FitOptions, Model
-from deformscope.stages.estimate import Comparison, Estimate
+from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model
+from deformscope.stages.fit.estimate import Comparison, Estimate
 from deformscope.stages.msm import clusters, reference
-from deformscope.stages.particles import ParticleGrid, Tracked
+from deformscope.stages.see.particles import ParticleGrid, Tracked
 from deformscope_drivers.clock import Stamp
 
 SIZE = (200, 160)

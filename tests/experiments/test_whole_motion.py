@@ -13,21 +13,21 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.foam_video import ParticleOptions
 from deformscope.experiments.whole_motion import (
-    Motion,
     MotionOptions,
     Selectable,
     Selection,
+    TrackedMotion,
     fit_motion,
     held_sets,
     select,
     simulated,
 )
 from deformscope.log.estimate import summary
-from deformscope.stages.calibrate import FitOptions, Model
-from deformscope.stages.dynamics import Pace, step_through
+from deformscope.stages.fit.calibrate import FitOptions, Model
+from deformscope.stages.fit.dynamics import Pace, step_through
 from deformscope.stages.msm import clusters
 from deformscope.stages.msm.solver import Msm
-from deformscope.stages.particles import ParticleGrid, Tracked
+from deformscope.stages.see.particles import ParticleGrid, Tracked
 
 ROWS, COLUMNS, SPACING_PX, NOISE_PX = 9, 8, 20.0, 0.1
 BETA = 0.7
@@ -40,7 +40,7 @@ def grid() -> ParticleGrid:
     return ParticleGrid(rest, (ROWS, COLUMNS), np.arange(len(rest)), np.full(2, SPACING_PX))
 
 
-def sheared(frames: int, *, size: int = 3, pace: Pace | None = None, fps: float = 10.0, seed: int = 1) -> Motion:
+def sheared(frames: int, *, size: int = 3, pace: Pace | None = None, fps: float = 10.0, seed: int = 1) -> TrackedMotion:
     """A sheet whose bottom row stands and whose top row is bent and sheared: what is held is top and bottom."""
     lattice = grid()
     rest = lattice.rest_px
@@ -61,10 +61,10 @@ def sheared(frames: int, *, size: int = 3, pace: Pace | None = None, fps: float 
     for position in moved:
         noisy = position + rng.normal(0.0, NOISE_PX, position.shape)
         history.append(Tracked(noisy, np.full(len(rest), NOISE_PX), seen, np.zeros(len(rest))))
-    return Motion(lattice, history, times)
+    return TrackedMotion(lattice, history, times)
 
 
-def chosen(motion: Motion, what: tuple[Selectable, ...], model: Model = MODEL, **particles: object) -> Selection:
+def chosen(motion: TrackedMotion, what: tuple[Selectable, ...], model: Model = MODEL, **particles: object) -> Selection:
     return select(motion, ParticleOptions(**particles), FitOptions(model), MotionOptions(what))  # type: ignore[arg-type]
 
 
@@ -164,7 +164,7 @@ def test_held_sets_hold_the_tool_where_there_is_one() -> None:
 
 def test_too_few_particles_to_judge_by() -> None:
     motion = sheared(2)
-    few = Motion(
+    few = TrackedMotion(
         ParticleGrid(motion.grid.rest_px[: 4 * COLUMNS], (4, COLUMNS), np.arange(4 * COLUMNS), motion.grid.spacing_px),
         [
             Tracked(m.position_px[: 4 * COLUMNS], m.noise_px[: 4 * COLUMNS], np.arange(4 * COLUMNS) < 18, m.noise_px)

@@ -8,10 +8,10 @@ import pytest
 
 from deformscope.arrays import FloatArray
 from deformscope.lab import speckle
-from deformscope.lab.finite_strain import Block, Pressed, press
+from deformscope.lab.finite_strain import Block, PressedBlock, press
 from deformscope.lab.foam import FOAMS
-from deformscope.lab.speckle import Motion, View, film
-from deformscope.stages.flow import dense_flow
+from deformscope.lab.speckle import SpeckleMotion, View, film
+from deformscope.stages.see.flow import dense_flow
 
 BLOCK, CLAMP_M = Block(0.12, 0.04, 0.1), 0.02
 VIEW = View(width=300, height=240, middle_px=150.0, top_px=29.5, px_per_m=4500.0)
@@ -19,17 +19,17 @@ GROUND_PX = 29.5 + 0.04 * 4500
 
 
 @pytest.fixture(scope="module")
-def pose() -> Pressed:
+def pose() -> PressedBlock:
     return press(FOAMS[2].law(), BLOCK, CLAMP_M, [0.004, 0.008], 0.008)[-1]
 
 
-def even(shift_m: float, strain: float) -> Pressed:
+def even(shift_m: float, strain: float) -> PressedBlock:
     """A made-up pose: all moves by `shift_m` to the right and is pressed by `strain`."""
 
     def interpolate(rest: FloatArray) -> FloatArray:
         return np.column_stack([np.full(len(rest), shift_m), -strain * rest[:, 1]])
 
-    class Even(Pressed):
+    class Even(PressedBlock):
         def at(self, rest: FloatArray) -> FloatArray:
             return interpolate(rest)
 
@@ -41,18 +41,18 @@ def inside(count: int) -> FloatArray:
     return np.random.default_rng(1).uniform((10, 40), (290, 200), (count, 2))
 
 
-def test_motion_is_the_finite_elements(pose: Pressed) -> None:
+def test_motion_is_the_finite_elements(pose: PressedBlock) -> None:
     place = inside(200)
 
-    moved = Motion(pose, BLOCK, VIEW).displacement(place)
+    moved = SpeckleMotion(pose, BLOCK, VIEW).displacement(place)
 
     truth = pose.at(VIEW.in_metres(place, BLOCK)) * VIEW.px_per_m * [1, -1]
     np.testing.assert_allclose(moved, truth, atol=0.1)  # px; the spline rounds the elements' kinks
     assert np.sqrt(np.mean((moved - truth) ** 2)) < 0.02
 
 
-def test_what_is_seen_is_traced_back_to_where_it_was(pose: Pressed) -> None:
-    motion, place = Motion(pose, BLOCK, VIEW), inside(2000)
+def test_what_is_seen_is_traced_back_to_where_it_was(pose: PressedBlock) -> None:
+    motion, place = SpeckleMotion(pose, BLOCK, VIEW), inside(2000)
 
     found = motion.rest_of(place + motion.displacement(place), place.copy())
 
@@ -109,7 +109,7 @@ def test_seed_decides_the_images() -> None:
     assert np.corrcoef(one[60:190].ravel(), other[60:190].ravel())[0, 1] < 0.1
 
 
-def test_clamp_stands_on_the_foam_without_a_gap(pose: Pressed) -> None:
+def test_clamp_stands_on_the_foam_without_a_gap(pose: PressedBlock) -> None:
     still, pushed = film([pose], BLOCK, CLAMP_M, VIEW, noise=0.0).images()
     bottom = 29.5 + 0.008 * 4500
 

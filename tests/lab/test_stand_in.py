@@ -7,7 +7,7 @@ from importlib import resources
 import pytest
 
 from deformscope.cli.rigs import member_of
-from deformscope.rig import parse_rig
+from deformscope.rig.rig_file import parse_rig
 
 ONE = "{ counts_at_nominal = [NUMBERS], nominal = [NUMBERS] }"
 THREE, SIX = (ONE.replace("NUMBERS", ", ".join(["1.0"] * count)) for count in (3, 6))

@@ -10,7 +10,7 @@ from deformscope.lab.arm_contact import ARM_STIFFNESS_N_M
 from deformscope.lab.scenes import SIZE_M
 from deformscope.lab.springy_foam import SpringyFoam
 from deformscope.lab.touch_lab import T_BASE_SURFACE, TouchLab
-from deformscope.rig import Tool
+from deformscope.rig.rig_file import Tool
 from deformscope.robot.placement import Placement
 
 POINT_M = np.array([0.3, 0.2, 0.1])

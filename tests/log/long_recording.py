@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from deformscope.frames import ColorFrame, DepthFrame, HealthReport, Item, LinkChange, RawBytes, host_ns
-from deformscope.recorder import Recorder
+from deformscope.recording.recorder import Recorder
 from deformscope_drivers.clock import Stamp
 from tests.log import synthetic_rig as rig
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from deformscope.frames import ColorFrame
 from deformscope.session import Experiment, Step
-from deformscope.stages.estimate import Comparison, Curve, Estimate
-from deformscope.stages.flow import FlowField
-from deformscope.stages.particles import ParticleGrid, Tracked
+from deformscope.stages.fit.estimate import Comparison, Curve, Estimate
+from deformscope.stages.see.flow import FlowField
+from deformscope.stages.see.particles import ParticleGrid, Tracked
 from deformscope_drivers.clock import Stamp
 
 ROI = (150.0, 10.0, 90.0, 300.0)

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from deformscope.arrays import FloatArray
-from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, SurfaceSeen, TouchTold
+from deformscope.stages.map.exploration import MapEstimate, PhaseStart, PlannedTouch, SurfaceEstimate, TouchEstimate
 
 CELL_M = 0.005
 ROWS, COLUMNS = 80, 120
@@ -36,17 +36,17 @@ def height(dents: int) -> FloatArray:
     return top
 
 
-def surface(dents: int, points: int = 4000) -> SurfaceSeen:
+def surface(dents: int, points: int = 4000) -> SurfaceEstimate:
     rng = np.random.default_rng(dents)
     x, y = rng.uniform(0, 0.6, points), rng.uniform(0, 0.4, points)
     seen = ~((x - 0.42) ** 2 + (y - 0.33) ** 2 < 0.03**2)
     x, y = x[seen], y[seen]
     z = height(dents)[(y / CELL_M).astype(int), (x / CELL_M).astype(int)] + rng.normal(0, 0.001, len(x))
     deviation = 0.0003 + 0.002 * np.exp(-((X - 0.42) ** 2 + (Y - 0.33) ** 2) / 0.03**2)
-    return SurfaceSeen(np.stack([x, y, z], axis=1), height(dents), deviation, CELL_M)
+    return SurfaceEstimate(np.stack([x, y, z], axis=1), height(dents), deviation, CELL_M)
 
 
-def touch(number: int) -> TouchTold:
+def touch(number: int) -> TouchEstimate:
     rng = np.random.default_rng(1000 + number)
     x, y = CONTACTS_M[number]
     stiffness = FIRM if TRUTH[int(y / CELL_M), int(x / CELL_M)] else SOFT
@@ -69,7 +69,7 @@ def touch(number: int) -> TouchTold:
         )
         for layer in range(3)
     ]
-    return TouchTold(
+    return TouchEstimate(
         number=number,
         xyz_m=np.array([x, y, z]),
         normal=np.array([0.05, -0.03, 0.998]) / np.linalg.norm([0.05, -0.03, 0.998]),
@@ -95,7 +95,7 @@ def _nearest_m(touches: int) -> FloatArray:
     return np.min([np.hypot(X - x, Y - y) for x, y in CONTACTS_M[:touches]], axis=0)
 
 
-def maps(touches: int, truth: bool = True) -> MapsKnown:
+def maps(touches: int, truth: bool = True) -> MapEstimate:
     away = _nearest_m(touches)
     log_sd = 0.7 - 0.6 * np.exp(-((away / 0.09) ** 2))
     found = touches >= 2
@@ -107,7 +107,7 @@ def maps(touches: int, truth: bool = True) -> MapsKnown:
     levels = np.array([SOFT, FIRM])[:count]
     both = [((labels == label), np.equal(TRUTH, label)) for label in (0, 1)]
     values = [np.mean(one & other) / np.mean(one | other) for one, other in both]
-    return MapsKnown(
+    return MapEstimate(
         touches=touches,
         cell_m=CELL_M,
         stiffness_n_per_mm=np.exp(log_stiffness),
@@ -131,7 +131,7 @@ def maps(touches: int, truth: bool = True) -> MapsKnown:
     )
 
 
-def gradual(touches: int) -> MapsKnown:
+def gradual(touches: int) -> MapEstimate:
     """A map without regions."""
     known = maps(touches, truth=False)
     none = np.zeros(0)
@@ -146,44 +146,44 @@ def gradual(touches: int) -> MapsKnown:
     )
 
 
-def plan(touches: int) -> NextTouch:
+def plan(touches: int) -> PlannedTouch:
     x, y = CONTACTS_M[touches - 1] if touches else (0.3, 0.0)
     excluded = (X < 0.02) | (X > 0.58) | (Y < 0.02) | (Y > 0.38) | (np.hypot(X - 0.6, Y - 0.4) < 0.12)
     cost_s = 6.0 + np.hypot(X - x, Y - y) / 0.1
     if touches == 0:
-        return NextTouch(CONTACTS_M[0].copy(), None, None, excluded, "first touches spread over the surface")
+        return PlannedTouch(CONTACTS_M[0].copy(), None, None, excluded, "first touches spread over the surface")
     gain = (0.05 + 0.6 * np.exp(-(((X - EDGE_M) / 0.06) ** 2))) * (1 - np.exp(-((_nearest_m(touches) / 0.06) ** 2)))
     if touches == len(CONTACTS_M):
         stop = "the regions are sure: no cell is expected to tell 0.02 or more"
-        return NextTouch(None, 0.03 * gain, cost_s, excluded, "", stop)
+        return PlannedTouch(None, 0.03 * gain, cost_s, excluded, "", stop)
     reason = "here the regions are the least sure for the time it takes: expected gain 0.41 in 7.3 s"
-    return NextTouch(CONTACTS_M[touches].copy(), gain, cost_s, excluded, reason)
+    return PlannedTouch(CONTACTS_M[touches].copy(), gain, cost_s, excluded, reason)
 
 
 def story() -> Iterator[tuple[float, int, object]]:
     """(time [s], touch, result) of the whole exploration, in order."""
-    yield 0.0, 0, PhaseBegan("look", 0)
+    yield 0.0, 0, PhaseStart("look", 0)
     yield 1.0, 0, surface(0)
-    yield 1.1, 0, PhaseBegan("plan", 0)
+    yield 1.1, 0, PhaseStart("plan", 0)
     yield 1.4, 0, plan(0)
     for number in range(len(CONTACTS_M)):
         start, k = 1.5 + TOUCH_S * number, number + 1
         for after, phase in ((0.0, "travel"), (1.5, "approach"), (2.3, "press"), (3.0, "dwell"), (4.0, "look")):
-            yield start + after, k, PhaseBegan(phase, number)
-        yield start + 4.3, k, PhaseBegan("retreat", number)
+            yield start + after, k, PhaseStart(phase, number)
+        yield start + 4.3, k, PhaseStart("retreat", number)
         yield start + 5.0, k, surface(k)
-        yield start + 5.1, k, PhaseBegan("plan", number)
+        yield start + 5.1, k, PhaseStart("plan", number)
         yield start + 5.2, k, touch(number)
         yield start + 5.5, k, maps(k)
         yield start + 5.7, k, plan(k)
-    yield 1.5 + TOUCH_S * len(CONTACTS_M), len(CONTACTS_M), PhaseBegan("stopped", len(CONTACTS_M) - 1)
+    yield 1.5 + TOUCH_S * len(CONTACTS_M), len(CONTACTS_M), PhaseStart("stopped", len(CONTACTS_M) - 1)
 
 
-def rigid_touch(number: int) -> TouchTold:
+def rigid_touch(number: int) -> TouchEstimate:
     return dataclasses.replace(touch(number), rigid=True, modulus_pa=None, stiffness_interval=(21.0, np.inf))
 
 
-def unusable_touch(number: int) -> TouchTold:
+def unusable_touch(number: int) -> TouchEstimate:
     """Its contact could not be fitted."""
     nan = float("nan")
     told = dataclasses.replace(touch(number), contact_m=nan, stiffness_n_per_mm=nan, stiffness_interval=(nan, nan))

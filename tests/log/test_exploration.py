@@ -13,15 +13,22 @@ import rerun as rr
 from rerun.chunk import RrdReader
 
 from deformscope.arrays import FloatArray
-from deformscope.exploration_replay import Recorded, read_results
 from deformscope.frames import ColorFrame, DepthFrame, Item, Stream
 from deformscope.log.exploration import exploration_blueprint, log_exploration_start, prepare_results, warm_up
 from deformscope.log.exploration.small import small_results
 from deformscope.log.exploration.summary import summary
 from deformscope.log.rig import Place, log_streams, prepare_items
-from deformscope.recorder import Recorder
-from deformscope.rig_replay import read_items
-from deformscope.stages.exploration import MapsKnown, NextTouch, PhaseBegan, StageFailed, Stopped, TouchTold
+from deformscope.recording.items import read_items
+from deformscope.recording.recorder import Recorder
+from deformscope.recording.results import Recorded, read_results
+from deformscope.stages.map.exploration import (
+    ExplorationStop,
+    MapEstimate,
+    PhaseStart,
+    PlannedTouch,
+    StageFailure,
+    TouchEstimate,
+)
 from tests.log import synthetic_exploration as synthetic
 from tests.log import synthetic_rig as rig
 from tests.log.test_rig import assert_same, cells, order, same
@@ -73,7 +80,7 @@ def test_results_come_back_equal_to_the_last_bit(tmp_path: Path) -> None:
         *((round(at * 1e9), touch, [result]) for at, touch, result in synthetic.story() if at < 6.9),
         (7_500_000_001, 2, [synthetic.touch(1), synthetic.maps(2, truth=False), synthetic.plan(2)]),
         (60_000_000_000, 8, [synthetic.rigid_touch(7), synthetic.plan(8)]),
-        (61_000_000_000, 9, [synthetic.gradual(8), StageFailed("beta", 9, "ValueError: x", "Traceback\n...")]),
+        (61_000_000_000, 9, [synthetic.gradual(8), StageFailure("beta", 9, "ValueError: x", "Traceback\n...")]),
     ]
     record(tmp_path / "run.rrd", told)
     found = back(tmp_path / "run.rrd")
@@ -101,9 +108,9 @@ def test_values_that_are_no_numbers_or_not_there_come_back(tmp_path: Path) -> No
 
 
 def test_one_kind_alone_is_read(tmp_path: Path) -> None:
-    record(tmp_path / "run.rrd", [(5, 0, [synthetic.plan(0), PhaseBegan("plan", 0), PhaseBegan("stopped", 0)])])
-    found = list(read_results(tmp_path / "run.rrd", (PhaseBegan,), trust=True))
-    assert [one.result for one in found] == [PhaseBegan("plan", 0), PhaseBegan("stopped", 0)]
+    record(tmp_path / "run.rrd", [(5, 0, [synthetic.plan(0), PhaseStart("plan", 0), PhaseStart("stopped", 0)])])
+    found = list(read_results(tmp_path / "run.rrd", (PhaseStart,), trust=True))
+    assert [one.result for one in found] == [PhaseStart("plan", 0), PhaseStart("stopped", 0)]
 
 
 def test_a_reader_can_ask_for_the_numbers_of_a_touch(tmp_path: Path) -> None:
@@ -114,7 +121,7 @@ def test_a_reader_can_ask_for_the_numbers_of_a_touch(tmp_path: Path) -> None:
         if chunk.entity_path == "/exploration/maps":
             batch = chunk.to_record_batch()
             names = batch.schema.names
-            beta = batch.column("MapsKnown:beta").to_pylist() if "MapsKnown:beta" in names else [None] * len(batch)
+            beta = batch.column("MapEstimate:beta").to_pylist() if "MapEstimate:beta" in names else [None] * len(batch)
             found |= dict(zip(batch.column("touch").to_pylist(), beta, strict=True))
     assert found[1] is None  # before two touches gave one
     for k in (2, 5):
@@ -208,7 +215,7 @@ def test_the_surface_has_the_shape_that_was_seen_and_the_colours_of_its_stiffnes
     assert soft != firm
 
 
-def _ends(maps: MapsKnown) -> tuple[float, float]:
+def _ends(maps: MapEstimate) -> tuple[float, float]:
     return float(maps.stiffness_n_per_mm.min()), float(maps.stiffness_n_per_mm.max())
 
 
@@ -245,7 +252,7 @@ def test_the_close_up_shows_the_top_of_the_model_alone(tmp_path: Path) -> None:
     assert said == ["no touch yet", f"5 cm, heights drawn {times[0]:g} times"]
 
 
-def _heights(touch: TouchTold, places: FloatArray) -> FloatArray:
+def _heights(touch: TouchEstimate, places: FloatArray) -> FloatArray:
     """Of the model's highest particles at places (n, 2), over the contact."""
     beside = touch.simulated_m - touch.xyz_m
     found = [beside[(np.abs(beside[:, :2] - place) < 1e-6).all(axis=1), 2].max() for place in places]
@@ -266,15 +273,15 @@ def test_nothing_that_moves_is_static(tmp_path: Path) -> None:
 
 
 def test_phases_are_states_of_one_lane(tmp_path: Path) -> None:
-    record(tmp_path / "run.rrd", [(k, 1, [PhaseBegan(name, 0)]) for k, name in enumerate(("look", "travel", "press"))])
+    record(tmp_path / "run.rrd", [(k, 1, [PhaseStart(name, 0)]) for k, name in enumerate(("look", "travel", "press"))])
     found = cells(tmp_path / "run.rrd", "/exploration/phase", "StateChange:state")
     assert found == [["look"], ["travel"], ["press"]]
 
 
 def test_why_it_was_stopped_is_data_a_line_of_text_and_a_red_state(tmp_path: Path) -> None:
-    stop = Stopped("force sensor silent", "no force for 36 ms", "its cable", "stop", 1)
-    record(tmp_path / "run.rrd", [(7, 2, [PhaseBegan(f"stopped: {stop.kind}", 1), stop])])
-    (found,) = read_results(tmp_path / "run.rrd", (Stopped,), trust=True)
+    stop = ExplorationStop("force sensor silent", "no force for 36 ms", "its cable", "stop", 1)
+    record(tmp_path / "run.rrd", [(7, 2, [PhaseStart(f"stopped: {stop.kind}", 1), stop])])
+    (found,) = read_results(tmp_path / "run.rrd", (ExplorationStop,), trust=True)
 
     assert found == Recorded(7, 2, stop)
     text = cells(tmp_path / "run.rrd", "/exploration/stopped", "TextLog:text")
@@ -315,7 +322,7 @@ def test_what_cannot_be_shown_is_recorded_with_where_it_failed(tmp_path: Path, m
     told, maps = synthetic.touch(1), synthetic.maps(2)
     rec = rr.RecordingStream("deformscope-explore", recording_id="exploration")
     rec.set_sinks(rr.FileSink(tmp_path / "run.rrd"))
-    failed: list[StageFailed] = []
+    failed: list[StageFailure] = []
     prepare_results([told, maps], 5, Place(2, PICTURES_NS), failed=failed).send(rec)
     rec.flush(timeout_sec=10)
     rec.disconnect()
@@ -323,8 +330,8 @@ def test_what_cannot_be_shown_is_recorded_with_where_it_failed(tmp_path: Path, m
     (one,) = failed
     assert (one.stage, one.touch, one.reason) == ("display", 2, "FloatingPointError: no ink")
     results = [found.result for found in back(tmp_path / "run.rrd")]
-    assert_equal(next(result for result in results if isinstance(result, TouchTold)), told)
-    assert_equal(next(result for result in results if isinstance(result, MapsKnown)), maps)
+    assert_equal(next(result for result in results if isinstance(result, TouchEstimate)), told)
+    assert_equal(next(result for result in results if isinstance(result, MapEstimate)), maps)
     assert one in results
     (text,) = [text for text in cells(tmp_path / "run.rrd", "/exploration/failed", "TextLog:text") if text]
     assert "touch 2: display failed: FloatingPointError: no ink" in text[0]
@@ -339,5 +346,5 @@ def test_what_is_no_result_is_refused() -> None:
 
 def test_warming_up_draws_every_kind() -> None:
     kinds = {type(one) for one in small_results()}
-    assert {TouchTold, MapsKnown, NextTouch, PhaseBegan, Stopped} < kinds
+    assert {TouchEstimate, MapEstimate, PlannedTouch, PhaseStart, ExplorationStop} < kinds
     warm_up()

@@ -15,7 +15,6 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
-from deformscope import recorder
 from deformscope.frames import (
     ArmFrame,
     ColorFrame,
@@ -27,7 +26,6 @@ from deformscope.frames import (
     TactileFrame,
     WrenchFrame,
 )
-from deformscope.live import Viewer
 from deformscope.log.live_stream import LiveStream
 from deformscope.log.rig import Place
 from deformscope.log.rig.thinned import (
@@ -40,7 +38,9 @@ from deformscope.log.rig.thinned import (
     extremes,
     thinned,
 )
-from deformscope.recorder import Recorder
+from deformscope.recording import recorder
+from deformscope.recording.live import Viewer
+from deformscope.recording.recorder import Recorder
 from deformscope_drivers.clock import Stamp
 from tests.log import synthetic_exploration
 from tests.log import synthetic_rig as rig

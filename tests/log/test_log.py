@@ -15,17 +15,17 @@ import rerun as rr
 from rerun.chunk import RrdReader
 from scipy.spatial import cKDTree
 
+from deformscope.files.sources import open_source
 from deformscope.log.blueprint import blueprint
 from deformscope.log.canvas import Canvas
 from deformscope.log.estimate import as_json, summary
-from deformscope.palette import colors, readable, round_up
-from deformscope.pictures import evidence_png
-from deformscope.recorder import Recorder
+from deformscope.pictures.evidence import evidence_png
+from deformscope.pictures.palette import colors, readable, round_up
+from deformscope.recording.recorder import Recorder
 from deformscope.session import Step, run
-from deformscope.sources import open_source
-from deformscope.stages.triangulation import spacing_of
+from deformscope.stages.see.triangulation import spacing_of
 from tests.log import synthetic
-from tests.test_closeup import poked
+from tests.pictures.test_closeup import poked
 
 
 @pytest.fixture(autouse=True)

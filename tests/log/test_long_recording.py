@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from deformscope.cli import main
-from deformscope.ledger import read_counts
-from deformscope.rig_replay import read_items
+from deformscope.recording.items import read_items
+from deformscope.recording.ledger import read_counts
 from tests.log.long_recording import PER_SECOND
 
 ROOT = Path(__file__).resolve().parents[2]

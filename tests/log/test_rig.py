@@ -34,8 +34,8 @@ from deformscope.images import encode_jpeg, encode_png
 from deformscope.log.rig import Shown, log_items, log_streams, prepare_items, rig_blueprint
 from deformscope.log.rig.health import table, word
 from deformscope.log.rig.tactile import Hand
-from deformscope.palette import BACKGROUND, colors
-from deformscope.rig_replay import read_items, read_streams
+from deformscope.pictures.palette import BACKGROUND, colors
+from deformscope.recording.items import read_items, read_streams
 from deformscope_drivers.clock import Stamp
 from deformscope_drivers.health import Health, Link, LinkEvent
 from tests.log import synthetic_rig as rig

@@ -15,17 +15,17 @@ import pytest
 import rerun as rr
 from rerun.experimental import ViewerClient
 
-from deformscope import live, recorder
+from deformscope.files.sources import open_source
 from deformscope.frames import ArmFrame, HealthReport
 from deformscope.log.exploration import exploration_blueprint, log_exploration_start, prepare_results
 from deformscope.log.rig import Place, log_items, log_streams, prepare_items, rig_blueprint
-from deformscope.recorder import Recorder
+from deformscope.recording import live, recorder
+from deformscope.recording.recorder import Recorder
 from deformscope.session import Step, run
-from deformscope.sources import open_source
-from deformscope.stages.exploration import MapsKnown
+from deformscope.stages.map.exploration import MapEstimate
 from tests.log import synthetic, synthetic_exploration, synthetic_rig
 from tests.patience import PATIENCE_S
-from tests.test_closeup import poked
+from tests.pictures.test_closeup import poked
 from tools import screenshot
 from tools.screenshot import LAVAPIPE, headless_viewer, shoot
 
@@ -202,7 +202,7 @@ def test_an_exploration(tmp_path: Path, viewer: ViewerClient, touch: int, truth:
     prepare_items(items, synthetic_rig.START_NS, streams, place=Place(0, NO_PICTURES)).send(rec)
     for at, number, result in synthetic_exploration.story():
         if number <= touch:
-            shown = replace(result, truth_labels=None) if isinstance(result, MapsKnown) and not truth else result
+            shown = replace(result, truth_labels=None) if isinstance(result, MapEstimate) and not truth else result
             prepare_results([shown], round(at * 1e9), Place(number, NO_PICTURES)).send(rec)
     rec.flush(timeout_sec=10)
     rec.disconnect()

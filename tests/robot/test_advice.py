@@ -6,12 +6,12 @@ import pytest
 
 from deformscope.robot.advice import ADVICE, advice
 from deformscope.robot.supervisor import Fault
-from deformscope.robot.touch import Ending
+from deformscope.robot.touch import TouchEnding
 
 FAULTS = [fault for fault in Fault if fault is not Fault.NONE]
 
 
-@pytest.mark.parametrize("cause", [*FAULTS, Ending.NO_CONTACT, Ending.NOT_REACHED])
-def test_every_cause_has_its_advice(cause: Fault | Ending) -> None:
+@pytest.mark.parametrize("cause", [*FAULTS, TouchEnding.NO_CONTACT, TouchEnding.NOT_REACHED])
+def test_every_cause_has_its_advice(cause: Fault | TouchEnding) -> None:
     assert cause in ADVICE
     assert bool(advice(cause)) is (cause is not Fault.ASKED)

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from deformscope.lab.fault_study import make_scene
 from deformscope.lab.springy_foam import SpringyFoam
 from deformscope.lab.touch_lab import TouchLab
-from deformscope.rig import Tool
+from deformscope.rig.rig_file import Tool
 from deformscope.robot.motion import CommandedRotation, off_course, rates_for_twist, within_limits
 from deformscope.robot.placement import best_joints
 from deformscope.robot.preflight import Check, Preflight
-from deformscope.robot.readings import Observation
+from deformscope.robot.readings import RobotObservation
 from deformscope.robot.robot import JointRates, Robot, RobotStopped, TipVelocity
-from deformscope.robot.supervisor import Fault, Limits, Verdict
+from deformscope.robot.supervisor import Fault, Limits, SafetyVerdict
 from deformscope.robot.touch import Phase, run_touch
 from deformscope.robot.travel import move_joints, move_tip
+from deformscope.studies.fault_study import make_scene
 from deformscope_drivers.jaco.kinematics import CHAINS, J2N6S300, J2S7S300, Chain, FloatArray, least_singular
 from deformscope_drivers.jaco.structures import PositionType
 
@@ -60,7 +60,7 @@ class Bench:
         self.robot.cycle()
         self.robot.let_move(PASSED)
 
-    def _watch(self, seen: Observation, verdict: Verdict) -> None:
+    def _watch(self, seen: RobotObservation, verdict: SafetyVerdict) -> None:
         self.poses.append(self.lab.arm_double.T_base_end_effector)
 
     def until_stopped(self, command: TipVelocity | JointRates) -> Fault:
@@ -135,7 +135,7 @@ def test_through_a_whole_touch_the_stick_is_within_a_degree_of_the_normal() -> N
     phases: list[Phase] = []
     tilts_deg: list[float] = []
 
-    def watch(seen: Observation, verdict: Verdict) -> None:
+    def watch(seen: RobotObservation, verdict: SafetyVerdict) -> None:
         if phases and phases[-1] is not Phase.TRAVEL:
             stick = scene.robot.placement.T_surface_center(scene.lab.arm_double.T_base_end_effector)[:3, 2]
             tilts_deg.append(float(np.degrees(np.arccos(-stick @ scene.plan.normal))))

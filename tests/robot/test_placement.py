@@ -9,7 +9,7 @@ import pytest
 
 from deformscope.errors import InputError
 from deformscope.lab.touch_lab import READY_NEAR_DEG, T_BASE_SURFACE
-from deformscope.rig import Tool
+from deformscope.rig.rig_file import Tool
 from deformscope.robot.placement import PLAN_MARGIN_DEG, Placement, follow, reach
 from deformscope_drivers.jaco.kinematics import CHAINS, J2N6S300, Chain, FloatArray, rotation_from_rpy, transform
 

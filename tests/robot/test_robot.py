@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deformscope.lab.fault_study import Scene, make_scene
-from deformscope.robot.readings import Observation
+from deformscope.robot.readings import RobotObservation
 from deformscope.robot.robot import RobotStopped, TipVelocity
-from deformscope.robot.supervisor import Action, Fault, Verdict
+from deformscope.robot.supervisor import Action, Fault, SafetyVerdict
+from deformscope.studies.fault_study import FaultScene, make_scene
 
 UP = TipVelocity(np.array([0.0, 0.0, 0.02]))
 
 
-def moving() -> Scene:
+def moving() -> FaultScene:
     """An arm on its way."""
     scene = make_scene(3, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
     for _ in range(20):
@@ -21,12 +21,12 @@ def moving() -> Scene:
     return scene
 
 
-def cycles(scene: Scene, count: int) -> None:
+def cycles(scene: FaultScene, count: int) -> None:
     for _ in range(count):
         scene.robot.cycle()
 
 
-def way_m(scene: Scene, seconds: float) -> float:
+def way_m(scene: FaultScene, seconds: float) -> float:
     """How far the arm still goes."""
     before = scene.lab.contact.center_m
     scene.lab.wait_until(scene.lab.clock() + round(seconds * 1e9))
@@ -36,7 +36,7 @@ def way_m(scene: Scene, seconds: float) -> float:
 def test_who_asks_to_stop_is_heard_in_the_same_period() -> None:
     scene = moving()
 
-    def ask(seen: Observation, verdict: Verdict) -> None:
+    def ask(seen: RobotObservation, verdict: SafetyVerdict) -> None:
         scene.robot.ask_to_stop("Ctrl-C")
 
     scene.robot.watch = ask
@@ -64,7 +64,7 @@ def test_a_fault_is_not_covered_by_a_wish_to_stop() -> None:
 def test_the_arm_is_halted_before_a_failing_watcher_is_heard() -> None:
     scene = moving()
 
-    def fail(seen: Observation, verdict: Verdict) -> None:
+    def fail(seen: RobotObservation, verdict: SafetyVerdict) -> None:
         raise OSError("the disk is full")
 
     scene.robot.watch = fail
@@ -82,7 +82,7 @@ def test_what_comes_after_a_stop_is_seen_and_moves_nothing() -> None:
     scene.robot.ask_to_stop("enough")
     with pytest.raises(RobotStopped):
         scene.robot.cycle(UP)
-    seen: list[tuple[Observation, Verdict]] = []
+    seen: list[tuple[RobotObservation, SafetyVerdict]] = []
     scene.robot.watch = lambda observation, verdict: seen.append((observation, verdict))
     began_ns = scene.lab.clock()
 

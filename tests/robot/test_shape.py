@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from deformscope.rig import Tool
+from deformscope.rig.rig_file import Tool
 from deformscope.robot.placement import Placement
 from deformscope.robot.shape import LINK_RADIUS_M, arm_shape
 from deformscope_drivers.jaco.kinematics import J2N6S300, rotation_from_rpy, transform

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from deformscope.errors import InputError
-from deformscope.robot.readings import ArmSample, CameraSample, ForceSample, Observation
-from deformscope.robot.supervisor import Action, Fault, Limits, Supervisor, Verdict
+from deformscope.robot.readings import ArmSample, CameraSample, ForceSample, RobotObservation
+from deformscope.robot.supervisor import Action, Fault, Limits, SafetyVerdict, Supervisor
 from deformscope_drivers.jaco.kinematics import J2N6S300, rotation_from_rpy, transform
 
 MS = 1_000_000
@@ -26,12 +26,12 @@ def arm(time_ns: int, x_m: float = 0.0, *, joints: float | None = None, fifo: in
     return ArmSample(time_ns, pose, (x_m if joints is None else joints,), fifo)
 
 
-def judged(supervisor: Supervisor, now_ns: int, **changed: object) -> Verdict:
+def judged(supervisor: Supervisor, now_ns: int, **changed: object) -> SafetyVerdict:
     commanded = float(changed.pop("commanded_m_s", 0.0))  # type: ignore[arg-type]
     needed = bool(changed.pop("camera_needed", False))
     rotation: Any = changed.pop("commanded_rotation", None)
     well: dict[str, object] = {"forces": (force(now_ns),), "arms": (arm(now_ns),)}
-    seen = Observation(now_ns, **(well | changed))  # type: ignore[arg-type]
+    seen = RobotObservation(now_ns, **(well | changed))  # type: ignore[arg-type]
     return supervisor.judge(seen, commanded_m_s=commanded, commanded_rotation=rotation, camera_needed=needed)
 
 

@@ -9,17 +9,17 @@ import pytest
 
 from deformscope.errors import InputError
 from deformscope.lab.arm_contact import ARM_STIFFNESS_N_M
-from deformscope.lab.fault_study import Scene, make_scene, run_fault, run_faults
 from deformscope.lab.faults import Injected, inject
 from deformscope.robot.preflight import Check, _first_way, check
 from deformscope.robot.robot import RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Fault
-from deformscope.robot.touch import Ending, Phase, TouchPlan, TouchRecord, run_touch
+from deformscope.robot.touch import Phase, TouchEnding, TouchPlan, TouchRecord, run_touch
+from deformscope.studies.fault_study import FaultScene, make_scene, run_fault, run_faults
 
 SOFT_N = 8.0
 
 
-def touched(seed: int, modulus_pa: float, tip: str, tilt_deg: float) -> tuple[Scene, TouchRecord]:
+def touched(seed: int, modulus_pa: float, tip: str, tilt_deg: float) -> tuple[FaultScene, TouchRecord]:
     scene = make_scene(seed, modulus_pa=modulus_pa, tip=tip, tilt_deg=tilt_deg)
     record = run_touch(scene.robot, scene.plan)
     scene.lab.close()
@@ -33,7 +33,7 @@ def touched(seed: int, modulus_pa: float, tip: str, tilt_deg: float) -> tuple[Sc
 def test_it_presses_as_told_and_never_harder(modulus_pa: float, tip: str, tilt_deg: float, force_n: float) -> None:
     scene, record = touched(3, modulus_pa, tip, tilt_deg)
 
-    assert record.ending is Ending.SET_FORCE
+    assert record.ending is TouchEnding.SET_FORCE
     assert record.settled
     assert scene.lab.contact.max_force_n < 1.1 * force_n < SOFT_N
     assert record.final_force_n is not None
@@ -74,7 +74,7 @@ def test_the_same_seed_gives_the_same_touch() -> None:
 def test_it_ends_at_the_greatest_depth_and_where_nothing_is() -> None:
     scene = make_scene(4, modulus_pa=2e3, tip="sphere", tilt_deg=0.0)
     deep = run_touch(scene.robot, scene.plan)
-    assert deep.ending is Ending.DEPTH
+    assert deep.ending is TouchEnding.DEPTH
     assert deep.depth_m < scene.plan.max_depth_m + 5e-4
     away = TouchPlan(
         scene.plan.point_m + np.array([0.0, 0.0, 0.03]), scene.plan.normal, travel_height_m=0.15, miss_m=0.01
@@ -82,7 +82,7 @@ def test_it_ends_at_the_greatest_depth_and_where_nothing_is() -> None:
     nothing = run_touch(scene.robot, away)
     scene.lab.close()
 
-    assert nothing.ending is Ending.NO_CONTACT
+    assert nothing.ending is TouchEnding.NO_CONTACT
     assert nothing.center_m is None
 
 
@@ -113,7 +113,7 @@ def test_no_tare_in_contact() -> None:
     record = run_touch(scene.robot, scene.plan)
     scene.lab.close()
 
-    assert record.ending is Ending.NOT_REACHED
+    assert record.ending is TouchEnding.NOT_REACHED
     assert "tare" in record.reason
     assert np.array_equal(scene.robot.tare_n, tare_n)
 
@@ -125,7 +125,7 @@ def test_a_soft_stop_stands_and_then_backs_away() -> None:
     record = run_touch(scene.robot, scene.plan)
     height_m = float(scene.robot.center_m[2] - scene.plan.point_m[2])
 
-    assert record.ending is Ending.SOFT_STOP
+    assert record.ending is TouchEnding.SOFT_STOP
     assert record.fault is Fault.FORCE_SOFT
     assert height_m > 0.9 * scene.plan.standoff_m
     with pytest.raises(RobotStopped):
@@ -197,7 +197,7 @@ def test_a_way_that_the_arm_cannot_be_led_is_refused_before_it_moves() -> None:
     record = run_touch(scene.robot, far)
     scene.lab.close()
 
-    assert record.ending is Ending.NOT_REACHED
+    assert record.ending is TouchEnding.NOT_REACHED
     assert "singularity" in record.reason
     assert np.array_equal(scene.lab.arm_double.joints_deg, before_deg)
 
@@ -220,6 +220,6 @@ def test_a_first_way_that_leads_below_the_surface_is_refused() -> None:
     assert "joystick" in failed.hint
 
 
-def _first_ways(scene: Scene, height_m: float) -> list[Check]:
+def _first_ways(scene: FaultScene, height_m: float) -> list[Check]:
     goal_deg = np.array(scene.lab.arm_double.joints_deg)
     return [_first_way(scene.robot, goal_deg, height_m)]

@@ -7,17 +7,17 @@ import dataclasses
 import numpy as np
 import pytest
 
-from deformscope.lab.fault_study import Scene, make_scene
-from deformscope.robot.readings import Observation
-from deformscope.robot.supervisor import Verdict
+from deformscope.robot.readings import RobotObservation
+from deformscope.robot.supervisor import SafetyVerdict
 from deformscope.robot.touch import Phase, TouchPlan, run_touch
 from deformscope.robot.travel import PASSED_M, REACHED_M
+from deformscope.studies.fault_study import FaultScene, make_scene
 
 STANDOFF_M = 0.05
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
+def scene() -> FaultScene:
     """After a first touch, the tip stands above it."""
     scene = make_scene(3, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
     run_touch(scene.robot, scene.plan)
@@ -25,7 +25,7 @@ def scene() -> Scene:
 
 
 @pytest.mark.parametrize("above_m", [0.0, 0.01, 0.06])
-def test_it_crosses_no_lower_than_told_and_hardly_higher(scene: Scene, above_m: float) -> None:
+def test_it_crosses_no_lower_than_told_and_hardly_higher(scene: FaultScene, above_m: float) -> None:
     robot, offset_m = scene.robot, scene.robot.placement.center_offset_m
     start_m = robot.center_m
     side = 1.0 if start_m[0] < 0.3 else -1.0
@@ -35,7 +35,7 @@ def test_it_crosses_no_lower_than_told_and_hardly_higher(scene: Scene, above_m: 
     phases: list[tuple[Phase, int]] = []
     track: list[np.ndarray] = []
 
-    def watch(seen: Observation, verdict: Verdict) -> None:
+    def watch(seen: RobotObservation, verdict: SafetyVerdict) -> None:
         if phases and phases[-1][0] is Phase.TRAVEL:
             track.append(robot.center_m)
 

@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from deformscope.arrays import FloatArray
-from deformscope.stages.layers import Surface
-from deformscope.stages.model import Observation
-from deformscope.stages.poke import Law, Poke, Tip, press
-from deformscope.stages.poke_fit import scene_below
+from deformscope.stages.fit.model import Observation
+from deformscope.stages.msm.poke import Law, Poke, Tip, press
+from deformscope.stages.poke.layers import MeasuredSurface
+from deformscope.stages.poke.poke_fit import scene_below
 
 THICKNESS, SPACING = 0.03, 0.01
 LAW = Law(0.45, 0.7, 3)
 STIFFNESS = 50.0
 
 
-def surface() -> Surface:
+def surface() -> MeasuredSurface:
     x, y = np.meshgrid(np.arange(19) * 0.01, np.arange(17) * 0.01, indexing="ij")
-    return Surface(np.column_stack([x.ravel(), y.ravel(), np.full(x.size, THICKNESS)]), THICKNESS)
+    return MeasuredSurface(np.column_stack([x.ravel(), y.ravel(), np.full(x.size, THICKNESS)]), THICKNESS)
 
 
 def poked(

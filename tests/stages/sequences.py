@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.stages.model import Observation
+from deformscope.stages.fit.model import Observation
 from deformscope.stages.msm import clusters
 from deformscope.stages.msm.solver import Msm
 from tests.stages.bodies import SPACING_M, lattice

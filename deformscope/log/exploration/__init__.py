@@ -2,7 +2,7 @@
 
 Every row is at `session`, the time since the recording's start; at `frame`, the depth camera's newest picture then; and
 at `touch`: 0 before the first touch, then the number of the touch that it belongs to, from 1, the way there among it.
-What a touch told is at the frame of its dent. `deformscope.exploration_replay` reads the results back.
+What a touch told is at the frame of its dent. `deformscope.recording.results` reads the results back.
 
     exploration/surface|touch|maps|plan   one row a result, every field of it a component of the same name
     exploration/phase                     likewise, and the state that a timeline shows
@@ -24,12 +24,11 @@ import numpy as np
 import rerun as rr
 
 from deformscope.arrays import FloatArray
-from deformscope.exploration_replay import Result
 from deformscope.frames import Stream
 from deformscope.log.exploration.blueprint import exploration_blueprint
 from deformscope.log.exploration.dent import log_dent, log_no_dent
 from deformscope.log.exploration.failed import log_failed
-from deformscope.log.exploration.moment import Moment
+from deformscope.log.exploration.moment import ResultBatch
 from deformscope.log.exploration.phases import log_phase, log_phase_colors
 from deformscope.log.exploration.pictured import log_curves, log_gain, log_height, log_maps, log_nothing_known
 from deformscope.log.exploration.scene import log_base, log_contact, log_stiffness, log_surface, log_target
@@ -38,15 +37,16 @@ from deformscope.log.exploration.summary import log_no_summary, log_summary
 from deformscope.log.rig.columns import Batch, Place
 from deformscope.log.rig.plotted import plotted
 from deformscope.log.rig.warm_up import nowhere
-from deformscope.stages.exploration import (
+from deformscope.rows import Result
+from deformscope.stages.map.exploration import (
     DISPLAY,
-    MapsKnown,
-    NextTouch,
-    PhaseBegan,
-    StageFailed,
-    Stopped,
-    SurfaceSeen,
-    TouchTold,
+    ExplorationStop,
+    MapEstimate,
+    PhaseStart,
+    PlannedTouch,
+    StageFailure,
+    SurfaceEstimate,
+    TouchEstimate,
 )
 
 __all__ = ["exploration_blueprint", "log_exploration_start", "prepare_results", "warm_up"]
@@ -73,7 +73,7 @@ def log_exploration_start(
         if stream.kind == "arm" and stream.urdf is not None:
             log_base(rec, stream, np.eye(4) if base_from_surface is None else base_from_surface)
     batch = Batch(Place(0, np.zeros(0, np.int64)))
-    start = Moment(batch, 0)
+    start = ResultBatch(batch, 0)
     log_nothing_known(start)
     log_no_dent(start)
     log_no_summary(start)
@@ -86,7 +86,7 @@ def prepare_results(
     place: Place,
     *,
     cell_m: float = CELL_M,
-    failed: list[StageFailed] | None = None,
+    failed: list[StageFailure] | None = None,
 ) -> Batch:
     """Make results ready for one stream or several, pictures drawn: some 0.1 s a picture, six of them for the maps.
 
@@ -96,8 +96,8 @@ def prepare_results(
     A plan that comes with maps is drawn over their contacts. Raises TypeError for what is no result of an exploration.
     """
     batch = Batch(place)
-    now = Moment(batch, session_ns)
-    maps = next((result for result in results if isinstance(result, MapsKnown)), None)
+    now = ResultBatch(batch, session_ns)
+    maps = next((result for result in results if isinstance(result, MapEstimate)), None)
     for result in results:
         if not isinstance(result, Result):
             raise TypeError(f"no twin in deformscope.log.exploration shows a {type(result).__name__}")
@@ -106,7 +106,7 @@ def prepare_results(
             try:
                 show()
             except Exception as error:  # a picture that cannot be drawn must not end what is drawn
-                found = StageFailed.of(DISPLAY, place.touch, error)
+                found = StageFailure.of(DISPLAY, place.touch, error)
                 now.record(found)
                 log_failed(now, found)
                 if failed is not None:
@@ -115,26 +115,26 @@ def prepare_results(
 
 
 def _twins(
-    now: Moment, result: Result, touch: int, maps: MapsKnown | None, cell_m: float
+    now: ResultBatch, result: Result, touch: int, maps: MapEstimate | None, cell_m: float
 ) -> Iterator[Callable[[], None]]:
     """What shows a result."""
     match result:
-        case SurfaceSeen():
+        case SurfaceEstimate():
             yield partial(log_surface, now, result, colored=touch == 0)
             yield partial(log_height, now, result)
-        case TouchTold():
+        case TouchEstimate():
             yield from (partial(show, now, result) for show in (log_contact, log_dent, log_curves))
-        case MapsKnown():
+        case MapEstimate():
             yield from (partial(show, now, result) for show in (log_stiffness, log_maps, log_summary))
-        case NextTouch():
+        case PlannedTouch():
             yield partial(log_target, now, result)
             contacts_m = None if maps is None else maps.contacts_m
             yield partial(log_gain, now, result, cell_m if maps is None else maps.cell_m, contacts_m)
-        case PhaseBegan():
+        case PhaseStart():
             yield partial(log_phase, now, result)
-        case StageFailed():
+        case StageFailure():
             yield partial(log_failed, now, result)
-        case Stopped():
+        case ExplorationStop():
             yield partial(log_stopped, now, result)
 
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import rerun.blueprint as rrb
 
-from deformscope.exploration_replay import ENTITIES
 from deformscope.frames import Stream
 from deformscope.log.exploration.dent import DENT
 from deformscope.log.exploration.pictured import FORCE, GAIN, HEIGHT, MAPS, SECTION
@@ -15,8 +14,9 @@ from deformscope.log.exploration.summary import SUMMARY
 from deformscope.log.rig.blueprint import FLOOR
 from deformscope.log.rig.columns import root
 from deformscope.log.rig.plotted import plotted
-from deformscope.palette import BACKGROUND
-from deformscope.stages.exploration import PhaseBegan
+from deformscope.pictures.palette import BACKGROUND
+from deformscope.rows import ENTITIES
+from deformscope.stages.map.exploration import PhaseStart
 
 PAPER = [255, 255, 255]
 TITLES = {
@@ -62,7 +62,7 @@ def _robot(streams: Sequence[Stream], size_m: tuple[float, float]) -> rrb.Contai
         for path, title in plotted(stream)
         if "force" in title
     ]
-    lanes = rrb.StateTimelineView(contents=[f"+ /{ENTITIES[PhaseBegan]}"], origin="exploration", name="What it does")
+    lanes = rrb.StateTimelineView(contents=[f"+ /{ENTITIES[PhaseStart]}"], origin="exploration", name="What it does")
     close = rrb.Horizontal(*looks) if len(looks) > 1 else looks[0]
     over_time = rrb.Vertical(*plots, lanes, row_shares=[*[1.6] * len(plots), 1.0])
     below = rrb.Horizontal(_picture(SECTION, "The dent in section"), over_time, column_shares=[1.0, 1.05])

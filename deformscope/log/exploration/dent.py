@@ -7,11 +7,11 @@ from scipy.spatial import cKDTree
 
 from deformscope.arrays import FloatArray
 from deformscope.log.canvas import TEXT
-from deformscope.log.exploration.moment import Moment
-from deformscope.palette import OBSERVED, SIMULATED, Rgb
-from deformscope.stages.cloud import reduce_to_grid
-from deformscope.stages.exploration import TouchTold
-from deformscope.stages.triangulation import triangulate
+from deformscope.log.exploration.moment import ResultBatch
+from deformscope.pictures.palette import OBSERVED, SIMULATED, Rgb
+from deformscope.stages.map.exploration import TouchEstimate
+from deformscope.stages.see.cloud import reduce_to_grid
+from deformscope.stages.see.triangulation import triangulate
 
 DENT = "display/dent"
 MOST_DRAWN_OUT, SHARE = 8.0, 0.5
@@ -24,7 +24,7 @@ STEPS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0)
 FRAME: Rgb = (150, 155, 165)
 
 
-def log_dent(now: Moment, touch: TouchTold) -> None:
+def log_dent(now: ResultBatch, touch: TouchEstimate) -> None:
     """Around the contact; half the width is 1, heights drawn out. The values themselves stand in the result."""
     observed, simulated = (_near(one - touch.xyz_m) for one in (touch.observed_m, touch.simulated_m))
     if len(observed):
@@ -45,7 +45,7 @@ def log_dent(now: Moment, touch: TouchTold) -> None:
     now.show_points(f"{DENT}/scale/label", middle[None], TEXT, 0.002, [f"{bar_m * 100:g} cm{drawn}"])
 
 
-def log_no_dent(now: Moment) -> None:
+def log_no_dent(now: ResultBatch) -> None:
     now.show_points(f"{DENT}/scale/label", np.zeros((1, 3)), TEXT, 0.002, ["no touch yet"])
 
 

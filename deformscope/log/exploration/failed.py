@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import rerun as rr
 
-from deformscope.exploration_replay import ENTITIES
-from deformscope.exploration_words import failed_words
-from deformscope.log.exploration.moment import Moment
-from deformscope.stages.exploration import StageFailed
+from deformscope.log.exploration.moment import ResultBatch
+from deformscope.pictures.words import failed_words
+from deformscope.rows import ENTITIES
+from deformscope.stages.map.exploration import StageFailure
 
 
-def log_failed(now: Moment, failed: StageFailed) -> None:
+def log_failed(now: ResultBatch, failed: StageFailure) -> None:
     text = f"{failed_words(failed)}\n{failed.trace}".strip()
-    now.send(ENTITIES[StageFailed], rr.TextLog.columns(text=[text], level=["ERROR"]))
+    now.send(ENTITIES[StageFailure], rr.TextLog.columns(text=[text], level=["ERROR"]))

@@ -8,11 +8,11 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 
-from deformscope.exploration_replay import ENTITIES, Result, components
 from deformscope.log.rig.columns import Batch, Columns, moments
+from deformscope.rows import ENTITIES, Result, components
 
 
-class Moment:
+class ResultBatch:
     """A batch, and the place on the timelines of all that is logged to it."""
 
     def __init__(self, batch: Batch, session_ns: int) -> None:

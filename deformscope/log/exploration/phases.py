@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import rerun as rr
 
-from deformscope.exploration_replay import ENTITIES
-from deformscope.log.exploration.moment import Moment
+from deformscope.log.exploration.moment import ResultBatch
 from deformscope.log.rig.columns import Sink
-from deformscope.palette import BAD, Rgb
-from deformscope.stages.exploration import PhaseBegan
+from deformscope.pictures.palette import BAD, Rgb
+from deformscope.rows import ENTITIES
+from deformscope.stages.map.exploration import PhaseStart
 
 PHASES: dict[str, Rgb] = {
     "look": (86, 180, 233),
@@ -28,11 +28,11 @@ PHASES: dict[str, Rgb] = {
 
 def log_phase_colors(rec: Sink) -> None:
     colored = rr.StateConfiguration(values=list(PHASES), colors=list(PHASES.values()))
-    rec.log(ENTITIES[PhaseBegan], colored, static=True)
+    rec.log(ENTITIES[PhaseStart], colored, static=True)
 
 
-def log_phase(now: Moment, phase: PhaseBegan) -> None:
+def log_phase(now: ResultBatch, phase: PhaseStart) -> None:
     if phase.name.startswith("stopped"):  # its name says why, so that its colour is not among those known before
         colors = PHASES | {phase.name: BAD}
-        now.log_static(ENTITIES[PhaseBegan], rr.StateConfiguration(values=list(colors), colors=list(colors.values())))
-    now.send(ENTITIES[PhaseBegan], rr.StateChange.columns(state=[phase.name]))
+        now.log_static(ENTITIES[PhaseStart], rr.StateConfiguration(values=list(colors), colors=list(colors.values())))
+    now.send(ENTITIES[PhaseStart], rr.StateChange.columns(state=[phase.name]))

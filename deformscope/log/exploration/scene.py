@@ -10,14 +10,14 @@ import numpy as np
 import rerun as rr
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.exploration_pictures import STIFFNESS, stiffness_range
 from deformscope.frames import Stream
 from deformscope.log.canvas import TEXT
-from deformscope.log.exploration.moment import Moment
+from deformscope.log.exploration.moment import ResultBatch
 from deformscope.log.rig.arm import shape_of
 from deformscope.log.rig.columns import Sink, root
-from deformscope.palette import ColorArray, Rgb
-from deformscope.stages.exploration import MapsKnown, NextTouch, SurfaceSeen, TouchTold
+from deformscope.pictures.exploration import STIFFNESS, stiffness_range
+from deformscope.pictures.palette import ColorArray, Rgb
+from deformscope.stages.map.exploration import MapEstimate, PlannedTouch, SurfaceEstimate, TouchEstimate
 
 SCENE = "display/scene"
 SURFACE_FRAME = "tf#/"
@@ -43,7 +43,7 @@ def log_base(rec: Sink, stream: Stream, base_from_surface: FloatArray) -> None:
     rec.log(root(f"{SCENE}/base", stream.device), stands, static=True)
 
 
-def log_surface(now: Moment, surface: SurfaceSeen, *, colored: bool) -> None:
+def log_surface(now: ResultBatch, surface: SurfaceEstimate, *, colored: bool) -> None:
     """The points that the camera saw, the brighter the lower, and the surface of the Gaussian process.
 
     colored: by its height: as long as no map of its stiffness is known
@@ -68,7 +68,7 @@ def log_surface(now: Moment, surface: SurfaceSeen, *, colored: bool) -> None:
     now.show_lines(f"{SCENE}/table", corners[None], TABLE, LINE_M)
 
 
-def log_stiffness(now: Moment, maps: MapsKnown) -> None:
+def log_stiffness(now: ResultBatch, maps: MapEstimate) -> None:
     """The surface in the colours of the stiffness map; its shape stays as it was seen."""
     low, high = stiffness_range(maps.stiffness_n_per_mm)
     known = np.nan_to_num(maps.stiffness_n_per_mm.ravel(), nan=low, posinf=high, neginf=low).clip(low, high)
@@ -77,7 +77,7 @@ def log_stiffness(now: Moment, maps: MapsKnown) -> None:
     now.send(f"{SCENE}/surface", rr.Mesh3D.columns(vertex_colors=tints).partition([len(tints)]))
 
 
-def log_contact(now: Moment, touch: TouchTold) -> None:
+def log_contact(now: ResultBatch, touch: TouchEstimate) -> None:
     """A mark with its number and the normal along which it was touched; marks stay."""
     at, path = touch.xyz_m, f"{SCENE}/contacts/{touch.number + 1}"
     now.show_points(path, at[None], CONTACT, MARK_M, [str(touch.number + 1)])
@@ -85,7 +85,7 @@ def log_contact(now: Moment, touch: TouchTold) -> None:
     now.send(f"{path}/normal", arrow)
 
 
-def log_target(now: Moment, plan: NextTouch) -> None:
+def log_target(now: ResultBatch, plan: PlannedTouch) -> None:
     """A red line where the next touch goes; none where none follows."""
     if plan.target_m is None:
         now.send(f"{SCENE}/target", rr.LineStrips3D.columns(strips=np.zeros((0, 2, 3), np.float32)).partition([0]))
@@ -111,7 +111,7 @@ def _grid(height_m: FloatArray, cell_m: float) -> tuple[FloatArray, IntArray]:
     return vertices, triangles
 
 
-def _normals(surface: SurfaceSeen) -> FloatArray:
+def _normals(surface: SurfaceEstimate) -> FloatArray:
     """(n, 3) out of the surface, so that dents are shaded."""
     down_y, down_x = np.gradient(surface.height_m, surface.cell_m)
     normals = np.stack([-down_x, -down_y, np.ones_like(down_x)], axis=-1).reshape(-1, 3)

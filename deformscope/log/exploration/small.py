@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from deformscope.exploration_replay import Result
-from deformscope.stages.exploration import (
-    MapsKnown,
-    NextTouch,
-    PhaseBegan,
-    StageFailed,
-    Stopped,
-    SurfaceSeen,
-    TouchTold,
+from deformscope.rows import Result
+from deformscope.stages.map.exploration import (
+    ExplorationStop,
+    MapEstimate,
+    PhaseStart,
+    PlannedTouch,
+    StageFailure,
+    SurfaceEstimate,
+    TouchEstimate,
 )
 
 
@@ -21,15 +21,15 @@ def small_results() -> tuple[Result, ...]:
     labels = np.zeros((4, 6), np.int64)
     labels[:, 3:] = 1
     cloud = np.ones((3, 3))
-    told = TouchTold(
+    told = TouchEstimate(
         *(0, at, np.array([0.0, 0.0, 1.0]), way, way, way, 0.0, 1.0, (0.9, 1.1), False, None, 0.01, 3.0),
         *(None, None, "", cloud, cloud),
     )
     levels, intervals, rigid = np.ones(2), np.ones((2, 2)), np.zeros(2, np.bool_)
-    maps = MapsKnown(
+    maps = MapEstimate(
         *(1, 0.005, field, field, field, field, labels, field, 2, "regions", 0.9, levels, intervals, rigid),
         *(at[None, :2], 0.01, 0.1, labels, 1.0),
     )
-    plan = NextTouch(at[:2], field, field, labels == 1, "")
-    seen, stop = SurfaceSeen(cloud, field, field, 0.005), Stopped("", "", "", "stop", 0)
-    return seen, told, maps, plan, StageFailed("", 1, "", ""), PhaseBegan("look", 0), stop
+    plan = PlannedTouch(at[:2], field, field, labels == 1, "")
+    seen, stop = SurfaceEstimate(cloud, field, field, 0.005), ExplorationStop("", "", "", "stop", 0)
+    return seen, told, maps, plan, StageFailure("", 1, "", ""), PhaseStart("look", 0), stop

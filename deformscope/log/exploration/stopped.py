@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import rerun as rr
 
-from deformscope.exploration_replay import ENTITIES
-from deformscope.log.exploration.moment import Moment
-from deformscope.stages.exploration import Stopped
+from deformscope.log.exploration.moment import ResultBatch
+from deformscope.rows import ENTITIES
+from deformscope.stages.map.exploration import ExplorationStop
 
 
-def log_stopped(now: Moment, stop: Stopped) -> None:
-    now.send(ENTITIES[Stopped], rr.TextLog.columns(text=[f"{stop.kind}: {stop.reason}"], level=["ERROR"]))
+def log_stopped(now: ResultBatch, stop: ExplorationStop) -> None:
+    now.send(ENTITIES[ExplorationStop], rr.TextLog.columns(text=[f"{stop.kind}: {stop.reason}"], level=["ERROR"]))

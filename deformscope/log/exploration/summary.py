@@ -5,23 +5,23 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 
-from deformscope.exploration_words import counted, iou_words, level_words, travel_words, verdict_words
-from deformscope.log.exploration.moment import Moment
-from deformscope.stages.exploration import MapsKnown
+from deformscope.log.exploration.moment import ResultBatch
+from deformscope.pictures.words import counted, iou_words, level_words, travel_words, verdict_words
+from deformscope.stages.map.exploration import MapEstimate
 
 SUMMARY = "display/summary"
 SURE = 0.9
 
 
-def log_summary(now: Moment, maps: MapsKnown) -> None:
+def log_summary(now: ResultBatch, maps: MapEstimate) -> None:
     now.send(SUMMARY, rr.TextDocument.columns(text=[summary(maps)], media_type=["text/markdown"]))
 
 
-def log_no_summary(now: Moment) -> None:
+def log_no_summary(now: ResultBatch) -> None:
     now.send(SUMMARY, rr.TextDocument.columns(text=["# No touch yet"], media_type=["text/markdown"]))
 
 
-def summary(maps: MapsKnown) -> str:
+def summary(maps: MapEstimate) -> str:
     """Markdown: the verdict first, then the regions and the numbers."""
     verdict = verdict_words(maps)
     scored = f"; **{iou_words(maps)}** with the truth" if maps.iou is not None else ""

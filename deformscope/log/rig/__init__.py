@@ -1,8 +1,9 @@
 """How a rig is recorded and shown: every item without loss, in batches, and beside them what a person looks at.
 
-What is measured stands at `KIND/DEVICE`, named as the fields of `deformscope.frames`; `deformscope.rig_replay` reads it
-back. Every row is at `session`, the time since the recording's start, and frames also at `frame`, their place in the
-device's own stream. In an exploration's recording that place is on `index`, and `frame` is the depth camera's for all.
+What is measured stands at `KIND/DEVICE`, named as the fields of `deformscope.frames`; `deformscope.recording.items`
+reads it back. Every row is at `session`, the time since the recording's start, and frames also at `frame`, their place
+in the device's own stream. In an exploration's recording that place is on `index`, and `frame` is the depth camera's
+for all.
 
     wrench/DEVICE             stamp, counts, flags; below it force_n/CHANNEL and torque_nm/CHANNEL
     tactile/DEVICE            stamp, counts, pressures; below it peak_kpa, one value a pad
@@ -45,7 +46,7 @@ from deformscope.log.rig.link import log_link, log_link_stream, log_raw
 from deformscope.log.rig.tactile import log_tactile, log_tactile_stream
 from deformscope.log.rig.warm_up import nowhere, small_items
 from deformscope.log.rig.wrench import log_wrench, log_wrench_stream
-from deformscope.rig_streams import stream_json
+from deformscope.rows import stream_json
 
 __all__ = ["Batch", "Place", "Shown", "log_items", "log_streams", "prepare_items", "rig_blueprint", "warm_up"]
 

@@ -13,7 +13,7 @@ import rerun as rr
 
 from deformscope.frames import ArmFrame, Stream
 from deformscope.log.rig.columns import Batch, frame_times, log_series, moments, root, scalars, singles, stamps
-from deformscope.palette import AXES, JOINTS
+from deformscope.pictures.palette import AXES, JOINTS
 
 QUANTITIES = (
     *("joint_deg", "joint_velocity_deg_s", "joint_torque_nm", "position_m", "rotation_rad", "force_n", "torque_nm"),

@@ -11,7 +11,7 @@ from deformscope.log.rig.arm import shape_of
 from deformscope.log.rig.columns import root
 from deformscope.log.rig.plotted import plotted
 from deformscope.log.rig.tactile import Hand
-from deformscope.palette import BACKGROUND
+from deformscope.pictures.palette import BACKGROUND
 
 WINDOW_S = 10.0
 """How far back the plots show."""

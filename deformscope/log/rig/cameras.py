@@ -15,7 +15,7 @@ from deformscope.frames import ColorFrame, DepthFrame, Frame
 from deformscope.images import encode_jpeg, encode_png
 from deformscope.log.canvas import TEXT
 from deformscope.log.rig.columns import Batch, Shown, frame_times, is_news, moments, root, singles, stamps
-from deformscope.palette import BACKGROUND
+from deformscope.pictures.palette import BACKGROUND
 
 LOOK_EVERY, RARE, STEP_M = 8, 0.01, 0.05
 """Of a depth image: which pixels its range is from, the share that may lie beyond, the range's steps [m]."""

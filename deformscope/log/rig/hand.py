@@ -9,7 +9,7 @@ import rerun as rr
 
 from deformscope.frames import HandFrame, Stream
 from deformscope.log.rig.columns import Batch, frame_times, lists, log_series, root, scalars, stamps
-from deformscope.palette import JOINTS
+from deformscope.pictures.palette import JOINTS
 
 QUANTITIES = ("position_deg", "velocity_deg_s", "temperature_c")
 

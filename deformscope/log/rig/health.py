@@ -11,7 +11,7 @@ import rerun as rr
 
 from deformscope.frames import HealthReport, Stream
 from deformscope.log.rig.columns import Batch, Shown, lists, moments, root, singles
-from deformscope.palette import BAD, GOOD, IDLE, WARN
+from deformscope.pictures.palette import BAD, GOOD, IDLE, WARN
 from deformscope_drivers.health import Health, Link
 
 STALE_S = 1.0

@@ -11,7 +11,7 @@ import rerun as rr
 from deformscope.frames import LinkChange, RawBytes, Stream
 from deformscope.log.rig.columns import Batch, blobs, moments, root, scalars, singles
 from deformscope.log.rig.plotted import plotted
-from deformscope.palette import BAD, GOOD, IDLE, WARN
+from deformscope.pictures.palette import BAD, GOOD, IDLE, WARN
 from deformscope_drivers.health import Link
 
 COLORS = {Link.CONNECTED: GOOD, Link.LOST: WARN, Link.FAILED: BAD, Link.CLOSED: IDLE}

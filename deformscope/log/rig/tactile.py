@@ -25,7 +25,7 @@ from deformscope.log.rig.columns import (
     scalars,
     stamps,
 )
-from deformscope.palette import BACKGROUND, JOINTS, colors, round_up
+from deformscope.pictures.palette import BACKGROUND, JOINTS, colors, round_up
 
 FINGER_GAP, PART_GAP = 5, 4
 """Texels between the pads of two fingers, and between those of one: labels stand there."""

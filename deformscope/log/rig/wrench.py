@@ -9,7 +9,7 @@ import rerun as rr
 
 from deformscope.frames import Stream, WrenchFrame
 from deformscope.log.rig.columns import Batch, frame_times, lists, log_series, root, scalars, singles, stamps
-from deformscope.palette import AXES
+from deformscope.pictures.palette import AXES
 
 
 def log_wrench_stream(rec: rr.RecordingStream, stream: Stream) -> None:

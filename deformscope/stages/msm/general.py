@@ -62,7 +62,7 @@ class GeneralBody:
         self.member_basis = np.concatenate(row_basis)
         self.member_mass = rest.mass[clusters.members]
         self.members, self.offsets = clusters.members, clusters.offsets
-        self._arrays: dict[int, _Arrays] = {}
+        self._arrays: dict[int, _GeneralArrays] = {}
 
     def layout(self, candidates: int) -> Layout:
         width, abreast = widths(candidates, self.scalar, self.device, cells_in_lanes=False)
@@ -84,9 +84,9 @@ class GeneralBody:
     def operator(self, layout: Layout) -> GeneralOperator:
         return GeneralOperator(self, layout, self.arrays(layout.width))
 
-    def arrays(self, width: int) -> _Arrays:
+    def arrays(self, width: int) -> _GeneralArrays:
         if width not in self._arrays:
-            self._arrays[width] = _Arrays(self, width)
+            self._arrays[width] = _GeneralArrays(self, width)
         return self._arrays[width]
 
     def lists(self, struct: Any) -> Any:
@@ -95,7 +95,7 @@ class GeneralBody:
         return struct
 
 
-class _Arrays:
+class _GeneralArrays:
     """Rest data on the device, for lanes of one width."""
 
     def __init__(self, body: GeneralBody, width: int) -> None:
@@ -113,7 +113,7 @@ class _Arrays:
 class GeneralOperator:
     """Goals of clusters given as lists, for the candidates of one layout, with their scratch."""
 
-    def __init__(self, body: GeneralBody, layout: Layout, arrays: _Arrays) -> None:
+    def __init__(self, body: GeneralBody, layout: Layout, arrays: _GeneralArrays) -> None:
         self.body, self.layout, self.arrays = body, layout, arrays
         self.dim, self.metric = body.dim, arrays.metric
         lists = body.lists(arrays.kernels.lists())

@@ -69,7 +69,7 @@ class LatticeBody:
         self.metric = np.zeros(self.count)
         self.metric[self.cell] = rest.metric
         self.alike = bool((self.mass == self.mass.flat[0]).all())
-        self._arrays: dict[int, _Arrays] = {}
+        self._arrays: dict[int, _LatticeArrays] = {}
 
     @property
     def clusters_at(self) -> IntArray:
@@ -92,9 +92,9 @@ class LatticeBody:
     def operator(self, layout: Layout) -> LatticeOperator:
         return LatticeOperator(self, layout, self.arrays(layout.width))
 
-    def arrays(self, width: int) -> _Arrays:
+    def arrays(self, width: int) -> _LatticeArrays:
         if width not in self._arrays:
-            self._arrays[width] = _Arrays(self, width)
+            self._arrays[width] = _LatticeArrays(self, width)
         return self._arrays[width]
 
     def moments(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -142,7 +142,7 @@ def _window_sums(values: FloatArray, window: tuple[int, ...], moment: int | None
     return values
 
 
-class _Arrays:
+class _LatticeArrays:
     """Rest data on the device, for lanes of one width."""
 
     def __init__(self, body: LatticeBody, width: int) -> None:
@@ -216,7 +216,7 @@ class _Arrays:
 class LatticeOperator:
     """Goals of lattice clusters for the candidates of one layout, with their scratch."""
 
-    def __init__(self, body: LatticeBody, layout: Layout, arrays: _Arrays) -> None:
+    def __init__(self, body: LatticeBody, layout: Layout, arrays: _LatticeArrays) -> None:
         self.body, self.layout, self.arrays = body, layout, arrays
         kk = arrays.functions
         n, w, many = body.shape, body.window, layout.abreast

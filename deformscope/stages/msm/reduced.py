@@ -44,7 +44,7 @@ SMALLEST_TOLERANCE = 2e-12
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
+class HeldMoments:
     """Held positions as a body's equations need them. position: (B, n, d) [m]; moments: (B, terms d + d d + d), H b_j,
     H J^T [radii] and the mean [m]."""
 
@@ -73,7 +73,7 @@ class Equilibrium:
 
 
 @dataclass(frozen=True, slots=True)
-class Sensitivity:
+class ReducedSensitivity:
     """Derivatives of static states. transform_beta, transform_theta: (B, d, terms) [m]; translation_beta,
     translation_theta: (B, d) [m]"""
 
@@ -179,13 +179,13 @@ class OneCluster:
         body.radius = self.radius
         return body
 
-    def hold(self, held_position: FloatArray) -> Held:
+    def hold(self, held_position: FloatArray) -> HeldMoments:
         """Held positions (n, d) or (B, n, d) [m], reduced to their moments."""
         n, d = len(self.held), self.dim
         position = np.asarray(held_position, dtype=np.float64).reshape(-1 if n else 1, n, d)
         mean = self._mean_weights @ position if n else self._rest_mean[None]
         moments = self._weights.T @ (position - mean[:, None])
-        return Held(position, np.concatenate([self._packed(moments), mean], axis=1))
+        return HeldMoments(position, np.concatenate([self._packed(moments), mean], axis=1))
 
     def _packed(self, moments: FloatArray) -> FloatArray:
         """(B, terms + d, d) as a row: by modes, then H J^T."""
@@ -194,7 +194,7 @@ class OneCluster:
 
     def relax(
         self,
-        held: Held,
+        held: HeldMoments,
         beta: FloatArray | float,
         theta: FloatArray | float = 0.0,
         *,
@@ -235,12 +235,12 @@ class OneCluster:
     def sensitivity(
         self,
         equilibrium: Equilibrium,
-        held: Held,
+        held: HeldMoments,
         beta: FloatArray | float,
         theta: FloatArray | float = 0.0,
         *,
         volume: Volume = "scale",
-    ) -> Sensitivity:
+    ) -> ReducedSensitivity:
         """How static states change with beta and theta (implicit differentiation, with Newton's own matrix)."""
         work = self._filled(len(equilibrium.transform), held, beta, theta, 0.0, 0, volume)
         work.start[:] = equilibrium.transform.reshape(len(work.start), -1) / self.radius
@@ -248,15 +248,15 @@ class OneCluster:
         split = k.TRANSFORM + self.dim * self.terms
         transform = result[:, :, k.TRANSFORM : split].reshape(len(result), 2, self.dim, self.terms)
         translation = result[:, :, split:]
-        return Sensitivity(transform[:, 0], translation[:, 0], transform[:, 1], translation[:, 1])
+        return ReducedSensitivity(transform[:, 0], translation[:, 0], transform[:, 1], translation[:, 1])
 
-    def positions(self, equilibrium: Equilibrium, held: Held) -> FloatArray:
+    def positions(self, equilibrium: Equilibrium, held: HeldMoments) -> FloatArray:
         """Where every particle is, (B, K, d) [m]; held ones where they were put."""
         out = self._expanded(equilibrium.transform, equilibrium.translation)
         out[:, self.held] = held.position
         return out
 
-    def changes(self, sensitivity: Sensitivity) -> tuple[FloatArray, FloatArray]:
+    def changes(self, sensitivity: ReducedSensitivity) -> tuple[FloatArray, FloatArray]:
         """How every particle moves with beta and with theta, two of (B, K, d) [m]; held ones stay."""
         pairs = (
             (sensitivity.transform_beta, sensitivity.translation_beta),
@@ -275,7 +275,7 @@ class OneCluster:
     def _filled(
         self,
         size: int,
-        held: Held,
+        held: HeldMoments,
         beta: FloatArray | float,
         theta: FloatArray | float,
         tolerance: float,

@@ -1,0 +1,1 @@
+"""Files that people bring or take away: images, videos, pairs, motions, models."""

@@ -1,0 +1,109 @@
+"""Model files: what a calibration leaves for predictions, as one `.npz` of plain arrays and a line of JSON.
+
+    format            "deformscope model 1"
+    told              JSON text: body, law, rivals, tip, errors, provenance
+    rest, toward, fixed, places, stiffness, left_out, rival_stiffness; shape and cell where the particles have a lattice
+
+Nothing in it is executed when it is read (no pickle).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deformscope.errors import InputError
+from deformscope.files.arrays_file import lattice, read_arrays
+from deformscope.stages.msm.poke import Law, Tip
+from deformscope.stages.poke.fitted import FittedModel, Rival
+
+FORMAT = "deformscope model 1"
+ARRAYS = ("rest", "toward", "fixed", "places", "stiffness", "left_out")
+
+
+def save_model(model: FittedModel, path: Path) -> None:
+    """Write a model; a file that stands there is replaced in one go."""
+    told: dict[str, Any] = {
+        "body": model.body,
+        "law": dataclasses.asdict(model.law),
+        "spacing_m": model.spacing,
+        "thickness_m": model.thickness,
+        "tip": None if model.tip is None else dataclasses.asdict(model.tip),
+        "field": model.field_kind,
+        "surface_error": _number(model.surface_error),
+        "held_out": _number(model.held_out),
+        "fitted_depth_m": _number(model.fitted_depth),
+        "fitted_strain": _number(model.fitted_strain),
+        "rivals": [{"law": dataclasses.asdict(one.law), "surface_error": one.surface_error} for one in model.rivals],
+        "provenance": dict(model.provenance),
+    }
+    arrays: dict[str, Any] = {name: getattr(model, name) for name in ARRAYS}
+    rivals = [one.stiffness for one in model.rivals]
+    arrays["rival_stiffness"] = np.reshape(rivals, (len(rivals), len(model.stiffness)))
+    if model.shape is not None and model.cell is not None:
+        arrays["shape"], arrays["cell"] = np.array(model.shape), model.cell
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with part.open("wb") as file:
+            np.savez_compressed(file, format=np.array(FORMAT), told=np.array(json.dumps(told)), **arrays)
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def load_model(path: Path) -> FittedModel:
+    """Read a model. Raises InputError for what is none, damaged, or of another format."""
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        came = "no file" if isinstance(error, FileNotFoundError) else (error.strerror or str(error)).lower()
+        raise InputError("a model file", came, "deformscope calibrate beta ... --save FILE.npz", path) from error
+    found = read_arrays(raw, "a model file (.npz)", path)
+    if "format" not in found or "told" not in found:
+        kind = "a pair file" if "rest" in found and "deformed" in found else "an .npz without `format`"
+        raise InputError("a model file", kind, "deformscope calibrate beta ... --save FILE.npz", path)
+    if str(found["format"]) != FORMAT:
+        raise InputError(f"a model file of format {FORMAT!r}", repr(str(found["format"])), where=path)
+    try:
+        return _model(found)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
+        raise InputError("a whole model file", f"one without or with a wrong {error}", where=path) from error
+    except InputError as error:
+        raise type(error).about(error, path) from error
+
+
+def _model(found: dict[str, Any]) -> FittedModel:
+    told = json.loads(str(found["told"]))
+    tip = told["tip"]
+    rivals = zip(told["rivals"], found["rival_stiffness"], strict=True)
+    shape, cell = lattice(found, found["rest"]) if "shape" in found else (None, None)
+    return FittedModel(
+        body=told["body"],
+        law=Law(**told["law"]),
+        spacing=float(told["spacing_m"]),
+        thickness=told["thickness_m"],
+        tip=None if tip is None else Tip(tip["shape"], tuple(tip["size"]), bool(tip["slips"])),
+        field_kind=told["field"],
+        surface_error=_or_nan(told["surface_error"]),
+        held_out=_or_nan(told["held_out"]),
+        fitted_depth=_or_nan(told.get("fitted_depth_m")),
+        fitted_strain=_or_nan(told.get("fitted_strain")),
+        rivals=tuple(Rival(Law(**one["law"]), np.asarray(k), float(one["surface_error"])) for one, k in rivals),
+        provenance=told["provenance"],
+        shape=shape,
+        cell=cell,
+        **{name: found[name] for name in ARRAYS},
+    )
+
+
+def _number(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _or_nan(value: float | None) -> float:
+    return float("nan") if value is None else float(value)

@@ -1,0 +1,261 @@
+"""Where frames come from: a video, a folder, images in order, a recording, or a sample, as one lazy stream."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from importlib import resources
+from pathlib import Path
+from types import TracebackType
+
+import cv2
+
+from deformscope.arrays import ImageArray
+from deformscope.errors import InputError
+from deformscope.files.video_check import VideoCheck
+from deformscope.frames import ColorFrame
+from deformscope.images import read_image, to_rgb
+from deformscope_drivers.clock import Stamp
+
+DEFAULT_FPS = 30.0
+FAILED_READS = 8
+"""So many in a row are the end of a video: single frames may be damaged."""
+IMAGE_SUFFIXES = frozenset(
+    {".avif", ".bmp", ".dib", ".gif", ".jp2", ".jpe", ".jpeg", ".jpg", ".pbm"}
+    | {".pgm", ".png", ".pnm", ".ppm", ".ras", ".sr", ".tif", ".tiff", ".webp"}
+)
+SAMPLE_SCHEME = "sample:"
+RECORDING_SUFFIX = ".rrd"
+
+
+class Source:
+    """A stream of frames, read once and lazily: `with open_source(...) as source: for frame in source: ...`.
+
+    name: what it is, for a progress line; count: how many frames it will give, None where only reading tells (the
+    count of a video is what its container claims); problems: once all was read, what of it is missing or damaged
+    """
+
+    def __init__(
+        self,
+        name: str,
+        frames: Callable[[], Iterator[ColorFrame]],
+        count: int | None,
+        problems: Callable[[], list[str]] = list,
+    ) -> None:
+        self.name = name
+        self.count = count
+        self.problems = problems
+        self._open = frames
+        self._frames: Iterator[ColorFrame] | None = None
+        self._ahead: list[ColorFrame] = []
+
+    def __enter__(self) -> Source:
+        """Open it and look at the first two frames, so that what cannot be used is refused before any work."""
+        self._frames = self._open()
+        try:
+            self._ahead = list(itertools.islice(self._frames, 2))
+            if len(self._ahead) < 2:
+                came = "one frame" if self._ahead else "no frame"
+                raise InputError("at least two frames", came, "a longer source or a smaller --stride", self.name)
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def first(self) -> ColorFrame:
+        """The first frame, without taking it out of the stream; only before the iteration starts."""
+        return self._ahead[0]
+
+    def __iter__(self) -> Iterator[ColorFrame]:
+        while self._ahead:
+            yield self._ahead.pop(0)
+        if self._frames is not None:
+            yield from self._frames
+
+    def __len__(self) -> int:
+        if self.count is None:
+            raise TypeError(f"the frames of {self.name} are not counted before they are read")
+        return self.count
+
+    def __bool__(self) -> bool:
+        return True
+
+    def close(self) -> None:
+        frames, self._frames = self._frames, None
+        if frames is not None:
+            getattr(frames, "close", lambda: None)()
+
+
+def open_source(
+    paths: Sequence[str | Path], *, stride: int = 1, fps: float | None = None, mask: Path | None = None
+) -> Source:
+    """A source of frames from what the user named.
+
+    paths: one video, folder, recording or `sample:NAME`, or two or more image files in their order
+    stride: keep every n-th frame; a frame's index counts the kept ones
+    fps: frames a second of the source before `stride`; default: the video's own, else 30; a recording has its stamps
+    mask: an image that is no frame, should it lie among them
+    """
+    if stride < 1:
+        raise InputError("a stride of 1 or more", str(stride))
+    if fps is not None and not (math.isfinite(fps) and fps > 0):
+        raise InputError("a positive frame rate", str(fps))
+    if not paths:
+        raise InputError("a source of frames", "none", "a video, a folder of frames, or image files")
+    if len(paths) > 1:
+        return _images([_image_path(path) for path in paths], f"{len(paths)} images", stride, fps, mask)
+
+    path = resolve(paths[0])
+    if not path.exists():
+        raise InputError("a video, a folder of frames, or image files", "nothing there", where=path)
+    if path.is_dir():
+        return _images(images_in(path), str(path), stride, fps, mask)
+    if path.suffix.lower() == RECORDING_SUFFIX:
+        return _recording(path, stride)
+    if path.suffix.lower() in IMAGE_SUFFIXES:
+        raise InputError("at least two frames", "one image", "name all images in order, or their folder", path)
+    return _video(path, stride, fps)
+
+
+def resolve(path: str | Path) -> Path:
+    """`sample:NAME` becomes the sample's folder; anything else stays what it is."""
+    text = str(path)
+    if text.startswith(SAMPLE_SCHEME):
+        return sample_path(text.removeprefix(SAMPLE_SCHEME))
+    return Path(path).expanduser()
+
+
+def sample_names() -> list[str]:
+    """The samples that came with the installation."""
+    root = resources.files("deformscope") / "samples"
+    return sorted(entry.name for entry in root.iterdir() if entry.is_dir() and not entry.name.startswith("_"))
+
+
+def sample_path(name: str) -> Path:
+    """The folder of the sample `name`."""
+    names = sample_names()
+    if name not in names:
+        raise InputError("a sample's name", f"{name!r}", "one of " + ", ".join(names))
+    return Path(str(resources.files("deformscope") / "samples" / name))
+
+
+def images_in(folder: Path) -> list[Path]:
+    """The image files of a folder in natural order (img2 before img10); hidden and other files are left out."""
+    found = [
+        path
+        for path in folder.iterdir()
+        if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".") and path.is_file()
+    ]
+    return sorted(found, key=natural_key)
+
+
+def natural_key(path: Path) -> tuple[list[tuple[int, int, str]], str]:
+    """Sorts numbers in names by their value; names that differ only in case or leading zeros keep a fixed order."""
+    parts = re.split(r"(\d+)", path.name.casefold())
+    return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts if part], path.name
+
+
+def _image_path(path: str | Path) -> Path:
+    resolved = resolve(path)
+    if resolved.is_dir() or (resolved.exists() and resolved.suffix.lower() not in IMAGE_SUFFIXES):
+        what = "a folder" if resolved.is_dir() else f"a {resolved.suffix or 'nameless'} file"
+        raise InputError("image files where several sources are named", what, "one video or folder alone", resolved)
+    if not resolved.exists():
+        raise InputError("an image file", "nothing there", where=resolved)
+    return resolved
+
+
+def _images(paths: list[Path], name: str, stride: int, fps: float | None, mask: Path | None) -> Source:
+    masked = None if mask is None else Path(mask).expanduser().resolve()
+    frames = [path for path in paths if path.resolve() != masked]
+    if not frames:
+        came = "the mask alone" if paths else "none"
+        raise InputError("a folder with images, one a frame", came, "a folder that holds PNG, TIFF or JPEG files", name)
+    kept = frames[::stride]
+    if len(kept) < 2:
+        came = f"{len(frames)} image{'s' * (len(frames) > 1)}" + (f" and a stride of {stride}" if stride > 1 else "")
+        raise InputError("at least two frames", came, "more images, or a smaller --stride", name)
+    period_ns = 1e9 / (fps or DEFAULT_FPS)
+
+    def read() -> Iterator[ColorFrame]:
+        images = ((read_image(path), path) for path in kept)
+        for index, image in enumerate(_alike(images)):
+            yield ColorFrame(Stamp(round(index * stride * period_ns)), index, image)
+
+    return Source(name, read, len(kept))
+
+
+def _alike(images: Iterable[tuple[ImageArray, Path]]) -> Iterator[ImageArray]:
+    """Passes on images of one size, depth and channel count; refuses the first that differs."""
+    first: tuple[ImageArray, Path] | None = None
+    for image, path in images:
+        first = first or (image, path)
+        if (image.shape, image.dtype) != (first[0].shape, first[0].dtype):
+            came = f"{_shape(image)} after {_shape(first[0])} in {first[1].name}"
+            raise InputError("frames of one size, depth and channel count", came, "leave the odd image out", path)
+        yield image
+
+
+def _shape(image: ImageArray) -> str:
+    height, width = image.shape[:2]
+    return f"{width}x{height} {'grey' if image.ndim == 2 else 'RGB'} of {8 * image.dtype.itemsize} bits"
+
+
+def _video(path: Path, stride: int, fps: float | None) -> Source:
+    with _capture(path) as probe:
+        own_fps = probe.get(cv2.CAP_PROP_FPS)
+        claimed = probe.get(cv2.CAP_PROP_FRAME_COUNT)
+    rate = fps or (own_fps if math.isfinite(own_fps) and 0 < own_fps < 1e6 else DEFAULT_FPS)
+    count = math.ceil(claimed / stride) if math.isfinite(claimed) and 0 < claimed < 1e9 else None
+
+    check = VideoCheck(path, claimed, own_fps)
+
+    def read() -> Iterator[ColorFrame]:
+        with _capture(path) as capture:
+            taken = failed = 0
+            while failed < FAILED_READS:
+                done, image = capture.read() if taken % stride == 0 else (capture.grab(), None)
+                if not done:
+                    failed += 1
+                    check.fail()
+                    continue
+                failed = 0
+                check.read(capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3)
+                if image is not None:
+                    yield ColorFrame(Stamp(round(taken * 1e9 / rate)), taken // stride, to_rgb(image))  # type: ignore[arg-type]
+                taken += 1
+
+    return Source(str(path), read, count, check.problems)
+
+
+@contextlib.contextmanager
+def _capture(path: Path) -> Iterator[cv2.VideoCapture]:
+    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    try:
+        if not capture.isOpened():
+            came = "an empty file" if path.stat().st_size == 0 else "a file that is none, or damaged"
+            raise InputError("a video that FFmpeg can read", came, "convert it to MP4, or to a folder of PNG", path)
+        yield capture
+    finally:
+        capture.release()
+
+
+def _recording(path: Path, stride: int) -> Source:
+    from deformscope.recording.reader import Replay
+
+    replay = Replay(path)
+
+    def read() -> Iterator[ColorFrame]:
+        for index, frame in enumerate(itertools.islice(replay.frames(), 0, None, stride)):
+            yield ColorFrame(frame.stamp, index, frame.image)
+
+    return Source(str(path), read, math.ceil(replay.frame_count / stride))

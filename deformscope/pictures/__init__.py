@@ -1,0 +1,1 @@
+"""Results as pictures and words, the same for recordings, reports and figures."""

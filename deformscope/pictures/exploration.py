@@ -1,0 +1,571 @@
+"""Pictures of an exploration, as PNG: the maps, why the next touch goes where it goes, and what a touch told.
+
+The same drawings go into recordings and into the picture of a result. Lengths on the axes are in cm, in the surface
+frame; touches are numbered from 1, in their order.
+"""
+
+from __future__ import annotations
+
+import functools
+import io
+import math
+import textwrap
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.images import encode_png
+from deformscope.pictures.palette import OBSERVED, SIMULATED, hexadecimal
+from deformscope.pictures.words import (
+    counted,
+    dent_words,
+    interval_words,
+    iou_words,
+    level_words,
+    stiffness_words,
+    travel_words,
+    verdict_words,
+)
+from deformscope.stages.map.exploration import MapEstimate, PlannedTouch, SurfaceEstimate, TouchEstimate
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+REGIONS = ("#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#f0e442", "#0072b2", "#d55e00", "#999999")
+"""From the softest; told apart by colour-blind readers too (Okabe and Ito 2008)."""
+STIFFNESS, BETA, DEVIATION, GAIN, HEIGHT = "viridis", "plasma", "magma", "cividis", "viridis"
+"""Colours of each quantity, everywhere the same."""
+TARGET = "#e8112d"
+EXCLUDED, STRIPES, STRIPE = "#a4a9b1", "#6f757e", 4
+"""Cells that may not be touched: grey, striped, cells from stripe to stripe."""
+BETA_STEP = 0.2
+"""Where a scale of beta may begin and end."""
+LEAST = 1e-9
+"""Stiffness [N/mm] below which there is none."""
+STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0)
+"""Where a scale of stiffness may begin and end, so that it stays put from touch to touch."""
+
+BEFORE_MM, SECTION_CM, RING_CM = 2.0, 6.0, 0.35
+"""Shown of a touch: how far before contact its force is, and how far around it the dent, in rings."""
+
+WIDE, HIGH = 4.4, 3.3
+"""One picture [inch]."""
+DPI = 130
+PLACE = (0.12, 0.12, 0.7, 0.69)
+"""Of a map in its picture (left, bottom, width, height): room for title, labels and colour bar."""
+ROWS_OF_WORDS = 3
+LEAST_SURE = 0.25
+"""Probability of a label at which its colour is as pale as it gets."""
+
+
+def stiffness_png(maps: MapEstimate) -> bytes:
+    """The stiffness field [N/mm], on a logarithmic scale."""
+    return _one(lambda axes: draw_stiffness(axes, maps))
+
+
+def stiffness_deviation_png(maps: MapEstimate) -> bytes:
+    """One standard deviation of the stiffness field [%]."""
+    return _one(lambda axes: draw_stiffness_deviation(axes, maps))
+
+
+def beta_png(maps: MapEstimate) -> bytes:
+    """The beta-field [-]."""
+    return _one(lambda axes: draw_beta(axes, maps))
+
+
+def beta_deviation_png(maps: MapEstimate) -> bytes:
+    """One standard deviation of the beta-field [-]."""
+    return _one(lambda axes: draw_beta_deviation(axes, maps))
+
+
+def regions_png(maps: MapEstimate) -> bytes:
+    """The regions that were found; the paler, the less sure."""
+    return _one(lambda axes: draw_regions(axes, maps))
+
+
+def truth_png(maps: MapEstimate) -> bytes:
+    """The regions that are there, where that is known, and over them the outline of those that were found."""
+    return _one(lambda axes: draw_truth(axes, maps))
+
+
+def gain_png(plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None = None) -> bytes:
+    """What a touch of each cell is expected to tell, the cells that may not be touched, the next touch and why.
+
+    contacts_m: (n, 2) touches so far
+    """
+    return _one(lambda axes: draw_gain(axes, plan, cell_m, contacts_m))
+
+
+def force_png(touch: TouchEstimate) -> bytes:
+    """Force over the depth of the tip, the fitted law, and where contact began."""
+    return _one(lambda axes: draw_force(axes, touch), (0.14, 0.155, 0.8, 0.62))
+
+
+def section_png(touch: TouchEstimate) -> bytes:
+    """The dent around the tip, observed and simulated: height over the distance from the contact."""
+    return _one(lambda axes: draw_section(axes, touch), (0.17, 0.155, 0.79, 0.62))
+
+
+def height_png(surface: SurfaceEstimate) -> bytes:
+    """The surface as its Gaussian process has it: height, and lines of equal standard deviation [mm]."""
+    return _one(lambda axes: draw_height(axes, surface))
+
+
+def words_png(words: str) -> bytes:
+    """Words where there is nothing to draw yet."""
+    return _one(lambda axes: _say(axes, words))
+
+
+def result_png(maps: MapEstimate, title: str = "") -> bytes:
+    """The whole result in one picture: both fields with their deviations, the regions, and the truth where known."""
+    figure = _figure(3 * WIDE, 2 * HIGH + 0.5)
+    drawings: tuple[tuple[Callable[[Any, MapEstimate], None], ...], ...] = (
+        (functools.partial(draw_stiffness, path=True), draw_beta, draw_regions),
+        (draw_stiffness_deviation, draw_beta_deviation, draw_truth),
+    )
+    share = HIGH / (2 * HIGH + 0.5)
+    for row, line in enumerate(drawings):
+        for column, draw in enumerate(line):
+            left, bottom, width, height = PLACE
+            axes = figure.add_axes(((column + left) / 3, share * (1 - row + bottom), width / 3, share * height))
+            draw(axes, maps)
+    figure.text(0.02, 0.975, title or "What the touches told", fontsize=14, weight="bold", va="top")
+    figure.text(0.98, 0.972, _headline(maps), fontsize=11, ha="right", va="top")
+    return _png(figure, DPI)
+
+
+# One drawing a quantity ----------------------------------------------------------------------------------------------
+
+
+def draw_stiffness(axes: Any, maps: MapEstimate, *, path: bool = False) -> None:
+    from matplotlib.colors import LogNorm
+
+    low, high = stiffness_range(maps.stiffness_n_per_mm)
+    _draw_map(axes, maps.stiffness_n_per_mm, maps.cell_m, STIFFNESS, "[N/mm]", norm=LogNorm(low, high))
+    _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m, path=path)
+    _title(axes, "Stiffness", "apparent, at the set force")
+
+
+def draw_stiffness_deviation(axes: Any, maps: MapEstimate) -> None:
+    percent = 100.0 * np.expm1(maps.stiffness_log_sd)
+    _draw_map(axes, percent, maps.cell_m, DEVIATION, "[%]", low=0.0, high=_round_up(percent))
+    _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
+    _title(axes, "Deviation of the stiffness", "one standard deviation upwards")
+
+
+def draw_beta(axes: Any, maps: MapEstimate) -> None:
+    _title(axes, "Beta", "shape parameter of the fitted model")
+    if maps.beta is None:
+        _say(axes, "no beta yet", maps.labels.shape, maps.cell_m)
+        return
+    low = math.floor(float(np.nanmin(maps.beta)) / BETA_STEP) * BETA_STEP
+    high = max(math.ceil(float(np.nanmax(maps.beta)) / BETA_STEP) * BETA_STEP, low + BETA_STEP)
+    _draw_map(axes, maps.beta, maps.cell_m, BETA, "[-]", low=low, high=high)
+    _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
+
+
+def draw_beta_deviation(axes: Any, maps: MapEstimate) -> None:
+    _title(axes, "Deviation of beta", "one standard deviation")
+    if maps.beta_sd is None:
+        _say(axes, "no beta yet", maps.labels.shape, maps.cell_m)
+        return
+    _draw_map(axes, maps.beta_sd, maps.cell_m, DEVIATION, "[-]", low=0.0, high=_round_up(maps.beta_sd))
+    _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
+
+
+def draw_regions(axes: Any, maps: MapEstimate) -> None:
+    if not maps.region_count:
+        _title(axes, "No regions", f"the stiffness changes smoothly (probability {maps.probability:.2f})")
+        _say(axes, "", maps.labels.shape, maps.cell_m)
+        _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
+        return
+    sure = np.clip((maps.label_probability - LEAST_SURE) / (1.0 - LEAST_SURE), 0.0, 1.0)
+    _draw_labels(axes, _label_colors(maps.labels), 0.3 + 0.7 * sure, maps.cell_m)
+    _draw_outline(axes, maps.labels, maps.cell_m, "black")
+    _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
+    _draw_keys(axes, maps)
+    title = f"{verdict_words(maps)} found (probability {maps.probability:.2f})"
+    _title(axes, title, "the paler, the less sure")
+
+
+def draw_truth(axes: Any, maps: MapEstimate) -> None:
+    if maps.truth_labels is None:
+        _title(axes, "Truth", "")
+        _say(axes, "not known", maps.labels.shape, maps.cell_m)
+        return
+    truth = maps.truth_labels
+    drawn = _label_colors(_matched(truth, maps.labels))
+    _draw_labels(axes, drawn, np.ones(truth.shape), maps.cell_m)
+    _draw_outline(axes, maps.labels, maps.cell_m, "black")
+    _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
+    told = f"{iou_words(maps)}; " if maps.iou is not None else ""
+    _title(axes, f"Truth: {counted(len(np.unique(truth)), 'region')}", f"{told}line: as found")
+
+
+def draw_gain(axes: Any, plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None = None) -> None:
+    if plan.gain is not None:
+        open_gain = np.where(plan.excluded, np.nan, plan.gain)
+        _draw_map(axes, open_gain, cell_m, GAIN, "gain", low=0.0, high=_round_up(open_gain))
+    else:
+        _say(axes, "no gain computed", plan.excluded.shape, cell_m)
+    _draw_excluded(axes, plan.excluded, cell_m)
+    if plan.cost_s is not None:
+        _draw_levels(axes, plan.cost_s, cell_m, "s")
+    if contacts_m is not None:
+        _draw_contacts(axes, contacts_m, 0.0)
+    if plan.target_m is not None:
+        at = np.asarray(plan.target_m) * 100
+        axes.plot(*at, "+", color="white", ms=22, mew=5.5, zorder=7)
+        axes.plot(*at, "+", color=TARGET, ms=20, mew=2.8, zorder=8)
+        _title(axes, f"Next touch at ({at[0]:.1f}, {at[1]:.1f}) cm", plan.reason)
+    else:
+        _title(axes, "No further touch", plan.stop_reason or plan.reason)
+
+
+def draw_height(axes: Any, surface: SurfaceEstimate) -> None:
+    _draw_map(axes, surface.height_m * 1e3, surface.cell_m, HEIGHT, "[mm]")
+    _draw_levels(axes, surface.deviation_m * 1e3, surface.cell_m, "mm")
+    _title(axes, "Height of the surface", "lines: one standard deviation")
+
+
+def draw_force(axes: Any, touch: TouchEstimate) -> None:
+    if not touch.usable:
+        _title(
+            axes, f"Touch {touch.number + 1}: {stiffness_words(touch)}", f"{dent_words(touch)}; {_beta_words(touch)}"
+        )
+        axes.plot(touch.approach_m * 1e3, touch.approach_n, ".", color=hexadecimal(OBSERVED), ms=5)
+        axes.set_xlabel("way of the tip [mm]", fontsize=11)
+        axes.set_ylabel("force [N]", fontsize=11)
+        return
+    depth_mm = (touch.approach_m - touch.contact_m) * 1e3
+    order = np.argsort(depth_mm, kind="stable")
+    axes.plot(depth_mm, touch.approach_n, ".", color=hexadecimal(OBSERVED), ms=5, label="measured")
+    axes.plot(depth_mm[order], touch.fitted_n[order], color=hexadecimal(SIMULATED), lw=2, label="fitted $k(z-z_0)^p$")
+    axes.axvline(0.0, color="black", lw=1, ls="--")
+    axes.annotate(
+        "contact", (0.0, 0.97), xycoords=("data", "axes fraction"), xytext=(-3, 0), textcoords="offset points",
+        rotation=90, fontsize=10, ha="right", va="top",
+    )  # fmt: skip
+    axes.set_xlim(-max(BEFORE_MM, 0.3 * float(depth_mm.max(initial=0.0))), None)
+    axes.set_xlabel("depth of the tip [mm]", fontsize=11)
+    axes.set_ylabel("force [N]", fontsize=11)
+    axes.tick_params(labelsize=10)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=10, loc="lower right", bbox_to_anchor=(1.0, 0.08), frameon=False)
+    words = [] if touch.rigid else [f"interval {interval_words(touch)}"]
+    words.append(dent_words(touch))
+    if touch.modulus_pa is not None:
+        words.append(f"modulus {touch.modulus_pa / 1e3:.3g} kPa")
+    words.append(_beta_words(touch))
+    _title(axes, f"Touch {touch.number + 1}: {stiffness_words(touch)}", ", ".join(words))
+
+
+def draw_section(axes: Any, touch: TouchEstimate) -> None:
+    for color, name, points in (
+        (hexadecimal(OBSERVED), "observed", touch.observed_m),
+        (hexadecimal(SIMULATED), "simulated", _near(touch.simulated_m, touch.xyz_m)),
+    ):
+        if not len(points):
+            continue
+        away_cm, height_mm = _around(points, touch)
+        axes.plot(away_cm, height_mm, ".", color=color, ms=2.5 if name == "observed" else 5, alpha=0.3, mew=0)
+        marked = {"marker": "o", "ms": 5, "mec": "white", "lw": 0} if name == "observed" else {"lw": 2}
+        axes.plot(*_rings(away_cm, height_mm), color=color, label=f"{name}, mean", zorder=4, **marked)
+    if touch.usable and not touch.rigid:
+        axes.plot([0.0], [-touch.depth_m * 1e3], "v", color="black", ms=7, label="tip", zorder=5)
+    _title(axes, f"Dent of touch {touch.number + 1}", "over the surface at rest; " + _beta_words(touch))
+    if not axes.lines:
+        _say(axes, "nothing was seen of it")
+        return
+    deep_mm = max(touch.depth_m * 1e3, 1.0) if touch.usable else 1.0
+    axes.set(xlim=(-0.1, SECTION_CM), ylim=(-1.35 * deep_mm - 1.0, 0.4 * deep_mm + 2.5))
+    axes.set_xlabel("distance from the contact [cm]", fontsize=11)
+    axes.set_ylabel("height [mm]", fontsize=11)
+    axes.tick_params(labelsize=10)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=10, loc="lower right", frameon=False)
+
+
+def _near(points: FloatArray, at: FloatArray) -> FloatArray:
+    return points[np.linalg.norm(points[:, :2] - at[:2], axis=1) <= SECTION_CM * 1e-2] if len(points) else points
+
+
+def _around(points: FloatArray, touch: TouchEstimate) -> tuple[FloatArray, FloatArray]:
+    """Distances from the contact's axis [cm] and heights over the plane that is tangent to the surface there [mm]."""
+    beside = points - touch.xyz_m
+    height = beside @ touch.normal
+    return np.linalg.norm(beside - height[:, None] * touch.normal, axis=1) * 100, height * 1e3
+
+
+def _rings(away_cm: FloatArray, height_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean distance and height of the points in rings around the contact."""
+    ring = np.floor(away_cm / RING_CM).astype(np.int64)
+    count = np.bincount(ring)
+    told = count > 0
+    away, height = (np.bincount(ring, weights=one)[told] / count[told] for one in (away_cm, height_mm))
+    return away, height
+
+
+def _beta_words(touch: TouchEstimate) -> str:
+    if touch.beta is None:
+        return f"beta not fitted ({touch.beta_verdict})" if touch.beta_verdict else "beta not fitted"
+    low, high = touch.beta_interval or (touch.beta, touch.beta)
+    between = f", {low:.2f} to {high:.2f}" if touch.beta_interval else ""
+    return f"beta {touch.beta:.2f} ({touch.beta_verdict}{between})"
+
+
+# What the drawings share ---------------------------------------------------------------------------------------------
+
+
+def stiffness_range(stiffness: FloatArray) -> tuple[float, float]:
+    """The ends of a logarithmic scale that holds these values, of those that a reader can remember."""
+    known = stiffness[np.isfinite(stiffness) & (stiffness > LEAST)]
+    if not known.size:
+        return 0.1, 1.0
+    low, high = float(known.min()), float(known.max())
+    powers = [10.0**power for power in range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 2)]
+    ends = sorted({step * power for power in powers for step in STEPS})
+    first = max(end for end in ends if end <= low)
+    last = min(end for end in ends if end >= high)
+    return (first, last) if last > first else (first, min(end for end in ends if end > first))
+
+
+def _round_up(values: FloatArray) -> float:
+    high = float(values[np.isfinite(values)].max(initial=0.0))
+    if not high > 0:
+        return 1.0
+    power = 10.0 ** math.floor(math.log10(high))
+    return next(step * power for step in STEPS if high <= step * power * (1 + 1e-9))
+
+
+def _draw_map(
+    axes: Any,
+    values: FloatArray,
+    cell_m: float,
+    colors: str,
+    label: str,
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    norm: Any = None,
+) -> None:
+    limits = {} if norm is not None else {"vmin": low, "vmax": high}
+    shown = axes.imshow(
+        values, origin="lower", extent=_extent(values.shape, cell_m), cmap=colors, interpolation="nearest",
+        norm=norm, **limits,
+    )  # fmt: skip
+    _label_axes(axes)
+    bar = axes.figure.colorbar(shown, cax=axes.inset_axes((1.035, 0.0, 0.045, 1.0)))
+    bar.ax.tick_params(labelsize=10)
+    bar.ax.text(0.55, -0.035, label, transform=bar.ax.transAxes, fontsize=10, va="top", ha="left")
+    if norm is not None:
+        _number_log_bar(bar, norm.vmin, norm.vmax)
+
+
+def _number_log_bar(bar: Any, low: float, high: float) -> None:
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+    steps = (1.0, 2.0, 5.0) if high / low > 4 else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
+    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    ticks = [step * 10.0**power for power in powers for step in steps]
+    kept = [tick for tick in ticks if low * (1 - 1e-9) <= tick <= high * (1 + 1e-9)]
+    bar.ax.yaxis.set_major_locator(FixedLocator(kept))
+    bar.ax.yaxis.set_minor_locator(NullLocator())
+    bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+
+def _draw_levels(axes: Any, values: FloatArray, cell_m: float, unit: str) -> None:
+    """A few lines of equal value."""
+    if not float(np.nanmax(values) - np.nanmin(values)) > 0:
+        return
+    rows, columns = values.shape
+    x, y = (np.arange(columns) + 0.5) * cell_m * 100, (np.arange(rows) + 0.5) * cell_m * 100
+    lines = axes.contour(x, y, values, levels=3, colors="white", linewidths=0.8, alpha=0.8)
+    axes.clabel(lines, fmt=lambda value: f"{value:g} {unit}", fontsize=8)
+
+
+def _draw_labels(axes: Any, tints: FloatArray, sure: FloatArray, cell_m: float) -> None:
+    blended = 1.0 + (tints - 1.0) * sure[..., None]
+    axes.imshow(blended, origin="lower", extent=_extent(sure.shape, cell_m), interpolation="nearest")
+    _label_axes(axes)
+
+
+def _label_colors(labels: IntArray) -> FloatArray:
+    """(rows, columns, 3) from 0 to 1."""
+    from matplotlib.colors import to_rgb
+
+    table = np.array([to_rgb(color) for color in REGIONS])
+    return table[labels % len(table)]
+
+
+def _matched(truth: IntArray, found: IntArray) -> IntArray:
+    """The truth's labels, renamed so that a region has the colour of the found one that it overlaps the most."""
+    from scipy.optimize import linear_sum_assignment
+
+    there, told = np.unique(truth), np.unique(found)
+    overlap = np.array([[np.count_nonzero((truth == one) & (found == other)) for other in told] for one in there])
+    renamed = np.full(truth.shape, -1, np.int64)
+    rows, columns = linear_sum_assignment(-overlap)
+    for row, column in zip(rows, columns, strict=True):
+        renamed[truth == there[row]] = told[column]
+    missed = [label for label in there if not (renamed[truth == label] >= 0).any()]
+    for fresh, label in enumerate(missed, start=int(told.max()) + 1):
+        renamed[truth == label] = fresh
+    return renamed
+
+
+def _draw_outline(axes: Any, labels: IntArray, cell_m: float, color: str) -> None:
+    """Lines between cells of different labels, along the cells' edges."""
+    from matplotlib.collections import LineCollection
+
+    size = cell_m * 100
+    rows, columns = np.nonzero(labels[:, 1:] != labels[:, :-1])
+    upright = np.stack([np.stack([columns + 1, rows], -1), np.stack([columns + 1, rows + 1], -1)], axis=1)
+    rows, columns = np.nonzero(labels[1:] != labels[:-1])
+    level = np.stack([np.stack([columns, rows + 1], -1), np.stack([columns + 1, rows + 1], -1)], axis=1)
+    edges = np.concatenate([upright, level]) * size
+    axes.add_collection(LineCollection(list(edges), colors=color, linewidths=1.4), autolim=False)
+
+
+def _draw_contacts(axes: Any, contacts_m: FloatArray, tip_radius_m: float, *, path: bool = False) -> None:
+    """Touches in their order; the circle is the tip's size."""
+    from matplotlib.collections import EllipseCollection
+    from matplotlib.patheffects import withStroke
+
+    if not len(contacts_m):
+        return
+    at = np.asarray(contacts_m) * 100
+    if path and len(at) > 1:
+        axes.plot(*at.T, color="white", lw=2.2, zorder=4, alpha=0.9)
+        axes.plot(*at.T, color="black", lw=0.9, zorder=4)
+    if tip_radius_m > 0:
+        wide = np.full(len(at), 200 * tip_radius_m)
+        for color, line in (("black", 2.2), ("white", 1.0)):
+            axes.add_collection(
+                EllipseCollection(
+                    wide, wide, np.zeros(len(at)), units="x", offsets=at, offset_transform=axes.transData,
+                    facecolors="none", edgecolors=color, linewidths=line, zorder=5,
+                ),
+                autolim=False,
+            )  # fmt: skip
+    else:
+        axes.plot(*at.T, "o", color="white", mec="black", ms=4, zorder=5)
+    for number, (x, y) in enumerate(at, start=1):
+        axes.annotate(
+            str(number), (x + 80 * tip_radius_m, y + 80 * tip_radius_m), xytext=(1, 0), textcoords="offset points",
+            ha="left", va="bottom", fontsize=10, weight="bold", color="black", zorder=6,
+            path_effects=[withStroke(linewidth=2.2, foreground="white")], annotation_clip=True,
+        )  # fmt: skip
+
+
+def _draw_excluded(axes: Any, excluded: BoolArray, cell_m: float) -> None:
+    """Grey with stripes, crisp at the cells' edges."""
+    from matplotlib.colors import to_rgb
+
+    if not excluded.any():
+        return
+    rows, columns = np.indices(excluded.shape)
+    striped = (rows + columns) % STRIPE == 0
+    drawn = np.zeros((*excluded.shape, 4))
+    drawn[excluded] = [*to_rgb(EXCLUDED), 1.0]
+    drawn[excluded & striped] = [*to_rgb(STRIPES), 1.0]
+    axes.imshow(drawn, origin="lower", extent=_extent(excluded.shape, cell_m), interpolation="nearest", zorder=2)
+
+
+def _draw_keys(axes: Any, maps: MapEstimate) -> None:
+    """Each region's stiffness, in its place."""
+    from matplotlib.patheffects import withStroke
+
+    for label in range(maps.region_count):
+        inside = maps.labels == label
+        if inside.any():
+            x, y = _middle(inside, maps.cell_m, maps.contacts_m)
+            axes.text(
+                x, y, f"{level_words(maps, label)}\nN/mm", ha="center", va="center", fontsize=11,
+                weight="bold", zorder=7, path_effects=[withStroke(linewidth=2.5, foreground="white")],
+            )  # fmt: skip
+
+
+def _middle(inside: BoolArray, cell_m: float, avoid_m: FloatArray) -> tuple[float, float]:
+    """The place deep inside a region and far from the touches, where words fit [cm]."""
+    from scipy.ndimage import distance_transform_edt
+
+    deep = distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1] * cell_m
+    rows, columns = np.mgrid[: inside.shape[0], : inside.shape[1]]
+    for x, y in avoid_m:
+        away = np.hypot((columns + 0.5) * cell_m - x, (rows + 0.5) * cell_m - y)
+        deep = np.minimum(deep, away)
+    row, column = np.unravel_index(int(np.argmax(np.where(inside, deep, -1.0))), inside.shape)
+    return (float(column) + 0.5) * cell_m * 100, (float(row) + 0.5) * cell_m * 100
+
+
+def _extent(shape: tuple[int, ...], cell_m: float) -> tuple[float, float, float, float]:
+    return 0.0, shape[1] * cell_m * 100, 0.0, shape[0] * cell_m * 100
+
+
+def _label_axes(axes: Any) -> None:
+    axes.set_xlabel("x [cm]", fontsize=10, labelpad=1)
+    axes.set_ylabel("y [cm]", fontsize=10, labelpad=1)
+    axes.tick_params(labelsize=10)
+
+
+def _say(axes: Any, words: str, shape: tuple[int, ...] = (), cell_m: float = 0.0) -> None:
+    """Words where there is no map, on the same ground."""
+    axes.set_facecolor("#eef0f3")
+    axes.text(0.5, 0.5, words, transform=axes.transAxes, ha="center", va="center", fontsize=13, color="#70757d")
+    if shape:
+        x0, x1, y0, y1 = _extent(shape, cell_m)
+        axes.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal")
+        _label_axes(axes)
+    else:
+        axes.set(xticks=[], yticks=[])
+
+
+def _title(axes: Any, title: str, words: str) -> None:
+    wrapped = textwrap.wrap(words, 52, break_on_hyphens=False)[:ROWS_OF_WORDS]
+    axes.text(
+        0.0, 1.03, "\n".join(wrapped), transform=axes.transAxes, fontsize=10, va="bottom", ha="left", color="#3b4048"
+    )
+    above = 5 + 13 * len(wrapped)
+    axes.annotate(
+        title, (0.0, 1.0), xycoords="axes fraction", xytext=(0, above), textcoords="offset points", fontsize=13,
+        weight="bold", va="bottom", ha="left",
+    )  # fmt: skip
+
+
+def _headline(maps: MapEstimate) -> str:
+    said = [counted(maps.touches, "touch"), verdict_words(maps), iou_words(maps), travel_words(maps.travel_m)]
+    return ", ".join(one for one in said if one)
+
+
+# Figures -------------------------------------------------------------------------------------------------------------
+
+
+def _figure(width: float, height: float) -> Figure:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height))  # no layout engine: it takes longer than the drawing
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _one(draw: Callable[[Any], None], place: tuple[float, float, float, float] = PLACE) -> bytes:
+    """place: of the axes in the picture: left, bottom, width, height, shares of it"""
+    figure = _figure(WIDE, HIGH)
+    axes = figure.add_axes(place)
+    draw(axes)
+    canvas: Any = figure.canvas
+    figure.set_dpi(DPI)
+    canvas.draw()
+    picture: npt.NDArray[np.uint8] = np.asarray(canvas.buffer_rgba())[..., :3]
+    return encode_png(np.ascontiguousarray(picture))
+
+
+def _png(figure: Figure, dpi: int) -> bytes:
+    encoded = io.BytesIO()
+    figure.savefig(encoded, format="png", dpi=dpi, metadata={"Software": None})
+    return encoded.getvalue()

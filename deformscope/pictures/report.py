@@ -1,0 +1,131 @@
+"""Reports as one HTML file: words, tables and pictures, with nothing that has to be fetched from elsewhere."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+STYLE = """
+:root { color-scheme: light; }
+body { font: 16px/1.5 system-ui, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; color: #1c2430;
+  background: #fff; margin: 0 auto; max-width: 66rem; padding: 1.5rem 1.25rem 4rem; }
+h1 { font-size: 1.7rem; margin: 0 0 .75rem; }
+h2 { font-size: 1.2rem; margin: 2.2rem 0 .6rem; padding-bottom: .25rem; border-bottom: 1px solid #d9dee6; }
+p { margin: .5rem 0; max-width: 48rem; }
+.verdict { border-left: .4rem solid; padding: .5rem .9rem; margin: .8rem 0; background: #f5f7fa; }
+.verdict strong { display: block; font-size: 1.2rem; }
+.scroll { overflow-x: auto; }
+table { border-collapse: collapse; margin: .4rem 0; }
+caption, figcaption { color: #4a5566; font-size: .92rem; text-align: left; padding: .2rem 0; }
+th, td { text-align: left; padding: .3rem .9rem .3rem 0; border-bottom: 1px solid #e5e9ef; vertical-align: top;
+  font-variant-numeric: tabular-nums; }
+th { font-weight: 600; }
+figure { margin: 1rem 0; }
+img { max-width: min(100%, 46rem); height: auto; }
+.pair { display: grid; grid-template-columns: repeat(auto-fit, minmax(22rem, 1fr)); gap: 0 1.2rem; }
+pre { background: #f5f7fa; padding: .7rem .9rem; overflow-x: auto; font-size: .9rem; }
+@media print { body { max-width: none; } h2 { break-after: avoid; } figure, table { break-inside: avoid; } }
+""".strip()
+
+
+@dataclass(frozen=True, slots=True)
+class ReportVerdict:
+    """What was found, in plain words, before everything else. color: `#rrggbb`."""
+
+    headline: str
+    words: tuple[str, ...]
+    color: str = "#4a5566"
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """names: of the columns, empty = a table of names and values; rows: their cells, shown as `str` shows them."""
+
+    rows: Sequence[Sequence[object]]
+    names: Sequence[str] = ()
+    caption: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A picture with what it shows, which is also read to those who do not see it."""
+
+    png: bytes
+    caption: str
+
+
+@dataclass(frozen=True, slots=True)
+class Code:
+    """Lines to type, or to read letter by letter."""
+
+    text: str
+
+
+Part = str | ReportVerdict | Table | Figure | Code | tuple[Figure, ...]
+"""A part of a section; figures in a tuple stand side by side where there is room."""
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """parts: in order, a str being a paragraph; title: empty = none"""
+
+    title: str
+    parts: Sequence[Part]
+
+
+def html_report(title: str, sections: Sequence[Section]) -> str:
+    """A whole HTML page. All text is escaped; pictures are inside the page, and it needs no script."""
+    body = "\n".join(_section(one) for one in sections)
+    return (
+        f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<title>{escape(title)}</title>\n'
+        f"<style>\n{STYLE}\n</style>\n</head>\n<body>\n<h1>{escape(title)}</h1>\n{body}\n</body>\n</html>\n"
+    )
+
+
+def _section(section: Section) -> str:
+    heading = f"<h2>{escape(section.title)}</h2>\n" if section.title else ""
+    return f"<section>\n{heading}" + "\n".join(_part(one) for one in section.parts) + "\n</section>"
+
+
+def _part(part: Part) -> str:
+    match part:
+        case str():
+            return f"<p>{escape(part)}</p>"
+        case ReportVerdict():
+            words = "".join(f"<p>{escape(one)}</p>" for one in part.words)
+            color = escape(part.color, quote=True)
+            return (
+                f'<div class="verdict" style="border-color: {color}">'
+                f'<strong style="color: {color}">{escape(part.headline)}</strong>{words}</div>'
+            )
+        case Table():
+            return _table(part)
+        case Figure():
+            return _figure(part)
+        case Code():
+            return f"<pre><code>{escape(part.text)}</code></pre>"
+        case tuple():
+            return '<div class="pair">\n' + "\n".join(_figure(one) for one in part) + "\n</div>"
+
+
+def _table(table: Table) -> str:
+    caption = f"<caption>{escape(table.caption)}</caption>" if table.caption else ""
+    head = ""
+    if table.names:
+        head = "<thead><tr>" + "".join(f'<th scope="col">{escape(name)}</th>' for name in table.names) + "</tr></thead>"
+    rows = []
+    for row in table.rows:
+        cells = [escape(str(cell)) for cell in row]
+        first = f"<td>{cells[0]}</td>" if table.names else f'<th scope="row">{cells[0]}</th>'
+        rows.append(f"<tr>{first}" + "".join(f"<td>{cell}</td>" for cell in cells[1:]) + "</tr>")
+    return f'<div class="scroll"><table>{caption}{head}<tbody>' + "\n".join(rows) + "</tbody></table></div>"
+
+
+def _figure(figure: Figure) -> str:
+    data = base64.b64encode(figure.png).decode("ascii")
+    caption = escape(figure.caption, quote=True)
+    image = f'<img src="data:image/png;base64,{data}" alt="{caption}">'
+    return f"<figure>{image}<figcaption>{escape(figure.caption)}</figcaption></figure>"

@@ -1,0 +1,109 @@
+"""What a recording holds and how it ended, read in a process of its own: damaged bytes can end rerun's reader.
+
+python -m deformscope.recording.facts run.rrd    one line of JSON: the fields of `Facts`
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import signal
+import subprocess
+import sys
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from deformscope.errors import InputError
+
+TIMEOUT_S = 600.0
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What can be read of a recording, up to where it is damaged.
+
+    application, recording: rerun's ids; outcome: as the run left it at its end, empty without one
+    losses: by device and kind (`deformscope.recording.losses`); counts: frames by device, and inputs
+    until_s: session time of the last row [s], None without one; damage: what ended the reading, empty = nothing
+    """
+
+    application: str = ""
+    recording: str = ""
+    outcome: dict[str, Any] = field(default_factory=dict)
+    losses: dict[str, dict[str, float]] = field(default_factory=dict)
+    counts: dict[str, int] = field(default_factory=dict)
+    until_s: float | None = None
+    damage: str = ""
+
+
+def read_facts(path: Path) -> Facts:
+    """Read them in a child process; whatever happens to it becomes `damage`."""
+    command = [sys.executable, "-m", __name__, str(path)]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+    except subprocess.TimeoutExpired:
+        return Facts(damage=f"it was not read within {TIMEOUT_S:g} s")
+    if done.returncode < 0:
+        return Facts(damage=f"its bytes end rerun's reader ({signal.Signals(-done.returncode).name})")
+    try:
+        return Facts(**json.loads(done.stdout.splitlines()[-1]))
+    except (ValueError, IndexError, TypeError):
+        words = done.stderr.split()
+        return Facts(damage=f"its reader failed: {' '.join(words[-30:])}" if words else "its reader failed")
+
+
+def gather_facts(path: Path) -> Facts:
+    """Read them here."""
+    from deformscope.recording.reader import Replay
+
+    facts: dict[str, Any] = {}
+    counts: Counter[str] = Counter()
+    try:
+        replay = Replay(path, trust=True)
+        facts["application"], facts["recording"] = replay.identity
+        for chunk in replay.chunks("/**"):
+            if chunk.is_static or "session" not in chunk.timeline_names:
+                continue
+            batch = chunk.to_record_batch()
+            times_ns = [time_ns for time_ns in batch.column("session").cast("int64").to_pylist() if time_ns is not None]
+            facts["until_s"] = max(facts.get("until_s", 0.0), max(times_ns, default=0) / 1e9)
+            if (counted := _counted(chunk.entity_path, batch.schema.names)) is not None:
+                counts[counted] += batch.num_rows
+        facts["outcome"] = replay.outcome
+        facts["losses"] = _losses(path, replay.outcome)
+    except InputError as error:
+        facts["damage"] = str(error).split(" | ")[0]
+    except Exception as error:  # damaged bytes make the readers raise what they like
+        facts["damage"] = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+    return Facts(counts=dict(counts), **facts)
+
+
+def _counted(entity: str, columns: list[str]) -> str | None:
+    """What a row of these columns counts as; None where it is part of something that counts elsewhere."""
+    parts = entity.strip("/").split("/")
+    if "Stamp:host_ns" in columns:
+        return f"{parts[-1]}/frames"
+    if parts[0] == "input" and "EncodedImage:blob" in columns:
+        return "frames"
+    return "inputs" if parts[0] == "input" and "blob" in columns else None
+
+
+def _losses(path: Path, outcome: dict[str, Any]) -> dict[str, dict[str, float]]:
+    """As the run left them at its end, else by the last look at its devices."""
+    from deformscope.frames import HealthReport
+    from deformscope.recording.items import read_items
+    from deformscope.recording.losses import losses_of
+
+    if "losses" in outcome:
+        found: dict[str, dict[str, float]] = json.loads(outcome["losses"])
+        return found
+    last: HealthReport | None = None
+    for item in read_items(path, trust=True, kinds=("health",)):
+        last = item if isinstance(item, HealthReport) else last
+    return {} if last is None else losses_of(last)
+
+
+if __name__ == "__main__":
+    print(json.dumps(dataclasses.asdict(gather_facts(Path(sys.argv[1]))), default=str))

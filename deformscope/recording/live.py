@@ -1,0 +1,358 @@
+"""The live view: a viewer of its own, fed by a thread of its own, which nothing ever waits for."""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import importlib.util
+import logging
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Generic, Literal, Protocol, TypeVar
+
+from deformscope.errors import InputError
+
+ViewerKind = Literal["none", "native", "page"]
+
+
+class ViewerStream(Protocol):
+    """What the feed itself wants of a stream to a viewer."""
+
+    def flush(self, *, timeout_sec: float) -> None:
+        """Return once the viewer has all that was given. Raises TimeoutError where that takes longer, another error
+        where the viewer is gone."""
+
+    def disconnect(self) -> None: ...
+
+
+StreamT = TypeVar("StreamT", bound=ViewerStream)
+
+CAPACITY_JOBS = 256
+CAPACITY_BYTES = 128 << 20
+PERIODS_S: dict[ViewerKind, float] = {"native": 0.1, "page": 1.0}
+"""Jobs are passed on together at most so often. A page without a graphics card takes in a few tens of entities a
+second, whatever their size, and fewer on a busy machine; a bench of seven devices has 10 in each portion."""
+VIEWER_MEMORY = "2GB"
+BACKLOG_MEMORY: dict[ViewerKind, str] = {"native": "512MB", "page": "128MB"}
+"""What a server keeps for who comes later: a page takes all of it in before what is new; what is static stays."""
+START_TIMEOUT_S = 20.0
+FLUSH_TIMEOUT_S = 1.0
+LOOPBACK = "127.0.0.1"
+
+_logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Viewer:
+    """A viewer that was started.
+
+    pid: its process; url: where recordings stream to; page: where a browser finds it, empty for a window
+    messages: descriptor of a file that holds what it wrote to its standard error, None where that is not kept
+    """
+
+    pid: int
+    url: str
+    page: str
+    messages: int | None = None
+
+    @property
+    def where(self) -> str:
+        """One line for people: where to find it, and how long it lasts."""
+        if self.page:
+            return f"viewer: {self.page} (open it in a browser on this machine)"
+        return "viewer: a window of its own; it stays when this command has ended"
+
+
+def start_viewer(kind: Literal["native", "page"]) -> Viewer:
+    """Start the viewer that belongs to the installed rerun, on loopback, and return without waiting for it.
+
+    A window outlives this process. The server of a page ends with it: at the latest when this process ends, on Linux
+    also where that is killed outright. Raises InputError where there is no display for a window.
+    """
+    if kind == "native" and sys.platform.startswith("linux") and not _has_display():
+        raise InputError("a display for the viewer's window", "none (DISPLAY is unset)", "--viewer page or none")
+    port = _free_port()
+    command = [str(viewer_executable()), "--bind", LOOPBACK, "--port", str(port)]
+    url = f"rerun+http://{LOOPBACK}:{port}/proxy"
+    page = ""
+    if kind == "page":
+        page_port = _free_port()
+        command += ["--serve-web", "--web-viewer-port", str(page_port), "--server-memory-limit", BACKLOG_MEMORY[kind]]
+        page = f"http://{LOOPBACK}:{page_port}?url={url.replace(':', '%3A').replace('/', '%2F').replace('+', '%2B')}"
+        command = _ending_with_this_process(command)
+    else:
+        command += ["--memory-limit", VIEWER_MEMORY, "--server-memory-limit", BACKLOG_MEMORY[kind]]
+        command += ["--hide-welcome-screen", "--expect-data-soon", *window_options()]
+    quiet = {"RERUN_APP_ONLY": "true", "RUST_LOG": "error"}
+    messages, path = tempfile.mkstemp()
+    with contextlib.suppress(OSError):  # its descriptor is enough
+        Path(path).unlink()
+    process = subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=messages,
+        start_new_session=True,  # Ctrl-C ends the measurement and leaves its picture
+        env={**os.environ, **quiet},
+    )
+    process.returncode = 0  # `_ended` alone asks for it: subprocess would warn of a window that outlives this process
+    viewer = Viewer(process.pid, url, page, messages)
+    if page:
+        _pages.append(viewer)
+    return viewer
+
+
+_pages: list[Viewer] = []
+"""Pages that this process serves, or has served."""
+
+
+def running_pages() -> list[Viewer]:
+    """The pages that this process serves and whose server runs."""
+    _pages[:] = [viewer for viewer in _pages if not _ended(viewer.pid)]
+    return list(_pages)
+
+
+@atexit.register
+def end_pages() -> None:
+    """End the servers of all pages."""
+    for viewer in running_pages():
+        with contextlib.suppress(OSError):
+            os.kill(viewer.pid, signal.SIGKILL)  # also one that was stopped
+            os.waitpid(viewer.pid, 0)
+    _pages.clear()
+
+
+_DIES_WITH_PARENT = """
+import ctypes, os, sys
+ctypes.CDLL(None).prctl(1, 9)  # PR_SET_PDEATHSIG, SIGKILL
+if os.getppid() == int(sys.argv[1]):
+    os.execv(sys.argv[2], sys.argv[2:])
+"""
+
+
+def _ending_with_this_process(command: Sequence[str]) -> list[str]:
+    """A command that the kernel kills when this process ends, where it can: on Linux, and where the main thread starts
+    it, as the kernel takes the thread's end for the process's."""
+    if not sys.platform.startswith("linux") or threading.current_thread() is not threading.main_thread():
+        return list(command)
+    return [sys.executable, "-I", "-S", "-c", _DIES_WITH_PARENT, str(os.getpid()), *command]
+
+
+def window_options() -> list[str]:
+    """More options of a native viewer."""
+    return []
+
+
+def wait_for_viewer(viewer: Viewer, give_up: threading.Event) -> None:
+    """Return once it accepts connections; raise where it ends or stays away."""
+    deadline = time.monotonic() + START_TIMEOUT_S
+    while time.monotonic() < deadline and not give_up.is_set():
+        check_running(viewer)
+        with contextlib.suppress(OSError), socket.create_connection((LOOPBACK, _port(viewer)), timeout=0.5):
+            return
+        time.sleep(0.05)
+    raise ConnectionError(f"the viewer did not listen within {START_TIMEOUT_S:g} s")
+
+
+def check_running(viewer: Viewer) -> None:
+    """Raise ConnectionError, with the last that the viewer said, where its process has ended."""
+    if not _ended(viewer.pid):
+        return
+    words = ""
+    if viewer.messages is not None:
+        os.lseek(viewer.messages, 0, os.SEEK_SET)
+        words = " ".join(os.read(viewer.messages, 10_000).decode(errors="replace").split())[-300:]
+    raise ConnectionError(f"the viewer has ended{': ' if words else ''}{words}")
+
+
+def check_answers(viewer: Viewer, timeout_s: float) -> None:
+    """Return once the viewer's server answers. Raises TimeoutError where it does not, ConnectionError where it is gone.
+
+    A connection alone says nothing: the system accepts it, and a hundred kilobytes, for a process that is stopped.
+    """
+    with socket.create_connection((LOOPBACK, _port(viewer)), timeout=timeout_s) as connection:
+        connection.sendall(f"GET / HTTP/1.1\r\nHost: {LOOPBACK}\r\nConnection: close\r\n\r\n".encode())
+        if not connection.recv(1):  # any answer will do: it is no page, and says so
+            raise ConnectionError("the viewer closed the connection")
+
+
+def _port(viewer: Viewer) -> int:
+    return int(viewer.url.rsplit(":", 1)[1].split("/")[0])
+
+
+def _ended(pid: int) -> bool:
+    try:
+        return os.waitpid(pid, os.WNOHANG)[0] == pid
+    except ChildProcessError:
+        return True
+
+
+def _has_display() -> bool:
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")) or "--headless" in window_options()
+
+
+def viewer_executable() -> Path:
+    """The viewer of the installed wheel: never another version from the search path."""
+    package = importlib.util.find_spec("rerun_cli")
+    folder = Path(package.origin or "").parent if package is not None else Path()
+    found = folder / ("rerun.exe" if sys.platform == "win32" else "rerun")
+    if not found.exists():
+        raise InputError(
+            "the viewer that comes with rerun-sdk", "none", "pip install --force-reinstall rerun-sdk", found
+        )
+    return found
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind((LOOPBACK, 0))
+        return int(probe.getsockname()[1])
+
+
+class LiveFeed(Generic[StreamT]):
+    """Passes jobs on to a live stream from a thread of its own; drops the oldest when the viewer cannot follow.
+
+    connect: opens the stream, in the feed's thread; gives up once the event that it is given is set
+    period_s: jobs are passed on together, at most so often
+    """
+
+    def __init__(
+        self,
+        connect: Callable[[threading.Event], StreamT],
+        capacity_jobs: int = CAPACITY_JOBS,
+        capacity_bytes: int = CAPACITY_BYTES,
+        period_s: float = PERIODS_S["native"],
+    ) -> None:
+        self._connect = connect
+        self._capacity = capacity_jobs, capacity_bytes
+        self._period_s = period_s
+        self._jobs: deque[tuple[Callable[[StreamT], None], int, bool]] = deque()
+        self._bytes = 0
+        self._given = self._lost = 0
+        self._unconfirmed = 0
+        self._silent = False
+        self._left = threading.Event()
+        self._closing = threading.Event()
+        self._over = threading.Event()
+        self._stays = False
+        self._ready = threading.Condition()
+        # A daemon: a viewer that hangs must not keep the process from ending.
+        self._thread = threading.Thread(target=self._work, name="deformscope-live", daemon=True)
+
+    @property
+    def dropped(self) -> int:
+        """Jobs that the viewer is not known to have got: dropped, or handed over and never confirmed, once the feed has
+        ended; while it runs, those dropped."""
+        with self._ready:
+            return self._lost
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def put(self, job: Callable[[StreamT], None], size: int, *, lasting: bool = False) -> None:
+        """Hand a job over; returns at once.
+
+        size: bytes that it keeps alive; lasting: what comes later rests on it, so that it is dropped last
+        """
+        with self._ready:
+            self._given += 1
+            if self._left.is_set() or self._closing.is_set():
+                self._lost += 1
+                return
+            self._jobs.append((job, size, lasting))
+            self._bytes += size
+            while len(self._jobs) > 1 and (len(self._jobs) > self._capacity[0] or self._bytes > self._capacity[1]):
+                self._drop_oldest()
+            self._ready.notify()
+
+    def close(self, timeout_s: float) -> bool:
+        """Show what still waits, within the time; return whether the stream came to its end.
+
+        A viewer that has not answered for a while is not waited for. What it is not known to have got is counted as
+        dropped. A stream that did not come to its end stays with its thread for good: to let go of it waits for the
+        viewer, and so does the end of the process, unless rerun's part in that is called off.
+        """
+        with self._ready:
+            self._closing.set()
+            self._ready.notify()
+            patience_s = 0.0 if self._silent else timeout_s
+        if not self._over.wait(patience_s):
+            _logger.warning("the viewer does not answer; it is left alone, and the recording is not affected")
+        self._leave()
+        if self._lost:
+            _logger.warning("the viewer is not known to have got %d of %d portions", self._lost, self._given)
+        return self._over.is_set() and not self._stays
+
+    def _work(self) -> None:
+        stream: StreamT | None = None
+        try:
+            stream = self._connect(self._left)
+            self._feed(stream)
+        except Exception as error:
+            # A lost viewer costs the picture, never the measurement.
+            if not self._left.is_set():
+                _logger.warning("the live view ended (%s); the recording goes on", error)
+            self._stays = stream is not None
+            self._leave()
+        self._over.set()
+        while self._stays:  # see `close`
+            threading.Event().wait()
+
+    def _feed(self, stream: StreamT) -> None:
+        while jobs := self._take():
+            began = time.monotonic()
+            for job, _, _ in jobs:
+                job(stream)
+            self._confirm(stream)
+            self._closing.wait(max(0.0, began + self._period_s - time.monotonic()))
+        stream.disconnect()
+
+    def _take(self) -> list[tuple[Callable[[StreamT], None], int, bool]]:
+        """All that waits, once something does; nothing at the end."""
+        with self._ready:
+            while not self._jobs and not self._closing.is_set():
+                self._ready.wait()
+            jobs = list(self._jobs)
+            self._jobs.clear()
+            self._bytes = 0
+            self._unconfirmed = len(jobs)
+            return jobs
+
+    def _confirm(self, stream: StreamT) -> None:
+        """Wait until the viewer has what it was given, however long it takes."""
+        while True:
+            try:
+                stream.flush(timeout_sec=FLUSH_TIMEOUT_S)
+            except TimeoutError:
+                self._silent = True
+                if self._left.is_set():
+                    raise
+                continue
+            with self._ready:
+                self._silent = False
+                self._unconfirmed = 0
+                return
+
+    def _leave(self) -> None:
+        """Count what the viewer is not known to have got; from now on nothing is passed on."""
+        with self._ready:
+            self._left.set()
+            self._lost += len(self._jobs) + self._unconfirmed
+            self._unconfirmed = 0
+            self._jobs.clear()
+
+    def _drop_oldest(self) -> None:
+        place = next((at for at, (_, _, lasting) in enumerate(self._jobs) if not lasting), 0)
+        self._bytes -= self._jobs[place][1]
+        del self._jobs[place]
+        self._lost += 1

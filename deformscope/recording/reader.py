@@ -1,0 +1,274 @@
+"""A recording as a source: the same frames, stamps and settings that its run had, bit for bit."""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import re
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from deformscope.arrays import ImageArray
+from deformscope.errors import InputError
+from deformscope.frames import ColorFrame
+from deformscope.images import decode_image
+from deformscope.recording.ledger import check_ledger
+from deformscope_drivers.clock import Stamp
+
+if TYPE_CHECKING:
+    from rerun.chunk import Chunk, RrdReader
+
+Pace = Literal["fast", "real", "step"]
+RRD_MAGIC = b"RRF"
+APPLICATION_PREFIX = "deformscope"
+"""Every layout of ours has an application of its own (`deformscope.recording.recorder.APPLICATIONS`)."""
+IMAGE, MASK, PAIR, ESTIMATE = "/input/image", "/input/mask", "/input/pair", "/calibration/estimate"
+BLOB = "EncodedImage:blob"
+SESSION, OUTCOME = "/__properties/session", "/__properties/outcome"
+
+_logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class LoggedRow:
+    """One logged value: its place on the `frame` timeline (None where it holds throughout) and its components."""
+
+    frame: int | None
+    values: dict[str, Any]
+
+
+class Replay:
+    """What a recording holds, read when asked for.
+
+    trust: skip the comparison with the ledger
+    """
+
+    def __init__(self, path: Path, *, trust: bool = False) -> None:
+        self.path = Path(path)
+        self._check(trust)
+
+    @cached_property
+    def settings(self) -> dict[str, Any]:
+        """Everything that decided the recorded results."""
+        return self._json(SESSION, "settings")
+
+    @cached_property
+    def identity(self) -> tuple[str, str]:
+        """rerun's application and recording id."""
+        entry = next(entry for entry in self._reader().recordings() if _ours(entry.application_id))
+        return entry.application_id, entry.recording_id
+
+    @cached_property
+    def outcome(self) -> dict[str, Any]:
+        """How the recording ended: frames, steps, live_dropped, complete; empty where the run was cut short."""
+        rows = self._rows(OUTCOME)
+        return {name: _scalar(value) for row in rows for name, value in row.values.items()}
+
+    @cached_property
+    def frame_count(self) -> int:
+        """How many frames were recorded."""
+        return sum(chunk.num_rows for chunk in self._images())
+
+    @cached_property
+    def mask(self) -> ImageArray | None:
+        """The recorded mask image, if there was one."""
+        blobs = [row.values[BLOB] for row in self._rows(MASK) if BLOB in row.values]
+        return decode_image(_bytes(blobs[-1]), self.path) if blobs else None
+
+    def read_pair_bytes(self) -> list[bytes]:
+        """The pair files as they were, in the order of their names."""
+        found: dict[str, bytes] = {}
+        for chunk in self.chunks(PAIR, f"{PAIR}/**"):
+            for row in _rows_of(chunk):
+                if "blob" in row.values:
+                    found[chunk.entity_path] = _bytes(row.values["blob"])
+        return [found[name] for name in sorted(found, key=_natural)]
+
+    def read_inputs(self, folder: str) -> dict[str, bytes]:
+        """Inputs that are no frames, by their names below `input/FOLDER`, in the order of their names."""
+        found: dict[str, bytes] = {}
+        prefix = f"/input/{folder}"
+        for chunk in self.chunks(prefix, f"{prefix}/**"):
+            for row in _rows_of(chunk):
+                if "blob" in row.values:
+                    found[chunk.entity_path.removeprefix(prefix).strip("/")] = _bytes(row.values["blob"])
+        return {name: found[name] for name in sorted(found)}
+
+    def read_results(self) -> list[dict[str, Any]]:
+        """The recorded estimates, as the JSON objects that they were recorded as, in the order of their frames."""
+        rows = sorted(self._rows(ESTIMATE), key=lambda row: -1 if row.frame is None else row.frame)
+        return [json.loads(_scalar(row.values["json"])) for row in rows if "json" in row.values]
+
+    def frames(self, pace: Pace = "fast", wait: Callable[[ColorFrame], None] | None = None) -> Iterator[ColorFrame]:
+        """The recorded frames in their order, with their recorded stamps.
+
+        pace: "fast" as they can be read; "real" as they were taken; "step" each after `wait` (called with the frame
+        that comes next) returns
+        """
+        if pace == "step" and wait is None:
+            raise ValueError('a pace of "step" needs something to wait for')
+        started_ns: int | None = None
+        for index, (stamp, encoded) in enumerate(self._encoded()):
+            frame = ColorFrame(stamp, index, decode_image(encoded, f"frame {index} of {self.path}"))
+            if pace == "step" and wait is not None:
+                wait(frame)
+            if pace == "real":
+                started_ns = started_ns or time.monotonic_ns() - stamp.host_ns
+                time.sleep(max(0, started_ns + stamp.host_ns - time.monotonic_ns()) / 1e9)
+            yield frame
+
+    def _encoded(self) -> Iterator[tuple[Stamp, bytes]]:
+        """Stamps and PNG bytes in the order of the `frame` timeline.
+
+        Portions of a recording may lie in any order. Their places are read first; then a frame waits only until
+        nothing before it can come any more, so that a long recording is never held whole.
+        """
+        coming = {chunk.id: min(_frames_of(chunk), default=0) for chunk in self._images()}
+        pending: dict[int, tuple[Stamp, bytes]] = {}
+        for chunk in self._images():
+            coming.pop(chunk.id, None)
+            for row in _rows_of(chunk, only=(BLOB, "host_ns", "device_ticks")):
+                if row.frame is not None:
+                    pending[row.frame] = self._stamp(row), _bytes(row.values[BLOB])
+            next_frame = min(coming.values(), default=math.inf)
+            for frame in sorted(frame for frame in pending if frame < next_frame):
+                yield pending.pop(frame)
+
+    def _images(self) -> Iterator[Chunk]:
+        return (chunk for chunk in self.chunks(IMAGE) if BLOB in chunk.to_record_batch().schema.names)
+
+    def _stamp(self, row: LoggedRow) -> Stamp:
+        if "host_ns" not in row.values:
+            raise InputError("a stamp with every frame", f"none with frame {row.frame}", where=self.path)
+        ticks = int(_scalar(row.values["device_ticks"]))
+        return Stamp(int(_scalar(row.values["host_ns"])), None if ticks == -1 else ticks)
+
+    def _check(self, trust: bool) -> None:
+        """Refuse what is no recording of ours, or no longer what was recorded."""
+        path = self.path
+        if not path.is_file():
+            raise InputError("a recording", "a folder" if path.is_dir() else "nothing there", where=path)
+        with path.open("rb") as file:
+            magic = file.read(len(RRD_MAGIC))
+        if magic != RRD_MAGIC:
+            came = "a file that is none" if magic else "an empty file"
+            raise InputError("a recording (.rrd)", came, where=path)
+        if not trust:
+            self._check_ledger()
+        try:
+            known = [entry.application_id for entry in self._reader().recordings()]
+        except Exception as error:  # the reader raises what it likes on bytes it does not understand
+            raise _unreadable(path) from error
+        if not any(_ours(name) for name in known):
+            came = f"one of {known[0]!r}" if known else "one without content"
+            raise InputError("a recording made by deformscope", came, where=path)
+
+    def _check_ledger(self) -> None:
+        try:
+            problems = check_ledger(self.path)
+        except FileNotFoundError:
+            _logger.warning(
+                "%s has no ledger: it cannot be told whether its bytes are as they were recorded", self.path
+            )
+            return
+        if problems:
+            more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+            raise InputError("a recording as its ledger has it", problems[0] + more, "an intact copy", self.path)
+
+    def _reader(self) -> RrdReader:
+        from rerun.chunk import RrdReader
+
+        with warnings.catch_warnings():
+            # A run that was killed leaves no footer; all that it recorded can be read all the same.
+            warnings.filterwarnings("ignore", "RRD file has no footer")
+            return RrdReader(self.path)
+
+    def chunks(self, *contents: str) -> Iterator[Chunk]:
+        """The portions of these entities, in any order."""
+        reader = self._reader()
+        store = next(entry for entry in reader.recordings() if _ours(entry.application_id))
+        try:
+            yield from reader.stream(store=store).filter(content=list(contents))
+        except Exception as error:  # whatever the reader raises on damaged bytes
+            raise _unreadable(self.path) from error
+
+    def _rows(self, entity: str) -> list[LoggedRow]:
+        return [row for chunk in self.chunks(entity) for row in _rows_of(chunk)]
+
+    def _json(self, entity: str, name: str) -> dict[str, Any]:
+        for row in self._rows(entity):
+            if name in row.values:
+                found = json.loads(_scalar(row.values[name]))
+                if isinstance(found, dict):
+                    return found
+        raise InputError(f"a recording with {name}", "one without", where=self.path)
+
+
+def _ours(application: str) -> bool:
+    return application.split("-")[0] == APPLICATION_PREFIX
+
+
+def read_results(path: Path) -> list[dict[str, Any]]:
+    """The estimates in a recording, as JSON objects."""
+    return Replay(path).read_results()
+
+
+def read_pair_bytes(path: Path) -> list[bytes]:
+    """The pair files in a recording, as they were."""
+    return Replay(path).read_pair_bytes()
+
+
+def _rows_of(chunk: Chunk, only: tuple[str, ...] | None = None) -> Iterator[LoggedRow]:
+    """The rows of a chunk; `only` names the components that are wanted."""
+    batch = chunk.to_record_batch()
+    frames = _frames_of(chunk)
+    wanted = [
+        name
+        for name in batch.schema.names
+        if name not in chunk.timeline_names and not name.startswith("rerun.controls.") and (not only or name in only)
+    ]
+    for place in range(batch.num_rows):
+        cells = {name: batch.column(name)[place] for name in wanted}
+        values = {name: cell.values for name, cell in cells.items() if cell.is_valid and len(cell.values)}
+        if values:
+            yield LoggedRow(frames[place] if frames else None, values)
+
+
+def _frames_of(chunk: Chunk) -> list[int]:
+    if chunk.is_static or "frame" not in chunk.timeline_names:
+        return []
+    found: list[int] = chunk.to_record_batch().column("frame").to_pylist()
+    return found
+
+
+def _scalar(values: Any) -> Any:
+    return values[0].as_py()
+
+
+def _bytes(values: Any) -> bytes:
+    """The bytes of a blob: either a list of one blob, or the bytes themselves."""
+    flat = values.flatten() if hasattr(values, "flatten") and str(values.type).startswith("list") else values
+    array: npt.NDArray[np.uint8] = flat.to_numpy(zero_copy_only=False)
+    return array.tobytes()
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)]
+
+
+def _unreadable(path: Path) -> InputError:
+    return InputError(
+        "a recording that can be read",
+        "one that is cut off or damaged",
+        f"deformscope recover {path.name}",
+        path,
+    )

@@ -1,0 +1,139 @@
+"""From what each driver measures to frames: the one place that knows both."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from deformscope.frames import (
+    ArmFrame,
+    ColorFrame,
+    DepthFrame,
+    Frame,
+    HandFrame,
+    Kind,
+    Pad,
+    Stream,
+    TactileFrame,
+    WrenchFrame,
+)
+from deformscope.rig.driver_table import Driver
+from deformscope_drivers.device import Device
+
+FINGER_CLOSED = 6800.0
+"""Where a Jaco's finger is closed (protocol reference, section 3)."""
+
+
+def to_frame(kind: Kind, reading: Any, index: int, name: str, device: Any) -> Frame:
+    """A driver's reading as a frame. index: its place in the device's stream; name: of the device in its rig"""
+    return _FRAMES[kind](reading, index, name, device)
+
+
+def describe(name: str, driver: Driver, device: Device[Any], *, simulated: bool) -> Stream:
+    """What is known of an open device before its first frame."""
+    told = device.identity()
+    stream = Stream(name, driver.kind, driver.name, simulated, told.serial, told.firmware)
+    known = _KNOWN.get(driver.kind)
+    return stream if known is None else dataclasses.replace(stream, **known(device))
+
+
+def _color(reading: Any, index: int, name: str, device: Any) -> Frame:
+    return ColorFrame(reading.stamp, index, reading.image, name)
+
+
+def _depth(reading: Any, index: int, name: str, device: Any) -> Frame:
+    return DepthFrame(reading.stamp, index, reading.depth, reading.unit_m, reading.color, name)
+
+
+def _tactile(reading: Any, index: int, name: str, device: Any) -> Frame:
+    counts = np.concatenate([pad.ravel() for pad in reading.pads])
+    return TactileFrame(reading.stamp, index, counts, tuple(device.pressure_pa(reading)), name)
+
+
+def _wrench(reading: Any, index: int, name: str, device: Any) -> Frame:
+    counts = np.array(reading.counts, np.int64)
+    known = reading.per_count is not None
+    force_n = reading.force_n if known else np.full((len(counts), 3), np.nan)
+    torque_nm = reading.torque_nm if known else None
+    return WrenchFrame(
+        reading.stamp, index, counts.ravel(), force_n, torque_nm, bool(reading.overload), reading.usable, name
+    )
+
+
+def _arm(reading: Any, index: int, name: str, device: Any) -> Frame:
+    return ArmFrame(
+        reading.stamp,
+        index,
+        np.array(reading.joints_deg),
+        np.array(reading.rates_deg_s),
+        np.array(reading.torques_nm),
+        np.array(reading.position_m),
+        np.array(reading.theta_rad),
+        np.array(reading.wrench[:3]),
+        np.array(reading.wrench[3:]),
+        np.array(reading.fingers) / FINGER_CLOSED,
+        reading.fifo_count,
+        name,
+    )
+
+
+def _hand(reading: Any, index: int, name: str, device: Any) -> Frame:
+    temperature_c = np.full(9, np.nan) if reading.temperature_c is None else np.array(reading.temperature_c)
+    states = tuple(state.name.lower() for state in reading.state)
+    return HandFrame(
+        reading.stamp,
+        index,
+        np.array(reading.position_deg),
+        np.array(reading.velocity_deg_s),
+        temperature_c,
+        states,
+        name,
+    )
+
+
+def _of_tactile(device: Any) -> dict[str, Any]:
+    from deformscope_drivers.dsa.pressure import to_pressure
+    from deformscope_drivers.dsa.texels import TEXEL_MAX
+
+    pads = tuple(
+        Pad(
+            pad.name,
+            matrix.cells_y,
+            matrix.cells_x,
+            (matrix.texel_width_mm / 1e3, matrix.texel_height_mm / 1e3),
+            index,
+            pad.finger,
+            int(pad.part),
+        )
+        for index, (pad, matrix) in enumerate(zip(device.pads, device.matrices, strict=True))
+    )
+    full = to_pressure([np.array([[TEXEL_MAX]], np.uint16)] * len(pads), device.config.calibration)
+    return {"pads": pads, "full_scale_pa": float(max(map(np.max, full)))}
+
+
+def _of_wrench(device: Any) -> dict[str, Any]:
+    from deformscope_drivers.optoforce.protocol import Kind as Sensors
+
+    return {"channels": 4 if device.kind is Sensors.FOUR_CHANNEL else 1, "torques": device.kind is Sensors.SIX_AXIS}
+
+
+def _of_arm(device: Any) -> dict[str, Any]:
+    from deformscope_drivers.jaco import urdf_path
+
+    return {"urdf": urdf_path(device.identity().model)}
+
+
+_KNOWN: dict[Kind, Callable[[Any], dict[str, Any]]] = {"tactile": _of_tactile, "wrench": _of_wrench, "arm": _of_arm}
+"""What more a kind of device tells before its first frame."""
+
+_FRAMES: dict[Kind, Callable[[Any, int, str, Any], Frame]] = {
+    "color": _color,
+    "depth": _depth,
+    "tactile": _tactile,
+    "wrench": _wrench,
+    "arm": _arm,
+    "hand": _hand,
+}

@@ -1,0 +1,383 @@
+"""The rig file: which devices there are, where they are plugged in, and what the robot may do.
+
+TOML, read strictly: a key that nobody knows is an error, since a limit with a typing mistake would be no limit.
+`lab:NAME` names a simulated rig that came with the installation.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import stat
+import sys
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from deformscope.errors import InputError
+from deformscope.rig.driver_table import DRIVERS, Driver
+from deformscope.rig.vendor_library import system_library
+from deformscope_drivers.device import Device
+from deformscope_drivers.errors import DeviceError
+
+LAB_SCHEME = "lab:"
+EXAMPLE = "deformscope doctor --example"
+NAME_HINT = "letters, digits, - and _, 64 at most"
+NAME_CHARACTERS = 64
+FILE_BYTES = 100_000
+"""Of a rig file at most: of a larger one, TOML can be made whose reading takes minutes."""
+PLACE_CHARACTERS = 80
+DEEPEST = 16
+"""Tables and lists within one another; a rig needs half."""
+
+
+@dataclass(frozen=True, slots=True)
+class RigDevice:
+    """One device of a rig.
+
+    name: as its frames and recordings call it; config: its driver's own configuration
+    double: run a simulated device in its place
+    trusted: whether a vendor's library that the configuration names is loaded from wherever it is
+    """
+
+    name: str
+    driver: Driver
+    config: Any
+    double: bool = False
+    trusted: bool = False
+
+    def make(self) -> Device[Any]:
+        """The real device, closed. Raises InputError where its section does not say enough, as without port and bus, or
+        names a library outside of the system's folders while the rig is not trusted."""
+        config = self.config
+        try:
+            if getattr(config, "library", None) and not self.trusted:
+                config = dataclasses.replace(config, library=str(system_library(config.library_file())))
+            return self.driver.make(config)  # type: ignore[no-any-return]
+        except (DeviceError, InputError) as error:
+            raise InputError.about(error, f"device {self.name}") from error
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """How the depth camera sees, and where it stands.
+
+    device: which one of the devices; focal_px: (fx, fy); center_px: (cx, cy) [px]
+    distortion: OpenCV's k1, k2, p1, p2, k3; T_arm_camera: 4x4, camera to arm base [m]
+    doubt_m: how far off T_arm_camera may be where the surface is: what is seen so near the stick may be the stick, and
+    is left out
+    """
+
+    device: str = ""
+    focal_px: tuple[float, float] | None = None
+    center_px: tuple[float, float] | None = None
+    distortion: tuple[float, ...] = ()
+    T_arm_camera: tuple[tuple[float, ...], ...] | None = None
+    doubt_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check(0 <= self.doubt_m <= 0.03, "doubt_m between 0 and 0.03", self.doubt_m)
+        if self.focal_px is not None:
+            _check(min(self.focal_px) > 0, "focal_px above 0", self.focal_px)
+        if self.T_arm_camera is not None:
+            _check_transform("T_arm_camera", self.T_arm_camera)
+
+
+@dataclass(frozen=True, slots=True)
+class Tool:
+    """What the arm pokes with.
+
+    length_m: from the arm's end to the tip; tip: its shape; radius_m: of the tip
+    T_ee_tip: 4x4, tip to the arm's end [m]; default: straight on along z by length_m
+    stick_radius_m: of the thickest between the arm's end and the tip, as a force sensor there: it is left out of what
+    the camera sees
+    compliance_m_per_n: how far the tip stays behind where the arm says it is, for each newton that it presses with;
+    compliance_sd: its deviation [m/N]. `deformscope calibrate arm` measures both
+    """
+
+    length_m: float = 0.1
+    tip: str = "sphere"
+    radius_m: float = 0.01
+    T_ee_tip: tuple[tuple[float, ...], ...] | None = None
+    compliance_m_per_n: float | None = None
+    compliance_sd: float = 0.0
+    stick_radius_m: float = 0.008
+
+    def __post_init__(self) -> None:
+        _check(0 <= self.length_m <= 1, "length_m between 0 and 1", self.length_m)
+        _check(self.tip in ("sphere", "disc", "flat"), 'tip = "sphere", "disc" or "flat"', repr(self.tip))
+        _check(0 < self.stick_radius_m <= 0.1, "stick_radius_m above 0 and up to 0.1", self.stick_radius_m)
+        _check(0 < self.radius_m <= 0.2, "radius_m above 0 and up to 0.2", self.radius_m)
+        if self.T_ee_tip is not None:
+            _check_transform("T_ee_tip", self.T_ee_tip)
+        given = self.compliance_m_per_n
+        _check(given is None or 0 <= given < 0.01, "compliance_m_per_n between 0 and 0.01", given)
+        _check(0 <= self.compliance_sd < 0.01, "compliance_sd between 0 and 0.01", self.compliance_sd)
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceSection:
+    """What is explored: something that lies on a table, whose corner is the origin of the surface frame.
+
+    size_m: along x and y; thickness_m: above the table, whose top is at z = 0
+    T_arm_surface: 4x4, surface frame to arm base [m]: x and y along the edges, z up
+    scene: a simulated table (`deformscope explore --list-scenarios`), where arm, force sensor and camera are doubles
+    """
+
+    size_m: tuple[float, float] = (0.6, 0.4)
+    thickness_m: float = 0.05
+    T_arm_surface: tuple[tuple[float, ...], ...] | None = None
+    scene: str = ""
+
+    def __post_init__(self) -> None:
+        _check(all(0.05 <= side <= 2 for side in self.size_m), "size_m between 0.05 and 2", self.size_m)
+        _check(0.005 <= self.thickness_m <= 0.5, "thickness_m between 0.005 and 0.5", self.thickness_m)
+        if self.T_arm_surface is not None:
+            _check_transform("T_arm_surface", self.T_arm_surface)
+
+
+@dataclass(frozen=True, slots=True)
+class Workspace:
+    """Where the tip may go, and how hard and fast it may touch. The defaults are far below harm.
+
+    low_m, high_m: corners of a box in the arm's base frame [m]
+    target_force_n, soft_stop_n, hard_stop_n: pressed with, backed away at, stopped at [N]
+    contact_speed_m_s: in the last 3 cm before contact and in it; travel_speed_m_s: elsewhere [m/s]
+    force_silent_s, arm_silent_s, camera_silent_s: stopped when there is nothing new from them for so long (the camera
+    while it is needed; None = 1.6 of its periods); longer only where the devices are slower, or a busy machine loses
+    time: 0.5 s at most, in which an arm goes up to 25 mm
+    """
+
+    low_m: tuple[float, float, float] | None = None
+    high_m: tuple[float, float, float] | None = None
+    target_force_n: float = 3.0
+    soft_stop_n: float = 8.0
+    hard_stop_n: float = 15.0
+    contact_speed_m_s: float = 0.02
+    travel_speed_m_s: float = 0.05
+    force_silent_s: float = 0.03
+    arm_silent_s: float = 0.075
+    camera_silent_s: float | None = None
+
+    def __post_init__(self) -> None:
+        _check((self.low_m is None) == (self.high_m is None), "both low_m and high_m, or neither", "one of them")
+        if self.low_m is not None and self.high_m is not None:
+            rising = all(low < high for low, high in zip(self.low_m, self.high_m, strict=True))
+            _check(rising, "low_m below high_m in every axis", f"{self.low_m}, {self.high_m}")
+        forces = self.target_force_n, self.soft_stop_n, self.hard_stop_n
+        _check(0 < forces[0] < forces[1] < forces[2], "0 < target_force_n < soft_stop_n < hard_stop_n", forces)
+        _check(forces[2] <= 50, "hard_stop_n up to 50", forces[2])
+        speeds = self.contact_speed_m_s, self.travel_speed_m_s
+        _check(0 < speeds[0] <= speeds[1] <= 0.2, "0 < contact_speed_m_s <= travel_speed_m_s <= 0.2", speeds)
+        for name in ("force_silent_s", "arm_silent_s", "camera_silent_s"):
+            given_s = getattr(self, name)
+            _check(given_s is None or 0.01 <= given_s <= 0.5, f"{name} between 0.01 and 0.5", given_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """How the rig is recorded.
+
+    folder: where recordings go that are not named; raw: keep the bytes of every wire beside what they mean
+    lossless: cameras whose colour images something is computed from (PNG, ten times the bytes of JPEG)
+    """
+
+    folder: str = "runs"
+    raw: bool = True
+    lossless: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """A rig as its file says it.
+
+    name: of the file, for titles; text: the file, for recordings
+    """
+
+    name: str
+    text: str
+    devices: tuple[RigDevice, ...]
+    camera: Camera = field(default_factory=Camera)
+    tool: Tool = field(default_factory=Tool)
+    surface: SurfaceSection = field(default_factory=SurfaceSection)
+    workspace: Workspace = field(default_factory=Workspace)
+    record: Record = field(default_factory=Record)
+
+
+def load_rig(where: str | Path, *, trusted: bool = False) -> Rig:
+    """Read a rig file, or the simulated rig `lab:NAME`. Raises InputError, which says what is wrong and where.
+
+    trusted: vendors' libraries that it names may be loaded from anywhere
+    """
+    text = str(where)
+    if text.startswith(LAB_SCHEME):
+        return parse_rig(_scenario(text.removeprefix(LAB_SCHEME)), text)
+    try:
+        content = _read_regular(Path(text).expanduser()).decode("utf-8")
+    except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: ~ of a user that there is not
+        came = getattr(error, "strerror", None) or (
+            "a file that is no text" if isinstance(error, UnicodeDecodeError) else _line(error)
+        )
+        raise InputError("a rig file (TOML), or lab:NAME", came.lower(), EXAMPLE, text) from error
+    return parse_rig(content, text, trusted=trusted)
+
+
+def _read_regular(path: Path) -> bytes:
+    """A file's bytes; raises InputError for what has no end, such as a device or a pipe, and for what is too large."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe without a writer would block
+    try:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise InputError("a rig file (TOML), or lab:NAME", "no regular file", EXAMPLE, path)
+        content = os.fdopen(descriptor, "rb", closefd=False).read(FILE_BYTES + 1)
+    finally:
+        os.close(descriptor)
+    if len(content) > FILE_BYTES:
+        raise InputError(f"a rig file of up to {FILE_BYTES // 1000} kB", "a larger one", EXAMPLE, path)
+    return content
+
+
+def scenario_names() -> list[str]:
+    """The simulated rigs that came with the installation."""
+    folder = resources.files("deformscope") / "lab" / "scenarios"
+    return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
+
+
+def parse_rig(text: str, where: str, *, trusted: bool = False) -> Rig:
+    """A rig out of a file's text; where: its name, for messages; trusted: as for `load_rig`."""
+    try:
+        content = tomllib.loads(text)
+    except Exception as error:  # also RecursionError, and ValueError for numbers of thousands of digits
+        raise InputError("a rig file in TOML", _line(error), "https://toml.io", where) from error
+    try:
+        _check_values(content)
+        return _rig(content, text, where, trusted)
+    except InputError as error:
+        raise InputError.about(error, where) from error
+
+
+def _check_values(content: dict[str, Any]) -> None:
+    """Every number is finite, every text printable, and nothing nested so deep that looking at it is a risk itself."""
+    waiting: list[tuple[str, Any, int]] = [("", content, 0)]
+    while waiting:
+        place, value, depth = waiting.pop()
+        if isinstance(value, dict | list):
+            _check(depth < DEEPEST, f"at most {DEEPEST} levels of tables and lists", f"more in {place}")
+            inner = dict(enumerate(value)) if isinstance(value, list) else value
+            if odd := [key for key in inner if not str(key).isprintable()]:
+                raise InputError("keys without control characters", repr(str(odd[0])[:PLACE_CHARACTERS]))
+            waiting += (
+                (f"{place}.{key}"[-PLACE_CHARACTERS:].lstrip("."), one, depth + 1) for key, one in inner.items()
+            )
+        elif isinstance(value, int | float):
+            _check(abs(value) <= sys.float_info.max, f"{place} that is finite", "inf, nan, or a number beyond all use")
+        elif isinstance(value, str):
+            _check(value.isprintable(), f"{place} without control characters", repr(value[:PLACE_CHARACTERS]))
+
+
+def _rig(content: dict[str, Any], text: str, where: str, trusted: bool) -> Rig:
+    sections = {"camera": Camera, "tool": Tool, "surface": SurfaceSection, "workspace": Workspace, "record": Record}
+    _check_keys(content, ("devices", *sections), "the rig file")
+    devices = content.get("devices")
+    if not isinstance(devices, dict) or not devices:
+        raise InputError("at least one [devices.NAME] section", "none")
+    read = {
+        name: _read(kind, content[name], f"[{name}]")
+        for name, kind in sections.items()
+        if content.get(name) is not None
+    }
+    rig = Rig(Path(where).stem, text, tuple(_device(name, told, trusted) for name, told in devices.items()), **read)
+    if rig.camera.device and rig.camera.device not in devices:
+        raise InputError(f"[camera] device out of {', '.join(devices)}", repr(rig.camera.device))
+    if unknown := [name for name in rig.record.lossless if name not in devices]:
+        raise InputError(f"[record] lossless out of {', '.join(devices)}", ", ".join(map(repr, unknown)))
+    return rig
+
+
+def _device(name: str, told: object, trusted: bool) -> RigDevice:
+    section = f"[devices.{name}]"
+    if len(name) > NAME_CHARACTERS or not name.replace("-", "").replace("_", "").isalnum():
+        raise InputError(f"a device's name of {NAME_HINT}", repr(name))
+    if not isinstance(told, dict):
+        raise InputError(f"a section {section}", type(told).__name__)
+    rest = dict(told)
+    driver = DRIVERS.get(str(rest.pop("driver", "")))
+    if driver is None:
+        raise InputError(f"{section} driver out of {', '.join(DRIVERS)}", repr(told.get("driver", "nothing")))
+    double = rest.pop("double", False)
+    if not isinstance(double, bool):
+        raise InputError(f"{section} double = true or false", repr(double))
+    if double and not driver.doubled:
+        raise InputError(f"{section} without double: {driver.name} needs none", "double = true")
+    return RigDevice(name, driver, _read(driver.config_class(), rest, section), double, trusted)
+
+
+def _read(kind: Any, told: object, section: str) -> Any:
+    """A section as its dataclass, strictly: known keys, right types, values that its checks accept."""
+    import msgspec
+
+    if not isinstance(told, dict):
+        raise InputError(f"a section {section}", type(told).__name__)
+    _check_keys(told, [entry.name for entry in dataclasses.fields(kind) if entry.init], section)
+    try:
+        return msgspec.convert(told, kind)
+    except msgspec.ValidationError as error:
+        raise InputError(f"{section} as its keys want it", _words(error)) from error
+    except InputError as error:
+        expected, _, came = str(error).removeprefix("expected ").partition("; got ")
+        raise InputError(f"{section} with {expected}", came, "lengths in m, forces in N, speeds in m/s") from error
+    except DeviceError as error:
+        raise InputError.about(error, section) from error
+    except Exception as error:  # a driver's own check; its errors are not of one kind
+        raise InputError(f"{section} that its driver accepts", _line(error)) from error
+
+
+def _check_keys(told: Mapping[str, Any], known: Any, section: str) -> None:
+    import difflib
+
+    if unknown := [key for key in told if key not in known]:
+        near = difflib.get_close_matches(unknown[0], known, n=1)
+        hint = f"{near[0]}" if near else ", ".join(known)
+        raise InputError(f"known keys in {section}", ", ".join(map(repr, unknown)), hint)
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def _words(error: Exception) -> str:
+    """msgspec's `Expected int, got str - at $.speed`, in the words of a rig file."""
+    text = str(error)
+    what, at, place = text.partition(" - at `$.")
+    return f"{place.rstrip('`')}: {what[0].lower()}{what[1:]}" if at else text
+
+
+def _check(right: bool, expected: str, came: object) -> None:
+    if not right:
+        raise InputError(expected, str(came))
+
+
+def _check_transform(name: str, rows: tuple[tuple[float, ...], ...]) -> None:
+    """A rigid 4x4: rows of a rotation, a translation within 10 m, and 0 0 0 1."""
+    _check(len(rows) == 4 and all(len(row) == 4 for row in rows), f"{name} of 4 rows of 4 numbers", rows)
+    _check(all(math.isfinite(value) for row in rows for value in row), f"{name} of finite numbers", rows)
+    _check(tuple(rows[3]) == (0, 0, 0, 1), f"{name} whose last row is 0 0 0 1", rows[3])
+    turn = [row[:3] for row in rows[:3]]
+    for first in range(3):
+        for second in range(3):
+            product = sum(a * b for a, b in zip(turn[first], turn[second], strict=True))
+            _check(abs(product - (first == second)) < 1e-3, f"{name} whose rotation is one", f"rows {turn}")
+    (a, b, c), (d, e, f), (g, h, i) = turn
+    turns_right = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) > 0
+    _check(turns_right, f"{name} that is no mirror image", f"rows {turn}")
+    _check(max(abs(row[3]) for row in rows[:3]) < 10, f"{name} in metres", [row[3] for row in rows[:3]])
+
+
+def _scenario(name: str) -> str:
+    names = scenario_names()
+    if name not in names:
+        raise InputError("a simulated rig", f"lab:{name}", "one of " + ", ".join(f"lab:{one}" for one in names))
+    return (resources.files("deformscope") / "lab" / "scenarios" / f"{name}.toml").read_text(encoding="utf-8")

@@ -1,0 +1,179 @@
+"""A rig as a source: its devices opened together, and what all of them gave since the last look, in order of time."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any
+
+from deformscope.errors import InputError
+from deformscope.frames import HealthReport, Item, LinkChange, RawBytes, Stream, host_ns
+from deformscope.rig.driver_table import Driver
+from deformscope.rig.measured import describe, to_frame
+from deformscope_drivers.clock import Clock, monotonic_ns
+from deformscope_drivers.device import Device, RawChunk
+from deformscope_drivers.errors import DeviceError
+from deformscope_drivers.health import Health, LinkEvent
+from deformscope_drivers.subscription import Subscription
+
+HEALTH_PERIOD_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class RigMember:
+    """A device to be opened. device: closed yet; simulated: a double stands in for it"""
+
+    name: str
+    driver: Driver
+    device: Device[Any]
+    simulated: bool = False
+
+
+@dataclass(slots=True)
+class _Opened:
+    """An open device, its queues, and the index of its next frame."""
+
+    member: RigMember
+    readings: Subscription[Any]
+    raw: Subscription[RawChunk] | None
+    events: Subscription[LinkEvent]
+    index: int = 0
+    failure: str = ""
+
+
+class RigSource:
+    """`with RigSource(members) as source: while ...: items = source.take(0.1)`.
+
+    Nothing that a device gives between opening and closing is left out: what its queue had to drop is counted.
+    raw: also the bytes of every wire; clock: that the devices stamp by
+    opener: opens them in its own way, where they are not to open side by side with threads of their own (a laboratory)
+    """
+
+    def __init__(
+        self,
+        members: Sequence[RigMember],
+        *,
+        raw: bool = True,
+        clock: Clock = monotonic_ns,
+        opener: Callable[[], None] | None = None,
+    ) -> None:
+        self.start_ns = 0
+        self._clock = clock
+        self._opener = opener
+        self._members = tuple(members)
+        self._raw = raw
+        self._opened: list[_Opened] = []
+        self._health_at = 0.0
+
+    def __enter__(self) -> RigSource:
+        """Open all devices side by side; the first that fails closes them all. Raises InputError naming it."""
+        self.start_ns = self._clock()
+        for member in self._members:  # before they open, so that nothing is missed
+            device = member.device
+            raw = device.raw() if self._raw else None
+            self._opened.append(_Opened(member, device.readings(), raw, device.events()))
+        if self._opener is not None:
+            self._opener()
+            return self
+        failures: dict[str, Exception] = {}
+
+        def open_one(member: RigMember) -> None:
+            try:
+                member.device.open()
+            except Exception as error:
+                failures[member.name] = error
+
+        try:
+            with ThreadPoolExecutor(max_workers=max(len(self._members), 1)) as pool:
+                list(pool.map(open_one, self._members))
+        except BaseException:  # Ctrl-C: without an __exit__ to come, nobody else would close them
+            self.close()
+            raise
+        if failures:
+            self.close()
+            name, error = next(iter(failures.items()))
+            if not isinstance(error, DeviceError | OSError):
+                raise error
+            raise InputError.about(error, f"device {name}") from error
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def streams(self) -> tuple[Stream, ...]:
+        """What is known of every device; only while open."""
+        return tuple(
+            describe(member.name, member.driver, member.device, simulated=member.simulated) for member in self._members
+        )
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing more can come of any device: files at their end, links given up."""
+        return bool(self._opened) and all(opened.readings.ended for opened in self._opened)
+
+    @property
+    def failures(self) -> dict[str, str]:
+        """Devices that ended for good, and why."""
+        return {opened.member.name: opened.failure for opened in self._opened if opened.failure}
+
+    def take(self, wait_s: float) -> list[Item]:
+        """Wait, then all that came since the last call, in order of time; now and then with everyone's health."""
+        if wait_s > 0.0:
+            time.sleep(wait_s)
+        items = self.rest()
+        now_s = self._clock() / 1e9
+        if now_s - self._health_at >= HEALTH_PERIOD_S:
+            self._health_at = now_s
+            items.append(self.look())
+        return sorted(items, key=host_ns)
+
+    def look(self) -> HealthReport:
+        """How all devices do."""
+        reports = tuple((member.name, member.device.health()) for member in self._members)
+        return HealthReport(self._clock(), tuple((name, _plain(health)) for name, health in reports))
+
+    def close(self) -> None:
+        """Close all devices, however many of them fail at it; what they gave last can still be taken."""
+        for opened in self._opened:
+            try:
+                opened.member.device.close()
+            except Exception as error:  # an arm that was not told to stop must not pass in silence
+                opened.failure = " ".join(str(error).split()) or type(error).__name__
+
+    def rest(self) -> list[Item]:
+        """What the queues hold, in order of time, without waiting and without a look at anyone's health."""
+        items: list[Item] = []
+        for opened in self._opened:
+            items += self._take_from(opened)
+        return sorted(items, key=host_ns)
+
+    def _take_from(self, opened: _Opened) -> list[Item]:
+        name, items = opened.member.name, list[Item]()
+        for reading in _all(opened.readings, opened):
+            items.append(to_frame(opened.member.driver.kind, reading, opened.index, name, opened.member.device))
+            opened.index += 1
+        items += [LinkChange(event, name) for event in _all(opened.events, opened)]
+        if opened.raw is not None:
+            items += [RawBytes(c.host_ns, c.data, c.sent, name) for c in _all(opened.raw, opened)]
+        return items
+
+
+def _all(queue: Subscription[Any], opened: _Opened) -> list[Any]:
+    """All that waits; why the device ended is kept once nothing does."""
+    try:
+        return queue.take()
+    except Exception as error:
+        opened.failure = " ".join(str(error).split()) or type(error).__name__
+        return []
+
+
+def _plain(health: Health) -> Health:
+    """A look that no later count changes."""
+    return dataclasses.replace(health, refused=dict(health.refused), extra=dict(health.extra))

@@ -1,0 +1,1 @@
+"""From observed particles to parameters with intervals and verdicts."""

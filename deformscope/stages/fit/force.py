@@ -1,0 +1,105 @@
+"""Stiffness from force: what position alone cannot tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.stages.fit.estimate import Posterior
+from deformscope.stages.fit.model import Model, Observation
+from deformscope.stages.fit.residuals import Explanation
+from deformscope.stages.msm import reference
+
+FORCE_SHARE = 0.05
+"""Standard deviation of a force whose noise was not stated, as a share of it."""
+
+CERTAIN = 1e-6
+"""Least relative deviation of a stiffness: what the arithmetic resolves."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stiffness:
+    """The energy's stiffness k [N/m] at each value of the parameter, (g,), and its standard deviation there."""
+
+    value: FloatArray
+    deviation: FloatArray
+
+
+def stiffness(
+    seen: Sequence[Observation],
+    model: Model,
+    positions: Sequence[FloatArray],
+    beta: FloatArray,
+    theta: FloatArray,
+    misfit: Sequence[float] | None = None,
+) -> Stiffness | None:
+    """k at each beta and theta (g,), from the measured forces of all observations; None where there is none to compare.
+
+    positions: for each observation (g, K, d); misfit: of each, as a share of its motion. A static state's energy is
+    stationary, so that what is wrong with its positions is wrong with its force to the second order: the square of that
+    share adds to the force's relative noise. k fits measured = k simulated net force with weights 1 / variance; where
+    several forces scatter more than their noise, its deviation grows as much (Birge's ratio). Eq. 3.17 has no energy,
+    so with theta in that form there is no force to compare.
+    """
+    told = [row for row, s in enumerate(seen) if s.force_n is not None and s.metres_per_unit is not None]
+    if not told or (model.volume == "scale" and theta.any()):
+        return None
+    simulated = np.zeros((len(beta), len(told)))
+    measured = np.array([float(seen[row].force_n or 0.0) for row in told])
+    for column, row in enumerate(told):
+        s = seen[row]
+        rest = reference.build_rest(s.rest, model.grouping(s), s.held, basis=model.basis)
+        contact = s.held if s.contact is None else s.contact
+        for g, (b, th) in enumerate(zip(beta, theta, strict=True)):
+            net = reference.reaction(positions[row][g], rest, float(b), float(th))[contact].sum(axis=0)
+            simulated[g, column] = float(np.linalg.norm(net)) * float(s.metres_per_unit or 1.0)
+    given = [seen[row].force_noise_n for row in told]
+    noise = np.array([FORCE_SHARE * f if n is None else n for n, f in zip(given, measured, strict=True)])
+    missed = np.zeros(len(told)) if misfit is None else np.array([misfit[row] ** 2 for row in told])
+    deviation = np.maximum(np.hypot(noise, missed * measured), CERTAIN * measured.max(initial=0.0))
+    deviation = np.where(deviation > 0.0, deviation, 1.0)
+    a, b = simulated / deviation, measured / deviation
+    size = np.sum(a**2, axis=1)
+    felt = np.where(size > 0.0, size, 1.0)
+    k = np.where(size > 0.0, a @ b / felt, np.nan)
+    scatter = np.sum((b - k[:, None] * a) ** 2, axis=1) / max(len(told) - 1, 1)
+    return Stiffness(k, np.sqrt(np.maximum(scatter, 1.0) / felt))
+
+
+def stiffness_interval(
+    seen: Sequence[Observation],
+    model: Model,
+    positions: Sequence[FloatArray],
+    beta: FloatArray,
+    theta: FloatArray,
+    share: FloatArray,
+    explanations: Sequence[Explanation],
+    level: float,
+) -> tuple[float, tuple[float, float]] | None:
+    """k at the last of some values (g,), the estimate's, and its interval over all of them with weights `share` (g,);
+    None where no force can be compared. It holds the force's noise and the model's misfit."""
+    misfit = []
+    for s, one in zip(seen, explanations, strict=True):
+        motion = float(np.sqrt(np.mean((s.deformed - s.rest)[s.free_observed] ** 2)))
+        misfit.append(one.misfit() / motion if motion > 0.0 else 0.0)
+    found = stiffness(seen, model, positions, beta, theta, misfit)
+    if found is None or not np.isfinite(found.value).all():
+        return None
+    posterior = stiffness_posterior(found, share)
+    k = float(found.value[-1])
+    return None if posterior is None else (k, posterior.shortest(level, k))
+
+
+def stiffness_posterior(found: Stiffness, share: FloatArray) -> Posterior | None:
+    """Of k [N/m], with the parameter's probability (g,) at each value; None where no finite force was simulated."""
+    told = np.isfinite(found.value) & (share > 0.0)
+    if not told.any():
+        return None
+    value, deviation, share = found.value[told], found.deviation[told], share[told]
+    grid = np.linspace(max((value - 6.0 * deviation).min(), 0.0), (value + 6.0 * deviation).max(), 2001)
+    z = (grid[:, None] - value) / deviation
+    density = np.exp(-0.5 * z**2) / deviation @ share
+    return Posterior(grid, density / np.trapezoid(density, grid))

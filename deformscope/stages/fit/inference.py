@@ -1,0 +1,186 @@
+"""The posterior of one parameter, given all candidates that a search has simulated.
+
+The prior is flat over the range that is searched. The likelihood is that of `deformscope.stages.fit.noise`, its
+hypotheses weighed and summed at each value; what is simulated between candidates is a cubic spline of them, in
+-log(1 - beta), which spreads out what happens near 1. The range is narrowed until the spline's knots resolve the
+posterior, however narrow it is.
+
+It goes in two steps. All residuals together tell how they come about: noise, its reach, its level, misfit. Then the
+few projections of the residuals that the parameter can change tell the parameter, with the noise of that step. So an
+estimate is as sharp as least squares, no sharper: to weigh every detail by a covariance that is but a guess (as
+generalised least squares does) would take the finest part of a misfit for knowledge.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.special import logsumexp
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.stages.fit.estimate import Posterior
+from deformscope.stages.fit.noise import Evidence
+from deformscope.stages.fit.residuals import DROP, Explanation, Residuals
+from deformscope.stages.fit.search import Progress, Search
+
+Judge = Callable[[int, FloatArray, Sequence[FloatArray], FloatArray], FloatArray]
+"""Log likelihood (f,) of one observation, by its residuals (f, n, d), what held positions do at some nodes, and the
+share of each node at each value (k, f)."""
+
+KNOTS, BETWEEN = 25, 8
+"""Candidates over the range, and steps of the grid from one to the next."""
+
+ZOOMS = 10
+
+NODES_FROM = (0.15, 0.5)
+"""Widths of the range from which on the effect of held positions is found at two and at three places in it."""
+
+RESOLVED = 0.3
+"""The posterior is resolved where it fills this share of the range."""
+
+NARROWEST = 1e-9
+"""Range below which nothing is resolved: candidates there differ by the solver's tolerance alone."""
+
+
+@dataclass(frozen=True, slots=True)
+class Inferred:
+    """posterior; explanations: one an observation; noise: typical white noise of a coordinate [unit]
+    rise: by how many standard deviations the data tell the likeliest value of the range from the least likely
+    converged: all simulations that it rests on have settled"""
+
+    posterior: Posterior
+    explanations: tuple[Explanation, ...]
+    noise: float
+    rise: float
+    converged: bool
+
+
+class Inference:
+    """The posterior over what a search has simulated."""
+
+    def __init__(self, search: Search, seed: int) -> None:
+        self.search = search
+        rng = np.random.default_rng(seed)
+        self.parts = [Residuals(seen, body, rng) for seen, body in zip(search.seen, search.bodies, strict=True)]
+        self.converged = True
+        empty = Evidence(*3 * (np.zeros((0, 0)),))
+        self._found = [empty] * len(self.parts)
+
+    def run(self, progress: Progress | None = None) -> Inferred:
+        search = self.search
+        low, high = (search.stretch(bound) for bound in search.bounds)
+        best = search.best()
+        spread = np.linspace(0, len(search.tried.parameter) - 1, 10).round().astype(int)
+        rows = np.unique([best, *spread[search.tried.usable[spread]]])
+        for row, part in enumerate(self.parts):
+            part.choose(search.tried.positions[row][rows], self._response(row, best))
+        fine, total, _ = self._narrowed(low, high, self._explain, progress)
+        for part, found in zip(self.parts, self._found, strict=True):
+            density = np.exp(total - total.max()) * np.gradient(search.shrink(fine))
+            part.weigh(found.log_likelihood, found.log_scale, density / density.sum())
+        fine, total, rise = self._narrowed(low, high, self._summarise, progress)
+        grid = search.shrink(fine)
+        density = np.exp(total - total.max())
+        area = float(np.trapezoid(density, grid))
+        if area <= 0.0:  # a single value is left
+            density, area = np.ones_like(density), float(grid[-1] - grid[0]) or 1.0
+        explanations = tuple(part.explanation for part in self.parts)
+        noise = white_noise(explanations, self.parts)
+        return Inferred(Posterior(grid, density / area), explanations, noise, rise, self.converged)
+
+    def _narrowed(
+        self, low: float, high: float, judge: Judge, progress: Progress | None
+    ) -> tuple[FloatArray, FloatArray, float]:
+        """A grid (f,) of stretched values that resolves a posterior, its logarithm there (f,), and by how many standard
+        deviations it tells the likeliest value of the whole range from the least likely."""
+        fine, total = self._over(low, high, judge)
+        finite = total[np.isfinite(total)]
+        rise = float(np.sqrt(2.0 * (finite.max() - finite.min())))
+        for zoom in range(ZOOMS):
+            if progress is not None:
+                progress("interval", zoom, ZOOMS)
+            alive = np.flatnonzero(total >= total.max() - DROP)
+            first, last = max(alive[0] - 1, 0), min(alive[-1] + 1, len(fine) - 1)
+            if last - first >= RESOLVED * len(fine) or fine[last] - fine[first] < NARROWEST:
+                break
+            fine, total = self._over(fine[first], fine[last], judge)
+        return fine, total, rise
+
+    def _over(self, low: float, high: float, judge: Judge) -> tuple[FloatArray, FloatArray]:
+        """A grid (f,) of stretched values, and the log likelihood of all observations there."""
+        search = self.search
+        knots, fine = np.linspace(low, high, KNOTS), np.linspace(low, high, (KNOTS - 1) * BETWEEN + 1)
+        rows = search.rows_of(search.shrink(knots))
+        usable = search.tried.usable[rows]
+        self.converged &= bool(search.tried.converged[rows[usable]].all())
+        standing = np.flatnonzero(usable)
+        if not standing.size:
+            raise InputError("simulations that stay finite", "all diverged", "a lower --theta, or --volume project")
+        nearest = standing[np.abs(np.arange(len(knots))[:, None] - standing).argmin(axis=1)]
+        nodes = np.unique(nearest[_nodes(high - low)])
+        total = np.zeros(len(fine))
+        for row, part in enumerate(self.parts):
+            left = part.left(search.tried.positions[row][rows[nearest]])
+            residual = CubicSpline(knots, left, axis=0)(fine)
+            responses = [self._response(row, int(rows[node])) for node in nodes]
+            total += search.weight[row] * judge(row, residual, responses, _shares(knots[nodes], fine))
+        total[np.interp(fine, knots, usable.astype(float)) < 1.0] = -np.inf
+        return fine, total
+
+    def _explain(
+        self, row: int, residual: FloatArray, responses: Sequence[FloatArray], share: FloatArray
+    ) -> FloatArray:
+        """By all that the residuals are: tells how they come about."""
+        part = self.parts[row]
+        each = [part.errors.evidence(residual, response, part.chosen) for response in responses]
+        mixed = [np.sum(share[:, None] * np.stack(some), axis=0) for some in zip(*map(_fields, each), strict=True)]
+        found = Evidence(*mixed)
+        self._found[row] = found
+        return np.asarray(logsumexp(found.log_likelihood, axis=0))
+
+    def _summarise(
+        self, row: int, residual: FloatArray, responses: Sequence[FloatArray], share: FloatArray
+    ) -> FloatArray:
+        """By what of the residuals the parameter can change, given how they come about: tells the parameter."""
+        part = self.parts[row]
+        onto = part.summary(residual)
+        each = [part.log_summary(residual, onto, response) for response in responses]
+        return np.asarray(np.sum(share * np.stack(each), axis=0))
+
+    def _response(self, row: int, place: int) -> FloatArray:
+        """What the held positions of one observation do at one of the candidates tried."""
+        search, part = self.search, self.parts[row]
+        parameter = float(search.tried.parameter[place])
+        return part.response(
+            parameter,
+            search.tried.positions[row][place],
+            lambda held, base, tolerance: search.relax(part.body, held, parameter, base, tolerance=tolerance),
+        )
+
+
+def _nodes(width: float) -> IntArray:
+    """The knots at which what held positions do is found anew: few over a (stretched) range in which it changes
+    little."""
+    count = 1 + int(np.searchsorted(NODES_FROM, width))
+    return np.array([[KNOTS // 2], [0, KNOTS - 1], [0, KNOTS // 2, KNOTS - 1]][count - 1])
+
+
+def white_noise(explanations: Sequence[Explanation], parts: Sequence[Residuals]) -> float:
+    """Typical white noise of a coordinate [unit]."""
+    every = [(e.weight @ e.white**2) * p.errors.noise**2 for e, p in zip(explanations, parts, strict=True)]
+    return float(np.sqrt(np.mean(np.concatenate(every))))
+
+
+def _shares(nodes: FloatArray, at: FloatArray) -> FloatArray:
+    """(k, f) share of each node in straight lines between nodes (k,), for all `at` (f,)."""
+    if len(nodes) == 1:
+        return np.ones((1, len(at)))
+    return np.stack([np.interp(at, nodes, one) for one in np.eye(len(nodes))])
+
+
+def _fields(one: Evidence) -> tuple[FloatArray, FloatArray, FloatArray]:
+    return one.log_likelihood, one.log_scale, one.log_scale_deviation

@@ -1,0 +1,312 @@
+"""beta and theta together: their joint posterior on a grid that is narrowed until it resolves it.
+
+Volume is conserved by projection here: with eq. 3.17 overlapping clusters at high beta and theta diverge. What is
+simulated between knots is a cubic spline in -log(1 - beta) and theta; the likelihood is that of one parameter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.special import logsumexp
+from threadpoolctl import threadpool_limits
+
+from deformscope.arrays import FloatArray
+from deformscope.errors import InputError
+from deformscope.stages.fit.calibrate import check_observations, check_range, identifiability
+from deformscope.stages.fit.distance import distances, nearest_error
+from deformscope.stages.fit.estimate import Comparison, Curve, Estimate, Parameter, Posterior, relative_verdict, verdict
+from deformscope.stages.fit.force import stiffness_interval
+from deformscope.stages.fit.inference import Inferred, white_noise
+from deformscope.stages.fit.model import Model, Observation
+from deformscope.stages.fit.residuals import DROP, Explanation, Residuals
+from deformscope.stages.fit.search import Progress, beta_of
+from deformscope.stages.msm.solver import Relaxed
+
+KNOTS = (17, 11)
+BETWEEN = 3
+"""Candidates of beta and of theta over their ranges, and steps of the grid from one to the next."""
+
+RESOLVED, NARROWEST, ZOOMS = 0.3, 1e-7, 8
+"""The grid is narrowed until the posterior fills this share of it, or to this range, at most so often."""
+
+SUMMARIES = 5
+"""Directions that stand for what beta and theta do to the particles, at most."""
+
+DRAWN = 24
+"""Draws of the posterior that stand for it in the stiffness."""
+
+POLISH = 6
+"""Grids of 5 x 5 that close in on the lowest error."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointOptions:
+    """How beta and theta are found within their bounds; model: its own beta and theta are not used."""
+
+    model: Model = Model(volume="project")  # noqa: RUF009
+    beta_bounds: tuple[float, float] = (0.0, 0.99)
+    theta_bounds: tuple[float, float] = (0.0, 1.0)
+    level: float = 0.9
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class JointEstimate:
+    """beta and theta of lowest error, and what else they may be.
+
+    beta, theta: each with its marginal posterior; its curve is the least error over the other
+    density: (b, t) joint posterior over `beta.posterior.parameter` and `theta.posterior.parameter`, whose integral is 1
+    correlation: of the two in the posterior
+    """
+
+    beta: Estimate
+    theta: Estimate
+    density: FloatArray
+    correlation: float
+
+    def as_json(self) -> dict[str, object]:
+        """The public form: what both share as in the estimate of one, and what each has under `parameters`."""
+        own = ("value", "interval", "bounds", "verdict", "verdict_text", "curve")
+        each = {one.parameter: one.as_json() for one in (self.beta, self.theta)}
+        shared = {k: v for k, v in each["beta"].items() if k not in (*own, "parameter", "posterior")}
+        assert self.beta.posterior is not None
+        assert self.theta.posterior is not None
+        return {
+            "parameters": {name: {key: one[key] for key in own} for name, one in each.items()},
+            "posterior": {
+                "beta": self.beta.posterior.parameter.tolist(),
+                "theta": self.theta.posterior.parameter.tolist(),
+                "density": self.density.tolist(),
+            },
+            "correlation": self.correlation,
+            **shared,
+        }
+
+
+def calibrate_both(
+    seen: Sequence[Observation], options: JointOptions, *, progress: Progress | None = None
+) -> tuple[JointEstimate, tuple[Comparison, ...]]:
+    """Fit beta and theta to observations that share them."""
+    check_observations(seen)
+    check_range("beta", options.beta_bounds)
+    check_range("theta", options.theta_bounds)
+    if options.model.volume != "project":
+        raise InputError("volume conserved by projection for beta and theta together", options.model.volume)
+    with threadpool_limits(1):
+        return _Joint(seen, options).run(progress)
+
+
+class _Joint:
+    """The grid over both, and every error that was met on the way."""
+
+    def __init__(self, seen: Sequence[Observation], options: JointOptions) -> None:
+        self.seen, self.options = list(seen), options
+        self.bodies = [options.model.body(one) for one in seen]
+        rng = np.random.default_rng(options.seed)
+        self.parts = [Residuals(one, body, rng) for one, body in zip(self.seen, self.bodies, strict=True)]
+        self.converged = True
+        self.tried = np.empty((0, 3))  # beta, theta, error
+        self.evidence: list[tuple[FloatArray, FloatArray]] = []
+
+    def simulate(self, beta: FloatArray, theta: FloatArray) -> list[FloatArray]:
+        """States (g, K, d) of every observation; their errors are remembered."""
+        states, total, count = [], np.zeros(len(beta)), 0
+        for one, body in zip(self.seen, self.bodies, strict=True):
+            state = body.relax(one.deformed[one.held], beta, theta, volume="project")
+            self.converged &= bool(state.converged.all())
+            states.append(state.position)
+            total += distances(state.position[:, one.observed], one.deformed[one.observed]).sum(axis=1)
+            count += int(one.observed.sum())
+        self.tried = np.concatenate([self.tried, np.column_stack([beta, theta, total / count])])
+        return states
+
+    def over(
+        self, b: tuple[float, float], t: tuple[float, float], *, explain: bool
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Grids of stretched beta and of theta, and the log likelihood (b, t) there: of all that the residuals are, by
+        which they are explained, or of what of them the parameters can change."""
+        knots = [np.linspace(*ends, count) for ends, count in zip((b, t), KNOTS, strict=True)]
+        fine = [np.linspace(*ends, (count - 1) * BETWEEN + 1) for ends, count in zip((b, t), KNOTS, strict=True)]
+        beta, theta = (each.ravel() for each in np.meshgrid(self.shrink(knots[0]), knots[1], indexing="ij"))
+        corners = np.array([0, KNOTS[1] - 1, (KNOTS[0] - 1) * KNOTS[1], KNOTS[0] * KNOTS[1] - 1])
+        u, v = (np.linspace(0.0, 1.0, len(each)) for each in fine)
+        share = np.stack([np.outer(x, y).ravel() for x in (1.0 - u, u) for y in (1.0 - v, v)])
+        total = np.zeros(share.shape[1])
+        self.evidence = []
+        for part, state in zip(self.parts, self.simulate(beta, theta), strict=True):
+            responses = [self._response(part, float(beta[at]), float(theta[at]), state[at]) for at in corners]
+            if len(part.chosen) == len(part.errors.hypotheses.size):
+                best = int(self.tried[-len(beta) :, 2].argmin())
+                some = np.unique(np.concatenate([[best], np.linspace(0, len(beta) - 1, 12).round().astype(int)]))
+                part.choose(state[some], self._response(part, float(beta[best]), float(theta[best]), state[best]))
+            left = part.left(state).reshape(*KNOTS, len(part.judged), -1)
+            residual = CubicSpline(knots[1], CubicSpline(knots[0], left, axis=0)(fine[0]), axis=1)(fine[1])
+            residual = residual.reshape(-1, *residual.shape[2:])
+            if explain:
+                found = [part.errors.evidence(residual, response, part.chosen) for response in responses]
+                likelihood = np.sum(share[:, None] * np.stack([one.log_likelihood for one in found]), axis=0)
+                scale = np.sum(share[:, None] * np.stack([one.log_scale for one in found]), axis=0)
+                self.evidence.append((likelihood, scale))
+                total += logsumexp(likelihood, axis=0)
+            else:
+                onto = part.summary(residual, SUMMARIES)
+                total += np.sum(share * np.stack([part.log_summary(residual, onto, one) for one in responses]), axis=0)
+        return fine[0], fine[1], total.reshape(len(fine[0]), len(fine[1]))
+
+    def narrowed(
+        self, progress: Progress | None, *, explain: bool
+    ) -> tuple[FloatArray, FloatArray, FloatArray, list[float]]:
+        """The grid that resolves the posterior, its logarithm, and for each parameter by how many standard deviations
+        it tells the likeliest value of the whole range from the least likely."""
+        low, high = (float(-np.log1p(-bound)) for bound in self.options.beta_bounds)
+        b, t, total = self.over((low, high), self.options.theta_bounds, explain=explain)
+        rise = [float(np.sqrt(2.0 * np.ptp(total.max(axis=axis)))) for axis in (1, 0)]
+        for zoom in range(ZOOMS):
+            if progress is not None:
+                progress("joint posterior", zoom, ZOOMS)
+            alive = total >= total.max() - DROP
+            ends = [self._ends(grid, alive.any(axis=axis)) for grid, axis in ((b, 1), (t, 0))]
+            share = [(e[1] - e[0]) / (g[-1] - g[0]) for e, g in zip(ends, (b, t), strict=True)]
+            if min(share) >= RESOLVED or max(e[1] - e[0] for e in ends) < NARROWEST:
+                break
+            b, t, total = self.over(*ends, explain=explain)
+        return b, t, total, rise
+
+    def run(self, progress: Progress | None) -> tuple[JointEstimate, tuple[Comparison, ...]]:
+        b, t, total, _ = self.narrowed(progress, explain=True)
+        over = (np.exp(total - total.max()) * np.gradient(self.shrink(b))[:, None] * np.gradient(t)).ravel()
+        for part, (likelihood, scale) in zip(self.parts, self.evidence, strict=True):
+            part.weigh(likelihood, scale, over / over.sum())
+        b, t, total, rise = self.narrowed(progress, explain=False)
+        beta, theta, aee = self.best()
+        grid = self.shrink(b)
+        density = np.exp(total - total.max())
+        density /= np.trapezoid(np.trapezoid(density, t, axis=1), grid)
+        marginals = [
+            Posterior(grid, np.trapezoid(density, t, axis=1)),
+            Posterior(t, np.trapezoid(density, grid, axis=0)),
+        ]
+        over = (density * np.gradient(grid)[:, None] * np.gradient(t)).ravel()
+        explanations = tuple(part.explanation for part in self.parts)
+        states = self.simulate(np.array([beta]), np.array([theta]))
+        comparisons = tuple(
+            Comparison(s.rest, s.deformed, state[0], s.observed, s.held, s.unit)
+            for s, state in zip(self.seen, states, strict=True)
+        )
+        noise = white_noise(explanations, self.parts)
+        k = self._stiffness(grid, t, density, (beta, theta), explanations)
+        found = [
+            Inferred(marginal, explanations, noise, told, self.converged)
+            for marginal, told in zip(marginals, rise, strict=True)
+        ]
+        of_beta = self._estimate("beta", beta, found[0], comparisons, aee, k)
+        of_theta = self._estimate("theta", theta, found[1], comparisons, aee, k)
+        mean_b, mean_t = (float(np.sum(over * x) / over.sum()) for x in self._flat(grid, t))
+        gb, gt = self._flat(grid - mean_b, t - mean_t)
+        spread = np.sqrt(np.sum(over * gb**2) * np.sum(over * gt**2))
+        correlation = float(np.sum(over * gb * gt) / spread) if spread > 0.0 else 0.0
+        return JointEstimate(of_beta, of_theta, density, correlation), comparisons
+
+    def best(self) -> tuple[float, float, float]:
+        """beta, theta and the error where it is lowest: the best tried, then grids of 5 x 5 around it, ever finer."""
+        bounds = (self.options.beta_bounds, self.options.theta_bounds)
+        reach = [float(-np.log1p(-bounds[0][1])) / KNOTS[0], (bounds[1][1] - bounds[1][0]) / KNOTS[1]]
+        for _ in range(POLISH):
+            beta, theta, _ = self.tried[self.tried[:, 2].argmin()]
+            b = self.shrink(-np.log1p(-beta) + np.linspace(-1.0, 1.0, 5) * reach[0])
+            t = np.clip(theta + np.linspace(-1.0, 1.0, 5) * reach[1], *bounds[1])
+            around = np.stack(np.meshgrid(np.unique(b), np.unique(t), indexing="ij"), axis=-1).reshape(-1, 2)
+            self.simulate(around[:, 0], around[:, 1])
+            reach = [0.4 * one for one in reach]
+        beta, theta, error = self.tried[self.tried[:, 2].argmin()]
+        return float(beta), float(theta), float(error)
+
+    def shrink(self, stretched: FloatArray) -> FloatArray:
+        return beta_of(stretched, self.options.beta_bounds)
+
+    def _response(self, part: Residuals, beta: float, theta: float, base: FloatArray) -> FloatArray:
+        def relax(held: FloatArray, start: FloatArray, tolerance: float) -> Relaxed:
+            return part.body.relax(held, beta, theta, volume="project", start=start, tolerance=tolerance)
+
+        return part.response((beta, theta), base, relax)
+
+    @staticmethod
+    def _ends(grid: FloatArray, alive: FloatArray) -> tuple[float, float]:
+        inside = np.flatnonzero(alive)
+        return float(grid[max(inside[0] - 1, 0)]), float(grid[min(inside[-1] + 1, len(grid) - 1)])
+
+    @staticmethod
+    def _flat(beta: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        b, t = np.meshgrid(beta, theta, indexing="ij")
+        return b.ravel(), t.ravel()
+
+    def _estimate(
+        self,
+        name: Parameter,
+        value: float,
+        inferred: Inferred,
+        comparisons: Sequence[Comparison],
+        aee: float,
+        k: tuple[float, tuple[float, float]] | None,
+    ) -> Estimate:
+        options = self.options
+        bounds = options.beta_bounds if name == "beta" else options.theta_bounds
+        ends = inferred.posterior.shortest(options.level, value)
+        told = identifiability(self.seen, comparisons, inferred)
+        free = np.concatenate(
+            [distances(c.simulated, c.observed)[s.free_observed] for c, s in zip(comparisons, self.seen, strict=True)]
+        )
+        return Estimate(
+            parameter=name,
+            value=value,
+            interval=ends,
+            level=options.level,
+            bounds=bounds,
+            verdict=verdict(ends, bounds, told) if self.converged else "unidentified",
+            stiffness_verdict="unidentified" if k is None else relative_verdict(*k),
+            aee=aee,
+            aee_free=float(free.mean()),
+            nearest=float(np.mean([nearest_error(c.simulated[c.seen], c.observed[c.seen]) for c in comparisons])),
+            unit=self.seen[0].unit,
+            curve=self._profile(0 if name == "beta" else 1),
+            converged=self.converged,
+            settings={
+                "cluster_size": options.model.cluster_size,
+                "mode": options.model.basis,
+                "volume": options.model.volume,
+                "noise": inferred.noise,
+                "seed": options.seed,
+            },
+            stiffness=k,
+            metres_per_unit=self.seen[0].metres_per_unit,
+            posterior=inferred.posterior,
+            identifiability=told,
+        )
+
+    def _stiffness(
+        self,
+        beta: FloatArray,
+        theta: FloatArray,
+        density: FloatArray,
+        best: tuple[float, float],
+        explanations: Sequence[Explanation],
+    ) -> tuple[float, tuple[float, float]] | None:
+        """k over draws of the joint posterior."""
+        if all(one.force_n is None for one in self.seen):
+            return None
+        over = (density * np.gradient(beta)[:, None] * np.gradient(theta)).ravel()
+        drawn = np.random.default_rng(self.options.seed).choice(over.size, DRAWN, p=over / over.sum())
+        b, t = (np.append(each[drawn], last) for each, last in zip(self._flat(beta, theta), best, strict=True))
+        share = np.append(np.full(DRAWN, 1.0 / DRAWN), 1e-3)
+        states = self.simulate(b, t)
+        return stiffness_interval(self.seen, self.options.model, states, b, t, share, explanations, self.options.level)
+
+    def _profile(self, column: int) -> Curve:
+        """The least error over the other parameter, of the values first tried."""
+        first = self.tried[: KNOTS[0] * KNOTS[1]]
+        values = np.unique(first[:, column])
+        return Curve(values, np.array([first[first[:, column] == value, 2].min() for value in values]))

@@ -1,0 +1,143 @@
+"""What is calibrated: one manipulation of a thing that was seen, the model that is fitted to it, and how."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.stages.fit.estimate import LengthUnit, Parameter
+from deformscope.stages.msm import clusters
+from deformscope.stages.msm.poke import Tip
+from deformscope.stages.msm.reference import Basis, Volume
+from deformscope.stages.msm.solver import Msm, Precision
+
+Method = Literal["sweep", "gradient"]
+
+TOUCHED_SHARE = 0.5
+"""Held particles that moved more than this share of the largest motion among them are taken as touched."""
+
+
+def touched_of(rest: FloatArray, deformed: FloatArray, held: IntArray) -> IntArray:
+    """The held particles (n,) that something moved, rather than held still, (m,). rest, deformed: (K, d)."""
+    moved = np.linalg.norm((deformed - rest)[held], axis=1)
+    return np.asarray(held[moved > TOUCHED_SHARE * moved.max(initial=0.0)])
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """One manipulation: a rest shape, what it became, and what was held.
+
+    rest, deformed: (K, d), d = 2 or 3 [unit]; held: (n,) indices whose deformed position is prescribed
+    observed: (K,) particles that were seen in `deformed`
+    noise: (K,) standard deviation per coordinate, None if unknown
+    shape, cell: the lattice that the particles stand on (last axis fastest, may have holes), None if they stand on none
+    metres_per_unit: size of the unit, None for pixels of unknown size
+    force_n: net force [N] on the held particles `contact`, None if it was not measured; force_noise_n: its standard
+    deviation [N], None if unknown
+    held_measured: whether the held positions were measured, with the noise of the others, or are exact; None = unknown
+    tip: what pressed the particles of `contact`, if it is known
+    """
+
+    rest: FloatArray
+    deformed: FloatArray
+    held: IntArray
+    observed: BoolArray
+    noise: FloatArray | None = None
+    shape: tuple[int, ...] | None = None
+    cell: IntArray | None = None
+    unit: LengthUnit = "m"
+    metres_per_unit: float | None = 1.0
+    force_n: float | None = None
+    contact: IntArray | None = None
+    held_measured: bool | None = None
+    tip: Tip | None = None
+    force_noise_n: float | None = None
+
+    def __post_init__(self) -> None:
+        count, d = self.rest.shape
+        if not (np.isfinite(self.rest).all() and np.isfinite(self.deformed[self.observed]).all()):
+            raise InputError("finite positions", "NaN or infinity in rest or deformed", "drop those particles")
+        if not np.isfinite(self.deformed[self.held]).all():
+            raise InputError("finite positions of the held particles", "NaN or infinity", "hold fewer particles")
+        if np.unique(self.rest, axis=0).shape[0] != count:
+            raise InputError("distinct rest positions", "duplicate points in rest", "keep each particle once")
+        if self.held.size == 0:
+            raise InputError("at least one held particle", "none", "name what was held and what was pushed")
+        if np.unique(self.held).size != self.held.size:
+            raise InputError("each held particle once", "repeated ones")
+        if self.held.size == count:
+            raise InputError("some free particles", "every particle held", "hold only what was fixed or pushed")
+        if not self.free_observed.any():
+            raise InputError("free particles that were observed", "none", "check `observed` and what is held")
+        if clusters.rank(self.rest) < min(d, 2):
+            raise InputError("rest points that span a plane", "points on a line", "observe an area, not a line")
+
+    @property
+    def pose_held(self) -> bool:
+        """Whether the held particles keep the body from turning: two in the plane, three off a line in space."""
+        return bool(clusters.rank(self.rest[self.held]) >= self.rest.shape[1] - 1)
+
+    @property
+    def touched(self) -> IntArray:
+        """(m,) particles that something pressed: `contact`, or the held ones that moved where it is not known."""
+        return touched_of(self.rest, self.deformed, self.held) if self.contact is None else self.contact
+
+    @property
+    def free_observed(self) -> BoolArray:
+        """(K,) particles that the fit is judged by: seen and not prescribed."""
+        return np.asarray(self.observed & ~clusters.held_mask(len(self.rest), self.held))
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """What is fitted: which parameter, and everything about the simulation that stays fixed.
+
+    cluster_size: particles a side of the overlapping clusters; None = one cluster of all particles
+    beta, theta: the value of the one that is not fitted; alpha does not change a static state and is recorded only
+    volume: how theta conserves it: "scale" as eq. 3.17 does, or "project", which has an energy and stays stable in
+    overlapping clusters
+    """
+
+    parameter: Parameter = "beta"
+    basis: Basis = "linear"
+    cluster_size: int | None = 3
+    alpha: float = 1.0
+    beta: float = 0.99
+    theta: float = 0.0
+    volume: Volume = "scale"
+    precision: Precision = "float64"
+    device: str = "cpu"
+
+    def grouping(self, seen: Observation) -> clusters.Clusters:
+        """How the particles of an observation are grouped."""
+        if self.cluster_size is None:
+            return clusters.single(len(seen.rest))
+        if seen.shape is not None and seen.cell is not None:
+            return clusters.lattice(seen.rest, seen.shape, seen.cell, self.cluster_size)
+        return clusters.nearest(seen.rest, self.cluster_size ** seen.rest.shape[1])
+
+    def body(self, seen: Observation) -> Msm:
+        """The particles of an observation in this model's clusters, on its device."""
+        grouped = self.grouping(seen)
+        return Msm(seen.rest, grouped, seen.held, basis=self.basis, precision=self.precision, device=self.device)
+
+
+@dataclass(frozen=True, slots=True)
+class FitOptions:
+    """How the parameter of `model` is found within `bounds`, and how sure of it one can be.
+
+    method: "sweep" tries `candidates` values over `bounds` and refines around the lowest error (Algorithm 3);
+    "gradient" follows the slope (Algorithm 2's purpose) and draws the curve only where it went
+    level: of the interval; seed: of its random repeats
+    """
+
+    model: Model = Model()
+    bounds: tuple[float, float] = (0.0, 0.99)
+    method: Method = "sweep"
+    candidates: int = 100
+    level: float = 0.9
+    seed: int = 0

@@ -1,0 +1,329 @@
+"""How likely residuals are: errors of measurement, of the prescribed positions, and of the model, each weighed.
+
+What is left at a parameter's true value, observed - simulated at the free particles, is r = e - J e_held: J is what
+prescribed positions that are off do to the simulation. The errors (e, e_held) of all particles are
+
+    white noise, of the stated size times a scale that the residuals correct, and
+    a smooth random field (the same in each coordinate): an error of measurement that neighbours share, as
+    that of optical flow, in free and prescribed particles alike; or misfit of the model, in the free ones alone.
+
+Each combination of a field's roughness, length and size is one hypothesis with a Gaussian likelihood; whether the
+prescribed positions were measured too is another choice where it was not told. The scale is integrated (Laplace) with a
+log-normal prior about 1, or a flat one where no noise was stated.
+
+With G the covariance of (e, e_held), r has P G P^T, P = [I, -J]. It is never formed: that is the marginal of a flat
+e_held, so chi2 = min over y of |(r + J y, y)|^2 in G^-1, which the eigenvectors of the field make diagonal, one
+decomposition for all sizes of the field, all residuals and all coordinates.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from itertools import product
+from typing import Literal
+
+import numpy as np
+from scipy.linalg import block_diag, eigh
+from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+
+Roughness = Literal["exponential", "matern", "gaussian"]
+
+FIELDS: tuple[tuple[Roughness, tuple[float, ...]], ...] = (
+    ("exponential", (1.0, 3.0)),
+    ("matern", (0.6, 1.0, 1.7, 3.0, 6.0)),
+    ("gaussian", (0.7, 1.0, 1.5, 2.5)),
+)
+"""Correlations of the smooth field, from rough to smooth, and their lengths in particle spacings."""
+
+CORRELATIONS = tuple(rough for rough, _ in FIELDS)
+
+FIELD_SIZES = tuple(float(size) for size in 10.0 ** np.arange(-1.0, 5.1, 0.5))
+"""Variances of the smooth field, in units of the white noise."""
+
+SHARED_MOST = 100.0
+"""An error of measurement that neighbours share is of at most this variance, in units of the white noise."""
+
+MISFIT_MOST_UNKNOWN = 100.0
+"""As `FIELD_SIZES`, where no noise was stated: beyond, white noise would be read off the smallest of residuals."""
+
+MISFIT_ROUGH = 0.05
+"""Share of a misfit's variance that no field describes: a model's errors are not as smooth as a random field, and where
+they are large their finest part must not pass for knowledge."""
+
+PRIOR_NO_FIELD = 0.5
+PRIOR_HELD_EXACT = 0.15
+"""Prior weight of exact prescribed positions where it is not told whether they were measured."""
+
+SCALE_SPREAD = 1.0
+"""Log-normal deviation of the true noise about the stated one: a factor of 2.7 either way is one deviation."""
+
+SCALE_LEAST = 0.05
+"""Residuals this far below the stated noise are no sample of it (made-up or smoothed data): the statement stands."""
+
+NEIGHBOURS = 1.2
+"""Particles within this many spacings are neighbours."""
+
+PRODUCTS_AT_ONCE = 2_000_000
+"""Numbers that the sizes of a field make at once."""
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """The particles of one observation, and what was said of their errors.
+
+    rest: (n, d) free observed particles; held_rest: (k, d) prescribed ones, whose k d coordinates are the directions
+    of a response; None where m random combinations, noise included, stand for too many of them
+    noise, held_noise: (n,), (k,) deviation of a coordinate, None if unknown; held_measured: whether the prescribed
+    positions carry noise, None = not known; spacing: of the particles; floor: smallest deviation that numbers resolve
+    """
+
+    rest: FloatArray
+    held_rest: FloatArray | None
+    noise: FloatArray | None
+    held_noise: FloatArray | None
+    held_measured: bool | None
+    spacing: float
+    floor: float
+
+    def some(self, pick: IntArray) -> Measured:
+        """With some of the free particles alone."""
+        noise = None if self.noise is None else self.noise[pick]
+        return dataclasses.replace(self, rest=self.rest[pick], noise=noise)
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseHypotheses:
+    """Explanations of residuals, (h,) each.
+
+    held: the prescribed positions carry noise; shared: they carry the smooth field too
+    field: which of `CORRELATIONS`; length: its own [spacings]; size: its variance in units of the white noise, 0 = none
+    """
+
+    held: BoolArray
+    shared: BoolArray
+    field: IntArray
+    length: FloatArray
+    size: FloatArray
+    log_prior: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """log_likelihood: (h, g) of residuals g under hypothesis h, its prior and scale included; log_scale: (h, g) of the
+    white noise against the stated one (or 1), the most likely; log_scale_deviation: (h, g)"""
+
+    log_likelihood: FloatArray
+    log_scale: FloatArray
+    log_scale_deviation: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class _Basis:
+    """Eigenvectors of one field in units of the noise: rotate (N, N) whitens (e, e_held); moment (N,)."""
+
+    rotate: FloatArray
+    moment: FloatArray
+
+
+Field = tuple[int, float, bool, bool]
+"""Which correlation and its length; whether prescribed positions are noisy; whether they have the field too."""
+
+
+class ErrorModel:
+    """The hypotheses about one observation's errors."""
+
+    def __init__(self, measured: Measured) -> None:
+        self.measured = measured
+        n, d = measured.rest.shape
+        self.dim = d
+        unknown = measured.noise is None
+        noise = np.ones(n) if measured.noise is None else np.maximum(measured.noise, measured.floor)
+        if measured.held_rest is None:
+            held_noise = np.ones(0)
+        elif measured.held_noise is None or unknown:
+            held_noise = np.ones(len(measured.held_rest))
+        else:
+            held_noise = np.maximum(measured.held_noise, 1e-3 * noise.mean())
+        self.noise, self.held_noise = noise, held_noise
+        self.log_noise = float(d * np.log(noise).sum())
+        self.hypotheses = self._enumerate(unknown)
+        self._bases: dict[Field, _Basis] = {}
+
+    def _enumerate(self, unknown: bool) -> NoiseHypotheses:
+        told = self.measured.held_measured
+        ways = {True: {True: 1.0}, False: {False: 1.0}, None: {False: PRIOR_HELD_EXACT, True: 1.0 - PRIOR_HELD_EXACT}}
+        sizes = [size for size in FIELD_SIZES if not unknown or size <= MISFIT_MOST_UNKNOWN]
+        fields = [(CORRELATIONS.index(rough), length) for rough, lengths in FIELDS for length in lengths]
+        rows: list[tuple[float, ...]] = []
+        for held, prior in ways[told].items():
+            rows.append((held, False, 0, 1.0, 0.0, np.log(prior * PRIOR_NO_FIELD)))
+            kinds = (False, True) if held and self.measured.held_rest is not None else (False,)
+            for shared, (field, length) in product(kinds, fields):
+                some = [size for size in sizes if not shared or size <= SHARED_MOST]
+                share = prior * (1.0 - PRIOR_NO_FIELD) / (len(kinds) * len(fields) * len(some))
+                rows.extend((held, shared, field, length, size, np.log(share)) for size in some)
+        table = np.array(rows, dtype=np.float64)
+        held_, shared_, field_, length_, size_, log_prior = table.T
+        return NoiseHypotheses(held_ > 0.0, shared_ > 0.0, field_.astype(np.int64), length_, size_, log_prior)
+
+    def _basis(self, key: Field) -> _Basis:
+        if key not in self._bases:
+            self._bases[key] = self._find_basis(*key)
+        return self._bases[key]
+
+    def _find_basis(self, which: int, length: float, held: bool, shared: bool) -> _Basis:
+        place, noise = self.measured.rest, self.noise
+        if held and not shared:  # what the free particles alone have, and white noise beside it
+            free = self._basis((which, length, False, False))
+            rotate = block_diag(free.rotate, np.diag(1.0 / self.held_noise))
+            return _Basis(rotate, np.concatenate([free.moment, np.zeros(len(self.held_noise))]))
+        if shared and self.measured.held_rest is not None:
+            place = np.concatenate([place, self.measured.held_rest])
+            noise = np.concatenate([noise, self.held_noise])
+        field = correlation(which, cdist(place, place) / (self.measured.spacing * length))
+        if not shared:
+            field = (1.0 - MISFIT_ROUGH) * field + MISFIT_ROUGH * np.eye(len(field))
+        field *= float(np.mean(self.noise**2))
+        moment, vectors = eigh(field / noise[:, None] / noise, check_finite=False, driver="evd")
+        return _Basis(vectors.T / noise, np.maximum(moment, 0.0))
+
+    def evidence(self, residual: FloatArray, response: FloatArray, chosen: IntArray | None = None) -> Evidence:
+        """How likely residuals (g, n, d) are, where prescribed positions act by `response` (n, d, m).
+
+        chosen: rows of the hypotheses; default all
+        """
+        every = self.hypotheses
+        rows = np.arange(len(every.size)) if chosen is None else chosen
+        count = residual.shape[1] * self.dim
+        chi2 = np.empty((len(rows), len(residual)))
+        log_det = np.empty(len(rows))
+        groups: dict[Field, list[int]] = {}
+        for at, row in enumerate(rows):
+            key = (int(every.field[row]), float(every.length[row]), bool(every.held[row]), bool(every.shared[row]))
+            groups.setdefault(key, []).append(at)
+        for key, places in groups.items():
+            sizes = every.size[rows[places]]
+            chi2[places], log_det[places] = self._quadratic(residual, response, key, sizes)
+        plain = float(np.min(np.sum((residual / self.noise[:, None]) ** 2, axis=(1, 2)), initial=np.inf)) / count
+        trusted = self.measured.noise is not None and plain < SCALE_LEAST**2
+        return self._scaled(chi2, log_det[:, None] + 2.0 * self.log_noise, count, rows, trusted)
+
+    def _quadratic(
+        self, residual: FloatArray, response: FloatArray, key: Field, sizes: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """chi2 (f, g) and log determinant (f,), less that of the noise, for each size of one field."""
+        basis = self._basis(key)
+        held = key[2]
+        n, d = residual.shape[1:]
+        g, m = len(residual), response.shape[2]
+        spread = 1.0 + sizes[:, None] * basis.moment
+        log_det = d * np.log(spread).sum(axis=1)
+        if not held:
+            turned = np.tensordot(basis.rotate, residual, (1, 1))
+            square = np.sum(turned**2, axis=2)
+            return np.asarray((1.0 / spread) @ square), log_det
+        total = len(basis.moment)
+        own = np.tensordot(basis.rotate[:, :n], residual, (1, 1)).transpose(0, 2, 1)  # (N, d, g)
+        act = np.tensordot(basis.rotate[:, :n], response, (1, 0))  # (N, d, m)
+        if self.measured.held_rest is None:  # m combinations of unit noise, no places of their own
+            own, act = own.reshape(n * d, g), act.reshape(n * d, m)
+            own, act = np.concatenate([own, np.zeros((m, g))]), np.concatenate([act, np.eye(m)])
+            weight = np.concatenate([np.repeat(1.0 / spread, d, axis=1), np.ones((len(sizes), m))], axis=1)
+            log_held = 0.0
+        else:
+            k = total - n
+            direct = np.zeros((total, d, k, d))
+            for axis in range(d):
+                direct[:, axis, :, axis] = basis.rotate[:, n:]
+            own, act = own.reshape(total * d, g), (act + direct.reshape(total, d, m)).reshape(total * d, m)
+            weight = np.repeat(1.0 / spread, d, axis=1)
+            log_held = 2.0 * d * float(np.log(self.held_noise).sum())
+        chi2 = weight @ own**2
+        together = max(1, PRODUCTS_AT_ONCE // (m * max(m, g)))
+        for first in range(0, len(sizes), together):
+            some = slice(first, first + together)
+            scaled = act.T * weight[some, None]  # (f, m, N d)
+            normal, right = scaled @ act, scaled @ own
+            chi2[some] -= np.sum(right * np.linalg.solve(normal, right), axis=1)
+            log_det[some] += np.linalg.slogdet(normal)[1] + log_held
+        return np.maximum(chi2, 0.0), log_det
+
+    def projected(self, onto: FloatArray, response: FloatArray, chosen: IntArray) -> FloatArray:
+        """Covariance (h, q, q) of projections of the residuals onto (n, d, q), at noise of the scale 1."""
+        every = self.hypotheses
+        n, d, q = onto.shape
+        m = response.shape[2]
+        through = response.reshape(n * d, m).T @ onto.reshape(n * d, q)  # of each held direction
+        found = np.empty((len(chosen), q, q))
+        for at, row in enumerate(chosen):
+            held = bool(every.held[row])
+            basis = self._basis((int(every.field[row]), float(every.length[row]), held, bool(every.shared[row])))
+            variance, parts = self.noise[:, None, None] ** 2, [onto]
+            if held and self.measured.held_rest is not None:
+                variance = np.concatenate([variance, self.held_noise[:, None, None] ** 2])
+                parts.append(-through.reshape(-1, d, q))
+            turned = np.tensordot(basis.rotate, np.concatenate(parts) * variance, 1)
+            spread = 1.0 + every.size[row] * basis.moment
+            found[at] = np.einsum("n,ndi,ndj->ij", spread, turned, turned)
+            if held and self.measured.held_rest is None:
+                found[at] += through.T @ through
+        return found
+
+    def _scaled(self, chi2: FloatArray, log_det: FloatArray, count: int, rows: IntArray, trusted: bool) -> Evidence:
+        """Laplace's integral over t, the logarithm of the noise's scale; 0 where the statement is trusted.
+
+        Where there is a field, the statement may mean the white noise alone or all of the noise: its prior is level
+        from the one to the other.
+        """
+        log_prior = self.hypotheses.log_prior[rows][:, None]
+        floor = self.measured.floor if self.measured.noise is None else 1e-9
+        c = chi2 + count * floor**2
+        if trusted:
+            t = np.zeros_like(c)
+            return Evidence(log_prior - 0.5 * (log_det + c), t, t)
+        pull = 0.0 if self.measured.noise is None else SCALE_SPREAD**-2
+        level = -0.5 * np.log1p(self.hypotheses.size[rows])[:, None]
+        t = 0.5 * np.log(c / count)
+        for _ in range(12 if pull else 0):
+            up = c * np.exp(-2.0 * t)
+            away = t - np.clip(t, level, 0.0)
+            t = t + np.clip((up - count - pull * away) / (2.0 * up + pull), -1.0, 1.0)
+        up = c * np.exp(-2.0 * t)
+        away = t - np.clip(t, level, 0.0)
+        bend = 2.0 * up + pull * (away != 0.0)
+        value = -count * t - 0.5 * up - 0.5 * pull * away**2 - 0.5 * np.log(bend) - 0.5 * log_det
+        if pull:
+            value -= np.log1p(-level / (np.sqrt(2.0 * np.pi) * SCALE_SPREAD))
+        return Evidence(value + log_prior, t, bend**-0.5)
+
+
+def independent(points: FloatArray, length: float) -> float:
+    """How many independent values points (n, d) hold that share errors over a length (exponential correlation)."""
+    return float(len(points) ** 2 / np.exp(-cdist(points, points) / length).sum())
+
+
+def shared_over(points: FloatArray, residual: FloatArray, spacing: float) -> float:
+    """Length over which residuals (n, d) of points share errors, by the correlation of neighbours; 0 where noise alone
+    makes neighbours as alike, in 95 % of cases."""
+    pairs = cKDTree(points).query_pairs(NEIGHBOURS * spacing, output_type="ndarray")
+    square = float(np.mean(residual**2))
+    if not len(pairs) or square <= 0.0:
+        return 0.0
+    near = float(np.mean(residual[pairs[:, 0]] * residual[pairs[:, 1]])) / square
+    near -= 1.645 / np.sqrt(len(pairs) * residual.shape[1])
+    apart = float(np.mean(np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)))
+    return apart / -float(np.log(min(near, 0.95))) if near > 0.0 else 0.0
+
+
+def correlation(field: int, scaled_distance: FloatArray) -> FloatArray:
+    """Of one of `CORRELATIONS` at distances in units of its length."""
+    if CORRELATIONS[field] == "exponential":
+        return np.asarray(np.exp(-scaled_distance))
+    if CORRELATIONS[field] == "gaussian":
+        return np.asarray(np.exp(-0.5 * scaled_distance**2))
+    s = np.sqrt(3.0) * scaled_distance
+    return np.asarray((1.0 + s) * np.exp(-s))

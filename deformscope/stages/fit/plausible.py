@@ -1,0 +1,83 @@
+"""Whether lengths can be what they are taken for: metres of a body that a robot handles, in one unit and one frame.
+
+What a user does wrong is not seen in a fit: shapes are the same in millimetres, and converge as well.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deformscope.arrays import BoolArray, FloatArray
+from deformscope.errors import InputError
+from deformscope.stages.fit.distance import rigid_positions
+
+LARGEST_M, LARGE_M = 5.0, 1.0
+"""No body that is handled is larger than the first [m]; one larger than the second is worth a note."""
+
+FARTHEST = 1.0
+"""Most that particles move beyond a rigid motion (root mean square), as a share of the size of the body."""
+
+THICKEST = 10.0
+"""Most that the material below a surface is thicker than the surface is wide."""
+
+
+def size_of(points: FloatArray) -> float:
+    """Longest side of the box around points (n, d), in their unit."""
+    return float(np.ptp(points, axis=0).max())
+
+
+def check_metres(rest: FloatArray, noise: FloatArray | None = None) -> None:
+    """Refuses positions at rest (K, d) and noise (K,) that cannot be metres."""
+    size = size_of(rest)
+    if size > LARGEST_M:
+        raise InputError(
+            f"positions in metres, of a body of at most {LARGEST_M:g} m",
+            f"rest positions over {size:.4g} m",
+            "divide by 1000 if they are millimetres, by 100 if centimetres; pixels are for images and --px-per-cm",
+        )
+    if noise is not None and float(noise.max(initial=0.0)) > size:
+        raise InputError(
+            "noise in metres, smaller than the body", f"{noise.max():.4g} m for a body of {size:.4g} m", "metres"
+        )
+
+
+def check_same_unit(rest: FloatArray, deformed: FloatArray, known: BoolArray) -> None:
+    """Refuses deformed positions (K, d), of which some are known (K,), that are in another unit than rest (K, d)."""
+    moved = deformed[known] - rigid_positions(rest, deformed, known)[known]
+    size, far = size_of(rest), float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
+    if far > FARTHEST * size:
+        raise InputError(
+            "deformed positions in the unit of rest",
+            f"particles that move {far:.4g} m beyond a rigid motion, of a body of {size:.4g} m",
+            "one unit, and one order of the particles, in both",
+        )
+
+
+def size_note(rest: FloatArray) -> str | None:
+    """What to say of positions at rest (K, d) that are metres, if they are, of an unusually large body."""
+    size = size_of(rest)
+    if size <= LARGE_M:
+        return None
+    return f"note: positions are taken as metres, so this body is {size:.3g} m large; are they?"
+
+
+def check_poke(surface: FloatArray, thickness: float, depth: float, tip: float) -> None:
+    """Refuses a poke [m] that does not fit the material: as deep as it is thick, or with a tip wider than all of it.
+
+    surface: (n, d) points; thickness: along the poke; depth: of the poke; tip: its smallest side
+    """
+    size = size_of(surface)
+    if thickness > THICKEST * size:
+        raise InputError(
+            f"a thickness in metres, of a surface of {size:.3g} m", f"{thickness:g} m", "--thickness-m 0.05 for 5 cm"
+        )
+    if tip >= size:
+        raise InputError(
+            f"a tip in metres, smaller than the surface of {size:.3g} m", f"{tip:g} m", "size=0.02x0.02 for 2 cm"
+        )
+    if depth >= thickness:
+        raise InputError(
+            f"a poke less deep than the {1e3 * thickness:.3g} mm of material under it",
+            f"{1e3 * depth:.4g} mm",
+            "depths are in metres: depth=0.003 for 3 mm",
+        )

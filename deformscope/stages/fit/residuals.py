@@ -1,0 +1,180 @@
+"""What an observation leaves unexplained: which of its particles count, how their errors are modelled, and what
+prescribed positions that are off would do to them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import eigh
+from scipy.special import logsumexp
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.stages.fit.model import Observation
+from deformscope.stages.fit.noise import ErrorModel, Measured, NoiseHypotheses
+from deformscope.stages.msm.solver import TOLERANCE, Msm, Relaxed
+
+Relax = Callable[[FloatArray, FloatArray, float], Relaxed]
+"""Static states for held positions (B, n, d), from a start (K, d), to a tolerance (see `Msm.relax`)."""
+
+STEP, STEP_TOLERANCE = 3e-3, 1e-3
+"""Step of a held coordinate, in spacings, by which its effect is found, and how well, as a share of the step."""
+
+AT_ONCE = 64
+"""Steps of held positions that are simulated side by side."""
+
+DROP = 14.0
+"""Values whose log density is this far below the highest do not count."""
+
+WEIGHT_LEAST, WEIGHT_LEAST_OF_SOME = 1e-3, 2e-2
+"""Hypotheses of less weight than this are left out once the data have been seen."""
+
+SUMMARIES, SUMMARY_LEAST = 3, 0.02
+"""Directions that stand for what the parameter does to the particles: as many at most, and down to this share."""
+
+MOST_PARTICLES, MOST_FOR_CHOICE = 1500, 150
+"""Particles that the likelihood is taken from (of more, a random part), and those that hypotheses are chosen by."""
+
+MOST_HELD, SKETCHED = 200, 100
+"""Held coordinates whose effect is computed one by one; beyond, this many random combinations stand for them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """What the errors of one observation were like, each with its weight, (h,).
+
+    white: deviation of the white noise, as a multiple of the stated one (or in the unit of the rest shape)
+    field: deviation of the smooth field [unit]; length: its correlation length [spacings]; shared: by prescribed
+    particles, hence measurement and not misfit; held: the prescribed positions were noisy
+    """
+
+    weight: FloatArray
+    white: FloatArray
+    field: FloatArray
+    length: FloatArray
+    shared: BoolArray
+    held: BoolArray
+
+    def misfit(self) -> float:
+        """Root mean square of what the model cannot do, a coordinate [unit]."""
+        return float(np.sqrt(self.weight @ np.where(self.shared, 0.0, self.field**2)))
+
+
+class Residuals:
+    """One observation: its free particles that count, its errors, and what its held ones do."""
+
+    def __init__(self, seen: Observation, body: Msm, rng: np.random.Generator) -> None:
+        self.seen, self.body = seen, body
+        judged: IntArray = np.flatnonzero(seen.free_observed)
+        if judged.size > MOST_PARTICLES:
+            judged = np.sort(rng.permutation(judged)[:MOST_PARTICLES])
+        self.judged = judged
+        self.observed = seen.deformed[judged]
+        floor = 10.0 * TOLERANCE[body.precision] * body.extent
+        floor += 4.0 * float(np.finfo(np.float64).eps * np.abs(seen.deformed[seen.observed]).max())
+        count, d = len(seen.held), seen.rest.shape[1]
+        sketched = count * d > MOST_HELD
+        if sketched:
+            deviation = np.ones(count) if seen.noise is None else seen.noise[seen.held]
+            self.steps = rng.standard_normal((SKETCHED, count, d)) * deviation[:, None] / np.sqrt(SKETCHED)
+        else:
+            self.steps = np.eye(count * d).reshape(-1, count, d)
+        self.measured = Measured(
+            rest=seen.rest[judged],
+            held_rest=None if sketched else seen.rest[seen.held],
+            noise=None if seen.noise is None else seen.noise[judged],
+            held_noise=None if seen.noise is None else seen.noise[seen.held],
+            held_measured=seen.held_measured,
+            spacing=body.scale,
+            floor=floor,
+        )
+        self.errors = ErrorModel(self.measured)
+        self.chosen: IntArray = np.arange(len(self.errors.hypotheses.size))
+        self.kept: IntArray = self.chosen
+        self.explanation: Explanation
+        self._responses: dict[Hashable, FloatArray] = {}
+        self._some = np.sort(rng.permutation(len(judged))[:MOST_FOR_CHOICE]) if len(judged) > MOST_FOR_CHOICE else None
+
+    def left(self, position: FloatArray) -> FloatArray:
+        """Observed - simulated (..., K, d) at the particles that count, (..., n, d)."""
+        return np.asarray(self.observed - position[..., self.judged, :])
+
+    def choose(self, position: FloatArray, response: FloatArray) -> None:
+        """Keep the hypotheses that may matter, by states (g, K, d) of values good and bad."""
+        residual, errors = self.left(position), self.errors
+        if self._some is not None:
+            errors = ErrorModel(self.measured.some(self._some))
+            residual, response = residual[:, self._some], response[self._some]
+        value = errors.evidence(residual, response).log_likelihood
+        # a value of the parameter that fits badly asks for explanations that no good one needs
+        total = logsumexp(value, axis=0)
+        good = total > total.max() - DROP
+        weight = np.exp(value[:, good] - total[good]).max(axis=1)
+        # what is unlikely for some of the particles is more so for all
+        least = WEIGHT_LEAST if self._some is None else WEIGHT_LEAST_OF_SOME
+        self.chosen = np.flatnonzero(weight >= least)
+
+    def response(self, parameter: Hashable, base: FloatArray, relax: Relax) -> FloatArray:
+        """How a unit step along each direction of the held positions moves the particles that count, (n, d, m).
+
+        base: (K, d) static state at `parameter`, by which responses are kept; relax: states for held positions
+        """
+        if self.measured.held_measured is False:
+            return np.zeros((len(self.judged), self.observed.shape[1], 0))
+        if parameter not in self._responses:
+            small = STEP * self.body.scale / (float(np.abs(self.steps).max()) or 1.0)
+            tolerance = max(STEP * STEP_TOLERANCE * self.body.scale / self.body.extent, TOLERANCE[self.body.precision])
+            moves = np.empty((len(self.steps), len(self.judged), base.shape[1]))
+            for first in range(0, len(self.steps), AT_ONCE):
+                held = base[self.seen.held] + small * self.steps[first : first + AT_ONCE]
+                moves[first : first + AT_ONCE] = (relax(held, base, tolerance).position - base)[:, self.judged] / small
+            self._responses[parameter] = np.moveaxis(moves, 0, -1)
+        return self._responses[parameter]
+
+    def weigh(self, log_likelihood: FloatArray, log_scale: FloatArray, over: FloatArray) -> Explanation:
+        """Weights and scales of the hypotheses, from log likelihoods (h, f) averaged over a posterior (f,)."""
+        total = logsumexp(log_likelihood, axis=0)
+        share = np.exp(log_likelihood - np.where(np.isfinite(total), total, 0.0)) * over
+        weight = share.sum(axis=1)
+        keep = weight > WEIGHT_LEAST * weight.max()
+        white2 = (share * np.exp(2.0 * log_scale)).sum(axis=1)[keep] / weight[keep]
+        self.kept = self.chosen[keep]
+        every: NoiseHypotheses = self.errors.hypotheses
+        unit = float(np.sqrt(np.mean(self.errors.noise**2)))
+        self.explanation = Explanation(
+            weight=weight[keep] / weight[keep].sum(),
+            white=np.sqrt(white2),
+            field=np.sqrt(white2 * every.size[self.kept]) * unit,
+            length=every.length[self.kept],
+            shared=every.shared[self.kept],
+            held=every.held[self.kept],
+        )
+        return self.explanation
+
+    def summary(self, residual: FloatArray, most: int = SUMMARIES) -> FloatArray:
+        """What the parameter does to the residuals (f, n, d), as few directions (n, d, q), weighed by each particle's
+        noise and misfit."""
+        one = self.explanation
+        variance = one.weight @ one.white**2 * self.errors.noise**2 + one.weight @ one.field**2
+        weight = np.repeat(variance**-0.5, residual.shape[2])
+        moved = (residual - residual.mean(axis=0)).reshape(len(residual), -1) * weight
+        size, axes = eigh(moved @ moved.T)
+        size, axes = size[::-1], axes[:, ::-1]
+        if size[0] <= 0.0:  # it does nothing: any direction will do
+            return np.asarray(weight.reshape(*residual.shape[1:], 1))
+        count = max(1, min(most, int(np.count_nonzero(size > SUMMARY_LEAST**2 * size[0]))))
+        onto = (moved.T @ axes[:, :count]) / np.sqrt(size[:count]) * weight[:, None]
+        return np.asarray(onto.reshape(*residual.shape[1:], count))
+
+    def log_summary(self, residual: FloatArray, onto: FloatArray, response: FloatArray) -> FloatArray:
+        """Log likelihood (f,) of the projections of residuals (f, n, d) onto directions (n, d, q): Student's t, as wide
+        as the noise's scale is uncertain."""
+        one = self.explanation
+        z = np.tensordot(residual, onto, 2)
+        freedom, q = float(residual.shape[1] * residual.shape[2]), onto.shape[2]
+        covariance = self.errors.projected(onto, response, self.kept) * one.white[:, None, None] ** 2
+        chi2 = np.einsum("fi,hij,fj->hf", z, np.linalg.inv(covariance), z)
+        log_det = np.linalg.slogdet(covariance)[1][:, None]
+        each = -0.5 * log_det - 0.5 * (freedom + q) * np.log1p(chi2 / freedom)
+        return np.asarray(logsumexp(each + np.log(one.weight)[:, None], axis=0))

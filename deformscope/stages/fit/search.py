@@ -1,0 +1,262 @@
+"""The search for the parameter of the lowest error: simulate candidates, all at once, and close in on the best.
+
+The sweep is the thesis's Algorithm 3, the descent serves Algorithm 2's purpose. The error is eq. 3.18, 3.19.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.stages.fit.distance import distances
+from deformscope.stages.fit.model import Model, Observation
+from deformscope.stages.msm.solver import Msm, Relaxed
+
+Progress = Callable[[str, int, int], None]
+"""Called with what is being done, how much of it is done, and all of it."""
+
+
+@dataclass
+class Tried:
+    """Every candidate simulated so far, in rising order.
+
+    parameter: (g,); positions: for each observation (g, K, d); converged, usable (not diverged): (g,)
+    """
+
+    parameter: FloatArray = field(default_factory=lambda: np.empty(0))
+    positions: list[FloatArray] = field(default_factory=list)
+    converged: BoolArray = field(default_factory=lambda: np.empty(0, dtype=bool))
+    usable: BoolArray = field(default_factory=lambda: np.empty(0, dtype=bool))
+
+
+class Search:
+    """One parameter against one or more observations that share it.
+
+    weight: (observations,) how much each counts, in the error and in the posterior
+    """
+
+    def __init__(self, seen: Sequence[Observation], model: Model, bounds: tuple[float, float]) -> None:
+        self.seen = list(seen)
+        self.model = model
+        self.bounds = bounds
+        self.weight: FloatArray = np.ones(len(self.seen))
+        self.bodies = _shared_bodies(self.seen, model)
+        self.tried = Tried(positions=[np.empty((0, *s.rest.shape)) for s in self.seen])
+
+    def simulate(self, parameter: FloatArray, progress: Progress | None = None, what: str = "simulating") -> None:
+        """Relax every candidate for every observation, starting from the nearest one known."""
+        parameter = np.atleast_1d(np.asarray(parameter, dtype=np.float64))
+        converged = np.ones(len(parameter), dtype=bool)
+        usable = np.ones(len(parameter), dtype=bool)
+        start = None
+        known = np.flatnonzero(self.tried.usable)
+        if known.size:
+            nearest = known[np.abs(self.tried.parameter[known, None] - parameter).argmin(axis=0)]
+            start = [p[nearest] for p in self.tried.positions]
+        note = None if progress is None else lambda done, all_: progress(what, done, all_)
+        for row, state in enumerate(self.states(parameter, start, note)):
+            self.tried.positions[row] = np.concatenate([self.tried.positions[row], state.position])
+            converged &= state.converged
+            usable &= ~state.diverged
+        self.tried.parameter = np.concatenate([self.tried.parameter, parameter])
+        self.tried.converged = np.concatenate([self.tried.converged, converged])
+        self.tried.usable = np.concatenate([self.tried.usable, usable])
+        order = np.argsort(self.tried.parameter, kind="stable")
+        self.tried = Tried(
+            self.tried.parameter[order],
+            [p[order] for p in self.tried.positions],
+            self.tried.converged[order],
+            self.tried.usable[order],
+        )
+
+    def states(
+        self,
+        parameter: FloatArray,
+        start: Sequence[FloatArray] | None,
+        progress: Callable[[int, int], None] | None,
+    ) -> list[Relaxed]:
+        """The candidates (g,) in every observation, from starts (g, K, d); observations of one body run at once."""
+        found: dict[int, Relaxed] = {}
+        for body in dict.fromkeys(self.bodies):
+            rows = [row for row, other in enumerate(self.bodies) if other is body]
+            held = [self.seen[row].deformed[self.seen[row].held] for row in rows]
+            begin = None if start is None else np.concatenate([start[row] for row in rows])
+            if len(rows) == 1:
+                found[rows[0]] = self.relax(body, held[0], parameter, begin, progress)
+                continue
+            every = np.tile(parameter, len(rows))
+            state = self.relax(body, np.repeat(np.stack(held), len(parameter), axis=0), every, begin, progress)
+            found |= {row: part_of(state, index, len(parameter)) for index, row in enumerate(rows)}
+        return [found[row] for row in range(len(self.seen))]
+
+    def only(self, rows: IntArray, weight: FloatArray) -> Search:
+        """The same search over some of the observations, with what was tried so far."""
+        some = copy.copy(self)
+        some.seen = [self.seen[row] for row in rows]
+        some.bodies = [self.bodies[row] for row in rows]
+        some.weight = weight
+        some.tried = dataclasses.replace(self.tried, positions=[self.tried.positions[row] for row in rows])
+        return some
+
+    def rows_of(self, parameter: FloatArray, progress: Progress | None = None) -> IntArray:
+        """Where these candidates stand among those tried; what has not been simulated yet is."""
+        known = np.abs(parameter[:, None] - self.tried.parameter).min(axis=1) <= 1e-13
+        if not known.all():
+            self.simulate(parameter[~known], progress, "interval")
+        return np.asarray(np.abs(parameter[:, None] - self.tried.parameter).argmin(axis=1))
+
+    def relax(
+        self,
+        body: Msm,
+        held_position: FloatArray,
+        parameter: FloatArray | float,
+        start: FloatArray | None,
+        progress: Callable[[int, int], None] | None = None,
+        tolerance: float | None = None,
+    ) -> Relaxed:
+        """Static states of one body for held positions (n, d) or (B, n, d) and parameters, one or (B,)."""
+        beta, theta = (parameter, self.model.theta) if self.model.parameter == "beta" else (self.model.beta, parameter)
+        volume = self.model.volume
+        return body.relax(
+            held_position, beta, theta, volume=volume, start=start, progress=progress, tolerance=tolerance
+        )
+
+    def error(self) -> FloatArray:
+        """AEE of every candidate tried over all observed particles of all observations, each with its weight; NaN where
+        not usable."""
+        total = np.zeros(len(self.tried.parameter))
+        count = 0.0
+        for seen, position, weight in zip(self.seen, self.tried.positions, self.weight, strict=True):
+            total += weight * distances(position[:, seen.observed], seen.deformed[seen.observed]).sum(axis=1)
+            count += float(weight) * int(seen.observed.sum())
+        return np.where(self.tried.usable, total / count, np.nan)
+
+    def each_best(self) -> FloatArray:
+        """The value of the lowest error of each observation by itself, out of the candidates tried."""
+        some = [self.only(np.array([row]), np.ones(1)).error() for row in range(len(self.seen))]
+        return np.array([self.tried.parameter[int(np.nanargmin(error))] for error in some])
+
+    # -- the best value --------------------------------------------------------------------------------------------
+
+    def best(self) -> int:
+        error = self.error()
+        if np.isnan(error).all():
+            raise InputError(
+                "a simulation that stays finite",
+                "every candidate diverged (eq. 3.17 with overlapping clusters does at high theta)",
+                "a lower --theta, or one cluster",
+            )
+        return int(np.nanargmin(error))
+
+    def sweep(self, count: int, progress: Progress | None) -> None:
+        """Algorithm 3: all candidates of the range in one run."""
+        self.simulate(np.linspace(*self.bounds, count), progress, "sweeping")
+
+    def refine(self, tolerance: float = 1e-4, rounds: int = 6) -> None:
+        """Narrow the bracket around the lowest error, eight candidates at a time, spaced evenly in `stretch`."""
+        for _ in range(rounds):
+            i = self.best()
+            low = self.tried.parameter[max(i - 1, 0)]
+            high = self.tried.parameter[min(i + 1, len(self.tried.parameter) - 1)]
+            if high - low <= tolerance:
+                return
+            inner = self.shrink(np.linspace(self.stretch(low), self.stretch(high), 10)[1:-1])
+            new = inner[np.abs(inner[:, None] - self.tried.parameter).min(axis=1) > 0.02 * tolerance]
+            if new.size == 0:
+                return
+            self.simulate(new)
+
+    def descend(self, progress: Progress | None, tolerance: float = 1e-4) -> str:
+        """Algorithm 2's purpose: follow the slope of the error to its minimum. Returns why it stopped.
+
+        The thesis takes fixed steps of 0.01 times the slope and stops when the error changes little, often before the
+        minimum. Here the slope comes from two neighbours simulated beside each point, the step from the slope's own
+        change (secant), kept inside the bracket in which the slope changes sign; it stops when that bracket is
+        narrower than `tolerance`, or at a bound that the slope pushes against.
+        """
+        low, high = (self.stretch(b) for b in self.bounds)
+        h = 1e-3 * (high - low)
+        # a few values in between, so that neither a bound nor the nearest valley is taken for the lowest
+        inner = np.linspace(low, high, 7)
+        self.simulate(self.shrink(inner[1:-1]))
+        ends = {low: self._slope(low, h), high: self._slope(high, h)}
+        deepest = int(np.nanargmin([self._error_at(float(self.shrink(x))) for x in inner]))
+        if deepest == 0 and ends[low] >= 0.0:
+            return "at the lower bound: the error rises from there"
+        if deepest == len(inner) - 1 and ends[high] <= 0.0:
+            return "at the upper bound: the error still falls there"
+        a, b = float(inner[max(deepest - 1, 0)]), float(inner[min(deepest + 1, len(inner) - 1)])
+        ends |= {x: self._slope(x, h) for x in (a, b) if x not in ends}
+        if ends[a] >= 0.0 or ends[b] <= 0.0:
+            self.refine()
+            return "the slope does not change sign around the lowest value; refined there instead"
+        point = 0.5 * (a + b)
+        for step in range(60):
+            if progress is not None:
+                progress("descending", step, 60)
+            slope = self._slope(point, h)
+            if slope == 0.0:
+                return "the slope is zero"
+            if slope < 0.0:
+                a = point
+            else:
+                b = point
+            ends[point] = slope
+            if abs(float(self.shrink(b)) - float(self.shrink(a))) <= tolerance:
+                return f"the slope changes sign within {tolerance:g}"
+            secant = a - ends[a] * (b - a) / (ends[b] - ends[a])
+            # a secant that creeps along one side of the bracket is replaced by its middle
+            inside = a + 0.1 * (b - a) < secant < b - 0.1 * (b - a)
+            point = secant if inside and step % 3 != 2 else 0.5 * (a + b)
+            h = min(h, 0.05 * (b - a))
+        return "60 steps were taken"
+
+    def _slope(self, point: float, h: float) -> float:
+        low, high = (self.stretch(b) for b in self.bounds)
+        ends = self.shrink(np.array([max(point - h, low), min(point + h, high)]))
+        self.simulate(ends)
+        pair = [self._error_at(float(e)) for e in ends]
+        return (pair[1] - pair[0]) / (self.stretch(ends[1]) - self.stretch(ends[0]))
+
+    def _error_at(self, parameter: float) -> float:
+        """The AEE of a candidate that was tried (the nearest one)."""
+        return float(self.error()[np.abs(self.tried.parameter - parameter).argmin()])
+
+    def stretch(self, parameter: float) -> float:
+        """-log(1 - beta) resolves beta near 1, where the shape still changes; theta stays as it is."""
+        return float(-np.log1p(-parameter)) if self.model.parameter == "beta" else float(parameter)
+
+    def shrink(self, stretched: FloatArray | float) -> FloatArray:
+        value = np.asarray(stretched, dtype=np.float64)
+        return beta_of(value, self.bounds) if self.model.parameter == "beta" else np.clip(value, *self.bounds)
+
+
+def beta_of(stretched: FloatArray, bounds: tuple[float, float]) -> FloatArray:
+    """beta of values of -log(1 - beta), within its bounds and exactly at them: verdicts ask if they are reached."""
+    low, high = bounds
+    inner = np.where(stretched <= -np.log1p(-low), low, np.clip(-np.expm1(-stretched), low, high))
+    return np.asarray(np.where(stretched >= -np.log1p(-high), high, inner))
+
+
+def _shared_bodies(seen: Sequence[Observation], model: Model) -> list[Msm]:
+    """The body of each observation; observations of the very same rest shape, lattice and held set share one."""
+    made: dict[tuple[object, ...], Msm] = {}
+    bodies = []
+    for one in seen:
+        key = (id(one.rest), id(one.held), id(one.cell), one.shape)
+        if key not in made:
+            made[key] = model.body(one)
+        bodies.append(made[key])
+    return bodies
+
+
+def part_of(state: Relaxed, index: int, count: int) -> Relaxed:
+    """The `index`-th part of states that ran together, `count` in each."""
+    some = slice(index * count, (index + 1) * count)
+    return Relaxed(**{f.name: getattr(state, f.name)[some] for f in dataclasses.fields(Relaxed)})

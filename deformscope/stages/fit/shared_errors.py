@@ -1,0 +1,173 @@
+"""The frames of one motion as one set of observations: how much they tell together.
+
+Frames are not independent. Advected particles carry their errors along, the model's misfit is much the same in
+neighbouring frames, and adding up the frames' log likelihoods as if each were new would shrink the interval as
+1/sqrt(frames). Here the sum is a *composite likelihood* (Varin, Reid and Firth 2011), sum_t w_t log L_t, scaled so that
+its curvature is that of its score's variance, as a true likelihood's is (Chandler and Bate 2007; Pauli, Racugno and
+Ventura 2011). With C_ts the correlation of two frames' errors and a_t what frame t alone tells of the parameter:
+
+    C_ts = far + (1 - far) near^|t - s|      errors that all frames share, and errors that drift from frame to frame
+    w a = v, v >= 0 the sharpest sum: the largest (v'a)^2 / v'C v;  sum_t w_t log L_t scaled by v'a / v'C v
+
+Errors fully shared leave the one frame that tells most, with weight 1; independent ones count every frame in full;
+those of a walk from frame to frame leave mostly the last. C is taken from the residuals: the correlation, between
+frames, of the scores of patches of particles larger than what the flow's errors share. It is uncertain, and too little
+of it gives false confidence: the weights among frames use its estimate, their scale its upper bound over resampled
+patches, and errors count as fully shared where there are too few patches to tell.
+
+Measured on sheets of 8 to 12 particles a side in 6 frames (40 a kind): with noise of its own in each frame the 90 %
+intervals cover 97 %, are 0.72 times as wide as the last frame's, and the rms error is 0.3 of it; with noise that all
+frames share (87 %) both are those of the last frame; with a walk's (95 %) the rms error is 1.02 of the last frame's
+(1.13 on 60 others), which alone would be the best there: what the estimate of C costs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.stages.fit.search import Search
+
+PATCH = 3.0
+"""Side of a patch of particles whose errors count as one [spacings]."""
+
+PATCHES_LEAST = 4
+"""Fewer patches than this cannot tell whether frames share their errors."""
+
+RHO_MOST = 0.999
+RHO_LEVEL = 0.9
+RESAMPLED = 400
+
+STEP = 0.05
+"""Share of the (stretched) range by which the parameter is changed to see what a frame tells of it."""
+
+FRAMES_IN_POSTERIOR = 8
+"""Frames that the posterior is taken from, spread over those that tell something: more would tell little else."""
+
+WEIGHT_LEAST = 0.02
+"""Frames of less weight than this share of the largest are left out of the posterior."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shared:
+    """How the errors of two frames correlate.
+
+    mean, most: of all pairs on the average, and its upper bound; far, near: of C
+    """
+
+    mean: float
+    most: float
+    far: float
+    near: float
+
+    def matrix(self, rows: IntArray) -> FloatArray:
+        """C of some frames."""
+        lag = np.abs(rows[:, None] - rows)
+        return np.where(lag == 0, 1.0, self.far + (1.0 - self.far) * self.near ** np.maximum(lag, 1))
+
+    def bound(self, rows: IntArray) -> FloatArray:
+        """C of some frames, as much larger as its mean may be."""
+        likely = self.matrix(rows)
+        return np.asarray(likely + (self.most - self.mean) / (1.0 - self.mean) * (1.0 - likely))
+
+
+FULLY = Shared(RHO_MOST, RHO_MOST, RHO_MOST, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Together:
+    """What frames tell together.
+
+    weight: (F,) of each frame's error and log likelihood; 1 = as an observation of its own
+    told: (F,) what each frame alone tells of the parameter, in standard deviations over `STEP` of the range
+    shared: how the frames' errors correlate
+    """
+
+    weight: FloatArray
+    told: FloatArray
+    shared: Shared
+
+    @property
+    def worth(self) -> float:
+        """Of how many of the best frame all of them are worth; 1 where errors are fully shared."""
+        return float(self.weight @ self.told**2 / np.max(self.told) ** 2) if self.told.any() else 1.0
+
+
+def together(search: Search, seed: int) -> Together:
+    """Weights of a search's observations, which are frames of one motion, from its best candidate's residuals."""
+    best = float(search.tried.parameter[search.best()])
+    low, high = (search.stretch(bound) for bound in search.bounds)
+    step = STEP * (high - low)
+    place = min(max(search.stretch(best), low + step), high - step)
+    ends = search.rows_of(search.shrink(np.array([place - step, place + step])))
+    at = search.best()
+    patch = patches(search.seen[0].rest, PATCH * search.bodies[0].scale)
+    count = int(patch.max()) + 1
+    told, score = np.zeros(len(search.seen)), np.zeros((len(search.seen), count))
+    for row, (seen, position) in enumerate(zip(search.seen, search.tried.positions, strict=True)):
+        free = seen.free_observed
+        effect = (position[ends[1]] - position[ends[0]])[free]
+        residual = (seen.deformed - position[at])[free]
+        floor = 1e-9 * search.bodies[row].extent
+        deviation = float(np.sqrt(np.mean(residual**2) + floor**2))
+        told[row] = np.sqrt(np.sum(effect**2)) / deviation
+        score[row] = np.bincount(patch[free], np.sum(effect * residual, axis=1), count)
+    shared = shared_part(score, np.random.default_rng(seed))
+    return Together(weights(told, np.arange(len(told)), shared), told, shared)
+
+
+def patches(rest: FloatArray, side: float) -> IntArray:
+    """(K,) the patch of each particle (K, d), in squares or cubes of a side, numbered from 0."""
+    # patches of even size over the extent, none of which is a sliver
+    extent = np.ptp(rest, axis=0)
+    many = np.maximum(np.round(extent / side), 1.0)
+    place = np.floor((rest - rest.min(axis=0)) / np.maximum(extent, 1e-300) * many * (1.0 - 1e-9)).astype(np.int64)
+    return np.asarray(np.unique(place, axis=0, return_inverse=True)[1].reshape(-1))
+
+
+def shared_part(score: FloatArray, rng: np.random.Generator) -> Shared:
+    """How the scores (F, patches) of the frames correlate."""
+    used = np.flatnonzero(np.any(score != 0.0, axis=0))
+    size = np.sqrt(np.sum(score**2, axis=1))
+    moving = np.flatnonzero(size > 1e-12 * size.max())
+    if moving.size < 2 or used.size < PATCHES_LEAST:
+        return FULLY
+    score = score[moving][:, used] / size[moving, None]
+    pick = rng.integers(0, used.size, (RESAMPLED, used.size))
+    pick[0] = np.arange(used.size)
+    some = score[:, pick]  # (F, repeats, patches)
+    own = np.sum(some**2, axis=(0, 2))
+    every = np.sum(some.sum(axis=0) ** 2, axis=1)
+    rho = np.clip((every / np.maximum(own, 1e-300) - 1.0) / (len(score) - 1), 0.0, RHO_MOST)
+    mean = float(rho[0])
+    pairs, lag = score @ score.T, np.abs(moving[:, None] - moving)
+    next_ = float(np.clip(pairs[lag == lag[lag > 0].min()].mean(), mean, RHO_MOST))
+    far = float(np.clip(pairs[2 * lag >= lag.max()].mean(), 0.0, mean))
+    near = (next_ - far) / (1.0 - far)
+    return Shared(mean, max(mean, float(np.quantile(rho, RHO_LEVEL))), far, min(near, RHO_MOST))
+
+
+def weights(told: FloatArray, rows: IntArray, shared: Shared) -> FloatArray:
+    """Weights of the frames `rows`, which alone tell (F,) standard deviations each."""
+    weight = np.zeros(len(told))
+    kept = np.flatnonzero(told > 0.0)
+    if kept.size == 0:
+        return np.ones(len(told))
+    a = told[kept]
+    lower = np.linalg.cholesky(shared.matrix(rows[kept]))
+    share, _ = nnls(lower.T, np.linalg.solve(lower, a))
+    variance = share @ shared.bound(rows[kept]) @ share
+    weight[kept] = share / a * (share @ a) / variance
+    return weight
+
+
+def for_posterior(found: Together) -> tuple[IntArray, FloatArray]:
+    """The frames that the posterior is taken from, and their weights among themselves."""
+    rows = np.flatnonzero(found.weight >= WEIGHT_LEAST * found.weight.max())
+    if rows.size > FRAMES_IN_POSTERIOR:
+        rows = rows[np.linspace(0, rows.size - 1, FRAMES_IN_POSTERIOR).round().astype(int)]
+    weight = weights(found.told[rows], rows, found.shared)
+    return rows[weight > 0.0], weight[weight > 0.0]

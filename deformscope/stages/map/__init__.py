@@ -1,0 +1,1 @@
+"""From touches to maps of a surface, and to the next touch."""

@@ -1,0 +1,170 @@
+"""What is known of a surface after each touch: the maps, why the next touch goes where it goes, and what a touch told.
+
+Maps are on one grid over the surface: arrays (rows, columns) = (y, x), cell centres at (i + 0.5) cells. The surface
+frame has x, y in the table's plane and z up.
+"""
+
+from __future__ import annotations
+
+import traceback
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.errors import InputError
+
+DISPLAY = "display"
+"""The stage that shows results."""
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceEstimate:
+    """The surface as the camera saw it, and as the world Gaussian process has it (Thesis eq. 4.3, 4.4).
+
+    points_m: (n, 3) filtered points; height_m, deviation_m: (rows, columns); cell_m: of the grid
+    """
+
+    points_m: FloatArray
+    height_m: FloatArray
+    deviation_m: FloatArray
+    cell_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class TouchEstimate:
+    """What one touch told.
+
+    number: from 0; xyz_m: (3,) contact; normal: (3,) unit, out of the surface
+    approach_m, approach_n: (n,) way of the tip along the normal from the first reading [m] and force along it [N]
+    fitted_n: (n,) the fitted force at each [N]; contact_m: where contact began on the same way
+    stiffness_n_per_mm, stiffness_interval: apparent, at the set force; rigid: a lower bound
+    modulus_pa: corrected for the tip and the layer, None = not told; depth_m, peak_force_n: of the dent
+    beta, beta_interval, beta_verdict: of the MSM fitted to the dent, None = not fitted
+    observed_m: (k, 3) raw points around the dent; simulated_m: (p, 3) particles of the fitted model there
+    usable: whether it has a stiffness: where its contact could not be fitted, all that comes from the fit is nan
+    """
+
+    number: int
+    xyz_m: FloatArray
+    normal: FloatArray
+    approach_m: FloatArray
+    approach_n: FloatArray
+    fitted_n: FloatArray
+    contact_m: float
+    stiffness_n_per_mm: float
+    stiffness_interval: tuple[float, float]
+    rigid: bool
+    modulus_pa: float | None
+    depth_m: float
+    peak_force_n: float
+    beta: float | None
+    beta_interval: tuple[float, float] | None
+    beta_verdict: str
+    observed_m: FloatArray
+    simulated_m: FloatArray
+
+    @property
+    def usable(self) -> bool:
+        return bool(np.isfinite(self.stiffness_n_per_mm))
+
+
+@dataclass(frozen=True, slots=True)
+class MapEstimate:
+    """The maps after a number of touches, and every number that is reported of them: terminal, JSON, panel, pictures
+    and replay take them from here.
+
+    stiffness_n_per_mm: (rows, columns) median; stiffness_log_sd: of its logarithm
+    beta, beta_sd: (rows, columns), None before two touches gave one
+    labels: (rows, columns) region of each cell, 0 the softest, -1 without regions
+    label_probability: of that label, the doubt about the number of regions and about `gradual` included
+    region_count: 0 without regions; verdict: "regions" or "gradual"; probability: of verdict and region_count
+    level_n_per_mm: (region_count,) stiffness of each region; level_interval_n_per_mm: (region_count, 2) of 90 %
+    level_rigid: (region_count,) regions whose level is a lower bound, at which the interval begins; it is open above
+    contacts_m: (n, 2) touches so far; tip_radius_m: of what touched
+    travel_m: over the surface, in straight lines from its corner (0, 0), where planning begins, from touch to touch
+    truth_labels: where it is known; iou, boundary_m: against it; boundary_m is None where one has no boundary
+    """
+
+    touches: int
+    cell_m: float
+    stiffness_n_per_mm: FloatArray
+    stiffness_log_sd: FloatArray
+    beta: FloatArray | None
+    beta_sd: FloatArray | None
+    labels: IntArray
+    label_probability: FloatArray
+    region_count: int
+    verdict: str
+    probability: float
+    level_n_per_mm: FloatArray
+    level_interval_n_per_mm: FloatArray
+    level_rigid: BoolArray
+    contacts_m: FloatArray
+    tip_radius_m: float
+    travel_m: float
+    truth_labels: IntArray | None = None
+    iou: float | None = None
+    boundary_m: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedTouch:
+    """Where the next touch goes, and why.
+
+    target_m: (2,), None = no further touch; excluded: cells that may not be touched
+    gain, cost_s: (rows, columns) expected gain and time [s], None where no planner computed one
+    reason: in words; stop_reason: why none follows
+    """
+
+    target_m: FloatArray | None
+    gain: FloatArray | None
+    cost_s: FloatArray | None
+    excluded: BoolArray
+    reason: str
+    stop_reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class StageFailure:
+    """A stage failed on one touch: the exploration goes on without what it would have given.
+
+    stage: surface, dent, contact, regions, beta, maps, beta field, plan or display; touch: from 1, 0 = before the first
+    reason: in one line; trace: where it failed, for whoever mends it
+    """
+
+    stage: str
+    touch: int
+    reason: str
+    trace: str
+
+    @classmethod
+    def of(cls, stage: str, touch: int, error: Exception) -> StageFailure:
+        """What an error says of itself."""
+        words = " ".join(str(error).split())
+        kind = "" if isinstance(error, InputError) else type(error).__name__ + ": " * bool(words)
+        return cls(stage, touch, kind + words, "".join(traceback.format_exception(error)))
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseStart:
+    """The robot began something. name: look, travel, tare, approach, press, dwell, retreat, plan, "stopped: ..." """
+
+    name: str
+    touch: int
+
+
+@dataclass(frozen=True, slots=True)
+class ExplorationStop:
+    """The exploration ended before its plan said so.
+
+    kind: what was wrong, in the supervisor's words or the touch's; reason: what was seen of it; advice: what to do
+    action: stop = the arm stands and its FIFO is erased, back off = it went away first
+    touch: as in PhaseStart
+    """
+
+    kind: str
+    reason: str
+    advice: str
+    action: str
+    touch: int

@@ -1,0 +1,144 @@
+"""How good a map of regions is, where the truth is known: one score for every study and for what a user is told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+from scipy.optimize import linear_sum_assignment
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.stages.map.regions import RegionMap
+
+Z_90 = 1.6449
+"""Of a normal distribution, 90 % lies within so many deviations."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrueMap:
+    """What a scene is, as touches far from every border would find it.
+
+    labels: (rows, columns) region of each cell, None where stiffness changes gradually
+    level: (k,) log apparent stiffness [N/mm] of each label; rigid: (k,) labels for which there is a lower bound alone
+    log_stiffness: (rows, columns) the same at each cell, by what lies right there: a contact does not blur it
+    """
+
+    labels: IntArray | None
+    level: FloatArray
+    rigid: BoolArray
+    log_stiffness: FloatArray
+
+    @property
+    def region_count(self) -> int:
+        """0 where there are none."""
+        return 0 if self.labels is None else len(self.level)
+
+    @property
+    def measurable(self) -> BoolArray:
+        """(rows, columns) cells whose stiffness can be told: those that are not rigid."""
+        if self.labels is None:
+            return np.ones(self.log_stiffness.shape, dtype=bool)
+        return np.asarray(~self.rigid[self.labels])
+
+
+@dataclass(frozen=True, slots=True)
+class MapScore:
+    """A map against the truth. What there is no truth for is None; shares are from 0 to 1.
+
+    region_count: 0 where the verdict is "gradual"; right: verdict and number of regions are
+    iou: `match_regions`; least_iou: of the smallest true region with what it is matched to; boundary_m:
+    `boundary_distance`
+    ordered: the matched regions' levels stand in the true order
+    rigid_found: most of what is rigid is told to be
+    levels_covered: share of the true levels (rigid ones left out) in the 90 % intervals of the regions they are matched
+    to; None where the number of regions is wrong
+    field_rms: of log stiffness; field_covered: share of cells whose truth lies in the field's 90 % interval; both over
+    what is not rigid
+    """
+
+    region_count: int
+    verdict: str
+    right: bool
+    iou: float | None
+    least_iou: float | None
+    boundary_m: float | None
+    ordered: bool
+    rigid_found: bool | None
+    levels_covered: float | None
+    field_rms: float
+    field_covered: float
+
+
+def score_map(shown: RegionMap, truth: TrueMap) -> MapScore:
+    """A map against the truth."""
+    off = (shown.field - truth.log_stiffness)[truth.measurable]
+    rms, covered = (
+        float(np.sqrt((off**2).mean())),
+        float((np.abs(off) <= Z_90 * shown.field_sd[truth.measurable]).mean()),
+    )
+    labels, count = called_labels(shown), shown.region_count
+    if truth.labels is None:
+        gradual = shown.verdict == "gradual"
+        return MapScore(count, shown.verdict, gradual, None, None, None, True, None, None, rms, covered)
+    iou, pairs = match_regions(labels, truth.labels)
+    right = count == truth.region_count
+    inside = [
+        shown.level_interval[found, 0] <= truth.level[true] <= shown.level_interval[found, 1]
+        for found, true in pairs
+        if right and not truth.rigid[true]
+    ]
+    found_rigid = np.append(shown.rigid, False)[shown.labels]  # label -1, no region, is not rigid
+    there = truth.rigid[truth.labels]
+    smallest = int(np.bincount(truth.labels.ravel()).argmin())
+    matched = {true: found for found, true in pairs}
+    least = 0.0
+    if smallest in matched:
+        one, other = labels == matched[smallest], truth.labels == smallest
+        least = float((one & other).sum() / (one | other).sum())
+    return MapScore(
+        region_count=count,
+        verdict=shown.verdict,
+        right=right,
+        iou=iou,
+        least_iou=least,
+        boundary_m=boundary_distance(labels, truth.labels, shown.grid.cell_m),
+        ordered=bool(np.all(np.diff([truth.level[true] for _, true in sorted(pairs)]) > 0.0)),
+        rigid_found=bool((there & found_rigid).sum() > 0.5 * there.sum()) if there.any() else None,
+        levels_covered=float(np.mean(inside)) if inside else None,
+        field_rms=rms,
+        field_covered=covered,
+    )
+
+
+def called_labels(shown: RegionMap) -> IntArray:
+    """(rows, columns) labels to be matched with others: one region everywhere where a map has none."""
+    return np.maximum(shown.labels, 0)
+
+
+def match_regions(found: IntArray, truth: IntArray) -> tuple[float, list[tuple[int, int]]]:
+    """Mean intersection over union of the best matching of labels, over the larger number of regions; and the pairs
+    (found, true) that match."""
+    one, other = int(found.max()) + 1, int(truth.max()) + 1
+    both = np.zeros((one, other))
+    np.add.at(both, (found.ravel(), truth.ravel()), 1.0)
+    union = both.sum(axis=1, keepdims=True) + both.sum(axis=0) - both
+    shares = both / np.maximum(union, 1.0)
+    rows, columns = linear_sum_assignment(-shares)
+    return float(shares[rows, columns].sum() / max(one, other)), list(zip(rows.tolist(), columns.tolist(), strict=True))
+
+
+def boundary_distance(found: IntArray, truth: IntArray, cell_m: float) -> float | None:
+    """Mean distance between the boundaries of two label maps, both ways [m]; None where one has none."""
+    edges = [_boundary(labels) for labels in (found, truth)]
+    if not all(edge.any() for edge in edges):
+        return None
+    away = [distance_transform_edt(~edge) for edge in edges]
+    return float(cell_m * 0.5 * (away[0][edges[1]].mean() + away[1][edges[0]].mean()))
+
+
+def _boundary(labels: IntArray) -> BoolArray:
+    edge = np.zeros(labels.shape, dtype=bool)
+    edge[1:] |= labels[1:] != labels[:-1]
+    edge[:, 1:] |= labels[:, 1:] != labels[:, :-1]
+    return edge

@@ -1,0 +1,218 @@
+"""Hyper-parameters of a surface's Gaussian process by the marginal likelihood of all its points.
+
+A rough look at a few lengths, from long to short, tells where to start; then L-BFGS-B climbs, in a basis of sines that
+is laid out anew wherever the length leaves what it is good for. The priors are so wide (a factor of 4.5 either way)
+that a hundred points overrule them; they keep a handful of points from running off.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.spatial import cKDTree
+
+from deformscope.arrays import FloatArray
+from deformscope.errors import InputError
+from deformscope.stages.map.gaussian_process import Kernel
+from deformscope.stages.map.hilbert_basis import MOST_SINES, HilbertBasis, ListedPoints, Weighed
+
+FLOOR_M = 1e-6
+"""Heights are not told apart below this [m]: constant ones still have a scale."""
+
+LONGEST = 3.0
+"""The length is at most this many times the longer side of the data."""
+
+COARSE = 1.7
+"""Ratio of lengths in the rough look."""
+
+LESS_NOISE = float(np.log(4.0))
+"""How much less noise (in logs) is tried there too."""
+
+RANGE = (1.3, 1.5)
+"""A basis serves lengths shorter and longer than the start by these factors."""
+
+STRIDE = 1.5
+"""sigma_e and the noise move by at most this (in logs) in one round: a first step without a sense of scale goes no
+farther."""
+
+MOST_ROUNDS = 12
+
+NEAR_BOUND = 2e-3
+"""Nearer to a bound than this (in logs) is at it."""
+
+SETTLED = 1e-3
+"""Log likelihood that another step need not gain."""
+
+PRIOR_SPREAD = 1.5
+"""Deviation of the priors of log sigma_e, log length and log noise scale, around the data's scales."""
+
+FREEDOM = np.log(1e4)
+"""sigma_e and the noise may be this far (in logs) from the data's scales."""
+
+NEIGHBOURS = 8
+
+HOPELESS = 1e9
+"""Stands for the log likelihood where equations cannot be solved (a sigma_e a million times the noise)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Points:
+    """places: (n, 2) [m]; value: (n,) above the mean [m]; noise: (n,) its deviation [m]"""
+
+    places: FloatArray
+    value: FloatArray
+    noise: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """Hyper-parameters that the user fixed; None: to be learned."""
+
+    sigma_e: float | None = None
+    sigma_w: float | None = None
+    noise_scale: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Learned:
+    """kernel; noise_scale: what the free points' noise is multiplied by; log_likelihood: marginal, of all points
+    at_bound: which of "sigma_e", "length", "noise_scale" came to rest at a bound of what was searched
+    trials: how often the likelihood was found"""
+
+    kernel: Kernel
+    noise_scale: float
+    log_likelihood: float
+    at_bound: tuple[str, ...]
+    trials: int
+
+
+NAMES = ("sigma_e", "length", "noise_scale")
+
+
+def learn(free: Points, known: Points, given: Given, start: Learned | None = None) -> Learned:
+    """The likeliest hyper-parameters. free: points whose noise is known up to one factor; known: whose noise is known.
+
+    start: what was learned of nearly the same points, if anything; else a few lengths are looked at first
+    Where all are given nothing is tried, and the likelihood is NaN.
+    Raises InputError where a given sigma_w is too short for the others to be learned.
+    """
+    if not len(free.value):
+        given = dataclasses.replace(given, noise_scale=1.0)
+    if given.sigma_e is not None and given.sigma_w is not None and given.noise_scale is not None:
+        return Learned(Kernel(given.sigma_e, given.sigma_w), given.noise_scale, float("nan"), (), 0)
+    places = np.concatenate([free.places, known.places])
+    low, high = places.min(axis=0), places.max(axis=0)
+    search = _Search(free, known, 0.5 * (low + high), 0.5 * (high - low))
+    return search.run(given, start)
+
+
+class _Search:
+    def __init__(self, free: Points, known: Points, middle: FloatArray, half: FloatArray) -> None:
+        self.free, self.known, self.middle, self.half = free, known, middle, half
+        self.trials = 0
+        longest = LONGEST * max(2.0 * float(half.max()), FLOOR_M)
+        shortest = longest * 1e-4
+        while HilbertBasis.size(half, shortest / RANGE[0], shortest * RANGE[1]) > MOST_SINES:
+            shortest *= 1.05
+        self.limits = (shortest, longest)
+        value = np.concatenate([free.value, known.value])
+        noise = roughness(free)
+        self.scale = noise / float(np.median(free.noise)) if len(free.noise) else 1.0
+        self.scales = np.log([max(float(value.std()), noise, FLOOR_M), 0.25 * longest / LONGEST, self.scale])
+
+    def run(self, given: Given, before: Learned | None) -> Learned:
+        length = None if given.sigma_w is None else Kernel(1.0, given.sigma_w).length_m
+        if length is not None and HilbertBasis.size(self.half, length / RANGE[0], length * RANGE[1]) > 4 * MOST_SINES:
+            raise InputError(
+                f"a sigma_w of {0.5 * np.sqrt(2.0) * self.limits[0]:.2g} m or more on this box, to learn the rest",
+                f"{given.sigma_w:.3g} m",
+                "give sigma_e and the noise too, or a smaller box",
+            )
+        told = [given.sigma_e, length, given.noise_scale]
+        fixed = [None if one is None else float(np.log(one)) for one in told]
+        low, high = self.scales - FREEDOM, self.scales + FREEDOM
+        low[1], high[1] = np.log(self.limits)
+        start = np.array([s if f is None else f for s, f in zip(self.scales, fixed, strict=True)])
+        for i, one in enumerate(fixed):
+            if one is not None:
+                low[i] = high[i] = one
+        if before is not None:
+            start = np.log([before.kernel.sigma_e, before.kernel.length_m, before.noise_scale])
+        elif fixed[1] is None:
+            start = self._first(start, fixed[2] is None)
+        at, value = start, -np.inf
+        for _ in range(MOST_ROUNDS):
+            length = float(np.exp(at[1]))
+            ends = length / RANGE[0], length * RANGE[1]
+            here = np.clip(np.array([at - STRIDE, at + STRIDE]), low, high)
+            here[:, 1] = np.clip(np.log(ends), low[1], high[1])
+            at, value = self._climb(at, here.T, ends)
+            stopped = (at <= here[0] + NEAR_BOUND) | (at >= here[1] - NEAR_BOUND)
+            for_good = (at <= low + NEAR_BOUND) | (at >= high - NEAR_BOUND)
+            if not (stopped & ~for_good).any():
+                break
+        bound = [
+            name
+            for name, f, x, a, b in zip(NAMES, fixed, at, low, high, strict=True)
+            if f is None and (x <= a + NEAR_BOUND or x >= b - NEAR_BOUND)
+        ]
+        sigma_e, length, scale = (float(x) for x in np.exp(at))
+        return Learned(Kernel.of_length(sigma_e, length), scale, value, tuple(bound), self.trials)
+
+    def _first(self, start: FloatArray, free_noise: bool) -> FloatArray:
+        """Where to start from: the best of a few lengths, from long to short, each with the noise that neighbours tell,
+        and with less, since a surface that is rough between neighbours looks like noise."""
+        length, best, at = 0.5 * self.limits[1] / LONGEST, -np.inf, start
+        while True:
+            length = max(length, self.limits[0])
+            basis = HilbertBasis(self.middle, self.half, length, length)
+            weighed = self._weighed(basis)
+            for less in (0.0, LESS_NOISE) if free_noise else (0.0,):
+                here = np.array([start[0], np.log(length), start[2] - less])
+                value = basis.trial(*weighed, *(float(x) for x in np.exp(here))).value
+                self.trials += 1
+                if value > best:
+                    best, at = value, here
+            if length <= self.limits[0]:
+                return at
+            length /= COARSE
+
+    def _climb(self, start: FloatArray, bounds: FloatArray, ends: tuple[float, float]) -> tuple[FloatArray, float]:
+        basis = HilbertBasis(self.middle, self.half, *ends)
+        weighed = self._weighed(basis)
+        free = bounds[:, 0] < bounds[:, 1]
+        count = len(self.free.value) + len(self.known.value)
+
+        def cost(x: FloatArray) -> tuple[float, FloatArray]:
+            """Negative log posterior and its slopes, a point."""
+            self.trials += 1
+            sigma_e, length, scale = np.exp(x)
+            found = basis.trial(*weighed, sigma_e, length, scale)
+            away = np.where(free, (x - self.scales) / PRIOR_SPREAD, 0.0)
+            value = found.value if np.isfinite(found.value) else -HOPELESS
+            return (0.5 * float(away @ away) - value) / count, (away / PRIOR_SPREAD - found.slope) / count
+
+        first = np.clip(start, bounds[:, 0], bounds[:, 1])
+        options = {"ftol": SETTLED / count, "gtol": 1e-2 * SETTLED, "maxiter": 60}
+        found = minimize(cost, first, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+        x = np.asarray(found.x)
+        away = np.where(free, (x - self.scales) / PRIOR_SPREAD, 0.0)
+        return x, float(0.5 * away @ away - found.fun * count)
+
+    def _weighed(self, basis: HilbertBasis) -> tuple[Weighed, ListedPoints]:
+        free, known = self.free, self.known
+        listed = basis.list(known.places, known.value, known.noise)
+        return basis.weigh(free.places, free.value, free.noise), listed
+
+
+def roughness(points: Points) -> float:
+    """A robust deviation of the noise [m]: of each height from the mean of its nearest neighbours' [m]."""
+    count = min(NEIGHBOURS, len(points.value) - 1)
+    if count < 2:
+        return FLOOR_M
+    _, near = cKDTree(points.places).query(points.places, k=count + 1)
+    left = points.value - points.value[near[:, 1:]].mean(axis=1)
+    return max(float(1.4826 * np.median(np.abs(left)) / np.sqrt(1.0 + 1.0 / count)), FLOOR_M)

@@ -1,0 +1,253 @@
+"""Random partitions of a surface into regions: a prior over maps, as curves that can be moved a little.
+
+A map is made of one or two curves: a line (square to the sample or of any direction, straight or wavy), a blob (disc,
+ellipse, rectangle) or a level set of a smooth random field. One curve, or two that bound the same material (two
+patches, a strip), make two regions; two curves, the second within what the first leaves, make three: stripes, a T, a
+patch in a half, two patches.
+
+Every curve is a family and a vector of standard normal numbers. So a small change that leaves the prior as it is costs
+a line (preconditioned Crank-Nicolson, Cotter et al. 2013, 4.2), whatever the shape.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import lru_cache
+from typing import cast
+
+import numpy as np
+from scipy.special import ndtr
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.stages.map.touches import MapGrid
+
+LATENTS = 24
+"""Normal numbers a curve."""
+
+LEAST_AREA_M2 = 0.003
+"""What is smaller is no region: a patch about as wide as three contacts."""
+
+COARSE_M = 0.03
+"""Cells in which areas are counted."""
+
+LINE_TILT = np.radians(12.0)
+WAVE_M = 0.025
+BLOB_RADIUS_M = (0.03, 0.16)
+LEVEL_SET_LENGTH_M = 0.13
+OVERHANG = 0.2
+"""The level sets' cosines reach beyond the surface by this share, so that its border is nothing special."""
+
+
+class Family(IntEnum):
+    """What kind of curve."""
+
+    SQUARE_LINE = 0
+    LINE = 1
+    BLOB = 2
+    LEVEL_SET = 3
+
+
+FAMILY_SHARES = (0.4, 0.15, 0.25, 0.2)
+DOUBLE_SHARE = 0.15
+"""Of the maps of two regions: those in which two curves bound the same material."""
+
+
+@dataclass(frozen=True, slots=True)
+class Partitions:
+    """n maps of `regions` regions on a surface of `size_m`.
+
+    family: (n, 2) `Family` of the first and second curve; latent: (n, 2, LATENTS) standard normal; double: (n,) the
+    second curve counts too in a map of two regions
+    """
+
+    regions: int
+    size_m: tuple[float, float]
+    family: IntArray
+    latent: FloatArray
+    double: BoolArray
+
+    def __len__(self) -> int:
+        return len(self.family)
+
+    def take(self, index: IntArray | BoolArray) -> Partitions:
+        """Those maps."""
+        return Partitions(self.regions, self.size_m, self.family[index], self.latent[index], self.double[index])
+
+    def join(self, other: Partitions) -> Partitions:
+        """These and those."""
+        return Partitions(
+            self.regions,
+            self.size_m,
+            np.concatenate([self.family, other.family]),
+            np.concatenate([self.latent, other.latent]),
+            np.concatenate([self.double, other.double]),
+        )
+
+    def instead(self, changed: BoolArray, by: Partitions) -> Partitions:
+        """Those of `by` where `changed` (n,), else these."""
+        return Partitions(
+            self.regions,
+            self.size_m,
+            np.where(changed[:, None], by.family, self.family),
+            np.where(changed[:, None, None], by.latent, self.latent),
+            np.where(changed, by.double, self.double),
+        )
+
+    def labels(self, xy_m: FloatArray) -> IntArray:
+        """(n, p) region 0, 1 (, 2) at places (p, 2) [m]."""
+        first = self._inside(0, xy_m)
+        if self.regions == 2:
+            if self.double.any():
+                first[self.double] |= self.take(self.double)._inside(1, xy_m)
+            return np.where(first, 0, 1).astype(np.int8)
+        return np.where(first, 0, np.where(self._inside(1, xy_m), 1, 2)).astype(np.int8)
+
+    def shares(self, xy_m: FloatArray, blur_m: float) -> FloatArray:
+        """(n, p, regions) how much of each region a contact at places (p, 2) feels: Gaussian of `blur_m` [m].
+
+        Each curve is taken as straight within the blur: the share on its one side is the normal distribution function
+        of the distance.
+        """
+        first = ndtr(self._distance(0, xy_m) / blur_m)
+        if self.regions == 2:
+            if self.double.any():
+                second = ndtr(self.take(self.double)._distance(1, xy_m) / blur_m)
+                first[self.double] = 1.0 - (1.0 - first[self.double]) * (1.0 - second)
+            return np.stack([first, 1.0 - first], axis=-1)
+        second = ndtr(self._distance(1, xy_m) / blur_m)
+        return np.stack([first, (1.0 - first) * second, (1.0 - first) * (1.0 - second)], axis=-1)
+
+    def admissible(self) -> BoolArray:
+        """(n,) maps whose every region is large enough to be one."""
+        grid = MapGrid(self.size_m, COARSE_M)
+        labels = self.labels(grid.centres_m)
+        least = LEAST_AREA_M2 / COARSE_M**2
+        enough = [(labels == region).sum(axis=1) >= least for region in range(self.regions)]
+        return np.asarray(np.all(enough, axis=0))
+
+    def _inside(self, curve: int, xy_m: FloatArray) -> BoolArray:
+        return self._distance(curve, xy_m, exact=False) > 0.0
+
+    def _distance(self, curve: int, xy_m: FloatArray, exact: bool = True) -> FloatArray:
+        """(n, p) signed distance to a curve [m], above 0 inside; not `exact`: its sign alone is right."""
+        family, latent = self.family[:, curve], self.latent[:, curve]
+        distance = np.empty((len(self), len(xy_m)))
+        lines = family <= Family.LINE
+        if lines.any():
+            distance[lines] = _line(latent[lines], family[lines] == Family.SQUARE_LINE, xy_m, self.size_m, exact)
+        blobs = family == Family.BLOB
+        if blobs.any():
+            distance[blobs] = _blob(latent[blobs], xy_m, self.size_m)
+        level_sets = family == Family.LEVEL_SET
+        if level_sets.any():
+            distance[level_sets] = _level_set(latent[level_sets], xy_m, self.size_m, exact)
+        return distance
+
+
+def draw(rng: np.random.Generator, regions: int, size_m: tuple[float, float], count: int) -> Partitions:
+    """`count` admissible maps from the prior."""
+    kept: Partitions | None = None
+    while kept is None or len(kept) < count:
+        wanted = count if kept is None else count - len(kept)
+        fresh = _draw(rng, regions, size_m, wanted + wanted // 2 + 8)
+        fresh = fresh.take(fresh.admissible())
+        kept = fresh if kept is None else kept.join(fresh)
+    return kept.take(np.arange(count))
+
+
+def propose(rng: np.random.Generator, maps: Partitions) -> Partitions:
+    """A change of every map that is reversible under the prior without its least area: small ones of one or all
+    numbers of its curves, now and then a new curve."""
+    count = len(maps)
+    fresh = _draw(rng, maps.regions, maps.size_m, count)
+    step = np.exp(rng.uniform(np.log(0.04), np.log(1.0), count))[:, None, None]
+    moved = np.sqrt(1.0 - step**2) * maps.latent + step * fresh.latent
+    touched = rng.random((count, 2, 1)) < 0.6  # which curve
+    some = rng.random((count, 1, 1)) < 0.5  # some of its numbers, or all
+    touched = touched & (~some | (rng.random(maps.latent.shape) < 0.25))
+    latent = np.where(touched, moved, maps.latent)
+    renewed = rng.random((count, 2)) < 0.06
+    return Partitions(
+        maps.regions,
+        maps.size_m,
+        np.where(renewed, fresh.family, maps.family),
+        np.where(renewed[:, :, None], fresh.latent, latent),
+        np.where(renewed.any(axis=1), fresh.double, maps.double),
+    )
+
+
+def _draw(rng: np.random.Generator, regions: int, size_m: tuple[float, float], count: int) -> Partitions:
+    return Partitions(
+        regions,
+        size_m,
+        rng.choice(len(FAMILY_SHARES), (count, 2), p=FAMILY_SHARES),
+        rng.standard_normal((count, 2, LATENTS)),
+        rng.random(count) < DOUBLE_SHARE,
+    )
+
+
+def _line(
+    latent: FloatArray, square: BoolArray, xy_m: FloatArray, size_m: tuple[float, float], exact: bool
+) -> FloatArray:
+    """(n, p) distance to lines through a place anywhere on the surface, on which a sine may ride."""
+    free = np.arctan2(latent[:, 0], latent[:, 1])
+    angle = np.where(square, np.round(free / (np.pi / 2)) * (np.pi / 2) + LINE_TILT * latent[:, 2], free)
+    through = ndtr(latent[:, 3:5]) * np.asarray(size_m)
+    amplitude = WAVE_M * np.maximum(latent[:, 5], 0.0)[:, None]  # half of the lines are straight
+    number = 2.0 * np.pi / (0.12 * 4.0 ** ndtr(latent[:, 6]))[:, None]
+    phase = 2.0 * np.pi * ndtr(latent[:, 7])[:, None]
+
+    normal = np.stack([np.cos(angle), np.sin(angle)])
+    distance = (xy_m @ normal - (through * normal.T).sum(axis=1)).T.copy()
+    wavy = amplitude[:, 0] > 0.0
+    turn = number[wavy] * (xy_m @ np.stack([-normal[1], normal[0]])[:, wavy]).T + phase[wavy]
+    distance[wavy] -= amplitude[wavy] * np.sin(turn)
+    if exact:
+        distance[wavy] /= np.sqrt(1.0 + (amplitude[wavy] * number[wavy] * np.cos(turn)) ** 2)
+    return cast(FloatArray, distance)
+
+
+def _blob(latent: FloatArray, xy_m: FloatArray, size_m: tuple[float, float]) -> FloatArray:
+    """(n, p) distance, along the ray from the middle, to discs, ellipses and rectangles with round corners."""
+    centre = ndtr(latent[:, :2]) * np.asarray(size_m)
+    low, high = np.log(BLOB_RADIUS_M)
+    radius = np.exp(low + (high - low) * ndtr(latent[:, 2]))
+    stretch = np.exp(0.5 * np.maximum(np.abs(latent[:, 3]) - 0.5, 0.0) * np.sign(latent[:, 3]))
+    power = 2.0 + 6.0 * np.clip(latent[:, 4] - 0.3, 0.0, 1.0)[:, None]
+    angle = LINE_TILT * latent[:, 5] + np.where(np.abs(latent[:, 6]) < 1.0, 0.0, np.pi / 4 * latent[:, 6])
+
+    from_centre = xy_m[None] - centre[:, None]
+    cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    u = np.abs(cos * from_centre[..., 0] + sin * from_centre[..., 1]) / (radius * stretch)[:, None]
+    v = np.abs(-sin * from_centre[..., 0] + cos * from_centre[..., 1]) / (radius / stretch)[:, None]
+    # a place at 1 is on the border; the ray's length in these units turns the rest into metres
+    rho = np.hypot(u, v)
+    cornered = power[:, 0] > 2.0
+    rho[cornered] = (u[cornered] ** power[cornered] + v[cornered] ** power[cornered]) ** (1.0 / power[cornered])
+    rho = np.maximum(rho, 1e-9)
+    away = np.maximum(np.hypot(from_centre[..., 0], from_centre[..., 1]), 1e-9 * radius[:, None])
+    return cast(FloatArray, away * (1.0 - rho) / rho)
+
+
+def _level_set(latent: FloatArray, xy_m: FloatArray, size_m: tuple[float, float], exact: bool) -> FloatArray:
+    """(n, p) a smooth random field over its slope: the distance to its level set, to first order."""
+    wave, weight = _cosines(size_m)
+    shift = 0.5 * OVERHANG * np.asarray(size_m)
+    x, y = (xy_m[:, 0] + shift[0])[:, None] * wave[:, 0], (xy_m[:, 1] + shift[1])[:, None] * wave[:, 1]
+    loads = latent * weight
+    value = loads @ (np.cos(x) * np.cos(y)).T
+    if not exact:
+        return cast(FloatArray, value)
+    slope = np.hypot(loads @ (-wave[:, 0] * np.sin(x) * np.cos(y)).T, loads @ (-wave[:, 1] * np.cos(x) * np.sin(y)).T)
+    return cast(FloatArray, value / np.maximum(slope, 0.3 / LEVEL_SET_LENGTH_M))
+
+
+@lru_cache(maxsize=8)
+def _cosines(size_m: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
+    """Wave numbers (LATENTS, 2) [1/m] of products of cosines and their weights: a squared exponential's spectrum."""
+    wide = (1.0 + OVERHANG) * np.asarray(size_m)
+    number = np.stack(np.meshgrid(np.arange(12), np.arange(12)), axis=-1).reshape(-1, 2) * np.pi / wide
+    strength = np.exp(-0.25 * (number**2).sum(axis=1) * LEVEL_SET_LENGTH_M**2)
+    best = np.argsort(-strength, kind="stable")[:LATENTS]
+    return number[best], strength[best] / np.sqrt((strength[best] ** 2).sum() / 4.0)

@@ -1,0 +1,373 @@
+"""Where to touch next, and why: what each place would tell, what going there costs, and where not to go.
+
+`random-above`: any place whose field variance is above a threshold (Thesis 4.2); `max-variance`: the largest variance;
+`integrated-variance`: the largest drop of the mean variance (active learning Cohn, 1996); `regions`, the default:
+touches that fill the space first; then, while one material alone has been met, those that would meet most of the
+inclusions that may be there; and from then on those that are expected to put most of the map's labels right. All of
+these per second.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, cast
+
+import numpy as np
+from scipy.spatial.distance import cdist
+from scipy.special import ndtr, ndtri, xlogy
+from threadpoolctl import threadpool_limits
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.stages.map.regions import RegionHypotheses, RegionPosterior, ranked_labels
+from deformscope.stages.map.touches import MapGrid
+
+Planner = Literal["regions", "integrated-variance", "max-variance", "random-above"]
+PLANNERS: tuple[Planner, ...] = ("regions", "integrated-variance", "max-variance", "random-above")
+StopReason = Literal["budget", "nothing above the threshold", "little left to learn", "nowhere to go"]
+
+ALLOWED, OUT_OF_REACH, AT_BORDER, TOUCHED_BEFORE = range(4)
+"""Codes of `TouchChoice.excluded`."""
+
+OUTCOMES = 16
+"""Bins of a touch's possible readings, over which information is counted; half of them for labels."""
+
+CONTENDERS = 100
+"""Places, those that tell most about the map per second, for which the gain in labels is worked out."""
+
+INCLUSION_RADII_M = (0.04, 0.06, 0.085, 0.12)
+"""Discs that may be there unseen, wherever more than their half lies on the surface."""
+
+LABEL_CELL_M = 0.025
+LEVEL_WORTH = 0.02
+"""What a nat about the levels counts beside the share of cells with the right label."""
+
+
+@dataclass(frozen=True, slots=True)
+class FieldKernel:
+    """The field's Gaussian process: squared exponential of `sd` and `length_m`, noise of a touch, all in log
+    stiffness."""
+
+    sd: float = 0.5
+    length_m: float = 0.12
+    noise_sd: float = 0.08
+
+    def covariance(self, a: FloatArray, b: FloatArray) -> FloatArray:
+        """(n, m) between places (n, 2) and (m, 2) [m]."""
+        apart = ((a[:, None] - b[None]) ** 2).sum(axis=-1)
+        return cast(FloatArray, self.sd**2 * np.exp(-0.5 * apart / self.length_m**2))
+
+
+@dataclass(frozen=True, slots=True)
+class PlanOptions:
+    """planner; fill: touches that fill the space before regions are asked for; cell_m: of the places considered
+    border_m, apart_m: kept from the border and from earlier touches; touch_s, speed_m_s: what a touch and the way cost
+    threshold: of variance, as a share of the field's variance before any touch (Th, thesis 4.2)
+    least_gain: where less is to be gained it stops: of the share of cells with the right label, or of inclusions that
+    may be there; sure: the probability from which the number of regions is no longer in doubt; budget: touches in all
+    """
+
+    planner: Planner = "regions"
+    fill: int = 4
+    cell_m: float = 0.02
+    border_m: float = 0.02
+    apart_m: float = 0.025
+    touch_s: float = 6.0
+    speed_m_s: float = 0.1
+    threshold: float = 0.06
+    least_gain: float = 0.005
+    sure: float = 0.8
+    budget: int = 12
+
+    def __post_init__(self) -> None:
+        if self.planner not in PLANNERS:
+            raise InputError(f"a planner of {', '.join(PLANNERS)}", self.planner)
+        if min(self.cell_m, self.touch_s, self.speed_m_s) <= 0.0 or self.budget < 1:
+            raise InputError("cells, times, speed and budget above 0", f"{self}")
+
+
+@dataclass(frozen=True, slots=True)
+class TouchChoice:
+    """The next touch. Maps are (rows, columns) of `grid`, whose cells are the places considered.
+
+    target_m: (2,) the best place [m], None if there is none; stop: why no touch is worth it any more, None to go on
+    gain: what each place would tell, nan where excluded; unit: of gain ("label": share of cells that get the right
+    label; "inclusion": share of the inclusions that may be there which it meets first)
+    cost_s: time of the way and the touch; excluded: codes (ALLOWED, OUT_OF_REACH, AT_BORDER, TOUCHED_BEFORE)
+    reason: in words
+    """
+
+    grid: MapGrid
+    target_m: FloatArray | None
+    stop: StopReason | None
+    gain: FloatArray
+    unit: str
+    cost_s: FloatArray
+    excluded: IntArray
+    reason: str
+
+
+def plan_touch(
+    posterior: RegionPosterior,
+    kernel: FieldKernel,
+    options: PlanOptions,
+    *,
+    tip_m: FloatArray | None = None,
+    left_out_m: FloatArray | None = None,
+    reachable: BoolArray | None = None,
+    seed: int = 0,
+) -> TouchChoice:
+    """Where to touch next.
+
+    tip_m: (2,) where the tip is now, default the last touch, else the surface's corner [m]
+    left_out_m: (n, 2) touches that gave nothing: they count for the budget, and are not made again at their places
+    reachable: (rows, columns) of `posterior.grid`; seed: of the random planner
+    """
+    grid = MapGrid(posterior.grid.size_m, options.cell_m)
+    places = grid.centres_m
+    touched = np.array([touch.xy_m for touch in posterior.touches]).reshape(-1, 2)
+    made = touched if left_out_m is None else np.concatenate([touched, left_out_m])
+    tip = tip_m if tip_m is not None else touched[-1] if len(touched) else np.zeros(2)
+    excluded = _excluded(places, made, posterior.grid, reachable, options)
+    cost = options.touch_s + np.hypot(*(places - tip).T) / options.speed_m_s
+    variance = _variance(kernel, touched, places)
+    allowed = excluded == ALLOWED
+    with threadpool_limits(1):
+        gain, unit, score = _gain(posterior, kernel, options, places, allowed, touched, variance, cost, seed)
+    stop = _stop(posterior, options, len(made), gain, unit, variance[allowed] / kernel.sd**2)
+
+    target, reason = None, f"stopped: {stop}"
+    if allowed.any():
+        best = int(np.nanargmax(np.where(allowed, score, -np.inf)))
+        target = places[best]
+        if stop is None:
+            reason = _why(posterior, options, unit, float(gain[best]), float(np.nanmax(gain)), float(cost[best]))
+    shape = grid.shape
+    return TouchChoice(
+        grid, target, stop, gain.reshape(shape), unit, cost.reshape(shape), excluded.reshape(shape), reason
+    )
+
+
+def information(hypotheses: RegionHypotheses, places_m: FloatArray, blur_m: float, noise_sd: float) -> FloatArray:
+    """(p,) mutual information of a touch at places (p, 2) with what the surface is [nat].
+
+    It is the entropy of the reading over all hypotheses less that under each (Lindley 1956), in bins: a little less
+    than without them.
+    """
+    chance, weight = _outcomes(hypotheses, places_m, blur_m, noise_sd, OUTCOMES)
+    together = np.tensordot(chance, weight, axes=(1, 0))
+    entropy = -xlogy(together, together).sum(axis=0)
+    return cast(FloatArray, np.maximum(entropy + weight @ xlogy(chance, chance).sum(axis=0), 0.0))
+
+
+def label_gain(
+    hypotheses: RegionHypotheses, places_m: FloatArray, cells_m: FloatArray, blur_m: float, noise_sd: float
+) -> FloatArray:
+    """(p,) by how much a touch at places (p, 2) is expected to raise the share of cells (c, 2) with the right label.
+
+    A label is right if the number of regions is, too; each region of a map counts the same, however small. The share
+    is that of the best labels after the touch, over all its outcomes.
+    """
+    outcomes = OUTCOMES // 2
+    chance, weight = _outcomes(hypotheses, places_m, blur_m, noise_sd, outcomes)
+    joint = np.ascontiguousarray(np.swapaxes(chance * weight[:, None], 1, 2)).reshape(-1, len(weight))
+    best, best_now = np.zeros((len(joint), len(cells_m))), np.zeros(len(cells_m))
+    start = 0
+    for maps, level, _, _ in hypotheses.maps:
+        regions = level.shape[1]
+        here = slice(start, start + len(level))
+        start += len(level)
+        labels = np.zeros((1, len(cells_m)), dtype=np.int8) if maps is None else ranked_labels(maps, level, cells_m)
+        for rank in range(regions):
+            is_rank = labels == rank
+            credit = is_rank / np.maximum(regions * is_rank.mean(axis=1, keepdims=True), 1e-9)
+            np.maximum(best, joint[:, here] @ credit, out=best)
+            np.maximum(best_now, weight[here] @ credit, out=best_now)
+    smooth = np.full((1, len(cells_m)), 1.0)
+    np.maximum(best, joint[:, start:].sum(axis=1, keepdims=True) @ smooth, out=best)
+    np.maximum(best_now, weight[start:].sum() * smooth[0], out=best_now)
+    after = best.reshape(outcomes, len(places_m), -1).sum(axis=0).mean(axis=1)
+    return cast(FloatArray, np.maximum(after - best_now.mean(), 0.0))
+
+
+def level_information(hypotheses: RegionHypotheses, places_m: FloatArray, blur_m: float, known_sd: float) -> FloatArray:
+    """(p,) information of a touch at places (p, 2) about the levels, were the map known [nat]; a level that is known to
+    `known_sd` is worth little more."""
+    _, sd, weight = _predictions(hypotheses, places_m, blur_m, known_sd)
+    return cast(FloatArray, weight @ np.log(sd / known_sd))
+
+
+def inclusion_gain(
+    places_m: FloatArray, touched_m: FloatArray, centres_m: FloatArray, size_m: tuple[float, float], blur_m: float
+) -> FloatArray:
+    """(p,) share of all inclusions which a touch at places (p, 2) would be the first to meet.
+
+    Inclusions are discs of `INCLUSION_RADII_M` around centres (c, 2); a touch meets one if most of what it feels lies
+    within. touched_m: (t, 2) touches so far
+    """
+    inland = np.minimum(centres_m, np.asarray(size_m) - centres_m).min(axis=1)
+    from_places, from_touches = cdist(places_m, centres_m), cdist(touched_m, centres_m)
+    gain = np.zeros(len(places_m))
+    for radius in INCLUSION_RADII_M:
+        there, reach = inland > radius / 2.0, radius - blur_m / 2.0
+        unmet = there & (from_touches > reach).all(axis=0)
+        gain += (from_places[:, unmet] <= reach).sum(axis=1) / max(int(there.sum()), 1)
+    return gain / len(INCLUSION_RADII_M)
+
+
+def _outcomes(
+    hypotheses: RegionHypotheses, places: FloatArray, blur_m: float, noise_sd: float, count: int
+) -> tuple[FloatArray, FloatArray]:
+    """(count, h, p) probability of each outcome of a touch under each hypothesis, and the hypotheses' weights (h,)."""
+    mean, sd, weight = _predictions(hypotheses, places, blur_m, noise_sd)
+    below = ndtr((_bin_edges(mean, sd, weight, count)[:, None] - mean) / sd)
+    return np.diff(below, axis=0, prepend=0.0, append=1.0), weight
+
+
+def _bin_edges(mean: FloatArray, sd: FloatArray, weight: FloatArray, count: int) -> FloatArray:
+    """Edges (bins - 1, p) of bins that a reading falls into about equally often, whatever the hypothesis."""
+    spread = ndtri((np.arange(8) + 0.5) / 8.0)
+    reading = (mean[:, None] + sd[:, None] * spread[:, None]).reshape(-1, mean.shape[1])
+    order = np.argsort(reading, axis=0)
+    below = np.cumsum(np.repeat(weight / 8.0, 8)[order], axis=0)
+    wanted = np.arange(1, count) / count
+    at = [np.searchsorted(below[:, place], wanted) for place in range(reading.shape[1])]
+    chosen = np.take_along_axis(order, np.minimum(np.stack(at, axis=1), len(reading) - 1), axis=0)
+    return cast(FloatArray, np.take_along_axis(reading, chosen, axis=0))
+
+
+def _predictions(
+    hypotheses: RegionHypotheses, places: FloatArray, blur_m: float, noise_sd: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean and deviation (h, p) of a reading under each hypothesis, and their weights (h,)."""
+    means: list[FloatArray] = []
+    variances: list[FloatArray] = []
+    weights: list[FloatArray] = []
+    for maps, level, cov, weight in hypotheses.maps:
+        shares = np.ones((1, len(places), 1)) if maps is None else maps.shares(places, blur_m)
+        means.append((shares @ level[..., None])[..., 0])
+        variances.append(((shares @ cov) * shares).sum(axis=-1))
+        weights.append(weight)
+    for field, share in hypotheses.smooth:
+        mean, variance = field.predict(places)
+        means.append(mean[None])
+        variances.append(variance[None])
+        weights.append(np.array([share]))
+    weight = np.concatenate(weights)
+    sd = np.sqrt(np.concatenate(variances) + noise_sd**2)
+    return np.concatenate(means), sd, weight / weight.sum()
+
+
+def _excluded(
+    places: FloatArray, touched: FloatArray, cells: MapGrid, reachable: BoolArray | None, options: PlanOptions
+) -> IntArray:
+    excluded = np.full(len(places), ALLOWED)
+    if len(touched):
+        nearest = np.hypot(*(places[:, None] - touched).transpose(2, 0, 1)).min(axis=1)
+        excluded[nearest < options.apart_m] = TOUCHED_BEFORE
+    inside = ((places > options.border_m) & (places < np.asarray(cells.size_m) - options.border_m)).all(axis=1)
+    excluded[~inside] = AT_BORDER
+    if reachable is not None:
+        if reachable.shape != cells.shape:
+            raise InputError(f"a reachability mask of {cells.shape}", f"{reachable.shape}")
+        last = np.asarray(cells.shape)[::-1] - 1
+        column, row = np.minimum((places / cells.cell_m).astype(int), last).T
+        excluded[~reachable[row, column]] = OUT_OF_REACH
+    return excluded
+
+
+def _variance(kernel: FieldKernel, touched: FloatArray, places: FloatArray) -> FloatArray:
+    """(p,) of the field after the touches (Thesis eq. 4.4)."""
+    return cast(FloatArray, kernel.sd**2 - (_explained(kernel, touched, places) ** 2).sum(axis=0))
+
+
+def _explained(kernel: FieldKernel, touched: FloatArray, places: FloatArray) -> FloatArray:
+    """(t, p) whitened covariances of touches and places."""
+    if not len(touched):
+        return np.zeros((0, len(places)))
+    own = kernel.covariance(touched, touched) + kernel.noise_sd**2 * np.eye(len(touched))
+    return cast(FloatArray, np.linalg.solve(np.linalg.cholesky(own), kernel.covariance(touched, places)))
+
+
+def _integrated_drop(kernel: FieldKernel, touched: FloatArray, places: FloatArray) -> FloatArray:
+    """(p,) by how much the mean variance over all places would drop."""
+    explained = _explained(kernel, touched, places)
+    covariance = kernel.covariance(places, places) - explained.T @ explained
+    return cast(FloatArray, (covariance**2).mean(axis=0) / (np.diagonal(covariance) + kernel.noise_sd**2))
+
+
+def _gain(
+    posterior: RegionPosterior,
+    kernel: FieldKernel,
+    options: PlanOptions,
+    places: FloatArray,
+    allowed: BoolArray,
+    touched: FloatArray,
+    variance: FloatArray,
+    cost: FloatArray,
+    seed: int,
+) -> tuple[FloatArray, str, FloatArray]:
+    """Gain (p,), nan where not `allowed`, its unit, and the score (p,) whose largest is taken."""
+    known = np.where(allowed, variance, np.nan)
+    if options.planner == "random-above":
+        above = variance / kernel.sd**2 > options.threshold
+        order = np.random.default_rng((seed, len(touched))).random(len(places))
+        return known, "variance", np.where(above, order, -1.0)
+    if options.planner == "max-variance":
+        return known, "variance", variance
+    drop = np.where(allowed, _integrated_drop(kernel, touched, places), np.nan)
+    if options.planner == "integrated-variance":
+        return drop, "mean variance", drop
+    if len(touched) < options.fill:
+        return drop, "mean variance", drop / cost
+    gain = np.full(len(places), np.nan)
+    # a search for the boundaries of what nothing speaks for would only stall
+    if posterior.probability["1"] > 0.5:
+        gain[allowed] = inclusion_gain(places[allowed], touched, places, posterior.grid.size_m, posterior.prior.blur_m)
+        return gain, "inclusion", gain / cost
+    if allowed.any():
+        gain[allowed] = _region_gain(posterior, kernel.noise_sd, places[allowed], cost[allowed])
+    return gain, "label", gain / cost
+
+
+def _region_gain(posterior: RegionPosterior, noise_sd: float, places: FloatArray, cost: FloatArray) -> FloatArray:
+    """(p,) what a touch is expected to add to the labels, and to levels that are hardly known; for all but the places
+    that tell most, as far as the latter go."""
+    hypotheses, blur = posterior.hypotheses(), posterior.prior.blur_m
+    gain = LEVEL_WORTH * level_information(hypotheses, places, blur, posterior.prior.rigid_sd)
+    told = LEVEL_WORTH * information(hypotheses, places, blur, noise_sd)
+    best = np.argsort(-(gain + told) / cost, kind="stable")[:CONTENDERS]
+    cells = MapGrid(posterior.grid.size_m, LABEL_CELL_M).centres_m
+    gain[best] += label_gain(hypotheses, places[best], cells, blur, noise_sd)
+    return gain
+
+
+def _stop(
+    posterior: RegionPosterior, options: PlanOptions, made: int, gain: FloatArray, unit: str, variance: FloatArray
+) -> StopReason | None:
+    """Why no further touch is made. While the number of regions is in doubt, only the budget and the reach end it."""
+    if made >= options.budget:
+        return "budget"
+    if not np.isfinite(gain).any():
+        return "nowhere to go"
+    if len(posterior.touches) < 3 or max(posterior.probability.values()) < options.sure:
+        return None
+    if variance.max() < options.threshold:
+        return "nothing above the threshold"
+    if unit in ("label", "inclusion") and np.nanmax(gain) < options.least_gain:
+        return "little left to learn"
+    return None
+
+
+def _why(posterior: RegionPosterior, options: PlanOptions, unit: str, gain: float, most: float, cost_s: float) -> str:
+    """Why here, in words."""
+    if options.planner == "random-above":
+        return f"any place above the threshold: variance {gain:.3g}"
+    if options.planner == "max-variance":
+        return f"the least known place: variance {gain:.3g}"
+    if unit == "mean variance":
+        return f"fills the space: the mean variance drops by {gain:.2g} for {cost_s:.0f} s"
+    if unit == "inclusion":
+        return f"one material so far: meets {gain:.1%} of the inclusions that may be there, for {cost_s:.0f} s"
+    shares = ", ".join(f"{name}: {share:.0%}" for name, share in posterior.probability.items() if share >= 0.05)
+    return f"adds {gain:.1%} to the labels (at most {most:.1%}) for {cost_s:.0f} s; regions {shares}"

@@ -1,0 +1,533 @@
+"""Which regions of equal stiffness a surface has, from a few touches: a posterior over maps (Bayes).
+
+A map divides the surface into one, two or three regions (`partitions`), each with one level of log stiffness. A touch
+feels the levels blurred by its contact, plus noise. Given a map the levels are integrated in closed form; the maps are
+particles that every touch reweights and, where few are left, that move under the prior (iterated batch importance
+sampling, Chopin 2002), so that their evidence comes out as well: it chooses the number of regions. A surface whose
+stiffness changes smoothly is the rival hypothesis (Gaussian processes); where it wins, the verdict is "gradual".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Literal, cast
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.special import logsumexp, ndtr
+from threadpoolctl import threadpool_limits
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.stages.map.partitions import Partitions, draw, propose
+from deformscope.stages.map.touches import MapGrid, StiffnessSample
+
+RegionVerdict = Literal["regions", "gradual"]
+
+MOST_REGIONS = 3
+MOVES = 24
+TEMPERS = (1.0, 4.0, 16.0, 64.0, 256.0)
+"""Factors on the variance of the newest touch, where it comes as a surprise."""
+SMOOTH_LENGTHS_M = (0.2, 0.35, 0.6)
+SMOOTH_SDS = (0.25, 0.6)
+SLOPES_PER_M = (1.0, 3.0)
+"""Of log stiffness: how smooth fields may vary; each combination has the same prior probability."""
+
+
+@dataclass(frozen=True, slots=True)
+class RegionPrior:
+    """What is taken for granted.
+
+    one, two, three, gradual: prior probabilities; blur_m: deviation of the Gaussian that a contact feels; within_sd:
+    of log stiffness inside one material; mixed_share: touches near a boundary are off by up to this share of all
+    contrast; level_sd: of the regions' log stiffness; least_contrast: between any two of them (0.13: 14 %; a sphere's
+    0.13 is 20 % in modulus); rigid_sd: of touches that are lower bounds
+    """
+
+    one: float = 0.47
+    two: float = 0.33
+    three: float = 0.14
+    gradual: float = 0.06
+    blur_m: float = 0.012
+    within_sd: float = 0.03
+    mixed_share: float = 0.12
+    level_sd: float = 1.0
+    least_contrast: float = 0.13
+    rigid_sd: float = 0.3
+
+    def __post_init__(self) -> None:
+        shares = (self.one, self.two, self.three, self.gradual)
+        if min(shares) < 0.0 or abs(sum(shares) - 1.0) > 1e-9:
+            raise InputError("prior probabilities that add up to 1", f"{shares}")
+        if min(self.blur_m, self.level_sd, self.rigid_sd) <= 0.0:
+            raise InputError("a blur and deviations above 0", f"{self.blur_m}, {self.level_sd}, {self.rigid_sd}")
+
+
+@dataclass(frozen=True, slots=True)
+class RegionMap:
+    """What the touches say of the whole surface, arrays (rows, columns) of the grid.
+
+    verdict: "gradual" where a smooth field explains the touches better than regions
+    region_count: k, the most probable number of regions, 0 where the verdict is "gradual"
+    probability: of 1, 2, 3 regions and "gradual"
+    labels: 0 (softest) to k - 1; -1 everywhere without regions
+    label_probability: that the verdict is right, the number of regions too, and so is the cell's label
+    level, level_sd: (k,) log stiffness of each region; level_interval: (k, 2) of 90 %; rigid: (k,) regions for which
+    the level is a lower bound, the highest of their touches', at which the interval begins; it is open above
+    field, field_sd: log stiffness at every cell, over all hypotheses
+    wrong_share: share of the surface that is expected to have a wrong label, given k; nan without regions
+    boundary_sd_m: the same as a distance from the boundary; nan without one
+    """
+
+    grid: MapGrid
+    verdict: RegionVerdict
+    region_count: int
+    probability: dict[str, float]
+    labels: IntArray
+    label_probability: FloatArray
+    level: FloatArray
+    level_sd: FloatArray
+    level_interval: FloatArray
+    rigid: BoolArray
+    field: FloatArray
+    field_sd: FloatArray
+    wrong_share: float
+    boundary_sd_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class RegionHypotheses:
+    """A sample of what the surface may be: weighted maps, their levels ordered from soft to stiff, and smooth fields.
+
+    maps: for each number of regions its maps (none for one region), level: (n, k) and level_cov: (n, k, k), weight:
+    (n,); smooth: kernels with their weights; all weights add up to 1
+    """
+
+    maps: tuple[tuple[Partitions | None, FloatArray, FloatArray, FloatArray], ...]
+    smooth: tuple[tuple[SmoothField, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Readings:
+    """xy_m: (t, 2); value: (t,) log stiffness over `centre`; variance: (t,); spread: of all values."""
+
+    xy_m: FloatArray
+    value: FloatArray
+    variance: FloatArray
+    centre: float
+    spread: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Particles:
+    """Weighted maps of one number of regions. log_weight: (n,) normalised; log_likelihood: (n,) of all touches"""
+
+    maps: Partitions
+    log_weight: FloatArray
+    log_likelihood: FloatArray
+    log_evidence: float
+
+
+@dataclass(frozen=True)
+class RegionPosterior:
+    """The probability of every map after some touches; `with_touch` gives the next one. Same touches, same result."""
+
+    grid: MapGrid
+    prior: RegionPrior
+    touches: tuple[StiffnessSample, ...]
+    particles: tuple[_Particles, ...]
+    particle_count: int
+    seed: int
+
+    @classmethod
+    def before_touches(
+        cls, grid: MapGrid, prior: RegionPrior | None = None, *, particle_count: int = 1200, seed: int = 0
+    ) -> RegionPosterior:
+        """What is known at first. particle_count: maps kept for each number of regions; four times as many at first"""
+        if particle_count < 50:
+            raise InputError("50 particles or more", f"{particle_count}")
+        particles = tuple(
+            _Particles(maps, np.full(len(maps), -np.log(len(maps))), np.zeros(len(maps)), 0.0)
+            for maps in (_prior_maps(seed, k, grid.size_m, 4 * particle_count) for k in range(2, MOST_REGIONS + 1))
+        )
+        return cls(grid, prior or RegionPrior(), (), particles, particle_count, seed)
+
+    def with_touch(self, touch: StiffnessSample) -> RegionPosterior:
+        """After one more touch."""
+        touches = (*self.touches, touch)
+        readings = _readings(touches, self.prior)
+        particles = []
+        with threadpool_limits(1):  # thousands of tiny matrices: threads would only wait for each other
+            for one in self.particles:
+                rng = np.random.default_rng((self.seed, len(touches), one.maps.regions))
+                particles.append(_update(rng, one, readings, self.prior, self.particle_count))
+        return replace(self, touches=touches, particles=tuple(particles))
+
+    @cached_property
+    def probability(self) -> dict[str, float]:
+        """Of "1", "2", "3" regions and of "gradual"."""
+        evidence = [self._one_region[0], *(one.log_evidence for one in self.particles), self._smooth_log_evidence]
+        prior = np.array([self.prior.one, self.prior.two, self.prior.three, self.prior.gradual])
+        with np.errstate(divide="ignore"):
+            logs = np.log(prior) + np.array(evidence)
+        shares = np.maximum(np.exp(logs - logsumexp(logs)), 1e-9)  # nothing is certain
+        return dict(zip(("1", "2", "3", "gradual"), shares.tolist(), strict=True))
+
+    @property
+    def region_count(self) -> int:
+        """The most probable number of regions, were it regions."""
+        return int(np.argmax([self.probability[str(k)] for k in range(1, MOST_REGIONS + 1)])) + 1
+
+    @property
+    def verdict(self) -> RegionVerdict:
+        return "gradual" if self.probability["gradual"] > 0.5 else "regions"
+
+    def hypotheses(self, count: int = 300) -> RegionHypotheses:
+        """About `count` maps, in proportion to the probability of their number of regions."""
+        readings = _readings(self.touches, self.prior)
+        _, level, cov = self._one_region
+        found: list[tuple[Partitions | None, FloatArray, FloatArray, FloatArray]] = [
+            (None, level[None] + readings.centre, cov[None], np.array([self.probability["1"]]))
+        ]
+        for one in self.particles:
+            share = self.probability[str(one.maps.regions)]
+            number = int(np.ceil(count * share / max(1.0 - self.probability["gradual"], 1e-12)))
+            if number > 0.01 * count or one.maps.regions == self.region_count:
+                number = max(number, 20)
+                maps, level, cov = self._draw(one, number, readings)
+                found.append((maps, level, cov, np.full(number, share / number)))
+        weights = np.exp([one.log_evidence for one in self._smooth])
+        weights *= self.probability["gradual"] / weights.sum()
+        return RegionHypotheses(tuple(found), tuple(zip(self._smooth, weights.tolist(), strict=True)))
+
+    def region_map(self, count: int = 240) -> RegionMap:
+        """The map that this says; `count` maps are drawn for it."""
+        centres, k = self.grid.centres_m, self.region_count
+        hypotheses = self.hypotheses(count)
+        mean, square = np.zeros(len(centres)), np.zeros(len(centres))
+        probability, level, cov = np.ones((1, len(centres))), *(part for part in hypotheses.maps[0][1:3])
+        for maps, levels, covs, weight in hypotheses.maps:
+            labels = (
+                np.zeros((1, len(centres)), dtype=np.int8) if maps is None else ranked_labels(maps, levels, centres)
+            )
+            levels, covs = _sorted(levels, covs)
+            variance = np.diagonal(covs, axis1=1, axis2=2)
+            shares = np.stack([weight @ (labels == rank) for rank in range(levels.shape[1])])
+            for rank in range(levels.shape[1]):
+                here = labels == rank
+                mean += (weight * levels[:, rank]) @ here
+                square += (weight * (levels[:, rank] ** 2 + variance[:, rank])) @ here
+            if levels.shape[1] == k:
+                probability, level, cov = shares / weight.sum(), levels, covs
+        for field, share in hypotheses.smooth:
+            here, variance = field.predict(centres)
+            mean += share * here
+            square += share * (here**2 + variance)
+
+        log_stiffness = mean.reshape(self.grid.shape)
+        log_stiffness_sd = np.sqrt(np.maximum(square - mean**2, 0.0)).reshape(self.grid.shape)
+        if self.verdict == "gradual":
+            return self._without_regions(log_stiffness, log_stiffness_sd)
+        rng = np.random.default_rng((self.seed, len(self.touches)))
+        sd = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
+        drawn = (level[:, None] + sd[:, None] * rng.standard_normal((len(level), 4000 // len(level) + 1, k))).reshape(
+            -1, k
+        )
+        labels = probability.argmax(axis=0).reshape(self.grid.shape)
+        mean_level = drawn.mean(axis=0)
+        rigid = self._rigid_regions(labels, mean_level)
+        interval = np.quantile(drawn, [0.05, 0.95], axis=0).T
+        mean_level[rigid], interval[rigid] = self._rigid_bound, (self._rigid_bound, np.inf)
+        right = probability.max(axis=0)
+        wrong = float(1.0 - right.mean())
+        edge_m = self.grid.cell_m * _edges(labels)
+        area = self.grid.size_m[0] * self.grid.size_m[1]
+        return RegionMap(
+            self.grid,
+            self.verdict,
+            k,
+            self.probability,
+            labels,
+            self.probability[str(k)] * right.reshape(self.grid.shape),
+            mean_level,
+            drawn.std(axis=0),
+            interval,
+            rigid,
+            log_stiffness,
+            log_stiffness_sd,
+            wrong,
+            wrong * area / edge_m if edge_m else np.nan,
+        )
+
+    def _without_regions(self, field: FloatArray, field_sd: FloatArray) -> RegionMap:
+        """The map of a stiffness that changes smoothly."""
+        shape, none = self.grid.shape, np.zeros(0)
+        return RegionMap(
+            self.grid,
+            "gradual",
+            0,
+            self.probability,
+            np.full(shape, -1),
+            np.full(shape, self.probability["gradual"]),
+            none,
+            none,
+            np.zeros((0, 2)),
+            np.zeros(0, dtype=bool),
+            field,
+            field_sd,
+            np.nan,
+            np.nan,
+        )
+
+    @property
+    def _rigid_bound(self) -> float:
+        """The highest lower bound of log stiffness that rigid touches give; inf without one."""
+        return max((touch.log_stiffness for touch in self.touches if touch.rigid), default=np.inf)
+
+    def _rigid_regions(self, labels: IntArray, level: FloatArray) -> BoolArray:
+        """(k,) regions with a rigid touch whose level stands at its bound: softer touches in them are those that a
+        boundary explains."""
+        rows, columns = self.grid.shape
+        rigid = np.zeros(len(level), dtype=bool)
+        for touch in self.touches:
+            if touch.rigid:
+                column, row = np.clip((touch.xy_m / self.grid.cell_m).astype(int), 0, [columns - 1, rows - 1])
+                rigid[labels[row, column]] = True
+        return rigid & (level > self._rigid_bound - 2.0 * self.prior.rigid_sd)
+
+    def _draw(self, one: _Particles, count: int, readings: _Readings) -> tuple[Partitions, FloatArray, FloatArray]:
+        """`count` maps in proportion to their weights, their levels and covariances."""
+        maps = one.maps.take(_systematic(np.exp(one.log_weight), count, 0.5))
+        _, level, cov = _levels(maps.shares(readings.xy_m, self.prior.blur_m), readings, self.prior)
+        return maps, level + readings.centre, cov
+
+    @cached_property
+    def _one_region(self) -> tuple[float, FloatArray, FloatArray]:
+        readings = _readings(self.touches, self.prior)
+        log_likelihood, level, cov = _levels(np.ones((1, len(self.touches), 1)), readings, self.prior)
+        return float(log_likelihood[0]), level[0], cov[0]
+
+    @cached_property
+    def _smooth(self) -> tuple[SmoothField, ...]:
+        readings = _readings(self.touches, self.prior)
+        middle = 0.5 * np.asarray(self.grid.size_m)
+        kernels = [(slope, 0.0, 1.0) for slope in SLOPES_PER_M]
+        kernels += [(0.0, sd, length) for sd in SMOOTH_SDS for length in SMOOTH_LENGTHS_M]
+        return tuple(_smooth_field(readings, self.prior.level_sd, middle, *kernel) for kernel in kernels)
+
+    @property
+    def _smooth_log_evidence(self) -> float:
+        logs = [one.log_evidence for one in self._smooth]
+        return float(logsumexp(logs) - np.log(len(logs)))
+
+
+def map_regions(
+    touches: Sequence[StiffnessSample],
+    grid: MapGrid | None = None,
+    prior: RegionPrior | None = None,
+    *,
+    particle_count: int = 1200,
+    seed: int = 0,
+) -> RegionPosterior:
+    """The posterior after all touches, from the start (arguments as of `RegionPosterior.before_touches`)."""
+    posterior = RegionPosterior.before_touches(grid or MapGrid(), prior, particle_count=particle_count, seed=seed)
+    for touch in touches:
+        posterior = posterior.with_touch(touch)
+    return posterior
+
+
+@dataclass(frozen=True, slots=True)
+class SmoothField:
+    """A Gaussian process through the touches: a constant, a plane of random slope and a squared exponential part.
+
+    log_evidence: of the touches; the rest predicts
+    """
+
+    log_evidence: float
+    level_sd: float
+    middle_m: FloatArray
+    slope_per_m: float
+    sd: float
+    length_m: float
+    xy_m: FloatArray
+    centre: float
+    factor: FloatArray
+    weight: FloatArray
+
+    def predict(self, xy_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean (p,) and variance (p,) of log stiffness at places (p, 2) [m]."""
+        cross = self.covariance(xy_m, self.xy_m)
+        prior = self.level_sd**2 + self.sd**2 + self.slope_per_m**2 * ((xy_m - self.middle_m) ** 2).sum(axis=1)
+        if not len(self.xy_m):
+            return np.full(len(xy_m), self.centre), prior
+        explained = (cross.T * cho_solve((self.factor, True), cross.T)).sum(axis=0)
+        return cross @ self.weight + self.centre, np.maximum(prior - explained, 0.0)
+
+    def covariance(self, a: FloatArray, b: FloatArray) -> FloatArray:
+        """(n, m) prior covariance between places (n, 2) and (m, 2)."""
+        return _smooth_kernel(a, b, self.level_sd, self.middle_m, self.slope_per_m, self.sd, self.length_m)
+
+
+def _smooth_field(
+    readings: _Readings, level_sd: float, middle: FloatArray, slope: float, sd: float, length: float
+) -> SmoothField:
+    kernel = _smooth_kernel(readings.xy_m, readings.xy_m, level_sd, middle, slope, sd, length)
+    count = len(readings.value)
+    if count == 0:
+        nothing = np.zeros((0, 0))
+        return SmoothField(
+            0.0, level_sd, middle, slope, sd, length, readings.xy_m, readings.centre, nothing, np.zeros(0)
+        )
+    factor, _ = cho_factor(kernel + np.diag(readings.variance), lower=True)
+    weight = cho_solve((factor, True), readings.value)
+    log_evidence = -0.5 * (readings.value @ weight + 2.0 * np.log(np.diag(factor)).sum() + count * np.log(2.0 * np.pi))
+    return SmoothField(
+        float(log_evidence), level_sd, middle, slope, sd, length, readings.xy_m, readings.centre, factor, weight
+    )
+
+
+def _smooth_kernel(
+    a: FloatArray, b: FloatArray, level_sd: float, middle: FloatArray, slope: float, sd: float, length: float
+) -> FloatArray:
+    apart = ((a[:, None] - b[None]) ** 2).sum(axis=-1)
+    plane = slope**2 * (a - middle) @ (b - middle).T
+    return cast(FloatArray, level_sd**2 + plane + sd**2 * np.exp(-0.5 * apart / length**2))
+
+
+@lru_cache(maxsize=8)
+def _prior_maps(seed: int, regions: int, size_m: tuple[float, float], count: int) -> Partitions:
+    return draw(np.random.default_rng((seed, regions)), regions, size_m, count)
+
+
+def _readings(touches: Sequence[StiffnessSample], prior: RegionPrior) -> _Readings:
+    """Rigid touches all stand at the highest of their bounds: one material, as stiff as can be told."""
+    value = np.array([touch.log_stiffness for touch in touches])
+    sd = np.array([touch.log_sd for touch in touches])
+    rigid = np.array([touch.rigid for touch in touches], dtype=bool)
+    if rigid.any():
+        value = np.where(rigid, value[rigid].max(), value)
+        sd = np.where(rigid, prior.rigid_sd, sd)
+    centre = float(value.mean()) if len(value) else 0.0
+    spread = float(np.ptp(value)) if len(value) else 0.0
+    xy_m = np.array([touch.xy_m for touch in touches]).reshape(-1, 2)
+    return _Readings(xy_m, value - centre, sd**2 + prior.within_sd**2, centre, spread)
+
+
+def _levels(
+    shares: FloatArray, readings: _Readings, prior: RegionPrior, last_noise: float = 1.0
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Of maps that are felt in shares (n, t, k): log likelihood (n,), levels (n, k) over the centre, their covariance.
+
+    The touches are a linear model in the levels, whose prior is Gaussian (Bishop 2006, 3.49 and 3.86); what is left of
+    the prior where levels differ enough is counted afterwards, pair by pair.
+    last_noise: factor on the variance of the last touch
+    """
+    k = shares.shape[-1]
+    mixed = 2.0 * (1.0 - (shares**2).sum(axis=-1))  # 1 half way between two regions
+    variance = readings.variance + (prior.mixed_share * readings.spread * mixed) ** 2
+    variance[:, -1:] *= last_noise
+    weighted = shares / variance[..., None]
+    precision = np.swapaxes(weighted, 1, 2) @ shares + np.eye(k) / prior.level_sd**2
+    cov = np.linalg.inv(precision)
+    pull = (weighted * readings.value[:, None]).sum(axis=1)
+    level = (cov @ pull[..., None])[..., 0]
+    log_likelihood = 0.5 * (
+        (pull * level).sum(axis=1)
+        + np.log(np.linalg.det(cov))
+        - 2.0 * k * np.log(prior.level_sd)
+        - (np.log(2.0 * np.pi * variance) + readings.value**2 / variance).sum(axis=1)
+    )
+    at_first = 2.0 * ndtr(-prior.least_contrast / (np.sqrt(2.0) * prior.level_sd))
+    for i in range(k):
+        for j in range(i):
+            apart = level[:, i] - level[:, j]
+            sd = np.sqrt(np.maximum(cov[:, i, i] + cov[:, j, j] - 2.0 * cov[:, i, j], 1e-12))
+            left = ndtr((apart - prior.least_contrast) / sd) + ndtr((-apart - prior.least_contrast) / sd)
+            log_likelihood += np.log(np.maximum(left, 1e-300) / at_first)
+    return log_likelihood, level, cov
+
+
+def _update(
+    rng: np.random.Generator, old: _Particles, readings: _Readings, prior: RegionPrior, keep: int
+) -> _Particles:
+    """Reweight the maps by the newest touch; where few are left, its noise is first taken as larger and the maps move
+    in between (tempering, in four steps at most). keep: maps that are left once they move"""
+    maps, log_weight, before, log_evidence = old.maps, old.log_weight, old.log_likelihood, old.log_evidence
+    least = 0.3 * min(len(maps), keep)
+    left = list(TEMPERS)
+    while left:
+        shares = maps.shares(readings.xy_m, prior.blur_m)
+        likelihoods = ((temper, _levels(shares, readings, prior, temper)[0]) for temper in left)
+        # the first that leaves enough maps, or else the last
+        temper, now = next(
+            (one for one in likelihoods if _effective(log_weight + one[1] - before) >= 0.25 * least),
+            (left[-1], None),
+        )
+        if now is None:
+            now = _levels(shares, readings, prior, temper)[0]
+        left = [smaller for smaller in left if smaller < temper]
+        joint = log_weight + now - before
+        gained = float(logsumexp(joint))
+        log_evidence += gained
+        log_weight, before = joint - gained, now
+        if left or _effective(joint) < least:
+            kept = _systematic(np.exp(log_weight), min(len(maps), keep), float(rng.random()))
+            maps, before = _move(rng, maps.take(kept), now[kept], readings, prior, temper)
+            log_weight = np.full(len(maps), -np.log(len(maps)))
+    return _Particles(maps, log_weight, before, log_evidence)
+
+
+def _effective(log_weight: FloatArray) -> float:
+    """How many equally weighted particles these are worth (Kong 1992)."""
+    return float(np.exp(2.0 * logsumexp(log_weight) - logsumexp(2.0 * log_weight)))
+
+
+def _move(
+    rng: np.random.Generator,
+    maps: Partitions,
+    log_likelihood: FloatArray,
+    readings: _Readings,
+    prior: RegionPrior,
+    last_noise: float,
+) -> tuple[Partitions, FloatArray]:
+    """Metropolis steps under the prior (`partitions.propose`), which leave the posterior as it is."""
+    for _ in range(MOVES):
+        proposed = propose(rng, maps)
+        now, _, _ = _levels(proposed.shares(readings.xy_m, prior.blur_m), readings, prior, last_noise)
+        taken = np.log(rng.random(len(maps))) < now - log_likelihood
+        taken[taken] = proposed.take(taken).admissible()
+        maps = maps.instead(taken, proposed)
+        log_likelihood = np.where(taken, now, log_likelihood)
+    return maps, log_likelihood
+
+
+def _systematic(weight: FloatArray, count: int, start: float) -> IntArray:
+    """(count,) indices, each as often as its weight says to within one."""
+    return cast(
+        IntArray,
+        np.minimum(
+            np.searchsorted(np.cumsum(weight) / weight.sum(), (np.arange(count) + start) / count), len(weight) - 1
+        ),
+    )
+
+
+def ranked_labels(maps: Partitions, level: FloatArray, xy_m: FloatArray) -> IntArray:
+    """(n, p) labels by level: 0 is the softest."""
+    rank = np.argsort(np.argsort(level, axis=1), axis=1)
+    return cast(IntArray, np.take_along_axis(rank, maps.labels(xy_m).astype(np.intp), axis=1).astype(np.int8))
+
+
+def _sorted(level: FloatArray, cov: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Levels (n, k) from soft to stiff, covariances (n, k, k) alike."""
+    order = np.argsort(level, axis=1)
+    cov = np.take_along_axis(np.take_along_axis(cov, order[:, :, None], axis=1), order[:, None, :], axis=2)
+    return np.take_along_axis(level, order, axis=1), cov
+
+
+def _edges(labels: IntArray) -> float:
+    """How many sides of cells lie between two labels; a slanted boundary has sqrt(2) more than its length at most, 4/pi
+    on average, which is taken off."""
+    sides = (labels[1:] != labels[:-1]).sum() + (labels[:, 1:] != labels[:, :-1]).sum()
+    return float(sides) * np.pi / 4.0

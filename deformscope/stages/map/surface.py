@@ -1,0 +1,199 @@
+"""The *world* and *touch* surfaces: height over the table as a Gaussian process of all observed points (Thesis 4.1).
+
+    surface = fit_surface(points_m)                      # (n, 3), any number: 12 000 take a second
+    heights = surface.on(MapGrid((0.6, 0.4)))            # mean and deviation on cells of 0.5 cm
+    normals = surface.normals(places_m)                  # (m, 3), with the slopes' deviation in surface.slopes
+
+Every point counts: the hyper-parameters are those of the marginal likelihood of all points, and the regression goes
+through inducing points on a lattice (Titsias 2009) that lose nothing a map would show.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from deformscope.arrays import BoolArray, FloatArray
+from deformscope.errors import InputError
+from deformscope.stages.map.gaussian_process import Believed, Kernel
+from deformscope.stages.map.marginal_likelihood import Given, Learned, Points, learn
+from deformscope.stages.map.sparse_process import SPACING, SparseProcess
+from deformscope.stages.map.touches import MapGrid
+
+FEWEST = 3
+
+UNIT_NOISE_M = 1e-3
+"""The noise of every point where none is given, before its factor is learned [m]."""
+
+MOST_INDUCING = 6000
+"""Lattices of inducing points with more are refused: their equations would take minutes."""
+
+OUTLIER_ROUNDS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class HeightMap:
+    """Heights on a grid. mean_m, deviation_m: (rows, columns) of the surface itself, without a point's noise [m]"""
+
+    grid: MapGrid
+    mean_m: FloatArray
+    deviation_m: FloatArray
+
+
+@dataclass(frozen=True)
+class HeightProcess:
+    """A surface as a Gaussian process: `level_m` plus what its kernel tells of the points.
+
+    learned: the hyper-parameters; level_m: mean of the process [m]
+    noise_m: (n,) deviation of each point given, as it was used [m]; used: (n,) points that were not taken as outliers
+    box_m: (low, high) places (x, y) within which the inducing points stand [m]
+    evidence: lower bound of the log marginal likelihood by the inducing points; where it is as high as
+    `learned.log_likelihood` both approximations hold
+    """
+
+    learned: Learned
+    level_m: float
+    noise_m: FloatArray
+    used: BoolArray
+    box_m: tuple[tuple[float, float], tuple[float, float]]
+    evidence: float
+    process: SparseProcess
+
+    @property
+    def kernel(self) -> Kernel:
+        return self.learned.kernel
+
+    def at(self, places_m: FloatArray) -> Believed:
+        """Height (m,) and its deviation at places (m, 2) [m] (Thesis eq. 4.3 and 4.4)."""
+        with threadpool_limits(1):
+            found = self.process.at(np.atleast_2d(np.asarray(places_m, dtype=np.float64)))
+        return Believed(found.mean + self.level_m, found.deviation)
+
+    def on(self, grid: MapGrid) -> HeightMap:
+        """Heights at the centres of a grid's cells."""
+        found = self.at(grid.centres_m)
+        return HeightMap(grid, found.mean.reshape(grid.shape), found.deviation.reshape(grid.shape))
+
+    def slopes(self, places_m: FloatArray) -> Believed:
+        """Slopes (m, 2) along x and y and their deviation at places (m, 2) [m/m]."""
+        with threadpool_limits(1):
+            return self.process.slopes(np.atleast_2d(np.asarray(places_m, dtype=np.float64)))
+
+    def normals(self, places_m: FloatArray) -> FloatArray:
+        """Unit normals (m, 3) that point up, of the mean surface at places (m, 2) [m]."""
+        slope = self.slopes(places_m).mean
+        normal = np.column_stack([-slope, np.ones(len(slope))])
+        return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+
+
+def fit_surface(
+    points_m: FloatArray,
+    *,
+    noise_m: FloatArray | None = None,
+    known_m: FloatArray | None = None,
+    known_noise_m: FloatArray | None = None,
+    sigma_e_m: float | None = None,
+    sigma_w_m: float | None = None,
+    noise_scale: float | None = None,
+    within_m: tuple[tuple[float, float], tuple[float, float]] | None = None,
+    outlier_sd: float | None = None,
+) -> HeightProcess:
+    """The surface through points (n, 3) [m], z up.
+
+    noise_m: (n,) deviation of each height [m] up to one factor, which is learned: default the same at all points
+    known_m, known_noise_m: (k, 3) and (k,) further points whose noise is known as it is, such as tactile ones [m]
+    sigma_e_m, sigma_w_m: the kernel's (Thesis eq. 4.5) [m]; noise_scale: the factor of noise_m; those given are kept
+    (sigma_n of Thesis eq. 4.3 is fixed by noise_m filled with it and noise_scale=1)
+    within_m: the (low, high) places at which the surface will be asked, default the points' own box; beyond it the
+    process falls back to its prior within about a length
+    outlier_sd: points farther from the surface than this many deviations are left out, and the surface is fitted again
+    Raises InputError for too few points, values that are not finite, and a kernel too short for the box.
+    """
+    free, known = _checked(points_m, noise_m, UNIT_NOISE_M), _checked(known_m, known_noise_m, None)
+    if len(free.value) + len(known.value) < FEWEST:
+        raise InputError(f"{FEWEST} surface points at least", f"{len(free.value) + len(known.value)}")
+    level = float(free.value.mean() if len(free.value) else known.value.mean())
+    free, known = (Points(one.places, one.value - level, one.noise) for one in (free, known))
+    places = np.concatenate([free.places, known.places])
+    low, high = places.min(axis=0), places.max(axis=0)
+    if within_m is not None:
+        low, high = np.minimum(low, within_m[0]), np.maximum(high, within_m[1])
+    given = Given(sigma_e_m, sigma_w_m, noise_scale)
+    if sigma_w_m is not None:
+        _check_box(Kernel(1.0, sigma_w_m), low, high)
+    used = np.ones(len(free.value), dtype=bool)
+    with threadpool_limits(1):  # the same digits whatever the machine's cores
+        learned, process = _learned(free, known, given, low, high)
+        for _ in range(OUTLIER_ROUNDS if outlier_sd is not None else 0):
+            found = process.at(free.places)
+            away = np.abs(free.value - found.mean)
+            inside = away <= outlier_sd * np.hypot(learned.noise_scale * free.noise, found.deviation)
+            if (inside == used).all() or inside.sum() + len(known.value) < FEWEST:
+                break
+            used = inside
+            some = Points(free.places[used], free.value[used], free.noise[used])
+            learned, process = _learned(some, known, given, low, high, learned)
+    return HeightProcess(
+        learned=learned,
+        level_m=level,
+        noise_m=learned.noise_scale * free.noise,
+        used=used,
+        box_m=((float(low[0]), float(low[1])), (float(high[0]), float(high[1]))),
+        evidence=process.elbo,
+        process=process,
+    )
+
+
+def _learned(
+    free: Points,
+    known: Points,
+    given: Given,
+    low: FloatArray,
+    high: FloatArray,
+    start: Learned | None = None,
+) -> tuple[Learned, SparseProcess]:
+    """Hyper-parameters, and the process with them."""
+    learned = learn(free, known, given, start)
+    _check_box(learned.kernel, low, high)
+    process = SparseProcess(
+        learned.kernel,
+        np.concatenate([free.places, known.places]),
+        np.concatenate([free.value, known.value]),
+        np.concatenate([learned.noise_scale * free.noise, known.noise]),
+        low,
+        high,
+    )
+    return learned, process
+
+
+def _check_box(kernel: Kernel, low: FloatArray, high: FloatArray) -> None:
+    inducing = float(np.prod((high - low) / (SPACING * kernel.length_m) + 1.0))
+    if inducing > MOST_INDUCING:
+        raise InputError(
+            f"a kernel for at most {MOST_INDUCING} inducing points",
+            f"length {kernel.length_m:.3g} m on {high[0] - low[0]:.3g} x {high[1] - low[1]:.3g} m",
+            "a smaller box, or a longer sigma_w",
+        )
+
+
+def _checked(points: FloatArray | None, noise: FloatArray | None, default: float | None) -> Points:
+    """Places, heights and noise of points (n, 3); none: no points."""
+    if points is None:
+        return Points(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+    points = np.asarray(points, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError("points (n, 3) [m]", f"shape {points.shape}")
+    if noise is None:
+        if default is None:
+            raise InputError("known_noise_m, a deviation of each known point", "none")
+        noise = np.full(len(points), default)
+    noise = np.asarray(noise, dtype=np.float64)
+    if noise.shape != (len(points),):
+        raise InputError(f"a noise for each of {len(points)} points", f"shape {noise.shape}")
+    if not np.isfinite(points).all():
+        raise InputError("finite points", "NaN or infinity", "drop those points")
+    if not (np.isfinite(noise).all() and (noise > 0.0).all()):
+        raise InputError("noise above 0 [m]", f"{noise.min():g}")
+    return Points(points[:, :2], points[:, 2], noise)

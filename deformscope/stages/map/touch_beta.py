@@ -1,0 +1,267 @@
+"""The local *beta* of one touch: the shape parameter of the model that dents as the surface around the tip did.
+
+    found = fit_touch(world, after_m, touch, thickness_m=0.05)      # layers below the surface: the default
+    found = thesis_beta(world, touched, place_m)                    # one layer, as in Thesis 4.3
+
+`fit_touch` goes through `deformscope.stages.poke.poke_fit`, as a poke of a pair file does. The data are the raw points
+that the camera saw while the tip pressed, never a smooth surface through them: a Gaussian process widens shallow dents,
+and beta would follow the depth. On linear foam the dent's shape does not depend on how firm the foam is, and beta ends
+at its bound for every modulus: the verdict `at-bound` is the normal answer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.errors import InputError
+from deformscope.stages.fit.distance import nearest_error
+from deformscope.stages.fit.estimate import Curve, Estimate
+from deformscope.stages.map.surface import HeightProcess
+from deformscope.stages.map.touches import MapGrid
+from deformscope.stages.msm import clusters
+from deformscope.stages.msm.poke import Law, PokeSetup, Tip, hold, settle
+from deformscope.stages.msm.solver import Precision
+from deformscope.stages.poke.layers import MeasuredSurface
+from deformscope.stages.poke.poke_estimate import conclude
+from deformscope.stages.poke.poke_fit import DOWN, NEAR_SHARE, REACH_SHARE, REACH_TIPS, PokesFit, SeenPoke, fit_pokes
+from deformscope.stages.see.cloud import contact_radius_m
+
+LEAST_SPACING_SHARE, MOST_SPACING_SHARE = 0.14, 0.25
+"""The lattice's spacing in thicknesses of the foam at least (finer ones take seconds) and at most (fewer layers hold no
+cluster off the ground)."""
+
+CLUSTER_SIZE = 3
+BOUNDS = (0.0, 0.95)
+"""Betas nearer to 1 take long to settle, and no foam was seen to need them."""
+
+RINGS, SPOKES = 4, 12
+"""Points at which the contact patch is described."""
+
+FEWEST = 20
+"""Points near a touch at least."""
+
+THESIS_CANDIDATES, THESIS_SIDE_M, THESIS_CELL_M = 50, 0.15, 0.01
+
+THESIS_NOTE = (
+    "a trend of this beta with firmness is an effect of the growing contact patch: a ball touches a patch that grows "
+    "with the dent, and one held particle makes the model take its width for deformability; with the whole patch held "
+    "the trend is gone"
+)
+"""Said wherever beta of the thesis's model is shown."""
+
+
+@dataclass(frozen=True, slots=True)
+class BallContact:
+    """A ball pressed into a surface from above, as arm and force sensor tell it.
+
+    lowest_m: (3,) its foremost point; radius_m: of the ball; depth_m: how far that point sank since contact [m]
+    force_n: [N], None if unknown
+    """
+
+    lowest_m: FloatArray
+    radius_m: float
+    depth_m: float
+    force_n: float | None = None
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.lowest_m).all() and self.radius_m > 0.0 and self.depth_m > 0.0):
+            raise InputError(
+                "a ball that has sunk in",
+                f"radius {self.radius_m:g} m, depth {self.depth_m:g} m",
+                "leave rigid touches",
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class TouchBeta:
+    """beta of a touch, with interval and verdict, and the fit that it comes from.
+
+    points: raw ones it rests on; simulated_m: (p, 3) particles of the model's top layer under the ball, at beta
+    """
+
+    estimate: Estimate
+    fit: PokesFit
+    points: int
+    simulated_m: FloatArray
+
+    @property
+    def sd(self) -> float:
+        """Deviation of beta's posterior, for the field of beta."""
+        posterior = self.estimate.posterior
+        return float("nan") if posterior is None else posterior.deviation()
+
+
+def fit_touch(
+    world: HeightProcess,
+    after_m: FloatArray,
+    touch: BallContact,
+    *,
+    thickness_m: float,
+    sample_m: tuple[tuple[float, float], tuple[float, float]] | None = None,
+    spacing_m: float | None = None,
+    cluster_size: int = CLUSTER_SIZE,
+    level: float = 0.9,
+    precision: Precision = "float32",
+    device: str = "cpu",
+) -> TouchBeta:
+    """beta of layers of material below the surface, their bottom held, all that the ball touches held to it.
+
+    world: the surface before, a process of all points seen then: it tells the heights at rest, not the dent
+    after_m: (n, 3) raw points seen while the ball pressed, the robot's taken away [m]
+    thickness_m: of the foam [m]; sample_m: (low, high) places where the foam ends, default the world's box
+    spacing_m: of the lattice, default the patch's radius: four columns then stand in the patch whatever its size, and
+    what a coarse lattice does to beta is the same for soft and firm foam. (At 1 cm a single one would, for every patch:
+    noise-free dents of 20 to 120 kPa then give 0.55 to 0.14, the trend that one held particle makes; so they give at
+    most 0.1.)
+    Raises InputError for too few points around the touch.
+    """
+    radius = contact_radius_m(touch.radius_m, touch.depth_m)
+    ends = LEAST_SPACING_SHARE * thickness_m, MOST_SPACING_SHARE * thickness_m
+    spacing = float(np.clip(radius, *ends)) if spacing_m is None else spacing_m
+    near = _around(after_m, touch, thickness_m)
+    low, high = sample_m or world.box_m
+    surface = MeasuredSurface(_at_rest(world, touch, thickness_m, low, high, spacing), thickness_m)
+    sunk = near[:, 2] - world.at(near[:, :2]).mean
+    seen = SeenPoke(
+        at=np.array([*touch.lowest_m[:2], touch.lowest_m[2] + touch.depth_m]),
+        tip=Tip("disc", (spacing,), slips=False),  # one cell wide: its corners stand in the patch
+        depth=touch.depth_m,
+        **_contact(touch),
+        points=np.column_stack([near[:, :2], near[:, 2] - sunk]),
+        moved=np.column_stack([np.zeros((len(near), 2)), sunk]),
+        noise=None,
+        force=touch.force_n,
+        heights_only=True,
+        average_over=touch.radius_m,
+        misfit_over=2.0 * touch.radius_m,
+    )
+    fit = fit_pokes(
+        surface,
+        [seen],
+        spacing=spacing,
+        cluster_sizes=[cluster_size],
+        beta_range=BOUNDS,
+        theta=0.0,
+        precision=precision,
+        device=device,
+    )
+    found = conclude(fit, level=level, settings={"model": "volume"}, provenance={})
+    posed = fit.posed[0]
+    top = posed.settle([fit.best.law]).position[0, posed.scene.open]
+    return TouchBeta(found.estimate, fit, len(near), np.asarray(top, dtype=np.float64))
+
+
+def _around(after: FloatArray, touch: BallContact, thickness: float) -> FloatArray:
+    """The points that the fit compares, without those of the ball."""
+    after = np.asarray(after, dtype=np.float64)
+    if after.ndim != 2 or after.shape[1] != 3 or not np.isfinite(after).all():
+        raise InputError("finite points (n, 3) [m]", f"shape {after.shape}")
+    reach = touch.radius_m + NEAR_SHARE * thickness
+    near = after[(np.abs(after[:, :2] - touch.lowest_m[:2]) <= reach).all(axis=1)]
+    if len(near) < FEWEST:
+        raise InputError(f"{FEWEST} points around the touch", f"{len(near)}", "another view, or a smaller margin")
+    return near
+
+
+def _at_rest(
+    world: HeightProcess,
+    touch: BallContact,
+    thickness: float,
+    low: tuple[float, float],
+    high: tuple[float, float],
+    spacing: float,
+) -> FloatArray:
+    """(n, 3) the surface before, as far around the touch as the lattice goes."""
+    reach = touch.radius_m + REACH_SHARE * thickness + 2.0 * REACH_TIPS * touch.radius_m + spacing
+    at = touch.lowest_m[:2]
+    first, last = np.maximum(at - reach, low), np.minimum(at + reach, high)
+    if (last - first < 2.0 * spacing).any():
+        raise InputError("a touch on the sample", f"at ({at[0]:.3g}, {at[1]:.3g}) m", "the sample's extent")
+    x, y = (np.linspace(first[i], last[i], max(3, round((last[i] - first[i]) / spacing) + 1)) for i in range(2))
+    places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    return np.column_stack([places, world.at(places).mean])
+
+
+def _contact(touch: BallContact) -> dict[str, FloatArray]:
+    """The patch under the ball, at rest, and where the ball has pushed it."""
+    radius = contact_radius_m(touch.radius_m, touch.depth_m)
+    away = radius * np.arange(1, RINGS + 1) / RINGS
+    angle = 2.0 * np.pi * np.arange(SPOKES) / SPOKES
+    aside = np.concatenate(
+        [np.zeros((1, 2)), (away[:, None, None] * np.column_stack([np.cos(angle), np.sin(angle)])).reshape(-1, 2)]
+    )
+    sink = Tip("sphere", (2.0 * touch.radius_m,)).rise(aside * (1.0 - 1e-9)) - touch.depth_m
+    rest = np.column_stack([touch.lowest_m[:2] + aside, np.full(len(aside), touch.lowest_m[2] + touch.depth_m)])
+    return {"touched": rest, "touched_by": np.column_stack([np.zeros_like(aside), sink])}
+
+
+# The thesis's way -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class ThesisBeta:
+    """beta by one layer of particles whose edges are fixed and of which one is held (Thesis 4.3).
+
+    curve: error over beta (eq. 4.6) [m]; depth_m: of the particle held; simulated_m: (p, 3) the layer's particles at
+    beta; converged: the state at beta settled; note: what its trend with firmness is
+    """
+
+    beta: float
+    curve: Curve
+    depth_m: float
+    simulated_m: FloatArray
+    converged: bool
+    note: str = THESIS_NOTE
+
+    @property
+    def error_m(self) -> float:
+        """Mean distance from each simulated point to the nearest observed one, at beta [m] (Thesis eq. 4.6)."""
+        return float(np.nanmin(self.curve.aee))
+
+
+def thesis_beta(
+    world: HeightProcess,
+    touched: HeightProcess,
+    place_m: FloatArray,
+    *,
+    side_m: float = THESIS_SIDE_M,
+    cell_m: float = THESIS_CELL_M,
+    cluster_size: int = CLUSTER_SIZE,
+    candidates: int = THESIS_CANDIDATES,
+    precision: Precision = "float32",
+    device: str = "cpu",
+) -> ThesisBeta:
+    """beta as in Thesis 4.3, 4.4 and Algorithm 3: the lowest point of the surface under touch is held, beta is swept.
+
+    world, touched: the surfaces before and under touch, the latter with the tactile points; both are asked on a grid of
+    `cell_m` over a square of `side_m` around `place_m` (2,) [m]
+    A single layer, all bending, dents wider than foam on a table does, whatever beta: on finite element slabs of 20 to
+    120 kPa with a square of 15 cm beta is 0 for all but the smoothest dents. One held particle of a volume lattice
+    follows firmness: 0.55 to 0.14 there.
+    Raises InputError where the lowest point is at the square's edge.
+    """
+    grid = MapGrid((side_m, side_m), cell_m)
+    places_m = np.asarray(place_m)[:2] - 0.5 * side_m + grid.centres_m
+    if min(grid.shape) <= cluster_size:
+        raise InputError(f"a square of more than {cluster_size} cells a side", f"{grid.shape}", "smaller cells")
+    before, after = (np.column_stack([places_m, one.at(places_m).mean]) for one in (world, touched))
+    lowest = int(np.argmin(after[:, 2] - before[:, 2]))
+    row, column = np.unravel_index(np.arange(len(before)), grid.shape)
+    edge = np.flatnonzero((row == 0) | (row == grid.shape[0] - 1) | (column == 0) | (column == grid.shape[1] - 1))
+    if lowest in edge:
+        raise InputError("a dent inside the square", "the lowest point at its edge", "a place nearer to the touch")
+    grouped = clusters.lattice(before, grid.shape, np.arange(len(before)), cluster_size)
+    scene = PokeSetup(before, grouped, edge, np.arange(len(before)), DOWN, grid.cell_m)
+    here = np.array([lowest])
+    body = hold(scene, here, Law(0.0, cluster_size=cluster_size), precision, device)
+    beta = np.linspace(*BOUNDS, candidates)
+    laws = [Law(float(one), cluster_size=cluster_size) for one in beta]
+    state = settle(scene, body, laws, here, after[here], slips=False, start=None)
+    error = np.array([nearest_error(one, after) for one in state.position])
+    best = int(np.argmin(error))
+    depth = float(before[lowest, 2] - after[lowest, 2])
+    simulated = np.asarray(state.position[best], dtype=np.float64)
+    return ThesisBeta(float(beta[best]), Curve(beta, error), depth, simulated, bool(state.converged[best]))

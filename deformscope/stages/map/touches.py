@@ -1,0 +1,57 @@
+"""A touch as the estimators see it, and the grid of cells that maps are drawn on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class StiffnessSample:
+    """What one touch told about a place.
+
+    xy_m: (2,) in the surface frame [m]; log_stiffness: natural log of the apparent stiffness at the set force [N/mm];
+    log_sd: its standard deviation; rigid: the dent was below what the arm can tell: `log_stiffness` is a lower bound
+    """
+
+    xy_m: FloatArray
+    log_stiffness: float
+    log_sd: float
+    rigid: bool = False
+
+    def __post_init__(self) -> None:
+        if np.shape(self.xy_m) != (2,) or not np.isfinite(self.xy_m).all():
+            raise InputError("a finite place (x, y) of the touch [m]", f"{np.asarray(self.xy_m).tolist()}")
+        if not np.isfinite(self.log_stiffness):
+            raise InputError("a finite log stiffness", f"{self.log_stiffness}")
+        if not (np.isfinite(self.log_sd) and self.log_sd > 0.0):
+            raise InputError("a standard deviation of log stiffness above 0", f"{self.log_sd}")
+
+
+@dataclass(frozen=True, slots=True)
+class MapGrid:
+    """Square cells over a surface from (0, 0) to `size_m` [m], 5 mm wide unless told otherwise (Thesis 4.4); arrays
+    have a row for each y, a column for each x."""
+
+    size_m: tuple[float, float] = (0.60, 0.40)
+    cell_m: float = 0.005
+
+    def __post_init__(self) -> None:
+        if not (self.cell_m > 0.0 and all(np.isfinite(side) and side >= 2.0 * self.cell_m for side in self.size_m)):
+            raise InputError("a surface of two cells or more a side", f"{self.size_m} m in cells of {self.cell_m} m")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        return round(self.size_m[1] / self.cell_m), round(self.size_m[0] / self.cell_m)
+
+    @property
+    def centres_m(self) -> FloatArray:
+        """(rows * columns, 2) centres of the cells (x, y), row by row [m]."""
+        rows, columns = self.shape
+        x, y = np.meshgrid((np.arange(columns) + 0.5) * self.cell_m, (np.arange(rows) + 0.5) * self.cell_m)
+        return np.column_stack([x.ravel(), y.ravel()])

@@ -1,0 +1,1 @@
+"""What beta and theta leave out: direction, yielding, motion in time."""

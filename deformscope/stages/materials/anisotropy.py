@@ -1,0 +1,273 @@
+"""beta along each axis of a material, from pairs of rest and deformed positions; and whether one beta would do."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from deformscope.arrays import BoolArray, FloatArray
+from deformscope.errors import InputError
+from deformscope.stages.fit import least_squares
+from deformscope.stages.fit.calibrate import BETA_LIMIT, Model, Observation, explained
+from deformscope.stages.fit.estimate import Identifiability, Verdict, verdict
+from deformscope.stages.fit.least_squares import Noise
+from deformscope.stages.fit.noise import independent, shared_over
+from deformscope.stages.fit.search import Progress
+from deformscope.stages.msm.materials import AxisBeta
+from deformscope.stages.msm.solver import TOLERANCE, Msm
+
+RANGE = np.linspace(0.0, -np.log1p(-0.99), 13)
+"""Values of -log(1 - beta): of these, the same along all axes, the best is where the search starts."""
+
+DIFFERENCE = 2e-3
+"""Of -log(1 - beta), for derivatives."""
+
+HELD_REPEATS = 48
+"""Of the prescribed positions' noise."""
+
+SURE = 0.99
+"""Level at which one beta for all axes is given up."""
+
+
+@dataclass(frozen=True, slots=True)
+class AxisEstimate:
+    """Betas along the axes of a material (linear clusters, theta = 0).
+
+    axes: (d, d) columns; value: (d,); interval: (d, 2) at `level`; correlation: (d, d) of -log(1 - beta)
+    verdict: (d,) of each, as for one beta; anisotropic: one beta for all axes is ruled out (p_isotropic below 1 %)
+    beta: the best single one, and p_isotropic: how likely it leaves so much more error if it were true
+    identifiability: (d,) of each axis, its rise with the betas along the others as they are
+    aee, aee_isotropic: average Euclidean error over all observed particles [unit] (Thesis eq. 3.18)
+    """
+
+    axes: FloatArray
+    value: FloatArray
+    interval: FloatArray
+    level: float
+    correlation: FloatArray
+    verdict: tuple[Verdict, ...]
+    identifiability: tuple[Identifiability, ...]
+    anisotropic: bool
+    p_isotropic: float
+    beta: float
+    aee: float
+    aee_isotropic: float
+    noise: float
+    converged: bool
+    settings: dict[str, object]
+
+    @property
+    def explained(self) -> float:
+        """Share of the motion beyond a rigid one that the betas explain."""
+        return self.identifiability[0].explained
+
+    def as_json(self) -> dict[str, object]:
+        """The public form."""
+        return {
+            "parameter": "beta",
+            "axes": [
+                {
+                    "axis": [float(x) for x in self.axes[:, k]],
+                    "value": float(self.value[k]),
+                    "interval": [float(x) for x in self.interval[k]],
+                    "verdict": self.verdict[k],
+                }
+                for k in range(len(self.value))
+            ],
+            "level": self.level,
+            "correlation": self.correlation.tolist(),
+            "anisotropic": self.anisotropic,
+            "p_isotropic": self.p_isotropic,
+            "isotropic_beta": self.beta,
+            "aee_m": self.aee,
+            "aee_isotropic_m": self.aee_isotropic,
+            "noise_m": self.noise,
+            "explained": self.explained,
+            "identifiability": {"rise_sd": [one.rise for one in self.identifiability], "explained": self.explained},
+            "converged": self.converged,
+            "settings": self.settings,
+        }
+
+
+def fit_axes(
+    seen: Sequence[Observation],
+    model: Model,
+    *,
+    axes: FloatArray | None = None,
+    level: float = 0.9,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> AxisEstimate:
+    """The betas along `axes` (d, d; default x, y, z) that leave the least squared error over all observations.
+
+    The intervals are Gaussian in -log(1 - beta), with the noise of observed and of measured prescribed positions;
+    errors that neighbours share, as those of a model that misfits are, widen them. The verdicts follow the rule of one
+    beta: `at-bound` where the interval reaches 0 or the upper end of the search, `unidentified` where it is wide, the
+    data do not rise over the range of that beta, or the betas explain too little of the motion.
+    """
+    d = seen[0].rest.shape[1]
+    if any(s.rest.shape[1] != d for s in seen):
+        raise InputError("observations in the plane, or in space", "both", "fit them apart")
+    if model.basis != "linear" or model.theta != 0.0:
+        raise InputError("linear clusters and theta 0 with a beta along each axis", "something else")
+    directions = np.eye(d) if axes is None else np.asarray(axes, dtype=np.float64)
+    fit = _AxisFit(seen, model, directions)
+    observed = fit.observed()
+    note = progress or (lambda what, done, total: None)
+    note("one beta", 0, 2)
+    top = float(-np.log1p(-BETA_LIMIT))
+    one_bounds = np.array([[0.0, top]])
+    every = RANGE[:, None]
+    squares = np.sum((observed - fit.isotropic(every)) ** 2, axis=1)
+    if not np.isfinite(squares).any():
+        raise InputError("a simulation that settles", "none for any beta", "check what is held")
+    even = least_squares.minimise(
+        fit.isotropic, observed, every[int(np.nanargmin(squares))], one_bounds, np.array([DIFFERENCE])
+    )
+    note("axes", 1, 2)
+    best = least_squares.minimise(
+        fit.along, observed, np.repeat(even.at, d), np.repeat(one_bounds, d, axis=0), np.full(d, DIFFERENCE)
+    )
+    noise = fit.noise(best, np.random.default_rng(seed))
+    covariance = noise.covariance(best.jacobian)
+    freedom = observed.size - d
+    half = least_squares.half_width(covariance, level, freedom)
+    ends = -np.expm1(-np.clip(np.column_stack([best.at - half, best.at + half]), 0.0, top))
+    away = best.simulated - even.simulated
+    excess = max(even.squares - best.squares, 0.0) / noise.variance_along(away)
+    p_isotropic = float(chi2.sf(excess, d - 1))
+    converged = bool(best.converged and even.converged and np.isfinite(best.jacobian).all())
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    told = explained(seen, fit.positions(best))
+    identifiability = tuple(
+        Identifiability(rise, told, float(spread * np.exp(-at)), least_squares.deviation_of(best.residual, d))
+        for rise, spread, at in zip(fit.rises(best, noise), deviation, best.at, strict=True)
+    )
+    verdicts = tuple(
+        verdict((float(low), float(high)), (0.0, BETA_LIMIT), one) if converged else "unidentified"
+        for (low, high), one in zip(ends, identifiability, strict=True)
+    )
+    return AxisEstimate(
+        axes=directions,
+        value=-np.expm1(-best.at),
+        interval=ends,
+        level=level,
+        correlation=covariance / np.outer(deviation, deviation),
+        verdict=verdicts,
+        identifiability=identifiability,
+        anisotropic=converged and p_isotropic < 1.0 - SURE,
+        p_isotropic=p_isotropic,
+        beta=float(-np.expm1(-even.at[0])),
+        aee=fit.aee(best.simulated),
+        aee_isotropic=fit.aee(even.simulated),
+        noise=noise.deviation,
+        converged=converged,
+        settings={
+            "cluster_size": model.cluster_size,
+            "mode": model.basis,
+            "theta": model.theta,
+            "precision": model.precision,
+            "device": model.device,
+            "seed": seed,
+            "noise_source": "residuals" if any(s.noise is None for s in seen) else "given",
+        },
+    )
+
+
+class _AxisFit:
+    """Static states of all observations for betas along the axes, in coordinates -log(1 - beta)."""
+
+    def __init__(self, seen: Sequence[Observation], model: Model, axes: FloatArray) -> None:
+        self.seen, self.axes = list(seen), axes
+        self.bodies: list[Msm] = [model.body(s) for s in seen]
+        self.starts: list[FloatArray | None] = [None for _ in seen]
+        self.judged: list[BoolArray] = [s.free_observed for s in seen]
+
+    def observed(self) -> FloatArray:
+        """(n,) free observed coordinates of all observations."""
+        return np.concatenate([s.deformed[j].ravel() for s, j in zip(self.seen, self.judged, strict=True)])
+
+    def along(self, stretched: FloatArray) -> FloatArray:
+        """(B, n) for (B, d)."""
+        beta = AxisBeta(np.clip(-np.expm1(-stretched), 0.0, BETA_LIMIT), self.axes)
+        return self._relax(beta, [s.deformed[s.held] for s in self.seen], len(stretched))
+
+    def isotropic(self, stretched: FloatArray) -> FloatArray:
+        """(B, n) for one beta along all axes, (B, 1)."""
+        return self.along(np.repeat(stretched, len(self.axes), axis=1))
+
+    def noise(self, best: least_squares.Minimum, rng: np.random.Generator) -> Noise:
+        """Noise of the observed numbers: what was stated, else what the fit left; and of the held ones alike."""
+        told = [s.noise[j] for s, j in zip(self.seen, self.judged, strict=True) if s.noise is not None]
+        least = max(10.0 * TOLERANCE[body.precision] * body.extent for body in self.bodies)
+        if len(told) == len(self.seen):
+            least = max(least, float(np.sqrt(np.mean(np.concatenate(told) ** 2))))
+        tried = max(least, least_squares.deviation_of(best.residual, len(best.at)))
+        shaken = []
+        for s in self.seen:
+            held, size = s.deformed[s.held], 0.0 if s.held_measured is False else tried
+            shaken.append(held + size * rng.standard_normal((HELD_REPEATS, *held.shape)))
+        beta = AxisBeta(-np.expm1(-best.at), self.axes)
+        moved = self._relax(beta, shaken, HELD_REPEATS) - best.simulated
+        moved = moved[np.isfinite(moved).all(axis=1)]
+        found = least_squares.shared_noise(best.residual, len(best.at), moved, tried, least)
+        return dataclasses.replace(found, shared=self._shared(best))
+
+    def _shared(self, best: least_squares.Minimum) -> float:
+        """How many times more a mean of the residuals varies than if neighbours shared no error: a misfit is shared."""
+        worth = count = 0.0
+        for s, j, body, one in zip(self.seen, self.judged, self.bodies, self.positions(best), strict=True):
+            points, residual = s.rest[j], (s.deformed - one)[j]
+            length = shared_over(points, residual, body.scale)
+            worth += independent(points, length) if length > 0.0 else len(points)
+            count += len(points)
+        return count / worth
+
+    def rises(self, best: least_squares.Minimum, noise: Noise) -> list[float]:
+        """By how many standard deviations the data tell each beta from the least likely one of its range, (d,)."""
+        d = len(best.at)
+        tried = np.repeat(best.at[None], d * len(RANGE), axis=0)
+        for k in range(d):
+            tried[k * len(RANGE) : (k + 1) * len(RANGE), k] = RANGE
+        square = np.zeros(len(tried))
+        for row, simulated in enumerate(self.along(tried)):
+            if np.isfinite(simulated).all():
+                away = simulated - best.simulated
+                more = float(np.sum((best.residual - away) ** 2)) - best.squares
+                square[row] = max(more, 0.0) / noise.variance_along(away)
+        return [float(np.sqrt(one)) for one in square.reshape(d, -1).max(axis=1)]
+
+    def positions(self, best: least_squares.Minimum) -> list[FloatArray]:
+        """(K, d) of every observation at the best betas; what was not judged is as it was seen."""
+        found, first = [], 0
+        for s, j in zip(self.seen, self.judged, strict=True):
+            position, size = s.deformed.copy(), int(j.sum()) * s.rest.shape[1]
+            position[j] = best.simulated[first : first + size].reshape(-1, s.rest.shape[1])
+            found.append(position)
+            first += size
+        return found
+
+    def aee(self, simulated: FloatArray) -> float:
+        """Average Euclidean error over all observed particles, the held ones, which have none, included."""
+        total, count, first = 0.0, 0, 0
+        for s, j in zip(self.seen, self.judged, strict=True):
+            size = int(j.sum()) * s.rest.shape[1]
+            found = simulated[first : first + size].reshape(-1, s.rest.shape[1])
+            total += float(np.linalg.norm(found - s.deformed[j], axis=1).sum())
+            count += int(s.observed.sum())
+            first += size
+        return total / count
+
+    def _relax(self, beta: AxisBeta, held: Sequence[FloatArray], size: int) -> FloatArray:
+        parts = []
+        for row, (body, judged) in enumerate(zip(self.bodies, self.judged, strict=True)):
+            found = body.relax(held[row], beta, start=self.starts[row])
+            position = np.where(found.converged[:, None, None], found.position, np.nan)
+            if found.converged.any():
+                self.starts[row] = found.position[int(np.argmax(found.converged))]
+            parts.append(position[:, judged].reshape(len(position), -1))
+        return np.concatenate([np.broadcast_to(part, (size, part.shape[1])) for part in parts], axis=1)

@@ -1,0 +1,303 @@
+"""A poke: where, with what tip, how deep or how hard; which particles it touches; and the static state under it.
+
+A rigid tip presses the particles under it. They follow it along its direction; sideways they stick to it or slip. A
+flat tip touches its whole footprint, a round one as much as it has sunk in. Force is that of the model's energy:
+stiffness times the reaction at the touched particles.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.stages.msm.clusters import Clusters
+from deformscope.stages.msm.reference import Basis, Volume
+from deformscope.stages.msm.solver import Msm, Precision
+
+TipShape = Literal["flat", "disc", "sphere"]
+TIP_SHAPES: tuple[TipShape, ...] = ("flat", "disc", "sphere")
+
+SETTLED = 1e-3
+"""Share of the depth, or of the force asked for, to which contact is solved."""
+
+MOST_ROUNDS, MOST_SLIDES = 40, 60
+
+SLIDE = 1.6
+"""How far a touched particle slides, in units of what separates it from its goals: over-relaxation."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tip:
+    """What pokes: "flat" (a rectangle of size (x, y), in the plane a width), "disc" or "sphere" (a diameter) [m].
+
+    slips: particles under it move freely sideways; else they stick to it
+    """
+
+    shape: TipShape
+    size: tuple[float, ...]
+    slips: bool = True
+
+    def __post_init__(self) -> None:
+        if not self.size or not all(np.isfinite(s) and s > 0.0 for s in self.size):
+            raise InputError("a tip size above 0 [m]", ", ".join(f"{s:g}" for s in self.size) or "none")
+        if self.shape != "flat" and len(self.size) != 1:
+            raise InputError(f"one size, the diameter, of a {self.shape}", f"{len(self.size)}")
+
+    @property
+    def width(self) -> float:
+        """Its smallest side or its diameter [m]."""
+        return min(self.size)
+
+    @property
+    def area(self) -> float:
+        """Of its footprint [m^2]; of a sphere its largest section."""
+        if self.shape == "flat":
+            return self.size[0] * self.size[-1]
+        return float(np.pi / 4.0 * self.size[0] ** 2)
+
+    def rise(self, beside: FloatArray, spacing: float = 0.0) -> FloatArray:
+        """How far its surface lies behind its foremost point at places beside its axis (n, d - 1) [m]; inf beyond it.
+
+        spacing: of the particles at these places: a disc then takes in those just outside its rim, so that the area
+        between the touched ones is about its own
+        """
+        grace = 1.0 + 1e-6
+        if self.shape == "flat":
+            half = 0.5 * np.asarray(self.size if beside.shape[1] == len(self.size) else self.size[:1] * beside.shape[1])
+            return np.where((np.abs(beside) <= half * grace).all(axis=1), 0.0, np.inf)
+        radius, away = 0.5 * self.size[0], np.linalg.norm(beside, axis=1)
+        if self.shape == "disc":
+            return np.where(away <= radius * grace + 0.25 * spacing, 0.0, np.inf)
+        inside = away < radius
+        return np.where(inside, radius - np.sqrt(np.where(inside, radius**2 - away**2, 0.0)), np.inf)
+
+
+@dataclass(frozen=True, slots=True)
+class Poke:
+    """One poke at a place (d,) or, on a surface seen from above, (2,) [m], to a depth [m] or with a force [N]."""
+
+    at: FloatArray
+    tip: Tip
+    depth: float | None = None
+    force: float | None = None
+
+    def __post_init__(self) -> None:
+        if (self.depth is None) == (self.force is None):
+            raise InputError("a depth or a force of the poke", "both" if self.depth is not None else "neither")
+        told = self.depth if self.depth is not None else self.force
+        if told is None or not (np.isfinite(told) and told > 0.0):
+            raise InputError("a depth or force above 0", f"{told}")
+        if not np.isfinite(self.at).all():
+            raise InputError("a finite place of the poke", "NaN or infinity")
+
+
+@dataclass(frozen=True, slots=True)
+class Law:
+    """The simulation's parameters. cluster_size: particles a side; None = one cluster of all; volume: how theta
+    conserves it; eq. 3.17 ("scale") has no energy, so there forces are those of the projection."""
+
+    beta: float
+    theta: float = 0.0
+    cluster_size: int | None = 3
+    basis: Basis = "linear"
+    volume: Volume = "project"
+
+
+@dataclass(frozen=True, slots=True)
+class PokeSetup:
+    """A body that stands ready to be poked.
+
+    rest: (K, d); clusters; fixed: (n,) particles that do not move; open: (m,) particles that a tip can touch;
+    toward: (d,) unit vector along which a tip moves; spacing: of the particles
+    """
+
+    rest: FloatArray
+    clusters: Clusters
+    fixed: IntArray
+    open: IntArray
+    toward: FloatArray
+    spacing: float
+
+
+@dataclass(frozen=True, slots=True)
+class Pressed:
+    """A static state under a tip.
+
+    position: (K, d); touched: (m,) particles; depth: of the tip below where it first touches; reaction: net force along
+    the tip's direction, per unit of stiffness k [m]; converged: the state, and what touches, sticks and slips, settled
+    """
+
+    position: FloatArray
+    touched: IntArray
+    depth: float
+    reaction: float
+    converged: bool
+
+
+def beside(rest: FloatArray, at: FloatArray, toward: FloatArray) -> FloatArray:
+    """Places (K, d - 1) of particles across a tip's direction, measured from its axis."""
+    across = np.delete(np.eye(len(toward)), int(np.abs(toward).argmax()), axis=0)
+    across = across - np.outer(across @ toward, toward)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    if len(across) == 2:
+        across[1] -= (across[1] @ across[0]) * across[0]
+        across[1] /= np.linalg.norm(across[1])
+    return np.asarray((rest - at) @ across.T)
+
+
+def press(
+    scene: PokeSetup,
+    law: Law,
+    poke: Poke,
+    *,
+    stiffness: float | None = None,
+    deepest: float = np.inf,
+    precision: Precision = "float64",
+    device: str = "cpu",
+) -> Pressed:
+    """The static state under a poke. With a force, `stiffness` k [N/m] tells how deep it goes.
+
+    poke.at: (d,) a point on the tip's axis; deepest: depth [m] at which the search for that of a force is given up
+    Each round relaxes the body with the touched particles held, lets those that slip go to where nothing pulls them
+    sideways, drops from under a round tip what the tip would pull at and adds what it has reached, and corrects the
+    depth until the force is as asked.
+    """
+    if poke.force is not None and not stiffness:
+        raise InputError("a depth, or a model that knows its stiffness", "a force", "fit the model with force_n")
+    rise = poke.tip.rise(beside(scene.rest[scene.open], poke.at, scene.toward), scene.spacing)
+    level = (scene.rest[scene.open] - poke.at) @ scene.toward
+    reached = np.isfinite(rise)
+    if not reached.any():
+        aside = np.linalg.norm(beside(scene.rest[scene.open], poke.at, scene.toward), axis=1)
+        if aside.min() > scene.spacing + 0.5 * poke.tip.width:
+            raise InputError("a poke on the body", f"one {aside.min() - 0.5 * poke.tip.width:.3g} m beside it")
+        reached = aside == aside.min()
+        rise = np.where(reached, 0.0, rise)
+    gap = np.where(reached, rise + level, np.inf)
+    gap -= gap.min()
+    depth = poke.depth if poke.depth is not None else 0.02 * scene.spacing
+    solve = _TipContact(scene, law, poke, gap, stiffness, deepest, precision, device)
+    return solve.run(depth)
+
+
+@dataclass(frozen=True, slots=True)
+class PokedBody:
+    """A body whose touched particles are held, under B laws: position (B, K, d); pull: (B, m, d) reaction at each of
+    them per unit of k; hold: (B, m, d) where they came to be; converged: (B,)"""
+
+    position: FloatArray
+    pull: FloatArray
+    hold: FloatArray
+    converged: BoolArray
+
+
+def hold(scene: PokeSetup, touched: IntArray, law: Law, precision: Precision, device: str) -> Msm:
+    """The scene's body with the fixed and the touched particles held, in this order."""
+    held = np.concatenate([scene.fixed, touched])
+    return Msm(scene.rest, scene.clusters, held, basis=law.basis, precision=precision, device=device)
+
+
+def settle(
+    scene: PokeSetup,
+    body: Msm,
+    laws: Sequence[Law],
+    touched: IntArray,
+    at: FloatArray,
+    *,
+    slips: bool,
+    start: FloatArray | None,
+) -> PokedBody:
+    """The static states with the touched particles at `at` (m, d) or (B, m, d), one for each law; those that slip go on
+    until nothing pulls them sideways, the way along the tip's direction kept. start: (K, d) or (B, K, d)"""
+    toward = scene.toward
+    beta, theta = (np.array([getattr(law, name) for law in laws]) for name in ("beta", "theta"))
+    at = np.array(np.broadcast_to(at, (len(laws), *at.shape[-2:])))
+    fixed = np.broadcast_to(scene.rest[scene.fixed], (len(laws), len(scene.fixed), len(toward)))
+    depth = float(np.abs((at - scene.rest[touched]) @ toward).max()) or scene.spacing
+    position = start
+    for last in range(MOST_SLIDES):
+        held = np.concatenate([fixed, at], axis=1)
+        state = body.relax(held, beta, theta, volume=laws[0].volume, start=position)
+        position = state.position
+        pull = body.reaction(position, beta, theta)[:, touched]
+        side = (pull - (pull @ toward)[:, :, None] * toward) / body.counts[touched, None]
+        off = np.abs(side).max(axis=(1, 2)) > SETTLED * depth
+        if not slips or not off.any():
+            return PokedBody(position, pull, at, state.converged)
+        if last == MOST_SLIDES - 1:
+            return PokedBody(position, pull, at, state.converged & ~off)
+        at = at - SLIDE * side
+    raise AssertionError("MOST_SLIDES is above 0")
+
+
+class _TipContact:
+    """The rounds of `press`. gap: (m,) distance of each open particle from the tip at first touch."""
+
+    def __init__(
+        self,
+        scene: PokeSetup,
+        law: Law,
+        poke: Poke,
+        gap: FloatArray,
+        stiffness: float | None,
+        deepest: float,
+        precision: Precision,
+        device: str,
+    ) -> None:
+        self.scene, self.law, self.poke, self.gap, self.deepest = scene, law, poke, gap, deepest
+        self.stiffness, self.precision, self.device = stiffness, precision, device
+        self.round_tip = bool((gap[np.isfinite(gap)] > 1e-6 * scene.spacing).any())
+
+    def run(self, depth: float) -> Pressed:
+        scene, k = self.scene, self.stiffness
+        slide = np.zeros((len(scene.open), len(scene.toward)))
+        touched = self.gap < depth if self.round_tip else np.isfinite(self.gap)
+        position: FloatArray | None = None
+        body: Msm | None = None
+        found = Pressed(scene.rest, scene.open[touched], depth, 0.0, False)
+        for _ in range(MOST_ROUNDS):
+            here = scene.open[touched]
+            body = body or hold(scene, here, self.law, self.precision, self.device)
+            pushed = scene.rest[here] + (depth - self.gap[touched])[:, None] * scene.toward
+            state = settle(
+                scene, body, [self.law], here, pushed + slide[touched], slips=self.poke.tip.slips, start=position
+            )
+            position = state.position[0]
+            slide[touched] = state.hold[0] - pushed
+            along = state.pull[0] @ scene.toward
+            total = float(along.sum())
+            settled = bool(state.converged[0])
+            if self._touching(touched, along, position, depth):
+                body, settled = None, False
+            share = 1.0 if self.poke.force is None or k is None else self.poke.force / max(k * total, 1e-300)
+            settled &= abs(share - 1.0) <= SETTLED
+            found = Pressed(position, here, depth, total, settled)
+            if settled or (share == 1.0 and body is not None):
+                break
+            if abs(share - 1.0) > SETTLED:
+                factor = float(np.clip(share, 0.02, 50.0)) ** (2.0 / 3.0 if self.round_tip else 1.0)
+                depth *= factor
+                slide *= factor
+                if depth >= self.deepest:
+                    return dataclasses.replace(found, depth=depth, converged=False)
+                position = scene.rest + factor * (position - scene.rest)
+        return found
+
+    def _touching(self, touched: BoolArray, along: FloatArray, position: FloatArray, depth: float) -> bool:
+        """Update which particles touch a round tip: it pulls at none, and none is within it. Whether that changed."""
+        if not self.round_tip:
+            return False
+        scene = self.scene
+        before = touched.copy()
+        pulled = np.flatnonzero(touched)[along < -1e-6 * float(np.abs(along).max())]
+        moved = (position[scene.open] - scene.rest[scene.open]) @ scene.toward
+        touched |= np.isfinite(self.gap) & (moved < depth - self.gap - SETTLED * depth)
+        if len(pulled) < np.count_nonzero(before):
+            touched[pulled] = False
+        return bool((touched != before).any())

@@ -1,0 +1,1 @@
+"""From pokes with force to stiffness, and to pokes not yet made."""

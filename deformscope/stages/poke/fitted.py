@@ -1,0 +1,306 @@
+"""What a calibration leaves behind: a body, the law that it follows and its stiffness, enough to predict a poke.
+
+Two kinds of body: `layers`, material below a surface, whose lattice is laid out anew around each poke; and `particles`,
+the very particles that were fitted.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.stages.fit.model import Observation
+from deformscope.stages.fit.plausible import check_poke
+from deformscope.stages.msm import clusters
+from deformscope.stages.msm.clusters import spacing as median_spacing
+from deformscope.stages.msm.poke import Law, Poke, PokeSetup, Pressed, Tip, press
+from deformscope.stages.msm.solver import Precision
+from deformscope.stages.poke.layers import Layers, MeasuredSurface
+from deformscope.stages.poke.poke_fit import CELLS_ACROSS_TIP, SLIPPED, scene_below
+from deformscope.stages.poke.stiffness_field import FieldKind, StiffnessField
+
+BodyKind = Literal["layers", "particles"]
+
+FORCE_SHARE = 0.05
+"""Relative standard deviation of a predicted force that lattice and tip are always good for: on finite element slabs,
+tips of 1 to 4 cm were off by 1 to 6 % after a fit to one of 2 cm (`deformscope predict --against`)."""
+
+TWO_SIDED_90 = 1.645
+
+BEYOND = 1.25
+"""A depth, or depth over tip width, this many times the largest fitted is extrapolated to."""
+
+DEEP = 0.3
+"""Share of the thickness from which on a poke is beyond what a linear law is good for, whatever was fitted."""
+
+ALONG_AXIS = float(np.cos(np.radians(10.0)))
+"""A push within 10 degrees of an axis is taken as along it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rival:
+    """A law that follows the pokes about as well. stiffness: (p,) [N/m] that goes with it at the pokes with force;
+    surface_error: share of the depth"""
+
+    law: Law
+    stiffness: FloatArray
+    surface_error: float
+
+
+@dataclass(frozen=True)
+class FittedModel:
+    """A model that can be poked.
+
+    body; rest: (n, 3) points of the surface, or (K, d) particles [m]; thickness: below a surface [m]
+    shape, cell: lattice of the particles, if they stand on one; fixed: particles that do not move
+    toward: (d,) direction of a poke; spacing: of the lattice to which `stiffness` belongs [m]
+    tip: what the model was fitted with, and whether it slips
+    law; places: (p, d) of the pokes whose force was measured; stiffness: (p,) k there [N/m]; field: between them
+    left_out: (p,) relative error of each stiffness predicted from the other pokes
+    surface_error: root mean square distance from the surface near the pokes, as a share of their depth; held_out: the
+    same on pokes left out of the fit, nan with one poke; rivals: other laws that do about as well
+    fitted_depth: of the deepest poke that was fitted [m]; fitted_strain: the largest depth over tip width; nan: unknown
+    provenance: where it comes from
+    """
+
+    body: BodyKind
+    rest: FloatArray
+    law: Law
+    spacing: float
+    toward: FloatArray
+    tip: Tip | None = None
+    thickness: float | None = None
+    shape: tuple[int, ...] | None = None
+    cell: IntArray | None = None
+    fixed: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    places: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    stiffness: FloatArray = field(default_factory=lambda: np.zeros(0))
+    field_kind: FieldKind = "uniform"
+    left_out: FloatArray = field(default_factory=lambda: np.zeros(0))
+    surface_error: float = float("nan")
+    held_out: float = float("nan")
+    fitted_depth: float = float("nan")
+    fitted_strain: float = float("nan")
+    rivals: tuple[Rival, ...] = ()
+    provenance: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def dim(self) -> int:
+        return int(self.rest.shape[1])
+
+    @property
+    def material_depth(self) -> float:
+        """How much material a poke meets along its direction [m]."""
+        return float(np.ptp(self.rest @ self.toward)) if self.thickness is None else self.thickness
+
+    def beyond(self, depth: float, tip: Tip) -> tuple[str, ...]:
+        """In what respects a poke to a depth [m] lies beyond those that were fitted, in words."""
+        found = []
+        if depth > BEYOND * self.fitted_depth:
+            found.append(f"{1e3 * depth:.3g} mm deep, fitted to {1e3 * self.fitted_depth:.3g} mm")
+        if (strain := depth / tip.width) > BEYOND * self.fitted_strain:
+            found.append(f"depth over tip width {strain:.2g}, fitted to {self.fitted_strain:.2g}")
+        if (share := depth / self.material_depth) > DEEP:
+            found.append(f"{share:.0%} of the thickness deep, where materials stiffen as the model does not")
+        return tuple(found)
+
+    def stiffness_at(self, at: FloatArray, spacing: float, values: FloatArray | None = None) -> float | None:
+        """k [N/m] of a lattice of this spacing at a place (d,); None where no force was measured.
+
+        A finer lattice of the same material has a k that is smaller in proportion (in the plane: the same).
+        """
+        known = self.stiffness if values is None else values
+        if not len(known):
+            return None
+        field, place = self._field(known, at)
+        return float(field.at(place)[0]) * float(spacing / self.spacing) ** (self.dim - 2)
+
+    def stiffness_deviation(self, at: FloatArray) -> float:
+        """Standard deviation of the logarithm of the stiffness at a place (d,), as far as the pokes tell it."""
+        field, place = self._field(self.stiffness, at)
+        return float(field.deviation(place)[0])
+
+    def _field(self, values: FloatArray, at: FloatArray) -> tuple[StiffnessField, FloatArray]:
+        across = [0, 1] if self.dim == 3 else [0]
+        field = StiffnessField(self.places[:, across], values, self.field_kind, self.left_out)
+        return field, np.asarray(at)[across]
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """What a poke will do.
+
+    rest, position: (K, d) [m]; surface: (s,) indices of the particles that a tip could touch; touched: (m,)
+    depth [m]; force [N] and its 90 % interval, None without a measured force; stiffness: k [N/m] there
+    surface_error: how far particles of the surface near the tip may be off, root mean square [m]
+    extrapolated: in what respects the poke lies beyond what was fitted, in words
+    layers: the lattice, for a body of layers; converged
+    """
+
+    poke: Poke
+    rest: FloatArray
+    position: FloatArray
+    surface: IntArray
+    touched: IntArray
+    depth: float
+    force: float | None
+    force_interval: tuple[float, float] | None
+    stiffness: float | None
+    surface_error: float
+    extrapolated: tuple[str, ...]
+    layers: Layers | None
+    converged: bool
+
+    def at(self, points: FloatArray) -> FloatArray:
+        """Where points (n, 3) of the surface go, between the lattice's columns; those beyond the lattice stay."""
+        if self.layers is None:
+            raise InputError("a model of layers below a surface", "one of particles", "leave out the points")
+        weights, inside = self.layers.interpolation(points[:, :2])
+        moved = weights @ (self.position - self.rest)
+        return np.asarray(points + np.where(inside[:, None], moved, 0.0))
+
+
+def predict(model: FittedModel, poke: Poke, *, precision: Precision = "float32", device: str = "cpu") -> Prediction:
+    """The static state under a poke that need not have been seen.
+
+    poke.at: (d,) [m]; its component along the direction of the poke does not count
+    The interval of the force spans the rival laws and what the pokes say of the stiffness at this place.
+    Raises InputError for a poke that the material has no room for, and a force where no stiffness is known.
+    """
+    room = model.material_depth
+    check_poke(model.rest, room, poke.depth or 0.0, poke.tip.width)
+    scene, layers = scene_of(model, model.law, poke)
+    k = model.stiffness_at(poke.at, scene.spacing)
+    if poke.force is not None and k is None:
+        raise InputError("a depth", "a force, but the model knows no stiffness", "fit it with force_n in a pair file")
+    found = press(scene, model.law, poke, stiffness=k, deepest=room, precision=precision, device=device)
+    if found.depth >= room:
+        raise InputError(
+            f"a force that the {1e3 * room:.3g} mm of material under the tip can bear",
+            f"{poke.force:g} N, which would press the tip through",
+            "a smaller force",
+        )
+    force = None if k is None else k * found.reaction
+    interval = None if force is None else _force_interval(model, poke, found, force, precision, device)
+    error = model.held_out if np.isfinite(model.held_out) else model.surface_error
+    return Prediction(
+        poke=poke,
+        rest=scene.rest,
+        position=found.position,
+        surface=scene.open,
+        touched=found.touched,
+        depth=found.depth,
+        force=force,
+        force_interval=interval,
+        stiffness=k,
+        surface_error=error * found.depth,
+        extrapolated=model.beyond(found.depth, poke.tip),
+        layers=layers,
+        converged=found.converged,
+    )
+
+
+def _force_interval(
+    model: FittedModel, poke: Poke, found: Pressed, force: float, precision: Precision, device: str
+) -> tuple[float, float]:
+    every = [force]
+    for rival in model.rivals:
+        scene, _ = scene_of(model, rival.law, poke)
+        k = model.stiffness_at(poke.at, scene.spacing, rival.stiffness)
+        same = dataclasses.replace(poke, depth=found.depth, force=None)
+        other = press(scene, rival.law, same, precision=precision, device=device)
+        if k is not None and other.converged:
+            every.append(k * other.reaction)
+    # of logarithms: a prediction that is five times too low has an error of -80 % of the measured force
+    wide = float(np.exp(TWO_SIDED_90 * max(model.stiffness_deviation(poke.at), FORCE_SHARE)))
+    return min(every) / wide, max(every) * wide
+
+
+def scene_of(model: FittedModel, law: Law, poke: Poke) -> tuple[PokeSetup, Layers | None]:
+    """The model's body, ready for this poke. A tip narrower than the fitted one gets a finer lattice."""
+    if model.body == "layers":
+        assert model.thickness is not None
+        assert law.cluster_size is not None
+        fine = min(model.spacing, poke.tip.width / CELLS_ACROSS_TIP)
+        if poke.tip.shape == "sphere":
+            fine = min(model.spacing, poke.tip.width / (2 * CELLS_ACROSS_TIP))
+        scene, layers = scene_below(
+            MeasuredSurface(model.rest, model.thickness), poke.at, poke.tip, fine, law.cluster_size
+        )
+        return scene, layers
+    return particle_scene(model, law), None
+
+
+def from_pair(
+    seen: Observation, law: Law, stiffness: float | None, error: float, provenance: Mapping[str, object]
+) -> FittedModel:
+    """A model of the very particles of one observation. stiffness: k [N/m], None if unknown; error: average distance
+    of the free particles [m].
+
+    Raises InputError where the scale is not known, or nothing was pushed.
+    """
+    scale = seen.metres_per_unit
+    if scale is None:
+        raise InputError("positions in metres for a model that is saved", "pixels of unknown size", "--px-per-cm")
+    move = seen.deformed - seen.rest
+    touched = seen.touched
+    push = move[touched].mean(axis=0) if len(touched) else np.zeros(seen.rest.shape[1])
+    depth = float(np.linalg.norm(push))
+    if depth <= 0.0:
+        raise InputError("held particles that were pushed", "none that moved", "name what pushed in `held`")
+    toward = push / depth
+    axis = int(np.abs(toward).argmax())
+    if abs(toward[axis]) > ALONG_AXIS:
+        toward = np.sign(toward[axis]) * np.eye(len(toward))[axis]
+    gap = median_spacing(seen.rest)
+    across = np.ptp(np.delete(seen.rest[touched], axis, axis=1), axis=0)
+    sideways = move[touched] - np.outer(move[touched] @ toward, toward)
+    slips = bool(np.abs(sideways - sideways.mean(axis=0)).max() > SLIPPED * depth)
+    place = seen.rest[touched].mean(axis=0) * scale
+    tip = seen.tip or Tip("flat", tuple(float(max(side, gap)) * scale for side in across), slips)
+    return FittedModel(
+        body="particles",
+        rest=seen.rest * scale,
+        law=law,
+        spacing=gap * scale,
+        toward=toward,
+        tip=tip,
+        shape=seen.shape,
+        cell=seen.cell,
+        fixed=np.setdiff1d(seen.held, touched),
+        places=place[None] if stiffness is not None else np.zeros((0, len(place))),
+        stiffness=np.array([]) if stiffness is None else np.array([stiffness]),
+        left_out=np.array([]) if stiffness is None else np.array([np.nan]),
+        surface_error=error / depth,
+        fitted_depth=depth * scale,
+        fitted_strain=depth * scale / tip.width,
+        provenance=provenance,
+    )
+
+
+def particle_scene(model: FittedModel, law: Law) -> PokeSetup:
+    """The fitted particles; a tip can touch those that no other stands in front of."""
+    rest, gap = model.rest, median_spacing(model.rest)
+    if law.cluster_size is None:
+        grouped = clusters.single(len(rest))
+    elif model.shape is not None and model.cell is not None:
+        grouped = clusters.lattice(rest, model.shape, model.cell, law.cluster_size)
+    else:
+        grouped = clusters.nearest(rest, law.cluster_size**model.dim)
+    covered = np.zeros(len(rest), dtype=bool)
+    pairs = cKDTree(rest).query_pairs(1.7 * gap, output_type="ndarray")
+    between = rest[pairs[:, 1]] - rest[pairs[:, 0]]
+    along = between @ model.toward
+    aside = np.linalg.norm(between - along[:, None] * model.toward, axis=1)
+    stacked = aside < 0.6 * gap
+    covered[pairs[stacked & (along > 0.3 * gap), 1]] = True
+    covered[pairs[stacked & (along < -0.3 * gap), 0]] = True
+    covered[model.fixed] = True
+    return PokeSetup(rest, grouped, model.fixed, np.flatnonzero(~covered), model.toward, gap)

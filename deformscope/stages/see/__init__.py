@@ -1,0 +1,1 @@
+"""From images to points and particles."""

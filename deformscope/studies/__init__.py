@@ -1,0 +1,1 @@
+"""What proves the experiments: on bodies of known truth, over seeds."""

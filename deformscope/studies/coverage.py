@@ -1,0 +1,366 @@
+"""Do 90 % intervals hold 90 % of the truths? Random bodies of known beta, each kind of noise, and data without any
+information, through the same calibration as a user's.
+
+A body is a lattice in the plane or in space whose first layer stands still while a patch of its last one is moved.
+Its truth is the engine's static state for a random beta, in float64; what is "measured" has noise on top. The ranks of
+the truths in their posteriors are even if these are right (simulation-based calibration, Talts et al. 2018).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from typing import Literal, TypeVar
+
+import numpy as np
+from scipy.spatial.distance import cdist
+from threadpoolctl import threadpool_limits
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
+from deformscope.stages.fit.estimate import Estimate, Verdict
+from deformscope.stages.msm.clusters import held_mask
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+BOUNDS = (0.0, 0.99)
+SPACING_M = 0.01
+CANDIDATES = 40
+NEAR_ONE = 0.97
+"""Truths above are reported apart, as is 0: there the range ends."""
+
+Truth = Literal["prior", "zero", "near one"]
+Nothing = Literal["noise alone", "rigid motion", "no motion", "shuffled labels", "random motion"]
+NOTHING: tuple[Nothing, ...] = ("noise alone", "rigid motion", "no motion", "shuffled labels", "random motion")
+"""Data that tell nothing: shuffled labels = the true displacements of the free particles, dealt out at random."""
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """One kind of noise.
+
+    held_noise: the prescribed positions have it too; told: whether that is said (`held_measured`)
+    correlated: neighbours share it, over about one spacing; stated: factors by which the noise that is given is wrong
+    """
+
+    name: str
+    held_noise: bool
+    told: bool | None = None
+    correlated: bool = False
+    stated: tuple[float, ...] = (1.0,)
+
+
+WRONG = (0.25, 0.5, 2.0, 4.0)
+CONDITIONS = (
+    Condition("independent noise", False),
+    Condition("independent noise, held told exact", False, told=False),
+    Condition("noisy held positions", True),
+    Condition("noisy held positions, told", True, told=True),
+    Condition("correlated over a cell", True, correlated=True),
+    Condition("correlated over a cell, held exact", False, correlated=True),
+    Condition("wrong noise level", True, stated=WRONG),
+    Condition("wrong noise level, held exact", False, stated=WRONG),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One random object to try: its place in `CONDITIONS`, what its truth is drawn from, its number and the seed."""
+
+    condition: int
+    truth: Truth
+    number: int
+    seed: int
+    level: float = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What came of one object. rank: mass of the posterior below the truth; seconds: processor time of the fit"""
+
+    condition: str
+    dim: int
+    cluster_size: int
+    particles: int
+    beta: float
+    value: float
+    interval: tuple[float, float]
+    rank: float
+    verdict: Verdict
+    seconds: float
+
+    @property
+    def covered(self) -> bool:
+        return self.interval[0] <= self.beta <= self.interval[1]
+
+    @property
+    def confident_wrong(self) -> bool:
+        """The interval leaves the truth out by more than its own width."""
+        low, high = self.interval
+        return max(low - self.beta, self.beta - high) > high - low
+
+
+@dataclass(frozen=True, slots=True)
+class NothingCase:
+    """Data without information: what kind, its number and the seed."""
+
+    kind: Nothing
+    number: int
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class RandomBody:
+    """A lattice and what is done to it. rest: (K, d) [m]; held: (n,); held_position: (n, d) [m]"""
+
+    rest: FloatArray
+    shape: tuple[int, ...]
+    held: IntArray
+    held_position: FloatArray
+    cluster_size: int
+
+    def observe(
+        self, deformed: FloatArray, noise: float | None = None, held_measured: bool | None = None
+    ) -> Observation:
+        """The body as seen in one deformed shape (K, d)."""
+        count = len(self.rest)
+        return Observation(
+            self.rest,
+            deformed,
+            self.held,
+            np.ones(count, dtype=bool),
+            noise=None if noise is None else np.full(count, noise),
+            shape=self.shape,
+            cell=np.arange(count),
+            held_measured=held_measured,
+        )
+
+    def deform(self, beta: float) -> FloatArray:
+        """Its static state (K, d)."""
+        body = Model(cluster_size=self.cluster_size).body(self.observe(self.rest))
+        return np.asarray(body.relax(self.held_position, beta).position[0])
+
+
+def random_body(rng: np.random.Generator, dim: int) -> RandomBody:
+    """4 to 8 by 4 to 12 particles in the plane, 3 to 5 a side in space; one to some of the far side moved by about a
+    spacing; clusters of 2 to 5 a side."""
+    shape = (int(rng.integers(4, 9)), int(rng.integers(4, 13))) if dim == 2 else tuple(map(int, rng.integers(3, 6, 3)))
+    rest = np.stack(np.meshgrid(*(np.arange(n) * SPACING_M for n in shape), indexing="ij"), axis=-1).reshape(-1, dim)
+    near = np.flatnonzero(rest[:, 0] <= 0.0)
+    far = np.flatnonzero(rest[:, 0] >= rest[:, 0].max() - 1e-9)
+    middle = rest[rng.choice(far)]
+    patch = far[np.linalg.norm(rest[far] - middle, axis=1) <= SPACING_M * rng.uniform(0.5, 2.0)]
+    held = np.concatenate([near, patch])
+    position = rest[held].copy()
+    position[len(near) :] += rng.normal(0.0, SPACING_M * rng.uniform(0.4, 1.2), dim)
+    return RandomBody(rest, shape, held, position, int(rng.integers(2, 6)))
+
+
+def random_noise(rng: np.random.Generator, rest: FloatArray, *, correlated: bool) -> FloatArray:
+    """Of unit variance (K, d): white, or shared by neighbours with a correlation drawn out of exponential, Matern 3/2
+    and Gaussian, of length 0.7 to 1.3 spacings."""
+    white = rng.standard_normal(rest.shape)
+    if not correlated:
+        return white
+    s = cdist(rest, rest) / (SPACING_M * rng.uniform(0.7, 1.3))
+    kind = rng.integers(3)
+    root3 = np.sqrt(3.0) * s
+    covariance = (np.exp(-s), (1.0 + root3) * np.exp(-root3), np.exp(-0.5 * s**2))[kind]
+    return np.asarray(np.linalg.cholesky(covariance + 1e-9 * np.eye(len(rest))) @ white)
+
+
+def try_object(case: Case) -> Outcome:
+    """One random object through the calibration."""
+    condition = CONDITIONS[case.condition]
+    dim = 3 if case.number % 3 == 2 else 2
+    which = ("prior", "zero", "near one").index(case.truth)
+    rng = np.random.default_rng([case.seed, case.condition, which, case.number])
+    body = random_body(rng, dim)
+    beta = {"prior": float(rng.uniform(*BOUNDS)), "zero": 0.0, "near one": float(rng.uniform(NEAR_ONE, BOUNDS[1]))}
+    truth = beta[case.truth]
+    sigma = SPACING_M * float(np.exp(rng.uniform(np.log(0.005), np.log(0.05))))
+    noise = sigma * random_noise(rng, body.rest, correlated=condition.correlated)
+    if not condition.held_noise:
+        noise[body.held] = 0.0
+    stated = sigma * float(rng.choice(condition.stated))
+    seen = body.observe(body.deform(truth) + noise, stated, condition.told)
+    begun = time.process_time()
+    options = FitOptions(Model(cluster_size=body.cluster_size), BOUNDS, candidates=CANDIDATES, level=case.level)
+    found = calibrate([seen], options)
+    return Outcome(
+        condition=condition.name,
+        dim=dim,
+        cluster_size=body.cluster_size,
+        particles=len(body.rest),
+        beta=truth,
+        value=found.estimate.value,
+        interval=found.estimate.interval,
+        rank=found.inferred.posterior.rank(truth),
+        verdict=found.estimate.verdict,
+        seconds=time.process_time() - begun,
+    )
+
+
+def try_nothing(case: NothingCase) -> Verdict:
+    """The verdict on data that tell nothing; the noise is stated in every other case."""
+    rng = np.random.default_rng([case.seed, 99, NOTHING.index(case.kind), case.number])
+    body = random_body(rng, 3 if case.number % 3 == 2 else 2)
+    return fit_nothing(body, case.kind, rng, told=case.number % 2 == 0).verdict
+
+
+def fit_nothing(body: RandomBody, kind: Nothing, rng: np.random.Generator, *, told: bool) -> Estimate:
+    """A body's fit to data of one kind that tell nothing; told: the noise is stated."""
+    sigma = SPACING_M * float(np.exp(rng.uniform(np.log(0.005), np.log(0.05))))
+    noise = sigma * random_noise(rng, body.rest, correlated=bool(rng.integers(2)))
+    deformed = body.rest + (0.0 if kind == "no motion" else noise)
+    if kind == "rigid motion":
+        deformed = _turned(body.rest, rng) + noise
+    elif kind in ("shuffled labels", "random motion"):
+        moved = body.deform(float(rng.uniform(*BOUNDS))) - body.rest
+        free = np.flatnonzero(~held_mask(len(body.rest), body.held))
+        if kind == "shuffled labels":
+            moved[free] = moved[rng.permutation(free)]
+        else:
+            moved[free] = rng.normal(0.0, np.sqrt(np.mean(moved[free] ** 2)), (len(free), body.rest.shape[1]))
+        deformed = body.rest + moved + noise
+    seen = body.observe(deformed, sigma if told else None)
+    options = FitOptions(Model(cluster_size=body.cluster_size), BOUNDS, candidates=CANDIDATES)
+    return calibrate([seen], options).estimate
+
+
+def _turned(rest: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Turned by some degrees, and moved by some spacings."""
+    matrix, _ = np.linalg.qr(np.eye(rest.shape[1]) + rng.normal(0.0, 0.1, (rest.shape[1],) * 2))
+    matrix *= np.sign(np.diag(matrix))
+    middle = rest.mean(axis=0)
+    return np.asarray((rest - middle) @ matrix.T + middle + rng.normal(0.0, 2.0 * SPACING_M, rest.shape[1]))
+
+
+# Figures of many -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """How many of some cases did something, with the Wilson band of its rate at 95 %."""
+
+    cases: int
+    hits: int
+
+    @property
+    def rate(self) -> float:
+        return self.hits / self.cases if self.cases else float("nan")
+
+    @property
+    def band(self) -> tuple[float, float]:
+        if not self.cases:
+            return 0.0, 1.0
+        z, n, p = 1.96, self.cases, self.rate
+        middle = (p + z**2 / (2 * n)) / (1 + z**2 / n)
+        half = z * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2)) / (1 + z**2 / n)
+        return float(middle - half), float(middle + half)
+
+
+@dataclass(frozen=True, slots=True)
+class CoverageRow:
+    """A line of the coverage table. group: the part of the objects that it counts, such as those in clusters of so many
+    particles a side; width: median of the intervals"""
+
+    condition: str
+    group: str
+    covered: Rate
+    width: float
+    confident_wrong: Rate
+
+
+def _between(one: Outcome) -> bool:
+    return 0.0 < one.beta <= NEAR_ONE
+
+
+GROUPS: dict[str, Callable[[Outcome], bool]] = {
+    "all": _between,
+    "2D": lambda one: _between(one) and one.dim == 2,
+    "3D": lambda one: _between(one) and one.dim == 3,
+    "2 a side": lambda one: _between(one) and one.cluster_size == 2,
+    "3 a side": lambda one: _between(one) and one.cluster_size == 3,
+    "4 a side": lambda one: _between(one) and one.cluster_size == 4,
+    "5 a side": lambda one: _between(one) and one.cluster_size == 5,
+    "beta = 0": lambda one: one.beta == 0.0,
+    f"beta > {NEAR_ONE}": lambda one: one.beta > NEAR_ONE,
+}
+"""Parts of the objects: all truths in between, by dimension and by cluster size; apart those where the range ends."""
+
+
+def coverage_rows(outcomes: Sequence[Outcome]) -> list[CoverageRow]:
+    """The coverage table, of each condition the `GROUPS` that have objects."""
+    rows: list[CoverageRow] = []
+    for name in dict.fromkeys(outcome.condition for outcome in outcomes):
+        mine = [outcome for outcome in outcomes if outcome.condition == name]
+        for group, belongs in GROUPS.items():
+            if some := [one for one in mine if belongs(one)]:
+                width = float(np.median([one.interval[1] - one.interval[0] for one in some]))
+                covered = Rate(len(some), sum(one.covered for one in some))
+                rows.append(
+                    CoverageRow(name, group, covered, width, Rate(len(some), sum(one.confident_wrong for one in some)))
+                )
+    return rows
+
+
+# All of it -----------------------------------------------------------------------------------------------------------
+
+QUICK_OBJECTS = 15
+PART_APART = 5
+"""One object at 0 and one near 1 for so many in between; and so many finite element bodies."""
+
+NOTHING_CASES = 200
+
+
+def plan(objects: int, seed: int, level: float, *, quick: bool) -> tuple[list[Case], list[NothingCase]]:
+    """All objects to try, and all data without information."""
+    count = QUICK_OBJECTS if quick else objects
+    apart = -(-count // PART_APART)
+    numbers: dict[Truth, int] = {"prior": count, "zero": apart, "near one": apart}
+    cases = [
+        Case(condition, truth, number, seed, level)
+        for condition in range(len(CONDITIONS))
+        for truth, many in numbers.items()
+        for number in range(many)
+    ]
+    nothing = min(NOTHING_CASES, max(count // 2, 5))
+    return cases, [NothingCase(kind, number, seed) for kind in NOTHING for number in range(nothing)]
+
+
+def spread(
+    work: Callable[[T], R],
+    cases: Sequence[T],
+    jobs: int,
+    done: Callable[[int], None] = lambda count: None,
+    begin: Callable[[], None] | None = None,
+) -> list[R]:
+    """Every case's result in order; `jobs` processes share them, each on one core.
+
+    done: called with how many more; begin: called first in each process
+    """
+    if jobs == 1:
+        results = []
+        with threadpool_limits(1):
+            for case in cases:
+                results.append(work(case))
+                done(1)
+        return results
+    # processes that begin anew: a fork would take warp's threads along as they are
+    with ProcessPoolExecutor(jobs, get_context("spawn"), _begin, (begin,)) as pool:
+        results = []
+        for result in pool.map(work, cases, chunksize=max(1, min(16, len(cases) // (8 * jobs)))):
+            results.append(result)
+            done(1)
+        return results
+
+
+def _begin(also: Callable[[], None] | None) -> None:
+    threadpool_limits(1)
+    if also is not None:
+        also()

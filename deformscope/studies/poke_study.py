@@ -1,0 +1,141 @@
+"""What a model fitted to a few pokes of a slab says about others: slabs of finite elements, whose truth is known.
+
+A slab of one modulus is fitted to a single poke, one of two halves to six. The pokes that are then predicted have other
+tips, other forces and other places; of the halves, those at least 3 cm from the border.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.lab.slab import RigidTip, Slab, press
+from deformscope.stages.fit.model import Observation
+from deformscope.stages.fit.search import Progress
+from deformscope.stages.msm.poke import Tip
+from deformscope.stages.poke.layers import MeasuredSurface
+from deformscope.stages.poke.poke_estimate import PokesFound, conclude
+from deformscope.stages.poke.poke_fit import fit_pokes, seen_poke
+from deformscope.studies.prediction import PokeComparison, compare
+
+GRID = 0.01
+"""Spacing of the surface points that are seen [m]."""
+
+BORDER = 0.2
+
+
+def _halves(place: FloatArray) -> FloatArray:
+    return np.where(place[:, 0] < BORDER, 20e3, 50e3)
+
+
+@dataclass(frozen=True, slots=True)
+class Press:
+    """A flat tip of sides (x, y) [m] pressed with a force [N] at a place (x, y) [m]."""
+
+    at: tuple[float, float]
+    sides: tuple[float, float]
+    force: float
+
+
+@dataclass(frozen=True, slots=True)
+class PokeStudyPlan:
+    """A slab, what of it is fitted, and what is predicted."""
+
+    name: str
+    slab: Slab
+    fitted: tuple[Press, ...]
+    unseen: tuple[Press, ...]
+
+
+TIP = (0.02, 0.02)
+PLANS = (
+    PokeStudyPlan(
+        "one modulus",
+        Slab((0.3, 0.3, 0.05), 40e3, 0.2),
+        (Press((0.15, 0.15), TIP, 3.0),),
+        (
+            Press((0.12, 0.16), (0.04, 0.04), 5.0),
+            Press((0.18, 0.14), (0.04, 0.02), 2.0),
+            Press((0.11, 0.19), (0.01, 0.01), 1.0),
+            Press((0.19, 0.12), (0.03, 0.03), 4.0),
+        ),
+    ),
+    PokeStudyPlan(
+        "two halves, 20 and 50 kPa",
+        Slab((0.4, 0.3, 0.05), _halves, 0.2),
+        tuple(
+            Press(at, TIP, 3.0)
+            for at in ((0.07, 0.08), (0.14, 0.2), (0.11, 0.14), (0.26, 0.08), (0.33, 0.21), (0.25, 0.22))
+        ),
+        tuple(
+            Press(at, sides, 3.0)
+            for at, sides in (
+                ((0.08, 0.21), TIP),
+                ((0.15, 0.09), (0.03, 0.03)),
+                ((0.34, 0.09), TIP),
+                ((0.29, 0.15), (0.03, 0.03)),
+            )
+        ),
+    ),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Studied:
+    """plan; what was found of the fitted pokes; the unseen ones."""
+
+    plan: PokeStudyPlan
+    found: PokesFound
+    unseen: tuple[PokeComparison, ...]
+
+
+def study(plan: PokeStudyPlan, *, device: str = "cpu", progress: Progress | None = None) -> Studied:
+    """Make the slab's pokes, fit some, predict the others."""
+    every = [*plan.fitted, *plan.unseen]
+    seen = []
+    for index, one in enumerate(every):
+        if progress is not None:
+            progress(f"finite elements, {plan.name}", index, len(every))
+        seen.append(_observe(plan.slab, one))
+    fitted, unseen = seen[: len(plan.fitted)], seen[len(plan.fitted) :]
+    surface = MeasuredSurface(fitted[0].rest, plan.slab.size[2])
+    fit = fit_pokes(surface, [seen_poke(one) for one in fitted], device=device, progress=progress)
+    found = conclude(fit, level=0.9, settings={}, provenance={"slab": plan.name})
+    return Studied(plan, found, tuple(compare(found.model, unseen, device=device, progress=progress)))
+
+
+def _observe(slab: Slab, one: Press) -> Observation:
+    points = slab.grid(GRID)
+    half = (0.5 * one.sides[0], 0.5 * one.sides[1])
+    dent = press(slab, one.at, RigidTip(half), points, force=one.force)
+    touched = np.flatnonzero(dent.touched)
+    return Observation(
+        points,
+        points + dent.displaced,
+        touched,
+        np.ones(len(points), dtype=bool),
+        force_n=one.force,
+        contact=touched,
+        tip=Tip("flat", one.sides),
+    )
+
+
+def rows(studied: Sequence[Studied]) -> list[tuple[object, ...]]:
+    """Slab, place, tip, force, method, surface error and force error, for the table."""
+    return [
+        (
+            one.plan.name,
+            f"({press_.at[0]:g}, {press_.at[1]:g})",
+            f"{1e3 * press_.sides[0]:g} x {1e3 * press_.sides[1]:g}",
+            press_.force,
+            score.method,
+            score.surface_error,
+            score.force_error,
+        )
+        for one in studied
+        for press_, unseen in zip(one.plan.unseen, one.unseen, strict=True)
+        for score in unseen.scores
+    ]

@@ -1,0 +1,167 @@
+"""The laboratory as a robot without wires: what a touch and a look would have given, at once. For studies."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from deformscope.arrays import BoolArray, FloatArray
+from deformscope.capsule import Capsule
+from deformscope.experiments.explore import (
+    SHALLOW_M,
+    ExploreOptions,
+    SurfaceMeasurement,
+    TouchMeasurement,
+    Truth,
+    pinhole,
+    sample_box,
+)
+from deformscope.lab.depth_view import DepthView
+from deformscope.lab.scenes import RIGID_PA, Piece, Scene
+from deformscope.lab.slab import RigidTip
+from deformscope.lab.slab_world import SlabWorld
+from deformscope.lab.touching import Approach, Sensing, approach, force_curve
+from deformscope.rig.rig_file import Tool
+from deformscope.stages.map.map_score import TrueMap
+from deformscope.stages.map.touches import MapGrid
+from deformscope.stages.poke.contact import ArmCompliance
+from deformscope.stages.see.cloud import perceive
+
+STICK_M = 0.25
+BORDER_M = 0.02
+ARM_N_PER_M, ARM_DOUBT = 5000.0, 0.1
+"""The arm gives way under a push, which its joints do not see; a calibration on a rigid block leaves some of it."""
+VIEW_CELL_M = 0.004
+SOFT_PA = 1e-3 * RIGID_PA
+"""Modulus of the slab that is pressed to know the truth: soft enough for every depth, stiff enough for every force."""
+
+
+def truth_of(scene: Scene) -> Truth:
+    """What a scene really is."""
+    return Truth(scene.truth() if scene.pieces else None)
+
+
+def true_map(scene: Scene, options: ExploreOptions) -> TrueMap:
+    """A scene's apparent stiffness, region by region and cell by cell.
+
+    It is that of a slab all of the modulus which lies there, as thick as the scene's, pressed in the same finite
+    elements without noise: what touches far from every border and bump come to.
+    """
+    modulus = scene.modulus_pa(scene.cells_m())
+    pieces = np.array([piece.modulus_pa for piece in scene.pieces])
+    pressed = (options.set_force_n, options.max_depth_m, options.tip_radius_m, scene.thickness_m, scene.poisson)
+    return TrueMap(
+        labels=scene.truth() if scene.pieces else None,
+        level=_slab_log_stiffness(pieces, *pressed),
+        rigid=np.array([piece.rigid for piece in scene.pieces], dtype=bool),
+        log_stiffness=_slab_log_stiffness(modulus, *pressed),
+    )
+
+
+def _slab_log_stiffness(
+    modulus_pa: FloatArray, set_force_n: float, max_depth_m: float, radius_m: float, thickness_m: float, poisson: float
+) -> FloatArray:
+    """(...,) log of force over depth [N/mm] on slabs of one modulus, at the set force or the largest depth."""
+    depth_m, force_n = _slab_curve(max_depth_m, radius_m, thickness_m, poisson)
+    # linear foam: the force at a depth is in proportion to the modulus
+    at_n = np.minimum(set_force_n, force_n[-1] * modulus_pa / SOFT_PA)
+    sunk_m = PchipInterpolator(force_n, depth_m)(at_n * SOFT_PA / modulus_pa)
+    return np.asarray(np.log(1e-3 * at_n / sunk_m))
+
+
+@lru_cache(maxsize=8)
+def _slab_curve(
+    max_depth_m: float, radius_m: float, thickness_m: float, poisson: float
+) -> tuple[FloatArray, FloatArray]:
+    """Depths [m] and forces [N] of the ball in the middle of a slab of SOFT_PA."""
+    slab = Scene("homogeneous", 0, (Piece("soft", SOFT_PA),), {}, thickness_m=thickness_m, poisson=poisson)
+    up = np.array([0.0, 0.0, 1.0])
+    rest = np.array([*(0.5 * np.asarray(slab.size_m)), thickness_m + radius_m])
+    return force_curve(SlabWorld(slab), RigidTip(radius=radius_m), rest, up, np.inf, max_depth_m)
+
+
+def felt_log_stiffness(made: Approach, set_force_n: float) -> float:
+    """Log of force over depth [N/mm] that a touch would have told had nothing been noisy: at the same force."""
+    at_n = min(set_force_n, float(made.true_force_n.max()))
+    loading = slice(0, int(made.true_force_n.argmax()) + 1)
+    return float(np.log(1e-3 * at_n / np.interp(at_n, made.true_force_n[loading], made.true_depth_m[loading])))
+
+
+class LabRobot:
+    """A simulated table with foam, seen by a camera and touched by a ball on a stick.
+
+    truth: what the scene is; most_force_n: the largest true contact force so far; felt: `felt_log_stiffness` of each
+    touch
+    sees: whether the camera looks again while the ball presses, which only beta needs
+    """
+
+    def __init__(
+        self, scene: Scene, options: ExploreOptions, *, sees: bool = True, sensing: Sensing | None = None
+    ) -> None:
+        self.scene = scene
+        self.size_m = scene.size_m
+        self.arm = ArmCompliance(1.0 / ARM_N_PER_M, ARM_DOUBT / ARM_N_PER_M)
+        self.truth = truth_of(scene)
+        self.most_force_n = 0.0
+        self.felt: list[float] = []
+        self._options = options
+        self._sensing = sensing or Sensing(arm_n_per_m=ARM_N_PER_M)
+        self._sees = sees
+        self._world = SlabWorld(scene)
+        self._view = DepthView(scene)
+        self._tip = RigidTip(radius=options.tip_radius_m)
+        self._random = np.random.default_rng([options.seed, scene.seed])
+
+    def reachable(self, grid: MapGrid) -> BoolArray:
+        """All but a margin at the border."""
+        places, size = grid.centres_m, np.asarray(self.size_m)
+        inside = ((places > BORDER_M) & (places < size - BORDER_M)).all(axis=1)
+        return np.asarray(inside).reshape(grid.shape)
+
+    def look(self) -> SurfaceMeasurement:
+        """The surface at rest, without the robot."""
+        return self._see(None, ())
+
+    def touch(
+        self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None = None
+    ) -> TouchMeasurement:
+        """Come down along the normal that was seen, and look at the dent."""
+        options = self._options
+        made = approach(
+            self._world,
+            self._tip,
+            xy_m,
+            normal,
+            set_force_n=options.set_force_n,
+            max_depth_m=options.max_depth_m,
+            second_force_n=options.second_force_n,
+            shallow_m=SHALLOW_M,
+            sensing=self._sensing,
+            random=self._random,
+        )
+        self.most_force_n = max(self.most_force_n, float(made.true_force_n.max()))
+        self.felt.append(felt_log_stiffness(made, options.set_force_n))
+        after: FloatArray = np.zeros((0, 3))
+        if self._sees:
+            middle = made.position_m[-1]
+            contact = self._world.press(self._tip, middle)
+            moved = self._world.displaced_m(contact, self._view.places_m)
+            stick = Capsule(middle, middle + STICK_M * normal, Tool().stick_radius_m)
+            ball = Capsule(middle, middle, options.tip_radius_m)
+            after = self._see(moved, (stick, ball)).points_m
+        return TouchMeasurement(xy_m, normal, made.time_s, made.position_m, made.force_n, after, made.reached)
+
+    def now_ns(self) -> int:
+        """No time passes here."""
+        return 0
+
+    def _see(self, moved_m: FloatArray | None, robot: tuple[Capsule, ...]) -> SurfaceMeasurement:
+        exact = self._view.render(moved_m, robot)
+        depth_m = self._view.observe(exact, self._random) * self._view.config.unit_m
+        camera = pinhole(self._view.intrinsics)
+        box = sample_box(self.size_m, self._options.thickness_m)
+        cell = None if robot else VIEW_CELL_M
+        found = perceive(depth_m, camera, self._view.surface_from_camera, box, links=robot, cell_m=cell)
+        return SurfaceMeasurement(found.points_m, found.noise_m)

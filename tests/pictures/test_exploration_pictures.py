@@ -1,0 +1,124 @@
+"""Maps as pictures: crisp, in the right place, and with words where there is nothing to draw."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+
+from deformscope.arrays import ImageArray
+from deformscope.images import decode_image
+from deformscope.pictures import exploration as pictures
+from tests.log import synthetic_exploration as synthetic
+
+MAPS = synthetic.maps(6)
+
+
+def decoded(png: bytes) -> ImageArray:
+    return decode_image(png, "picture")
+
+
+def share_of(color: str, image: ImageArray) -> float:
+    """Of the picture's pixels: those of this colour."""
+    wanted = np.rint(np.array(to_rgb(color)) * 255)
+    return float((np.abs(image.astype(float) - wanted).max(axis=2) <= 2).mean())
+
+
+def test_cells_are_crisp() -> None:
+    """A map of two values has two colours and none between them: its cells are not blurred."""
+    bare = dataclasses.replace(MAPS, contacts_m=np.zeros((0, 2)))
+    checks = np.where((np.indices(MAPS.labels.shape) // 10).sum(axis=0) % 2, 0.5, 1.0)
+    image = decoded(pictures.stiffness_png(dataclasses.replace(bare, stiffness_n_per_mm=checks)))
+    height, width = image.shape[:2]
+    inside = image[height * 2 // 5 : height * 3 // 5, width // 4 : width // 2].reshape(-1, 3)
+    assert len(np.unique(inside, axis=0)) == 2
+
+
+def test_up_is_up_and_right_is_right() -> None:
+    """Stiff where x and y are large: bright in the picture's upper right corner of the map."""
+    bare = dataclasses.replace(MAPS, contacts_m=np.zeros((0, 2)))
+    corner = np.where((synthetic.X > 0.4) & (synthetic.Y > 0.3), 1.0, 0.5)
+    image = decoded(pictures.stiffness_png(dataclasses.replace(bare, stiffness_n_per_mm=corner))).astype(int)
+    height, width = image.shape[:2]
+    left, bottom, wide, high = pictures.PLACE
+    columns = [round(width * (left + share * wide)) for share in (0.05, 0.95)]
+    rows = [round(height * (1 - bottom - share * high)) for share in (0.15, 0.85)]
+    seen = [[image[row, column].sum() for column in columns] for row in rows]
+    assert seen[1][1] > 1.3 * max(seen[0][0], seen[0][1], seen[1][0])
+
+
+def test_the_truth_has_the_colours_of_the_regions_that_it_is_compared_with() -> None:
+    """Labels are names: renaming the truth's changes nothing, and a region that was missed has its own colour."""
+    png = pictures.truth_png(MAPS)
+    assert pictures.truth_png(dataclasses.replace(MAPS, truth_labels=7 - 3 * synthetic.TRUTH)) == png
+    missed = synthetic.TRUTH.copy()
+    missed[:20, :20] = 2
+    found = decoded(pictures.truth_png(dataclasses.replace(MAPS, truth_labels=missed)))
+    shares = [share_of(color, found) for color in pictures.REGIONS[:4]]
+    assert min(shares[:3]) > 0.01
+    assert shares[3] == 0.0
+
+
+def test_unsure_cells_are_pale() -> None:
+    sure = decoded(pictures.regions_png(dataclasses.replace(MAPS, label_probability=np.ones(MAPS.labels.shape))))
+    unsure = decoded(pictures.regions_png(dataclasses.replace(MAPS, label_probability=np.full(MAPS.labels.shape, 0.5))))
+    assert share_of(pictures.REGIONS[0], sure) > 0.1
+    assert share_of(pictures.REGIONS[0], unsure) < 0.001
+    assert unsure.mean() > sure.mean()
+
+
+def test_cells_that_may_not_be_touched_are_grey_and_the_target_red() -> None:
+    plan = synthetic.plan(3)
+    image = decoded(pictures.gain_png(plan, synthetic.CELL_M, synthetic.CONTACTS_M[:3]))
+    free = dataclasses.replace(plan, excluded=np.zeros_like(plan.excluded))
+    grey = share_of(pictures.EXCLUDED, image)
+    assert grey > 0.02
+    assert share_of(pictures.EXCLUDED, decoded(pictures.gain_png(free, synthetic.CELL_M))) < 0.001
+    assert share_of(pictures.TARGET, image) > 0.0005
+    stopped = decoded(pictures.gain_png(synthetic.plan(8), synthetic.CELL_M))
+    assert share_of(pictures.TARGET, stopped) == 0.0
+
+
+def test_every_picture_is_drawn_whatever_is_missing() -> None:
+    """Warnings are errors, so that what cannot be drawn is noticed."""
+    first = synthetic.maps(1, truth=False)
+    empty = dataclasses.replace(first, contacts_m=np.zeros((0, 2)), touches=0)
+    flat = dataclasses.replace(first, stiffness_n_per_mm=np.full(first.labels.shape, 2.0))
+    holed = dataclasses.replace(MAPS, stiffness_n_per_mm=np.full(first.labels.shape, np.nan))
+    gradual = synthetic.gradual(6)
+    assert decoded(pictures.result_png(first, "made up")).std() > 10
+    for maps in (empty, flat, holed, gradual):
+        for draw in (pictures.stiffness_png, pictures.regions_png, pictures.truth_png):
+            assert decoded(draw(maps)).std() > 10
+    for number, touch in enumerate((synthetic.touch(0), synthetic.rigid_touch(1), synthetic.unusable_touch(2))):
+        assert decoded(pictures.force_png(touch)).std() > 10, number
+        assert decoded(pictures.section_png(touch)).std() > 10, number
+    none = np.zeros((0, 3))
+    unseen = dataclasses.replace(synthetic.unusable_touch(2), observed_m=none, simulated_m=none)
+    assert decoded(pictures.section_png(unseen)).std() > 5
+    assert share_of(pictures.REGIONS[0], decoded(pictures.regions_png(gradual))) == 0.0
+    nowhere = dataclasses.replace(synthetic.plan(2), excluded=np.ones_like(synthetic.plan(2).excluded))
+    flat_gain = dataclasses.replace(synthetic.plan(2), gain=np.zeros_like(nowhere.excluded, dtype=np.float64))
+    for plan in (synthetic.plan(0), nowhere, flat_gain):
+        assert decoded(pictures.gain_png(plan, synthetic.CELL_M)).std() > 10
+    assert decoded(pictures.height_png(synthetic.surface(1))).std() > 10
+
+
+@pytest.mark.parametrize("ends", [(0.62, 1.35), (0.011, 25.0), (2.0, 2.0), (1.0, 10.0), (0.999, 1.001)])
+def test_a_scale_holds_its_values_and_ends_at_round_ones(ends: tuple[float, float]) -> None:
+    low, high = pictures.stiffness_range(np.array([ends]))
+    assert low <= ends[0] <= ends[1] <= high
+    assert low < high
+    for end in (low, high):
+        digits = end / 10 ** np.floor(np.log10(end) + 1e-9)
+        assert min(abs(digits - step) for step in pictures.STEPS) < 1e-9
+
+
+def test_a_result_is_one_picture_the_same_each_time(tmp_path: Path) -> None:
+    png = pictures.result_png(MAPS, "Two foams")
+    assert png == pictures.result_png(MAPS, "Two foams")
+    image = decoded(png)
+    assert image.shape[1] > 1.5 * image.shape[0]

@@ -1,0 +1,415 @@
+"""A viewer that is frozen, killed or slow costs the picture alone, what it lacks is counted, and its server goes."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import json
+import os
+import pty
+import select
+import signal
+import socket
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+import weakref
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deformscope.cli import main
+from deformscope.recording import live, recorder
+from deformscope.recording.live import (
+    LiveFeed,
+    Viewer,
+    check_answers,
+    end_pages,
+    running_pages,
+    start_viewer,
+    wait_for_viewer,
+)
+from deformscope.recording.reader import Replay
+from deformscope.recording.recorder import Recorder
+
+ROOT = Path(__file__).resolve().parents[2]
+PATIENCE_S = 60.0
+"""How long anything is waited for that has to come: a limit against a test that hangs, no measure of speed."""
+
+
+def until(happened: Callable[[], object]) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not happened():
+        assert time.monotonic() < deadline, "it never happened"
+        time.sleep(0.005)
+
+
+# The feed ------------------------------------------------------------------------------------------------------------
+
+
+class Stream:
+    """A live stream. state: of its viewer: `well`, `frozen` or `gone`"""
+
+    def __init__(self, state: str = "well") -> None:
+        self.state = state
+        self.shown: list[int] = []
+        self.flushes = 0
+        self.ended = False
+
+    def flush(self, *, timeout_sec: float) -> None:
+        self.flushes += 1
+        if self.state == "frozen":
+            time.sleep(0.001)
+            raise TimeoutError
+        if self.state == "gone":
+            raise ConnectionError("severed")
+
+    def disconnect(self) -> None:
+        self.ended = True
+
+
+def feed_of(stream: Stream, **options: float) -> LiveFeed[Stream]:
+    feed: LiveFeed[Stream] = LiveFeed(lambda give_up: stream, period_s=0.001, **options)  # type: ignore[arg-type]
+    feed.start()
+    return feed
+
+
+def show(feed: LiveFeed[Stream], number: int) -> None:
+    feed.put(lambda stream: stream.shown.append(number), 1)
+
+
+@pytest.mark.parametrize("state", ["frozen", "gone"])
+def test_what_a_viewer_never_confirmed_is_counted(state: str, caplog: pytest.LogCaptureFixture) -> None:
+    stream = Stream()
+    feed = feed_of(stream)
+    for number in range(3):
+        show(feed, number)
+    until(lambda: stream.shown == [0, 1, 2] and feed._unconfirmed == 0)
+    stream.state = state
+    show(feed, 3)  # handed over, and never confirmed
+    until(lambda: len(stream.shown) == 4 and (feed._silent or feed._left.is_set()))
+    for number in range(4, 10):
+        show(feed, number)
+    assert not feed.close(PATIENCE_S)
+    assert feed.dropped == 7
+    show(feed, 10)
+    assert feed.dropped == 8
+    assert "7 of 10 portions" in caplog.text
+    assert not stream.ended
+
+
+def test_a_viewer_that_does_not_answer_is_not_waited_for() -> None:
+    feed = feed_of(Stream("frozen"))
+    show(feed, 0)
+    until(lambda: feed._silent)
+    waited: list[float | None] = []
+    feed._over.wait = lambda timeout=None: bool(waited.append(timeout))  # type: ignore[method-assign]
+    assert not feed.close(PATIENCE_S)
+    assert waited == [0.0]
+
+
+def test_a_stream_that_hangs_is_never_let_go_of() -> None:
+    """Dropping it waits for the viewer, for ever where that is frozen."""
+    stream = Stream("frozen")
+    kept = weakref.ref(stream)
+    feed = feed_of(stream)
+    show(feed, 0)
+    for _ in range(1000):
+        if feed._silent:
+            break
+        time.sleep(0.01)
+    feed.close(0.1)
+    assert feed._over.wait(PATIENCE_S)
+    del stream, feed
+    gc.collect()
+    assert kept() is not None
+
+    well = Stream()
+    kept = weakref.ref(well)
+    feed = feed_of(well)
+    assert feed.close(PATIENCE_S)
+    feed._thread.join()
+    del well, feed
+    gc.collect()
+    assert kept() is None
+
+
+def test_a_job_that_blocks_is_left_behind() -> None:
+    free, stream = threading.Event(), Stream()
+    feed = feed_of(stream)
+    feed.put(lambda stream: free.wait(PATIENCE_S) and None, 1)
+    until(lambda: not feed._jobs)
+    show(feed, 1)
+    assert not feed.close(0.05)
+    assert feed.dropped == 2
+    free.set()
+
+
+def test_a_viewer_that_answers_again_goes_on() -> None:
+    stream = Stream("frozen")
+    feed = feed_of(stream)
+    show(feed, 0)
+    until(lambda: stream.flushes > 2)
+    show(feed, 1)
+    stream.state = "well"
+    until(lambda: stream.shown == [0, 1])
+    assert feed.close(PATIENCE_S)
+    assert (feed.dropped, stream.ended) == (0, True)
+
+
+def test_what_others_rest_on_is_dropped_last() -> None:
+    stream = Stream("frozen")
+    feed = feed_of(stream, capacity_jobs=3)
+    show(feed, -1)
+    until(lambda: feed._silent)
+    for number in range(2):
+        feed.put(lambda stream, number=number: stream.shown.append(number), 1, lasting=True)  # type: ignore[misc]
+    for number in range(10, 14):
+        show(feed, number)
+    stream.state = "well"
+    assert feed.close(PATIENCE_S) or feed._over.wait(PATIENCE_S)
+    assert [number for number in stream.shown if number >= 0] in ([0, 1, 13], [])
+    assert feed.dropped in (3, 7)
+
+
+def test_jobs_of_one_period_are_confirmed_together() -> None:
+    stream = Stream()
+    feed: LiveFeed[Stream] = LiveFeed(lambda give_up: stream, period_s=PATIENCE_S)
+    feed.start()
+    show(feed, 0)
+    until(lambda: stream.flushes == 1)
+    for number in range(1, 100):
+        show(feed, number)
+    assert feed.close(PATIENCE_S)
+    assert stream.shown == list(range(100))
+    assert stream.flushes == 2
+
+
+# Whether a viewer answers --------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def server(answer: bytes | None) -> Iterator[Viewer]:
+    """Something on a port. answer: to whatever it is asked; None = it accepts and says nothing, as a stopped process"""
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", 0))
+        listening.listen()
+
+        def serve() -> None:
+            with contextlib.suppress(OSError):
+                connection, _ = listening.accept()
+                with connection:
+                    connection.recv(1000)
+                    connection.sendall(answer or b"")
+
+        if answer is not None:
+            threading.Thread(target=serve, daemon=True).start()
+        yield Viewer(0, f"rerun+http://127.0.0.1:{listening.getsockname()[1]}/proxy", "")
+
+
+def test_whether_a_viewer_answers() -> None:
+    with server(b"HTTP/1.1 400 Bad Request\r\n\r\n") as viewer:
+        check_answers(viewer, PATIENCE_S)
+    with server(None) as viewer, pytest.raises(TimeoutError):
+        check_answers(viewer, 0.05)
+    with server(b"") as viewer, pytest.raises(ConnectionError):
+        check_answers(viewer, PATIENCE_S)
+    with pytest.raises(ConnectionError):
+        check_answers(viewer, PATIENCE_S)  # nobody listens there any more
+
+
+# A page's server -----------------------------------------------------------------------------------------------------
+
+
+def program(folder: Path, script: str) -> Path:
+    path = folder / "viewer"
+    path.write_text(f"#!/bin/sh\n{script}\n")
+    path.chmod(0o755)
+    return path
+
+
+def alive(pid: int) -> bool:
+    """Whether a process runs; one that nobody has asked for since it ended does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+SERVING = """
+    import os, sys, time
+    from pathlib import Path
+    from deformscope import cli
+    from deformscope.recording import live
+    from deformscope.errors import InputError
+    live.viewer_executable = lambda: Path(sys.argv[1])
+    def command(args):
+        print("pid", live.start_viewer("page").pid, flush=True)
+        if sys.argv[2] == "hang":
+            time.sleep(100)
+        raise InputError("more", "less")
+    cli._dispatch = command
+    status = cli.main([])
+    print("left", flush=True)
+    sys.exit(status)
+"""
+
+
+def serve_command(executable: Path, how: str, **options: int) -> subprocess.Popen[str]:
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "drivers")])}
+    command = [sys.executable, "-c", textwrap.dedent(SERVING), str(executable), how]
+    return subprocess.Popen(command, env=environment, text=True, **{"stdout": subprocess.PIPE, **options})  # type: ignore[call-overload,no-any-return]
+
+
+def test_a_pages_server_ends_with_the_command(tmp_path: Path) -> None:
+    if not Path("/proc/self/stat").exists():
+        pytest.skip("needs /proc")
+    process = serve_command(program(tmp_path, "exec sleep 100"), "end", stdin=subprocess.DEVNULL)
+    said, _ = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 2
+    assert not alive(int(said.split()[1]))
+
+
+def test_a_pages_server_dies_with_a_command_that_is_killed(tmp_path: Path) -> None:
+    if not sys.platform.startswith("linux"):
+        pytest.skip("needs Linux")
+    process = serve_command(program(tmp_path, "exec sleep 100"), "hang", stdin=subprocess.DEVNULL)
+    assert process.stdout is not None
+    pid = int(process.stdout.readline().split()[1])
+    until(lambda: b"sleep" in Path(f"/proc/{pid}/cmdline").read_bytes())
+    process.kill()
+    process.wait(PATIENCE_S)
+    process.stdout.close()
+    until(lambda: not alive(pid))
+
+
+def test_at_a_terminal_a_page_stays_until_ctrl_c(tmp_path: Path) -> None:
+    if not Path("/proc/self/stat").exists():
+        pytest.skip("needs /proc")
+    ours, theirs = pty.openpty()
+    executable = program(tmp_path, "exec sleep 100")
+    process = serve_command(executable, "end", stdin=theirs, stdout=theirs, stderr=theirs)
+    os.close(theirs)
+    try:
+        said = ""
+
+        def hears(words: str) -> bool:
+            nonlocal said
+            if select.select([ours], [], [], 0.1)[0]:
+                said += os.read(ours, 10_000).decode()
+            return words in said
+
+        until(lambda: hears("stays until Ctrl-C: http://127.0.0.1:"))
+        assert said.index("expected more") < said.index("stays until Ctrl-C")  # what came of it is said first
+        pid = int(said.split()[1])
+        assert alive(pid)
+        assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        until(lambda: hears("left"))
+        assert process.wait(PATIENCE_S) == 2
+        assert not alive(pid)
+    finally:
+        os.close(ours)
+        process.kill()
+        process.wait()
+
+
+def test_a_page_is_ended_also_where_its_server_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "viewer_executable", lambda: program(tmp_path, "exec sleep 100"))
+    viewer = start_viewer("page")
+    os.kill(viewer.pid, signal.SIGSTOP)
+    assert running_pages() == [viewer]
+    end_pages()
+    assert running_pages() == []
+    with pytest.raises(ProcessLookupError):
+        os.kill(viewer.pid, 0)
+
+
+def test_why_a_viewer_ended_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "viewer_executable", lambda: program(tmp_path, "echo no port is free >&2; exit 1"))
+    viewer = start_viewer("page")
+    with pytest.raises(ConnectionError, match="no port is free"):
+        wait_for_viewer(viewer, threading.Event())
+    assert running_pages() == []
+
+
+@pytest.fixture
+def no_viewer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every viewer is one that nobody needs to start, and that never comes."""
+
+    def stay_away(*given: object) -> None:
+        raise ConnectionError("nobody there")
+
+    viewer = Viewer(0, "rerun+http://127.0.0.1:1/proxy", "http://127.0.0.1:2?url=here")
+    monkeypatch.setattr(recorder, "start_viewer", lambda kind: viewer)
+    monkeypatch.setattr(recorder, "_live_stream", stay_away)
+
+
+@pytest.mark.usefixtures("no_viewer")
+@pytest.mark.parametrize(
+    "command",
+    [["calibrate", "theta", "PAIR", "--json", "-"], ["record", "lab:bench", "--seconds", ".1", "--json", "-"]],
+)
+def test_a_command_prints_the_address(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tests.log import synthetic
+
+    pair = tmp_path / "pair.npz"
+    seen = synthetic.pair_in_plane()
+    np.savez(pair, rest=seen.rest, deformed=seen.observed, held=seen.held)
+    monkeypatch.chdir(tmp_path)
+    assert main([str(pair) if word == "PAIR" else word for word in command] + ["--viewer", "page"]) in (0, 3)
+    out, err = capsys.readouterr()
+    assert "viewer: http://127.0.0.1:2?url=here (open it in a browser on this machine)" in err.splitlines()
+    assert isinstance(json.loads(out), dict)
+
+
+# A real viewer -------------------------------------------------------------------------------------------------------
+
+RECORDING = """
+    import os, signal, sys
+    from pathlib import Path
+    from deformscope.recording.recorder import Recorder
+    from tests.log import synthetic
+    with Recorder(Path(sys.argv[1]), "page", {}) as made:
+        for frame in synthetic.frames(60):
+            made.write_frame(frame)
+            if frame.index == 20:
+                feed = made._feed
+                while feed._unconfirmed or feed._jobs:
+                    pass
+                os.kill(made.viewer.pid, signal.Signals[sys.argv[2]])
+    print("dropped", made.summary().dropped)
+"""
+
+
+@pytest.mark.parametrize("how", ["SIGSTOP", "SIGKILL"])
+def test_a_frozen_or_killed_viewer_does_not_keep_the_process_from_ending(tmp_path: Path, how: str) -> None:
+    path = tmp_path / "run.rrd"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "drivers")])}
+    command = [sys.executable, "-c", textwrap.dedent(RECORDING), str(path), how]
+    ended = subprocess.run(
+        command, env=environment, capture_output=True, text=True, timeout=2 * PATIENCE_S, check=False
+    )  # one that waits for the viewer waits for ever
+    assert ended.returncode == 0, ended.stderr
+    dropped = int(ended.stdout.split()[1])
+    assert 0 < dropped <= 39
+    assert f"not known to have got {dropped} of" in ended.stderr
+    replay = Replay(path)
+    assert replay.frame_count == 60
+    assert replay.outcome["live_dropped"] == dropped
+
+
+def test_a_page_that_follows_lacks_nothing(tmp_path: Path) -> None:
+    from tests.log import synthetic
+
+    with Recorder(tmp_path / "run.rrd", "page", {}) as made:
+        for frame in synthetic.frames(20):
+            made.write_frame(frame)
+    end_pages()
+    assert made.summary().dropped == 0

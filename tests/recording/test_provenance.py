@@ -1,0 +1,23 @@
+"""What made a result."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+import deformscope
+from deformscope.recording import provenance
+
+
+def test_what_made_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["deformscope", "calibrate", "beta", "a b.npz"])
+    assert provenance.command() == ["deformscope", "calibrate", "beta", "a b.npz"]
+    assert provenance.versions()["python"].startswith("3.")
+    assert set(provenance.VERSIONED) < set(provenance.versions())
+    assert provenance.machine()
+    state = provenance.git_state()
+    assert state == {} or len(str(state["commit"])) == 40
+    monkeypatch.setattr(provenance, "VERSIONED", ("no-such-package",))
+    assert provenance.versions()["no-such-package"] == "not installed"
+    assert deformscope.__version__

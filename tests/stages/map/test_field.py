@@ -1,0 +1,139 @@
+"""Fields from a few touches: an exact process, sure of no more than its touches tell."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel
+
+from deformscope.errors import InputError
+from deformscope.stages.map.field import FieldPrior, fit_field
+from deformscope.stages.map.gaussian_process import Kernel
+from deformscope.stages.map.touches import MapGrid
+
+SIZE = np.array([0.6, 0.4])
+
+
+def test_mean_and_deviation_are_those_of_another_library() -> None:
+    rng = np.random.default_rng(0)
+    places, value, sd = rng.uniform(size=(30, 2)) * SIZE, rng.normal(size=30), rng.uniform(0.05, 0.2, 30)
+    prior, kernel, nugget = FieldPrior(level_sd=1.5), Kernel.of_length(0.6, 0.12), 0.1
+    field = fit_field(places, value, sd, prior=prior, kernel=kernel, nugget=nugget)
+
+    theirs = GaussianProcessRegressor(
+        ConstantKernel(0.36) * RBF(0.12) + ConstantKernel(1.5**2), alpha=sd**2 + nugget**2, optimizer=None
+    ).fit(places, value - field.level)
+    grid = MapGrid((0.6, 0.4), 0.02)
+    mean, deviation = theirs.predict(grid.centres_m, return_std=True)
+
+    found = field.on(grid)
+    np.testing.assert_allclose(found.mean.ravel(), mean + field.level, atol=1e-9)
+    np.testing.assert_allclose(found.deviation.ravel(), deviation, rtol=1e-6)
+    assert field.log_likelihood == pytest.approx(theirs.log_marginal_likelihood_value_, rel=1e-9)
+    asked = grid.centres_m[::50]
+    _, covariance = theirs.predict(asked, return_cov=True)
+    np.testing.assert_allclose(field.covariance(asked, asked), covariance, atol=1e-9)
+
+
+def test_slopes_of_the_likelihood_are_its_differences() -> None:
+    from deformscope.stages.map.field import _Fit
+
+    rng = np.random.default_rng(1)
+    fit = _Fit(rng.uniform(size=(12, 2)) * SIZE, rng.normal(size=12), rng.uniform(0.05, 0.2, 12), FieldPrior())
+    x = np.log([0.5, 0.1, 0.2])
+    differences = [(fit.likelihood(x + e)[0] - fit.likelihood(x - e)[0]) / 2e-5 for e in np.eye(3) * 1e-5]
+    np.testing.assert_allclose(fit.likelihood(x)[1], differences, rtol=1e-6)
+
+
+@pytest.mark.parametrize("touches", [3, 8, 30])
+def test_nine_in_ten_true_values_lie_in_the_90_per_cent_bands_however_few_the_touches(touches: int) -> None:
+    """Truth drawn from the priors, hyper-parameters too."""
+    prior = FieldPrior()
+    inside, likeliest = [], []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        sigma_e, length, nugget = np.exp(prior.median() + prior.spread() * rng.normal(size=3))
+        every = rng.uniform(size=(touches + 80, 2)) * SIZE
+        covariance = Kernel.of_length(sigma_e, length).between(every, every) + 1e-9 * np.eye(len(every))
+        truth = 1.3 + np.linalg.cholesky(covariance) @ rng.normal(size=len(every))
+        sd = rng.uniform(0.03, 0.1, touches)
+        value = truth[:touches] + rng.normal(size=touches) * np.hypot(sd, nugget)
+        for average, into in ((True, inside), (False, likeliest)):
+            found = fit_field(every[:touches], value, sd, average=average).at(every[touches:])
+            into.append(np.mean(np.abs(found.mean - truth[touches:]) < 1.645 * found.deviation))
+    assert 0.85 < np.mean(inside) < 0.95
+    assert np.mean(likeliest) < np.mean(inside)  # what averaging is for
+
+
+def test_known_hyper_parameters_come_back_from_many_touches() -> None:
+    rng = np.random.default_rng(3)
+    places = rng.uniform(size=(250, 2)) * SIZE
+    covariance = Kernel.of_length(0.8, 0.08).between(places, places) + 1e-9 * np.eye(250)
+    value = np.linalg.cholesky(covariance) @ rng.normal(size=250) + rng.normal(size=250) * np.hypot(0.05, 0.15)
+    field = fit_field(places, value, np.full(250, 0.05), average=False)
+    assert field.kernel.length_m == pytest.approx(0.08, rel=0.15)
+    assert field.kernel.sigma_e == pytest.approx(0.8, rel=0.35)
+    assert field.nugget == pytest.approx(0.15, rel=0.2)
+    assert field.at_bound == ()
+
+
+def test_replicates_tell_the_nugget() -> None:
+    rng = np.random.default_rng(4)
+    places = np.repeat([[0.1, 0.1], [0.5, 0.3]], 20, axis=0)
+    scatter = fit_field(places, rng.normal(size=40) * 0.3, np.full(40, 0.01))
+    steady = fit_field(places, rng.normal(size=40) * 0.01, np.full(40, 0.01))
+    assert scatter.nugget == pytest.approx(0.3, rel=0.25)
+    assert steady.nugget < 0.03
+
+
+def test_a_touch_with_a_large_deviation_counts_little() -> None:
+    places = np.array([[0.3, 0.2], [0.301, 0.2]])
+    value = np.array([0.0, 1.0])
+    sure_of_the_first = fit_field(places, value, np.array([0.02, 0.6])).at(places[:1]).mean[0]
+    sure_of_the_second = fit_field(places, value, np.array([0.6, 0.02])).at(places[:1]).mean[0]
+    assert sure_of_the_first < 0.2
+    assert sure_of_the_second > 0.8
+
+
+def test_touches_left_out_are_standard_normal_and_a_wild_one_stands_out() -> None:
+    every = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        places = rng.uniform(size=(40, 2)) * SIZE
+        covariance = Kernel.of_length(0.5, 0.15).between(places, places) + 1e-9 * np.eye(40)
+        value = np.linalg.cholesky(covariance) @ rng.normal(size=40) + rng.normal(size=40) * np.hypot(0.1, 0.05)
+        every.append(fit_field(places, value, np.full(40, 0.1)).left_out)
+    assert np.std(every) == pytest.approx(1.0, abs=0.1)
+    # by refitting without the touch, hyper-parameters kept
+    field = fit_field(places, value, np.full(40, 0.1), kernel=Kernel.of_length(0.5, 0.15), nugget=0.02)
+    rest = fit_field(
+        places[1:], value[1:] - field.level, np.full(39, 0.1), kernel=Kernel.of_length(0.5, 0.15), nugget=0.02
+    )
+    alone = rest.at(places[:1])
+    expected = (value[0] - field.level - alone.mean[0]) / np.sqrt(alone.deviation[0] ** 2 + 0.1**2 + 0.02**2)
+    assert field.left_out[0] == pytest.approx(expected, abs=0.05)
+    value[7] += 3.0
+    assert np.argmax(np.abs(fit_field(places, value, np.full(40, 0.1)).left_out)) == 7
+
+
+def test_one_touch_makes_a_field_that_knows_how_little_it_knows() -> None:
+    field = fit_field(np.array([[0.3, 0.2]]), np.array([0.7]), np.array([0.05]))
+    here, far = field.at(np.array([[0.3, 0.2], [0.0, 0.0]])).deviation
+    assert field.at(np.array([[0.3, 0.2]])).mean[0] == pytest.approx(0.7, abs=0.01)
+    assert here < 0.2
+    assert far > 0.4
+
+
+@pytest.mark.parametrize(
+    ("places", "value", "sd"),
+    [
+        (np.zeros((0, 2)), np.zeros(0), np.zeros(0)),
+        (np.zeros((2, 2)), np.zeros(3), np.zeros(3)),
+        (np.zeros((2, 2)), np.array([0.0, np.nan]), np.ones(2)),
+        (np.zeros((2, 2)), np.zeros(2), np.array([1.0, np.inf])),
+    ],
+)
+def test_what_makes_no_field_is_refused(places: np.ndarray, value: np.ndarray, sd: np.ndarray) -> None:
+    with pytest.raises(InputError):
+        fit_field(places, value, sd)

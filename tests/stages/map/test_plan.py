@@ -1,0 +1,222 @@
+"""Where the next touch goes, where it may not, and when it is enough."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from deformscope.errors import InputError
+from deformscope.stages.map.partitions import draw
+from deformscope.stages.map.plan import (
+    ALLOWED,
+    AT_BORDER,
+    INCLUSION_RADII_M,
+    OUT_OF_REACH,
+    PLANNERS,
+    TOUCHED_BEFORE,
+    FieldKernel,
+    Planner,
+    PlanOptions,
+    inclusion_gain,
+    information,
+    label_gain,
+    plan_touch,
+)
+from deformscope.stages.map.regions import RegionHypotheses, RegionPosterior, map_regions
+from deformscope.stages.map.touches import MapGrid, StiffnessSample
+
+GRID = MapGrid(cell_m=0.01)
+KERNEL = FieldKernel()
+SPREAD = ((0.1, 0.1), (0.5, 0.3), (0.1, 0.3), (0.5, 0.1), (0.22, 0.2), (0.38, 0.22))
+
+
+@pytest.fixture(scope="module")
+def halves() -> RegionPosterior:
+    """Left soft, right stiff; where between x = 0.22 and 0.38 m the boundary runs is open."""
+    return map_regions([StiffnessSample(np.array(xy), 0.9 * (xy[0] > 0.3), 0.08) for xy in SPREAD], GRID)
+
+
+@pytest.fixture(scope="module")
+def one_material() -> RegionPosterior:
+    return map_regions([StiffnessSample(np.array(xy), 0.02 * (-1.0) ** i, 0.08) for i, xy in enumerate(SPREAD)], GRID)
+
+
+@pytest.mark.parametrize("planner", PLANNERS)
+def test_no_target_is_out_of_reach_at_the_border_or_where_it_was_touched(
+    planner: Planner, halves: RegionPosterior
+) -> None:
+    reachable = GRID.centres_m[:, 0].reshape(GRID.shape) < 0.45
+    for seed in range(3):
+        plan = plan_touch(halves, KERNEL, PlanOptions(planner), reachable=reachable, seed=seed)
+        assert plan.target_m is not None
+        assert plan.target_m[0] < 0.45
+        assert 0.02 < plan.target_m[1] < 0.38
+        assert np.hypot(*(plan.target_m - np.array(SPREAD)).T).min() >= 0.025
+    np.testing.assert_array_equal(np.isnan(plan.gain), plan.excluded != ALLOWED)
+    assert {ALLOWED, OUT_OF_REACH, AT_BORDER, TOUCHED_BEFORE} == set(plan.excluded.ravel().tolist())
+    assert plan.gain.shape == plan.cost_s.shape == plan.excluded.shape == plan.grid.shape
+
+
+def test_cost_is_the_touch_and_the_way_to_it(halves: RegionPosterior) -> None:
+    tip = np.array([0.11, 0.09])
+    plan = plan_touch(halves, KERNEL, PlanOptions(), tip_m=tip)
+    away = np.hypot(*(plan.grid.centres_m - tip).T).reshape(plan.grid.shape)
+    np.testing.assert_allclose(plan.cost_s, 6.0 + away / 0.1)
+
+
+def test_integrated_variance_is_what_one_more_touch_really_takes_off(one_material: RegionPosterior) -> None:
+    """Against the variance of the process computed anew with the touch in it."""
+    options = PlanOptions("integrated-variance", cell_m=0.05, border_m=0.0, apart_m=0.0)
+    plan = plan_touch(one_material, KERNEL, options)
+    places, touched = plan.grid.centres_m, np.array(SPREAD)
+
+    def mean_variance(at: np.ndarray) -> float:
+        cross = KERNEL.covariance(at, places)
+        own = KERNEL.covariance(at, at) + KERNEL.noise_sd**2 * np.eye(len(at))
+        return float(np.mean(KERNEL.sd**2 - (cross * np.linalg.solve(own, cross)).sum(axis=0)))
+
+    before = mean_variance(touched)
+    for place in (0, 17, 50, 95):
+        drop = before - mean_variance(np.vstack([touched, places[place]]))
+        assert plan.gain.ravel()[place] == pytest.approx(drop, rel=1e-6)
+
+
+def test_maximum_variance_takes_the_largest_and_random_any_above_the_threshold(one_material: RegionPosterior) -> None:
+    largest = plan_touch(one_material, KERNEL, PlanOptions("max-variance"))
+    assert largest.target_m is not None
+    here = np.argmin(np.hypot(*(largest.grid.centres_m - largest.target_m).T))
+    assert largest.gain.ravel()[here] == np.nanmax(largest.gain)
+
+    options = PlanOptions("random-above", threshold=0.5)
+    targets = []
+    for seed in range(12):
+        plan = plan_touch(one_material, KERNEL, options, seed=seed)
+        assert plan.target_m is not None
+        here = np.argmin(np.hypot(*(plan.grid.centres_m - plan.target_m).T))
+        assert plan.gain.ravel()[here] > 0.5 * KERNEL.sd**2
+        targets.append(here)
+    assert len(set(targets)) > 8
+
+
+def test_information_is_that_of_two_hypotheses_in_closed_form() -> None:
+    """Two maps that are equally likely: the entropy of a mixture of two normals, by quadrature."""
+    maps = draw(np.random.default_rng(0), 2, GRID.size_m, 200)
+    places = MapGrid(cell_m=0.1).centres_m
+    labels = maps.labels(places)
+    one = 0
+    other = int(np.argmax((labels != labels[one]).sum(axis=1)))
+    pair = maps.take(np.array([one, other]))
+    level = np.array([[0.0, 0.5], [0.0, 0.5]])
+    hypotheses = RegionHypotheses(((pair, level, np.zeros((2, 2, 2)), np.array([0.5, 0.5])),), ())
+    found = information(hypotheses, places, 0.012, 0.2)
+
+    mean = (pair.shares(places, 0.012) @ level[0])[..., None]
+    y = np.linspace(-2.0, 3.0, 5001)
+    density = norm.pdf(y, mean, 0.2).mean(axis=0)
+    entropy = -np.sum(density * np.log(density + 1e-300), axis=-1) * (y[1] - y[0])
+    expected = entropy - 0.5 * np.log(2.0 * np.pi * np.e * 0.2**2)
+    np.testing.assert_allclose(found, expected, atol=0.02)  # bins lose a little
+    assert expected.max() > 0.3
+
+    # where both maps say the same nothing is told; where they differ the right labels are, by about as much as is told
+    gain = label_gain(hypotheses, places, places, 0.012, 0.2)
+    assert gain[expected < 1e-6].max(initial=0.0) < 0.01
+    assert gain[np.argmax(expected)] > 0.8 * gain.max() > 0.0
+
+
+def test_the_default_looks_between_the_regions(halves: RegionPosterior) -> None:
+    plan = plan_touch(halves, KERNEL, PlanOptions())
+    assert plan.stop is None
+    assert plan.target_m is not None
+    assert 0.2 < plan.target_m[0] < 0.4
+    assert plan.unit == "label"
+    assert "labels" in plan.reason
+
+
+def test_the_way_counts(halves: RegionPosterior) -> None:
+    """On a slow arm the next touch is nearer to where the tip is."""
+    tip = np.array([0.3, 0.05])
+    away = []
+    for speed in (0.01, 10.0):
+        plan = plan_touch(halves, KERNEL, PlanOptions(speed_m_s=speed, touch_s=1.0), tip_m=tip)
+        assert plan.target_m is not None
+        away.append(np.hypot(*(plan.target_m - tip)))
+    assert away[0] < away[1]
+
+
+def test_it_fills_the_space_first_and_looks_for_inclusions_while_there_is_one_material(
+    one_material: RegionPosterior,
+) -> None:
+    assert plan_touch(RegionPosterior.before_touches(GRID), KERNEL, PlanOptions()).unit == "mean variance"
+    plan = plan_touch(one_material, KERNEL, PlanOptions())
+    assert plan.unit == "inclusion"
+    assert "inclusions" in plan.reason
+    done = plan_touch(one_material, KERNEL, PlanOptions(sure=0.1, threshold=0.0, least_gain=1.0))
+    assert done.stop == "little left to learn"
+
+
+def test_inclusions_are_met_once_and_by_touches_inside_them() -> None:
+    grid = MapGrid(cell_m=0.02)
+    places = grid.centres_m
+    none, blur_m = np.zeros((0, 2)), 0.012
+    first = inclusion_gain(places, none, places, grid.size_m, blur_m)
+    middle, corner = (int(np.hypot(*(places - at).T).argmin()) for at in ((0.3, 0.2), (0.0, 0.0)))
+    # as many as have their centres within reach: one radius by hand
+    reach = INCLUSION_RADII_M[0] - blur_m / 2.0
+    alone = (np.hypot(*(places - places[middle]).T) <= reach).sum()
+    there = (np.minimum(places, np.asarray(grid.size_m) - places).min(axis=1) > INCLUSION_RADII_M[0] / 2.0).sum()
+    assert first[middle] > alone / there / len(INCLUSION_RADII_M) > 0.0
+    assert first[corner] < first[middle]
+
+    again = inclusion_gain(places, places[[middle]], places, grid.size_m, blur_m)
+    assert again[middle] == 0.0
+    far = np.hypot(*(places - places[middle]).T) > 2.0 * INCLUSION_RADII_M[-1]
+    np.testing.assert_array_equal(again[far], first[far])
+    assert (again <= first).all()
+
+
+def test_a_search_for_inclusions_leaves_smaller_holes_than_the_variance() -> None:
+    """Ten touches of one material: what fits between them."""
+    grid = MapGrid(cell_m=0.02)
+    places = grid.centres_m
+    inner = np.minimum(places, np.asarray(grid.size_m) - places).min(axis=1)
+
+    def hole(planner: Planner) -> float:
+        touches: list[StiffnessSample] = []
+        posterior = RegionPosterior.before_touches(grid, particle_count=50)
+        for _ in range(10):
+            plan = plan_touch(posterior, KERNEL, PlanOptions(planner))
+            assert plan.target_m is not None
+            touches.append(StiffnessSample(plan.target_m, 0.0, 0.03))
+            posterior = posterior.with_touch(touches[-1])
+        away = np.min([np.hypot(*(places - touch.xy_m).T) for touch in touches], axis=0)
+        return float(np.minimum(away, inner).max())
+
+    assert hole("regions") < 0.95 * hole("max-variance")
+
+
+def test_it_never_stops_while_the_number_of_regions_is_in_doubt(halves: RegionPosterior) -> None:
+    content = {"least_gain": 10.0, "threshold": 10.0}
+    assert plan_touch(halves, KERNEL, PlanOptions(sure=1.0, **content)).stop is None
+    assert plan_touch(halves, KERNEL, PlanOptions(sure=0.1, **content)).stop is not None
+    assert plan_touch(halves, KERNEL, PlanOptions(sure=1.0, budget=6, **content)).stop == "budget"
+
+
+def test_why_it_stops(halves: RegionPosterior, one_material: RegionPosterior) -> None:
+    assert (
+        plan_touch(halves, KERNEL, PlanOptions(sure=0.1, threshold=0.0, least_gain=1.0)).stop == "little left to learn"
+    )
+    plan = plan_touch(one_material, FieldKernel(length_m=1.0), PlanOptions(sure=0.1))
+    assert plan.stop == "nothing above the threshold"
+    nowhere = plan_touch(halves, KERNEL, PlanOptions(), reachable=np.zeros(GRID.shape, dtype=bool))
+    assert (nowhere.stop, nowhere.target_m) == ("nowhere to go", None)
+
+
+def test_what_makes_no_sense_is_refused(halves: RegionPosterior) -> None:
+    with pytest.raises(InputError, match="planner"):
+        PlanOptions("luck")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="above 0"):
+        PlanOptions(budget=0)
+    with pytest.raises(InputError, match="mask"):
+        plan_touch(halves, KERNEL, PlanOptions(), reachable=np.ones((2, 2), dtype=bool))

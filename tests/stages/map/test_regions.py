@@ -1,0 +1,186 @@
+"""The posterior over maps: against the same sums done the long way, and on surfaces whose regions are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal, norm
+
+from deformscope.arrays import FloatArray
+from deformscope.errors import InputError
+from deformscope.stages.map import regions
+from deformscope.stages.map.partitions import draw
+from deformscope.stages.map.regions import RegionPosterior, RegionPrior, map_regions
+from deformscope.stages.map.touches import MapGrid, StiffnessSample
+
+GRID = MapGrid(cell_m=0.01)
+SPREAD = ((0.1, 0.1), (0.5, 0.3), (0.1, 0.3), (0.5, 0.1), (0.3, 0.2), (0.22, 0.1), (0.38, 0.3), (0.3, 0.35))
+
+
+def touches(values: FloatArray | list[float], sd: float = 0.05, rigid_above: float = np.inf) -> list[StiffnessSample]:
+    return [
+        StiffnessSample(np.array(xy), min(float(value), rigid_above), sd, bool(value > rigid_above))
+        for xy, value in zip(SPREAD, values, strict=False)
+    ]
+
+
+def halves(contrast: float, seed: int = 0) -> list[StiffnessSample]:
+    """Left soft, right stiff, the boundary at x = 0.3 m, blurred."""
+    x = np.array(SPREAD)[:, 0]
+    noise = 0.05 * np.random.default_rng(seed).standard_normal(len(x))
+    return touches(contrast * norm.cdf((x - 0.3) / 0.012) + noise)
+
+
+def posterior(seen: list[StiffnessSample], *, particle_count: int = 300, seed: int = 0) -> RegionPosterior:
+    """With few particles: quick, and no less right on such plain surfaces."""
+    return map_regions(seen, GRID, particle_count=particle_count, seed=seed)
+
+
+@pytest.mark.parametrize("k", [1, 2, 3])
+def test_levels_are_integrated_as_a_gaussian_s_marginal(k: int) -> None:
+    """Without a least contrast the likelihood is that of y ~ N(0, S^2 F F^T + R), the levels its conditional mean."""
+    rng = np.random.default_rng(k)
+    shares = rng.dirichlet(np.ones(k), (4, 6))
+    prior = RegionPrior(least_contrast=0.0, mixed_share=0.0)
+    readings = regions._readings(touches(rng.standard_normal(6)), prior)
+    found, level, cov = regions._levels(shares, readings, prior)
+
+    for one in range(4):
+        joint = shares[one] @ shares[one].T + np.diag(readings.variance)
+        expected = multivariate_normal(np.zeros(6), joint).logpdf(readings.value)
+        assert found[one] == pytest.approx(expected, rel=1e-9)
+        gain = shares[one].T @ np.linalg.inv(joint)
+        np.testing.assert_allclose(level[one], gain @ readings.value, atol=1e-9)
+        np.testing.assert_allclose(cov[one], np.eye(k) - gain @ shares[one], atol=1e-9)
+
+
+def test_least_contrast_cuts_the_prior_where_levels_are_alike() -> None:
+    """By rejection: evidence of two levels that differ, against draws of them."""
+    rng = np.random.default_rng(0)
+    shares = np.repeat([[1.0, 0.0], [0.0, 1.0]], 2, axis=0)[None]
+    prior = RegionPrior(least_contrast=0.4, mixed_share=0.0)
+    readings = regions._readings(touches([0.0, 0.1, 0.3, 0.5], sd=0.2), prior)
+    found, _, _ = regions._levels(shares, readings, prior)
+
+    drawn = rng.standard_normal((400_000, 2))
+    drawn = drawn[np.abs(drawn[:, 0] - drawn[:, 1]) > 0.4]
+    off = readings.value - drawn @ shares[0].T
+    likelihood = np.exp(-0.5 * (off**2 / readings.variance + np.log(2.0 * np.pi * readings.variance)).sum(axis=1))
+    assert np.exp(found[0]) == pytest.approx(likelihood.mean(), rel=0.02)
+
+
+def test_evidence_of_the_particles_is_that_of_the_prior() -> None:
+    """Sequential importance sampling with moves, against the plain mean over very many prior maps."""
+    seen = halves(0.6)[:5]
+    prior = RegionPrior()
+    readings = regions._readings(seen, prior)
+    maps = draw(np.random.default_rng(99), 2, GRID.size_m, 20_000)
+    plain, _, _ = regions._levels(maps.shares(readings.xy_m, prior.blur_m), readings, prior)
+    expected = np.log(np.mean(np.exp(plain - plain.max()))) + plain.max()
+
+    found = [posterior(seen, seed=seed, particle_count=600).particles[0].log_evidence for seed in range(2)]
+    assert np.mean(found) == pytest.approx(expected, abs=0.3)
+
+
+def test_two_halves_are_found_with_their_levels_and_order() -> None:
+    shown = posterior(halves(0.9)).region_map()
+
+    truth = (GRID.centres_m[:, 0] > 0.3).reshape(GRID.shape)
+    assert (shown.verdict, shown.region_count) == ("regions", 2)
+    assert np.mean(shown.labels == truth) > 0.9
+    np.testing.assert_allclose(shown.level, [0.0, 0.9], atol=0.08)
+    assert ((shown.level_interval[:, 0] < [0.0, 0.9]) & (shown.level_interval[:, 1] > [0.0, 0.9])).all()
+    assert shown.label_probability.shape == GRID.shape
+    assert 0.5 * shown.probability["2"] <= shown.label_probability.min()
+    assert shown.label_probability.max() <= shown.probability["2"]
+    assert sum(shown.probability.values()) == pytest.approx(1.0, abs=1e-6)
+    assert not shown.rigid.any()
+    # what it expects to have wrong is about what is wrong
+    assert 0.005 < shown.wrong_share < 0.12
+    assert 0.003 < shown.boundary_sd_m < 0.08
+    assert shown.field[20, 5] == pytest.approx(0.0, abs=0.1)
+    assert shown.field[20, 55] == pytest.approx(0.9, abs=0.1)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_one_material_stays_one_region(seed: int) -> None:
+    shown = posterior(halves(0.0, seed)).region_map()
+    assert (shown.verdict, shown.region_count) == ("regions", 1)
+    assert np.isnan(shown.boundary_sd_m)
+    assert shown.wrong_share == 0.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_slope_is_called_gradual_and_its_field_followed(seed: int) -> None:
+    noise = 0.05 * np.random.default_rng(seed).standard_normal(len(SPREAD))
+    shown = posterior(touches(1.5 * np.array(SPREAD)[:, 0] + noise)).region_map()
+    truth = 1.5 * GRID.centres_m[:, 0].reshape(GRID.shape)
+    assert (shown.verdict, shown.region_count) == ("gradual", 0)
+    assert len(shown.level) == len(shown.level_interval) == len(shown.rigid) == 0
+    assert (shown.labels == -1).all()
+    assert (shown.label_probability == shown.probability["gradual"]).all()
+    assert np.sqrt(np.mean((shown.field - truth) ** 2)) < 0.1
+
+
+def test_a_single_touch_between_two_levels_is_no_region() -> None:
+    values = 0.9 * (np.array(SPREAD)[:, 0] > 0.29) - 0.45 * (np.arange(8) == 4)
+    shown = posterior(touches(values)).region_map()
+    assert shown.region_count == 2
+
+
+def test_rigid_touches_make_a_region_whose_level_is_a_bound() -> None:
+    shown = posterior(touches([0.0, 3.2, 0.05, 2.9, 0.0, -0.04, 3.0, 0.0], rigid_above=2.5)).region_map()
+    assert shown.region_count == 2
+    np.testing.assert_array_equal(shown.rigid, [False, True])
+    assert shown.level[0] == pytest.approx(0.0, abs=0.1)
+    np.testing.assert_array_equal(np.isinf(shown.level_interval[:, 1]), shown.rigid)
+    assert shown.level[1] == shown.level_interval[1, 0] == 2.5  # the bound that its touches give
+
+
+def test_one_touch_makes_no_cell_sure() -> None:
+    shown = posterior(halves(0.9)[:1]).region_map()
+    assert shown.region_count == 1
+    np.testing.assert_allclose(shown.label_probability, shown.probability["1"])
+    assert shown.label_probability.max() < 0.6
+
+
+def test_a_rigid_region_stays_one_when_most_of_its_touches_are_near_its_boundary() -> None:
+    seen = touches([0.0, 3.2, 0.05, 2.9, 0.0, -0.04], rigid_above=2.5)
+    near = [StiffnessSample(np.array([0.35, y]), 2.1, 0.05) for y in (0.08, 0.2, 0.32)]
+    shown = posterior([*seen, *near]).region_map()
+    np.testing.assert_array_equal(shown.rigid, np.arange(shown.region_count) == shown.region_count - 1)
+
+
+def test_the_same_touches_give_the_same_map_bit_for_bit() -> None:
+    first, again = (posterior(halves(0.5), seed=3).region_map() for _ in range(2))
+    for name in ("labels", "label_probability", "level_interval", "field"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
+
+
+def test_levels_come_with_the_scale_of_the_touches() -> None:
+    """A shift of all log stiffness (another unit) shifts levels and changes nothing else."""
+    seen = halves(0.9)
+    moved = [StiffnessSample(touch.xy_m, touch.log_stiffness + 6.9, touch.log_sd) for touch in seen]
+    first, second = (posterior(some).region_map() for some in (seen, moved))
+    np.testing.assert_array_equal(first.labels, second.labels)
+    np.testing.assert_allclose(second.level - first.level, 6.9, atol=1e-6)
+
+
+def test_before_any_touch_every_hypothesis_has_its_prior() -> None:
+    prior = RegionPrior()
+    told = RegionPosterior.before_touches(GRID, prior).probability
+    assert RegionPosterior.before_touches(GRID, prior, particle_count=300).region_map().region_count == 1
+    assert told == pytest.approx({"1": prior.one, "2": prior.two, "3": prior.three, "gradual": prior.gradual})
+
+
+def test_what_makes_no_sense_is_refused() -> None:
+    with pytest.raises(InputError, match="deviation"):
+        StiffnessSample(np.zeros(2), 0.0, 0.0)
+    with pytest.raises(InputError, match="place"):
+        StiffnessSample(np.array([0.1, np.nan]), 0.0, 0.1)
+    with pytest.raises(InputError, match="add up to 1"):
+        RegionPrior(one=0.9)
+    with pytest.raises(InputError, match="particles"):
+        RegionPosterior.before_touches(GRID, particle_count=3)
+    with pytest.raises(InputError, match="two cells"):
+        MapGrid((0.0, 0.4))

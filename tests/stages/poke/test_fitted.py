@@ -1,0 +1,165 @@
+"""Models that can be poked: predictions against what the same law does, scaling, intervals, models of particles."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from deformscope.errors import InputError
+from deformscope.stages.fit.model import Observation
+from deformscope.stages.msm import clusters
+from deformscope.stages.msm.poke import Law, Poke, Tip
+from deformscope.stages.msm.solver import Msm
+from deformscope.stages.poke.fitted import FittedModel, from_pair, predict
+from deformscope.stages.poke.poke_estimate import conclude
+from deformscope.stages.poke.poke_fit import fit_pokes, seen_poke
+from tests.stages.pokes import LAW, SPACING, STIFFNESS, poked, surface
+
+
+@pytest.fixture(scope="module")
+def model() -> FittedModel:
+    found = fit_pokes(surface(), [seen_poke(poked((0.09, 0.08)))], spacing=SPACING, cluster_sizes=[3])
+    return conclude(found, level=0.9, settings={}, provenance={}).model
+
+
+def test_a_poke_with_another_tip_depth_and_place_is_as_the_law_that_made_both(model: FittedModel) -> None:
+    truth = poked((0.11, 0.07), side=0.04, depth=0.001)
+    asked = seen_poke(truth)
+    found = predict(model, Poke(asked.at, asked.tip, depth=asked.depth))
+    error = np.linalg.norm(found.at(truth.rest) - truth.deformed, axis=1)
+    assert np.sqrt(np.mean(error**2)) < 0.01 * asked.depth
+    assert found.force == pytest.approx(truth.force_n, rel=0.02)
+    assert found.force_interval is not None
+    assert found.force_interval[0] < found.force < found.force_interval[1]
+    assert found.converged
+
+
+def test_a_force_gives_the_depth_that_makes_it(model: FittedModel) -> None:
+    tip = Tip("flat", (0.02, 0.02))
+    at = np.array([0.08, 0.08, 0.03])
+    found = predict(model, Poke(at, tip, force=1.5))
+    assert found.force == pytest.approx(1.5, rel=2e-3)
+    assert predict(model, Poke(at, tip, depth=found.depth)).force == pytest.approx(1.5, rel=1e-2)
+
+
+def test_a_poke_that_the_material_has_no_room_for_is_refused(model: FittedModel) -> None:
+    at, tip = np.array([0.08, 0.08, 0.03]), Tip("flat", (0.02, 0.02))
+    with pytest.raises(InputError, match="less deep than the 30 mm"):
+        predict(model, Poke(at, tip, depth=3.0))
+    with pytest.raises(InputError, match="a force that the 30 mm of material under the tip can bear; got 500 N"):
+        predict(model, Poke(at, tip, force=500.0))
+
+
+def test_what_lies_beyond_what_was_fitted_is_called_extrapolated(model: FittedModel) -> None:
+    """Fitted to 2 mm with a tip of 20 mm, in 30 mm of material."""
+    tip, narrow = Tip("flat", (0.02, 0.02)), Tip("flat", (0.01, 0.01))
+    assert model.fitted_depth == pytest.approx(0.002)
+    assert model.fitted_strain == pytest.approx(0.1)
+    assert model.beyond(0.002, tip) == ()
+    assert model.beyond(0.0024, tip) == ()
+    assert model.beyond(0.004, tip) == ("4 mm deep, fitted to 2 mm", "depth over tip width 0.2, fitted to 0.1")
+    assert model.beyond(0.0018, narrow) == ("depth over tip width 0.18, fitted to 0.1",)
+    assert model.beyond(0.015, tip)[-1].startswith("50% of the thickness deep")
+    unknown = dataclasses.replace(model, fitted_depth=float("nan"), fitted_strain=float("nan"))
+    assert unknown.beyond(0.004, tip) == ()  # a model saved before these were kept
+    at = np.array([0.08, 0.08, 0.03])
+    assert predict(model, Poke(at, tip, depth=0.004)).extrapolated == model.beyond(0.004, tip)
+
+
+def test_a_finer_lattice_of_the_same_material_has_nearly_the_same_force(model: FittedModel) -> None:
+    at, tip = np.array([0.08, 0.08, 0.03]), Tip("flat", (0.04, 0.04))
+    coarse = predict(model, Poke(at, tip, depth=0.001))
+    fine = predict(
+        dataclasses.replace(model, spacing=SPACING / 2, stiffness=model.stiffness / 2), Poke(at, tip, depth=0.001)
+    )
+    assert coarse.force is not None
+    assert fine.force == pytest.approx(coarse.force, rel=0.25)
+    assert len(fine.rest) > 4 * len(coarse.rest)
+
+
+def test_rivals_widen_the_interval_of_the_force(model: FittedModel) -> None:
+    from deformscope.stages.poke.fitted import Rival
+
+    at, tip = np.array([0.08, 0.08, 0.03]), Tip("flat", (0.04, 0.04))
+    alone = predict(model, Poke(at, tip, depth=0.001)).force_interval
+    rival = Rival(LAW, np.array([1.5 * STIFFNESS]), 0.01)
+    wide = predict(dataclasses.replace(model, rivals=(rival,)), Poke(at, tip, depth=0.001)).force_interval
+    assert alone is not None
+    assert wide is not None
+    assert wide[1] == pytest.approx(1.5 * alone[1], rel=0.05)
+    assert wide[0] == pytest.approx(alone[0], rel=1e-3)
+
+
+def test_the_interval_of_the_force_is_made_of_errors_of_logarithms(model: FittedModel) -> None:
+    """A stiffness predicted five times too low is off by -80 % of the measured one: the force may be five-fold."""
+    at, tip = np.array([0.08, 0.08, 0.03]), Tip("flat", (0.02, 0.02))
+    places = np.array([[0.04, 0.08, 0.03], [0.12, 0.08, 0.03], [0.08, 0.12, 0.03]])
+    unsure = dataclasses.replace(
+        model, places=places, stiffness=np.full(3, STIFFNESS), field_kind="uniform", left_out=np.full(3, 1 / 5 - 1)
+    )
+    found = predict(unsure, Poke(at, tip, depth=0.001))
+    assert found.force is not None
+    assert found.force_interval is not None
+    low, high = found.force_interval
+    assert high >= 5.0 * found.force
+    assert low > 0.0
+    assert low * high == pytest.approx(found.force**2, rel=1e-6)
+    beside = predict(unsure, Poke(places[0] + [0.001, 0.0, 0.0], tip, depth=0.001))
+    assert beside.force_interval is not None
+    assert beside.force is not None
+    assert beside.force_interval[1] < 1.2 * beside.force
+
+
+def test_a_model_without_force_predicts_shape_alone(model: FittedModel) -> None:
+    mute = dataclasses.replace(model, stiffness=np.zeros(0), places=np.zeros((0, 3)), left_out=np.zeros(0))
+    at, tip = np.array([0.08, 0.08, 0.03]), Tip("flat", (0.02, 0.02))
+    found = predict(mute, Poke(at, tip, depth=0.001))
+    assert found.force is None
+    assert found.force_interval is None
+    with pytest.raises(InputError, match="a depth"):
+        predict(mute, Poke(at, tip, force=1.0))
+
+
+def block(depth: float = 0.004) -> tuple[Observation, float]:
+    """A sheet pressed from above in the middle, its lower edge held; and the reaction per unit of stiffness."""
+    x, y = np.meshgrid(np.arange(13) * 0.01, np.arange(6) * 0.01, indexing="ij")
+    rest = np.column_stack([x.ravel(), y.ravel()])
+    bottom, top = (
+        np.flatnonzero(rest[:, 1] < 1e-9),
+        np.flatnonzero((rest[:, 1] > 0.049) & (abs(rest[:, 0] - 0.06) < 0.011)),
+    )
+    held = np.concatenate([bottom, top])
+    body = Msm(rest, clusters.lattice(rest, (13, 6), np.arange(78), 3), held)
+    target = rest[held].copy()
+    target[len(bottom) :, 1] -= depth
+    position = body.relax(target, 0.6).position[0]
+    force = float(-body.reaction(position, 0.6)[0, top, 1].sum())
+    seen = Observation(
+        rest, position, held, np.ones(78, dtype=bool), shape=(13, 6), cell=np.arange(78), force_n=force, contact=top
+    )
+    return seen, force
+
+
+def test_particles_of_a_pair_can_be_poked_where_they_were_not() -> None:
+    seen, force = block()
+    made = from_pair(seen, Law(0.6, 0.0, 3), 40.0, 1e-5, {})
+    np.testing.assert_array_equal(made.toward, [0.0, -1.0])
+    assert made.tip is not None
+    assert made.tip.size == pytest.approx((0.02,))
+    assert not made.tip.slips
+    same = predict(made, Poke(np.array([0.06, 0.05]), Tip("flat", (0.02,), slips=False), depth=0.004))
+    np.testing.assert_allclose(same.position, seen.deformed, atol=1e-7)
+    assert same.force == pytest.approx(40.0 * force, rel=1e-3)
+    aside = predict(made, Poke(np.array([0.03, 0.05]), Tip("flat", (0.02,), slips=False), depth=0.004))
+    np.testing.assert_allclose(made.rest[aside.touched, 0], [0.02, 0.03, 0.04])
+    assert aside.position[aside.touched, 1].max() == pytest.approx(0.046)
+    with pytest.raises(InputError, match="layers below a surface"):
+        aside.at(np.zeros((1, 3)))
+
+
+def test_a_model_of_pixels_without_a_scale_is_refused() -> None:
+    seen, _ = block()
+    with pytest.raises(InputError, match="in metres"):
+        from_pair(dataclasses.replace(seen, metres_per_unit=None, unit="px"), Law(0.6), None, 0.0, {})
