@@ -164,6 +164,34 @@ def host_ns(item: Item) -> int:
 
 
 @dataclass(frozen=True, slots=True)
+class UsedFrames:
+    """Frames of a device that something was computed from: places in its stream, from the first to the last of them"""
+
+    device: str
+    first: int
+    last: int
+
+
+@dataclass(frozen=True, slots=True)
+class StageResult:
+    """What a stage computed from the newest frames while the devices went on.
+
+    stage: its name; used: what it was computed from, the frame that it belongs to last
+    host_ns: when that frame was taken, on the host's clock [ns]
+    skipped: frames of that frame's device since the result before that nothing was computed from: newer ones came
+    late_s: from when the frame was taken until the result was there [s]
+    result: of a kind that `deformscope.rows` can record
+    """
+
+    stage: str
+    used: tuple[UsedFrames, ...]
+    host_ns: int
+    skipped: int
+    late_s: float
+    result: object
+
+
+@dataclass(frozen=True, slots=True)
 class Pad:
     """One pad of a tactile sensor. rows, columns: its texels; texel_m: (width, height) of one [m]; index: its place
     among the device's pads; finger: 0 to 2; part: 0 proximal, 1 distal"""

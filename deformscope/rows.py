@@ -10,7 +10,7 @@ import dataclasses
 import json
 from pathlib import Path
 from types import NoneType
-from typing import Any, cast, get_args, get_type_hints
+from typing import Any, TypeVar, cast, get_args, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,8 @@ from deformscope.stages.map.exploration import (
     SurfaceEstimate,
     TouchEstimate,
 )
+
+T = TypeVar("T")
 
 Result = SurfaceEstimate | TouchEstimate | MapEstimate | PlannedTouch | StageFailure | PhaseStart | ExplorationStop
 
@@ -51,7 +53,7 @@ _ARRAYS: dict[Any, tuple[str, type]] = {
 _VALUES: dict[Any, str] = {float: "float64", int: "int64", bool: "bool", str: "string"}
 
 
-def components(result: Result) -> dict[str, tuple[str, list[Any]]]:
+def components(result: Any) -> dict[str, tuple[str, list[Any]]]:
     """Each component of a result's row: its type's name in Arrow, and its values."""
     found: dict[str, tuple[str, list[Any]]] = {}
     hints = get_type_hints(type(result))
@@ -71,7 +73,7 @@ def components(result: Result) -> dict[str, tuple[str, list[Any]]]:
     return found
 
 
-def result_of(kind: type[Result], values: dict[str, list[Any]]) -> Result:
+def result_of(kind: type[T], values: dict[str, list[Any]]) -> T:
     """What `components` made a row of. values: each component's values, by name"""
     hints = get_type_hints(kind)
     made: dict[str, Any] = {}

@@ -3,27 +3,31 @@
 deformscope record rig.toml
 deformscope record lab:bench --seconds 20 --record r.rrd
 deformscope live rig.toml --record r.rrd
+deformscope live lab:bench --stage tactile --stage beta --viewer page
 """
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import signal
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deformscope.cli.common import EXIT_LOSSES, make_folder, resolve_viewer, say, show_table, write_json
+from deformscope.cli.common import EXIT_LOSSES, make_folder, quiet_warp, resolve_viewer, say, show_table, write_json
 from deformscope.cli.exploring import signal_word
 from deformscope.cli.rigs import Interruption, members_of, until_interrupted
 from deformscope.config import LiveConfig, RecordConfig, RigRunOptions
 from deformscope.errors import InputError
 
 if TYPE_CHECKING:
-    from deformscope.frames import HealthReport, Item
+    from deformscope.experiments.device_stages import LiveOptions, StageName
+    from deformscope.experiments.live_stages import Beside, StageCounts
+    from deformscope.frames import HealthReport, Item, StageResult, Stream
     from deformscope.recording.recorder import RecordingSummary
     from deformscope.rig.rig_file import Rig
     from deformscope.rig.source import RigSource
@@ -61,6 +65,9 @@ def _run(config: RigRunOptions, *, always_record: bool) -> int:
         file = _new_file(rig)
     settings = {"rig": rig.text, "rig_name": rig.name, "label": config.label, "seed": config.output.seed}
     settings["simulated"] = [entry.name for entry in rig.devices if entry.double]
+    options = _live_options(config, rig)
+    if options is not None:
+        settings["stages"] = dataclasses.asdict(options)
     viewer = resolve_viewer(config.output.viewer)
     with (
         until_interrupted() as asked,
@@ -70,22 +77,29 @@ def _run(config: RigRunOptions, *, always_record: bool) -> int:
             settings,
             layout="rig",
             overwrite=config.output.overwrite,
-            variant=_variant(rig),
+            variant=_variant(rig, config.stages.names),
             real_time=True,
         ) as recorder,
+        _beside(config.stages.names) as beside,
         members_of(rig) as members,
     ):
         say(f"opening {', '.join(member.name for member in members)}")
         with RigSource(members, raw=rig.record.raw) as source:
-            recorder.start_rig(source.streams, source.start_ns, rig.record.lossless)
+            running = _Stages(options, source.streams, beside)
+            recorder.start_rig(source.streams, source.start_ns, rig.record.lossless, running.devices)
             where = "" if file is None else f" into {file}"
             say(f"recording{where}: Ctrl-C ends it" if file else "watching: Ctrl-C ends it")
             end = _Ending(asked, config.seconds, source)
-            last = watch(source, recorder, end)
+
+            def ended(items: Sequence[Item]) -> bool:
+                recorder.write_stage_results(running.take(items))
+                return end(items)
+
+            last = watch(source, recorder, ended)
             failures = dict(source.failures)
-            ended = end.reason + "".join(f"; {name} failed: {reason}" for name, reason in failures.items())
-            recorder.stopped_because(ended)
-    _tell(config, recorder.summary(), last, failures, ended)
+            why = end.reason + "".join(f"; {name} failed: {reason}" for name, reason in failures.items())
+            recorder.stopped_because(why)
+    _tell(config, recorder.summary(), last, failures, why, running.end())
     if (losses := losses_of(last)) and file is not None:
         say(f"deformscope: the recording is whole, with losses: {named(losses)}")
     for name, reason in failures.items():
@@ -94,6 +108,67 @@ def _run(config: RigRunOptions, *, always_record: bool) -> int:
         say(f"deformscope: ended {end.reason}")
         return 128 + end.early_by
     return EXIT_LOSSES if failures or (losses and file is not None) else 0
+
+
+def _live_options(config: RigRunOptions, rig: Rig) -> LiveOptions | None:
+    """How the stages run that were asked for. Raises InputError where the rig lacks what one of them needs."""
+    flags = config.stages
+    if not flags.stage:
+        return None
+    from deformscope.experiments.device_stages import LiveOptions, for_rig
+    from deformscope.experiments.foam_video import ParticleOptions
+
+    particles = ParticleOptions(flags.roi, flags.grid, flags.spacing_px, flags.held_parts(), flags.contact)
+    options = LiveOptions(
+        flags.names,
+        color=flags.camera,
+        particles=particles,
+        cluster_size=flags.cluster_size,
+        longest_px=flags.longest_px,
+    )
+    return for_rig(options, rig)
+
+
+@contextlib.contextmanager
+def _beside(names: Sequence[StageName]) -> Iterator[Mapping[str, Beside]]:
+    """A process for each stage."""
+    if not names:
+        yield {}
+        return
+    from deformscope.experiments.stage_processes import StageProcesses
+
+    with StageProcesses(names, quiet_warp) as beside:
+        yield beside
+
+
+class _Stages:
+    """The stages that run beside a recording, if any. devices: (name, device) of each"""
+
+    def __init__(self, options: LiveOptions | None, streams: Sequence[Stream], beside: Mapping[str, Beside]) -> None:
+        self.devices: tuple[tuple[str, str], ...] = ()
+        self._experiment: Generator[tuple[StageResult, ...], Sequence[Item] | None, dict[str, StageCounts]] | None
+        self._experiment = None
+        if options is not None:
+            from deformscope.experiments.device_stages import stages_of
+            from deformscope.experiments.live_stages import live_stages
+
+            stages = stages_of(options, streams)
+            self.devices = tuple((stage.name, stage.device) for stage in stages)
+            self._experiment = live_stages(stages, beside, lossless=options.lossless)
+            next(self._experiment)
+
+    def take(self, items: Sequence[Item]) -> tuple[StageResult, ...]:
+        """Pass on what came; the results that came meanwhile."""
+        return () if self._experiment is None else self._experiment.send(items)
+
+    def end(self) -> dict[str, StageCounts]:
+        """What became of every stage's frames."""
+        try:
+            if self._experiment is not None:
+                self._experiment.send(None)
+        except StopIteration as end:
+            return dict(end.value)
+        return {}
 
 
 class _Ending:
@@ -139,13 +214,19 @@ class _Ending:
 
 
 def _tell(
-    config: RigRunOptions, summary: RecordingSummary, last: HealthReport, failures: Mapping[str, str], ended: str
+    config: RigRunOptions,
+    summary: RecordingSummary,
+    last: HealthReport,
+    failures: Mapping[str, str],
+    ended: str,
+    stages: Mapping[str, StageCounts],
 ) -> None:
     """What was recorded, device by device, on the screen and as JSON."""
     from deformscope.recording.losses import losses_of
 
     devices = dict(last.devices)
     rows = [(name, _in_words(health, failures.get(name))) for name, health in devices.items()]
+    rows += [(f"stage {name}", counts.in_words()) for name, counts in stages.items()]
     rows.append(("ended", ended))
     if summary.path is not None:
         rows.append(("recording", f"{summary.path} ({summary.bytes / 1e6:.1f} MB)"))
@@ -160,6 +241,8 @@ def _tell(
         "failures": failures,
         "ended": ended,
     }
+    if stages:
+        found["stages"] = {name: counts.as_json() for name, counts in stages.items()}
     write_json(found, config.output.json)
 
 
@@ -171,9 +254,9 @@ def _in_words(health: Health, failure: str | None) -> str:
     return ", ".join(part for part in (f"{health.received} readings", in_words(lost_by(health)), why) if part)
 
 
-def _variant(rig: Rig) -> str:
-    """The same for rigs with the same devices, which have the same views."""
-    devices = repr([(entry.name, entry.driver.name) for entry in rig.devices])
+def _variant(rig: Rig, stages: Sequence[str]) -> str:
+    """The same for rigs with the same devices and stages, which have the same views."""
+    devices = repr([*((entry.name, entry.driver.name) for entry in rig.devices), *stages])
     return hashlib.sha256(devices.encode()).hexdigest()[:8]
 
 

@@ -8,13 +8,27 @@ from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from deformscope.config.flags import JsonFlag, PictureFlag, PositiveFlag, TrustFlag, finite, one_word, positive, unset
+from deformscope.config.flags import (
+    GridFlag,
+    HeldFlag,
+    HeldPart,
+    JsonFlag,
+    PictureFlag,
+    PositiveFlag,
+    RectangleFlag,
+    TrustFlag,
+    finite,
+    one_word,
+    positive,
+    unset,
+)
 from deformscope.config.options import (
     CommandOptions,
     JsonOptions,
     OutputOptions,
     RecordedOptions,
     Written,
+    check_cluster_size,
     check_seed,
     check_suffix,
     written_files,
@@ -59,6 +73,56 @@ class DoctorConfig(JsonOptions):
 
 
 @dataclass(frozen=True, slots=True)
+class StageOptions:
+    """Stages that are computed while the devices run, always on the newest frame: those passed over are counted. Images
+    are as for `calibrate beta`."""
+
+    stage: Annotated[
+        UseAppendAction[tuple[Literal["flow", "beta", "surface", "tactile", "contact"], ...]],
+        arg(help_behavior_hint="(repeatable)"),
+    ] = ()
+    """flow: optical flow between the images used; beta: particles of the first image, which shows the thing at rest,
+    followed to the newest, and the fit of that pose with its verdict; surface: a depth camera's surface as a Gaussian
+    process, with its deviation; tactile: centre of pressure, contact area and force of each pad; contact: stiffness by
+    arm and force sensor, after each approach."""
+    camera: str = ""
+    """Colour camera of flow and beta; default: the rig's first."""
+    roi: RectangleFlag = None
+    """Region of its image that holds the thing [px]; default: all of it."""
+    grid: GridFlag = None
+    """Rows and columns of particles over the region; default: 9 along its longer side."""
+    spacing_px: PositiveFlag = None
+    """Distance of neighbouring particles [px], instead of --grid."""
+    held: HeldFlag = None
+    """Particles whose motion is prescribed, out of top, bottom, left, right, border and contact. Default:
+    bottom,contact where --contact is given, else top,bottom."""
+    contact: RectangleFlag = None
+    """Footprint of the tool in the first image [px]; the particles inside are `contact`."""
+    cluster_size: int = 3
+    """Particles a side of the overlapping clusters."""
+    longest_px: int = 160
+    """The region is reduced until its longer side has so many pixels: twice as many take four times as long [px]."""
+
+    def __post_init__(self) -> None:
+        if self.grid is not None and self.spacing_px is not None:
+            raise InputError("--grid or --spacing-px", "both", "leave one out")
+        if self.longest_px < 32:
+            raise InputError("--longest-px of 32 or more", str(self.longest_px))
+        if ("contact" in self.held_parts()) != (self.contact is not None):
+            raise InputError("contact among --held with --contact X,Y,WIDTH,HEIGHT", "one of the two")
+        check_cluster_size(self.cluster_size)
+
+    @property
+    def names(self) -> tuple[Literal["flow", "beta", "surface", "tactile", "contact"], ...]:
+        """Each stage once, in the order asked for."""
+        return tuple(dict.fromkeys(self.stage))
+
+    def held_parts(self) -> tuple[HeldPart, ...]:
+        """The parts to hold: those asked for, else what stands still and what pushes."""
+        return self.held or (("bottom", "contact") if self.contact is not None else ("top", "bottom"))
+
+
+@dataclass(frozen=True, slots=True)
 class RigRunOptions(RecordedOptions):
     """A rig that is recorded or watched until its time is over, or until Ctrl-C."""
 
@@ -69,6 +133,7 @@ class RigRunOptions(RecordedOptions):
     label: str = ""
     """What is being recorded, in your words; kept in the recording."""
     trust_rig: TrustFlag = False
+    stages: OmitArgPrefixes[StageOptions] = field(default_factory=StageOptions)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def reads(self) -> tuple[str, ...]:
@@ -78,12 +143,14 @@ class RigRunOptions(RecordedOptions):
 @dataclass(frozen=True, slots=True)
 class RecordConfig(RigRunOptions):
     """Record all devices of a rig, with every byte of their wires and what was lost. Without --record the file is
-    runs/NAME-<stamp>.rrd. Ctrl-C ends it cleanly. No viewer, unless --viewer asks for one."""
+    runs/NAME-<stamp>.rrd. Ctrl-C ends it cleanly. No viewer, unless --viewer asks for one. --stage computes while it
+    records; `deformscope replay` computes the same again from the recorded frames."""
 
 
 @dataclass(frozen=True, slots=True)
 class LiveConfig(RigRunOptions):
-    """Watch all devices of a rig in rerun's window; with --record, record them as well."""
+    """Watch all devices of a rig in rerun's window, and what --stage computes from them; with --record, record it all
+    as well."""
 
 
 @dataclass(frozen=True, slots=True)

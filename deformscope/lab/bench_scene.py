@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from functools import cache
 
+import cv2
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray
@@ -21,6 +22,10 @@ FOAM_PX = (80, 400, 120, 520)
 """Top, bottom, left, right of the foam in the picture."""
 FOAM_RGB, TABLE_RGB = (235, 205, 90), (120, 122, 126)
 MIDDLE_PX = (240.0, 330.0)
+PLATE_PX, STROKE_PX, BULGE = 70.0, 40.0, 0.5
+"""From the side: the lower edge of the plate at rest, how far it presses, and how much the foam widens in its middle
+for each share that it is shortened by; plate and table hold its ends."""
+PLATE_RGB = (95, 98, 110)
 
 
 def pressed(time_s: float) -> float:
@@ -56,6 +61,37 @@ def picture(time_s: float) -> Picture:
     seen = (_texture() * shade[..., None]).astype(np.uint8)
     seen[_stick()] = (60, 60, 70)
     return seen
+
+
+def side(time_s: float) -> Picture:
+    """(480, 640, 3) what a camera sees that looks at the foam from the side, RGB: a plate presses it from above, every
+    speck moves with the material."""
+    strain = STROKE_PX * pressed(time_s) / (HEIGHT_PX - PLATE_PX)
+    rows, columns = _grid()
+    y = HEIGHT_PX - (HEIGHT_PX - rows) / (1.0 - strain)
+    y = np.where(y < PLATE_PX, rows - STROKE_PX * pressed(time_s), y)
+    wider = 1.0 + BULGE * strain * np.sin(np.pi * np.clip((y - PLATE_PX) / (HEIGHT_PX - PLATE_PX), 0.0, 1.0))
+    x = WIDTH_PX / 2 + (columns - WIDTH_PX / 2) / wider
+    seen: Picture = cv2.remap(  # type: ignore[assignment]
+        _side_texture(), x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT
+    )
+    return seen
+
+
+@cache
+def _side_texture() -> Picture:
+    """The plate above the foam, both with specks."""
+    plate = (_grid()[0] < PLATE_PX)[..., None]
+    colours = np.where(plate, np.array(PLATE_RGB, np.float32), np.array(FOAM_RGB, np.float32))
+    return (colours * _light()).astype(np.uint8)
+
+
+@cache
+def _light() -> FloatArray:
+    """(480, 640, 1) specks of 4 x 4 px, up to a quarter darker."""
+    grains = np.random.default_rng(0).random((HEIGHT_PX // 4, WIDTH_PX // 4)).repeat(4, 0).repeat(4, 1)
+    light: FloatArray = (0.75 + 0.25 * grains)[..., None].astype(np.float32)
+    return light
 
 
 @cache
@@ -99,8 +135,6 @@ def _table_and_foam() -> FloatArray:
 @cache
 def _texture() -> FloatArray:
     """Yellow foam with dark specks on a grey table."""
-    grains = np.random.default_rng(0).random((HEIGHT_PX // 4, WIDTH_PX // 4)).repeat(4, 0).repeat(4, 1)
-    light = (0.75 + 0.25 * grains)[..., None].astype(np.float32)
     colours = np.where(_foam()[..., None], np.array(FOAM_RGB, np.float32), np.array(TABLE_RGB, np.float32))
-    texture: FloatArray = (colours * light).astype(np.float32)
+    texture: FloatArray = (colours * _light()).astype(np.float32)
     return texture

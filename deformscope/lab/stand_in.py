@@ -115,10 +115,10 @@ def _jaco(config: Any) -> Iterator[Device[Any]]:
 
 @contextlib.contextmanager
 def _webcam(config: Any) -> Iterator[Device[Any]]:
-    from deformscope.lab.bench_scene import picture
+    from deformscope.lab.bench_scene import side
     from deformscope_drivers.webcam import SyntheticCamera, SyntheticCameraConfig
 
-    yield SyntheticCamera(picture, SyntheticCameraConfig(rate_hz=config.fps))
+    yield SyntheticCamera(side, SyntheticCameraConfig(rate_hz=config.fps))
 
 
 @contextlib.contextmanager

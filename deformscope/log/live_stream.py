@@ -7,10 +7,11 @@ from collections.abc import Callable, Sequence
 
 import rerun as rr
 
-from deformscope.frames import Item, Stream
+from deformscope.frames import Item, StageResult, Stream
 from deformscope.log.rig import Batch, Place, Shown, prepare_items
 from deformscope.log.rig.plotted import visible_in
 from deformscope.log.rig.thinned import thinned
+from deformscope.log.stages import prepare_stage_results
 
 
 class LiveStream:
@@ -26,6 +27,7 @@ class LiveStream:
         self._places: dict[int, Place | None] = {}
         self._shown: Shown = {}
         self._start_ns, self._streams = 0, tuple[Stream, ...]()
+        self._results: list[StageResult] = []
 
     def add_items(self, items: Sequence[Item], start_ns: int, streams: Sequence[Stream], place: Place | None) -> None:
         """Show them with the next flush; the arguments are those of `prepare_items`."""
@@ -33,6 +35,11 @@ class LiveStream:
         self._start_ns, self._streams = start_ns, tuple(streams)
         self._items.setdefault(touch, []).extend(items)
         self._places[touch] = place  # the latest: it knows the most pictures
+
+    def add_results(self, results: Sequence[StageResult], start_ns: int, streams: Sequence[Stream]) -> None:
+        """Show them with the next flush: all numbers over time, of pictures and marks the newest."""
+        self._start_ns, self._streams = start_ns, tuple(streams)
+        self._results += results
 
     def send(self, batch: Batch) -> None:
         """Show what of it is in a view: a page's time goes by the number of entities."""
@@ -46,6 +53,9 @@ class LiveStream:
             few = thinned(items)
             self.send(prepare_items(few, self._start_ns, self._streams, (), place, self._shown, changes_only=True))
         self._items.clear()
+        if self._results:
+            results, self._results = self._results, []
+            self.send(prepare_stage_results(results, self._start_ns, self._streams, newest_pictures=True))
         began = time.monotonic()
         try:
             self.rec.flush(timeout_sec=timeout_sec)

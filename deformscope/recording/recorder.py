@@ -26,7 +26,18 @@ import numpy as np
 
 from deformscope.arrays import FloatArray, ImageArray, IntArray
 from deformscope.errors import InputError
-from deformscope.frames import ColorFrame, DepthFrame, Frame, HealthReport, Item, LinkChange, RawBytes, Stream, host_ns
+from deformscope.frames import (
+    ColorFrame,
+    DepthFrame,
+    Frame,
+    HealthReport,
+    Item,
+    LinkChange,
+    RawBytes,
+    StageResult,
+    Stream,
+    host_ns,
+)
 from deformscope.images import encode_jpeg, encode_png
 from deformscope.recording import provenance
 from deformscope.recording.ledger import ledger_path, write_ledger
@@ -173,6 +184,7 @@ class Recorder:
         self._gathered: list[Item] = []
         self._gathered_bytes = self._gathered_touch = 0
         self._gathered_at = 0.0
+        self._gathered_results: list[StageResult] = []
 
     @property
     def active(self) -> bool:
@@ -272,17 +284,30 @@ class Recorder:
 
         self._emit(log, size)
 
-    def start_rig(self, streams: Sequence[Stream], start_ns: int, lossless: Collection[str] = ()) -> None:
+    def start_rig(
+        self,
+        streams: Sequence[Stream],
+        start_ns: int,
+        lossless: Collection[str] = (),
+        stages: Sequence[tuple[str, str]] = (),
+    ) -> None:
         """From here on it is the devices of a rig that are recorded.
 
-        start_ns: the host's clock at session time 0; lossless: devices whose colour images stages will compute on
+        start_ns: the host's clock at session time 0; lossless: devices whose colour images are kept as PNG
+        stages: (name, device) of those whose results will come
         """
         self._streams, self._first_ns, self._lossless = tuple(streams), start_ns, frozenset(lossless)
         if not self.active:
             return
         from deformscope.log.rig import log_streams, rig_blueprint
 
-        views, told = rig_blueprint(self._streams), self._streams
+        if stages:
+            from deformscope.log.stages import log_stage_streams, stage_blueprint
+
+            views, told, running = stage_blueprint(stages, self._streams), self._streams, tuple(stages)
+            self._put(lambda: self._emit(lambda rec: log_stage_streams(rec, running, told), 0), 0)
+        else:
+            views, told = rig_blueprint(self._streams), self._streams
         self._put(lambda: self._emit(lambda rec: rec.send_blueprint(views), 0), 0)
         self._put(lambda: self._emit(lambda rec: log_streams(rec, told), 0), 0)
 
@@ -324,6 +349,11 @@ class Recorder:
             self._write_gathered()
 
     def _write_gathered(self) -> None:
+        if self._gathered_results and self._file is not None:
+            from deformscope.log.stages import prepare_stage_results
+
+            results, self._gathered_results = self._gathered_results, []
+            self._file.send(prepare_stage_results(results, self._first_ns, self._streams))
         if not self._gathered or self._file is None:
             return
         from deformscope.log.rig import prepare_items
@@ -332,6 +362,23 @@ class Recorder:
         self._gathered, self._gathered_bytes = [], 0
         place = self._place(self._gathered_touch) if self._exploring else None
         self._file.send(prepare_items(items, self._first_ns, self._streams, self._lossless, place, self._scales))
+
+    def write_stage_results(self, results: Sequence[StageResult]) -> None:
+        """Record what stages found while the devices went on."""
+        self._steps += len(results)
+        if not self.active or not results:
+            return
+        given = tuple(results)
+        size = sum(_size(one.result) for one in given)
+
+        def take() -> None:
+            start_ns, streams = self._first_ns, self._streams
+            self._show(lambda live: live.add_results(given, start_ns, streams), size)
+            if self._file is not None:
+                self._gathered_at = self._gathered_at if self._gathered else time.monotonic()
+                self._gathered_results += given
+
+        self._put(take, size)
 
     def start_exploration(
         self,

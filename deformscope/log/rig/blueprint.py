@@ -21,15 +21,26 @@ PICTURES_A_ROW, PLOTS_A_ROW, FEW = 4, 3, 2
 
 def rig_blueprint(streams: Sequence[Stream]) -> rrb.Blueprint:
     """The views of these devices; of doubles they say SIMULATED."""
+    return blueprint_of(rig_views(streams))
+
+
+def rig_views(streams: Sequence[Stream]) -> rrb.Container:
+    """Pictures, plots and health of these devices."""
     pictures = [view for stream in streams for view in _pictures(stream)]
     plots = [view for stream in streams for view in _plots(stream)]
     health = [_health(streams)] if streams else []
-    time = rrb.TimePanel(timeline="session", state="collapsed", play_state="following")
+    if _few(pictures, plots):
+        return _beside(pictures, plots, health)
+    return _stacked(pictures, plots, health, len(streams))
+
+
+def blueprint_of(views: rrb.Container) -> rrb.Blueprint:
+    """Views of devices, following the time, without rerun's panels."""
     return rrb.Blueprint(
-        _beside(pictures, plots, health) if _few(pictures, plots) else _stacked(pictures, plots, health, len(streams)),
+        views,
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
-        time,
+        rrb.TimePanel(timeline="session", state="collapsed", play_state="following"),
     )
 
 
@@ -74,7 +85,7 @@ def _pictures(stream: Stream) -> list[rrb.View]:
     if stream.kind == "arm" and stream.urdf is not None:
         return [_arm_view(stream)]
     if stream.kind == "tactile":
-        return [_tactile_view(stream)]
+        return [tactile_view(stream)]
     if stream.kind == "color":
         return [rrb.Spatial2DView(origin=root("color", stream.device), name=_named(stream, "color"))]
     if stream.kind == "depth":
@@ -85,14 +96,14 @@ def _pictures(stream: Stream) -> list[rrb.View]:
 
 
 def _plots(stream: Stream) -> list[rrb.View]:
-    return [_plot(path, _named(stream, title)) for path, title in plotted(stream)]
+    return [plot_view(path, _named(stream, title)) for path, title in plotted(stream)]
 
 
 def _named(stream: Stream, what: str) -> str:
     return f"{stream.device}: {what}{' (SIMULATED)' if stream.simulated else ''}"
 
 
-def _plot(origin: str, name: str) -> rrb.View:
+def plot_view(origin: str, name: str) -> rrb.View:
     now = rrb.TimeRangeBoundary.cursor_relative()
     window = rrb.TimeRangeBoundary.cursor_relative(seconds=-WINDOW_S)
     return rrb.TimeSeriesView(
@@ -105,7 +116,7 @@ def _plot(origin: str, name: str) -> rrb.View:
     )
 
 
-def _tactile_view(stream: Stream) -> rrb.View:
+def tactile_view(stream: Stream) -> rrb.View:
     bounds = None
     if stream.pads:
         x_mm, y_mm = Hand.of(stream.pads).bounds_mm

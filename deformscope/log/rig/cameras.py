@@ -12,7 +12,7 @@ import rerun as rr
 
 from deformscope.arrays import ImageArray
 from deformscope.frames import ColorFrame, DepthFrame, Frame
-from deformscope.images import encode_jpeg, encode_png
+from deformscope.images import PNG_SIGNATURE, encode_color, encode_png
 from deformscope.log.canvas import TEXT
 from deformscope.log.rig.columns import Batch, Shown, frame_times, is_news, moments, root, singles, stamps
 from deformscope.pictures.palette import BACKGROUND
@@ -96,11 +96,6 @@ def _scale_png(low_m: float, high_m: float, shape: tuple[int, int]) -> bytes:
 
 
 def _color_columns(images: Sequence[ImageArray], lossless: bool) -> list[rr.ComponentColumn]:
-    """JPEG holds 8 bits and loses some: 16 bits go without loss whatever was asked for."""
-    exact = [lossless or image.dtype != np.uint8 for image in images]
-    encoded = [
-        encode_png(image, noisy=True) if png else encode_jpeg(image) for image, png in zip(images, exact, strict=True)
-    ]
-    return list(
-        rr.EncodedImage.columns(blob=encoded, media_type=["image/png" if png else "image/jpeg" for png in exact])
-    )
+    encoded = [encode_color(image, lossless=lossless) for image in images]
+    kinds = ["image/png" if blob.startswith(PNG_SIGNATURE) else "image/jpeg" for blob in encoded]
+    return list(rr.EncodedImage.columns(blob=encoded, media_type=kinds))

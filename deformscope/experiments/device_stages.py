@@ -1,0 +1,527 @@
+"""The stages that run while devices do: which frames each takes, and what it computes from them.
+
+A stage is a pure function of the frames that its result names: the same frames give the same result to the last bit.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol, cast
+
+import cv2
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from deformscope.arrays import FloatArray, ImageArray, IntArray
+from deformscope.errors import InputError
+from deformscope.experiments.foam_video import ParticleOptions, hold_what_is_seen, observe
+from deformscope.frames import ArmFrame, ColorFrame, DepthFrame, Frame, Item, Kind, Stream, TactileFrame, WrenchFrame
+from deformscope.rig.rig_file import Rig
+from deformscope.stages.fit.calibrate import FitOptions, Model, calibrate
+from deformscope.stages.fit.moment import MomentFit
+from deformscope.stages.map.exploration import SurfaceEstimate, TouchEstimate
+from deformscope.stages.map.surface import fit_surface
+from deformscope.stages.map.touches import MapGrid
+from deformscope.stages.poke.contact import ArmCompliance, fit_approach
+from deformscope.stages.see.arrows import FlowArrows, flow_arrows, region_of
+from deformscope.stages.see.cloud import Box, Intrinsics, perceive
+from deformscope.stages.see.flow import dense_flow
+from deformscope.stages.see.particles import ParticleGrid, Tracked, advance, seed_grid, start
+from deformscope.stages.see.tactile import TactileContact, tactile_contact
+from deformscope_drivers.jaco.kinematics import rotation_from_euler_xyz
+
+StageName = Literal["flow", "beta", "surface", "tactile", "contact"]
+
+PARTICLES_ALONG = 9
+"""Particles along the longer side of the region where neither shape nor spacing is asked for: a fit takes 0.2 s."""
+CANDIDATES = 30
+"""Values of beta that the sweep tries before it refines: a finer one finds the same."""
+NOISE_SHARE = 0.005
+"""Of a tactile sensor's full scale, below which a texel is not in contact."""
+CELL_M = 0.01
+"""Of the map of a surface."""
+ABOVE_M, BELOW_M = 0.02, 0.03
+"""How far above and below the surface's top at rest points are taken for the surface."""
+TOUCHING_N = 0.5
+"""Force from which on an approach is in contact; it is over at half of it."""
+BEFORE_S, LONGEST_S = 0.5, 8.0
+"""What belongs to an approach before that, and how long it lasts at most."""
+FOLLOW = 0.01
+"""Share by which the force without contact follows each reading."""
+LAW_STEPS = 400
+
+
+# What runs, and how --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class LiveOptions:
+    """Which stages run, on which devices, and how; all that decides their results beside the frames.
+
+    color, depth, tactile, wrench, arm: devices by name; lossless: colour images are recorded as PNG
+    particles, cluster_size: as in `calibrate beta`; longest_px: the longer side that images are reduced to
+    focal_px, center_px, distortion, T_surface_camera: of the depth camera; size_m, thickness_m: of the surface [m]
+    T_ee_tip: (4, 4) the tool's tip, whose z axis points at what it presses, to the arm's end [m]
+    set_force_n: at which stiffness is given; compliance_m_per_n, compliance_sd: of the arm [m/N]
+    """
+
+    names: tuple[StageName, ...] = ()
+    color: str = ""
+    depth: str = ""
+    tactile: str = ""
+    wrench: str = ""
+    arm: str = ""
+    lossless: bool = False
+    particles: ParticleOptions = field(default_factory=ParticleOptions)
+    cluster_size: int = 3
+    longest_px: int = 160
+    focal_px: tuple[float, float] = (0.0, 0.0)
+    center_px: tuple[float, float] = (0.0, 0.0)
+    distortion: tuple[float, ...] = ()
+    T_surface_camera: tuple[tuple[float, ...], ...] = ()
+    size_m: tuple[float, float] = (0.0, 0.0)
+    thickness_m: float = 0.0
+    T_ee_tip: tuple[tuple[float, ...], ...] = ()
+    set_force_n: float = 3.0
+    compliance_m_per_n: float = 0.0
+    compliance_sd: float = 0.0
+
+
+NEEDS: dict[StageName, tuple[Kind, ...]] = {
+    "flow": ("color",),
+    "beta": ("color",),
+    "surface": ("depth",),
+    "tactile": ("tactile",),
+    "contact": ("wrench", "arm"),
+}
+"""The kinds of devices that a stage takes its frames from."""
+
+
+def for_rig(options: LiveOptions, rig: Rig) -> LiveOptions:
+    """The options with what a rig file says of devices and their places; the colour camera may be named already.
+
+    Raises InputError where the rig lacks a device or a calibration that a stage needs.
+    """
+    found: dict[str, Any] = {}
+    for name in options.names:
+        for kind in NEEDS[name]:
+            found[kind] = _device_for(name, kind, options.color if kind == "color" else "", rig)
+    found["lossless"] = found.get("color") in rig.record.lossless
+    camera, tool = rig.camera, rig.tool
+    if "surface" in options.names:
+        given = {"focal_px": camera.focal_px, "center_px": camera.center_px, "T_arm_camera": camera.T_arm_camera}
+        if missing := [name for name, value in given.items() if value is None]:
+            raise InputError("a calibrated camera for --stage surface", f"no {missing[0]} in [camera]", where=rig.name)
+        if rig.surface.T_arm_surface is None:
+            raise InputError("a place for --stage surface", "no T_arm_surface in [surface]", where=rig.name)
+        T_surface_camera = np.linalg.inv(np.array(rig.surface.T_arm_surface)) @ np.array(camera.T_arm_camera)
+        found |= {"focal_px": camera.focal_px, "center_px": camera.center_px, "distortion": camera.distortion}
+        found |= {"T_surface_camera": _rows(T_surface_camera)}
+        found |= {"size_m": rig.surface.size_m, "thickness_m": rig.surface.thickness_m}
+    if "contact" in options.names:
+        along = np.eye(4)
+        along[2, 3] = tool.length_m
+        found |= {"T_ee_tip": tool.T_ee_tip or _rows(along), "set_force_n": rig.workspace.target_force_n}
+        found |= {"compliance_m_per_n": tool.compliance_m_per_n or 0.0, "compliance_sd": tool.compliance_sd}
+    return dataclasses.replace(options, **found)
+
+
+def _device_for(stage: str, kind: Kind, wanted: str, rig: Rig) -> str:
+    """The device of a kind: the one that is named, else the camera of `[camera]`, else the first."""
+    names = [entry.name for entry in rig.devices if entry.driver.kind == kind]
+    if wanted and wanted not in names:
+        raise InputError(
+            f"one of {', '.join(names) or 'no colour cameras'} after --camera", repr(wanted), where=rig.name
+        )
+    if not names:
+        raise InputError(f"a {kind} device for --stage {stage}", "none in the rig", where=rig.name)
+    return wanted or (rig.camera.device if rig.camera.device in names else names[0])
+
+
+def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(float(value) for value in row) for row in matrix)
+
+
+def stages_of(options: LiveOptions, streams: Sequence[Stream]) -> tuple[Stage, ...]:
+    """The stages that run on these devices, which are open or were recorded."""
+    known = {(stream.kind, stream.device): stream for stream in streams}
+    made: list[Stage] = []
+    for name in options.names:
+        match name:
+            case "flow":
+                made.append(FlowStage(options))
+            case "beta":
+                made.append(BetaStage(options))
+            case "surface":
+                made.append(SurfaceStage(options))
+            case "tactile":
+                made.append(TactileStage(options, known["tactile", options.tactile]))
+            case "contact":
+                made.append(ContactStage(options))
+    return tuple(made)
+
+
+class Stage(Protocol):
+    """A stage on devices. name; device: whose newest frame its results belong to"""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def device(self) -> str: ...
+
+    def chooser(self) -> Chooser:
+        """What picks its frames out of all that comes."""
+
+    def packed(self, frames: Sequence[Frame]) -> Any:
+        """What a process computes from, made of the frames that a result will name."""
+
+    def compute(self, packed: Any) -> object:
+        """The result. Pure: the same of the same frames, to the last bit."""
+
+
+class Chooser(Protocol):
+    """Picks the frames of the next result."""
+
+    skipped: int
+    """Frames (or approaches) that newer ones replaced before anything was computed from them, since the last `take`."""
+
+    def see(self, item: Item) -> None: ...
+
+    def take(self) -> tuple[Frame, ...] | None:
+        """The frames of the next result, the newest last; None where there is nothing new."""
+
+
+class NewestFrame:
+    """The newest frame of a device; with it the first of all, or the one that was taken before."""
+
+    def __init__(self, device: str, beside: Literal["", "first", "previous"] = "") -> None:
+        self.skipped = 0
+        self._device, self._beside = device, beside
+        self._other: Frame | None = None
+        self._newest: Frame | None = None
+
+    def see(self, item: Item) -> None:
+        if not isinstance(item, Frame) or item.device != self._device:
+            return
+        if self._beside and self._other is None:
+            self._other = item
+            return
+        self.skipped += self._newest is not None
+        self._newest = item
+
+    def take(self) -> tuple[Frame, ...] | None:
+        newest, self._newest = self._newest, None
+        if newest is None:
+            return None
+        frames = (newest,) if self._other is None else (self._other, newest)
+        if self._beside == "previous":
+            self._other = newest
+        return frames
+
+
+# The stages ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class FlowStage:
+    """Dense optical flow from the image that was used before to the newest one."""
+
+    options: LiveOptions
+    name: str = "flow"
+
+    @property
+    def device(self) -> str:
+        return self.options.color
+
+    def chooser(self) -> Chooser:
+        return NewestFrame(self.device, "previous")
+
+    def packed(self, frames: Sequence[Frame]) -> Any:
+        return tuple(cast(ColorFrame, frame).image for frame in frames)
+
+    def compute(self, packed: Any) -> FlowArrows:
+        before, after = packed
+        return flow_arrows(before, after, self.options.particles.roi_rect, self.options.longest_px)
+
+
+@dataclass(frozen=True, slots=True)
+class BetaStage:
+    """Particles of the first image where they are in the newest one, and the beta that this pose gives."""
+
+    options: LiveOptions
+    name: str = "beta"
+
+    @property
+    def device(self) -> str:
+        return self.options.color
+
+    def chooser(self) -> Chooser:
+        return NewestFrame(self.device, "first")
+
+    def packed(self, frames: Sequence[Frame]) -> Any:
+        return tuple(cast(ColorFrame, frame).image for frame in frames)
+
+    def compute(self, packed: Any) -> MomentFit:
+        rest, now = packed
+        options = self.options
+        fit = FitOptions(Model(cluster_size=options.cluster_size), candidates=CANDIDATES)
+        return fit_moment(rest, now, options.particles, fit, options.longest_px)
+
+
+def fit_moment(
+    rest: ImageArray, now: ImageArray, particles: ParticleOptions, fit: FitOptions, longest_px: int
+) -> MomentFit:
+    """Follow the particles of an image at rest directly to another one, and fit that pose by itself.
+
+    A pose that cannot be fitted (too few particles seen, none of those to be held) gives particles and the reason.
+    """
+    grid, tracked = _particles_at(rest, now, particles, longest_px)
+    nan = float("nan")
+    nothing = MomentFit(
+        *(grid.rest_px, tracked.position_px, np.full_like(tracked.position_px, nan), tracked.seen),
+        *(np.zeros(0, np.int64), tracked.noise_px, fit.model.parameter, nan, (nan, nan)),
+        *("unidentified", "", nan, nan),
+    )
+    try:
+        held, _ = hold_what_is_seen(grid, tracked, particles, particles.contact_rect)
+        found = calibrate([observe(grid, tracked, held, particles)], fit)
+    except InputError as error:
+        return dataclasses.replace(nothing, verdict_text=f"unidentified: {error}")
+    estimate = found.estimate
+    return dataclasses.replace(
+        nothing,
+        simulated_px=found.comparisons[0].simulated,
+        held=held,
+        value=estimate.value,
+        interval=estimate.interval,
+        verdict=estimate.verdict,
+        verdict_text=estimate.verdict_text(),
+        aee_px=estimate.aee,
+        explained=nan if estimate.explained is None else estimate.explained,
+    )
+
+
+def _particles_at(
+    rest: ImageArray, now: ImageArray, particles: ParticleOptions, longest_px: int
+) -> tuple[ParticleGrid, Tracked]:
+    """The particles at rest, and where they are, in pixels of the whole image."""
+    first, second = (region_of(image, particles.roi_rect, longest_px) for image in (rest, now))
+    height, width = first.image.shape[:2]
+    spacing = None if particles.spacing_px is None else particles.spacing_px / first.scale
+    if spacing is None and particles.grid is None:
+        spacing = max(height, width) / PARTICLES_ALONG
+    grid = seed_grid((height, width), None, particles.grid, spacing)
+    forward, backward = (dense_flow(one, other, particles.flow) for one, other in _both_ways(first, second))
+    tracked = advance(start(grid), forward, backward)
+    scale = first.scale
+    whole = ParticleGrid(first.whole(grid.rest_px), grid.shape, grid.cell, grid.spacing_px * scale)
+    return whole, Tracked(
+        first.whole(tracked.position_px), tracked.noise_px * scale, tracked.seen, tracked.forward_backward_px * scale
+    )
+
+
+def _both_ways(first: Any, second: Any) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
+    return (first.image, second.image), (second.image, first.image)
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceStage:
+    """The surface that the newest depth image shows, as a Gaussian process of its points (Thesis eq. 4.3, 4.4)."""
+
+    options: LiveOptions
+    name: str = "surface"
+
+    @property
+    def device(self) -> str:
+        return self.options.depth
+
+    def chooser(self) -> Chooser:
+        return NewestFrame(self.device)
+
+    def packed(self, frames: Sequence[Frame]) -> Any:
+        frame = cast(DepthFrame, frames[-1])
+        return frame.depth, frame.unit_m
+
+    def compute(self, packed: Any) -> SurfaceEstimate:
+        depth, unit_m = packed
+        options = self.options
+        (width, height), top = options.size_m, options.thickness_m
+        box = Box((0.0, 0.0, top - BELOW_M), (width, height, top + ABOVE_M))
+        camera = Intrinsics(options.focal_px, options.center_px, options.distortion)
+        T_surface_camera = np.array(options.T_surface_camera, dtype=np.float64)
+        seen = perceive(depth * unit_m, camera, T_surface_camera, box, cell_m=CELL_M)
+        surface = fit_surface(seen.points_m, noise_m=seen.noise_m, within_m=((0.0, 0.0), options.size_m))
+        heights = surface.on(MapGrid(options.size_m, CELL_M))
+        return SurfaceEstimate(seen.points_m, heights.mean_m, heights.deviation_m, CELL_M)
+
+
+@dataclass(frozen=True, slots=True)
+class TactileStage:
+    """Centre of pressure, contact area and force of every pad in the newest tactile frame."""
+
+    options: LiveOptions
+    stream: Stream
+    name: str = "tactile"
+
+    @property
+    def device(self) -> str:
+        return self.options.tactile
+
+    def chooser(self) -> Chooser:
+        return NewestFrame(self.device)
+
+    def packed(self, frames: Sequence[Frame]) -> Any:
+        return cast(TactileFrame, frames[-1]).pressure_pa
+
+    def compute(self, packed: Any) -> TactileContact:
+        texel_m = [pad.texel_m for pad in self.stream.pads]
+        return tactile_contact(packed, texel_m, NOISE_SHARE * self.stream.full_scale_pa)
+
+
+@dataclass(frozen=True, slots=True)
+class Approach:
+    """What arm and force sensor gave of an approach.
+
+    arm_ns: (m,) stamps; position_m: (m, 3) of the arm's end; rotation_rad: (m, 3) its Euler angles, in the arm's base
+    force_ns: (n,); force_n: (n, 3) what the tip does to what it presses, in the tip's frame
+    """
+
+    arm_ns: IntArray
+    position_m: FloatArray
+    rotation_rad: FloatArray
+    force_ns: IntArray
+    force_n: FloatArray
+
+
+class ApproachChooser:
+    """The newest approach that has ended: contact by force, the arm's way since shortly before."""
+
+    def __init__(self, wrench: str, arm: str) -> None:
+        self.skipped = 0
+        self._wrench, self._arm = wrench, arm
+        self._recent: deque[ArmFrame | WrenchFrame] = deque()
+        self._free_n: FloatArray | None = None
+        self._since_ns: int | None = None
+        self._ended: tuple[Frame, ...] | None = None
+
+    def see(self, item: Item) -> None:
+        if isinstance(item, ArmFrame) and item.device == self._arm:
+            self._recent.append(item)
+        elif isinstance(item, WrenchFrame) and item.device == self._wrench and np.isfinite(item.force_n[0]).all():
+            self._recent.append(item)
+            self._see_force(item)
+        kept_ns = (BEFORE_S + (LONGEST_S if self._since_ns is not None else 0.0)) * 1e9
+        while self._recent and self._recent[-1].stamp.host_ns - self._recent[0].stamp.host_ns > kept_ns:
+            self._recent.popleft()
+
+    def _see_force(self, frame: WrenchFrame) -> None:
+        force = frame.force_n[0]
+        if self._free_n is None:
+            self._free_n = force
+        felt = float(np.linalg.norm(force - self._free_n))
+        if self._since_ns is None:
+            if felt > TOUCHING_N:
+                self._since_ns = frame.stamp.host_ns
+            else:
+                self._free_n = self._free_n + FOLLOW * (force - self._free_n)
+        elif felt < 0.5 * TOUCHING_N or frame.stamp.host_ns - self._since_ns > LONGEST_S * 1e9:
+            self._since_ns = None
+            self.skipped += self._ended is not None
+            self._ended = tuple(self._recent)
+            self._recent.clear()
+
+    def take(self) -> tuple[Frame, ...] | None:
+        ended, self._ended = self._ended, None
+        return ended
+
+
+@dataclass(frozen=True, slots=True)
+class ContactStage:
+    """How stiff the place is that an approach touched, by arm and force sensor alone."""
+
+    options: LiveOptions
+    name: str = "contact"
+
+    @property
+    def device(self) -> str:
+        return self.options.wrench
+
+    def chooser(self) -> Chooser:
+        return ApproachChooser(self.options.wrench, self.options.arm)
+
+    def packed(self, frames: Sequence[Frame]) -> Any:
+        arms = [frame for frame in frames if isinstance(frame, ArmFrame)]
+        forces = [frame for frame in frames if isinstance(frame, WrenchFrame)]
+        return Approach(
+            np.array([frame.stamp.host_ns for frame in arms], np.int64),
+            np.array([frame.position_m for frame in arms]).reshape(-1, 3),
+            np.array([frame.rotation_rad for frame in arms]).reshape(-1, 3),
+            np.array([frame.stamp.host_ns for frame in forces], np.int64),
+            np.array([frame.force_n[0] for frame in forces]).reshape(-1, 3),
+        )
+
+    def compute(self, packed: Any) -> TouchEstimate:
+        options = self.options
+        arm = ArmCompliance(options.compliance_m_per_n, options.compliance_sd)
+        return fit_contact(packed, np.array(options.T_ee_tip, dtype=np.float64), options.set_force_n, arm)
+
+
+def fit_contact(approach: Approach, T_ee_tip: FloatArray, set_force_n: float, arm: ArmCompliance) -> TouchEstimate:
+    """The law of an approach, along the way that the tip took while it pressed.
+
+    Raises InputError where the arm did not press, and where the law cannot be fitted.
+    """
+    if len(approach.arm_ns) < 2:
+        raise InputError("an arm that reports while it presses", f"{len(approach.arm_ns)} states")
+    turned = np.stack([rotation_from_euler_xyz(*angles) for angles in approach.rotation_rad]) @ T_ee_tip[:3, :3]
+    lever = np.stack([rotation_from_euler_xyz(*angles) for angles in approach.rotation_rad]) @ T_ee_tip[:3, 3]
+    tip_m = approach.position_m + lever
+    at_arm = [np.interp(approach.arm_ns, approach.force_ns, approach.force_n[:, axis]) for axis in range(3)]
+    force_n = -np.einsum("nij,nj->ni", turned, np.stack(at_arm, axis=1))
+    peak = int(np.argmax(np.linalg.norm(force_n, axis=1)))
+    way = tip_m[peak] - tip_m[0]
+    length = float(np.linalg.norm(way))
+    if length < 1e-4:
+        raise InputError("an arm that moves into what it presses", f"{length * 1e3:.2g} mm of way")
+    normal = -way / length
+    time_s = (approach.arm_ns - approach.arm_ns[0]) / 1e9
+    fit = fit_approach(time_s, tip_m, force_n, normal, set_force_n=set_force_n, arm=arm)
+    along = -(tip_m @ normal)
+    forces = np.linspace(0.0, 2.0 * max(fit.peak_force_n, fit.at_force_n), LAW_STEPS)
+    dent = max(fit.depth_m, 1e-9) * (forces / fit.at_force_n) ** (1.0 / fit.exponent)
+    law = np.interp(along, fit.contact_m + dent + arm.compliance_m_per_n * forces, forces)
+    return TouchEstimate(
+        number=0,
+        xyz_m=tip_m[peak],
+        normal=normal,
+        approach_m=along - along[0],
+        approach_n=force_n @ normal,
+        fitted_n=law,
+        contact_m=fit.contact_m - float(along[0]),
+        stiffness_n_per_mm=fit.stiffness_n_per_mm,
+        stiffness_interval=fit.interval_n_per_mm,
+        rigid=fit.rigid,
+        modulus_pa=None,
+        depth_m=fit.depth_m,
+        peak_force_n=fit.peak_force_n,
+        beta=None,
+        beta_interval=None,
+        beta_verdict="",
+        observed_m=np.zeros((0, 3)),
+        simulated_m=np.zeros((0, 3)),
+    )
+
+
+def compute(stage: Stage, packed: Any) -> object:
+    """A stage's result, on one thread, so that it is the same to the last bit on any number of cores."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        with threadpool_limits(1):
+            return stage.compute(packed)
+    finally:
+        cv2.setNumThreads(threads)

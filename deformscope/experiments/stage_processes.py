@@ -1,0 +1,124 @@
+"""Processes that compute stages beside the loop that reads devices."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from types import TracebackType
+from typing import Any
+
+import cv2
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from deformscope.errors import InputError
+from deformscope.experiments.device_stages import (
+    CELL_M,
+    BetaStage,
+    FlowStage,
+    LiveOptions,
+    Stage,
+    StageName,
+    compute,
+)
+from deformscope.experiments.live_stages import Beside
+from deformscope.stages.map.surface import fit_surface
+from deformscope.stages.map.touches import MapGrid
+
+
+class StageProcesses:
+    """A process for every stage; they have loaded what they need when the context begins, before any device is opened.
+
+    A process, no thread: a fit holds Python's lock for so long that a thread would keep devices from being read.
+    """
+
+    def __init__(self, names: Sequence[StageName], start_engine: Callable[[], None]) -> None:
+        """start_engine: starts what simulates, in the process of a stage that does"""
+        self._names = names
+        self._start_engine = start_engine
+        self.beside: dict[str, StageProcess] = {}
+
+    def __enter__(self) -> Mapping[str, Beside]:
+        self.beside = {name: StageProcess(name, self._start_engine) for name in self._names}
+        for process in self.beside.values():
+            process.wait()
+        return self.beside
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for process in self.beside.values():
+            process.close()
+
+
+class StageProcess:
+    """One process; a new one where it has died."""
+
+    def __init__(self, name: StageName, start_engine: Callable[[], None]) -> None:
+        self._name = name
+        self._start_engine = start_engine
+        self._start()
+
+    def _start(self) -> None:
+        context = multiprocessing.get_context("spawn")  # what other threads hold does not survive a fork
+        self._pool = ProcessPoolExecutor(1, mp_context=context, initializer=_start_beside)
+        self._warm = self._pool.submit(warm_up, self._name, self._start_engine)
+
+    def wait(self) -> None:
+        """Return once it has loaded what its stage needs."""
+        self._warm.result()
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
+        """Have it computed after what was submitted before."""
+        try:
+            return self._pool.submit(function, *arguments)
+        except BrokenProcessPool:
+            self._start()
+            return self._pool.submit(function, *arguments)
+
+    def close(self) -> None:
+        """End it after what it computes now, without waiting for that."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+
+LOWER_PRIORITY = 5
+"""What devices give and what is written comes first on a machine with few cores."""
+
+
+def _start_beside() -> None:
+    """Ctrl-C is for the process that reads the devices; this one ends with it, however that ends."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    os.nice(LOWER_PRIORITY)
+    parent = multiprocessing.parent_process()
+
+    def follow() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=follow, name="parent", daemon=True).start()
+
+
+def warm_up(name: StageName, start_engine: Callable[[], None]) -> None:
+    """Do once what costs time the first time: imports, kernels."""
+    if name == "beta":
+        start_engine()
+    if name in ("flow", "beta"):
+        image = np.random.default_rng(0).integers(0, 255, (120, 160), np.uint8)
+        before = np.asarray(cv2.GaussianBlur(image, (0, 0), 2.0))
+        options = LiveOptions((name,), color="camera")
+        stage: Stage = FlowStage(options) if name == "flow" else BetaStage(options)
+        with contextlib.suppress(InputError):
+            compute(stage, (before, np.roll(before, 2, axis=1)))
+    elif name == "surface":
+        x, y = np.meshgrid(np.linspace(0.0, 0.1, 12), np.linspace(0.0, 0.1, 12))
+        points = np.column_stack([x.ravel(), y.ravel(), 1e-3 * np.sin(40.0 * x.ravel())])
+        with threadpool_limits(1):
+            fit_surface(points).on(MapGrid((0.1, 0.1), CELL_M))

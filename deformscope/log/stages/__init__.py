@@ -1,0 +1,90 @@
+"""How the results of stages that run while devices do are recorded and shown, beside the frames they rest on.
+
+A result stands at the time, and at the place on `frame`, of the newest frame that it was computed from.
+
+    stage/NAME/DEVICE            one row a result: every field of it, the frames it used, how many were passed over
+    display/stage/NAME/...       what a person looks at: marks over the image, pictures, the verdict in words
+    display/stage/plot/...       numbers over time: lag [ms], beta, force [N], area [cm2]
+    display/tactile/DEVICE/contact   the centres of pressure, on the picture of the hand
+    display/stage/summary        a table: newest results, how many, how far behind
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import rerun as rr
+
+from deformscope.frames import StageResult, Stream
+from deformscope.log.rig.columns import Batch, log_series, moments, scalars
+from deformscope.log.stages.over_image import log_flow_arrows, log_moments
+from deformscope.log.stages.pads import log_pads, log_pads_stream
+from deformscope.log.stages.recorded import log_recorded
+from deformscope.log.stages.views import PLOTS, stage_blueprint
+from deformscope.log.stages.words import summary
+from deformscope.pictures.exploration import force_png, height_png
+from deformscope.pictures.palette import JOINTS
+from deformscope.stages.fit.moment import MomentFit
+from deformscope.stages.map.exploration import SurfaceEstimate, TouchEstimate
+from deformscope.stages.see.arrows import FlowArrows
+from deformscope.stages.see.tactile import TactileContact
+
+__all__ = ["log_stage_streams", "prepare_stage_results", "stage_blueprint"]
+
+
+def log_stage_streams(rec: rr.RecordingStream, stages: Sequence[tuple[str, str]], streams: Sequence[Stream]) -> None:
+    """What holds throughout: names, units and colours of what is plotted. stages: (name, device)"""
+    for number, (name, device) in enumerate(stages):
+        log_series(rec, f"{PLOTS}/lag/{name}", [f"{name} [ms]"], [JOINTS[number % len(JOINTS)]])
+        if name == "beta":
+            names = ["lower end", "beta", "upper end"]
+            log_series(rec, f"{PLOTS}/beta", names, [(120, 120, 130), (235, 45, 45), (120, 120, 130)])
+        if name == "tactile":
+            log_pads_stream(rec, next(one for one in streams if (one.kind, one.device) == ("tactile", device)))
+
+
+def prepare_stage_results(
+    results: Sequence[StageResult], start_ns: int, streams: Sequence[Stream], *, newest_pictures: bool = False
+) -> Batch:
+    """Make results ready for one stream or several: the cost is by stage, little by result, but for drawn pictures.
+
+    start_ns: host time at which `session` is 0 [ns]; newest_pictures: draw and mark only what is newest of each stage
+    """
+    batch = Batch()
+    known = {(stream.kind, stream.device): stream for stream in streams}
+    for (stage, device, kind), group in _by_kind(results).items():
+        log_recorded(batch, stage, device, group, start_ns)
+        times = moments([one.host_ns for one in group], start_ns)
+        late_ms = [np.array([one.late_s * 1e3]) for one in group]
+        batch.send_columns(f"{PLOTS}/lag/{stage}", times, scalars(late_ms))
+        drawn = group[-1:] if newest_pictures else group
+        if kind is FlowArrows:
+            log_flow_arrows(batch, device, drawn, start_ns)
+        elif kind is MomentFit:
+            log_moments(batch, device, group, drawn, start_ns)
+        elif kind is TactileContact:
+            log_pads(batch, known["tactile", device], group, drawn, start_ns)
+        elif kind is SurfaceEstimate:
+            _log_pictures(batch, "surface", drawn, [height_png(one.result) for one in drawn], start_ns)
+        elif kind is TouchEstimate:
+            _log_pictures(batch, "contact", drawn, [force_png(one.result) for one in drawn], start_ns)
+    if results:
+        newest = max(results, key=lambda one: one.host_ns)
+        columns = rr.TextDocument.columns(text=[summary(results)], media_type=["text/markdown"])
+        batch.send_columns("display/stage/summary", moments([newest.host_ns], start_ns), columns)
+    return batch
+
+
+def _log_pictures(
+    batch: Batch, stage: str, results: Sequence[StageResult], pngs: Sequence[bytes], start_ns: int
+) -> None:
+    columns = rr.EncodedImage.columns(blob=pngs, media_type=["image/png"] * len(pngs))
+    batch.send_columns(f"display/stage/{stage}", moments([one.host_ns for one in results], start_ns), columns)
+
+
+def _by_kind(results: Sequence[StageResult]) -> dict[tuple[str, str, type], list[StageResult]]:
+    found: dict[tuple[str, str, type], list[StageResult]] = {}
+    for one in results:
+        found.setdefault((one.stage, one.used[-1].device, type(one.result)), []).append(one)
+    return found

@@ -1,0 +1,89 @@
+"""Flow and particles over the image that they were found in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import rerun as rr
+
+from deformscope.arrays import FloatArray
+from deformscope.frames import StageResult
+from deformscope.log.rig.columns import Batch, moments, root, scalars
+from deformscope.log.stages.views import PLOTS
+from deformscope.pictures.palette import HELD, LOST, OBSERVED, SIMULATED, colors, round_up
+from deformscope.stages.fit.moment import MomentFit
+from deformscope.stages.see.arrows import FlowArrows
+
+STILL_PX = 0.25
+"""Below this an arrow would show the flow's noise."""
+LONGEST_STEPS = 2.0
+"""The longest arrow, in distances between arrows."""
+STRETCHES = (1.0, 2.0, 5.0, 10.0, 20.0)
+
+
+def log_flow_arrows(batch: Batch, device: str, results: Sequence[StageResult], start_ns: int) -> None:
+    for one in results:
+        flow: FlowArrows = one.result  # type: ignore[assignment]
+        length = np.nan_to_num(np.hypot(flow.flow_px[:, 0], flow.flow_px[:, 1]))
+        moving = length >= STILL_PX
+        longest = float(length.max(initial=0.0))
+        step = float(np.diff(np.unique(flow.at_px[:, 0])).min(initial=np.inf))
+        times = max((k for k in STRETCHES if k * longest <= LONGEST_STEPS * step), default=1.0)
+        tints = colors(length[moving] / round_up(longest))
+        path = root("display/stage/flow", device)
+        when = moments([one.host_ns], start_ns)
+        columns = [
+            *rr.Arrows2D.columns(
+                origins=flow.at_px[moving], vectors=flow.flow_px[moving] * times, colors=tints
+            ).partition([int(moving.sum())]),
+            *rr.Arrows2D.columns(radii=[1.0], draw_order=[40.0]),
+        ]
+        batch.send_columns(f"{path}/arrows", when, columns)
+        first = one.used[0].first
+        words = f"from frame {first} to {one.used[-1].last}: up to {longest:.2g} px, arrows {times:g} times as long"
+        _say(batch, f"{path}/words", flow.at_px.min(axis=0), words, when)
+
+
+def log_moments(
+    batch: Batch, device: str, results: Sequence[StageResult], drawn: Sequence[StageResult], start_ns: int
+) -> None:
+    """results: of a fit, plotted; drawn: those whose particles are marked"""
+    values = []
+    for one in results:
+        fit: MomentFit = one.result  # type: ignore[assignment]
+        values.append(np.array([fit.interval[0], fit.value, fit.interval[1]]))
+    batch.send_columns(f"{PLOTS}/beta", moments([one.host_ns for one in results], start_ns), scalars(values))
+    for one in drawn:
+        fit = one.result  # type: ignore[assignment]
+        path, when = root("display/stage/beta", device), moments([one.host_ns], start_ns)
+        spacing = _spacing(fit.rest_px)
+        known = fit.seen & np.isfinite(fit.simulated_px).all(axis=1)
+        lines = np.stack([fit.rest_px[fit.seen], fit.observed_px[fit.seen]], axis=1)
+        strips = rr.LineStrips2D.columns(strips=lines.astype(np.float32)).partition([len(lines)])
+        style = rr.LineStrips2D.columns(colors=[LOST], radii=[0.03 * spacing], draw_order=[40.0])
+        batch.send_columns(f"{path}/moved", when, [*strips, *style])
+        held = np.zeros(len(fit.seen), np.bool_)
+        held[fit.held] = True
+        for name, points, color, share, order in (
+            ("observed", fit.observed_px[fit.seen & ~held], OBSERVED, 0.14, 50.0),
+            ("held", fit.observed_px[fit.seen & held], HELD, 0.14, 51.0),
+            ("simulated", fit.simulated_px[known & ~held], SIMULATED, 0.08, 52.0),
+        ):
+            many = len(points)
+            marks = rr.Points2D.columns(positions=points).partition([many])
+            style = rr.Points2D.columns(colors=[color], radii=[share * spacing], draw_order=[order])
+            batch.send_columns(f"{path}/{name}", when, [*marks, *style])
+        value = "" if np.isnan(fit.value) else f"beta = {fit.value:.3g}: "
+        _say(batch, f"{path}/words", fit.rest_px.min(axis=0) - (0.0, 0.4 * spacing), value + fit.verdict_text, when)
+
+
+def _say(batch: Batch, path: str, place: FloatArray, words: str, when: Sequence[rr.TimeColumn]) -> None:
+    columns = rr.Points2D.columns(positions=[place], radii=[0.1], labels=[words], show_labels=[True], draw_order=[60.0])
+    batch.send_columns(path, when, columns)
+
+
+def _spacing(points: FloatArray) -> float:
+    """Between neighbouring columns or rows of a lattice, whichever is nearer."""
+    steps = [np.diff(np.unique(np.round(points[:, axis], 3))) for axis in (0, 1)]
+    return float(min((step.min() for step in steps if step.size), default=10.0))

@@ -1,0 +1,49 @@
+"""What a person sees of stages: what each makes of its frames, on them; numbers over time; lag and words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import rerun.blueprint as rrb
+
+from deformscope.frames import Stream
+from deformscope.log.rig.blueprint import blueprint_of, plot_view, rig_views, tactile_view
+from deformscope.log.rig.columns import root
+
+PLOTS = "display/stage/plot"
+WORDS = "display/stage/summary"
+TITLES = {
+    "flow": "{}: optical flow [px]",
+    "beta": "{}: observed blue, simulated red, held yellow",
+    "surface": "{}: height of the surface [mm]",
+    "contact": "{}: force of the last approach [N]",
+}
+
+
+def stage_blueprint(stages: Sequence[tuple[str, str]], streams: Sequence[Stream]) -> rrb.Blueprint:
+    """Two tabs: what the stages found, and the devices' own views. stages: (name, device)"""
+    pictures: list[rrb.View] = []
+    plots: list[rrb.View] = []
+    for name, device in stages:
+        stream = next(one for one in streams if one.device == device)
+        said = " (SIMULATED)" if stream.simulated else ""
+        if name == "tactile":
+            pictures.append(tactile_view(stream))
+            plots.append(plot_view(f"{PLOTS}/force/{device}", f"{device}: force [N]{said}"))
+            plots.append(plot_view(f"{PLOTS}/area/{device}", f"{device}: contact area [cm2]{said}"))
+            continue
+        title = TITLES[name].format(device) + said
+        if name in ("flow", "beta"):
+            contents = [f"+ /{root('color', device)}", f"+ /{root(f'display/stage/{name}', device)}/**"]
+            pictures.append(rrb.Spatial2DView(contents=contents, name=title))
+        else:
+            pictures.append(rrb.Spatial2DView(contents=[f"+ /display/stage/{name}"], name=title))
+        if name == "beta":
+            plots.append(plot_view(f"{PLOTS}/beta", f"beta and its 90 % interval{said}"))
+    plots.append(plot_view(f"{PLOTS}/lag", "results behind their frame [ms]"))
+    words = rrb.TextDocumentView(contents=[f"+ /{WORDS}"], origin=WORDS, name="Stages")
+    shown = rrb.Vertical(
+        rrb.Horizontal(*pictures), rrb.Horizontal(*plots), words, row_shares=[4.0, 2.4, 1.5], name="Stages"
+    )
+    devices = rrb.Vertical(rig_views(streams), name="Devices")
+    return blueprint_of(rrb.Tabs(shown, devices, active_tab=0))

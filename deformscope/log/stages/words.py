@@ -1,0 +1,50 @@
+"""What the newest results say, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from deformscope.frames import StageResult
+from deformscope.pictures.words import stiffness_words
+from deformscope.stages.fit.moment import MomentFit
+from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, TouchEstimate
+from deformscope.stages.see.arrows import FlowArrows
+from deformscope.stages.see.tactile import TactileContact
+
+
+def summary(results: Sequence[StageResult]) -> str:
+    """A table in Markdown: the newest result of every stage, and how far behind the results were."""
+    lines = ["| stage | newest result | frame | skipped before it | lag |", "| --- | --- | --- | --- | --- |"]
+    for stage in dict.fromkeys(one.stage for one in results):
+        group = [one for one in results if one.stage == stage]
+        newest, lag_ms = group[-1], [one.late_s * 1e3 for one in group]
+        used = newest.used[-1]
+        cells = (stage, in_words(newest.result), f"{used.device} {used.last}", str(newest.skipped))
+        lines.append(f"| {' | '.join(cell.replace('|', '/') for cell in cells)} | **{np.max(lag_ms):.0f} ms** |")
+    return "\n".join(lines)
+
+
+def in_words(result: object) -> str:
+    """One result in a line."""
+    match result:
+        case StageFailure():
+            return f"**FAILED**: {result.reason}"
+        case FlowArrows():
+            length = np.hypot(*result.flow_px[np.isfinite(result.flow_px).all(axis=1)].T)
+            return f"median motion {np.median(length):.2g} px, largest {length.max(initial=0.0):.2g} px"
+        case MomentFit():
+            seen = f"{np.count_nonzero(result.seen)} of {len(result.seen)} particles seen"
+            value = "" if np.isnan(result.value) else f"**beta = {result.value:.3g}**, "
+            return f"{value}{result.verdict_text}; {seen}"
+        case TactileContact():
+            touched = int(np.count_nonzero(result.area_m2))
+            area_cm2 = result.area_m2.sum() * 1e4
+            return f"**{result.force_n.sum():.3g} N** on {area_cm2:.3g} cm2, {touched} of {len(result.area_m2)} pads"
+        case SurfaceEstimate():
+            middle_mm, deviation_mm = np.median(result.height_m) * 1e3, np.median(result.deviation_m) * 1e3
+            return f"median height {middle_mm:.4g} mm, deviation {deviation_mm:.2g} mm, {len(result.points_m)} points"
+        case TouchEstimate():
+            return stiffness_words(result)
+    raise TypeError(f"no words for a {type(result).__name__}")
