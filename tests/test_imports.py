@@ -41,11 +41,11 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "lab": ("arrays", "capsule", "errors", "rig", "robot", "stages.poke"),
     "session": ("frames",),
     "rows": ("arrays", "frames", "stages.map"),
-    "recording": ("arrays", "errors", "frames", "images", "log", "rows", "session", "stages.map"),
+    "recording": ("arrays", "errors", "frames", "images", "log", "rows", "session", *STAGES),
     "files": ("arrays", "errors", "frames", "images", "recording", *STAGES),
     "experiments": (
-        *("arrays", "capsule", "errors", "files", "lab", "rig", "robot", "session", "studies"),
-        *STAGES,
+        *("arrays", "capsule", "errors", "files", "frames", "images", "lab", "recording", "rig", "robot", "rows"),
+        *("session", "studies", *STAGES),
     ),
     "studies": (
         *("arrays", "capsule", "errors", "experiments", "files", "frames", "lab", "pictures", "plain", "recording"),

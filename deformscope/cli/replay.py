@@ -48,6 +48,9 @@ def run(config: ReplayConfig) -> None:
     if "explore" in settings:
         _explored(recording, settings, config)
         return
+    if "stages" in settings:
+        _stages(config)
+        return
     if "rig" in settings:
         raise InputError("a recording of a calibration or an exploration", "one of a rig alone", where=config.recording)
     try:
@@ -118,6 +121,21 @@ def _explored(recording: Replay, settings: dict[str, Any], config: ReplayConfig)
     console().print(f"replay: {len(again)} results, identical to the recorded numbers")
     told = {"results": len(again), "identical": True, "failures": failed}
     write_json(told, config.output.json)
+
+
+def _stages(config: ReplayConfig) -> None:
+    """Compute again what stages found while devices were recorded."""
+    from deformscope.experiments.replay_stages import replay_stages
+    from deformscope.pictures.words import failed_words
+
+    found = replay_stages(config.recording, trust=True)
+    for one in found.failures:
+        console().print(f"failed when it was recorded: {failed_words(one)}", markup=False)
+    write_json({"results": found.results, "different": found.different, "failures": found.failures}, config.output.json)
+    if wrong := {name: share for name, share in found.different.items() if share > 0.0}:
+        came = ", ".join(f"{name} that differs by {share:.2g}" for name, share in wrong.items())
+        raise Different("the recorded results of every stage, to the last bit", came, where=config.recording)
+    console().print(f"replay: {found.results} results of stages, identical to the recorded ones")
 
 
 def _wait(frame: ColorFrame) -> None:

@@ -57,6 +57,16 @@ def distances(time_s: float) -> FloatArray:
 def picture(time_s: float) -> Picture:
     """(480, 640, 3) the same in colour, RGB."""
     share = pressed(time_s)
+    return _picture(share) if share else _untouched()
+
+
+@cache
+def _untouched() -> Picture:
+    return _picture(0.0)
+
+
+def _picture(share: float) -> Picture:
+    """share: how far the stick has gone, 0 to 1"""
     shade = 1.0 - 0.45 * share * _dent()
     seen = (_texture() * shade[..., None]).astype(np.uint8)
     seen[_stick()] = (60, 60, 70)
@@ -66,12 +76,15 @@ def picture(time_s: float) -> Picture:
 def side(time_s: float) -> Picture:
     """(480, 640, 3) what a camera sees that looks at the foam from the side, RGB: a plate presses it from above, every
     speck moves with the material."""
-    strain = STROKE_PX * pressed(time_s) / (HEIGHT_PX - PLATE_PX)
-    rows, columns = _grid()
-    y = HEIGHT_PX - (HEIGHT_PX - rows) / (1.0 - strain)
-    y = np.where(y < PLATE_PX, rows - STROKE_PX * pressed(time_s), y)
+    way_px = STROKE_PX * pressed(time_s)
+    if way_px == 0.0:
+        return _side_texture()
+    strain = way_px / (HEIGHT_PX - PLATE_PX)
+    row = np.arange(HEIGHT_PX, dtype=np.float32)[:, None]
+    y = np.where(row < PLATE_PX + way_px, row - way_px, HEIGHT_PX - (HEIGHT_PX - row) / (1.0 - strain))
     wider = 1.0 + BULGE * strain * np.sin(np.pi * np.clip((y - PLATE_PX) / (HEIGHT_PX - PLATE_PX), 0.0, 1.0))
-    x = WIDTH_PX / 2 + (columns - WIDTH_PX / 2) / wider
+    x = WIDTH_PX / 2 + (np.arange(WIDTH_PX) - WIDTH_PX / 2) / wider
+    y = np.broadcast_to(y, x.shape)
     seen: Picture = cv2.remap(  # type: ignore[assignment]
         _side_texture(), x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT
     )

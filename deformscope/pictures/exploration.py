@@ -360,6 +360,8 @@ def _draw_map(
     _label_axes(axes)
     bar = axes.figure.colorbar(shown, cax=axes.inset_axes((1.035, 0.0, 0.045, 1.0)))
     bar.ax.tick_params(labelsize=10)
+    if norm is None:
+        bar.formatter.set_useOffset(False)  # whole numbers, not differences from one
     bar.ax.text(0.55, -0.035, label, transform=bar.ax.transAxes, fontsize=10, va="top", ha="left")
     if norm is not None:
         _number_log_bar(bar, norm.vmin, norm.vmax)

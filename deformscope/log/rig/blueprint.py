@@ -103,11 +103,12 @@ def _named(stream: Stream, what: str) -> str:
     return f"{stream.device}: {what}{' (SIMULATED)' if stream.simulated else ''}"
 
 
-def plot_view(origin: str, name: str) -> rrb.View:
+def plot_view(origin: str, name: str, *, below: bool = False) -> rrb.View:
+    """below: also what is below the entity"""
     now = rrb.TimeRangeBoundary.cursor_relative()
     window = rrb.TimeRangeBoundary.cursor_relative(seconds=-WINDOW_S)
     return rrb.TimeSeriesView(
-        contents=[f"+ /{origin}"],
+        contents=[f"+ /{origin}{'/**' if below else ''}"],
         origin=origin,
         name=name,
         plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop),

@@ -42,7 +42,7 @@ def log_flow_arrows(batch: Batch, device: str, results: Sequence[StageResult], s
         batch.send_columns(f"{path}/arrows", when, columns)
         first = one.used[0].first
         words = f"from frame {first} to {one.used[-1].last}: up to {longest:.2g} px, arrows {times:g} times as long"
-        _say(batch, f"{path}/words", flow.at_px.min(axis=0), words, when)
+        _say(batch, f"{path}/words", _above(flow.at_px, step), words, when)
 
 
 def log_moments(
@@ -75,7 +75,13 @@ def log_moments(
             style = rr.Points2D.columns(colors=[color], radii=[share * spacing], draw_order=[order])
             batch.send_columns(f"{path}/{name}", when, [*marks, *style])
         value = "" if np.isnan(fit.value) else f"beta = {fit.value:.3g}: "
-        _say(batch, f"{path}/words", fit.rest_px.min(axis=0) - (0.0, 0.4 * spacing), value + fit.verdict_text, when)
+        _say(batch, f"{path}/words", _above(fit.rest_px, spacing), value + fit.verdict_text, when)
+
+
+def _above(points: FloatArray, spacing: float) -> FloatArray:
+    """Over the middle of a lattice."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    return np.array([0.5 * (low[0] + high[0]), low[1] - 0.8 * spacing])
 
 
 def _say(batch: Batch, path: str, place: FloatArray, words: str, when: Sequence[rr.TimeColumn]) -> None:

@@ -40,7 +40,7 @@ def stage_blueprint(stages: Sequence[tuple[str, str]], streams: Sequence[Stream]
             pictures.append(rrb.Spatial2DView(contents=[f"+ /display/stage/{name}"], name=title))
         if name == "beta":
             plots.append(plot_view(f"{PLOTS}/beta", f"beta and its 90 % interval{said}"))
-    plots.append(plot_view(f"{PLOTS}/lag", "results behind their frame [ms]"))
+    plots.append(plot_view(f"{PLOTS}/lag", "results behind their frame [ms]", below=True))
     words = rrb.TextDocumentView(contents=[f"+ /{WORDS}"], origin=WORDS, name="Stages")
     shown = rrb.Vertical(
         rrb.Horizontal(*pictures), rrb.Horizontal(*plots), words, row_shares=[4.0, 2.4, 1.5], name="Stages"
