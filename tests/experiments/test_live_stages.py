@@ -1,0 +1,469 @@
+"""Stages beside devices: which frames they take, what is counted, what they find, and that a replay finds the same."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from deformscope.arrays import ImageArray
+from deformscope.errors import InputError
+from deformscope.experiments.device_stages import (
+    ApproachChooser,
+    BetaStage,
+    Chooser,
+    ContactStage,
+    LiveOptions,
+    NewestFrame,
+    Stage,
+    SurfaceStage,
+    compute,
+    for_rig,
+    stages_of,
+)
+from deformscope.experiments.foam_video import ParticleOptions
+from deformscope.experiments.live_stages import StageCounts, live_stages, used_frames
+from deformscope.experiments.replay_stages import replay_stages
+from deformscope.experiments.stage_processes import StageProcesses
+from deformscope.frames import (
+    ArmFrame,
+    ColorFrame,
+    Frame,
+    Item,
+    Pad,
+    StageResult,
+    Stream,
+    TactileFrame,
+    UsedFrames,
+    WrenchFrame,
+)
+from deformscope.images import decode_image, encode_jpeg
+from deformscope.recording.recorder import Recorder
+from deformscope.recording.stage_results import read_stage_results
+from deformscope.rig.rig_file import load_rig
+from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, TouchEstimate
+from deformscope.stages.see.tactile import TactileContact
+from deformscope_drivers.clock import Stamp, monotonic_ns
+
+# A worker that the test itself ends -----------------------------------------------------------------------------------
+
+
+class ByHand:
+    """Computes nothing until the test says so."""
+
+    def __init__(self) -> None:
+        self.waiting: list[tuple[Future[Any], Callable[..., Any], tuple[Any, ...]]] = []
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        self.waiting.append((future, function, arguments))
+        return future
+
+    def finish(self) -> None:
+        future, function, arguments = self.waiting.pop()
+        future.set_result(function(*arguments))
+
+    def die(self) -> None:
+        self.waiting.pop()[0].set_exception(RuntimeError("killed"))
+
+
+class AtOnce(ByHand):
+    """Has computed it when the next items come."""
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
+        future = super().submit(function, *arguments)
+        self.finish()
+        return future
+
+
+@dataclasses.dataclass(frozen=True)
+class Doubled:
+    """A stage that doubles a frame's index, and fails at 13."""
+
+    device: str = "pads"
+    name: str = "tactile"
+
+    def chooser(self) -> Chooser:
+        return NewestFrame(self.device)
+
+    def packed(self, frames: Sequence[Frame]) -> Any:
+        return frames[-1].index
+
+    def compute(self, packed: Any) -> object:
+        if packed == 13:
+            raise InputError("luck", "13")
+        return 2 * packed
+
+
+def pads(index: int, device: str = "pads") -> TactileFrame:
+    return TactileFrame(Stamp(monotonic_ns()), index, np.zeros(0, np.int64), (), device)
+
+
+def counts_of(experiment: Any) -> dict[str, StageCounts]:
+    with pytest.raises(StopIteration) as end:
+        experiment.send(None)
+    found: dict[str, StageCounts] = end.value.value
+    return found
+
+
+def test_the_newest_frame_wins_and_the_others_are_counted() -> None:
+    worker = ByHand()
+    experiment = live_stages([Doubled()], {"tactile": worker})
+    next(experiment)
+
+    assert experiment.send([pads(0), pads(1), pads(2), pads(9, "others")]) == ()
+    assert experiment.send([pads(3)]) == ()  # still computing
+    assert experiment.send([pads(4), pads(5)]) == ()
+    worker.finish()
+    (first,) = experiment.send([pads(6)])
+    worker.finish()
+    (second,) = experiment.send([])
+
+    assert (first.result, first.used, first.skipped) == (4, (UsedFrames("pads", 2, 2),), 2)
+    assert (second.result, second.used, second.skipped) == (12, (UsedFrames("pads", 6, 6),), 3)
+    assert first.late_s >= 0.0
+    counts = counts_of(experiment)["tactile"]
+    assert (counts.frames, counts.results, counts.failures, counts.skipped) == (7, 2, 0, 5)
+    assert len(counts.late_s) == 2
+
+
+def test_what_was_not_finished_counts_as_skipped() -> None:
+    worker = ByHand()
+    experiment = live_stages([Doubled()], {"tactile": worker})
+    next(experiment)
+    experiment.send([pads(0)])
+    experiment.send([pads(1), pads(2)])
+
+    counts = counts_of(experiment)["tactile"]
+
+    assert (counts.frames, counts.results, counts.skipped) == (3, 0, 3)
+    assert counts.as_json()["lag_ms"] is None
+
+
+def test_a_stage_that_fails_says_so_and_goes_on() -> None:
+    experiment = live_stages([Doubled()], {"tactile": AtOnce()})
+    next(experiment)
+    experiment.send([pads(13)])
+
+    (failed,) = experiment.send([pads(14)])
+    (after,) = experiment.send([])
+
+    assert isinstance(failed.result, StageFailure)
+    assert failed.result.reason == "expected luck; got 13"
+    assert after.result == 28
+    assert counts_of(experiment)["tactile"].failures == 1
+
+
+def test_a_process_that_dies_is_a_failure_too() -> None:
+    worker = ByHand()
+    experiment = live_stages([Doubled()], {"tactile": worker})
+    next(experiment)
+    experiment.send([pads(1)])
+    worker.die()
+
+    (failed,) = experiment.send([pads(2)])
+    worker.finish()
+    (after,) = experiment.send([])
+
+    assert isinstance(failed.result, StageFailure)
+    assert "killed" in failed.result.reason
+    assert after.result == 4
+
+
+def test_two_stages_do_not_wait_for_each_other() -> None:
+    slow, fast = ByHand(), AtOnce()
+    experiment = live_stages([Doubled(name="flow"), Doubled()], {"flow": slow, "tactile": fast})
+    next(experiment)
+    experiment.send([pads(1)])
+    results = [result for index in (2, 3) for result in experiment.send([pads(index)])]
+
+    assert [(one.stage, one.result) for one in results] == [("tactile", 2), ("tactile", 4)]
+
+
+def test_flow_is_from_the_image_used_before_and_beta_from_the_first() -> None:
+    previous, first = NewestFrame("pads", "previous"), NewestFrame("pads", "first")
+    taken: dict[str, list[list[int]]] = {"previous": [], "first": []}
+    for index in range(6):
+        for name, chooser in (("previous", previous), ("first", first)):
+            chooser.see(pads(index))
+            if index in (2, 5) and (frames := chooser.take()) is not None:
+                taken[name].append([frame.index for frame in frames])
+
+    assert taken == {"previous": [[0, 2], [2, 5]], "first": [[0, 2], [0, 5]]}
+    assert previous.skipped == first.skipped == 3
+
+
+def test_frames_are_named_by_stretches() -> None:
+    frames = [pads(4), pads(5), pads(6), pads(2, "arm"), pads(7)]
+
+    assert used_frames(frames) == (UsedFrames("arm", 2, 2), UsedFrames("pads", 4, 7))
+
+
+# Known answers --------------------------------------------------------------------------------------------------------
+
+
+def foam(pressed_px: float = 0.0, height: int = 240, width: int = 320) -> ImageArray:
+    """Specks of foam that a plate at the upper edge shortens."""
+    grains = np.random.default_rng(0).random((height // 4, width // 4)).repeat(4, 0).repeat(4, 1).astype(np.float32)
+    rows, columns = np.mgrid[0:height, 0:width].astype(np.float32)
+    source = height - (height - rows) * height / (height - pressed_px)
+    seen = cv2.remap(grains, columns, source, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+    return np.repeat((60 + 150 * seen).astype(np.uint8)[..., None], 3, axis=2)
+
+
+def test_beta_follows_particles_in_pixels_of_the_whole_image() -> None:
+    stage = BetaStage(LiveOptions(("beta",), color="camera"))
+
+    found: Any = compute(stage, (foam(), foam(16.0)))
+
+    down = 16.0 * (240 - found.rest_px[:, 1]) / 240
+    inner = found.seen & (found.rest_px[:, 1] > 40)
+    assert inner.sum() >= 30
+    np.testing.assert_allclose(
+        found.observed_px[inner], found.rest_px[inner] + np.column_stack([0 * down, down])[inner], atol=0.5
+    )
+    np.testing.assert_array_equal(found.simulated_px[found.held], found.observed_px[found.held])
+    assert found.aee_px < 1.0
+    assert found.interval[0] <= found.value <= found.interval[1]
+    assert found.verdict in ("identified", "weak", "at-bound", "unidentified")
+    assert found.verdict_text.startswith(found.verdict.split("-")[0])
+
+
+def test_a_pose_that_cannot_be_fitted_has_particles_and_a_reason() -> None:
+    particles = ParticleOptions(held=("bottom", "contact"), contact=(40.0, 40.0, 80.0, 80.0))
+    hidden = foam()
+    hidden[:, :160] = hidden[::-1, 160:].copy()  # something else stands there
+
+    found: Any = compute(BetaStage(LiveOptions(("beta",), color="camera", particles=particles)), (foam(), hidden))
+
+    assert found.verdict == "unidentified"
+    assert "held particles of 'contact' that can be followed" in found.verdict_text
+    assert math.isnan(found.value)
+    assert 0 < found.seen.sum() < len(found.seen)
+
+
+def test_a_level_surface_is_level() -> None:
+    looks_down = ((1.0, 0.0, 0.0, 0.1), (0.0, -1.0, 0.0, 0.1), (0.0, 0.0, -1.0, 0.6), (0.0, 0.0, 0.0, 1.0))
+    options = LiveOptions(
+        ("surface",),
+        depth="depth",
+        focal_px=(285.0, 285.0),
+        center_px=(79.5, 59.5),
+        T_surface_camera=looks_down,
+        size_m=(0.2, 0.2),
+        thickness_m=0.05,
+    )
+    depth = np.full((120, 160), 542, np.uint16)  # 8 mm above the nominal 0.55 m
+    depth[50:60, 70:80] = 400  # something that hangs over it
+
+    found = compute(SurfaceStage(options), (depth, 1e-3))
+
+    assert isinstance(found, SurfaceEstimate)
+    assert found.height_m.shape == (20, 20)
+    np.testing.assert_allclose(found.height_m, 0.058, atol=5e-4)
+    assert (found.deviation_m > 0.0).all()
+
+
+TIP = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.1), (0.0, 0.0, 0.0, 1.0))
+"""A stick of 10 cm along the arm's z axis, which points where the tool does."""
+STIFF = 2.0e4
+"""k of F = k d^1.5 [N/m^1.5]."""
+
+
+def approach(seconds: float = 2.0, contact_s: float = 1.0, speed_m_s: float = 0.01) -> list[Frame]:
+    """An arm that goes down along -z with its tool upside down, and a force sensor that feels a sphere's contact."""
+    down = (math.pi, 0.0, 0.0)
+    frames: list[Frame] = []
+    for step in range(round(seconds * 1000)):
+        time_s = step / 1000
+        stamp = Stamp(1_000_000_000 + step * 1_000_000)
+        depth = speed_m_s * max(time_s - contact_s, 0.0)
+        if time_s > seconds - 0.2:  # away again
+            depth = max(depth - 0.1 * (time_s - seconds + 0.2), 0.0)
+        force = np.array([[0.0, 0.0, STIFF * depth**1.5]]) + 0.3  # a tare that is not zero
+        frames.append(WrenchFrame(stamp, step, np.zeros(3, np.int64), force, device="tip"))
+        if step % 10 == 0:
+            height = 0.5 - speed_m_s * time_s if time_s <= seconds - 0.2 else 0.5
+            nothing = np.zeros(3)
+            place = np.array([0.1, 0.2, height])
+            arm = (nothing, nothing, nothing, place, np.array(down), nothing, nothing, nothing)
+            frames.append(ArmFrame(stamp, step // 10, *arm))
+    return frames
+
+
+def test_an_approach_is_found_and_its_stiffness_is_known() -> None:
+    chooser = ApproachChooser("tip", "arm")
+    taken = None
+    for frame in approach():
+        chooser.see(frame)
+        taken = taken or chooser.take()
+    assert taken is not None
+    stage = ContactStage(LiveOptions(("contact",), wrench="tip", arm="arm", T_ee_tip=TIP, set_force_n=3.0))
+
+    found = compute(stage, stage.packed(taken))
+
+    assert isinstance(found, TouchEstimate)
+    depth_m = (3.0 / STIFF) ** (2 / 3)
+    assert found.stiffness_n_per_mm == pytest.approx(3e-3 / depth_m, rel=0.05)
+    assert found.depth_m == pytest.approx(depth_m, rel=0.05)
+    np.testing.assert_allclose(found.normal, [0.0, 0.0, 1.0], atol=1e-6)
+    assert chooser.take() is None
+
+
+def test_a_force_without_an_arm_that_moves_is_refused() -> None:
+    still = [
+        dataclasses.replace(frame, position_m=np.array([0.1, 0.2, 0.5])) if isinstance(frame, ArmFrame) else frame
+        for frame in approach()
+    ]
+    stage = ContactStage(LiveOptions(("contact",), wrench="tip", arm="arm", T_ee_tip=TIP))
+
+    with pytest.raises(InputError, match="an arm that moves into what it presses"):
+        compute(stage, stage.packed(still))
+
+
+# What a rig must have -------------------------------------------------------------------------------------------------
+
+
+def test_a_device_that_is_missing_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text('[devices.pads]\ndriver = "dsa"\ndouble = true\n')
+    rig = load_rig(str(path))
+
+    assert for_rig(LiveOptions(("tactile",)), rig).tactile == "pads"
+    with pytest.raises(InputError, match="a color device for --stage beta; got none in the rig"):
+        for_rig(LiveOptions(("tactile", "beta")), rig)
+    with pytest.raises(InputError, match="a wrench device for --stage contact"):
+        for_rig(LiveOptions(("contact",)), rig)
+
+
+def test_a_camera_that_is_not_calibrated_is_refused_and_the_bench_is() -> None:
+    bench = load_rig("lab:bench")
+    camera = dataclasses.replace(bench.camera, T_arm_camera=None)
+
+    with pytest.raises(InputError, match="no T_arm_camera in"):
+        for_rig(LiveOptions(("surface",)), dataclasses.replace(bench, camera=camera))
+    with pytest.raises(InputError, match="one of camera after --camera; got 'webcam'"):
+        for_rig(LiveOptions(("flow",), color="webcam"), bench)
+    found = for_rig(LiveOptions(("flow", "surface", "contact")), bench)
+    assert (found.color, found.depth, found.wrench, found.arm) == ("camera", "depth", "tip", "arm")
+    assert found.size_m == (0.36, 0.26)
+
+
+# Recorded, read back, computed again ----------------------------------------------------------------------------------
+
+PADS = (Pad("thumb_distal", 4, 3, (3.4e-3, 3.4e-3), 0, 1, 1),)
+STREAMS = (
+    Stream("camera", "color", "webcam"),
+    Stream("pads", "tactile", "dsa", pads=PADS, full_scale_pa=3000.0),
+)
+OPTIONS = LiveOptions(("flow", "tactile"), color="camera", tactile="pads", longest_px=80)
+
+
+def items(changed: bool = False) -> list[list[Item]]:
+    """Two batches of images and pressures; the last image may be another one."""
+    random = np.random.default_rng(3)
+    found: list[list[Item]] = []
+    for index in range(4):
+        stamp = Stamp(1_000_000_000 + index * 100_000_000)
+        image = foam(2.0 * index + (3.0 if changed and index == 3 else 0.0))
+        pressure = np.maximum(random.normal(200.0, 300.0, (4, 3)), 0.0)
+        counts = np.zeros(12, np.int64)
+        found.append([ColorFrame(stamp, index, image), TactileFrame(stamp, index, counts, (pressure,), "pads")])
+    return found
+
+
+def record(path: Path, given: list[list[Item]], results: Sequence[StageResult]) -> None:
+    settings = {"rig": "", "rig_name": "test", "seed": 0, "stages": dataclasses.asdict(OPTIONS)}
+    with Recorder(path, settings=settings, layout="rig") as recorder:
+        recorder.start_rig(STREAMS, 1_000_000_000, (), [("flow", "camera"), ("tactile", "pads")])
+        for batch in given:
+            recorder.write_items(batch)
+        recorder.write_stage_results(results)
+
+
+def computed(given: list[list[Item]]) -> list[StageResult]:
+    stages: tuple[Stage, ...] = stages_of(OPTIONS, STREAMS)
+    experiment = live_stages(stages, {"flow": AtOnce(), "tactile": AtOnce()})
+    next(experiment)
+    return [result for batch in [*given, []] for result in experiment.send(batch)]
+
+
+def test_a_replay_finds_the_same_and_an_altered_image_shows(tmp_path: Path) -> None:
+    results = computed(items())
+    assert [one.stage for one in results] == ["tactile", *["flow", "tactile"] * 3]
+    record(tmp_path / "same.rrd", items(), results)
+    record(tmp_path / "other.rrd", items(changed=True), results)
+
+    same, other = replay_stages(tmp_path / "same.rrd"), replay_stages(tmp_path / "other.rrd")
+
+    assert (same.results, same.failures, same.different) == (7, (), {"flow": 0.0, "tactile": 0.0})
+    assert other.different["tactile"] == 0.0
+    assert other.different["flow"] > 1e-3
+
+
+def test_results_come_back_as_they_were(tmp_path: Path) -> None:
+    results = computed(items())
+    results.append(
+        dataclasses.replace(results[-1], host_ns=results[-1].host_ns + 1, result=StageFailure("flow", 0, "r", "t"))
+    )
+    record(tmp_path / "r.rrd", items(), results)
+
+    found = read_stage_results(tmp_path / "r.rrd")
+
+    assert len(found) == len(results)
+    for one, other in zip(found, sorted(results, key=lambda one: (one.host_ns, one.stage)), strict=True):
+        assert dataclasses.replace(one, result=None) == dataclasses.replace(other, result=None)
+        assert type(one.result) is type(other.result)
+        if isinstance(one.result, TactileContact) and isinstance(other.result, TactileContact):
+            np.testing.assert_array_equal(one.result.center_m, other.result.center_m)
+            np.testing.assert_array_equal(one.result.force_n, other.result.force_n)
+
+
+def test_a_frame_that_is_missing_is_named(tmp_path: Path) -> None:
+    record(tmp_path / "r.rrd", items()[:3], computed(items()))
+
+    with pytest.raises(InputError, match="no frame 3 of"):
+        replay_stages(tmp_path / "r.rrd")
+
+
+def test_a_stage_sees_the_image_as_it_is_recorded() -> None:
+    experiment = live_stages(stages_of(OPTIONS, STREAMS)[:1], {"flow": AtOnce()})
+    next(experiment)
+    images: list[ImageArray] = [foam(), foam(5.0)]
+    experiment.send([ColorFrame(Stamp(1), 0, images[0]), ColorFrame(Stamp(2), 1, images[1])])
+
+    (found,) = experiment.send([])
+
+    decoded = tuple(decode_image(encode_jpeg(image), "image") for image in images)
+    expected: Any = compute(stages_of(OPTIONS, STREAMS)[0], decoded)
+    raw: Any = compute(stages_of(OPTIONS, STREAMS)[0], tuple(images))
+    result: Any = found.result
+    np.testing.assert_array_equal(result.flow_px, expected.flow_px)
+    assert not np.array_equal(result.flow_px, raw.flow_px)
+
+
+def test_a_process_computes_and_is_replaced_when_it_has_died() -> None:
+    processes = StageProcesses(["tactile"], int_nothing)
+    with processes as beside:
+        worker = beside["tactile"]
+        assert worker.submit(math.sqrt, 9.0).result(60) == 3.0
+        with pytest.raises(Exception, match="terminated abruptly"):
+            worker.submit(os_exit).result(60)
+        assert worker.submit(math.sqrt, 16.0).result(60) == 4.0
+
+
+def int_nothing() -> None:
+    """No engine."""
+
+
+def os_exit() -> None:
+    import os
+
+    os._exit(1)
