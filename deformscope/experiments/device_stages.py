@@ -43,6 +43,8 @@ NOISE_SHARE = 0.005
 """Of a tactile sensor's full scale, below which a texel is not in contact."""
 CELL_M = 0.01
 """Of the map of a surface."""
+DEPTH_ALONG = 160
+"""Pixels that are taken of a depth image's longer side: lone points are found among 12 000 in 0.1 s."""
 ABOVE_M, BELOW_M = 0.02, 0.03
 """How far above and below the surface's top at rest points are taken for the surface."""
 TOUCHING_N = 0.5
@@ -351,9 +353,11 @@ class SurfaceStage:
         options = self.options
         (width, height), top = options.size_m, options.thickness_m
         box = Box((0.0, 0.0, top - BELOW_M), (width, height, top + ABOVE_M))
-        camera = Intrinsics(options.focal_px, options.center_px, options.distortion)
+        every = max(round(max(depth.shape) / DEPTH_ALONG), 1)
+        focal, center = (tuple(one / every for one in pair) for pair in (options.focal_px, options.center_px))
+        camera = Intrinsics(focal, center, options.distortion)  # type: ignore[arg-type]
         T_surface_camera = np.array(options.T_surface_camera, dtype=np.float64)
-        seen = perceive(depth * unit_m, camera, T_surface_camera, box, cell_m=CELL_M)
+        seen = perceive(depth[::every, ::every] * unit_m, camera, T_surface_camera, box, cell_m=CELL_M)
         surface = fit_surface(seen.points_m, noise_m=seen.noise_m, within_m=((0.0, 0.0), options.size_m))
         heights = surface.on(MapGrid(options.size_m, CELL_M))
         return SurfaceEstimate(seen.points_m, heights.mean_m, heights.deviation_m, CELL_M)
@@ -490,7 +494,7 @@ def fit_contact(approach: Approach, T_ee_tip: FloatArray, set_force_n: float, ar
     normal = -way / length
     time_s = (approach.arm_ns - approach.arm_ns[0]) / 1e9
     fit = fit_approach(time_s, tip_m, force_n, normal, set_force_n=set_force_n, arm=arm)
-    along = -(tip_m @ normal)
+    along, force_n, tip_m = -(tip_m @ normal)[: peak + 1], force_n[: peak + 1], tip_m[: peak + 1]
     forces = np.linspace(0.0, 2.0 * max(fit.peak_force_n, fit.at_force_n), LAW_STEPS)
     dent = max(fit.depth_m, 1e-9) * (forces / fit.at_force_n) ** (1.0 / fit.exponent)
     law = np.interp(along, fit.contact_m + dent + arm.compliance_m_per_n * forces, forces)
@@ -510,7 +514,7 @@ def fit_contact(approach: Approach, T_ee_tip: FloatArray, set_force_n: float, ar
         peak_force_n=fit.peak_force_n,
         beta=None,
         beta_interval=None,
-        beta_verdict="",
+        beta_verdict="not asked for",
         observed_m=np.zeros((0, 3)),
         simulated_m=np.zeros((0, 3)),
     )

@@ -127,7 +127,8 @@ class _Running:
     def end(self) -> StageCounts:
         """The counts, with what nothing was computed from in the end among the skipped."""
         self._counts.skipped += self._chooser.skipped + (self._chooser.take() is not None)
-        self._counts.skipped += self._future is not None
+        if self._future is not None:
+            self._counts.skipped += self._skipped + 1
         return self._counts
 
 

@@ -28,6 +28,7 @@ class LiveStream:
         self._shown: Shown = {}
         self._start_ns, self._streams = 0, tuple[Stream, ...]()
         self._results: list[StageResult] = []
+        self._latest: dict[str, StageResult] = {}
 
     def add_items(self, items: Sequence[Item], start_ns: int, streams: Sequence[Stream], place: Place | None) -> None:
         """Show them with the next flush; the arguments are those of `prepare_items`."""
@@ -55,7 +56,8 @@ class LiveStream:
         self._items.clear()
         if self._results:
             results, self._results = self._results, []
-            self.send(prepare_stage_results(results, self._start_ns, self._streams, newest_pictures=True))
+            start_ns, streams = self._start_ns, self._streams
+            self.send(prepare_stage_results(results, start_ns, streams, self._latest, newest_pictures=True))
         began = time.monotonic()
         try:
             self.rec.flush(timeout_sec=timeout_sec)

@@ -43,6 +43,10 @@ EXCLUDED, STRIPES, STRIPE = "#a4a9b1", "#6f757e", 4
 """Cells that may not be touched: grey, striped, cells from stripe to stripe."""
 BETA_STEP = 0.2
 """Where a scale of beta may begin and end."""
+NOT_ASKED = "not asked for"
+"""A verdict on beta that need not be said."""
+LEAST_RANGE_MM = 4.0
+"""Of a scale of heights."""
 LEAST = 1e-9
 """Stiffness [N/mm] below which there is none."""
 STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0)
@@ -99,9 +103,9 @@ def gain_png(plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None = 
     return _one(lambda axes: draw_gain(axes, plan, cell_m, contacts_m))
 
 
-def force_png(touch: TouchEstimate) -> bytes:
-    """Force over the depth of the tip, the fitted law, and where contact began."""
-    return _one(lambda axes: draw_force(axes, touch), (0.14, 0.155, 0.8, 0.62))
+def force_png(touch: TouchEstimate, name: str = "") -> bytes:
+    """Force over the depth of the tip, the fitted law, and where contact began. name: instead of the touch's number"""
+    return _one(lambda axes: draw_force(axes, touch, name), (0.14, 0.155, 0.8, 0.62))
 
 
 def section_png(touch: TouchEstimate) -> bytes:
@@ -226,16 +230,23 @@ def draw_gain(axes: Any, plan: PlannedTouch, cell_m: float, contacts_m: FloatArr
 
 
 def draw_height(axes: Any, surface: SurfaceEstimate) -> None:
-    _draw_map(axes, surface.height_m * 1e3, surface.cell_m, HEIGHT, "[mm]")
+    low, high = _height_range(surface.height_m * 1e3)
+    _draw_map(axes, surface.height_m * 1e3, surface.cell_m, HEIGHT, "[mm]", low=low, high=high)
     _draw_levels(axes, surface.deviation_m * 1e3, surface.cell_m, "mm")
     _title(axes, "Height of the surface", "lines: one standard deviation")
 
 
-def draw_force(axes: Any, touch: TouchEstimate) -> None:
+def _height_range(height_mm: FloatArray) -> tuple[float, float]:
+    """Where a scale of heights begins and ends: not so near that a level surface looks like hills."""
+    low, high = float(height_mm.min()), float(height_mm.max())
+    more = max(0.5 * (LEAST_RANGE_MM - (high - low)), 0.0)
+    return low - more, high + more
+
+
+def draw_force(axes: Any, touch: TouchEstimate, name: str = "") -> None:
+    name = name or f"Touch {touch.number + 1}"
     if not touch.usable:
-        _title(
-            axes, f"Touch {touch.number + 1}: {stiffness_words(touch)}", f"{dent_words(touch)}; {_beta_words(touch)}"
-        )
+        _title(axes, f"{name}: {stiffness_words(touch)}", f"{dent_words(touch)}; {_beta_words(touch)}")
         axes.plot(touch.approach_m * 1e3, touch.approach_n, ".", color=hexadecimal(OBSERVED), ms=5)
         axes.set_xlabel("way of the tip [mm]", fontsize=11)
         axes.set_ylabel("force [N]", fontsize=11)
@@ -259,8 +270,9 @@ def draw_force(axes: Any, touch: TouchEstimate) -> None:
     words.append(dent_words(touch))
     if touch.modulus_pa is not None:
         words.append(f"modulus {touch.modulus_pa / 1e3:.3g} kPa")
-    words.append(_beta_words(touch))
-    _title(axes, f"Touch {touch.number + 1}: {stiffness_words(touch)}", ", ".join(words))
+    if touch.beta_verdict != NOT_ASKED:
+        words.append(_beta_words(touch))
+    _title(axes, f"{name}: {stiffness_words(touch)}", ", ".join(words))
 
 
 def draw_section(axes: Any, touch: TouchEstimate) -> None:

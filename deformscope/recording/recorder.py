@@ -185,6 +185,7 @@ class Recorder:
         self._gathered_bytes = self._gathered_touch = 0
         self._gathered_at = 0.0
         self._gathered_results: list[StageResult] = []
+        self._latest_results: dict[str, StageResult] = {}
 
     @property
     def active(self) -> bool:
@@ -353,7 +354,7 @@ class Recorder:
             from deformscope.log.stages import prepare_stage_results
 
             results, self._gathered_results = self._gathered_results, []
-            self._file.send(prepare_stage_results(results, self._first_ns, self._streams))
+            self._file.send(prepare_stage_results(results, self._first_ns, self._streams, self._latest_results))
         if not self._gathered or self._file is None:
             return
         from deformscope.log.rig import prepare_items

@@ -138,12 +138,12 @@ def test_what_was_not_finished_counts_as_skipped() -> None:
     worker = ByHand()
     experiment = live_stages([Doubled()], {"tactile": worker})
     next(experiment)
-    experiment.send([pads(0)])
-    experiment.send([pads(1), pads(2)])
+    experiment.send([pads(0), pads(1)])
+    experiment.send([pads(2), pads(3)])
 
     counts = counts_of(experiment)["tactile"]
 
-    assert (counts.frames, counts.results, counts.skipped) == (3, 0, 3)
+    assert (counts.frames, counts.results, counts.skipped) == (4, 0, 4)
     assert counts.as_json()["lag_ms"] is None
 
 

@@ -45,11 +45,17 @@ def log_stage_streams(rec: rr.RecordingStream, stages: Sequence[tuple[str, str]]
 
 
 def prepare_stage_results(
-    results: Sequence[StageResult], start_ns: int, streams: Sequence[Stream], *, newest_pictures: bool = False
+    results: Sequence[StageResult],
+    start_ns: int,
+    streams: Sequence[Stream],
+    latest: dict[str, StageResult] | None = None,
+    *,
+    newest_pictures: bool = False,
 ) -> Batch:
     """Make results ready for one stream or several: the cost is by stage, little by result, but for drawn pictures.
 
-    start_ns: host time at which `session` is 0 [ns]; newest_pictures: draw and mark only what is newest of each stage
+    start_ns: host time at which `session` is 0 [ns]; latest: of every stage, kept from call to call
+    newest_pictures: draw and mark only what is newest of each stage
     """
     batch = Batch()
     known = {(stream.kind, stream.device): stream for stream in streams}
@@ -68,10 +74,12 @@ def prepare_stage_results(
         elif kind is SurfaceEstimate:
             _log_pictures(batch, "surface", drawn, [height_png(one.result) for one in drawn], start_ns)
         elif kind is TouchEstimate:
-            _log_pictures(batch, "contact", drawn, [force_png(one.result) for one in drawn], start_ns)
+            _log_pictures(batch, "contact", drawn, [force_png(one.result, "Approach") for one in drawn], start_ns)
     if results:
+        latest = {} if latest is None else latest
+        latest |= {one.stage: one for one in results}
         newest = max(results, key=lambda one: one.host_ns)
-        columns = rr.TextDocument.columns(text=[summary(results)], media_type=["text/markdown"])
+        columns = rr.TextDocument.columns(text=[summary(list(latest.values()))], media_type=["text/markdown"])
         batch.send_columns("display/stage/summary", moments([newest.host_ns], start_ns), columns)
     return batch
 

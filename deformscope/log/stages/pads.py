@@ -40,7 +40,7 @@ def log_pads(
     for one in drawn:
         felt = np.flatnonzero(one.result.area_m2 > 0.0)
         centers.append(corners[felt] + one.result.center_m[felt] * 1e3)
-        labels += [f"{one.result.force_n[pad]:.2g} N, {one.result.area_m2[pad] * 1e4:.2g} cm2" for pad in felt]
+        labels += [f"{one.result.force_n[pad]:.2f} N, {one.result.area_m2[pad] * 1e4:.1f} cm2" for pad in felt]
         counts.append(len(felt))
     total = sum(counts)
     columns = [

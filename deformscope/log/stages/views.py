@@ -14,7 +14,7 @@ PLOTS = "display/stage/plot"
 WORDS = "display/stage/summary"
 TITLES = {
     "flow": "{}: optical flow [px]",
-    "beta": "{}: observed blue, simulated red, held yellow",
+    "beta": "{}: particles (observed blue, simulated red, held yellow)",
     "surface": "{}: height of the surface [mm]",
     "contact": "{}: force of the last approach [N]",
 }
@@ -43,7 +43,11 @@ def stage_blueprint(stages: Sequence[tuple[str, str]], streams: Sequence[Stream]
     plots.append(plot_view(f"{PLOTS}/lag", "results behind their frame [ms]", below=True))
     words = rrb.TextDocumentView(contents=[f"+ /{WORDS}"], origin=WORDS, name="Stages")
     shown = rrb.Vertical(
-        rrb.Horizontal(*pictures), rrb.Horizontal(*plots), words, row_shares=[4.0, 2.4, 1.5], name="Stages"
+        rrb.Horizontal(*pictures),
+        rrb.Horizontal(*plots),
+        words,
+        row_shares=[4.0, 2.4, 0.5 + 0.25 * len(stages)],
+        name="Stages",
     )
     devices = rrb.Vertical(rig_views(streams), name="Devices")
     return blueprint_of(rrb.Tabs(shown, devices, active_tab=0))

@@ -14,15 +14,13 @@ from deformscope.stages.see.arrows import FlowArrows
 from deformscope.stages.see.tactile import TactileContact
 
 
-def summary(results: Sequence[StageResult]) -> str:
-    """A table in Markdown: the newest result of every stage, and how far behind the results were."""
-    lines = ["| stage | newest result | frame | skipped before it | lag |", "| --- | --- | --- | --- | --- |"]
-    for stage in dict.fromkeys(one.stage for one in results):
-        group = [one for one in results if one.stage == stage]
-        newest, lag_ms = group[-1], [one.late_s * 1e3 for one in group]
-        used = newest.used[-1]
-        cells = (stage, in_words(newest.result), f"{used.device} {used.last}", str(newest.skipped))
-        lines.append(f"| {' | '.join(cell.replace('|', '/') for cell in cells)} | **{np.max(lag_ms):.0f} ms** |")
+def summary(latest: Sequence[StageResult]) -> str:
+    """The newest result of every stage, as a table in Markdown."""
+    lines = ["| stage | newest result | of frame | skipped before it | lag |", "| --- | --- | --- | --- | --- |"]
+    for one in latest:
+        used = one.used[-1]
+        cells = (one.stage, in_words(one.result), f"{used.device} {used.last}", str(one.skipped))
+        lines.append(f"| {' | '.join(cell.replace('|', '/') for cell in cells)} | **{one.late_s * 1e3:.0f} ms** |")
     return "\n".join(lines)
 
 
