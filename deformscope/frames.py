@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from deformscope.arrays import FloatArray, ImageArray, IntArray
 from deformscope_drivers.clock import Stamp
@@ -188,7 +188,7 @@ class StageResult:
     host_ns: int
     skipped: int
     late_s: float
-    result: object
+    result: Any
 
 
 @dataclass(frozen=True, slots=True)

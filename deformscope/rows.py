@@ -77,7 +77,7 @@ def result_of(kind: type[T], values: dict[str, list[Any]]) -> T:
     """What `components` made a row of. values: each component's values, by name"""
     hints = get_type_hints(kind)
     made: dict[str, Any] = {}
-    for field in dataclasses.fields(kind):
+    for field in dataclasses.fields(cast(Any, kind)):
         wanted = _required(hints[field.name])
         if field.name not in values:
             made[field.name] = None

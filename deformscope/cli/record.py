@@ -231,7 +231,7 @@ def _tell(
     if summary.path is not None:
         rows.append(("recording", f"{summary.path} ({summary.bytes / 1e6:.1f} MB)"))
     show_table(config.label or config.rig, rows)
-    found = {
+    found: dict[str, object] = {
         "recording": summary.path,
         "frames": summary.frames,
         "bytes": summary.bytes,

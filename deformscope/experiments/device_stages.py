@@ -284,9 +284,19 @@ def fit_moment(
     grid, tracked = _particles_at(rest, now, particles, longest_px)
     nan = float("nan")
     nothing = MomentFit(
-        *(grid.rest_px, tracked.position_px, np.full_like(tracked.position_px, nan), tracked.seen),
-        *(np.zeros(0, np.int64), tracked.noise_px, fit.model.parameter, nan, (nan, nan)),
-        *("unidentified", "", nan, nan),
+        rest_px=grid.rest_px,
+        observed_px=tracked.position_px,
+        simulated_px=np.full_like(tracked.position_px, nan),
+        seen=tracked.seen,
+        held=np.zeros(0, np.int64),
+        noise_px=tracked.noise_px,
+        parameter=fit.model.parameter,
+        value=nan,
+        interval=(nan, nan),
+        verdict="unidentified",
+        verdict_text="",
+        aee_px=nan,
+        explained=nan,
     )
     try:
         held, _ = hold_what_is_seen(grid, tracked, particles, particles.contact_rect)
@@ -354,8 +364,8 @@ class SurfaceStage:
         (width, height), top = options.size_m, options.thickness_m
         box = Box((0.0, 0.0, top - BELOW_M), (width, height, top + ABOVE_M))
         every = max(round(max(depth.shape) / DEPTH_ALONG), 1)
-        focal, center = (tuple(one / every for one in pair) for pair in (options.focal_px, options.center_px))
-        camera = Intrinsics(focal, center, options.distortion)  # type: ignore[arg-type]
+        (fx, fy), (cx, cy) = options.focal_px, options.center_px
+        camera = Intrinsics((fx / every, fy / every), (cx / every, cy / every), options.distortion)
         T_surface_camera = np.array(options.T_surface_camera, dtype=np.float64)
         seen = perceive(depth[::every, ::every] * unit_m, camera, T_surface_camera, box, cell_m=CELL_M)
         surface = fit_surface(seen.points_m, noise_m=seen.noise_m, within_m=((0.0, 0.0), options.size_m))

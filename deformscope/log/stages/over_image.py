@@ -24,7 +24,7 @@ STRETCHES = (1.0, 2.0, 5.0, 10.0, 20.0)
 
 def log_flow_arrows(batch: Batch, device: str, results: Sequence[StageResult], start_ns: int) -> None:
     for one in results:
-        flow: FlowArrows = one.result  # type: ignore[assignment]
+        flow: FlowArrows = one.result
         length = np.nan_to_num(np.hypot(flow.flow_px[:, 0], flow.flow_px[:, 1]))
         moving = length >= STILL_PX
         longest = float(length.max(initial=0.0))
@@ -51,11 +51,11 @@ def log_moments(
     """results: of a fit, plotted; drawn: those whose particles are marked"""
     values = []
     for one in results:
-        fit: MomentFit = one.result  # type: ignore[assignment]
+        fit: MomentFit = one.result
         values.append(np.array([fit.interval[0], fit.value, fit.interval[1]]))
     batch.send_columns(f"{PLOTS}/beta", moments([one.host_ns for one in results], start_ns), scalars(values))
     for one in drawn:
-        fit = one.result  # type: ignore[assignment]
+        fit = one.result
         path, when = root("display/stage/beta", device), moments([one.host_ns], start_ns)
         spacing = _spacing(fit.rest_px)
         known = fit.seen & np.isfinite(fit.simulated_px).all(axis=1)
