@@ -38,13 +38,13 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "rig": ("errors", "frames"),
     "robot": ("capsule", "errors", "rig"),
     # The simulated world must not share the model that is fitted to it.
-    "lab": ("arrays", "capsule", "errors", "rig", "robot", "stages.poke"),
+    "lab": ("arrays", "capsule", "errors", "rig", "robot"),
     "session": ("frames",),
     "rows": ("arrays", "frames", "stages.map"),
     "recording": ("arrays", "errors", "frames", "images", "log", "rows", "session", "stages.map"),
     "files": ("arrays", "errors", "frames", "images", "recording", *STAGES),
     "experiments": (
-        *("arrays", "capsule", "errors", "files", "lab", "rig", "robot", "session", "studies"),
+        *("arrays", "capsule", "errors", "files", "rig", "robot", "session"),
         *STAGES,
     ),
     "studies": (

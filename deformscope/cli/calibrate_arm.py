@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import contextlib
 
-from deformscope.cli.benches import bench_of
 from deformscope.cli.common import quiet_warp, say, show_table, status_line, write_json
 from deformscope.cli.exploring import Companion, leave, let_move
 from deformscope.cli.rigs import until_interrupted
+from deformscope.cli.setups import setup_of
 from deformscope.config import ArmConfig
 from deformscope.errors import InputError
 
@@ -22,30 +22,32 @@ def run(config: ArmConfig) -> None:
 
     from deformscope.experiments.arm_compliance import SURE_SD, arm_give, touch_rigid
     from deformscope.experiments.explore import ExplorationStopped, ExploreOptions
+    from deformscope.experiments.touching_robot import touching_robot
     from deformscope.recording.recorder import Recorder
     from deformscope.session import watching
 
     quiet_warp()
     options = ExploreOptions(budget=config.touches, beta_model="none", seed=config.seed)
-    bench, options, _ = bench_of(config.rig, options, config.set_force, trusted=config.trust_rig)
-    xy_m = np.array(config.at) if config.at is not None else 0.5 * np.array(bench.size_m)
-    if not ((xy_m > 0.0) & (xy_m < bench.size_m)).all():
-        width, height = bench.size_m
+    opening = setup_of(config.rig, options, config.set_force, trusted=config.trust_rig)
+    setup, options = opening.setup, opening.options
+    xy_m = np.array(config.at) if config.at is not None else 0.5 * np.array(setup.size_m)
+    if not ((xy_m > 0.0) & (xy_m < setup.size_m)).all():
+        width, height = setup.size_m
         came = f"{xy_m[0]:g},{xy_m[1]:g}"
         raise InputError(f"--at on the surface: between 0,0 and {width:g},{height:g} m", came)
     stop, made = None, []
-    with until_interrupted() as asked, bench.source() as source, status_line() as show:
+    with until_interrupted() as asked, setup.open_source() as source, status_line() as show:
         nothing = Recorder(None)
-        companion = Companion(None if bench.runs_itself else source, nothing, asked, show)
+        companion = Companion(None if setup.runs_itself else source, nothing, asked, show)
         with (
-            watching(source, nothing) if bench.runs_itself else contextlib.nullcontext(),  # what waits is taken away
-            bench.robot(companion) as robot,
+            watching(source, nothing) if setup.runs_itself else contextlib.nullcontext(),  # what waits is taken away
+            touching_robot(setup, source, options, companion) as robot,
         ):
             companion.follow(robot)
-            known = {name: there for name, there in bench.calibrated.items() if "compliance" not in name}
+            known = {name: there for name, there in setup.calibrated.items() if "compliance" not in name}
             try:
                 with companion.halts(robot):
-                    let_move(robot, bench, options, known, asked, yes=config.yes, places_m=xy_m[None])
+                    let_move(robot, setup, options, known, asked, yes=config.yes, places_m=xy_m[None])
                     for one in touch_rigid(robot, options, xy_m, config.touches):
                         made.append(one)
                         give = 1e3 * one.found.compliance_m_per_n

@@ -13,19 +13,20 @@ import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.benches import bench_of, lab_of
 from deformscope.cli.common import EXIT_LOSSES, quiet_warp, resolve_viewer, say, status_line
 from deformscope.cli.explored import ExplorationEnd, report
 from deformscope.cli.exploring import Companion, leave, let_move
 from deformscope.cli.rigs import until_interrupted
+from deformscope.cli.setups import setup_of
 from deformscope.config import ExploreConfig
 
 if TYPE_CHECKING:
     from deformscope.cli.rigs import Interruption
     from deformscope.experiments.explore import ExploreOptions, Explorer, Moment
-    from deformscope.experiments.explore_wired import Bench, TouchingRobot
+    from deformscope.experiments.touching_robot import TouchingRobot
     from deformscope.lab.faults import FaultsToCome
     from deformscope.recording.recorder import Recorder
+    from deformscope.robot.setup import Setup
 
 
 def run(config: ExploreConfig) -> int:
@@ -58,14 +59,17 @@ def explore_on(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any]
     from deformscope.experiments.explore import Explorer
     from deformscope.lab.faults import FaultAt, FaultsToCome
     from deformscope.recording.recorder import Recorder
+    from deformscope.stages.poke.contact import ArmCompliance
 
     faults = [FaultAt.parse(text, options.budget) for text in config.fault]
-    bench, options, told = bench_of(config.rig, options, config.set_force, trusted=config.trust_rig)
-    to_come = FaultsToCome(lab_of(bench), faults, options.seed) if faults else None
-    settings = {"explore": dataclasses.asdict(options), "seed": options.seed, "simulated": bench.simulated, **told}
-    settings |= {"size_m": list(bench.size_m), "arm": dataclasses.asdict(bench.arm)}
+    opening = setup_of(config.rig, options, config.set_force, trusted=config.trust_rig)
+    setup, options = opening.setup, opening.options
+    to_come = FaultsToCome(opening.faulty_lab, faults, options.seed) if faults else None
+    arm = ArmCompliance(setup.compliance_m_per_n, setup.compliance_sd)
+    settings = {"explore": dataclasses.asdict(options), "seed": options.seed, "simulated": setup.simulated}
+    settings |= {"size_m": list(setup.size_m), "arm": dataclasses.asdict(arm), **opening.settings}
     output = config.output
-    explorer = Explorer(bench.size_m, options, bench.arm, bench.truth)
+    explorer = Explorer(setup.size_m, options, arm, setup.truth)
     ending = ExplorationEnd()
     with (
         until_interrupted() as asked,
@@ -75,14 +79,14 @@ def explore_on(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any]
             settings,
             layout="exploration",
             overwrite=output.overwrite,
-            real_time=bench.runs_itself,
+            real_time=setup.runs_itself,
         ) as recorder,
     ):
         try:
-            _run(config, bench, explorer, recorder, asked, to_come, ending)
+            _run(config, setup, explorer, recorder, asked, to_come, ending)
         except BaseException as error:
             ending.error = error
-        found = report(config, bench, explorer, recorder, ending, to_come) if ending.worth_a_report else None
+        found = report(config, setup, explorer, recorder, ending, to_come) if ending.worth_a_report else None
         if ending.error is not None:
             raise ending.error
     for fault in to_come.waiting if to_come is not None else ():
@@ -96,7 +100,7 @@ def explore_on(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any]
 
 def _run(
     config: ExploreConfig,
-    bench: Bench,
+    setup: Setup,
     explorer: Explorer,
     recorder: Recorder,
     asked: Interruption,
@@ -105,25 +109,26 @@ def _run(
 ) -> None:
     """Open the devices, explore, close them; `explorer` and `ending` hold what is known, also where this raises."""
     from deformscope.experiments.explore import ExplorationStopped
+    from deformscope.experiments.touching_robot import touching_robot
     from deformscope.recording.losses import losses_of
     from deformscope.session import watching
 
-    with bench.source() as source, status_line() as show:
+    with setup.open_source() as source, status_line() as show:
         ending.start_ns = source.start_ns
         recorder.start_exploration(
-            source.streams, source.start_ns, bench.size_m, bench.placement.T_base_surface, truth=_has_regions(bench)
+            source.streams, source.start_ns, setup.size_m, setup.placement.T_base_surface, truth=_has_regions(setup)
         )
         companion = Companion(
-            None if bench.runs_itself else source, recorder, asked, show, to_come.phase_began if to_come else None
+            None if setup.runs_itself else source, recorder, asked, show, to_come.phase_began if to_come else None
         )
         with (
-            watching(source, recorder) if bench.runs_itself else contextlib.nullcontext() as recorded,
-            bench.robot(companion) as robot,
+            watching(source, recorder) if setup.runs_itself else contextlib.nullcontext() as recorded,
+            touching_robot(setup, source, explorer.options, companion) as robot,
         ):
             try:
                 with companion.halts(robot):
                     companion.follow(robot, recorded)
-                    let_move(robot, bench, explorer.options, bench.calibrated, asked, yes=config.yes)
+                    let_move(robot, setup, explorer.options, setup.calibrated, asked, yes=config.yes)
                     ending.began_s = time.perf_counter()
                     _explore(robot, explorer, recorder, companion, show, ending)
             except ExplorationStopped as error:
@@ -132,7 +137,7 @@ def _run(
                 companion.stopped(error, robot)
             finally:
                 ending.arm_told = companion.arm_told
-                ending.session_s = (bench.clock() - source.start_ns) / 1e9
+                ending.session_s = (setup.clock() - source.start_ns) / 1e9
         recorder.write_items(source.take(0.0))
     last = source.look()
     ending.losses = losses_of(last)
@@ -141,8 +146,8 @@ def _run(
         say(f"deformscope: device {name} failed: {reason}")
 
 
-def _has_regions(bench: Bench) -> bool:
-    return bench.truth is not None and bench.truth.labels is not None
+def _has_regions(setup: Setup) -> bool:
+    return setup.truth is not None and setup.truth.labels is not None
 
 
 def _explore(

@@ -18,9 +18,9 @@ from deformscope.recording.losses import named
 if TYPE_CHECKING:
     from deformscope.config import ExploreConfig
     from deformscope.experiments.explore import Explorer
-    from deformscope.experiments.explore_wired import Bench
     from deformscope.lab.faults import FaultsToCome
     from deformscope.recording.recorder import Recorder
+    from deformscope.robot.setup import Setup
     from deformscope.stages.map.exploration import ExplorationStop, MapEstimate, TouchEstimate
 
 UNITS = {
@@ -85,7 +85,7 @@ class ExplorationEnd:
 
 def report(
     config: ExploreConfig,
-    bench: Bench,
+    setup: Setup,
     explorer: Explorer,
     recorder: Recorder,
     ending: ExplorationEnd,
@@ -96,7 +96,7 @@ def report(
     explorer.failures += recorder.not_shown
     if ending.error is not None:
         explorer.stop_reason = f"error: {' '.join(str(ending.error).split()) or type(ending.error).__name__}"
-    found = _found(config, explorer, bench, ending, _recording(config, recorder, ending))
+    found = _found(config, explorer, setup, ending, _recording(config, recorder, ending))
     found["fault"] = _fault(ending, faults)
     maps, written = explorer.known, []
     if maps is not None and config.map is not None and _write(ending, config.map, lambda: _map_file(config, maps)):
@@ -108,7 +108,7 @@ def report(
     except OSError as error:
         ending.unwritten.append(_unwritten(config.output.json or "", error))
     show_table(
-        f"{config.rig} (simulated)" if bench.simulated else config.rig, [*_rows(found, explorer, bench), *written]
+        f"{config.rig} (simulated)" if setup.simulated else config.rig, [*_rows(found, explorer, setup), *written]
     )
     for one in ending.unwritten:
         say(f"deformscope: not written: {one}")
@@ -136,14 +136,14 @@ def _unwritten(path: Path | str, error: Exception) -> InputError:
 
 
 def _found(
-    config: ExploreConfig, explorer: Explorer, bench: Bench, ending: ExplorationEnd, recording: Path | None
+    config: ExploreConfig, explorer: Explorer, setup: Setup, ending: ExplorationEnd, recording: Path | None
 ) -> dict[str, Any]:
     import numpy as np
 
     maps = explorer.known
     truth = None
-    if bench.truth is not None:  # a gradient has no regions, and none to compare with
-        labels = bench.truth.labels
+    if setup.truth is not None:  # a gradient has no regions, and none to compare with
+        labels = setup.truth.labels
         truth = {
             "region_count": 0 if labels is None else int(labels.max()) + 1,
             "iou": None if maps is None else maps.iou,
@@ -171,7 +171,7 @@ def _found(
         "probability": explorer.region_map().probability if maps is not None else None,
         "truth": truth,
         "travel_m": explorer.travel_m,
-        "max_force_n": bench.max_force_n,
+        "max_force_n": setup.max_force_n,
         "seconds": {
             "compute": ending.compute_s,
             "slowest": ending.slowest_s,
@@ -217,7 +217,7 @@ def _fault(ending: ExplorationEnd, faults: FaultsToCome | None) -> dict[str, Any
     }
 
 
-def _rows(found: dict[str, Any], explorer: Explorer, bench: Bench) -> list[tuple[str, str]]:
+def _rows(found: dict[str, Any], explorer: Explorer, setup: Setup) -> list[tuple[str, str]]:
     from deformscope.pictures.words import failed_words, iou_words, region_words, travel_words, verdict_words
 
     maps = explorer.known
@@ -245,7 +245,7 @@ def _rows(found: dict[str, Any], explorer: Explorer, bench: Bench) -> list[tuple
     rows += [("failed", failed_words(one)) for one in explorer.failures]
     rows += [
         ("touches", f"{len(explorer.told)}, {travel_words(found['travel_m'])}; {ended}"),
-        ("largest contact force", f"{largest:.2f} N, {'true' if bench.simulated else 'measured'}"),
+        ("largest contact force", f"{largest:.2f} N, {'true' if setup.simulated else 'measured'}"),
         ("arm", "stands" if found["arm_stands"] else "COULD NOT BE TOLD TO STOP: use its emergency stop"),
         ("time", f"{found['seconds']['session']:.0f} s of the robot, {found['seconds']['wall']:.0f} s here"),
     ]

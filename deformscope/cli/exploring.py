@@ -16,9 +16,10 @@ if TYPE_CHECKING:
     from deformscope.arrays import FloatArray
     from deformscope.cli.rigs import Interruption
     from deformscope.experiments.explore import ExplorationStopped, ExploreOptions
-    from deformscope.experiments.explore_wired import Bench, TouchingRobot
+    from deformscope.experiments.touching_robot import TouchingRobot
     from deformscope.recording.recorder import Recorder
     from deformscope.rig.source import RigSource
+    from deformscope.robot.setup import Setup
     from deformscope.robot.touch import Phase
     from deformscope.stages.map.exploration import ExplorationStop
 
@@ -131,7 +132,7 @@ class Companion:
 
 def let_move(
     robot: TouchingRobot,
-    bench: Bench,
+    setup: Setup,
     options: ExploreOptions,
     calibrated: Mapping[str, bool],
     asked: Interruption,
@@ -148,7 +149,7 @@ def let_move(
     """
     preflight = robot.preflight(calibrated, places_m)
     say(preflight.table())
-    if not bench.simulated and preflight.passed:
+    if not setup.simulated and preflight.passed:
         say(
             f"The arm will now move by itself: up to {options.budget} touches of {robot.forces_told}.\n"
             "This program is no safety function: keep the emergency stop in your hand."

@@ -17,8 +17,9 @@ from typing import Literal, Protocol, TypeVar
 
 import numpy as np
 
-from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
+from deformscope.robot.setup import Truth
 from deformscope.stages.map.exploration import (
     ExplorationStop,
     MapEstimate,
@@ -46,6 +47,10 @@ SHALLOW_M = 0.002
 NEAR_M = 0.08
 """Points within this of a touch are shown with it."""
 FEWEST_FOR_FIELD = 2
+BORDER_M = 0.02
+"""No touch is made so near the surface's edge."""
+VIEW_CELL_M = 0.004
+"""Points of the surface before any touch are reduced to one in each cell of this size."""
 PLAN_CELL_M = 0.02
 """Places that are considered for a touch are this far apart."""
 BESIDE_M, SURE_SD = 0.02, 3.0
@@ -146,13 +151,6 @@ class ExploringRobot(Protocol):
 
     def now_ns(self) -> int:
         """The robot's clock."""
-
-
-@dataclass(frozen=True, slots=True)
-class Truth:
-    """What a simulated scene really is. labels: (rows, columns), None where there are no regions"""
-
-    labels: IntArray | None
 
 
 class Explorer:

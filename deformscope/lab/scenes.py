@@ -5,7 +5,8 @@
     scene.truth()                                                        # the labels of the map's cells
 
 Everything is in the *surface frame*: x and y along the table's edges, z up, the table's top at z = 0, the slab's corner
-at the origin; where the arm stands, `touch_lab.T_BASE_SURFACE` says. Pieces reach from top to bottom, and meet sharply.
+at the origin; where the arm stands, `robot.setup.T_BASE_SURFACE` says. Pieces reach from top to bottom, and
+meet sharply.
 
 **Hardness** is the force that presses a plate of 324 cm2 into the foam by 40 % (ISO 2439). A fingertip of 3 N strains
 foam less than that, below its plateau, so that it meets the *initial* modulus: the plate's stress at 40 % is taken for
@@ -214,6 +215,11 @@ class Scene:
         """(rows, columns, 2) centres of the map's cells [m]; rows along y, columns along x."""
         x, y = (CELL_M * (np.arange(round(side / CELL_M)) + 0.5) for side in self.size_m)
         return np.stack(np.meshgrid(x, y), axis=-1)
+
+    @property
+    def regions(self) -> IntArray | None:
+        """(rows, columns) as `truth`; None where the modulus changes smoothly."""
+        return self.truth() if self.pieces else None
 
     def truth(self) -> IntArray:
         """(rows, columns) the label of each cell's centre."""

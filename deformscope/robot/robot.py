@@ -36,6 +36,10 @@ VALID_PERIODS = 4
 """A velocity ends by itself unless it is set again within so many control periods."""
 
 
+Watch = Callable[[RobotObservation, SafetyVerdict], None]
+"""Called with what was seen and judged in each control period."""
+
+
 class RobotStopped(Exception):
     """The supervisor has stopped the robot. verdict: why"""
 
@@ -96,7 +100,7 @@ class Robot:
         camera: Device[DepthImage] | None = None,
         clock: Clock = monotonic_ns,
         wait_until: Waits = sleep_until,
-        watch: Callable[[RobotObservation, SafetyVerdict], None] | None = None,
+        watch: Watch | None = None,
     ) -> None:
         """watch: called with what was seen and judged in each period, for a recording; when it fails, the arm is halted
         first"""

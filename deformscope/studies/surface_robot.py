@@ -10,37 +10,31 @@ from scipy.interpolate import PchipInterpolator
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.capsule import Capsule
 from deformscope.experiments.explore import (
+    BORDER_M,
     SHALLOW_M,
+    VIEW_CELL_M,
     ExploreOptions,
     SurfaceMeasurement,
     TouchMeasurement,
-    Truth,
     pinhole,
     sample_box,
 )
+from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
 from deformscope.lab.depth_view import DepthView
 from deformscope.lab.scenes import RIGID_PA, Piece, Scene
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld
 from deformscope.lab.touching import Approach, Sensing, approach, force_curve
 from deformscope.rig.rig_file import Tool
+from deformscope.robot.setup import Truth
 from deformscope.stages.map.map_score import TrueMap
 from deformscope.stages.map.touches import MapGrid
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.see.cloud import perceive
 
 STICK_M = 0.25
-BORDER_M = 0.02
-ARM_N_PER_M, ARM_DOUBT = 5000.0, 0.1
-"""The arm gives way under a push, which its joints do not see; a calibration on a rigid block leaves some of it."""
-VIEW_CELL_M = 0.004
 SOFT_PA = 1e-3 * RIGID_PA
 """Modulus of the slab that is pressed to know the truth: soft enough for every depth, stiff enough for every force."""
-
-
-def truth_of(scene: Scene) -> Truth:
-    """What a scene really is."""
-    return Truth(scene.truth() if scene.pieces else None)
 
 
 def true_map(scene: Scene, options: ExploreOptions) -> TrueMap:
@@ -53,7 +47,7 @@ def true_map(scene: Scene, options: ExploreOptions) -> TrueMap:
     pieces = np.array([piece.modulus_pa for piece in scene.pieces])
     pressed = (options.set_force_n, options.max_depth_m, options.tip_radius_m, scene.thickness_m, scene.poisson)
     return TrueMap(
-        labels=scene.truth() if scene.pieces else None,
+        labels=scene.regions,
         level=_slab_log_stiffness(pieces, *pressed),
         rigid=np.array([piece.rigid for piece in scene.pieces], dtype=bool),
         log_stiffness=_slab_log_stiffness(modulus, *pressed),
@@ -102,12 +96,12 @@ class LabRobot:
     ) -> None:
         self.scene = scene
         self.size_m = scene.size_m
-        self.arm = ArmCompliance(1.0 / ARM_N_PER_M, ARM_DOUBT / ARM_N_PER_M)
-        self.truth = truth_of(scene)
+        self.arm = ArmCompliance(1.0 / ARM_STIFFNESS_N_M, ARM_DOUBT / ARM_STIFFNESS_N_M)
+        self.truth = Truth(scene.regions)
         self.most_force_n = 0.0
         self.felt: list[float] = []
         self._options = options
-        self._sensing = sensing or Sensing(arm_n_per_m=ARM_N_PER_M)
+        self._sensing = sensing or Sensing(arm_n_per_m=ARM_STIFFNESS_N_M)
         self._sees = sees
         self._world = SlabWorld(scene)
         self._view = DepthView(scene)

@@ -13,12 +13,14 @@ import numpy as np
 import pytest
 
 from deformscope.arrays import BoolArray, FloatArray
+from deformscope.cli.setups import Opening
 from deformscope.experiments.explore import ExploreOptions, SurfaceMeasurement, TouchMeasurement
 from deformscope.frames import HealthReport, Item
 from deformscope.images import encode_png
-from deformscope.rig.rig_file import Tool
+from deformscope.rig.rig_file import Tool, Workspace
 from deformscope.robot.placement import Placement
 from deformscope.robot.preflight import Check, Preflight
+from deformscope.robot.setup import CameraView, Setup
 from deformscope.robot.touch import Phase
 from deformscope.stages.map.regions import RegionPosterior
 from deformscope.stages.map.surface import HeightProcess, fit_surface
@@ -114,31 +116,30 @@ class FakeSource:
 
 
 class FakeBench:
-    """A `Bench`. robots: that were opened"""
-
-    size_m = SIZE_M
-    truth = None
-    runs_itself = False
-    simulated = True
-    calibrated: ClassVar[dict[str, bool]] = {}
-    max_force_n = 3.0
-    arm = ArmCompliance()
+    """A setup's robots. robots: that were opened; now_ns: their clock"""
 
     def __init__(self) -> None:
-        self.placement = Placement(np.eye(4), Tool())
         self.now_ns = 0
         self.robots: list[FakeRobot] = []
-
-    @property
-    def clock(self) -> Callable[[], int]:
-        return lambda: self.now_ns
+        self.setup = Setup(
+            size_m=SIZE_M,
+            placement=Placement(np.eye(4), Tool()),
+            workspace=Workspace(),
+            camera=CameraView(),
+            open_source=self.source,  # type: ignore[arg-type]
+            names=("arm", "tip", "camera"),
+            simulated=True,
+            runs_itself=False,
+            true_force_n=lambda: 3.0,
+            clock=lambda: self.now_ns,
+        )
 
     @contextlib.contextmanager
     def source(self) -> Iterator[FakeSource]:
         yield FakeSource()
 
     @contextlib.contextmanager
-    def robot(self, on_cycle: Callable[[], None] | None = None) -> Iterator[FakeRobot]:
+    def robot(self, setup: Setup, source: object, options: object, on_cycle: Callable[[], None]) -> Iterator[FakeRobot]:
         self.robots.append(FakeRobot(self, on_cycle))
         yield self.robots[-1]
 
@@ -147,11 +148,12 @@ def use_fake_bench(monkeypatch: pytest.MonkeyPatch) -> FakeBench:
     """From now on `explore` explores this, on coarse maps of few particles."""
     bench = FakeBench()
 
-    def bench_of(name: str, options: ExploreOptions, set_force_n: float | None, *, trusted: bool) -> Any:
+    def setup_of(name: str, options: ExploreOptions, set_force_n: float | None, *, trusted: bool) -> Opening:
         options = dataclasses.replace(options, cell_m=0.02, beta_model="none")
-        return bench, options, {"scene": name}
+        return Opening(bench.setup, options, {"scene": name})
 
-    monkeypatch.setattr("deformscope.cli.explore.bench_of", bench_of)
+    monkeypatch.setattr("deformscope.cli.explore.setup_of", setup_of)
+    monkeypatch.setattr("deformscope.experiments.touching_robot.touching_robot", bench.robot)
     pixel = encode_png(np.zeros((1, 1, 3), np.uint8))
     monkeypatch.setattr("deformscope.pictures.exploration._one", lambda *_: pixel)
     monkeypatch.setattr("deformscope.pictures.exploration.result_png", lambda *_: pixel)

@@ -49,9 +49,9 @@ def ask(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     def at_terminal(robot: Asked, answer: Callable[[str], str]) -> None:
         monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: True))
         monkeypatch.setattr("builtins.input", answer)
-        bench: Any = SimpleNamespace(simulated=False)
+        setup: Any = SimpleNamespace(simulated=False)
         with until_interrupted() as asked:
-            let_move(robot, bench, ExploreOptions(), {}, asked, yes=False)  # type: ignore[arg-type]
+            let_move(robot, setup, ExploreOptions(), {}, asked, yes=False)  # type: ignore[arg-type]
 
     return at_terminal
 

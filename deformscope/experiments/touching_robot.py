@@ -1,57 +1,43 @@
-"""A robot of real drivers: in the laboratory on byte-exact doubles and one simulated clock, or on hardware."""
+"""Opened devices that look and touch: on hardware, on doubles, and in the laboratory on one simulated clock."""
 
 from __future__ import annotations
 
 import contextlib
+import gc
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
-from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.capsule import Capsule
 from deformscope.errors import InputError
 from deformscope.experiments.explore import (
     ABOVE_M,
+    BORDER_M,
+    VIEW_CELL_M,
     ExplorationStopped,
     ExploreOptions,
     SurfaceMeasurement,
     TouchMeasurement,
-    Truth,
     pinhole,
     sample_box,
 )
-from deformscope.lab.depth_view import DepthView, DepthViewConfig
-from deformscope.lab.scenes import Scene
-from deformscope.lab.slab import RigidTip
-from deformscope.lab.slab_world import Contact, SlabWorld
-from deformscope.lab.touch_lab import T_BASE_SURFACE, TouchLab
-from deformscope.rig.driver_table import DRIVERS
-from deformscope.rig.rig_file import Tool, Workspace
-from deformscope.rig.source import RigMember, RigSource
+from deformscope.rig.source import RigSource
 from deformscope.robot.advice import advice
-from deformscope.robot.placement import Placement, best_joints, follow
+from deformscope.robot.placement import follow
 from deformscope.robot.preflight import Preflight, check
-from deformscope.robot.readings import RobotObservation
 from deformscope.robot.robot import Robot, RobotStopped
+from deformscope.robot.setup import Setup
 from deformscope.robot.shape import arm_shape
-from deformscope.robot.supervisor import Action, Fault, Limits, SafetyVerdict
+from deformscope.robot.supervisor import Action, Fault
 from deformscope.robot.touch import Phase, PhaseSpan, TouchEnding, TouchPlan, TouchRecord, run_touch
 from deformscope.stages.map.exploration import ExplorationStop
 from deformscope.stages.map.touches import MapGrid
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.see.cloud import Box, Intrinsics, perceive
-from deformscope.studies.surface_robot import ARM_DOUBT, ARM_N_PER_M, BORDER_M, VIEW_CELL_M, truth_of
-from deformscope_drivers.depth_camera import View
 from deformscope_drivers.depth_camera.image import DepthImage
-from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
-from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
-from deformscope_drivers.jaco.kinematics import J2N6S300
-from deformscope_drivers.memory import SimulatedClock
 from deformscope_drivers.subscription import Subscription
 
 LINK_MARGIN_M, STICK_MARGIN_M = 0.012, 0.005
@@ -68,52 +54,33 @@ COARSE_M = 0.03
 UPRIGHT = np.array([0.0, 0.0, 1.0])
 LOOKS = 3
 LOOK_PERIODS = 1000
-CAMERA_HZ = 10.0
-CAMERA_AZIMUTH_DEG = -90.0
-"""The camera looks across the long edge at y = 0: the arm stands beyond the other, and hides what is behind it."""
-BOX_LOW_M, BOX_HIGH_M = (-0.40, -0.66, 0.0), (0.45, 0.10, 0.75)
-"""Where the tip may go in the laboratory, in the base frame: above the table, and to where the arm is parked."""
-
-
-class Bench(Protocol):
-    """A robot to be opened, and what is known of it before.
-
-    clock: that its devices stamp by [ns]; truth: what is simulated; simulated: nothing real moves
-    runs_itself: its devices go on by themselves, with threads of their own, while something is computed
-    calibrated: what has to be known before it moves, by name, and whether it is
-    max_force_n: the largest true contact force so far [N], None where only the sensor knows
-    """
-
-    size_m: tuple[float, float]
-    placement: Placement
-    truth: Truth | None
-    runs_itself: bool
-
-    @property
-    def clock(self) -> Callable[[], int]: ...
-
-    @property
-    def arm(self) -> ArmCompliance: ...
-
-    @property
-    def simulated(self) -> bool: ...
-
-    @property
-    def calibrated(self) -> dict[str, bool]: ...
-
-    @property
-    def max_force_n(self) -> float | None: ...
-
-    def source(self) -> AbstractContextManager[RigSource]:
-        """All devices, open within the context."""
-
-    def robot(self, on_cycle: Callable[[], None] | None = None) -> AbstractContextManager[TouchingRobot]:
-        """The robot over the open devices. on_cycle: called in every control period"""
 
 
 def highest_m(options: ExploreOptions) -> float:
     """Where the tip's middle is above all that a camera may find on the table [m]."""
     return options.thickness_m + ABOVE_M + options.standoff_m + options.tip_radius_m
+
+
+@contextlib.contextmanager
+def touching_robot(
+    setup: Setup, source: RigSource, options: ExploreOptions, on_cycle: Callable[[], None] = lambda: None
+) -> Iterator[TouchingRobot]:
+    """The robot over the devices of an open source. on_cycle: called in every control period"""
+    robot = setup.robot(source, lambda seen, verdict: on_cycle())
+    with _without_long_pauses() if setup.runs_itself else contextlib.nullcontext():
+        yield TouchingRobot(robot, setup, options)
+
+
+@contextlib.contextmanager
+def _without_long_pauses() -> Iterator[None]:
+    """Keep what was loaded until now out of Python's search for garbage, which would hold all threads up for 0.1 s and
+    more, in the middle of a motion."""
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
 
 
 class TouchingRobot:
@@ -122,28 +89,12 @@ class TouchingRobot:
     on_phase: told each phase of a touch as it begins, and when on the robot's clock [ns]
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        size_m: tuple[float, float],
-        options: ExploreOptions,
-        camera: tuple[Intrinsics | None, FloatArray | None],
-        *,
-        arm: ArmCompliance,
-        clock: Callable[[], int],
-        workspace: Workspace,
-        doubt_m: float = 0.0,
-    ) -> None:
-        """doubt_m: how far off camera and arm may be to one another [m]
-        camera: its intrinsics, None = as its pictures say; and T_surface_camera (4, 4), None = not known"""
-        self.size_m = size_m
-        self.arm = arm
+    def __init__(self, robot: Robot, setup: Setup, options: ExploreOptions) -> None:
+        self.size_m = setup.size_m
+        self.arm = ArmCompliance(setup.compliance_m_per_n, setup.compliance_sd)
         self._robot = robot
+        self._setup = setup
         self._options = options
-        self._camera = camera
-        self._clock = clock
-        self._workspace = workspace
-        self._doubt_m = doubt_m
         self._pictures: Subscription[DepthImage] | None = None
         self.on_phase: Callable[[Phase, int], None] = lambda phase, time_ns: None
         self._dwelling = contextlib.ExitStack()
@@ -152,7 +103,7 @@ class TouchingRobot:
         self._pressed_m: FloatArray | None = None
 
     def now_ns(self) -> int:
-        return self._clock()
+        return self._setup.clock()
 
     def preflight(self, calibrated: Mapping[str, bool], places_m: FloatArray | None = None) -> Preflight:
         """Look at everything before anything moves.
@@ -185,7 +136,7 @@ class TouchingRobot:
     @property
     def _more_force_n(self) -> float | None:
         """Pressed with where the dent stays small; None where the soft stop leaves no room for it."""
-        more_n = min(self._options.second_force_n, SOFT_STOP_SHARE * self._workspace.soft_stop_n)
+        more_n = min(self._options.second_force_n, SOFT_STOP_SHARE * self._setup.workspace.soft_stop_n)
         return more_n if more_n > self._options.set_force_n else None
 
     def let_move(self, preflight: Preflight) -> None:
@@ -311,7 +262,7 @@ class TouchingRobot:
             standoff_m=options.standoff_m,
             travel_height_m=highest,
         )
-        return plan.no_faster(self._workspace.contact_speed_m_s, self._workspace.travel_speed_m_s)
+        return plan.no_faster(self._setup.workspace.contact_speed_m_s, self._setup.workspace.travel_speed_m_s)
 
     def _begin(self, phase: Phase, time_ns: int) -> None:
         self._phase = phase
@@ -339,7 +290,7 @@ class TouchingRobot:
         self._robot.halt(f"{cause}: {reason}")
         self._phase = self._pressed_m = None
         told = ExplorationStop(str(cause), reason, advice(cause), str(action), self._touches)
-        return ExplorationStopped(told, self._clock() if time_ns is None else time_ns)
+        return ExplorationStopped(told, self._setup.clock() if time_ns is None else time_ns)
 
     def _dent(
         self, record: TouchRecord, pictures: Sequence[tuple[DepthImage, tuple[Capsule, ...]]], xy_m: FloatArray
@@ -364,14 +315,16 @@ class TouchingRobot:
     def _seen(
         self, picture: DepthImage, links: tuple[Capsule, ...], box: Box, cell_m: float | None = VIEW_CELL_M
     ) -> SurfaceMeasurement:
-        intrinsics, T_surface_camera = self._camera
-        if intrinsics is None:
-            told = picture.intrinsics
-            if told is None:
-                raise InputError("[camera] focal_px and center_px", "none, and a camera that tells none")
-            intrinsics = pinhole(told)
-        if T_surface_camera is None:
+        camera = self._setup.camera
+        if camera.focal_px is not None and camera.center_px is not None:
+            intrinsics = Intrinsics(camera.focal_px, camera.center_px, camera.distortion)
+        elif picture.intrinsics is not None:
+            intrinsics = pinhole(picture.intrinsics)
+        else:
+            raise InputError("[camera] focal_px and center_px", "none, and a camera that reports none")
+        if camera.T_surface_camera is None:
             raise InputError("[camera] T_arm_camera", "none", "where the camera stands")
+        T_surface_camera = camera.T_surface_camera
         found = perceive(picture.depth_m(), intrinsics, T_surface_camera, box, links=links, margin_m=0.0, cell_m=cell_m)
         return SurfaceMeasurement(found.points_m, found.noise_m)
 
@@ -382,8 +335,8 @@ class TouchingRobot:
             self._robot.arm.chain,
             self._robot.pose.joints_deg,
             self._robot.center_m,
-            link_margin_m=LINK_MARGIN_M + self._doubt_m,
-            stick_margin_m=STICK_MARGIN_M + self._doubt_m,
+            link_margin_m=LINK_MARGIN_M + self._setup.camera.doubt_m,
+            stick_margin_m=STICK_MARGIN_M + self._setup.camera.doubt_m,
         )
 
     def _new_pictures(self) -> list[DepthImage]:
@@ -416,104 +369,3 @@ class TouchingRobot:
 def _dwells(record: TouchRecord) -> list[PhaseSpan]:
     """When it pressed still: once, or with the set force and then with more."""
     return [span for span in record.phases if span.phase in (Phase.DWELL, Phase.DWELL_MORE)]
-
-
-class LabBench:
-    """The laboratory with a scene in it: slab, camera, arm and force sensor, closed; a `Bench`."""
-
-    simulated = True
-    runs_itself = False
-
-    def __init__(self, scene: Scene, options: ExploreOptions, *, camera_width: int = 320) -> None:
-        self.scene = scene
-        self.size_m = scene.size_m
-        self.truth: Truth | None = truth_of(scene)
-        self.calibrated = {"camera to surface": True, "arm's compliance": True}
-        self.clock = SimulatedClock(1_000_000_000)
-        self._world = SlabWorld(scene)
-        self._tip = RigidTip(radius=options.tip_radius_m)
-        self._contact: Contact | None = None
-        view = DepthViewConfig(width=camera_width, height=camera_width * 3 // 4, azimuth_deg=CAMERA_AZIMUTH_DEG)
-        self.view = DepthView(scene, view)
-        self.tool = Tool(radius_m=options.tip_radius_m)
-        T_base_surface = T_BASE_SURFACE
-        self.placement = Placement(T_base_surface, self.tool)
-        parked = np.array([scene.size_m[0] / 2, scene.size_m[1] / 2, highest_m(options)])
-        touching = np.array([*parked[:2], scene.thickness_m])
-        self.lab = TouchLab(
-            self,
-            self.clock,
-            tool=self.tool,
-            T_base_surface=T_base_surface,
-            arm_stiffness_n_m=ARM_N_PER_M,
-            view=self._see,
-            camera_config=SyntheticDepthConfig(rate_hz=CAMERA_HZ, missing=0.02, seed=options.seed),
-            start_deg=best_joints(J2N6S300, [self.placement.T_base_ee(place, UPRIGHT) for place in (parked, touching)]),
-            seed=options.seed,
-        )
-        self._options = options
-
-    def press(self, center_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The slab's force on the tip: what `TouchLab` asks of its world."""
-        self._contact = self._world.press(self._tip, center_m)
-        return np.asarray(self._contact.force_n, np.float64)
-
-    @property
-    def max_force_n(self) -> float:
-        """The largest true contact force so far [N]."""
-        return self.lab.contact.max_force_n
-
-    @property
-    def arm(self) -> ArmCompliance:
-        """As a calibration on a rigid block would give it: 10 % off is taken into account."""
-        return ArmCompliance(1.0 / ARM_N_PER_M, ARM_DOUBT / ARM_N_PER_M)
-
-    def source(self) -> RigSource:
-        """The devices as a source; entering it opens the laboratory."""
-        devices: dict[str, tuple[str, Device[Any]]] = {
-            "arm": ("jaco", self.lab.arm),
-            "tip": ("optoforce", self.lab.force),
-        }
-        if self.lab.camera is not None:
-            devices["camera"] = ("depth_camera", self.lab.camera)
-        members = [RigMember(name, DRIVERS[driver], device, True) for name, (driver, device) in devices.items()]
-        return RigSource(members, clock=self.clock, opener=self.lab.open)
-
-    @contextlib.contextmanager
-    def robot(self, on_cycle: Callable[[], None] | None = None) -> Iterator[TouchingRobot]:
-        """The robot over the opened laboratory. on_cycle: called in every control period"""
-
-        def watch(seen: RobotObservation, verdict: SafetyVerdict) -> None:
-            if on_cycle is not None:
-                on_cycle()
-
-        workspace = Workspace(low_m=BOX_LOW_M, high_m=BOX_HIGH_M)
-        robot = Robot(
-            self.lab.arm,
-            self.lab.force,
-            self.placement,
-            Limits.of(workspace, camera_hz=CAMERA_HZ),
-            camera=self.lab.camera,
-            clock=self.clock,
-            wait_until=self.lab.wait_until,
-            watch=watch,
-        )
-        robot.cycle()
-        yield TouchingRobot(
-            robot,
-            self.scene.size_m,
-            self._options,
-            (pinhole(self.view.intrinsics), self.view.surface_from_camera),
-            arm=self.arm,
-            clock=self.clock,
-            workspace=workspace,
-        )
-
-    def _see(self, time_s: float) -> View:
-        """What the camera sees now: the slab as it is pressed, the arm in its pose."""
-        moved = None
-        if self._contact is not None and len(self._contact.node):
-            moved = self._world.displaced_m(self._contact, self.view.places_m)
-        arm = self.lab.arm_double
-        exact = self.view.render(moved, arm_shape(self.placement, arm.chain, arm.joints_deg, self.lab.contact.center_m))
-        return View(exact.depth_m, exact.color)  # the camera adds its own noise
