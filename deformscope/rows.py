@@ -26,8 +26,13 @@ from deformscope.stages.map.exploration import (
     SurfaceEstimate,
     TouchEstimate,
 )
+from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
 
-Result = SurfaceEstimate | TouchEstimate | MapEstimate | PlannedTouch | StageFailure | PhaseStart | ExplorationStop
+Input = LookFrames | TouchFrames | SurfaceMeasurement | TouchMeasurement
+"""What an exploration is computed from."""
+Result = (
+    SurfaceEstimate | TouchEstimate | MapEstimate | PlannedTouch | StageFailure | PhaseStart | ExplorationStop | Input
+)
 
 ENTITIES: dict[type[Result], str] = {
     SurfaceEstimate: "exploration/surface",
@@ -37,6 +42,10 @@ ENTITIES: dict[type[Result], str] = {
     StageFailure: "exploration/failed",
     PhaseStart: "exploration/phase",
     ExplorationStop: "exploration/stopped",
+    LookFrames: "exploration/input/look",
+    TouchFrames: "exploration/input/touch",
+    SurfaceMeasurement: "exploration/input/surface",
+    TouchMeasurement: "exploration/input/measured",
 }
 """Where each kind stands in a recording."""
 

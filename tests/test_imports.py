@@ -36,7 +36,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "pictures": ("arrays", "errors", "images", "plain", *STAGES),
     "log": ("arrays", "frames", "images", "pictures", "plain", "rows", *STAGES),
     "rig": ("errors", "frames"),
-    "robot": ("capsule", "errors", "rig"),
+    "robot": ("arrays", "capsule", "errors", "rig"),
     # The simulated world must not share the model that is fitted to it.
     "lab": ("arrays", "capsule", "errors", "rig", "robot"),
     "session": ("frames",),

@@ -53,7 +53,8 @@ def _run(config: RigRunOptions, *, always_record: bool) -> int:
     from deformscope.recording.recorder import Recorder
     from deformscope.rig.rig_file import load_rig
     from deformscope.rig.source import RigSource
-    from deformscope.session import watch
+    from deformscope.session import finish, passing_on
+    from deformscope.session import run as run_session
 
     rig = load_rig(config.rig, trusted=config.trust_rig)
     file = config.output.record
@@ -81,7 +82,8 @@ def _run(config: RigRunOptions, *, always_record: bool) -> int:
             where = "" if file is None else f" into {file}"
             say(f"recording{where}: Ctrl-C ends it" if file else "watching: Ctrl-C ends it")
             end = _Ending(asked, config.seconds, source)
-            last = watch(source, recorder, end)
+            run_session(source, passing_on(end), recorder)
+            last = finish(source, recorder)
             failures = dict(source.failures)
             ended = end.reason + "".join(f"; {name} failed: {reason}" for name, reason in failures.items())
             recorder.stopped_because(ended)

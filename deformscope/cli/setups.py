@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from deformscope.errors import InputError
 
 if TYPE_CHECKING:
-    from deformscope.experiments.explore import ExploreOptions
+    from deformscope.experiments.options import ExploreOptions
     from deformscope.lab.touch_lab import TouchLab
     from deformscope.rig.rig_file import Rig
     from deformscope.robot.setup import Setup
@@ -44,7 +44,7 @@ def setup_of(name: str, options: ExploreOptions, set_force_n: float | None, *, t
     set_force_n: None = as the rig file says; trusted: as for `deformscope.rig.rig_file.load_rig`
     """
     if name.startswith(LAB):
-        from deformscope.experiments.touching_robot import highest_m
+        from deformscope.experiments.measured import highest_m
         from deformscope.lab.scene_lab import SceneLab
         from deformscope.lab.scenes import built_in
 

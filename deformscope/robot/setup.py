@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from deformscope.arrays import IntArray
 from deformscope.errors import InputError
 from deformscope.rig.rig_file import Rig, RigDevice, Workspace
 from deformscope.rig.source import RigMember, RigSource
@@ -38,7 +39,7 @@ long edge at y = 0.4 m, and the far corners are 0.63 m from its axis."""
 class Truth:
     """What a simulated surface really is. labels: (rows, columns) region of each cell, None where there are none"""
 
-    labels: npt.NDArray[np.int64] | None
+    labels: IntArray | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +53,7 @@ class CameraView:
     focal_px: tuple[float, float] | None = None
     center_px: tuple[float, float] | None = None
     distortion: tuple[float, ...] = ()
-    T_surface_camera: FloatArray | None = None
+    T_surface_camera: npt.NDArray[np.floating] | None = None
     doubt_m: float = 0.0
     rate_hz: float = CAMERA_HZ
 
@@ -131,10 +132,18 @@ class SimulatedTable(Protocol):
 
     size_m: tuple[float, float]
     truth: Truth
-    runs_itself: bool
-    clock: Clock
-    wait_until: Waits
-    opener: Callable[[], None] | None
+
+    @property
+    def runs_itself(self) -> bool: ...
+
+    @property
+    def clock(self) -> Clock: ...
+
+    @property
+    def wait_until(self) -> Waits: ...
+
+    @property
+    def opener(self) -> Callable[[], None] | None: ...
 
     @property
     def T_surface_camera(self) -> FloatArray: ...

@@ -9,16 +9,9 @@ from scipy.interpolate import PchipInterpolator
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.capsule import Capsule
-from deformscope.experiments.explore import (
-    BORDER_M,
-    SHALLOW_M,
-    VIEW_CELL_M,
-    ExploreOptions,
-    SurfaceMeasurement,
-    TouchMeasurement,
-    pinhole,
-    sample_box,
-)
+from deformscope.experiments.explorer import Touch
+from deformscope.experiments.measured import off_the_border, sample_box
+from deformscope.experiments.options import SHALLOW_M, VIEW_CELL_M, ExploreOptions
 from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
 from deformscope.lab.depth_view import DepthView
 from deformscope.lab.scenes import RIGID_PA, Piece, Scene
@@ -28,9 +21,10 @@ from deformscope.lab.touching import Approach, Sensing, approach, force_curve
 from deformscope.rig.rig_file import Tool
 from deformscope.robot.setup import Truth
 from deformscope.stages.map.map_score import TrueMap
+from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 from deformscope.stages.map.touches import MapGrid
 from deformscope.stages.poke.contact import ArmCompliance
-from deformscope.stages.see.cloud import perceive
+from deformscope.stages.see.cloud import Intrinsics, perceive
 
 STICK_M = 0.25
 SOFT_PA = 1e-3 * RIGID_PA
@@ -110,18 +104,15 @@ class LabRobot:
 
     def reachable(self, grid: MapGrid) -> BoolArray:
         """All but a margin at the border."""
-        places, size = grid.centres_m, np.asarray(self.size_m)
-        inside = ((places > BORDER_M) & (places < size - BORDER_M)).all(axis=1)
-        return np.asarray(inside).reshape(grid.shape)
+        return off_the_border(grid)
 
     def look(self) -> SurfaceMeasurement:
         """The surface at rest, without the robot."""
         return self._see(None, ())
 
-    def touch(
-        self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None = None
-    ) -> TouchMeasurement:
+    def touch(self, command: Touch) -> TouchMeasurement:
         """Come down along the normal that was seen, and look at the dent."""
+        xy_m, normal = command.xy_m, command.normal
         options = self._options
         made = approach(
             self._world,
@@ -147,14 +138,11 @@ class LabRobot:
             after = self._see(moved, (stick, ball)).points_m
         return TouchMeasurement(xy_m, normal, made.time_s, made.position_m, made.force_n, after, made.reached)
 
-    def now_ns(self) -> int:
-        """No time passes here."""
-        return 0
-
     def _see(self, moved_m: FloatArray | None, robot: tuple[Capsule, ...]) -> SurfaceMeasurement:
         exact = self._view.render(moved_m, robot)
         depth_m = self._view.observe(exact, self._random) * self._view.config.unit_m
-        camera = pinhole(self._view.intrinsics)
+        seen_by = self._view.intrinsics
+        camera = Intrinsics((seen_by.fx_px, seen_by.fy_px), (seen_by.cx_px, seen_by.cy_px))
         box = sample_box(self.size_m, self._options.thickness_m)
         cell = None if robot else VIEW_CELL_M
         found = perceive(depth_m, camera, self._view.surface_from_camera, box, links=robot, cell_m=cell)

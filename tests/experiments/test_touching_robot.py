@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
-from deformscope.experiments.explore import ExploreOptions
-from deformscope.experiments.touching_robot import TouchingRobot, highest_m
+from deformscope.errors import InputError
+from deformscope.experiments.measured import SetupGeometry, highest_m
+from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.touching_robot import TouchingRobot
 from deformscope.lab.depth_view import FOAM
 from deformscope.lab.scene_lab import SceneLab
 from deformscope.lab.scenes import built_in
@@ -62,7 +66,7 @@ def test_it_never_plans_to_press_up_to_the_soft_stop(
     scene = make_scene(3, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
     workspace = Workspace(target_force_n=set_n, soft_stop_n=soft_n, hard_stop_n=15.0)
     robot = TouchingRobot(scene.robot, setup(scene, workspace), ExploreOptions(set_force_n=set_n))
-    plan = robot._plan(np.array([0.3, 0.2]), 0.05, UP, None)
+    plan = robot.geometry.plan(np.array([0.3, 0.2]), 0.05, UP, None, ExploreOptions(set_force_n=set_n))
     scene.lab.close()
 
     assert plan.more_force_n == more_n
@@ -71,11 +75,23 @@ def test_it_never_plans_to_press_up_to_the_soft_stop(
 
 def test_more_is_left_out_around_the_stick_where_the_cameras_place_is_in_doubt() -> None:
     scene = make_scene(3, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
-    radii = []
+    radii, pose = [], scene.robot.pose
     for doubt_m in (0.0, 0.004):
-        robot = TouchingRobot(scene.robot, setup(scene, Workspace(), doubt_m), ExploreOptions())
-        radii.append([link.radius_m for link in robot._links()])
+        geometry = SetupGeometry.of(setup(scene, Workspace(), doubt_m))
+        radii.append([link.radius_m for link in geometry.links(pose, J2N6S300)])
     scene.lab.close()
     plain, doubtful = np.array(radii)
 
     assert doubtful - plain == pytest.approx(0.004)
+
+
+def test_a_geometry_survives_its_settings() -> None:
+    made = SetupGeometry.of(SceneLab(built_in("homogeneous-60"), tip_radius_m=0.01, parked_m=0.2).setup)
+    back = SetupGeometry.from_json(json.loads(json.dumps(made.as_json())))
+
+    np.testing.assert_array_equal(back.placement.T_base_surface, made.placement.T_base_surface)
+    np.testing.assert_array_equal(np.array(back.camera.T_surface_camera), np.array(made.camera.T_surface_camera))
+    assert back.camera.focal_px == made.camera.focal_px
+    assert (back.placement.tool, back.workspace, back.arm) == (made.placement.tool, made.workspace, made.arm)
+    with pytest.raises(InputError, match="a recording with its setup"):
+        SetupGeometry.from_json({})

@@ -50,4 +50,9 @@ class DepthImage:
 
     def depth_m(self) -> NDArray[np.float32]:
         """(H, W) distances along the view [m], nan where the camera could not tell."""
-        return np.where(self.depth > 0, self.depth * np.float32(self.unit_m), np.float32(np.nan)).astype(np.float32)
+        return depth_m(self.depth, self.unit_m)
+
+
+def depth_m(depth: NDArray[np.uint16], unit_m: float) -> NDArray[np.float32]:
+    """(H, W) distances along the view [m], nan where the camera could not tell, of a depth image in units of unit_m."""
+    return np.where(depth > 0, depth * np.float32(unit_m), np.float32(np.nan)).astype(np.float32)
