@@ -25,7 +25,7 @@ from deformscope_drivers.depth_camera.image import DepthImage, Intrinsics
 from deformscope_drivers.device import RECONNECT, Device, EndOfReadings, Reconnect
 from deformscope_drivers.errors import DeviceError, LinkLost, NotConnected, SettingsRefused
 from deformscope_drivers.images import QUEUE_IMAGES, fingerprint
-from deformscope_drivers.openni.camera import Settings
+from deformscope_drivers.openni.camera import OpenniSettings
 from deformscope_drivers.openni.command import process_command, process_environment
 from deformscope_drivers.openni.library import library_file
 from deformscope_drivers.openni.messages import END, FAILED, FRAME, OPENED, unpack_frame, unpack_words
@@ -186,7 +186,7 @@ class DepthCamera(Device[DepthImage]):
 
     def _start_process(self, uri: str) -> None:
         config = self.config
-        settings = Settings(
+        settings = OpenniSettings(
             uri,
             config.width,
             config.height,

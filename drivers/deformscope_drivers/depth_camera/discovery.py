@@ -10,7 +10,7 @@ from pathlib import Path
 from deformscope_drivers.errors import NotConnected
 from deformscope_drivers.openni.command import process_command, process_environment
 from deformscope_drivers.openni.library import INSTALL, ListedDevice
-from deformscope_drivers.ports import Found
+from deformscope_drivers.ports import FoundDevice
 from deformscope_drivers.usb import UsbDevice, sysfs_text, usb_device
 
 USB_DEVICES = Path("/sys/bus/usb/devices")
@@ -48,7 +48,7 @@ def list_by_openni() -> list[ListedDevice] | None:
 
 def discover(
     devices: Path = USB_DEVICES, list_cameras: Callable[[], list[ListedDevice] | None] = list_by_openni
-) -> list[Found]:
+) -> list[FoundDevice]:
     """Every depth camera that is plugged in: those on USB that are known, by the socket they are in, and what else
     OpenNI2 sees (a vendor's own build of it knows more).
 
@@ -64,11 +64,11 @@ def discover(
         told.add(uri)
         name = " ".join(f"{usb.manufacturer} {usb.name}".split()) or CAMERAS[usb.vendor, usb.product]
         note = f"OpenNI2: {uri}" if listed is not None else f"OpenNI2 is not installed: {INSTALL}"
-        found.append(Found("depth_camera", USB_PORT + folder.name, name, usb.serial, usb.revision, note))
+        found.append(FoundDevice("depth_camera", USB_PORT + folder.name, name, usb.serial, usb.revision, note))
     for camera in listed or []:
         if camera.uri not in told:
             name = " ".join(f"{camera.vendor} {camera.name}".split())
-            found.append(Found("depth_camera", camera.uri, name, note="told by OpenNI2"))
+            found.append(FoundDevice("depth_camera", camera.uri, name, note="told by OpenNI2"))
     return found
 
 

@@ -46,7 +46,7 @@ from deformscope_drivers.dsa.messages import (
 from deformscope_drivers.dsa.pads import Pad
 from deformscope_drivers.dsa.pressure import FloatArray, PadContact, pad_contact, to_pressure
 from deformscope_drivers.dsa.protocol import Decoder, encode, single, stop, stream
-from deformscope_drivers.dsa.timestamps import TimestampGate, Verdict
+from deformscope_drivers.dsa.timestamps import TimestampGate, TimestampVerdict
 from deformscope_drivers.errors import (
     CommandRefused,
     DeviceError,
@@ -102,7 +102,7 @@ class TactileReading:
 
 
 @dataclass
-class _Settings:
+class _WantedSettings:
     """What was asked for, and is asked for again after every reconnect: by matrix, None = of all."""
 
     streaming: bool
@@ -297,13 +297,13 @@ class Dsa(StreamDevice[TactileReading]):
         if not isinstance(event, Reading) or self._packets.cells is None:  # left over from an earlier time
             return []
         verdict = self._gate.check(event.timestamp_ms)
-        if verdict is Verdict.REPEATED:
+        if verdict is TimestampVerdict.REPEATED:
             self._repeated += 1
             return []
-        if verdict is Verdict.JUMPED:
+        if verdict is TimestampVerdict.JUMPED:
             self._count_refused("timestamp")
             return []
-        if verdict is Verdict.RESTARTED:
+        if verdict is TimestampVerdict.RESTARTED:
             self._restarts += 1
             self._forget_time(event.timestamp_ms)
         self._measured_ns = host_ns
@@ -480,7 +480,7 @@ class Dsa(StreamDevice[TactileReading]):
 
     def _begin(self) -> None:
         """As the configuration says, whatever was set since."""
-        self._settings = _Settings(self.config.streaming, self.config.rle)
+        self._settings = _WantedSettings(self.config.streaming, self.config.rle)
         self._repeated = self._restarts = 0
         self._measured_ns = 0
         self._forget_time()

@@ -93,7 +93,7 @@ def packet(id: int, payload: bytes) -> bytes:
     return whole + struct.pack("<H", crc16(whole[len(PREAMBLE) :])) if payload else whole
 
 
-class _PacketDecoder(FrameDecoder[EventT]):
+class _DsaDecoder(FrameDecoder[EventT]):
     """What both ends do with a stream of packets."""
 
     def _find(self, buffer: bytes, start: int) -> int:
@@ -131,7 +131,7 @@ class _PacketDecoder(FrameDecoder[EventT]):
         """What a whole packet says; `intact`: its checksum is right."""
 
 
-class Decoder(_PacketDecoder[Reading | Reply]):
+class Decoder(_DsaDecoder[Reading | Reply]):
     """The host's end. Yields `Reading`, replies (`Ack`, `ControllerInfo`...) and `Skipped`.
 
     cells: texels of all matrices together, as the controller tells them (it may be set later). Frames must then have
@@ -183,7 +183,7 @@ class Faulty:
     error: int
 
 
-class CommandDecoder(_PacketDecoder[Command | Faulty]):
+class CommandDecoder(_DsaDecoder[Command | Faulty]):
     """The controller's end, for doubles. Yields commands, `Faulty` for packets that are none, and `Skipped`.
 
     A controller trusts the length and answers what it cannot use, where the host searches on. Which error code answers

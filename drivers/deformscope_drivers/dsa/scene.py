@@ -34,7 +34,7 @@ def _matrix(rows: int, index: int) -> MatrixInfo:
     return MatrixInfo(0, TEXEL_PITCH_MM, TEXEL_PITCH_MM, COLUMNS, rows, uid, bytes(2), 1, zero, zero, 0.0, 0)
 
 
-class Grasp:
+class GraspScene:
     """A hand that closes on something round and lets go, again and again.
 
     Each pad is pressed by a patch that grows, drifts and shrinks: the distal pads first and most. At time 0 nothing is

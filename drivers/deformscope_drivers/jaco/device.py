@@ -32,7 +32,7 @@ from deformscope_drivers.jaco.config import JacoConfig
 from deformscope_drivers.jaco.errors import MotionStopped, NotReached, NotStopped, VendorError
 from deformscope_drivers.jaco.kinematics import Chain
 from deformscope_drivers.jaco.library import Functions, Library, call
-from deformscope_drivers.jaco.pacing import Pacer
+from deformscope_drivers.jaco.pacing import SlotPacer
 from deformscope_drivers.jaco.reading import Sweep
 from deformscope_drivers.jaco.startup import CONFIGURATION_GAP_S, JacoIdentity, bring_up, let_go
 from deformscope_drivers.jaco.state import JacoState
@@ -87,7 +87,7 @@ class Jaco(Device[JacoState]):
         self._position_until_ns: int | None = None
         self._erase_due = False
         self._stopped = ""
-        self._pacer = Pacer(PERIOD_NS)
+        self._pacer = SlotPacer(PERIOD_NS)
         self._sweep: Sweep | None = None
         self._state: JacoState | None = None
         self._crowded = False
@@ -101,7 +101,7 @@ class Jaco(Device[JacoState]):
         """Take control of the arm, at rest. Raises NotConnected, LibraryMissing, or the vendor's code by its name."""
         if not self.is_open:
             self._stopped = ""
-            self._pacer = Pacer(PERIOD_NS)
+            self._pacer = SlotPacer(PERIOD_NS)
             self._sent = self._expired = self._left_out = 0
         super().open(own_thread=own_thread)
         atexit.register(self.close)  # a program that ends without closing must not leave the arm moving

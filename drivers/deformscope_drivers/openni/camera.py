@@ -23,7 +23,7 @@ WAITING = 4
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class OpenniSettings:
     """How a camera is opened; None = as it is. uri: OpenNI2's; speed: of a recording, 0 = as fast as it is read"""
 
     uri: str = ""
@@ -42,7 +42,7 @@ class Settings:
 class OpenniCamera:
     """A camera that was opened and set as asked, every setting read back. Raises SettingsRefused on a mismatch."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: OpenniSettings) -> None:
         self._settings = settings
         self._openni = Openni(settings.library)
         self._device = self._openni.open(settings.uri)

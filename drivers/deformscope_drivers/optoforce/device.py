@@ -14,7 +14,7 @@ from deformscope_drivers.device import ROUND_S, StreamDevice
 from deformscope_drivers.errors import CommandRefused, NoReply, SettingsRefused
 from deformscope_drivers.health import Identity, Link
 from deformscope_drivers.optoforce.config import OptoforceConfig, filter_of, speed_of
-from deformscope_drivers.optoforce.counter import WRAP, CounterTrack, Gap, Verdict
+from deformscope_drivers.optoforce.counter import WRAP, CounterStep, CounterTrack, Gap
 from deformscope_drivers.optoforce.measurement import ForceMeasurement
 from deformscope_drivers.optoforce.plausibility import doubts
 from deformscope_drivers.optoforce.protocol import (
@@ -53,7 +53,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class DaqSettings:
     """What the DAQ was last told, as it cannot be asked. zeroed: it subtracts a zero point itself"""
 
     speed: Speed
@@ -69,7 +69,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     transport, clock: in place of the configuration's port and the host's clock (a simulated laboratory)
     """
 
-    _settings: Settings
+    _settings: DaqSettings
     _kind: Kind | None
     _offset: FloatArray | None
     _before: Reading | None
@@ -103,7 +103,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     # What a user calls -----------------------------------------------------------------------------------------------
 
     @property
-    def settings(self) -> Settings:
+    def settings(self) -> DaqSettings:
         """What the DAQ was last told."""
         return self._settings
 
@@ -193,7 +193,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         self._look_for_restart(gap, host_ns)
         self._before, self._before_ns = event, host_ns
         found = doubts(event, self._nominal_counts if known else None)
-        if gap.verdict in (Verdict.JUMPED, Verdict.LATE, Verdict.REPEATED):
+        if gap.verdict in (CounterStep.JUMPED, CounterStep.LATE, CounterStep.REPEATED):
             found += ("counter",)
         if not known:
             found += ("kind",)
@@ -235,7 +235,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     # Within: all in the device's thread ------------------------------------------------------------------------------
 
     def _begin_session(self) -> None:
-        self._settings = Settings(speed_of(self.config.rate_hz), filter_of(self.config.filter_hz))
+        self._settings = DaqSettings(speed_of(self.config.rate_hz), filter_of(self.config.filter_hz))
         self._offset = None
         self._acknowledges: bool | None = None
         self._serial = ""
@@ -253,7 +253,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         self._overloaded = 0
         self._doubted = 0
 
-    def _change(self, wanted: Settings) -> None:
+    def _change(self, wanted: DaqSettings) -> None:
         """Send speed and filter, and see that readings come.
 
         Every `Configure` says something about the zero point as well, and whether a second 255 keeps it or sets it
@@ -263,7 +263,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         if wanted.speed:
             self._gather(1)
 
-    def _tell_settings(self, wanted: Settings) -> None:
+    def _tell_settings(self, wanted: DaqSettings) -> None:
         zero = Zero.SET if wanted.zeroed else Zero.CLEAR
         command = Configure(wanted.speed, wanted.filter, zero)
         self._zero_in_doubt |= wanted.zeroed != self._settings.zeroed
@@ -292,10 +292,10 @@ class Optoforce(StreamDevice[ForceMeasurement]):
 
     def _look_for_restart(self, gap: Gap, host_ns: int) -> None:
         """A DAQ that was switched off and on sends at its defaults, and has forgotten its zero point."""
-        if gap.verdict is Verdict.RESTARTED:
+        if gap.verdict is CounterStep.RESTARTED:
             self._restart = "the DAQ restarted"
             self._settings = replace(self._settings, zeroed=False)
-        elif gap.verdict is Verdict.LOST:
+        elif gap.verdict is CounterStep.LOST:
             period_ns = self._settings.speed * 1e6
             pause_ns = max(host_ns - self._before_ns, gap.lost * period_ns)
             if pause_ns >= max(RESTART_S * 1e9, SILENCE_READINGS * period_ns):
@@ -400,11 +400,11 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         self._per_count = np.stack([report.per_count for report in reports]) if reports else None
         self._nominal_counts = [report.counts_at_nominal for report in reports] or None
 
-    def _compare_clocks(self, reading: Reading, verdict: Verdict, host_ns: int) -> None:
+    def _compare_clocks(self, reading: Reading, verdict: CounterStep, host_ns: int) -> None:
         step = self._track.step
-        if step is None or verdict in (Verdict.JUMPED, Verdict.LATE, Verdict.REPEATED):
+        if step is None or verdict in (CounterStep.JUMPED, CounterStep.LATE, CounterStep.REPEATED):
             return
-        if self._unwrap is None or self._clock_fit is None or verdict is Verdict.RESTARTED:
+        if self._unwrap is None or self._clock_fit is None or verdict is CounterStep.RESTARTED:
             tick_ns = self._settings.speed * 1e6 / step
             self._unwrap, self._clock_fit = Unwrap(WRAP, tick_ns), ClockFit(tick_ns)
         self._clock_fit.add(self._unwrap(reading.counter, host_ns), host_ns)

@@ -40,7 +40,7 @@ Patch = dict[int, int]
 
 
 @dataclass(frozen=True, slots=True)
-class Tally:
+class DamageCount:
     """How often one kind of damage passes the byte sum, and which check tells of it first.
 
     possible: how many ways there are; passed: how many of them the decoder takes for a reading
@@ -57,7 +57,7 @@ class Tally:
     unseen: int = 0
 
 
-def count(packet: bytes, nominal_counts: float | None) -> dict[str, Tally]:
+def count(packet: bytes, nominal_counts: float | None) -> dict[str, DamageCount]:
     """What each kind of damage to this packet comes to; with the nominal counts, its load is checked as well."""
     return {
         "1 bit flipped": _tally(packet, _flips(packet, 1), 8 * SIZE, nominal_counts),
@@ -68,7 +68,7 @@ def count(packet: bytes, nominal_counts: float | None) -> dict[str, Tally]:
     }
 
 
-def _tally(packet: bytes, patches: Iterable[Patch], possible: int, nominal_counts: float | None) -> Tally:
+def _tally(packet: bytes, patches: Iterable[Patch], possible: int, nominal_counts: float | None) -> DamageCount:
     (reading,) = Decoder().feed(packet)
     assert isinstance(reading, Reading)
     behind = b"".join(
@@ -94,7 +94,7 @@ def _tally(packet: bytes, patches: Iterable[Patch], possible: int, nominal_count
             by_counter += 1
         elif "load" in found:
             by_load += 1
-    return Tally(possible, passed, by_status, by_counter, by_load, passed - by_status - by_counter - by_load)
+    return DamageCount(possible, passed, by_status, by_counter, by_load, passed - by_status - by_counter - by_load)
 
 
 def _flips(packet: bytes, bits: int) -> Iterator[Patch]:

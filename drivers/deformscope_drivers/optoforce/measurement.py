@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from deformscope_drivers.clock import Stamp
 from deformscope_drivers.errors import DeviceError
-from deformscope_drivers.optoforce.counter import Verdict
+from deformscope_drivers.optoforce.counter import CounterStep
 from deformscope_drivers.optoforce.protocol import Kind, Status
 
 FloatArray = npt.NDArray[np.float64]
@@ -36,7 +36,7 @@ class ForceMeasurement:
     per_count: FloatArray | None = None
     offset_counts: FloatArray | None = None
     lost_before: int = 0
-    follows: Verdict = Verdict.NEXT
+    follows: CounterStep = CounterStep.NEXT
     doubts: tuple[str, ...] = ()
 
     @property
