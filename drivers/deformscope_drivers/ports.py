@@ -1,4 +1,4 @@
-"""What is plugged into this machine, as far as it can be told without opening anything."""
+"""What is plugged into this machine, as far as it can be seen without opening anything."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SERIAL_ADAPTER = "a serial port or adapter; the SDH's tactile controller or its 
 class FoundDevice:
     """Something that is plugged in.
 
-    driver: the package that speaks to it; empty where only asking it would tell
+    driver: the package that speaks to it; empty where only a query would show it
     port: what a configuration names; serial: its serial number, or that of the USB adapter
     """
 

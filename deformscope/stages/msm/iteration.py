@@ -1,4 +1,4 @@
-"""The two ways to a static state, over the goals of any body: Newton's steps, and Anderson's acceleration.
+"""The two methods for a static state, over the goals of any body: Newton's steps, and Anderson's acceleration.
 
 Launches are recorded once and replayed: on a CPU too, where a launch from Python costs more than its work.
 """
@@ -62,7 +62,7 @@ class Graph:
 
 
 class Iteration:
-    """What both ways share: fields of the candidates, their parameters, and how sums over particles are taken."""
+    """What both methods share: fields of the candidates, their parameters, and how sums over particles are taken."""
 
     def __init__(self, body: Body, rest: BodyRest, size: int, volume: int) -> None:
         self.body, self.volume = body, volume
@@ -70,7 +70,7 @@ class Iteration:
         self.operator: Operator = body.operator(self.layout)
         self.kernels = k.iteration_kernels_for(body.dim, body.scalar, self.layout.width)
         self.kind = "cpu" if self.layout.device.startswith("cpu") else "cuda"
-        span = self.kernels.span()
+        span = self.kernels.Span()
         span.abreast, span.blocks = self.layout.abreast, self.layout.blocks
         self.threads = self.operator.threads
         span.parts = 1 if self.threads else max(1, min(-(-self.layout.blocks // PART_BLOCKS[self.kind]), MOST_PARTS))
@@ -135,7 +135,7 @@ class Newton(Iteration):
         d = body.dim
         self.step, self.rho = layout.field(d), layout.field(d)
         self._parts = self.parts(2)
-        state = self.kernels.newton()
+        state = self.kernels.NewtonState()
         zero = np.zeros(size)
         for name in ("state", "inner", "outers", "inners", "backs", "stalls", "total", "last", "sharp"):
             setattr(state, name, layout.each(zero, int))
@@ -335,7 +335,7 @@ class Anderson(Iteration):
         self.u_last, self.residual_last = layout.field(d), layout.field(d)
         self.du, self.dr = layout.field(d * k.MEMORY), layout.field(d * k.MEMORY)
         self._parts = self.parts(2 * (k.MEMORY + 1))
-        state = self.kernels.anderson()
+        state = self.kernels.AndersonState()
         zero = np.zeros(size)
         for name in ("state", "known", "total", "mark"):
             setattr(state, name, layout.each(zero, int))

@@ -1,4 +1,4 @@
-"""Depth cameras that are plugged in, as the kernel tells of them, without opening any; and the names of their ports."""
+"""Depth cameras that are plugged in, as the kernel lists them, without opening any; and the names of their ports."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ def list_by_openni() -> list[ListedDevice] | None:
             timeout=LIST_TIMEOUT_S,
             check=False,
         )
-        told = json.loads(asked.stdout or "[]")
+        reported = json.loads(asked.stdout or "[]")
     except (subprocess.TimeoutExpired, OSError, ValueError):
         return []
-    return [ListedDevice(**device) for device in told] if isinstance(told, list) else None
+    return [ListedDevice(**device) for device in reported] if isinstance(reported, list) else None
 
 
 def discover(
@@ -55,20 +55,20 @@ def discover(
     devices: /sys/bus/usb/devices; list_cameras: what OpenNI2 sees, None where it is not installed
     """
     listed = list_cameras()
-    found, told = [], set()
+    found, reported = [], set()
     for folder in sorted(devices.iterdir()) if devices.is_dir() else []:
         usb = usb_device(folder)
         if usb is None or (usb.vendor, usb.product) not in CAMERAS:
             continue
         uri = openni_uri(usb)
-        told.add(uri)
+        reported.add(uri)
         name = " ".join(f"{usb.manufacturer} {usb.name}".split()) or CAMERAS[usb.vendor, usb.product]
         note = f"OpenNI2: {uri}" if listed is not None else f"OpenNI2 is not installed: {INSTALL}"
         found.append(FoundDevice("depth_camera", USB_PORT + folder.name, name, usb.serial, usb.revision, note))
     for camera in listed or []:
-        if camera.uri not in told:
+        if camera.uri not in reported:
             name = " ".join(f"{camera.vendor} {camera.name}".split())
-            found.append(FoundDevice("depth_camera", camera.uri, name, note="told by OpenNI2"))
+            found.append(FoundDevice("depth_camera", camera.uri, name, note="listed by OpenNI2"))
     return found
 
 

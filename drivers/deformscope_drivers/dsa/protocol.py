@@ -62,7 +62,7 @@ _COMMAND_PAYLOAD_MAX = 64  # well above the longest that is public, 6; a length 
 
 
 def stream(*, rle: bool = True, frame_rate_hz: int = 30) -> ConfigureAcquisition:
-    """Send frames until told otherwise, as many as the line carries; the rate asked for is not kept to."""
+    """Send frames until they are stopped, as many as the line carries; the rate asked for is not kept to."""
     return ConfigureAcquisition(Acquisition.ON | (Acquisition.RLE if rle else 0), frame_rate_hz)
 
 
@@ -134,7 +134,7 @@ class _DsaDecoder(FrameDecoder[EventT]):
 class Decoder(_DsaDecoder[Reading | Reply]):
     """The host's end. Yields `Reading`, replies (`Ack`, `ControllerInfo`...) and `Skipped`.
 
-    cells: texels of all matrices together, as the controller tells them (it may be set later). Frames must then have
+    cells: texels of all matrices together, as the controller reports them (it may be set later). Frames must then have
     exactly so many. While it is None, any number up to the SDH's 486 passes: the largest sensor whose size is public,
     and a bound is needed, for a damaged length must not hold up the frames behind it.
     """

@@ -14,7 +14,7 @@ Scene = Callable[[float], Sequence[npt.NDArray[np.float64]]]
 """Time since power-up [s] -> for each matrix the pressure on its texels (rows, columns) [Pa]."""
 
 TEXEL_PITCH_MM = float(np.float32(3.4))
-"""An assumption: no public source gives the SDH's pitch. A real controller tells its own."""
+"""An assumption: no public source gives the SDH's pitch. A real controller reports its own."""
 
 ROWS_PROXIMAL, ROWS_DISTAL, COLUMNS = 14, 13, 6
 """That the proximal pads are the longer ones is an assumption too; the sizes are public."""

@@ -1,4 +1,4 @@
-"""Loss told from the counter that every reading carries: a u16 that wraps, whose unit is not documented.
+"""Losses by the counter that every reading carries: a u16 that wraps, whose unit is not documented.
 
 It may count readings, or the DAQ's own samples at 1 kHz, so that its usual step is learned from the stream.
 """
@@ -28,7 +28,7 @@ class CounterStep(Enum):
     LOST = "lost"  # readings before this one are missing
     REPEATED = "repeated"
     LATE = "late"  # overtaken by readings that came before it
-    JUMPED = "jumped"  # further than time allows; the next reading tells whether the device restarted
+    JUMPED = "jumped"  # further than time allows; the next reading shows whether the device restarted
     RESTARTED = "restarted"  # the reading before this one was the first after a restart
     CORRECTED = "corrected"  # the counter of the reading before this one was damaged; nothing was lost there
 
@@ -55,9 +55,9 @@ class CounterTrack:
     step: the usual step between readings, None while it is learned
     lost, late, repeated, damaged, restarts: how many there were
 
-    period_ns: time between readings, from which a restart is told apart from a loss; None = unknown: then a counter
+    period_ns: time between readings, by which a restart is distinguished from a loss; None = unknown: then a counter
     that goes back has restarted. Where both may be, it is taken for a loss. A pause in which the counter goes once
-    round and more is not told from a shorter one.
+    round and more is not distinguished from a shorter one.
     """
 
     def __init__(self, period_ns: float | None = None) -> None:
@@ -103,8 +103,8 @@ class CounterTrack:
             return _NEXT
         often = Counter(self._learned_from)
         usual = max(often, key=lambda seen: (often[seen], -seen))
-        way = sum(self._learned_from) % WRAP  # of all steps together: a damaged counter between them does not matter
-        lost = max(0, round(way / usual) - LEARNED_FROM) if way < WRAP // 2 else 0
+        span = sum(self._learned_from) % WRAP  # of all steps together: a damaged counter between them does not matter
+        lost = max(0, round(span / usual) - LEARNED_FROM) if span < WRAP // 2 else 0
         self.step = usual
         self.lost += lost
         self._learned_from = []

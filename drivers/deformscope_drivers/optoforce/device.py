@@ -1,4 +1,4 @@
-"""OptoForce's DAQ as a device: settings kept in a shadow copy, zeroing that is checked, loss told by its counter."""
+"""OptoForce's DAQ as a device: settings kept in a shadow copy, zeroing that is checked, losses found by its counter."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class DaqSettings:
-    """What the DAQ was last told, as it cannot be asked. zeroed: it subtracts a zero point itself"""
+    """The settings last sent to the DAQ, which cannot be read back. zeroed: it subtracts a zero point itself"""
 
     speed: Speed
     filter: Filter
@@ -104,7 +104,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
 
     @property
     def settings(self) -> DaqSettings:
-        """What the DAQ was last told."""
+        """The settings last sent to the DAQ."""
         return self._settings
 
     @property
@@ -145,7 +145,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
 
         def clear() -> None:
             self._offset = None
-            self._tell_settings(replace(self._settings, zeroed=False))
+            self._send_settings(replace(self._settings, zeroed=False))
 
         self._do(clear, 10.0)
 
@@ -154,7 +154,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         return Identity(f"OptoForce {self._kind.value}" if self._kind else "OptoForce", self._serial)
 
     def serial_number(self) -> str:
-        """The serial number; raises NoReply with firmware that does not tell."""
+        """The serial number; raises NoReply with firmware that has none."""
         return self._do(self._ask_serial, 10.0)
 
     # What the base class asks for ------------------------------------------------------------------------------------
@@ -177,8 +177,8 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     def _receive(self, timeout_s: float) -> Iterable[ForceMeasurement]:
         if self._restart:
             reason, self._restart = self._restart, ""
-            self._tell_settings(replace(self._settings, zeroed=False))
-            self._tell(Link.CONNECTED, f"{reason}; its settings were sent again")
+            self._send_settings(replace(self._settings, zeroed=False))
+            self._report_link(Link.CONNECTED, f"{reason}; its settings were sent again")
         return super()._receive(timeout_s)
 
     def _measure(self, event: Reply, host_ns: int) -> Iterable[ForceMeasurement]:
@@ -259,11 +259,11 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         Every `Configure` says something about the zero point as well, and whether a second 255 keeps it or sets it
         anew is not documented: so it is cleared, and what it was is subtracted here.
         """
-        self._tell_settings(replace(wanted, zeroed=False))
+        self._send_settings(replace(wanted, zeroed=False))
         if wanted.speed:
             self._gather(1)
 
-    def _tell_settings(self, wanted: DaqSettings) -> None:
+    def _send_settings(self, wanted: DaqSettings) -> None:
         zero = Zero.SET if wanted.zeroed else Zero.CLEAR
         command = Configure(wanted.speed, wanted.filter, zero)
         self._zero_in_doubt |= wanted.zeroed != self._settings.zeroed
@@ -325,14 +325,14 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         settle = math.ceil((ZERO_REST_S + self._settling_s()) * rate_hz)
         self._still_mean(count, still_counts, "the zero point is as it was")
         self._offset = None
-        self._tell_settings(replace(self._settings, zeroed=False))
+        self._send_settings(replace(self._settings, zeroed=False))
         self._gather(settle)
         before = self._still_mean(count, still_counts, "the zero point is cleared")
-        self._tell_settings(replace(self._settings, zeroed=True))
+        self._send_settings(replace(self._settings, zeroed=True))
         self._gather(settle)
         after = self._still_mean(count, still_counts, "the zero point is set, perhaps wrongly")
         if np.abs(after).max() > still_counts:
-            self._tell_settings(replace(self._settings, zeroed=False))
+            self._send_settings(replace(self._settings, zeroed=False))
             raise SettingsRefused(
                 f"readings within {still_counts:g} counts of zero",
                 f"{np.array2string(after, precision=0)}; the zero point is cleared again",
@@ -370,7 +370,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         return np.asarray(counts.mean(axis=0))
 
     def _gather(self, count: int) -> list[ForceMeasurement]:
-        """The next so many readings, which go their way as well."""
+        """The next so many readings, which are published as well."""
         found: list[ForceMeasurement] = []
         wait_s = max(SILENCE_S, SILENCE_READINGS * self._settings.speed * 1e-3) + 2e-3 * count * self._settings.speed
         until_ns = self._clock() + round(wait_s * 1e9)

@@ -145,7 +145,7 @@ ERRORS: Final = (
     ("DEVICE_NOT_OPENED", "switch the hand off and on"),
     ("IO_ERROR", "on CAN the bus may be off: look at its terminators and bit rate"),
     ("INVALID_PARAMETER", "look at the values"),
-    ("RANGE_ERROR", "stay within the limits that `vlim`, `alim` and the range of the axes tell"),
+    ("RANGE_ERROR", "stay within the limits that `vlim`, `alim` and the range of the axes give"),
     ("NO_DATAPIPE", "switch the hand off and on"),
     ("INDEX_OUT_OF_BOUNDS", "axes are 0 to 6"),
     ("HOMING_ERROR", "reference the axis again"),
@@ -177,7 +177,7 @@ POSITION_MAX_DEG: Final = (90.0,) * AXIS_COUNT
 POSITION_EPSILON_DEG: Final = 0.5
 """The precision of reported angles: near an end they may lie outside the range by this much."""
 
-# What Schunk's library takes before it asks the hand, and where the firmware cannot tell.
+# What Schunk's library takes before it asks the hand, and where the firmware does not say.
 VELOCITY_MAX_DEG_S: Final = (80.0, 100.0, 100.0, 100.0, 100.0, 100.0, 100.0)
 VELOCITY_MAX_OLD_DEG_S: Final = (85.7, 200.0, 157.8, 200.0, 157.8, 200.0, 157.8)  # firmware before 0.0.2.1
 ACCELERATION_MAX_DEG_S2: Final = (5000.0, 400.0, 1500.0, 400.0, 1500.0, 400.0, 1500.0)

@@ -1,4 +1,4 @@
-"""Webcams that are plugged in, as the kernel tells of them, without opening any."""
+"""Webcams that are plugged in, as the kernel lists them, without opening any."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ def discover(sysfs: Path = Path("/sys"), dev: Path = Path("/dev")) -> list[Found
         port = stable_name(str(device), dev / "v4l" / "by-id")
         name = sysfs_text(node / "name")
         usb = _usb_of(node)
-        told = [] if port == str(device) else [str(device)]
+        notes = [] if port == str(device) else [str(device)]
         if usb is not None:
-            told.append(f"usb {usb.vendor:04x}:{usb.product:04x}")
+            notes.append(f"usb {usb.vendor:04x}:{usb.product:04x}")
         serial, revision = (usb.serial, usb.revision) if usb is not None else ("", "")
-        found.append(FoundDevice("webcam", port, name, serial, revision, ", ".join(told)))
+        found.append(FoundDevice("webcam", port, name, serial, revision, ", ".join(notes)))
     return found
 
 
