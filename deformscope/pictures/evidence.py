@@ -498,7 +498,7 @@ def _deep_frame(axes: Any, comparison: Comparison) -> float:
 
 
 def _length_unit(comparison: Comparison) -> tuple[float, str]:
-    """The factor and the unit that positions are told in."""
+    """The factor and the unit that positions are shown in."""
     if comparison.unit == "px":
         return 1.0, "px"
     size = float(np.ptp(comparison.rest, axis=0).max())

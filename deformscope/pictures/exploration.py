@@ -1,4 +1,4 @@
-"""Pictures of an exploration, as PNG: the maps, why the next touch goes where it goes, and what a touch told.
+"""Pictures of an exploration, as PNG: the maps, why the next touch goes where it goes, and what a touch measured.
 
 The same drawings go into recordings and into the picture of a result. Lengths on the axes are in cm, in the surface
 frame; touches are numbered from 1, in their order.
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 REGIONS = ("#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#f0e442", "#0072b2", "#d55e00", "#999999")
-"""From the softest; told apart by colour-blind readers too (Okabe and Ito 2008)."""
+"""From the softest; distinct to colour-blind readers too (Okabe and Ito 2008)."""
 STIFFNESS, BETA, DEVIATION, GAIN, HEIGHT = "viridis", "plasma", "magma", "cividis", "viridis"
 """Colours of each quantity, everywhere the same."""
 TARGET = "#e8112d"
@@ -92,7 +92,7 @@ def truth_png(maps: MapEstimate) -> bytes:
 
 
 def gain_png(plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None = None) -> bytes:
-    """What a touch of each cell is expected to tell, the cells that may not be touched, the next touch and why.
+    """The expected information of a touch of each cell, the cells that may not be touched, the next touch and why.
 
     contacts_m: (n, 2) touches so far
     """
@@ -132,7 +132,7 @@ def result_png(maps: MapEstimate, title: str = "") -> bytes:
             left, bottom, width, height = PLACE
             axes = figure.add_axes(((column + left) / 3, share * (1 - row + bottom), width / 3, share * height))
             draw(axes, maps)
-    figure.text(0.02, 0.975, title or "What the touches told", fontsize=14, weight="bold", va="top")
+    figure.text(0.02, 0.975, title or "What the touches measured", fontsize=14, weight="bold", va="top")
     figure.text(0.98, 0.972, _headline(maps), fontsize=11, ha="right", va="top")
     return _png(figure, DPI)
 
@@ -201,8 +201,8 @@ def draw_truth(axes: Any, maps: MapEstimate) -> None:
     _draw_labels(axes, drawn, np.ones(truth.shape), maps.cell_m)
     _draw_outline(axes, maps.labels, maps.cell_m, "black")
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
-    told = f"{iou_words(maps)}; " if maps.iou is not None else ""
-    _title(axes, f"Truth: {counted(len(np.unique(truth)), 'region')}", f"{told}line: as found")
+    score = f"{iou_words(maps)}; " if maps.iou is not None else ""
+    _title(axes, f"Truth: {counted(len(np.unique(truth)), 'region')}", f"{score}line: as found")
 
 
 def draw_gain(axes: Any, plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None = None) -> None:
@@ -237,7 +237,7 @@ def draw_force(axes: Any, touch: TouchEstimate) -> None:
             axes, f"Touch {touch.number + 1}: {stiffness_words(touch)}", f"{dent_words(touch)}; {_beta_words(touch)}"
         )
         axes.plot(touch.approach_m * 1e3, touch.approach_n, ".", color=hexadecimal(OBSERVED), ms=5)
-        axes.set_xlabel("way of the tip [mm]", fontsize=11)
+        axes.set_xlabel("displacement of the tip [mm]", fontsize=11)
         axes.set_ylabel("force [N]", fontsize=11)
         return
     depth_mm = (touch.approach_m - touch.contact_m) * 1e3
@@ -304,8 +304,8 @@ def _rings(away_cm: FloatArray, height_mm: FloatArray) -> tuple[FloatArray, Floa
     """Mean distance and height of the points in rings around the contact."""
     ring = np.floor(away_cm / RING_CM).astype(np.int64)
     count = np.bincount(ring)
-    told = count > 0
-    away, height = (np.bincount(ring, weights=one)[told] / count[told] for one in (away_cm, height_mm))
+    filled = count > 0
+    away, height = (np.bincount(ring, weights=one)[filled] / count[filled] for one in (away_cm, height_mm))
     return away, height
 
 
@@ -405,14 +405,16 @@ def _matched(truth: IntArray, found: IntArray) -> IntArray:
     """The truth's labels, renamed so that a region has the colour of the found one that it overlaps the most."""
     from scipy.optimize import linear_sum_assignment
 
-    there, told = np.unique(truth), np.unique(found)
-    overlap = np.array([[np.count_nonzero((truth == one) & (found == other)) for other in told] for one in there])
+    there, found_labels = np.unique(truth), np.unique(found)
+    overlap = np.array(
+        [[np.count_nonzero((truth == one) & (found == other)) for other in found_labels] for one in there]
+    )
     renamed = np.full(truth.shape, -1, np.int64)
     rows, columns = linear_sum_assignment(-overlap)
     for row, column in zip(rows, columns, strict=True):
-        renamed[truth == there[row]] = told[column]
+        renamed[truth == there[row]] = found_labels[column]
     missed = [label for label in there if not (renamed[truth == label] >= 0).any()]
-    for fresh, label in enumerate(missed, start=int(told.max()) + 1):
+    for fresh, label in enumerate(missed, start=int(found_labels.max()) + 1):
         renamed[truth == label] = fresh
     return renamed
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Told apart by colour-blind readers too (Okabe and Ito 2008)."""
+"""Distinct to colour-blind readers too (Okabe and Ito 2008)."""
 
 LINES = ("-", "--", ":", "-.")
 
