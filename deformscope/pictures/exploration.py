@@ -7,17 +7,17 @@ frame; touches are numbered from 1, in their order.
 from __future__ import annotations
 
 import functools
-import io
 import math
 import textwrap
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.images import encode_png
+from deformscope.pictures.figures import canvas, png_of
 from deformscope.pictures.palette import OBSERVED, SIMULATED, hexadecimal
 from deformscope.pictures.words import (
     counted,
@@ -30,9 +30,6 @@ from deformscope.pictures.words import (
     verdict_words,
 )
 from deformscope.stages.map.exploration import MapEstimate, PlannedTouch, SurfaceEstimate, TouchEstimate
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 REGIONS = ("#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#f0e442", "#0072b2", "#d55e00", "#999999")
 """From the softest; distinct to colour-blind readers too (Okabe and Ito 2008)."""
@@ -61,34 +58,9 @@ LEAST_SURE = 0.25
 """Probability of a label at which its colour is as pale as it gets."""
 
 
-def stiffness_png(maps: MapEstimate) -> bytes:
-    """The stiffness field [N/mm], on a logarithmic scale."""
-    return _one(lambda axes: draw_stiffness(axes, maps))
-
-
-def stiffness_deviation_png(maps: MapEstimate) -> bytes:
-    """One standard deviation of the stiffness field [%]."""
-    return _one(lambda axes: draw_stiffness_deviation(axes, maps))
-
-
-def beta_png(maps: MapEstimate) -> bytes:
-    """The beta-field [-]."""
-    return _one(lambda axes: draw_beta(axes, maps))
-
-
-def beta_deviation_png(maps: MapEstimate) -> bytes:
-    """One standard deviation of the beta-field [-]."""
-    return _one(lambda axes: draw_beta_deviation(axes, maps))
-
-
-def regions_png(maps: MapEstimate) -> bytes:
-    """The regions that were found; the paler, the less sure."""
-    return _one(lambda axes: draw_regions(axes, maps))
-
-
-def truth_png(maps: MapEstimate) -> bytes:
-    """The regions that are there, where that is known, and over them the outline of those that were found."""
-    return _one(lambda axes: draw_truth(axes, maps))
+def map_png(quantity: str, maps: MapEstimate) -> bytes:
+    """One of `MAP_DRAWINGS`."""
+    return _one(lambda axes: MAP_DRAWINGS[quantity](axes, maps))
 
 
 def gain_png(plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None = None) -> bytes:
@@ -121,7 +93,7 @@ def words_png(words: str) -> bytes:
 
 def result_png(maps: MapEstimate, title: str = "") -> bytes:
     """The whole result in one picture: both fields with their deviations, the regions, and the truth where known."""
-    figure = _figure(3 * WIDE, 2 * HIGH + 0.5)
+    figure = canvas(3 * WIDE, 2 * HIGH + 0.5)
     drawings: tuple[tuple[Callable[[Any, MapEstimate], None], ...], ...] = (
         (functools.partial(draw_stiffness, path=True), draw_beta, draw_regions),
         (draw_stiffness_deviation, draw_beta_deviation, draw_truth),
@@ -134,7 +106,7 @@ def result_png(maps: MapEstimate, title: str = "") -> bytes:
             draw(axes, maps)
     figure.text(0.02, 0.975, title or "What the touches measured", fontsize=14, weight="bold", va="top")
     figure.text(0.98, 0.972, _headline(maps), fontsize=11, ha="right", va="top")
-    return _png(figure, DPI)
+    return png_of(figure, DPI)
 
 
 # One drawing a quantity ----------------------------------------------------------------------------------------------
@@ -315,6 +287,18 @@ def _beta_words(touch: TouchEstimate) -> str:
     low, high = touch.beta_interval or (touch.beta, touch.beta)
     between = f", {low:.2f} to {high:.2f}" if touch.beta_interval else ""
     return f"beta {touch.beta:.2f} ({touch.beta_verdict}{between})"
+
+
+MAP_DRAWINGS: dict[str, Callable[[Any, MapEstimate], None]] = {
+    "stiffness": draw_stiffness,
+    "stiffness_deviation": draw_stiffness_deviation,
+    "beta": draw_beta,
+    "beta_deviation": draw_beta_deviation,
+    "regions": draw_regions,
+    "truth": draw_truth,
+}
+"""Of the maps: fields [N/mm], [-], one standard deviation of each [%], [-]; the regions that were found, the paler the
+less sure; the true ones, where these are known, and over them the outline of those that were found."""
 
 
 # What the drawings share ---------------------------------------------------------------------------------------------
@@ -546,28 +530,13 @@ def _headline(maps: MapEstimate) -> str:
 # Figures -------------------------------------------------------------------------------------------------------------
 
 
-def _figure(width: float, height: float) -> Figure:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height))  # no layout engine: it takes longer than the drawing
-    FigureCanvasAgg(figure)
-    return figure
-
-
 def _one(draw: Callable[[Any], None], place: tuple[float, float, float, float] = PLACE) -> bytes:
     """place: of the axes in the picture: left, bottom, width, height, shares of it"""
-    figure = _figure(WIDE, HIGH)
+    figure = canvas(WIDE, HIGH)  # no layout engine: it takes longer than the drawing
     axes = figure.add_axes(place)
     draw(axes)
-    canvas: Any = figure.canvas
+    drawn: Any = figure.canvas
     figure.set_dpi(DPI)
-    canvas.draw()
-    picture: npt.NDArray[np.uint8] = np.asarray(canvas.buffer_rgba())[..., :3]
+    drawn.draw()
+    picture: npt.NDArray[np.uint8] = np.asarray(drawn.buffer_rgba())[..., :3]
     return encode_png(np.ascontiguousarray(picture))
-
-
-def _png(figure: Figure, dpi: int) -> bytes:
-    encoded = io.BytesIO()
-    figure.savefig(encoded, format="png", dpi=dpi, metadata={"Software": None})
-    return encoded.getvalue()

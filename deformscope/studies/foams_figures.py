@@ -8,9 +8,9 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from deformscope.pictures.figures import canvas
 from deformscope.stages.fit.estimate import Estimate
 from deformscope.studies.foams import HELD, PX_PER_CM, Control, FoamResult, Held, Source, Trend
 
@@ -186,6 +186,5 @@ def _hardness_ticks(axis: Any, results: Sequence[FoamResult]) -> None:
 
 def _figure(rows: int, columns: int, width: float, height: float) -> tuple[Figure, Any]:
     """Drawn off screen, whatever display there is."""
-    figure = Figure(figsize=(width, height), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = canvas(width, height, dpi=110, layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False)

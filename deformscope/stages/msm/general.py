@@ -68,18 +68,9 @@ class GeneralBody:
         width, abreast = widths(candidates, self.scalar, self.device, cells_in_lanes=False)
         groups = -(-candidates // abreast)
         group = self.particle_count * abreast
-        return Layout(
-            candidates,
-            width,
-            abreast,
-            self.particle_count,
-            0,
-            group,
-            groups * group + width,
-            np.arange(self.particle_count),
-            self.scalar,
-            self.device,
-        )
+        count, place = self.particle_count, np.arange(self.particle_count)
+        stride = groups * group + width
+        return Layout(candidates, width, abreast, count, 0, group, stride, place, self.scalar, self.device)
 
     def operator(self, layout: Layout) -> GeneralOperator:
         return GeneralOperator(self, layout, self.arrays(layout.width))

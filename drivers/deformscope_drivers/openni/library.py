@@ -68,11 +68,8 @@ class _VideoMode(Structure):
 
 class _DeviceInfo(Structure):
     _fields_ = (
-        ("uri", c_char * 256),
-        ("vendor", c_char * 256),
-        ("name", c_char * 256),
-        ("usb_vendor", c_uint16),
-        ("usb_product", c_uint16),
+        *((name, c_char * 256) for name in ("uri", "vendor", "name")),
+        *((name, c_uint16) for name in ("usb_vendor", "usb_product")),
     )
 
 
@@ -82,14 +79,9 @@ class _Frame(Structure):
         ("data", c_void_p),
         ("sensor", c_int),
         ("timestamp_us", c_uint64),
-        ("index", c_int),
-        ("width", c_int),
-        ("height", c_int),
+        *((name, c_int) for name in ("index", "width", "height")),
         ("mode", _VideoMode),
-        ("cropped", c_int),
-        ("crop_x", c_int),
-        ("crop_y", c_int),
-        ("stride", c_int),
+        *((name, c_int) for name in ("cropped", "crop_x", "crop_y", "stride")),
     )
 
 
