@@ -32,7 +32,7 @@ from deformscope.stages.see.cloud import perceive
 STICK_M = 0.25
 BORDER_M = 0.02
 ARM_N_PER_M, ARM_DOUBT = 5000.0, 0.1
-"""The arm gives way under a push, which its joints do not see; a calibration on a rigid block leaves some of it."""
+"""The arm yields under a push, which its joints do not see; a calibration on a rigid block leaves some of it."""
 VIEW_CELL_M = 0.004
 SOFT_PA = 1e-3 * RIGID_PA
 """Modulus of the slab that is pressed to know the truth: soft enough for every depth, stiff enough for every force."""
@@ -83,7 +83,7 @@ def _slab_curve(
 
 
 def felt_log_stiffness(made: Approach, set_force_n: float) -> float:
-    """Log of force over depth [N/mm] that a touch would have told had nothing been noisy: at the same force."""
+    """Log of force over depth [N/mm] that a touch would have measured without noise: at the same force."""
     at_n = min(set_force_n, float(made.true_force_n.max()))
     loading = slice(0, int(made.true_force_n.argmax()) + 1)
     return float(np.log(1e-3 * at_n / np.interp(at_n, made.true_force_n[loading], made.true_depth_m[loading])))

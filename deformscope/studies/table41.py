@@ -41,8 +41,8 @@ class MapAfter:
 
     travel_m: of the tip over the surface, from its corner; robot_s: what that and the touches take, as the planner
     reckons; compute_s: from this touch to the next target
-    log_stiffness, log_sd, rigid: what the last touch told [N/mm], at `xy_m`; felt_log_stiffness: what it would have
-    told without noise; touch_covered: whether its 90 % interval holds that, None where it is rigid
+    log_stiffness, log_sd, rigid: what the last touch measured [N/mm], at `xy_m`; felt_log_stiffness: what it would have
+    measured without noise; touch_covered: whether its 90 % interval holds that, None where it is rigid
     """
 
     touches: int
@@ -95,23 +95,23 @@ def run_table(job: TableJob) -> TableRun:
         explorer = Explorer(scene.size_m, options, robot.arm, robot.truth)
         truth = true_map(scene, options)
         after: list[MapAfter] = []
-        told: TouchEstimate | None = None
+        measured: TouchEstimate | None = None
         stop_after = None
         for moment in explore(robot, explorer):
             for result in moment.results:
                 if isinstance(result, TouchEstimate):
-                    told = result
-                elif isinstance(result, PlannedTouch) and told is not None:
-                    after.append(_after(moment, explorer, told, robot.felt[-1], truth))
+                    measured = result
+                elif isinstance(result, PlannedTouch) and measured is not None:
+                    after.append(_after(moment, explorer, measured, robot.felt[-1], truth))
                     if result.stop_reason not in ("", "budget") and stop_after is None:
                         stop_after = len(after)
     return TableRun(job, scene.region_count, tuple(after), robot.most_force_n, stop_after, time.perf_counter() - began)
 
 
-def _after(moment: Moment, explorer: Explorer, told: TouchEstimate, felt: float, truth: TrueMap) -> MapAfter:
+def _after(moment: Moment, explorer: Explorer, measured: TouchEstimate, felt: float, truth: TrueMap) -> MapAfter:
     count, plan, regions = len(explorer.told), PlanOptions(), explorer.region_map()
     touch = explorer.posterior.touches[-1]
-    low, high = told.stiffness_interval
+    low, high = measured.stiffness_interval
     return MapAfter(
         touches=count,
         travel_m=explorer.travel_m,
@@ -122,7 +122,7 @@ def _after(moment: Moment, explorer: Explorer, told: TouchEstimate, felt: float,
         log_sd=touch.log_sd,
         rigid=touch.rigid,
         felt_log_stiffness=felt,
-        touch_covered=None if told.rigid else bool(low <= np.exp(felt) <= high),
+        touch_covered=None if measured.rigid else bool(low <= np.exp(felt) <= high),
         score=score_map(regions, truth),
         probability=dict(regions.probability),
     )
@@ -144,12 +144,12 @@ def read_runs(path: Path) -> Iterator[TableRun]:
             if not line.endswith("\n"):
                 return
             try:
-                told = json.loads(line)
+                read = json.loads(line)
                 after = [
                     MapAfter(**{**one, "xy_m": tuple(one["xy_m"]), "score": MapScore(**one["score"])})
-                    for one in told["after"]
+                    for one in read["after"]
                 ]
-                yield TableRun(**{**told, "job": TableJob(**told["job"]), "after": tuple(after)})
+                yield TableRun(**{**read, "job": TableJob(**read["job"]), "after": tuple(after)})
             except (ValueError, TypeError, KeyError) as error:
                 raise InputError(
                     "runs of this version", str(error), "leave --resume out", f"{path}:{number}"
