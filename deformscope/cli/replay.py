@@ -90,7 +90,7 @@ def _explored(recording: Replay, settings: dict[str, Any], config: ReplayConfig)
     from deformscope.experiments.explore import ExploreOptions, Explorer, explore_again
     from deformscope.pictures.words import failed_words
     from deformscope.recording.results import read_results
-    from deformscope.rows import components
+    from deformscope.rows import to_components
     from deformscope.stages.map.exploration import MapEstimate, StageFailure, SurfaceEstimate, TouchEstimate
     from deformscope.stages.poke.contact import ArmCompliance
 
@@ -107,10 +107,10 @@ def _explored(recording: Replay, settings: dict[str, Any], config: ReplayConfig)
     if len(recorded) != len(again):
         raise Different(f"{len(recorded)} results as recorded", str(len(again)), where=config.recording)
     for before, now in zip(recorded, again, strict=True):
-        first, second = components(before), components(now)
+        first, second = to_components(before), to_components(now)
         known = set(first) & set(second) - {"truth_labels", "truth_labels_shape", "iou"}  # the truth is not computed
         for name in sorted(known):
-            if not np.array_equal(first[name][1], second[name][1], equal_nan=first[name][0] == "float64"):
+            if not np.array_equal(first[name], second[name], equal_nan=first[name].dtype.kind == "f"):
                 came = f"another {name} of {type(before).__name__}"
                 raise Different("the recorded numbers, to the last bit", came, where=config.recording)
     for one in failed:
