@@ -13,7 +13,8 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from deformscope.cli.calibrate import calibrate_pair_bytes, run_images
-from deformscope.cli.common import console, quiet_warp, write_json
+from deformscope.cli.common import Different, console, quiet_warp, write_json
+from deformscope.cli.replay_rig import replay_rig
 from deformscope.config import ReplayConfig
 from deformscope.errors import InputError
 
@@ -24,10 +25,6 @@ if TYPE_CHECKING:
 CLOSE = 0.01
 """Largest difference that another machine's arithmetic may make: of the value and its interval as a share of the
 interval's width, of an error as a share of itself. On one machine there is none."""
-
-
-class Different(InputError):
-    """The recomputed numbers are not the recorded ones."""
 
 
 def run(config: ReplayConfig) -> None:
@@ -49,7 +46,8 @@ def run(config: ReplayConfig) -> None:
         _explored(recording, settings, config)
         return
     if "rig" in settings:
-        raise InputError("a recording of a calibration or an exploration", "one of a rig alone", where=config.recording)
+        replay_rig(recording, settings, config)
+        return
     try:
         fit = msgspec.convert(settings.pop("fit"), FitOptions)
         particles = msgspec.convert(settings.pop("particles", {}), ParticleOptions)
