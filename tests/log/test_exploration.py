@@ -324,6 +324,7 @@ def test_what_cannot_be_shown_is_recorded_with_where_it_failed(tmp_path: Path, m
     told, maps = synthetic.touch(1), synthetic.maps(2)
     rec = rr.RecordingStream("deformscope-explore", recording_id="exploration")
     rec.set_sinks(rr.FileSink(tmp_path / "run.rrd"))
+    rec.send_property("session", rr.AnyValues(True, format=FORMAT))
     failed: list[StageFailure] = []
     prepare_results([told, maps], 5, Place(2, PICTURES_NS), failed=failed).send(rec)
     rec.flush(timeout_sec=10)
