@@ -30,6 +30,7 @@ from deformscope.frames import (
     DepthFrame,
     HandFrame,
     HealthReport,
+    InputFile,
     LinkChange,
     RawBytes,
     TactileFrame,
@@ -61,6 +62,7 @@ ENTITIES: dict[type, str] = {
     PhaseStart: "exploration/phase",
     ExplorationStop: "exploration/stopped",
     HealthReport: "health",
+    InputFile: "input",
 }
 """Where each kind stands in a recording."""
 
@@ -169,9 +171,9 @@ def _plain(value: Any) -> Any:
 
 
 @cache
-def _fields(kind: type) -> tuple[_Field, ...]:
+def _fields(kind: Any) -> tuple[_Field, ...]:
     hints = get_type_hints(kind)
-    return tuple(_field(field.name, hints[field.name]) for field in dataclasses.fields(kind))
+    return tuple(_field(field.name, hints[field.name]) for field in dataclasses.fields(cast("Any", kind)))
 
 
 def _field(name: str, hint: Any) -> _Field:

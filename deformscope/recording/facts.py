@@ -86,7 +86,7 @@ def _counted(entity: str, columns: list[str]) -> str | None:
     parts = entity.strip("/").split("/")
     if any(column.endswith("Frame:index") for column in columns):
         return f"{parts[-1]}/frames"
-    return "inputs" if parts[0] == "input" and "blob" in columns else None
+    return "inputs" if "InputFile:name" in columns else None
 
 
 def _losses(path: Path, outcome: dict[str, Any]) -> dict[str, dict[str, float]]:

@@ -9,17 +9,13 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-import numpy.typing as npt
-
 from deformscope.arrays import ImageArray
 from deformscope.errors import InputError
-from deformscope.frames import ColorFrame, DepthFrame
+from deformscope.frames import ColorFrame, DepthFrame, InputFile
 from deformscope.images import decode_image
 from deformscope.recording.ledger import check_ledger
 from deformscope.rows import FORMAT
@@ -31,21 +27,13 @@ Pace = Literal["fast", "real", "step"]
 RRD_MAGIC = b"RRF"
 APPLICATION_PREFIX = "deformscope"
 """Every layout of ours has an application of its own (`deformscope.recording.recorder.APPLICATIONS`)."""
-MASK, PAIR, ESTIMATE = "/input/mask", "/input/pair", "/calibration/estimate"
+ESTIMATE = "/calibration/estimate"
 BLOB = "EncodedImage:blob"
 IMAGE_FIELDS = {BLOB: "image", "EncodedDepthImage:blob": "depth", "DepthFrame:color": "color"}
 """What the images in each component are."""
 SESSION, OUTCOME = "/__properties/session", "/__properties/outcome"
 
 _logger = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True)
-class LoggedRow:
-    """One logged value: its place on the `frame` timeline (None where it holds throughout) and its components."""
-
-    frame: int | None
-    values: dict[str, Any]
 
 
 class Replay:
@@ -61,7 +49,10 @@ class Replay:
     @cached_property
     def settings(self) -> dict[str, Any]:
         """Everything that decided the recorded results."""
-        return self._json(SESSION, "settings")
+        found = json.loads(self._properties(SESSION).get("settings", "null"))
+        if not isinstance(found, dict):
+            raise InputError("a recording with settings", "one without", where=self.path)
+        return found
 
     @cached_property
     def identity(self) -> tuple[str, str]:
@@ -72,8 +63,7 @@ class Replay:
     @cached_property
     def outcome(self) -> dict[str, Any]:
         """How the recording ended: frames, steps, live_dropped, complete; empty where the run was cut short."""
-        rows = self._rows(OUTCOME)
-        return {name: _scalar(value) for row in rows for name, value in row.values.items()}
+        return self._properties(OUTCOME)
 
     @cached_property
     def image_counts(self) -> dict[tuple[str, str], int]:
@@ -111,35 +101,35 @@ class Replay:
             raise InputError("a camera of the recording", came, f"--camera {' or '.join(known)}", self.path)
         return known[0] if name is None else name
 
-    @cached_property
+    @property
     def mask(self) -> ImageArray | None:
         """The recorded mask image, if there was one."""
-        blobs = [row.values[BLOB] for row in self._rows(MASK) if BLOB in row.values]
-        return decode_image(_bytes(blobs[-1]), self.path) if blobs else None
+        found = self.read_inputs().get("mask")
+        return None if found is None else decode_image(found, self.path)
 
     def read_pair_bytes(self) -> list[bytes]:
         """The pair files as they were, in the order of their names."""
-        found: dict[str, bytes] = {}
-        for chunk in self.chunks(PAIR, f"{PAIR}/**"):
-            for row in _rows_of(chunk):
-                if "blob" in row.values:
-                    found[chunk.entity_path] = _bytes(row.values["blob"])
-        return [found[name] for name in sorted(found, key=_natural)]
+        found = self.read_inputs()
+        return [found[name] for name in sorted(found, key=_natural) if name.split("/")[0] == "pair"]
 
-    def read_inputs(self, folder: str) -> dict[str, bytes]:
-        """Inputs that are no frames, by their names below `input/FOLDER`, in the order of their names."""
-        found: dict[str, bytes] = {}
-        prefix = f"/input/{folder}"
-        for chunk in self.chunks(prefix, f"{prefix}/**"):
-            for row in _rows_of(chunk):
-                if "blob" in row.values:
-                    found[chunk.entity_path.removeprefix(prefix).strip("/")] = _bytes(row.values["blob"])
-        return {name: found[name] for name in sorted(found)}
+    def read_inputs(self, folder: str = "") -> dict[str, bytes]:
+        """Inputs that are no frames, by their names below FOLDER, in the order of their names."""
+        from deformscope.recording.items import read_rows
+
+        found = {row.item.name: row.item.content for row in read_rows(self, (InputFile,))}
+        prefix = f"{folder}/" if folder else ""
+        return {name.removeprefix(prefix): found[name] for name in sorted(found) if name.startswith(prefix)}
 
     def read_results(self) -> list[dict[str, Any]]:
         """The recorded estimates, as the JSON objects that they were recorded as, in the order of their frames."""
-        rows = sorted(self._rows(ESTIMATE), key=lambda row: -1 if row.frame is None else row.frame)
-        return [json.loads(_scalar(row.values["json"])) for row in rows if "json" in row.values]
+        found: list[tuple[int, list[str]]] = []
+        for chunk in self.chunks(ESTIMATE):
+            batch = chunk.to_record_batch()
+            if "json" in batch.schema.names:
+                many = "frame" in batch.schema.names
+                frames = batch.column("frame").to_pylist() if many else [-1] * batch.num_rows
+                found += zip(frames, batch.column("json").to_pylist(), strict=True)
+        return [json.loads(cell[0]) for _, cell in sorted(found) if cell]
 
     def frames(
         self, pace: Pace = "fast", wait: Callable[[ColorFrame], None] | None = None, camera: str | None = None
@@ -193,10 +183,10 @@ class Replay:
 
     def _check_format(self) -> None:
         """Refuse what this version would misread."""
-        session = next((row.values for row in self._rows(SESSION) if {"format", "settings"} & set(row.values)), {})
+        session = self._properties(SESSION)
         if "format" not in session:
             came, hint = "one without, made by an earlier version", "record it again, or read it with that version"
-        elif (number := _scalar(session["format"])) != FORMAT:
+        elif (number := session["format"]) != FORMAT:
             came, hint = f"one of format {number}", "the version of deformscope that made it, or a newer one"
         else:
             return
@@ -231,16 +221,14 @@ class Replay:
         except Exception as error:  # whatever the reader raises on damaged bytes
             raise _unreadable(self.path) from error
 
-    def _rows(self, entity: str) -> Iterator[LoggedRow]:
-        return (row for chunk in self.chunks(entity) for row in _rows_of(chunk))
-
-    def _json(self, entity: str, name: str) -> dict[str, Any]:
-        for row in self._rows(entity):
-            if name in row.values:
-                found = json.loads(_scalar(row.values[name]))
-                if isinstance(found, dict):
-                    return found
-        raise InputError(f"a recording with {name}", "one without", where=self.path)
+    def _properties(self, entity: str) -> dict[str, Any]:
+        """Each property's one value; empty where there are none."""
+        for chunk in self.chunks(entity):
+            batch = chunk.to_record_batch()
+            names = [name for name in batch.schema.names if not name.startswith("rerun.controls.")]
+            if found := {name: cell[0] for name in names if (cell := batch.column(name)[-1].as_py())}:
+                return found
+        return {}
 
 
 def _ours(application: str) -> bool:
@@ -255,40 +243,6 @@ def read_results(path: Path) -> list[dict[str, Any]]:
 def read_pair_bytes(path: Path) -> list[bytes]:
     """The pair files in a recording, as they were."""
     return Replay(path).read_pair_bytes()
-
-
-def _rows_of(chunk: Chunk) -> Iterator[LoggedRow]:
-    """The rows of a chunk."""
-    batch = chunk.to_record_batch()
-    frames = _frames_of(chunk)
-    wanted = [
-        name
-        for name in batch.schema.names
-        if name not in chunk.timeline_names and not name.startswith("rerun.controls.")
-    ]
-    for place in range(batch.num_rows):
-        cells = {name: batch.column(name)[place] for name in wanted}
-        values = {name: cell.values for name, cell in cells.items() if cell.is_valid and len(cell.values)}
-        if values:
-            yield LoggedRow(frames[place] if frames else None, values)
-
-
-def _frames_of(chunk: Chunk) -> list[int]:
-    if chunk.is_static or "frame" not in chunk.timeline_names:
-        return []
-    found: list[int] = chunk.to_record_batch().column("frame").to_pylist()
-    return found
-
-
-def _scalar(values: Any) -> Any:
-    return values[0].as_py()
-
-
-def _bytes(values: Any) -> bytes:
-    """The bytes of a blob: either a list of one blob, or the bytes themselves."""
-    flat = values.flatten() if hasattr(values, "flatten") and str(values.type).startswith("list") else values
-    array: npt.NDArray[np.uint8] = flat.to_numpy(zero_copy_only=False)
-    return array.tobytes()
 
 
 def _natural(name: str) -> list[tuple[int, str]]:

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from deformscope.arrays import FloatArray, ImageArray
-from deformscope.frames import ColorFrame, DepthFrame, Frame, HealthReport, Item, Stream
+from deformscope.frames import ColorFrame, DepthFrame, Frame, HealthReport, InputFile, Item, Stream
 from deformscope.images import encode_png
 from deformscope.recording import provenance
 from deformscope.recording.live import PERIODS_S, LiveFeed, Viewer, ViewerKind, live_stream, start_viewer
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     RecordingLayout = Layout | Literal["rig", "exploration"]
     from deformscope.log.canvas import Canvas
     from deformscope.log.live_stream import LiveStream
-    from deformscope.log.rig import Place
+    from deformscope.log.rig import Batch, Place
 
 APPLICATIONS: dict[RecordingLayout, str] = {
     "images": "deformscope",
@@ -79,17 +79,6 @@ class RecordingSummary:
     steps: int
     dropped: int
     bytes: int
-
-
-@dataclass(frozen=True, slots=True)
-class InputFile:
-    """An input that is no frame, recorded without loss at `input/NAME`.
-
-    content: the bytes of a file as they are, or an image (a mask), which holds for the whole recording
-    """
-
-    name: str
-    content: bytes | ImageArray
 
 
 class Recorder:
@@ -291,7 +280,7 @@ class Recorder:
 
     def write_input(self, name: str, content: bytes | ImageArray) -> None:
         """`write` of an `InputFile`."""
-        self.write(InputFile(name, content))
+        self.write(InputFile(name, content if isinstance(content, bytes) else encode_png(content)))
 
     def stopped_because(self, reason: str) -> None:
         """What is recorded ended before its time, and the recording with it: whole, and saying why."""
@@ -345,9 +334,8 @@ class Recorder:
     def _take_input(self, given: InputFile) -> None:
         self._inputs += 1
         if self.active:
-            times, content = self._times(self._last_frame), given.content
-            size = len(content) if isinstance(content, bytes) else content.nbytes
-            self._put(lambda: self._write_input(given, times), size)
+            times = self._times(self._last_frame)
+            self._put(lambda: self._write_input(given, times), len(given.content))
 
     def _times(self, frame: int) -> tuple[int, int]:
         """(frame, session [ns]) of a frame that was written; pairs have frames without images, at time 0."""
@@ -388,7 +376,7 @@ class Recorder:
             show = partial(prepare_image, frame, self._first_ns, self._limits)
             if self._file is not None:
                 self._file.send(show(lossless=True))
-            self._show(lambda live, show=show: live.send(show(lossless=False)), size)
+            self._show(partial(_send_shown, show), size)
 
     def _write_step(self, step: Step, times: tuple[int, int], size: int) -> None:
         from deformscope.log import canvas_with, log_result
@@ -411,21 +399,11 @@ class Recorder:
         self._emit(log, size)
 
     def _write_input(self, given: InputFile, times: tuple[int, int]) -> None:
-        import rerun as rr
+        """To the file alone: no view shows it."""
+        from deformscope.log.rig import prepare_input
 
-        path, content = f"input/{given.name}", given.content
-        if isinstance(content, bytes):
-            raw = np.frombuffer(content, np.uint8)
-
-            def log(rec: rr.RecordingStream) -> None:
-                _set_times(rec, times)
-                rec.log(path, rr.AnyValues(blob=raw))
-
-            self._keep(log)  # no view shows it
-        else:
-            png = encode_png(content)
-            image = rr.EncodedImage(contents=png, media_type="image/png")
-            self._emit(lambda rec: rec.log(path, image, static=True), len(png))
+        if self._file is not None:
+            self._file.send(prepare_input(given, *times))
 
     def _place_of(self, touch: int) -> Place | None:
         return self._place(touch) if self._layout == "exploration" else None
@@ -578,6 +556,10 @@ class Recorder:
         """Whether an unfinished recording is worth keeping."""
         # an exploration whose checks have not passed has nothing to tell but that its devices were there
         return bool(self._steps or self._inputs or (self._frames and self._layout != "exploration"))
+
+
+def _send_shown(show: Callable[..., Batch], live: LiveStream) -> None:
+    live.send(show(lossless=False))
 
 
 def _set_times(rec: rr.RecordingStream, times: tuple[int, int]) -> None:

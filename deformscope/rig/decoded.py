@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -35,52 +36,51 @@ class DeviceComparison:
     difference: str = ""
 
 
-class Redecoder(Protocol):
-    """What makes frames of one device's bytes, as its driver did."""
+class Redecoder(ABC):
+    """Makes frames of one device's bytes, as its driver did.
 
-    left_out: str
-    """What of a frame its bytes do not decide."""
+    left_out: what of a frame its bytes do not decide; compares: the fields that they decide, beside the stamp
+    """
+
+    left_out = ""
     compares: tuple[str, ...]
-    """The fields of a frame that they decide, beside its stamp."""
 
+    def __init__(self, config: Any, stream: Stream) -> None:
+        self.config, self.stream = config, stream
+
+    @abstractmethod
     def begin(self) -> FrameDecoder[Any]:
         """A new link, with a fresh decoder."""
 
-    def send(self, data: bytes) -> None:
-        """The host sent this."""
-
-    def resume(self) -> None:
-        """The driver set the device up again on a link that lasted."""
-
+    @abstractmethod
     def measure(self, event: Any, host_ns: int) -> Iterable[Any]:
         """The driver's readings in one event of the decoder."""
+
+    def send(self, data: bytes) -> None:  # noqa: B027
+        """The host sent this."""
+
+    def resume(self) -> None:  # noqa: B027
+        """The driver set the device up again on a link that lasted."""
 
     def device(self) -> Any:
         """What `to_frame` asks of a device."""
 
 
-class OptoforceAgain:
+class OptoforceAgain(Redecoder):
     """A force sensor."""
 
     left_out = "`usable`, which also rests on what came before"
-    compares = ("counts", "force_n", "torque_nm", "overload")
-
-    def __init__(self, config: Any, stream: Stream) -> None:
-        self._config = config
-        self._kind: Any = None
+    compares: tuple[str, ...] = ("counts", "force_n", "torque_nm", "overload")
 
     def begin(self) -> FrameDecoder[Any]:
         from deformscope_drivers.optoforce.protocol import Decoder
         from deformscope_drivers.transport import CAN_FRAME_BYTES
 
-        self._kind = None
-        return Decoder(CAN_FRAME_BYTES if self._config.bus else 1)
-
-    def send(self, data: bytes) -> None:
-        pass
+        self._kind: Any = None
+        return Decoder(CAN_FRAME_BYTES if self.config.bus else 1)
 
     def resume(self) -> None:
-        if self._config.zero_at_start:  # the zero point that the DAQ has lost is subtracted by the driver
+        if self.config.zero_at_start:  # the zero point that the DAQ has lost is subtracted by the driver
             self.compares = ("counts", "overload")
             self.left_out += ", and forces after the DAQ had lost its zero point"
 
@@ -91,29 +91,21 @@ class OptoforceAgain:
         if not isinstance(event, Reading):
             return []
         self._kind = self._kind or event.kind
-        reports = self._config.sensitivities
+        reports = self.config.sensitivities
         known = bool(reports) and event.kind is self._kind
         per_count = np.stack([report.per_count for report in reports]) if known else None
         return [ForceMeasurement(Stamp(host_ns, event.counter), event.kind, event.status, event.counts, per_count)]
 
-    def device(self) -> Any:
-        return None
 
-
-class DsaAgain:
+class DsaAgain(Redecoder):
     """Tactile pads."""
 
-    left_out = ""
     compares = ("counts", "pressure_pa")
-
-    def __init__(self, config: Any, stream: Stream) -> None:
-        self._config = config
-        self._shapes = [(pad.rows, pad.columns) for pad in stream.pads]
 
     def begin(self) -> FrameDecoder[Any]:
         from deformscope_drivers.dsa.protocol import Decoder
 
-        self._described = 0
+        self._described, self._shapes = 0, [(pad.rows, pad.columns) for pad in self.stream.pads]
         self._packets = Decoder()
         self._start_streaming()
         return self._packets
@@ -123,9 +115,6 @@ class DsaAgain:
 
         if len(data) > 3 and data[3] == Id.ACQUISITION:
             self._start_streaming()
-
-    def resume(self) -> None:
-        pass
 
     def measure(self, event: Any, host_ns: int) -> Iterable[Any]:
         from deformscope_drivers.dsa.device import TICK_NS, TactileReading
@@ -152,7 +141,7 @@ class DsaAgain:
     def device(self) -> Any:
         from deformscope_drivers.dsa.pressure import to_pressure
 
-        return SimpleNamespace(pressure_pa=lambda reading: to_pressure(reading.pads, self._config.calibration))
+        return SimpleNamespace(pressure_pa=lambda reading: to_pressure(reading.pads, self.config.calibration))
 
     def _start_streaming(self) -> None:
         from deformscope_drivers.dsa.device import TICK_NS
@@ -161,26 +150,16 @@ class DsaAgain:
         self._gate, self._unwrap = TimestampGate(), Unwrap(1 << 32, TICK_NS)
 
 
-class SdhAgain:
+class SdhAgain(Redecoder):
     """A hand: a reading is made of its answers about states, velocities and, last, angles."""
 
-    left_out = ""
     compares = ("position_deg", "velocity_deg_s", "temperature_c", "state")
-
-    def __init__(self, config: Any, stream: Stream) -> None:
-        self._config = config
 
     def begin(self) -> FrameDecoder[Any]:
         from deformscope_drivers.sdh.protocol import Decoder
 
         self._answers: dict[str, tuple[float, ...]] = {}
-        return Decoder(checksummed=self._config.checksummed())
-
-    def send(self, data: bytes) -> None:
-        pass
-
-    def resume(self) -> None:
-        pass
+        return Decoder(checksummed=self.config.checksummed())
 
     def measure(self, event: Any, host_ns: int) -> Iterable[Any]:
         from deformscope_drivers.sdh.codes import AxisState
@@ -203,15 +182,8 @@ class SdhAgain:
             )
         ]
 
-    def device(self) -> Any:
-        return None
 
-
-REDECODERS: dict[str, Callable[[Any, Stream], Redecoder]] = {
-    "optoforce": OptoforceAgain,
-    "dsa": DsaAgain,
-    "sdh": SdhAgain,
-}
+REDECODERS: dict[str, type[Redecoder]] = {"optoforce": OptoforceAgain, "dsa": DsaAgain, "sdh": SdhAgain}
 """By the driver's name; the other drivers do not speak in bytes."""
 
 

@@ -12,6 +12,7 @@ also at `frame`, their place in the device's own stream. In an exploration's rec
     depth/DEVICE              the image: PNG without loss, and the colour image on its pixels as a component
     raw/DEVICE                the bytes on the wire, received or sent
     link/DEVICE               when the link was made and lost, and why
+    input                     files that were given, with their names
     health                    a table for people; below it each device's counters
     display/...               false colours, labels and transforms, all derived from the above
 """
@@ -29,6 +30,7 @@ from deformscope.frames import (
     DepthFrame,
     HandFrame,
     HealthReport,
+    InputFile,
     Item,
     LinkChange,
     RawBytes,
@@ -39,16 +41,19 @@ from deformscope.frames import (
 from deformscope.log.rig.arm import log_arm, log_arm_stream
 from deformscope.log.rig.blueprint import rig_blueprint
 from deformscope.log.rig.cameras import log_color, log_depth
-from deformscope.log.rig.columns import Batch, Place, Shown, root
+from deformscope.log.rig.columns import Batch, Place, Shown, moments, recorded, root
 from deformscope.log.rig.hand import log_hand, log_hand_stream
 from deformscope.log.rig.health import log_health, log_health_stream
 from deformscope.log.rig.link import log_link, log_link_stream, log_raw
 from deformscope.log.rig.tactile import log_tactile, log_tactile_stream
 from deformscope.log.rig.warm_up import nowhere, small_items
 from deformscope.log.rig.wrench import log_wrench, log_wrench_stream
-from deformscope.rows import to_json
+from deformscope.rows import ENTITIES, to_json
 
-__all__ = ["Batch", "Place", "Shown", "log_items", "log_streams", "prepare_items", "rig_blueprint", "warm_up"]
+__all__ = [
+    *("Batch", "Place", "Shown", "log_items", "log_streams", "prepare_input", "prepare_items", "rig_blueprint"),
+    "warm_up",
+]
 
 _STREAMS: dict[str, Callable[[rr.RecordingStream, Stream], None]] = {
     "wrench": log_wrench_stream,
@@ -121,6 +126,14 @@ def prepare_items(
             log_health(batch, group, start_ns, streams, shown if changes_only else None)
         else:
             raise TypeError(f"no twin in deformscope.log.rig shows a {kind.__name__}")
+    return batch
+
+
+def prepare_input(given: InputFile, frame: int, session_ns: int) -> Batch:
+    """Make an input ready. frame, session_ns: when it was given"""
+    batch = Batch()
+    times = [*moments([session_ns], 0), rr.TimeColumn("frame", sequence=[frame])]
+    batch.send_columns(ENTITIES[InputFile], times, recorded([given]))
     return batch
 
 
