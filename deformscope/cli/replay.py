@@ -13,7 +13,8 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from deformscope.cli.calibrate import calibrate_pair_bytes, run_images
-from deformscope.cli.common import console, quiet_warp, write_json
+from deformscope.cli.common import Different, console, quiet_warp, write_json
+from deformscope.cli.replay_rig import replay_rig
 from deformscope.config import ReplayConfig
 from deformscope.errors import InputError
 
@@ -24,10 +25,6 @@ if TYPE_CHECKING:
 CLOSE = 0.01
 """Largest difference that another machine's arithmetic may make: of the value and its interval as a share of the
 interval's width, of an error as a share of itself. On one machine there is none."""
-
-
-class Different(InputError):
-    """The recomputed numbers are not the recorded ones."""
 
 
 def run(config: ReplayConfig) -> None:
@@ -49,7 +46,8 @@ def run(config: ReplayConfig) -> None:
         _explored(recording, settings, config)
         return
     if "rig" in settings:
-        raise InputError("a recording of a calibration or an exploration", "one of a rig alone", where=config.recording)
+        replay_rig(recording, settings, config)
+        return
     try:
         fit = msgspec.convert(settings.pop("fit"), FitOptions)
         particles = msgspec.convert(settings.pop("particles", {}), ParticleOptions)
@@ -90,7 +88,7 @@ def _explored(recording: Replay, settings: dict[str, Any], config: ReplayConfig)
     from deformscope.experiments.explore import ExploreOptions, Explorer, explore_again
     from deformscope.pictures.words import failed_words
     from deformscope.recording.results import read_results
-    from deformscope.rows import components
+    from deformscope.rows import to_components
     from deformscope.stages.map.exploration import MapEstimate, StageFailure, SurfaceEstimate, TouchEstimate
     from deformscope.stages.poke.contact import ArmCompliance
 
@@ -107,10 +105,10 @@ def _explored(recording: Replay, settings: dict[str, Any], config: ReplayConfig)
     if len(recorded) != len(again):
         raise Different(f"{len(recorded)} results as recorded", str(len(again)), where=config.recording)
     for before, now in zip(recorded, again, strict=True):
-        first, second = components(before), components(now)
+        first, second = to_components(before), to_components(now)
         known = set(first) & set(second) - {"truth_labels", "truth_labels_shape", "iou"}  # the truth is not computed
         for name in sorted(known):
-            if not np.array_equal(first[name][1], second[name][1], equal_nan=first[name][0] == "float64"):
+            if not np.array_equal(first[name], second[name], equal_nan=first[name].dtype.kind == "f"):
                 came = f"another {name} of {type(before).__name__}"
                 raise Different("the recorded numbers, to the last bit", came, where=config.recording)
     for one in failed:

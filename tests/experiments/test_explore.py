@@ -21,7 +21,7 @@ from deformscope.experiments.explore import (
     unpack_touched,
 )
 from deformscope.lab.scenes import built_in
-from deformscope.rows import components
+from deformscope.rows import to_components
 from deformscope.stages.map.exploration import MapEstimate, PlannedTouch, SurfaceEstimate, TouchEstimate
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.studies.surface_robot import LabRobot
@@ -45,9 +45,9 @@ def of(kind: type, moments: list[Moment]) -> list[object]:
 
 
 def same(first: object, second: object) -> bool:
-    one, other = components(first), components(second)  # type: ignore[arg-type]
+    one, other = to_components(first), to_components(second)
     return one.keys() == other.keys() and all(
-        np.array_equal(one[name][1], other[name][1], equal_nan=one[name][0] == "float64") for name in one
+        np.array_equal(one[name], other[name], equal_nan=one[name].dtype.kind == "f") for name in one
     )
 
 
