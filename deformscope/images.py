@@ -73,6 +73,11 @@ def encode_jpeg(image: ImageArray) -> bytes:
     return cv2.imencode(".jpg", np.ascontiguousarray(swapped), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
 
 
+def encode_color(image: ImageArray, *, lossless: bool) -> bytes:
+    """A camera's image as JPEG; as PNG where none of it may be lost, or where it has 16 bits, which JPEG has not."""
+    return encode_png(image, noisy=True) if lossless or image.dtype != np.uint8 else encode_jpeg(image)
+
+
 def to_rgb(bgr: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> ImageArray:
     """OpenCV's (H, W, 3) BGR as RGB."""
     swapped: ImageArray = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)  # type: ignore[assignment]

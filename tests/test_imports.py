@@ -40,7 +40,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     # The simulated world must not share the model that is fitted to it.
     "lab": ("arrays", "capsule", "errors", "rig", "robot"),
     "session": ("frames",),
-    "rows": ("arrays", "frames", "stages.map"),
+    "rows": ("arrays", "frames", "images", "stages.map"),
     "recording": ("arrays", "errors", "frames", "images", "log", "rows", "session", "stages.map"),
     "files": ("arrays", "errors", "frames", "images", "recording", *STAGES),
     "experiments": (

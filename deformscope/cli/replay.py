@@ -13,8 +13,8 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from deformscope.cli.calibrate import calibrate_pair_bytes, run_images
-from deformscope.cli.common import console, quiet_warp
-from deformscope.cli.different import Different
+from deformscope.cli.common import Different, console, quiet_warp
+from deformscope.cli.replay_rig import replay_rig
 from deformscope.config import ReplayConfig
 from deformscope.errors import InputError
 
@@ -47,7 +47,8 @@ def run(config: ReplayConfig) -> None:
         replay_exploration(recording, config)
         return
     if "rig" in settings:
-        raise InputError("a recording of a calibration or an exploration", "one of a rig alone", where=config.recording)
+        replay_rig(recording, settings, config)
+        return
     try:
         fit = msgspec.convert(settings.pop("fit"), FitOptions)
         particles = msgspec.convert(settings.pop("particles", {}), ParticleOptions)

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import console, write_json
-from deformscope.cli.different import Different
+from deformscope.cli.common import Different, console, write_json
 from deformscope.config import ReplayConfig
 from deformscope.errors import InputError
 
@@ -55,7 +54,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
     from deformscope.experiments.options import ExploreOptions
     from deformscope.pictures.words import failed_words
     from deformscope.recording.results import read_results
-    from deformscope.rows import components
+    from deformscope.rows import to_components
     from deformscope.session import run
     from deformscope.stages.map.exploration import (
         MapEstimate,
@@ -86,10 +85,10 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
     for before, now in zip(recorded, again, strict=False):
         if type(before) is not type(now):
             raise Different(f"a {type(before).__name__}, as recorded", f"a {type(now).__name__}", where=path)
-        first, second = components(before), components(now)
+        first, second = to_components(before), to_components(now)
         for name in sorted((set(first) | set(second)) - TRUTH):
             same = name in first and name in second
-            if not same or not np.array_equal(first[name][1], second[name][1], equal_nan=first[name][0] == "float64"):
+            if not same or not np.array_equal(first[name], second[name], equal_nan=first[name].dtype.kind == "f"):
                 came = f"another {name} of {type(before).__name__}"
                 raise Different("the recorded numbers, to the last bit", came, where=path)
     for one in failed:
@@ -142,7 +141,7 @@ def _frames(path: Path, named: list[Any]) -> Any:
     forces: dict[tuple[int, int], Any] = {}
     devices = {one.camera for one in named} | {one.arm for one in named}
     devices |= {one.wrench for one in named if not isinstance(one, LookFrames)}
-    for item in read_items(path, trust=True, kinds=("depth", "arm", "wrench")):
+    for item in read_items(path, trust=True, kinds=(DepthFrame, ArmFrame, WrenchFrame)):
         match item:
             case DepthFrame() if item.stamp.host_ns in images and item.device in devices:
                 depths[item.stamp.host_ns] = depth_m(item.depth.astype(np.uint16, copy=False), item.unit_m)

@@ -1,4 +1,4 @@
-"""An arm that presses on a world: the force at which what gives way, the arm and the world, are in balance."""
+"""An arm that presses on a world: the force at which arm and world, which both yield, are in balance."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class PushedArm(Protocol):
 class ArmContact:
     """The tip of a simulated arm in a world that can be touched.
 
-    world: what is touched; force_n: (3,) what it does to the tip now, surface frame [N]; max_force_n: its greatest
+    world: what is touched; force_n: (3,) on the tip now, surface frame [N]; max_force_n: its greatest
     magnitude so far
     """
 

@@ -50,7 +50,7 @@ CAMERA = DepthViewConfig(width=320, height=240, azimuth_deg=-90.0)
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class _Table:
-    """What the processes are told of the table."""
+    """What the processes get of the table."""
 
     scene: str
     seed: int

@@ -155,7 +155,7 @@ def run_fault(seed: int, injected: Injected) -> FaultRun:
     finally:
         with contextlib.suppress(
             NotStopped
-        ):  # the arm's cable is out: its driver says at closing that nobody could tell it
+        ):  # the arm's cable is out: its driver says at closing that it could not be stopped
             lab.close()
     return _judge(seed, injected, state, verdicts, joints, lab)
 

@@ -71,7 +71,7 @@ def _slab_curve(
 
 
 def felt_log_stiffness(made: Approach, set_force_n: float) -> float:
-    """Log of force over depth [N/mm] that a touch would have told had nothing been noisy: at the same force."""
+    """Log of force over depth [N/mm] that a touch would have measured without noise: at the same force."""
     at_n = min(set_force_n, float(made.true_force_n.max()))
     loading = slice(0, int(made.true_force_n.argmax()) + 1)
     return float(np.log(1e-3 * at_n / np.interp(at_n, made.true_force_n[loading], made.true_depth_m[loading])))

@@ -45,8 +45,8 @@ class MapAfter:
 
     travel_m: of the tip over the surface, from its corner; robot_s: what that and the touches take, as the planner
     reckons; compute_s: from this touch to the next target
-    log_stiffness, log_sd, rigid: what the last touch told [N/mm], at `xy_m`; felt_log_stiffness: what it would have
-    told without noise; touch_covered: whether its 90 % interval holds that, None where it is rigid
+    log_stiffness, log_sd, rigid: what the last touch measured [N/mm], at `xy_m`; felt_log_stiffness: what it would have
+    measured without noise; touch_covered: whether its 90 % interval holds that, None where it is rigid
     """
 
     touches: int
@@ -141,10 +141,10 @@ class _Scores:
         pass
 
 
-def _after(compute_s: float, explorer: Explorer, told: TouchEstimate, felt: float, truth: TrueMap) -> MapAfter:
+def _after(compute_s: float, explorer: Explorer, measured: TouchEstimate, felt: float, truth: TrueMap) -> MapAfter:
     count, plan, regions = len(explorer.told), PlanOptions(), explorer.region_map()
     touch = explorer.posterior.touches[-1]
-    low, high = told.stiffness_interval
+    low, high = measured.stiffness_interval
     return MapAfter(
         touches=count,
         travel_m=explorer.travel_m,
@@ -155,7 +155,7 @@ def _after(compute_s: float, explorer: Explorer, told: TouchEstimate, felt: floa
         log_sd=touch.log_sd,
         rigid=touch.rigid,
         felt_log_stiffness=felt,
-        touch_covered=None if told.rigid else bool(low <= np.exp(felt) <= high),
+        touch_covered=None if measured.rigid else bool(low <= np.exp(felt) <= high),
         score=score_map(regions, truth),
         probability=dict(regions.probability),
     )
@@ -177,12 +177,12 @@ def read_runs(path: Path) -> Iterator[TableRun]:
             if not line.endswith("\n"):
                 return
             try:
-                told = json.loads(line)
+                read = json.loads(line)
                 after = [
                     MapAfter(**{**one, "xy_m": tuple(one["xy_m"]), "score": MapScore(**one["score"])})
-                    for one in told["after"]
+                    for one in read["after"]
                 ]
-                yield TableRun(**{**told, "job": TableJob(**told["job"]), "after": tuple(after)})
+                yield TableRun(**{**read, "job": TableJob(**read["job"]), "after": tuple(after)})
             except (ValueError, TypeError, KeyError) as error:
                 raise InputError(
                     "runs of this version", str(error), "leave --resume out", f"{path}:{number}"

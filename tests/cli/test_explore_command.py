@@ -154,7 +154,7 @@ def test_a_fault_stops_it_and_the_recording_is_whole(
     assert f"stopped: {kind}" in names
     assert names[:2] == ["look", "travel"]
     assert found["seconds"]["session"] > found["fault"]["time_s"] + 0.49
-    frames = [one for one in read_items(record, kinds=("depth",), trust=True) if isinstance(one, DepthFrame)]
+    frames = [one for one in read_items(record, kinds=(DepthFrame,), trust=True) if isinstance(one, DepthFrame)]
     assert frames[-1].stamp.host_ns - LAB_STARTS_NS > at_ns + 300_000_000
 
     # the file is whole; what a device that fell silent did not give is a loss, and named

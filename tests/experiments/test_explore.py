@@ -22,7 +22,7 @@ from deformscope.experiments.explorer import AsMeasured, ExplorationStages, Expl
 from deformscope.experiments.options import PLAN_CELL_M, ExploreOptions
 from deformscope.lab.scenes import built_in
 from deformscope.robot.setup import Truth
-from deformscope.rows import components, result_of
+from deformscope.rows import from_components, to_components
 from deformscope.session import Compute, Moment, Step, run
 from deformscope.stages.map.exploration import (
     ExplorationStop,
@@ -82,9 +82,9 @@ def of(kind: type, results: list[object]) -> list[object]:
 
 
 def same(first: object, second: object) -> bool:
-    one, other = components(first), components(second)  # type: ignore[arg-type]
+    one, other = to_components(first), to_components(second)
     return one.keys() == other.keys() and all(
-        np.array_equal(one[name][1], other[name][1], equal_nan=one[name][0] == "float64") for name in one
+        np.array_equal(one[name], other[name], equal_nan=one[name].dtype.kind == "f") for name in one
     )
 
 
@@ -186,7 +186,7 @@ def test_what_was_recorded_gives_the_same_results_to_the_last_bit(two: Explored)
     """Plans among them, and from a row of a recording as from the robot."""
     before, moments = two
     given = [
-        result_of(type(one), {name: list(values) for name, (_, values) in components(one).items()})
+        from_components(type(one), to_components(one))
         for one in moments
         if isinstance(one, SurfaceMeasurement | TouchMeasurement)
     ]

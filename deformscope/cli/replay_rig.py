@@ -1,0 +1,37 @@
+"""`deformscope replay` of a rig's recording: its bytes decoded again, and compared with its frames."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+from deformscope.cli.common import Different, say, show_table, write_json
+
+if TYPE_CHECKING:
+    from deformscope.config import ReplayConfig
+    from deformscope.recording.reader import Replay
+
+
+def replay_rig(recording: Replay, settings: dict[str, Any], config: ReplayConfig) -> None:
+    """Raises `Different` where a frame is not what its bytes give."""
+    from deformscope.recording.items import ITEMS, read_rows, read_streams
+    from deformscope.rig.decoded import compare_with_bytes
+    from deformscope.rig.rig_file import parse_rig
+
+    rig = parse_rig(settings["rig"], settings.get("rig_name", "rig"))
+    streams = read_streams(config.recording, trust=True)
+    items = (row.item for row in read_rows(recording, ITEMS, lambda encoded, which: encoded))
+    found = compare_with_bytes(rig, streams, items)
+    different = [one for one in found if one.difference]
+    rows = []
+    for one in found:
+        result = f"{one.compared} of {one.frames} frames decoded again" if one.compared else f"{one.frames} frames"
+        result += f"; DIFFERENT: {one.difference}" if one.difference else ", identical" if one.compared else ""
+        rows.append((one.device, result + (f"; not compared: {one.left_out}" if one.left_out else "")))
+    show_table(f"replay of {config.recording}", rows)
+    told = {"devices": [dataclasses.asdict(one) for one in found], "identical": not different}
+    write_json(told, config.output.json)
+    if different:
+        more = f" (and of {len(different) - 1} more devices)" if len(different) > 1 else ""
+        raise Different("frames as their bytes give them", different[0].difference + more, where=config.recording)
+    say(f"replay: {sum(one.compared for one in found)} frames decoded again, identical to the recorded ones")
