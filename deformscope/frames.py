@@ -192,6 +192,14 @@ class StageResult:
 
 
 @dataclass(frozen=True, slots=True)
+class InputFile:
+    """An input that is no frame. content: the bytes of a file as they are; of a mask, its PNG"""
+
+    name: str
+    content: bytes
+
+
+@dataclass(frozen=True, slots=True)
 class Pad:
     """One pad of a tactile sensor. rows, columns: its texels; texel_m: (width, height) of one [m]; index: its place
     among the device's pads; finger: 0 to 2; part: 0 proximal, 1 distal"""

@@ -74,8 +74,7 @@ def encode_jpeg(image: ImageArray) -> bytes:
 
 
 def encode_color(image: ImageArray, *, lossless: bool) -> bytes:
-    """A colour image as a recording of a rig keeps it: JPEG, or PNG where nothing may be lost, and for 16 bits, which
-    JPEG does not hold."""
+    """A camera's image as JPEG; as PNG where none of it may be lost, or where it has 16 bits, which JPEG has not."""
     return encode_png(image, noisy=True) if lossless or image.dtype != np.uint8 else encode_jpeg(image)
 
 

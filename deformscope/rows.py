@@ -1,22 +1,42 @@
-"""An exploration's recorded results, as a recording holds them and as they were: equal to the last bit.
+"""The one codec between frozen dataclasses and the columns of a recording: what is read is equal to what was written.
 
-A result is one row of one entity, each of its fields a component of the same name: numbers as float64 or int64, an
-array flat with its shape beside it. A field that is None is left out.
+An object is one row of one entity; each field is a component `CLASS:FIELD`, a field of a dataclass inside it
+`CLASS:FIELD.INNER`. Numbers, words and tuples of them are lists of values, enums their names, bytes and arrays flat, an
+array's shape beside it as `FIELD_shape` where it is not (n,). What is None is left out. Anything else, as a mapping, is
+JSON. An image is encoded by its twin in `deformscope.log`; `IMAGES` says where it stands.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import enum
 import json
-from pathlib import Path
-from types import NoneType
-from typing import Any, TypeVar, cast, get_args, get_type_hints
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import chain
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
+import pyarrow as pa
 
-from deformscope.arrays import BoolArray, FloatArray, IntArray
-from deformscope.frames import Pad, Stream
+from deformscope.arrays import ImageArray, IntArray
+from deformscope.frames import (
+    ArmFrame,
+    ColorFrame,
+    DepthFrame,
+    HandFrame,
+    HealthReport,
+    InputFile,
+    LinkChange,
+    RawBytes,
+    TactileFrame,
+    WrenchFrame,
+)
+from deformscope.images import decode_image
 from deformscope.stages.map.exploration import (
     ExplorationStop,
     MapEstimate,
@@ -26,12 +46,19 @@ from deformscope.stages.map.exploration import (
     SurfaceEstimate,
     TouchEstimate,
 )
+from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
 
-T = TypeVar("T")
+FORMAT = 1
+"""Of a recording, in its properties: which entities and components it has. Any change that a reader of the old format
+would misread makes the next number."""
 
-Result = SurfaceEstimate | TouchEstimate | MapEstimate | PlannedTouch | StageFailure | PhaseStart | ExplorationStop
+Input = LookFrames | TouchFrames | SurfaceMeasurement | TouchMeasurement
+"""What an exploration is computed from."""
+Result = (
+    SurfaceEstimate | TouchEstimate | MapEstimate | PlannedTouch | StageFailure | PhaseStart | ExplorationStop | Input
+)
 
-ENTITIES: dict[type[Result], str] = {
+ENTITIES: dict[type, str] = {
     SurfaceEstimate: "exploration/surface",
     TouchEstimate: "exploration/touch",
     MapEstimate: "exploration/maps",
@@ -39,72 +66,270 @@ ENTITIES: dict[type[Result], str] = {
     StageFailure: "exploration/failed",
     PhaseStart: "exploration/phase",
     ExplorationStop: "exploration/stopped",
+    LookFrames: "exploration/input/look",
+    TouchFrames: "exploration/input/touch",
+    SurfaceMeasurement: "exploration/input/surface",
+    TouchMeasurement: "exploration/input/measured",
+    HealthReport: "health",
+    InputFile: "input",
 }
 """Where each kind stands in a recording."""
 
-SHAPE = "_shape"
-"""What the component of an array's shape is called after the array's own name."""
-
-_ARRAYS: dict[Any, tuple[str, type]] = {
-    FloatArray: ("float64", np.float64),
-    IntArray: ("int64", np.int64),
-    BoolArray: ("bool", np.bool_),
+OF_DEVICES: dict[type, str] = {
+    WrenchFrame: "wrench",
+    TactileFrame: "tactile",
+    ArmFrame: "arm",
+    HandFrame: "hand",
+    ColorFrame: "color",
+    DepthFrame: "depth",
+    RawBytes: "raw",
+    LinkChange: "link",
 }
-_VALUES: dict[Any, str] = {float: "float64", int: "int64", bool: "bool", str: "string"}
+"""The same of what comes from a device, whose name follows: `wrench/DEVICE`."""
+
+IMAGES = {"ColorFrame:image": "EncodedImage:blob", "DepthFrame:depth": "EncodedDepthImage:blob"}
+"""Images that a viewer shows: their components are rerun's own."""
+
+SHAPE = "_shape"
+
+_ARROW: dict[Any, pa.DataType] = {float: pa.float64(), int: pa.int64(), bool: pa.bool_(), str: pa.string()}
+
+Form = Literal["value", "tuple", "bytes", "array", "arrays", "image", "nested", "json"]
+T = TypeVar("T")
 
 
-def components(result: Any) -> dict[str, tuple[str, list[Any]]]:
-    """Each component of a result's row: its type's name in Arrow, and its values."""
-    found: dict[str, tuple[str, list[Any]]] = {}
-    hints = get_type_hints(type(result))
-    for field in dataclasses.fields(result):
-        value, kind = getattr(result, field.name), _required(hints[field.name])
-        if value is None:
-            continue
-        if kind in _ARRAYS:
-            name, dtype = _ARRAYS[kind]
-            array: npt.NDArray[Any] = np.asarray(value, dtype)
-            found[field.name] = name, cast("list[Any]", array.ravel())
-            found[field.name + SHAPE] = "int64", list(array.shape)
-        elif kind in _VALUES:
-            found[field.name] = _VALUES[kind], [kind(value)]
-        else:  # an interval
-            found[field.name] = "float64", [float(one) for one in value]
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One component of some rows. values: of all rows; lengths: (rows,) how many belong to each"""
+
+    values: pa.Array
+    lengths: IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class _Field:
+    """kind: of the value, of a tuple's values, or of the dataclass inside"""
+
+    name: str
+    form: Form
+    kind: Any
+    optional: bool
+
+
+def to_columns(items: Sequence[object], leave_out: Collection[str] = ()) -> dict[str, Column]:
+    """The components of rows, by field. items: of one class; leave_out: fields that are recorded in another way
+
+    Arrays of one field whose types differ from row to row get the type that holds them all.
+    """
+    found: dict[str, Column] = {}
+    for field in _fields(type(items[0])):
+        if field.form != "image" and field.name not in leave_out:
+            values = [getattr(item, field.name) for item in items]
+            if not field.optional or any(value is not None for value in values):
+                found |= _ENCODERS[field.form](field, values)
     return found
 
 
-def result_of(kind: type[T], values: dict[str, list[Any]]) -> T:
-    """What `components` made a row of. values: each component's values, by name"""
-    hints = get_type_hints(kind)
-    made: dict[str, Any] = {}
-    for field in dataclasses.fields(cast(Any, kind)):
-        wanted = _required(hints[field.name])
-        if field.name not in values:
+def to_components(item: object, leave_out: Collection[str] = ()) -> dict[str, npt.NDArray[Any]]:
+    """One object's components, by field: their values, flat."""
+    columns = to_columns([item], leave_out)
+    return {name: column.values.to_numpy(zero_copy_only=False) for name, column in columns.items()}
+
+
+def from_components(
+    kind: type[T],
+    components: Mapping[str, Any],
+    given: Mapping[str, Any] | None = None,
+    read_image: Callable[[bytes, str], Any] = decode_image,
+) -> T:
+    """What `to_components` took apart; raises KeyError where a part is missing.
+
+    components: flat arrays, or lists of words, by field; given: fields that were left out
+    read_image: what becomes of an encoded image, of which the second argument says which it is
+    """
+    made: dict[str, Any] = dict(given or {})
+    for field in _fields(kind):
+        if field.name in made:
+            continue
+        if field.form == "nested":
+            prefix = field.name + "."
+            inner = {name.removeprefix(prefix): v for name, v in components.items() if name.startswith(prefix)}
+            made[field.name] = from_components(field.kind, inner)
+        elif field.optional and not _is_there(field, components):
             made[field.name] = None
-        elif wanted in _ARRAYS:
-            flat: npt.NDArray[Any] = np.array(values[field.name], _ARRAYS[wanted][1])
-            made[field.name] = flat.reshape(values[field.name + SHAPE])
-        elif wanted in _VALUES:
-            made[field.name] = wanted(values[field.name][0])
+        elif field.form == "image":
+            where = f"{field.name} {components.get('index', [''])[0]} of {made.get('device', kind.__name__)}"
+            made[field.name] = read_image(np.asarray(components[field.name], np.uint8).tobytes(), where)
         else:
-            made[field.name] = tuple(values[field.name])
+            made[field.name] = _DECODERS[field.form](field, components)
     return kind(**made)
 
 
-def _required(hint: Any) -> Any:
-    """What a field is where it is not None."""
-    given = [one for one in get_args(hint) if one is not NoneType]
-    return given[0] if NoneType in get_args(hint) else hint
+def to_json(value: object) -> str:
+    """Dataclasses, mappings and the like as JSON."""
+    return json.dumps(msgspec.to_builtins(value, enc_hook=_plain), sort_keys=True)
 
 
-def stream_json(stream: Stream) -> str:
-    """One stream as a JSON object."""
-    return json.dumps(dataclasses.asdict(stream), default=str, sort_keys=True)
+def from_json(kind: type[T], text: str) -> T:
+    """What `to_json` made, of this kind."""
+    return msgspec.convert(json.loads(text), kind, dec_hook=lambda wanted, value: wanted(value))
 
 
-def stream_from_json(text: str) -> Stream:
-    """What `stream_json` made."""
-    values = json.loads(text)
-    pads = tuple(Pad(**{**pad, "texel_m": tuple(pad["texel_m"])}) for pad in values.pop("pads"))
-    urdf = values.pop("urdf")
-    return Stream(**values, pads=pads, urdf=None if urdf is None else Path(urdf))
+def _plain(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else str(value)
+
+
+@cache
+def _fields(kind: Any) -> tuple[_Field, ...]:
+    hints = get_type_hints(kind)
+    return tuple(_field(field.name, hints[field.name]) for field in dataclasses.fields(cast("Any", kind)))
+
+
+def _field(name: str, hint: Any) -> _Field:
+    options = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+    kinds = tuple(option for option in options if option is not NoneType)
+    optional, kind = len(kinds) < len(options), kinds[0]
+    inner, varied = get_args(kind), Ellipsis in get_args(kind)
+    if kinds == get_args(ImageArray):
+        return _Field(name, "image", kind, optional)
+    if len(kinds) > 1:
+        return _Field(name, "json", hint, optional)
+    if _is_array(kind):
+        return _Field(name, "array", kind, optional)
+    if kind is bytes and not optional:
+        return _Field(name, "bytes", kind, optional)
+    if kind in _ARROW or _is_enum(kind):
+        return _Field(name, "value", kind, optional)
+    if dataclasses.is_dataclass(kind) and not optional:
+        return _Field(name, "nested", kind, optional)
+    if get_origin(kind) is tuple and not (optional and varied):  # None and () would be one
+        if inner[0] in _ARROW and set(inner) <= {inner[0], Ellipsis}:
+            return _Field(name, "tuple", inner[0], optional)
+        if _is_array(inner[0]) and varied:
+            return _Field(name, "arrays", inner[0], optional)
+    return _Field(name, "json", kind, optional)
+
+
+def _is_array(kind: Any) -> bool:
+    return get_origin(kind) is np.ndarray
+
+
+def _is_enum(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, enum.Enum)
+
+
+def _is_there(field: _Field, components: Mapping[str, Any]) -> bool:
+    """Whether an optional field is not None: it has a value, or the shape of none."""
+    name = field.name + SHAPE if field.form == "array" else field.name
+    return name in components and len(components[name]) > 0
+
+
+# To columns ----------------------------------------------------------------------------------------------------------
+
+
+def _values(field: _Field, values: Sequence[Any]) -> dict[str, Column]:
+    lengths = np.array([value is not None for value in values], np.int64)
+    there = values if lengths.all() else [value for value in values if value is not None]
+    if _is_enum(field.kind):
+        return {field.name: Column(pa.array([value.name for value in there], pa.string()), lengths)}
+    return {field.name: Column(pa.array(list(map(field.kind, there)), _ARROW[field.kind]), lengths)}
+
+
+def _tuples(field: _Field, values: Sequence[Any]) -> dict[str, Column]:
+    rows = [value or () for value in values]
+    flat = pa.array(list(map(field.kind, chain.from_iterable(rows))), _ARROW[field.kind])
+    return {field.name: Column(flat, _lengths(rows))}
+
+
+def _bytes(field: _Field, values: Sequence[bytes]) -> dict[str, Column]:
+    return {field.name: Column(pa.array(np.frombuffer(b"".join(values), np.uint8)), _lengths(values))}
+
+
+def _arrays(field: _Field, values: Sequence[Any]) -> dict[str, Column]:
+    arrays = [None if value is None else np.asarray(value) for value in values]
+    there = [array for array in arrays if array is not None]
+    lengths = np.array([0 if array is None else array.size for array in arrays], np.int64)
+    found = {field.name: Column(pa.array(_flat(there)), lengths)}
+    if field.optional or any(array.ndim != 1 for array in there):
+        shapes = [() if array is None else array.shape for array in arrays]
+        found[field.name + SHAPE] = _shapes(shapes)
+    return found
+
+
+def _tuples_of_arrays(field: _Field, values: Sequence[Sequence[Any]]) -> dict[str, Column]:
+    rows = [[np.asarray(array) for array in row] for row in values]
+    lengths = np.array([sum(array.size for array in row) for row in rows], np.int64)
+    shapes = [[side for array in row for side in (array.ndim, *array.shape)] for row in rows]
+    flat = _flat([array for row in rows for array in row])
+    return {field.name: Column(pa.array(flat), lengths), field.name + SHAPE: _shapes(shapes)}
+
+
+def _nested(field: _Field, values: Sequence[object]) -> dict[str, Column]:
+    return {f"{field.name}.{name}": column for name, column in to_columns(values).items()}
+
+
+def _as_json(field: _Field, values: Sequence[object]) -> dict[str, Column]:
+    texts = [to_json(value) for value in values if value is not None]
+    return {field.name: Column(pa.array(texts, pa.string()), np.array([value is not None for value in values], int))}
+
+
+def _flat(arrays: Sequence[npt.NDArray[Any]]) -> npt.NDArray[Any]:
+    return np.concatenate([array.ravel() for array in arrays]) if arrays else np.zeros(0)
+
+
+def _shapes(shapes: Sequence[Sequence[int]]) -> Column:
+    return Column(pa.array(np.fromiter(chain.from_iterable(shapes), np.int64)), _lengths(shapes))
+
+
+def _lengths(rows: Sequence[Any]) -> IntArray:
+    return np.fromiter(map(len, rows), np.int64, len(rows))
+
+
+_ENCODERS: dict[Form, Callable[[_Field, Sequence[Any]], dict[str, Column]]] = {
+    "value": _values,
+    "tuple": _tuples,
+    "bytes": _bytes,
+    "array": _arrays,
+    "arrays": _tuples_of_arrays,
+    "nested": _nested,
+    "json": _as_json,
+}
+
+
+# From components -----------------------------------------------------------------------------------------------------
+
+
+def _value(field: _Field, components: Mapping[str, Any]) -> Any:
+    value = components[field.name][0]
+    return field.kind[value] if _is_enum(field.kind) else field.kind(value)
+
+
+def _tuple(field: _Field, components: Mapping[str, Any]) -> tuple[Any, ...]:
+    return tuple(map(field.kind, components[field.name]))
+
+
+def _array(field: _Field, components: Mapping[str, Any]) -> npt.NDArray[Any]:
+    flat = np.asarray(components[field.name])
+    shape = components.get(field.name + SHAPE)
+    return flat if shape is None else flat.reshape([int(side) for side in shape])
+
+
+def _tuple_of_arrays(field: _Field, components: Mapping[str, Any]) -> tuple[npt.NDArray[Any], ...]:
+    flat, sides = np.asarray(components[field.name]), [int(side) for side in components[field.name + SHAPE]]
+    found, at, place = list[npt.NDArray[Any]](), 0, 0
+    while place < len(sides):
+        shape = sides[place + 1 : place + 1 + sides[place]]
+        size = int(np.prod(shape, dtype=np.int64))
+        found.append(flat[at : at + size].reshape(shape))
+        at, place = at + size, place + 1 + len(shape)
+    return tuple(found)
+
+
+_DECODERS: dict[Form, Callable[[_Field, Mapping[str, Any]], Any]] = {
+    "value": _value,
+    "tuple": _tuple,
+    "bytes": lambda field, components: np.asarray(components[field.name], np.uint8).tobytes(),
+    "array": _array,
+    "arrays": _tuple_of_arrays,
+    "json": lambda field, components: from_json(cast("type[Any]", field.kind), components[field.name][0]),
+}

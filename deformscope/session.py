@@ -1,12 +1,18 @@
-"""The loop: devices or a recording -> frames -> experiment (pure stages) -> recording, one frame at a time."""
+"""The loop: frames and answers in, results and commands out, all of it recorded.
+
+An experiment is a generator. It is sent what a source gives (a frame of a video, or all that came from a rig's devices
+since the last time), None once a source has ended, and an `Answer` to each command that it gave. It yields a `Step`:
+results, and a command where it acts. Neither a robot's motion nor a computation is waited for: frames go on being
+recorded and sent in, until the answer is there.
+"""
 
 from __future__ import annotations
 
-import contextlib
-import threading
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+import concurrent.futures
+from collections.abc import Callable, Generator, Iterable, Sequence
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from deformscope.frames import ColorFrame, HealthReport, Item
 
@@ -18,20 +24,57 @@ BATCH_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
-    """What an experiment has to say about one frame.
+class Moment:
+    """Where results stand in a session with a robot.
 
-    frame: the index of the frame that the results belong to; None = the frame just sent
+    now_ns: on the robot's clock; touch: 0 before the first, then the number of the one they belong to, from 1
+    seen_ns: when the dent was last seen that they are of, None where they are of none; cell_m: of a plan's maps [m]
+    """
+
+    now_ns: int
+    touch: int = 0
+    seen_ns: int | None = None
+    cell_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Compute:
+    """A command: call a function beside the loop (where the loop runs by itself); its value is the answer."""
+
+    call: Callable[..., object]
+    arguments: tuple[object, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What came of the last command. value: what was computed, or what the robot gave"""
+
+    value: Any
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What an experiment has to say.
+
     results: stage results, each of a type that `deformscope.log` knows how to show
+    frame: the index of the frame that the results belong to; None = the frame just sent
+    moment: where they stand instead, in a session with a robot
+    command: a `Compute`, or something that the robot carries out; an experiment gives one at a time
     """
 
     results: tuple[object, ...] = ()
     frame: int | None = None
+    moment: Moment | None = None
+    command: object | None = None
 
 
 Experiment = Generator[Step, ColorFrame | None, SummaryT]
 """Frames are sent in, steps come out. `None` means the stream has ended: the experiment may then yield further
 steps (each naming its frame) and returns its summary."""
+
+RigExperiment = Generator[Step, Sequence[Item] | Answer | None, SummaryT]
+"""The same with batches of a rig's items, and with answers to its commands; what goes wrong with a command is raised
+in it where it waits for the answer."""
 
 
 class SessionRecorder(Protocol):
@@ -43,21 +86,9 @@ class SessionRecorder(Protocol):
 
     def write_items(self, items: Sequence[Item]) -> None: ...
 
-
-def run(source: Iterable[ColorFrame], experiment: Experiment[SummaryT], recorder: SessionRecorder) -> SummaryT:
-    """Drive one experiment over one source to its end and return its summary."""
-    next(experiment)
-    try:
-        for frame in source:
-            recorder.write_frame(frame)
-            recorder.write(experiment.send(frame))
-        step = experiment.send(None)
-        while True:
-            recorder.write(step)
-            step = next(experiment)
-    except StopIteration as end:
-        summary: SummaryT = end.value
-        return summary
+    def write_results(
+        self, results: Sequence[object], now_ns: int, touch: int, cell_m: float, seen_ns: int | None = None
+    ) -> None: ...
 
 
 class SessionRig(Protocol):
@@ -72,44 +103,116 @@ class SessionRig(Protocol):
     def close(self) -> None: ...
 
 
-@contextlib.contextmanager
-def watching(rig: SessionRig, recorder: SessionRecorder) -> Iterator[Callable[[], None]]:
-    """Record what the devices of a rig give, from a thread, while something else goes on; what comes last is left to
-    who closes them. Yields what raises, once it is asked, what keeps it from recording; so does the context's end."""
-    ended = threading.Event()
-    failures: list[Exception] = []
+class SessionRobot(Protocol):
+    """What carries commands out (`deformscope.experiments.touching_robot`).
 
-    def record() -> None:
-        try:
-            while not ended.wait(BATCH_S):
-                recorder.write_items(rig.take(0.0))
-        except Exception as error:
-            failures.append(error)
-
-    def go_on() -> None:
-        if failures:
-            raise failures[0]
-
-    recording = threading.Thread(target=record, name="recording", daemon=True)
-    recording.start()
-    try:
-        yield go_on
-    finally:
-        ended.set()
-        recording.join()
-    go_on()
-
-
-def watch(rig: SessionRig, recorder: SessionRecorder, ended: Callable[[Sequence[Item]], bool]) -> HealthReport:
-    """Record what the devices of a rig give until `ended` says so; it sees every batch. Nothing that came is left.
-
-    Returns the last look at the devices, closed by then: its counts are those of the whole session.
+    stopped: fails once it must not go on, also while it carries nothing out
     """
-    while True:
-        items = rig.take(BATCH_S)
-        recorder.write_items(items)
-        if ended(items):
-            break
+
+    stopped: Future[None]
+
+    def carry_out(self, command: object, keep: Callable[[], object]) -> Future[Any]:
+        """Begin with a command. keep: to be called now and then by a robot that is done before it returns"""
+
+    def reports(self) -> list[Step]:
+        """What it began since the last call."""
+
+
+class Inline(Executor):
+    """Computes at once, where time stands still meanwhile."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """As an `Executor`; an interruption is raised here."""
+        future: Future[Any] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+def run(
+    source: Iterable[ColorFrame] | SessionRig,
+    experiment: Generator[Step, Any, SummaryT],
+    recorder: SessionRecorder,
+    robot: SessionRobot | None = None,
+    beside: Executor | None = None,
+) -> SummaryT:
+    """Drive one experiment over one source to its end and return its summary. beside: computes; None = `Inline`"""
+    beside = beside or Inline()
+    frames = iter(source) if isinstance(source, Iterable) else None
+    waiting: Future[Any] | None = None
+    heeded = False
+
+    def write(step: Step) -> None:
+        moment = step.moment
+        if moment is None and (frames is not None or step.results):
+            recorder.write(step)
+        elif moment is not None and step.results:
+            recorder.write_results(step.results, moment.now_ns, moment.touch, moment.cell_m, moment.seen_ns)
+
+    def keep(wait_s: float = 0.0) -> ColorFrame | Sequence[Item] | None:
+        """Record what came."""
+        for step in robot.reports() if robot is not None else ():
+            write(step)
+        if frames is None:
+            assert not isinstance(source, Iterable)
+            items = source.take(wait_s)
+            recorder.write_items(items)
+            return items
+        frame = next(frames, None)
+        if frame is not None:
+            recorder.write_frame(frame)
+        return frame
+
+    try:
+        step = next(experiment)
+        if step.command is None and step.moment is None:  # nothing was sent in yet
+            step = experiment.send(keep(0.0 if robot is not None else BATCH_S))
+        while True:
+            write(step)
+            if isinstance(step.command, Compute):
+                waiting = beside.submit(step.command.call, *step.command.arguments)
+            elif step.command is not None and robot is not None:
+                waiting = robot.carry_out(step.command, keep)
+            if waiting is None:
+                step = experiment.send(keep(BATCH_S if robot is None else 0.0))
+                continue
+            either = [waiting] if robot is None or heeded else [waiting, robot.stopped]
+            concurrent.futures.wait(either, BATCH_S, concurrent.futures.FIRST_COMPLETED)
+            given = keep() if frames is None else None
+            ended = next((one for one in either if one.done()), None)
+            if ended is None:
+                step = experiment.send(given)
+                continue
+            waiting, heeded = None, heeded or ended is not waiting
+            error = ended.exception()
+            step = experiment.send(Answer(ended.result())) if error is None else experiment.throw(error)
+    except StopIteration as end:
+        summary: SummaryT = end.value
+        return summary
+
+
+def ask(
+    command: object, results: tuple[object, ...] = (), moment: Moment | None = None
+) -> Generator[Step, Sequence[Item] | Answer | None, Any]:
+    """Within an experiment: give a command, let frames pass, and return its answer's value; raises what went wrong."""
+    given = yield Step(results, moment=moment, command=command)
+    while not isinstance(given, Answer):
+        given = yield Step(moment=moment)
+    return given.value
+
+
+def passing_on(ended: Callable[[Sequence[Item]], bool]) -> RigExperiment[None]:
+    """The experiment that only records what comes, until `ended` says so; it sees every batch."""
+    given = yield Step()
+    while not isinstance(given, Sequence) or not ended(given):
+        given = yield Step()
+
+
+def finish(rig: SessionRig, recorder: SessionRecorder) -> HealthReport:
+    """Close a rig's devices, and record all that came until then and a last look at them, whose counts are those of the
+    whole session; nothing that came is left."""
     rig.close()
     last = rig.look()
     recorder.write_items([*rig.rest(), last])

@@ -36,16 +36,16 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "pictures": ("arrays", "errors", "images", "plain", *STAGES),
     "log": ("arrays", "frames", "images", "pictures", "plain", "rows", *STAGES),
     "rig": ("errors", "frames"),
-    "robot": ("capsule", "errors", "rig"),
+    "robot": ("arrays", "capsule", "errors", "rig"),
     # The simulated world must not share the model that is fitted to it.
-    "lab": ("arrays", "capsule", "errors", "rig", "robot", "stages.poke"),
+    "lab": ("arrays", "capsule", "errors", "rig", "robot"),
     "session": ("frames",),
-    "rows": ("arrays", "frames", "stages.map"),
+    "rows": ("arrays", "frames", "images", "stages.map"),
     "recording": ("arrays", "errors", "frames", "images", "log", "rows", "session", *STAGES),
     "files": ("arrays", "errors", "frames", "images", "recording", *STAGES),
     "experiments": (
-        *("arrays", "capsule", "errors", "files", "frames", "images", "lab", "recording", "rig", "robot", "rows"),
-        *("session", "studies", *STAGES),
+        *("arrays", "capsule", "errors", "files", "frames", "images", "recording", "rig", "robot", "rows", "session"),
+        *STAGES,
     ),
     "studies": (
         *("arrays", "capsule", "errors", "experiments", "files", "frames", "lab", "pictures", "plain", "recording"),

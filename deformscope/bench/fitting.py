@@ -11,7 +11,7 @@ from scipy.optimize import minimize_scalar
 
 from deformscope.arrays import FloatArray
 from deformscope.bench.bodies import SHEET_CLUSTERS, sheet
-from deformscope.bench.plan import BenchPlan, Tell
+from deformscope.bench.plan import BenchPlan, Note
 from deformscope.bench.statics import SWEPT
 from deformscope.bench.timing import OURS, Contestant, TimingRow, clock, compare
 from deformscope.stages.msm.solver import Msm
@@ -27,21 +27,21 @@ TIGHT = 1e-11
 Error = Callable[[FloatArray, FloatArray], float]
 
 
-def fit(plan: BenchPlan, tell: Tell) -> Iterator[TimingRow]:
-    """The same beta found in two ways, and how far each is from the error's minimum."""
+def fit(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
+    """The same beta found by two methods, and how far each is from the error's minimum."""
     from deformscope.stages.msm.fit import fit_beta
 
     body = sheet()
     for size in SHEET_CLUSTERS[1:2] if plan.quick else SHEET_CLUSTERS:
         what = f"beta of the {body.named}, clusters of {size}^2"
-        tell(f"fit: {what}, counting the steps of the thesis's sweep")
+        note(f"fit: {what}, counting the steps of the thesis's sweep")
         engine = plan.engine(body, size)
         truth = engine.relax(body.held_position, TRUE_BETA, tolerance=TIGHT).position[0]
         observed = truth + NOISE * np.random.default_rng(0).standard_normal(truth.shape)
         judged = _Judged(engine, body.held_position, observed)
         steps = [_steps_needed(engine, body.held_position, float(beta)) for beta in SWEPT]
 
-        tell(f"fit: {what}")
+        note(f"fit: {what}")
         turn = plan.turn(partial(_follow, fit_beta, judged))
         ours = Contestant(what, f"{OURS}, by gradient", turn, found=partial(judged.answer, "gradient"))
         thesis = Contestant(

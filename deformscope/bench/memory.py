@@ -39,7 +39,7 @@ class Meter:
         self._base = _status("VmRSS")
 
     def peak(self) -> int | None:
-        """The most bytes at once since zero; on a GPU None where an earlier body took more: all that the pool tells."""
+        """The most bytes at once since zero; on a GPU None where an earlier body took more: all the pool has."""
         if self._base is None:
             return None
         if self._gpu:

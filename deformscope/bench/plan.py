@@ -20,7 +20,7 @@ MIDDLE = 11
 """Side of the cube of 1331 particles, at which most is compared."""
 BETA = 0.7
 
-Tell = Callable[[str], None]
+Note = Callable[[str], None]
 """Told what is being measured."""
 
 
@@ -69,7 +69,7 @@ class BenchPlan:
         return Msm(body.rest, body.clusters(size), body.held, precision=precision, device=self.device)
 
     def turn(self, work: Callable[[], object]) -> Callable[[], Timing]:
-        """A contestant's turn of something short: it runs as often as fits, and the time of one is told."""
+        """A contestant's turn of something short: it runs as often as fits, and the time of one is reported."""
         work()
         count = max(1, min(10_000, int(self.turn_s / clock(work).wall_s)))
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from deformscope.bench.fitting import fit
 from deformscope.bench.machine import machine
 from deformscope.bench.peers import require_peers
-from deformscope.bench.plan import BenchPlan, Tell, side_of
+from deformscope.bench.plan import BenchPlan, Note, side_of
 from deformscope.bench.starting import cold
 from deformscope.bench.statics import gradient, relax, sweep, theta
 from deformscope.bench.steps import candidates_at_once, steps
@@ -19,7 +19,7 @@ from deformscope.errors import InputError
 FORMAT = 1
 """Of the JSON; a change that breaks readers raises it."""
 
-Rows = Callable[[BenchPlan, Tell], Iterator[TimingRow]]
+Rows = Callable[[BenchPlan, Note], Iterator[TimingRow]]
 
 MEASURES: tuple[tuple[frozenset[Case], Rows], ...] = (
     (frozenset({"step", "memory"}), steps),
@@ -43,11 +43,11 @@ def check(plan: BenchPlan) -> None:
         require_peers()
 
 
-def measure(plan: BenchPlan, tell: Tell) -> Iterator[TimingRow]:
+def measure(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
     """Each row of the plan as soon as it is known."""
     for cases, rows in MEASURES:
         if cases & set(plan.only):
-            yield from (row for row in rows(plan, tell) if row.case in plan.only)
+            yield from (row for row in rows(plan, note) if row.case in plan.only)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,20 +13,20 @@ from collections.abc import Iterator
 from deformscope.bench.bodies import counted
 from deformscope.bench.first_result import SIDE
 from deformscope.bench.peers import search_path
-from deformscope.bench.plan import BenchPlan, Tell
+from deformscope.bench.plan import BenchPlan, Note
 from deformscope.bench.timing import OURS, TimingRow
 
 WARM_STARTS = 3
 
 
-def cold(plan: BenchPlan, tell: Tell) -> Iterator[TimingRow]:
+def cold(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
     """From process start to the first static state, less the time that imports take."""
     what = f"first static state, {counted(SIDE**3)}"
     with tempfile.TemporaryDirectory() as cache:
-        tell("cold: first result, compiling")
+        note("cold: first result, compiling")
         result_s, import_s = _start(plan.device, cache)
         yield TimingRow("cold", f"{what}, empty kernel cache", OURS, "s", (result_s,), facts={"import_s": import_s})
-        tell("cold: first result, compiled before")
+        note("cold: first result, compiled before")
         again = [_start(plan.device, cache) for _ in range(1 if plan.quick else WARM_STARTS)]
         facts = {"import_s": min(seconds for _, seconds in again)}
         yield TimingRow("cold", f"{what}, kernels compiled", OURS, "s", tuple(s for s, _ in again), facts=facts)
@@ -43,5 +43,5 @@ def _start(device: str, cache: str) -> tuple[float, float]:
         check=True,
         env=os.environ | {"WARP_CACHE_PATH": cache, "PYTHONPATH": search_path()},
     )
-    told = json.loads(ended.stdout)
-    return told["ended_s"] - began_s - told["import_s"], told["import_s"]
+    answer = json.loads(ended.stdout)
+    return answer["ended_s"] - began_s - answer["import_s"], answer["import_s"]

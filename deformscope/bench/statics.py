@@ -10,7 +10,7 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.bench.bodies import SHEET_CLUSTERS, BenchBody, counted, cube, poked, sheet
-from deformscope.bench.plan import BETA, CLUSTER, MIDDLE, BenchPlan, Tell, side_of
+from deformscope.bench.plan import BETA, CLUSTER, MIDDLE, BenchPlan, Note, side_of
 from deformscope.bench.timing import OURS, Contestant, TimingRow, clock, compare
 from deformscope.stages.msm.clusters import single
 from deformscope.stages.msm.solver import Msm, Relaxed
@@ -24,19 +24,19 @@ ALL_PARTICLES_MOST = 1331
 """Particles up to which the single cluster is also relaxed by `Msm`, which says where every particle is."""
 
 
-def relax(plan: BenchPlan, tell: Tell) -> Iterator[TimingRow]:
+def relax(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
     """The static state of ever larger cubes, from rest."""
     plan.engine(cube(4)).relax(cube(4).held_position, BETA)  # loads the kernels
     for make in (cube, poked):
-        yield from _growing(plan, tell, make)
+        yield from _growing(plan, note, make)
 
 
-def _growing(plan: BenchPlan, tell: Tell, make: Callable[[int], BenchBody]) -> Iterator[TimingRow]:
+def _growing(plan: BenchPlan, note: Note, make: Callable[[int], BenchBody]) -> Iterator[TimingRow]:
     last_s, before = 0.0, 1
     for particles in plan.sizes:
         body = make(side_of(particles))
         what = f"{body.named}, clusters of {CLUSTER}^3"
-        tell(f"relax: {what}")
+        note(f"relax: {what}")
         # Iterations grow with the side.
         if (expected_s := last_s * (particles / before) ** (4 / 3)) > plan.longest_s:
             yield TimingRow("relax", what, OURS, "ms", (), note=f"left out: it would take some {expected_s:.0f} s")
@@ -46,14 +46,14 @@ def _growing(plan: BenchPlan, tell: Tell, make: Callable[[int], BenchBody]) -> I
         yield row
 
 
-def sweep(plan: BenchPlan, tell: Tell) -> Iterator[TimingRow]:
+def sweep(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
     """Static states of 100 betas in one launch."""
     for small in (sheet(), cube(4)):
         plan.engine(small).relax(small.held_position, BETA)  # loads the kernels
     sizes = SHEET_CLUSTERS[1:2] if plan.quick else SHEET_CLUSTERS
     for body, size in [(poked(MIDDLE), CLUSTER), *((sheet(), size) for size in sizes)]:
         what = f"{len(SWEPT)} betas, {body.named}, clusters of {size}^{body.rest.shape[1]}"
-        tell(f"sweep: {what}")
+        note(f"sweep: {what}")
         yield from compare("sweep", [_relaxing(plan.engine(body, size), body, what, SWEPT)], plan.rounds)
 
 
@@ -71,7 +71,7 @@ def _relaxing(engine: Msm, body: BenchBody, what: str, beta: FloatArray | float)
     return Contestant(what, OURS, lambda: clock(run), found=facts)
 
 
-def theta(plan: BenchPlan, tell: Tell) -> Iterator[TimingRow]:
+def theta(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
     """The static state of a single quadratic cluster under eq. 3.17, by its moments and by all its particles."""
     from deformscope.stages.msm.reduced import OneCluster
 
@@ -79,18 +79,18 @@ def theta(plan: BenchPlan, tell: Tell) -> Iterator[TimingRow]:
     for side in ONE_CLUSTER_SIDES[:2] if plan.quick else ONE_CLUSTER_SIDES:
         body = cube(side)
         what = f"{counted(body.particles)} in one quadratic cluster"
-        tell(f"theta: {what}")
+        note(f"theta: {what}")
         one = OneCluster(body.rest, body.held, basis="quadratic", device=plan.device)
         held = one.hold(body.held_position)
         result = one.relax(held, THETA_BETA, THETA)
-        told: dict[str, float] = {
+        facts: dict[str, float] = {
             "iterations_most": int(result.iterations.max()),
             "converged": int(result.converged.sum()),
         }
-        told |= {"hold_ms": 1e3 * clock(partial(one.hold, body.held_position)).wall_s, "candidates": 1}
+        facts |= {"hold_ms": 1e3 * clock(partial(one.hold, body.held_position)).wall_s, "candidates": 1}
         smallest = contestants[0] if contestants else None
         turn = plan.turn(partial(one.relax, held, THETA_BETA, THETA))
-        contestants.append(Contestant(what, OURS, turn, beside=smallest, facts=told))
+        contestants.append(Contestant(what, OURS, turn, beside=smallest, facts=facts))
         if body.particles <= ALL_PARTICLES_MOST:
             engine = Msm(body.rest, single(body.particles), body.held, basis="quadratic", device=plan.device)
             turn = plan.turn(partial(engine.relax, body.held_position, THETA_BETA, THETA))
@@ -98,11 +98,11 @@ def theta(plan: BenchPlan, tell: Tell) -> Iterator[TimingRow]:
     yield from compare("theta", contestants, plan.rounds_of_steps)
 
 
-def gradient(plan: BenchPlan, tell: Tell) -> Iterator[TimingRow]:
+def gradient(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
     """The gradient of an error over every cluster's beta, beside one static state."""
     for body, size in ((poked(MIDDLE), CLUSTER), (sheet(), 4)):
         what = f"{body.named}, clusters of {size}^{body.rest.shape[1]}"
-        tell(f"gradient: {what}")
+        note(f"gradient: {what}")
         engine: Any = plan.engine(body, size)
         position = engine.relax(body.held_position, BETA).position
         cotangent = np.random.default_rng(0).standard_normal(position.shape)

@@ -13,7 +13,7 @@ from deformscope.bench.bodies import BenchBody, counted, cube
 from deformscope.bench.memory import Meter
 from deformscope.bench.numpy_step import NumpyLattice
 from deformscope.bench.peers import Peer, PeerFailed
-from deformscope.bench.plan import BETA, CLUSTER, MIDDLE, BenchPlan, Tell, side_of
+from deformscope.bench.plan import BETA, CLUSTER, MIDDLE, BenchPlan, Note, side_of
 from deformscope.bench.timing import OURS, Contestant, Timing, TimingRow, clock, compare
 from deformscope.stages.msm.solver import Msm
 
@@ -23,7 +23,7 @@ PEER_MOST = 200_000
 CONTEXT_AT = 1331
 SETUP_MOST_S = 40.0
 MEMORY_LEAST = 10_000
-"""Particles below which the process's own memory, which comes in pages and pools, tells nothing."""
+"""Particles below which the process's own memory, which comes in pages and pools, shows nothing."""
 
 NUMPY = "NumPy, batched SVD"
 PHYSICS = {
@@ -59,21 +59,21 @@ class Stepping:
         return clock(lambda: self._engine.step(state, self._body.held_position, self._beta, steps=steps))
 
 
-def steps(plan: BenchPlan, tell: Tell) -> Iterator[TimingRow]:
+def steps(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
     """One step of ever larger cubes, and the memory that it takes."""
     setup_s, before = 0.0, 1
     for particles in plan.sizes:
         what = counted(particles)
-        tell(f"step: {what}")
+        note(f"step: {what}")
         if (expected_s := setup_s * particles / before) > SETUP_MOST_S:
             yield TimingRow(
                 "step", what, OURS, "ms/step", (), note=f"left out: setting up would take {expected_s:.0f} s"
             )
             continue
-        setup_s, before = (yield from _one_size(plan, tell, particles)), particles
+        setup_s, before = (yield from _one_size(plan, note, particles)), particles
 
 
-def _one_size(plan: BenchPlan, tell: Tell, particles: int) -> Generator[TimingRow, None, float]:
+def _one_size(plan: BenchPlan, note: Note, particles: int) -> Generator[TimingRow, None, float]:
     """Rows of one cube, all of whose memory is free again afterwards. Returns the seconds of setting up."""
     what, body, meter = counted(particles), cube(side_of(particles)), Meter(plan.device)
     began_s = time.perf_counter()
@@ -91,18 +91,18 @@ def _one_size(plan: BenchPlan, tell: Tell, particles: int) -> Generator[TimingRo
         facts = {"particles": particles, "clusters": engine.cluster_count, "setup_s": setup_s, "bits": 32}
         named = f"{what}, clusters of {CLUSTER}^3"
         ours = Contestant(named, OURS, stepping, "ms/step", facts=facts, found=stepping.found)
-        yield from _beside(plan, tell, body, ours)
+        yield from _beside(plan, note, body, ours)
     return setup_s
 
 
-def _beside(plan: BenchPlan, tell: Tell, body: BenchBody, ours: Contestant) -> Iterator[TimingRow]:
+def _beside(plan: BenchPlan, note: Note, body: BenchBody, ours: Contestant) -> Iterator[TimingRow]:
     """The engine's row, and those of whoever can do the same or something like it."""
     with contextlib.ExitStack() as stack:
         contestants = [ours]
         if plan.cpu:
             contestants.append(numpy_contestant(plan, body, CLUSTER, ours))
         if body.particles == WIDE_AT and not plan.quick:
-            tell(f"step: {ours.what}, and of {WIDE_CLUSTER}^3")
+            note(f"step: {ours.what}, and of {WIDE_CLUSTER}^3")
             engine = plan.engine(body, WIDE_CLUSTER, "float32")
             what = ours.what.replace(f"{CLUSTER}^3", f"{WIDE_CLUSTER}^3")
             wide = Contestant(what, OURS, Stepping(engine, body, plan.turn_s), "ms/step", beside=ours)
@@ -110,14 +110,14 @@ def _beside(plan: BenchPlan, tell: Tell, body: BenchBody, ours: Contestant) -> I
             if plan.cpu:
                 contestants.append(numpy_contestant(plan, body, WIDE_CLUSTER, wide))
         for engine_name in _peers(plan, body):
-            tell(f"step: {ours.what}, {engine_name}")
+            note(f"step: {ours.what}, {engine_name}")
             try:
                 peer = stack.enter_context(Peer(engine_name, body.shape[0]))
             except PeerFailed as error:
                 yield TimingRow("step", ours.what, engine_name, "ms/step", (), note=f"failed: {error}")
                 continue
             contestants.append(peer_contestant(plan, peer, ours))
-        tell(f"step: {ours.what}")
+        note(f"step: {ours.what}")
         yield from compare("step", contestants, plan.rounds_of_steps)
 
 
@@ -160,13 +160,13 @@ def peer_contestant(plan: BenchPlan, peer: Peer, ours: Contestant, unit: str = "
     )
 
 
-def candidates_at_once(plan: BenchPlan, tell: Tell) -> Iterator[TimingRow]:
+def candidates_at_once(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
     """Simulation steps a second of many candidates in one launch, beside one simulation of another engine."""
     body = cube(MIDDLE)
     engine = plan.engine(body, precision="float32")
     for candidates in (100,) if plan.cpu else (100, 1000):
         what = f"{candidates} candidates of {counted(body.particles)} stepped at once"
-        tell(f"sweep: {what}")
+        note(f"sweep: {what}")
         stepping = Stepping(engine, body, plan.turn_s, candidates)
         ours = Contestant(what, OURS, stepping, "steps/s", candidates, facts={"bits": 32})
         with contextlib.ExitStack() as stack:

@@ -12,7 +12,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from deformscope.arrays import FloatArray
 from deformscope.bench.memory import Meter
-from deformscope.bench.plan import BenchPlan, Tell
+from deformscope.bench.plan import BenchPlan, Note
 from deformscope.bench.timing import OURS, Contestant, TimingRow, clock, compare
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ ASKED_M, MAP_M = 0.02, 0.005
 BYTES = 8
 
 
-def surface(plan: BenchPlan, tell: Tell) -> Iterator[TimingRow]:
+def surface(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
     """Fit and map of one cloud; the exact process at places 2 cm apart, with the same hyper-parameters given to it."""
     try:
         from deformscope.stages.map.surface import fit_surface
@@ -36,7 +36,7 @@ def surface(plan: BenchPlan, tell: Tell) -> Iterator[TimingRow]:
         return
     count = QUICK_POINTS if plan.quick else POINTS
     what = f"surface from {count:,} points".replace(",", " ")
-    tell(f"surface: {what}")
+    note(f"surface: {what}")
     points = _cloud(count)
     maps = MapGrid(SIZE_M, MAP_M)
     asked = MapGrid(SIZE_M, ASKED_M).centres_m
@@ -57,9 +57,9 @@ def surface(plan: BenchPlan, tell: Tell) -> Iterator[TimingRow]:
         facts: dict[str, object] = {"peak_bytes": meter.peak()}
         if "believed" in exact:
             mean, deviation = exact["believed"]
-            told = kept["surface"].at(asked)
-            facts["from_exact_m"] = float(np.abs(told.mean - mean).max())
-            facts["deviation_from_exact"] = float(np.abs(told.deviation / deviation - 1.0).max())
+            found = kept["surface"].at(asked)
+            facts["from_exact_m"] = float(np.abs(found.mean - mean).max())
+            facts["deviation_from_exact"] = float(np.abs(found.deviation / deviation - 1.0).max())
         return facts
 
     sparse = Contestant(what, f"{OURS}, learned and mapped", partial(clock, ours), found=found)

@@ -120,7 +120,7 @@ def clock(work: Callable[[], object]) -> Timing:
 def compare(case: Case, contestants: Sequence[Contestant], rounds: Callable[[float], int]) -> list[TimingRow]:
     """Every contestant once a round, in turn (A B C A B C...): what disturbs the machine disturbs all alike.
 
-    rounds: how many, told the seconds of the first; that one only warms up, unless there is no other.
+    rounds: how many, given the seconds of the first; that one only warms up, unless there is no other.
     """
     began_s = time.perf_counter()
     taken = [[contestant.run()] for contestant in contestants]

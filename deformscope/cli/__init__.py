@@ -91,6 +91,7 @@ COMMANDS: dict[str, Command] = {
     "live": Command("watch all devices of a rig", "LiveConfig", "deformscope.cli.record", "live"),
     "verify": Command("whether a recording is whole", "VerifyConfig", "deformscope.cli.verify"),
     "recover": Command("a whole recording out of one that was cut short", "RecoverConfig", "deformscope.cli.recover"),
+    "export": Command("the images of a recording as files", "ExportConfig", "deformscope.cli.export"),
     "double": Command("run simulated devices on real transports", "DoubleConfig", "deformscope.cli.double"),
     "bench": Command("what MSM costs on this machine", "BenchConfig", "deformscope.cli.bench"),
 }

@@ -220,7 +220,9 @@ def calibrate_images(
     elif len(sources) == 1 and Path(sources[0]).suffix.lower() == ".rrd":
         mask = Replay(Path(sources[0]), trust=True).mask  # its ledger was compared when it was looked at for pairs
     settings = {"sources": list(sources), "stride": images.stride, "fps": images.fps, "mask": images.mask is not None}
-    with open_source(sources, stride=images.stride, fps=images.fps, mask=images.mask) as source:
+    settings |= {"camera": images.camera} if images.camera is not None else {}
+    opened = open_source(sources, stride=images.stride, fps=images.fps, mask=images.mask, camera=images.camera)
+    with opened as source:
         found = run_images(source, mask, fit, particles, settings, output, summary, motion)
     if problems := source.problems():
         console().print(f"deformscope: {source.name} is damaged: {'; '.join(problems)}", markup=False, soft_wrap=True)

@@ -6,14 +6,20 @@ deformscope calibrate arm lab:homogeneous-rigid --json -
 
 from __future__ import annotations
 
-import contextlib
+from typing import TYPE_CHECKING
 
-from deformscope.cli.benches import bench_of
 from deformscope.cli.common import quiet_warp, say, show_table, status_line, write_json
-from deformscope.cli.exploring import Companion, leave, let_move
+from deformscope.cli.exploring import Watch, leave, permitted
 from deformscope.cli.rigs import until_interrupted
+from deformscope.cli.setups import setup_of
 from deformscope.config import ArmConfig
 from deformscope.errors import InputError
+
+if TYPE_CHECKING:
+    from deformscope.experiments.arm_compliance import GiveTouch
+    from deformscope.experiments.touching_robot import TouchingRobot
+    from deformscope.session import RigExperiment
+    from deformscope.stages.map.exploration import ExplorationStop
 
 
 def run(config: ArmConfig) -> None:
@@ -21,40 +27,45 @@ def run(config: ArmConfig) -> None:
     import numpy as np
 
     from deformscope.experiments.arm_compliance import SURE_SD, arm_give, touch_rigid
-    from deformscope.experiments.explore import ExplorationStopped, ExploreOptions
+    from deformscope.experiments.explore import ExplorationStopped
+    from deformscope.experiments.explorer import FromFrames
+    from deformscope.experiments.options import ExploreOptions
+    from deformscope.experiments.touching_robot import touching_robot
     from deformscope.recording.recorder import Recorder
-    from deformscope.session import watching
+    from deformscope.session import run as run_session
 
     quiet_warp()
     options = ExploreOptions(budget=config.touches, beta_model="none", seed=config.seed)
-    bench, options, _ = bench_of(config.rig, options, config.set_force, trusted=config.trust_rig)
-    xy_m = np.array(config.at) if config.at is not None else 0.5 * np.array(bench.size_m)
-    if not ((xy_m > 0.0) & (xy_m < bench.size_m)).all():
-        width, height = bench.size_m
+    opening = setup_of(config.rig, options, config.set_force, trusted=config.trust_rig)
+    setup, options = opening.setup, opening.options
+    xy_m = np.array(config.at) if config.at is not None else 0.5 * np.array(setup.size_m)
+    if not ((xy_m > 0.0) & (xy_m < setup.size_m)).all():
+        width, height = setup.size_m
         came = f"{xy_m[0]:g},{xy_m[1]:g}"
         raise InputError(f"--at on the surface: between 0,0 and {width:g},{height:g} m", came)
-    stop, made = None, []
-    with until_interrupted() as asked, bench.source() as source, status_line() as show:
-        nothing = Recorder(None)
-        companion = Companion(None if bench.runs_itself else source, nothing, asked, show)
-        with (
-            watching(source, nothing) if bench.runs_itself else contextlib.nullcontext(),  # what waits is taken away
-            bench.robot(companion) as robot,
-        ):
-            companion.follow(robot)
-            known = {name: there for name, there in bench.calibrated.items() if "compliance" not in name}
+    made: list[GiveTouch] = []
+    stop: ExplorationStop | None = None
+    with until_interrupted() as asked, setup.open_source() as source, status_line() as show:
+        watch = Watch(asked, show)
+
+        def found_one(one: GiveTouch) -> None:
+            made.append(one)
+            show("")
+            give = 1e3 * one.found.compliance_m_per_n
+            say(f"touch {len(made)}: gives {give:.3f} mm/N, pressed with {one.peak_force_n:.2f} N")
+
+        def touching(robot: TouchingRobot) -> RigExperiment[None]:
+            known = {name: there for name, there in setup.calibrated.items() if "compliance" not in name}
+            yield from permitted(robot, setup, options, known, asked, yes=config.yes, places_m=xy_m[None])
+            yield from touch_rigid(FromFrames(robot.geometry, options), options, xy_m, config.touches, found_one)
+
+        with touching_robot(setup, source, options, watch) as robot, watch.halts(robot):
             try:
-                with companion.halts(robot):
-                    let_move(robot, bench, options, known, asked, yes=config.yes, places_m=xy_m[None])
-                    for one in touch_rigid(robot, options, xy_m, config.touches):
-                        made.append(one)
-                        give = 1e3 * one.found.compliance_m_per_n
-                        show("")
-                        say(f"touch {len(made)}: gives {give:.3f} mm/N, pressed with {one.peak_force_n:.2f} N")
+                run_session(source, touching(robot), Recorder(None), robot)
             except ExplorationStopped as error:
-                stop = companion.stopped(error, robot)
+                stop = error.stop
     if stop is not None:
-        leave(stop, len(made), asked.signal_number, None, arm_told=companion.arm_told)
+        leave(stop, len(made), asked.signal_number, None, arm_told=watch.arm_told)
     found = arm_give(made)
     rows = [
         ("compliance", f"{1e3 * found.compliance_m_per_n:.3f} mm/N, give or take {1e3 * found.compliance_sd:.3f}"),

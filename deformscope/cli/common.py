@@ -38,6 +38,10 @@ _json_stream: ContextVar[TextIO | None] = ContextVar("json_stream", default=None
 # Words and tables ----------------------------------------------------------------------------------------------------
 
 
+class Different(InputError):
+    """What was computed again is not what was recorded."""
+
+
 def console() -> Console:
     """Where progress and remarks go: stderr."""
     from rich.console import Console

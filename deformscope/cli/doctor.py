@@ -107,14 +107,13 @@ def _exploring(rig: Rig) -> list[Finding]:
     kinds = {entry.driver.kind for entry in rig.devices}
     if "[surface]" not in rig.text or not {"arm", "wrench", "depth"} <= kinds:
         return []
-    from deformscope.experiments.explore import ExploreOptions
-    from deformscope.experiments.explore_rig import RigBench, options_of
+    from deformscope.cli.setups import setup_of_rig
 
     try:
-        bench = RigBench(rig, options_of(rig, ExploreOptions(), None))
+        setup = setup_of_rig(rig)
     except InputError as error:
         return [Finding("explore", "look", f"not with this file: {error}")]
-    lacks = [name for name, there in bench.calibrated.items() if not there]
+    lacks = [name for name, there in setup.calibrated.items() if not there]
     if lacks or rig.workspace.low_m is None:
         return [Finding("explore", "look", f"lacks {', '.join(lacks) or 'the box of [workspace]'}")]
     return [

@@ -7,25 +7,27 @@ deformscope explore lab:two-60-150 --fault force-silent@2 --record stopped.rrd
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.benches import bench_of, lab_of
 from deformscope.cli.common import EXIT_LOSSES, quiet_warp, resolve_viewer, say, status_line
 from deformscope.cli.explored import ExplorationEnd, report
-from deformscope.cli.exploring import Companion, leave, let_move
+from deformscope.cli.exploring import Watch, leave, permitted
 from deformscope.cli.rigs import until_interrupted
+from deformscope.cli.setups import setup_of
 from deformscope.config import ExploreConfig
 
 if TYPE_CHECKING:
     from deformscope.cli.rigs import Interruption
-    from deformscope.experiments.explore import ExploreOptions, Explorer, Moment
-    from deformscope.experiments.explore_wired import Bench, TouchingRobot
+    from deformscope.experiments.explore import Exploration
+    from deformscope.experiments.options import ExploreOptions
+    from deformscope.experiments.touching_robot import TouchingRobot
     from deformscope.lab.faults import FaultsToCome
     from deformscope.recording.recorder import Recorder
+    from deformscope.robot.setup import Setup
+    from deformscope.session import RigExperiment, Step
 
 
 def run(config: ExploreConfig) -> int:
@@ -33,7 +35,7 @@ def run(config: ExploreConfig) -> int:
     if config.list_scenarios:
         _list()
         return 0
-    from deformscope.experiments.explore import ExploreOptions
+    from deformscope.experiments.options import ExploreOptions
 
     quiet_warp()
     options = ExploreOptions(
@@ -55,18 +57,19 @@ def run(config: ExploreConfig) -> int:
 def explore_on(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any] | None:
     """Explore a simulated scene, or with the devices of a rig file; what was found, as in the JSON, None where nothing
     was begun. Whatever ends it, the arm is halted, and what is known is reported before the recording is closed."""
-    from deformscope.experiments.explore import Explorer
+    from deformscope.experiments.explore import Exploration
+    from deformscope.experiments.measured import SetupGeometry
     from deformscope.lab.faults import FaultAt, FaultsToCome
     from deformscope.recording.recorder import Recorder
 
     faults = [FaultAt.parse(text, options.budget) for text in config.fault]
-    bench, options, told = bench_of(config.rig, options, config.set_force, trusted=config.trust_rig)
-    to_come = FaultsToCome(lab_of(bench), faults, options.seed) if faults else None
-    settings = {"explore": dataclasses.asdict(options), "seed": options.seed, "simulated": bench.simulated, **told}
-    settings |= {"size_m": list(bench.size_m), "arm": dataclasses.asdict(bench.arm)}
+    opening = setup_of(config.rig, options, config.set_force, trusted=config.trust_rig)
+    setup, options = opening.setup, opening.options
+    to_come = FaultsToCome(opening.faulty_lab, faults, options.seed) if faults else None
+    settings = {"explore": dataclasses.asdict(options), "seed": options.seed, "simulated": setup.simulated}
+    settings |= {"setup": SetupGeometry.of(setup).as_json(), **opening.settings}
     output = config.output
-    explorer = Explorer(bench.size_m, options, bench.arm, bench.truth)
-    ending = ExplorationEnd()
+    found, ending = Exploration(), ExplorationEnd()
     with (
         until_interrupted() as asked,
         Recorder(
@@ -75,100 +78,104 @@ def explore_on(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any]
             settings,
             layout="exploration",
             overwrite=output.overwrite,
-            real_time=bench.runs_itself,
+            real_time=setup.runs_itself,
         ) as recorder,
     ):
         try:
-            _run(config, bench, explorer, recorder, asked, to_come, ending)
+            _run(config, setup, options, found, recorder, asked, to_come, ending)
         except BaseException as error:
             ending.error = error
-        found = report(config, bench, explorer, recorder, ending, to_come) if ending.worth_a_report else None
+        if found.stop is not None:
+            recorder.stopped_because(f"{found.stop.kind}: {found.stop.reason}")
+        worth = ending.began_s > 0.0 or found.stop is not None
+        told = report(config, setup, options, found, recorder, ending, to_come) if worth else None
         if ending.error is not None:
             raise ending.error
     for fault in to_come.waiting if to_come is not None else ():
         say(f"--fault {fault.injected.word}@{fault.touch} did not strike: there was no such moment")
-    if ending.stop is not None or asked.is_set():
+    if found.stop is not None or asked.is_set():
         recording = recorder.summary().path
-        leave(ending.stop, len(explorer.told), asked.signal_number, recording, arm_told=ending.arm_told)
+        leave(found.stop, len(found.touches), asked.signal_number, recording, arm_told=ending.arm_told)
     ending.raise_unwritten()
-    return found
+    return told
 
 
 def _run(
     config: ExploreConfig,
-    bench: Bench,
-    explorer: Explorer,
+    setup: Setup,
+    options: ExploreOptions,
+    found: Exploration,
     recorder: Recorder,
     asked: Interruption,
     to_come: FaultsToCome | None,
     ending: ExplorationEnd,
 ) -> None:
-    """Open the devices, explore, close them; `explorer` and `ending` hold what is known, also where this raises."""
-    from deformscope.experiments.explore import ExplorationStopped
+    """Open the devices, explore, close them; `found` and `ending` hold what is known, also where this raises."""
+    from deformscope.experiments.beside import stages_beside
+    from deformscope.experiments.explore import explore
+    from deformscope.experiments.touching_robot import touching_robot
     from deformscope.recording.losses import losses_of
-    from deformscope.session import watching
+    from deformscope.session import finish, run
 
-    with bench.source() as source, status_line() as show:
+    with setup.open_source() as source, status_line() as show:
         ending.start_ns = source.start_ns
         recorder.start_exploration(
-            source.streams, source.start_ns, bench.size_m, bench.placement.T_base_surface, truth=_has_regions(bench)
+            source.streams, source.start_ns, setup.size_m, setup.placement.T_base_surface, truth=_has_regions(setup)
         )
-        companion = Companion(
-            None if bench.runs_itself else source, recorder, asked, show, to_come.phase_began if to_come else None
-        )
-        with (
-            watching(source, recorder) if bench.runs_itself else contextlib.nullcontext() as recorded,
-            bench.robot(companion) as robot,
-        ):
+        watch = Watch(asked, show)
+        with touching_robot(setup, source, options, watch) as robot, stages_beside(setup, options) as (beside, stage):
             try:
-                with companion.halts(robot):
-                    companion.follow(robot, recorded)
-                    let_move(robot, bench, explorer.options, bench.calibrated, asked, yes=config.yes)
-                    ending.began_s = time.perf_counter()
-                    _explore(robot, explorer, recorder, companion, show, ending)
-            except ExplorationStopped as error:
-                ending.stop, ending.stop_ns = error.stop, error.time_ns
-                explorer.stop_reason = f"stopped: {error.stop.kind}"
-                companion.stopped(error, robot)
+                with watch.halts(robot):
+                    if to_come is not None:
+                        robot.on_phase = to_come.phase_began
+                    permit = _permitted(robot, setup, options, asked, ending, yes=config.yes)
+                    experiment = _said(explore(setup.clock, stage, found, permit), show)
+                    run(source, experiment, recorder, robot, beside)
             finally:
-                ending.arm_told = companion.arm_told
-                ending.session_s = (bench.clock() - source.start_ns) / 1e9
-        recorder.write_items(source.take(0.0))
-    last = source.look()
-    ending.losses = losses_of(last)
-    recorder.write_items([*source.rest(), last])
+                ending.arm_told, ending.gaps_s = watch.arm_told, robot.gaps_s
+                ending.session_s = (setup.clock() - source.start_ns) / 1e9
+        ending.losses = losses_of(finish(source, recorder))
     for name, reason in source.failures.items():
         say(f"deformscope: device {name} failed: {reason}")
 
 
-def _has_regions(bench: Bench) -> bool:
-    return bench.truth is not None and bench.truth.labels is not None
-
-
-def _explore(
+def _permitted(
     robot: TouchingRobot,
-    explorer: Explorer,
-    recorder: Recorder,
-    companion: Companion,
-    show: Callable[[str], None],
+    setup: Setup,
+    options: ExploreOptions,
+    asked: Interruption,
     ending: ExplorationEnd,
-) -> None:
-    """Run it to its end."""
-    from deformscope.experiments.explore import explore
-
-    for moment in explore(robot, explorer):
-        companion.write()
-        for name, content in explorer.new_inputs():
-            recorder.write_input(name, content)
-        ending.compute_s += moment.compute_s
-        ending.slowest_s = max(ending.slowest_s, moment.compute_s)
-        recorder.write_results(moment.results, moment.now_ns, moment.touch, explorer.plan_cell_m, moment.seen_ns)
-        show("")
-        for line in _remarks(moment):
-            say(line)
+    *,
+    yes: bool,
+) -> RigExperiment[None]:
+    yield from permitted(robot, setup, options, setup.calibrated, asked, yes=yes)
+    ending.began_s = time.perf_counter()
 
 
-def _remarks(moment: Moment) -> Iterator[str]:
+def _said(experiment: RigExperiment[None], show: Callable[[str], None]) -> RigExperiment[None]:
+    """The same experiment; what it finds is printed as it comes."""
+    given: Any = None
+    answer: Callable[[Any], Step] = experiment.send
+    while True:
+        try:
+            step = answer(given)
+        except StopIteration:
+            return
+        if lines := [line for result in step.results for line in _remarks(result)]:
+            show("")
+            for line in lines:
+                say(line)
+        try:
+            given, answer = (yield step), experiment.send
+        except Exception as error:
+            given, answer = error, experiment.throw
+
+
+def _has_regions(setup: Setup) -> bool:
+    return setup.truth is not None and setup.truth.labels is not None
+
+
+def _remarks(result: object) -> Iterator[str]:
     from deformscope.pictures.words import (
         dent_words,
         failed_words,
@@ -179,21 +186,20 @@ def _remarks(moment: Moment) -> Iterator[str]:
     )
     from deformscope.stages.map.exploration import MapEstimate, PlannedTouch, StageFailure, TouchEstimate
 
-    for result in moment.results:
-        if isinstance(result, PlannedTouch):
-            where = "" if result.target_m is None else f"next touch at {_cm(result.target_m)} cm: "
-            yield where + result.reason
-        elif isinstance(result, TouchEstimate):
-            between = interval_words(result)
-            yield (
-                f"touch {result.number + 1} at {_cm(result.xyz_m[:2])} cm: {stiffness_words(result)}"
-                + (f" ({between})" if between else "")
-                + f", dent {dent_words(result)}"
-            )
-        elif isinstance(result, MapEstimate):
-            yield "  map: " + ", ".join(one for one in (verdict_words(result), iou_words(result)) if one)
-        elif isinstance(result, StageFailure):
-            yield f"deformscope: {failed_words(result)}"
+    if isinstance(result, PlannedTouch):
+        where = "" if result.target_m is None else f"next touch at {_cm(result.target_m)} cm: "
+        yield where + result.reason
+    elif isinstance(result, TouchEstimate):
+        between = interval_words(result)
+        yield (
+            f"touch {result.number + 1} at {_cm(result.xyz_m[:2])} cm: {stiffness_words(result)}"
+            + (f" ({between})" if between else "")
+            + f", dent {dent_words(result)}"
+        )
+    elif isinstance(result, MapEstimate):
+        yield "  map: " + ", ".join(one for one in (verdict_words(result), iou_words(result)) if one)
+    elif isinstance(result, StageFailure):
+        yield f"deformscope: {failed_words(result)}"
 
 
 def _cm(xy_m: Any) -> str:

@@ -16,12 +16,14 @@ from deformscope.errors import InputError
 from deformscope.recording.losses import named
 
 if TYPE_CHECKING:
+    from deformscope.arrays import FloatArray
     from deformscope.config import ExploreConfig
-    from deformscope.experiments.explore import Explorer
-    from deformscope.experiments.explore_wired import Bench
+    from deformscope.experiments.explore import Exploration
+    from deformscope.experiments.options import ExploreOptions
     from deformscope.lab.faults import FaultsToCome
     from deformscope.recording.recorder import Recorder
-    from deformscope.stages.map.exploration import ExplorationStop, MapEstimate, TouchEstimate
+    from deformscope.robot.setup import Setup
+    from deformscope.stages.map.exploration import MapEstimate, TouchEstimate
 
 UNITS = {
     "cell_m": "m",
@@ -53,29 +55,21 @@ JSON_UNITS = {
 class ExplorationEnd:
     """Why and when an exploration ended; filled in as it goes on.
 
-    error: that ended it, other than a stop; stop, stop_ns: why the robot stopped before its plan said so, and when
+    error: that ended it, other than a stop; start_ns: of the session, on the robot's clock
     arm_told: whether the arm could be told to stand; began_s: when it could first move, 0 = never [s]
-    compute_s, slowest_s, session_s: spent computing, on the slowest step, and by the robot's clock [s]
+    session_s: by the robot's clock [s]; gaps_s: (n,) from each look of its supervisor to the next [s]
     losses: of each device that lost something (`deformscope.recording.losses`)
     unwritten: outputs that could not be written, and why
     """
 
     error: BaseException | None = None
-    stop: ExplorationStop | None = None
-    stop_ns: int = 0
     start_ns: int = 0
     arm_told: bool = True
     began_s: float = 0.0
-    compute_s: float = 0.0
-    slowest_s: float = 0.0
     session_s: float = 0.0
+    gaps_s: FloatArray | None = None
     losses: dict[str, dict[str, float]] = field(default_factory=dict)
     unwritten: list[InputError] = field(default_factory=list)
-
-    @property
-    def worth_a_report(self) -> bool:
-        """Whether the arm could move, or was stopped before."""
-        return self.began_s > 0.0 or self.stop is not None
 
     def raise_unwritten(self) -> None:
         """Raises the first output that could not be written, once all else is done."""
@@ -85,20 +79,21 @@ class ExplorationEnd:
 
 def report(
     config: ExploreConfig,
-    bench: Bench,
-    explorer: Explorer,
+    setup: Setup,
+    options: ExploreOptions,
+    exploration: Exploration,
     recorder: Recorder,
     ending: ExplorationEnd,
     faults: FaultsToCome | None,
 ) -> dict[str, Any]:
     """Write and print what is known; returns the JSON of design 5. What cannot be written does not keep the rest from
     being written, and is in `ending.unwritten`."""
-    explorer.failures += recorder.not_shown
+    exploration.failures += recorder.not_shown
     if ending.error is not None:
-        explorer.stop_reason = f"error: {' '.join(str(ending.error).split()) or type(ending.error).__name__}"
-    found = _found(config, explorer, bench, ending, _recording(config, recorder, ending))
-    found["fault"] = _fault(ending, faults)
-    maps, written = explorer.known, []
+        exploration.stop_reason = f"error: {' '.join(str(ending.error).split()) or type(ending.error).__name__}"
+    found = _found(config, options, exploration, setup, ending, _recording(config, recorder, ending))
+    found["fault"] = _fault(exploration, ending, faults)
+    maps, written = exploration.maps, []
     if maps is not None and config.map is not None and _write(ending, config.map, lambda: _map_file(config, maps)):
         written.append(("map", str(config.map)))
     if maps is not None and config.picture is not None and _write(ending, config.picture, lambda: _png(config, maps)):
@@ -108,7 +103,8 @@ def report(
     except OSError as error:
         ending.unwritten.append(_unwritten(config.output.json or "", error))
     show_table(
-        f"{config.rig} (simulated)" if bench.simulated else config.rig, [*_rows(found, explorer, bench), *written]
+        f"{config.rig} (simulated)" if setup.simulated else config.rig,
+        [*_rows(found, options, exploration, setup), *written],
     )
     for one in ending.unwritten:
         say(f"deformscope: not written: {one}")
@@ -136,14 +132,19 @@ def _unwritten(path: Path | str, error: Exception) -> InputError:
 
 
 def _found(
-    config: ExploreConfig, explorer: Explorer, bench: Bench, ending: ExplorationEnd, recording: Path | None
+    config: ExploreConfig,
+    options: ExploreOptions,
+    exploration: Exploration,
+    setup: Setup,
+    ending: ExplorationEnd,
+    recording: Path | None,
 ) -> dict[str, Any]:
     import numpy as np
 
-    maps = explorer.known
+    maps = exploration.maps
     truth = None
-    if bench.truth is not None:  # a gradient has no regions, and none to compare with
-        labels = bench.truth.labels
+    if setup.truth is not None:  # a gradient has no regions, and none to compare with
+        labels = setup.truth.labels
         truth = {
             "region_count": 0 if labels is None else int(labels.max()) + 1,
             "iou": None if maps is None else maps.iou,
@@ -152,12 +153,12 @@ def _found(
     regions = () if maps is None else range(maps.region_count)
     return {
         "scenario": config.rig,
-        "seed": explorer.options.seed,
+        "seed": options.seed,
         "version": __version__,
         "units": JSON_UNITS,
         "verdict": None if maps is None else maps.verdict,
         "verdict_probability": None if maps is None else maps.probability,
-        "touches": [_touch(told, explorer.failed(told.number + 1)) for told in explorer.told],
+        "touches": [_touch(told, exploration.failed(told.number + 1)) for told in exploration.touches],
         "region_count": None if maps is None else maps.region_count,
         "regions": [
             {
@@ -168,19 +169,20 @@ def _found(
             for region in regions
             if maps is not None
         ],
-        "probability": explorer.region_map().probability if maps is not None else None,
+        "probability": exploration.region_probability,
         "truth": truth,
-        "travel_m": explorer.travel_m,
-        "max_force_n": bench.max_force_n,
+        "travel_m": exploration.travel_m,
+        "max_force_n": setup.max_force_n,
         "seconds": {
-            "compute": ending.compute_s,
-            "slowest": ending.slowest_s,
+            "compute": exploration.compute_s,
+            "slowest": exploration.slowest_s,
             "session": ending.session_s,
             "wall": time.perf_counter() - ending.began_s if ending.began_s else 0.0,
         },
-        "stop_reason": explorer.stop_reason,
+        "supervisor_gaps_ms": _gaps_ms(ending.gaps_s),
+        "stop_reason": exploration.stop_reason,
         "arm_stands": ending.arm_told,
-        "failures": [{"stage": one.stage, "touch": one.touch, "reason": one.reason} for one in explorer.failures],
+        "failures": [{"stage": one.stage, "touch": one.touch, "reason": one.reason} for one in exploration.failures],
         "losses": ending.losses,
         "recording": recording,
     }
@@ -202,30 +204,42 @@ def _touch(told: TouchEstimate, failed: list[str]) -> dict[str, Any]:
     }
 
 
-def _fault(ending: ExplorationEnd, faults: FaultsToCome | None) -> dict[str, Any] | None:
+def _fault(exploration: Exploration, ending: ExplorationEnd, faults: FaultsToCome | None) -> dict[str, Any] | None:
     """Why it was stopped, and how long after the laboratory's fault; None where it was not."""
-    stop = ending.stop
+    stop = exploration.stop
     if stop is None:
         return None
     struck = faults.struck if faults is not None else ()
-    struck_ns = [struck_ns for _, struck_ns in struck if struck_ns <= ending.stop_ns]
+    struck_ns = [struck_ns for _, struck_ns in struck if struck_ns <= exploration.stop_ns]
     return {
         "kind": stop.kind,
         "reason": stop.reason,
-        "time_s": (ending.stop_ns - ending.start_ns) / 1e9,
-        "noticed_after_s": (ending.stop_ns - struck_ns[-1]) / 1e9 if struck_ns else None,
+        "time_s": (exploration.stop_ns - ending.start_ns) / 1e9,
+        "noticed_after_s": (exploration.stop_ns - struck_ns[-1]) / 1e9 if struck_ns else None,
     }
 
 
-def _rows(found: dict[str, Any], explorer: Explorer, bench: Bench) -> list[tuple[str, str]]:
+def _gaps_ms(gaps_s: FloatArray | None) -> dict[str, float] | None:
+    """From one look of the supervisor to the next, None where the arm never could move [ms]."""
+    import numpy as np
+
+    if gaps_s is None or not len(gaps_s):
+        return None
+    shares = {"p50": 50.0, "p99": 99.0, "p99_9": 99.9, "max": 100.0}
+    return {"count": len(gaps_s)} | {name: 1e3 * float(np.percentile(gaps_s, share)) for name, share in shares.items()}
+
+
+def _rows(
+    found: dict[str, Any], options: ExploreOptions, exploration: Exploration, setup: Setup
+) -> list[tuple[str, str]]:
     from deformscope.pictures.words import failed_words, iou_words, region_words, travel_words, verdict_words
 
-    maps = explorer.known
+    maps = exploration.maps
     rows = [("verdict", "none: no touch gave a map")]
     if maps is not None:
         smooth = "" if maps.region_count else ", the stiffness changes smoothly"
         rows = [("verdict", f"{verdict_words(maps)}{smooth} (probability {maps.probability:.2f})")]
-        at = f" at {explorer.options.set_force_n:g} N"
+        at = f" at {options.set_force_n:g} N"
         rows += [(f"region {one + 1}", region_words(maps, one) + at) for one in range(maps.region_count)]
     truth = found["truth"]
     if truth is not None and maps is not None and maps.iou is not None:
@@ -233,20 +247,21 @@ def _rows(found: dict[str, Any], explorer: Explorer, bench: Bench) -> list[tuple
         rows.append(("truth", f"{truth['region_count']} regions; {iou_words(maps)}{off}"))
     elif truth is not None and not truth["region_count"]:
         rows.append(("truth", "no regions: the stiffness changes smoothly"))
-    betas = [told.beta_verdict for told in explorer.told if told.beta is not None]
+    betas = [told.beta_verdict for told in exploration.touches if told.beta is not None]
     if betas:
         common = max(set(betas), key=betas.count)
         rows.append(("beta", f"{common} in {betas.count(common)} of {len(betas)} touches"))
     largest = found["max_force_n"]
     if largest is None:
-        largest = max((told.peak_force_n for told in explorer.told), default=0.0)
+        largest = max((told.peak_force_n for told in exploration.touches), default=0.0)
     reason = found["stop_reason"]
     ended = reason if reason.startswith("stopped") else f"stopped: {reason or 'before its plan said so'}"
-    rows += [("failed", failed_words(one)) for one in explorer.failures]
+    rows += [("failed", failed_words(one)) for one in exploration.failures]
     rows += [
-        ("touches", f"{len(explorer.told)}, {travel_words(found['travel_m'])}; {ended}"),
-        ("largest contact force", f"{largest:.2f} N, {'true' if bench.simulated else 'measured'}"),
+        ("touches", f"{len(exploration.touches)}, {travel_words(found['travel_m'])}; {ended}"),
+        ("largest contact force", f"{largest:.2f} N, {'true' if setup.simulated else 'measured'}"),
         ("arm", "stands" if found["arm_stands"] else "COULD NOT BE TOLD TO STOP: use its emergency stop"),
+        *_gap_rows(found["supervisor_gaps_ms"]),
         ("time", f"{found['seconds']['session']:.0f} s of the robot, {found['seconds']['wall']:.0f} s here"),
     ]
     if found["losses"]:
@@ -254,6 +269,13 @@ def _rows(found: dict[str, Any], explorer: Explorer, bench: Bench) -> list[tuple
     if found["recording"] is not None:
         rows.append(("recording", str(found["recording"])))
     return rows
+
+
+def _gap_rows(gaps_ms: dict[str, float] | None) -> list[tuple[str, str]]:
+    if gaps_ms is None:
+        return []
+    words = f"every {gaps_ms['p50']:.0f} ms; 1 in 1000 after {gaps_ms['p99_9']:.0f} ms, at most {gaps_ms['max']:.0f} ms"
+    return [("supervisor looked", words)]
 
 
 def _png(config: ExploreConfig, maps: MapEstimate) -> bytes:

@@ -1,4 +1,4 @@
-"""What accompanies an exploration: it is recorded and shown as it goes on, and ended by Ctrl-C or for a reason."""
+"""What commands that move a robot share: the question before it moves, Ctrl-C, and that the arm stands in the end."""
 
 from __future__ import annotations
 
@@ -15,89 +15,44 @@ if TYPE_CHECKING:
 
     from deformscope.arrays import FloatArray
     from deformscope.cli.rigs import Interruption
-    from deformscope.experiments.explore import ExplorationStopped, ExploreOptions
-    from deformscope.experiments.explore_wired import Bench, TouchingRobot
-    from deformscope.recording.recorder import Recorder
-    from deformscope.rig.source import RigSource
-    from deformscope.robot.touch import Phase
+    from deformscope.experiments.options import ExploreOptions
+    from deformscope.experiments.touching_robot import TouchingRobot
+    from deformscope.robot.setup import Setup
+    from deformscope.session import RigExperiment
     from deformscope.stages.map.exploration import ExplorationStop
 
-AFTER_S = 0.5
-"""A recording goes on for so long after the robot was stopped."""
 HALTS = 3
 """Attempts to halt the arm, each of which an interruption may cut short."""
-SHOW_EVERY, RECORD_EVERY = 10, 50
-"""Control periods between two words to the user, and two portions of the recording: each costs bytes and seconds."""
+SHOW_EVERY = 10
+"""Control periods between two words to the user."""
+POLL_S = 0.1
 
 
-class Companion:
-    """Called in every control period (`__call__`) and at each phase of a touch (`phase_began`).
+class Watch:
+    """Called in every control period: ends it when somebody asks, and shows what the robot does. robot: once there is
+    one; arm_told: whether the arm could be told to stand, in the end"""
 
-    touch: the one under way, or the last, from 1; 0 before the first
-    arm_told: whether the arm could be told to stand
-    """
-
-    def __init__(
-        self,
-        source: RigSource | None,
-        recorder: Recorder,
-        asked: Interruption,
-        show: Callable[[str], None],
-        on_phase: Callable[[Phase, int], None] | None = None,
-    ) -> None:
-        """source: of devices that go on only with the control periods, None where they go on by themselves and are
-        recorded meanwhile; asked: set when somebody wants it to end; show: one line that the next replaces
-        on_phase: told phase and touch as well"""
-        self.touch = 0
-        self.arm_told = True
+    def __init__(self, asked: Interruption, show: Callable[[str], None]) -> None:
+        """asked: set when somebody wants it to end; show: one line that the next replaces"""
         self.robot: TouchingRobot | None = None
-        self._source, self._recorder, self._asked, self._show = source, recorder, asked, show
-        self._on_phase = on_phase
-        self._recorded: Callable[[], None] | None = None
+        self.arm_told = True
+        self._asked, self._show = asked, show
         self._periods = 0
-        self._begun: list[tuple[str, int, int]] = []
-
-    def follow(self, robot: TouchingRobot, recorded: Callable[[], None] | None = None) -> None:
-        """From now on it is this robot's touches that are recorded. recorded: raises what keeps the devices from being
-        recorded; asked in every control period, as nobody goes on unrecorded"""
-        self.robot = robot
-        self._recorded = recorded
-        robot.on_phase = self.phase_began
 
     def __call__(self) -> None:
-        if self._recorded is not None:
-            self._recorded()
-        if self._asked.is_set() and self.robot is not None:
+        if self.robot is None:
+            return
+        if self._asked.is_set():
             self.robot.ask_to_stop(signal_word(self._asked.signal_number))
         self._periods += 1
-        if self._periods % RECORD_EVERY == 0:
-            self.write()
-        if self._periods % SHOW_EVERY == 0 and self.robot is not None:
+        if self._periods % SHOW_EVERY == 0:
             self._show(self.robot.doing)
-
-    def phase_began(self, phase: Phase, time_ns: int) -> None:
-        """It is recorded with the next look at the devices, which costs the control period less."""
-        from deformscope.robot.touch import Phase
-
-        self.touch += phase is Phase.TRAVEL
-        self._begun.append((str(phase), time_ns, self.touch))
-        if self._on_phase is not None:
-            self._on_phase(phase, self.touch)
-
-    def write(self) -> None:
-        """Record what began and what the devices gave since the last call."""
-        from deformscope.stages.map.exploration import PhaseStart
-
-        begun, self._begun = self._begun, []
-        for name, time_ns, touch in begun:
-            self._recorder.write_results((PhaseStart(name, touch - 1),), time_ns, touch, 0.0)
-        if self._source is not None:
-            self._recorder.write_items(self._source.take(0.0))
 
     @contextlib.contextmanager
     def halts(self, robot: TouchingRobot) -> Iterator[None]:
         """Whatever ends this, the arm is then told to stand, also where telling it was interrupted. Beyond it are the
         end of each velocity after 40 ms, and the driver, which erases the arm's trajectories as it closes."""
+        self.robot = robot
         reason = "what moved it has ended"
         try:
             yield
@@ -114,41 +69,30 @@ class Companion:
                     if attempt == HALTS - 1:
                         raise
 
-    def stopped(self, error: ExplorationStopped, robot: TouchingRobot) -> ExplorationStop:
-        """Record why and when it was stopped, and what came after; the robot stands."""
-        from deformscope.stages.map.exploration import PhaseStart
 
-        stop = error.stop
-        with self.halts(robot):
-            self._show("")
-            self.write()
-            phase = PhaseStart(f"stopped: {stop.kind}", stop.touch)
-            self._recorder.write_results((phase, stop), error.time_ns, self.touch, 0.0)
-            self._recorder.stopped_because(f"{stop.kind}: {stop.reason}")
-            robot.look_on(AFTER_S)
-        return stop
-
-
-def let_move(
+def permitted(
     robot: TouchingRobot,
-    bench: Bench,
+    setup: Setup,
     options: ExploreOptions,
     calibrated: Mapping[str, bool],
     asked: Interruption,
     *,
     yes: bool,
     places_m: FloatArray | None = None,
-) -> None:
-    """Look at everything, print the table of checks, and ask before a real arm moves.
+) -> RigExperiment[None]:
+    """Within an experiment: look at everything, print the table of checks, and ask before a real arm moves.
 
     calibrated: what has to be, by name, and whether it is; yes: do not ask
     places_m: (n, 2) that will be touched, None = any that can be reached
     What was checked is checked again after the question, which may have waited for long. Raises InputError where a
     check fails, or nobody says yes, and ExplorationStopped where it is answered by Ctrl-C.
     """
-    preflight = robot.preflight(calibrated, places_m)
+    from deformscope.experiments.touching_robot import CheckFirst
+    from deformscope.session import ask
+
+    preflight = yield from ask(CheckFirst(calibrated, places_m))
     say(preflight.table())
-    if not bench.simulated and preflight.passed:
+    if not setup.simulated and preflight.passed:
         say(
             f"The arm will now move by itself: up to {options.budget} touches of {robot.forces_told}.\n"
             "This program is no safety function: keep the emergency stop in your hand."
@@ -156,25 +100,29 @@ def let_move(
         if not yes and not sys.stdin.isatty():
             raise InputError("somebody who says yes", "no terminal to ask at", "--yes")
         if not yes:
-            if not _says_yes(asked):
-                raise InputError("yes", "something else: nothing has moved")
+            answered = yield from _answer(asked)
             if asked.is_set():
                 robot.ask_to_stop(signal_word(asked.signal_number))
-            preflight = robot.preflight(calibrated, places_m)
+            elif answered != "yes":
+                raise InputError("yes", "something else: nothing has moved")
+            preflight = yield from ask(CheckFirst(calibrated, places_m))
             if not preflight.passed:
                 say(preflight.table())
     robot.let_move(preflight)
 
 
-def _says_yes(asked: Interruption) -> bool:
-    """Whether somebody at the terminal says yes, or ends it by Ctrl-C."""
-    with asked.at_once():
-        try:
-            return asked.is_set() or input("Type yes to begin: ").strip().lower() == "yes"
-        except KeyboardInterrupt:
-            return True
-        except EOFError:
-            return False
+def _answer(asked: Interruption) -> RigExperiment[str]:
+    """What somebody at the terminal says; frames pass meanwhile. Empty once they end it by Ctrl-C, or hang up."""
+    import select
+
+    from deformscope.session import Step
+
+    print("Type yes to begin: ", end="", file=sys.stderr, flush=True)
+    while not asked.is_set():
+        if select.select([sys.stdin], [], [], POLL_S)[0]:
+            return sys.stdin.readline().strip().lower()
+        yield Step()
+    return ""
 
 
 def leave(

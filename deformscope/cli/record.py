@@ -13,7 +13,7 @@ import dataclasses
 import hashlib
 import signal
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,12 +25,13 @@ from deformscope.config import LiveConfig, RecordConfig, RigRunOptions
 from deformscope.errors import InputError
 
 if TYPE_CHECKING:
-    from deformscope.experiments.device_stages import LiveOptions, StageName
+    from deformscope.experiments.device_stages import LiveOptions, Stage, StageName
     from deformscope.experiments.live_stages import Beside, StageCounts
-    from deformscope.frames import HealthReport, Item, StageResult, Stream
+    from deformscope.frames import HealthReport, Item, Stream
     from deformscope.recording.recorder import RecordingSummary
     from deformscope.rig.rig_file import Rig
     from deformscope.rig.source import RigSource
+    from deformscope.session import RigExperiment
     from deformscope_drivers.health import Health
 
 TELL_EVERY_S = 10.0
@@ -57,7 +58,8 @@ def _run(config: RigRunOptions, *, always_record: bool) -> int:
     from deformscope.recording.recorder import Recorder
     from deformscope.rig.rig_file import load_rig
     from deformscope.rig.source import RigSource
-    from deformscope.session import watch
+    from deformscope.session import finish
+    from deformscope.session import run as run_session
 
     rig = load_rig(config.rig, trusted=config.trust_rig)
     file = config.output.record
@@ -90,16 +92,12 @@ def _run(config: RigRunOptions, *, always_record: bool) -> int:
             where = "" if file is None else f" into {file}"
             say(f"recording{where}: Ctrl-C ends it" if file else "watching: Ctrl-C ends it")
             end = _Ending(asked, config.seconds, source)
-
-            def ended(items: Sequence[Item]) -> bool:
-                recorder.write_stage_results(running.take(items))
-                return end(items)
-
-            last = watch(source, recorder, ended)
+            counts = run_session(source, running.experiment(end), recorder)
+            last = finish(source, recorder)
             failures = dict(source.failures)
             why = end.reason + "".join(f"; {name} failed: {reason}" for name, reason in failures.items())
             recorder.stopped_because(why)
-    _tell(config, recorder.summary(), last, failures, why, running.end())
+    _tell(config, recorder.summary(), last, failures, why, counts)
     if (losses := losses_of(last)) and file is not None:
         say(f"deformscope: the recording is whole, with losses: {named(losses)}")
     for name, reason in failures.items():
@@ -145,30 +143,24 @@ class _Stages:
     """The stages that run beside a recording, if any. devices: (name, device) of each"""
 
     def __init__(self, options: LiveOptions | None, streams: Sequence[Stream], beside: Mapping[str, Beside]) -> None:
-        self.devices: tuple[tuple[str, str], ...] = ()
-        self._experiment: Generator[tuple[StageResult, ...], Sequence[Item] | None, dict[str, StageCounts]] | None
-        self._experiment = None
+        self._options, self._beside = options, beside
+        self._stages: tuple[Stage, ...] = ()
         if options is not None:
             from deformscope.experiments.device_stages import stages_of
-            from deformscope.experiments.live_stages import live_stages
 
-            stages = stages_of(options, streams)
-            self.devices = tuple((stage.name, stage.device) for stage in stages)
-            self._experiment = live_stages(stages, beside, lossless=options.lossless)
-            next(self._experiment)
+            self._stages = stages_of(options, streams)
+        self.devices = tuple((stage.name, stage.device) for stage in self._stages)
 
-    def take(self, items: Sequence[Item]) -> tuple[StageResult, ...]:
-        """Pass on what came; the results that came meanwhile."""
-        return () if self._experiment is None else self._experiment.send(items)
+    def experiment(self, ended: Callable[[Sequence[Item]], bool]) -> RigExperiment[dict[str, StageCounts]]:
+        """What runs until `ended` says so; returns what became of every stage's frames."""
+        if self._options is None:
+            from deformscope.session import passing_on
 
-    def end(self) -> dict[str, StageCounts]:
-        """What became of every stage's frames."""
-        try:
-            if self._experiment is not None:
-                self._experiment.send(None)
-        except StopIteration as end:
-            return dict(end.value)
-        return {}
+            yield from passing_on(ended)
+            return {}
+        from deformscope.experiments.live_stages import live_stages
+
+        return (yield from live_stages(self._stages, self._beside, ended, lossless=self._options.lossless))
 
 
 class _Ending:

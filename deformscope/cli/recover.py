@@ -18,7 +18,7 @@ from deformscope.recording.facts import Facts, read_facts
 from deformscope.recording.ledger import ledger_path, read_counts, write_ledger
 from deformscope.recording.lock import is_being_written
 from deformscope.recording.rerun_tool import run_rrd
-from deformscope.recording.rrd_file import merged_path
+from deformscope.recording.rrd_file import merged_path, write_outcome
 
 
 def run(config: RecoverConfig) -> None:
@@ -72,8 +72,6 @@ def _refuse_existing(out: Path) -> None:
 
 def _write_ending(ending: Path, facts: Facts, path: Path) -> None:
     """What the run could not write at its end."""
-    from deformscope.recording.recorder import write_outcome
-
     write_outcome(
         ending,
         facts.application,

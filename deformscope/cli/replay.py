@@ -13,21 +13,17 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from deformscope.cli.calibrate import calibrate_pair_bytes, run_images
-from deformscope.cli.common import console, quiet_warp, write_json
+from deformscope.cli.common import Different, console, quiet_warp
+from deformscope.cli.replay_rig import replay_rig
 from deformscope.config import ReplayConfig
 from deformscope.errors import InputError
 
 if TYPE_CHECKING:
     from deformscope.frames import ColorFrame
-    from deformscope.recording.reader import Replay
 
 CLOSE = 0.01
 """Largest difference that another machine's arithmetic may make: of the value and its interval as a share of the
 interval's width, of an error as a share of itself. On one machine there is none."""
-
-
-class Different(InputError):
-    """The recomputed numbers are not the recorded ones."""
 
 
 def run(config: ReplayConfig) -> None:
@@ -46,13 +42,13 @@ def run(config: ReplayConfig) -> None:
     recording = Replay(config.recording)
     settings = dict(recording.settings)
     if "explore" in settings:
-        _explored(recording, settings, config)
-        return
-    if "stages" in settings:
-        _stages(config)
+        from deformscope.cli.replay_exploration import replay_exploration
+
+        replay_exploration(recording, config)
         return
     if "rig" in settings:
-        raise InputError("a recording of a calibration or an exploration", "one of a rig alone", where=config.recording)
+        replay_rig(recording, settings, config)
+        return
     try:
         fit = msgspec.convert(settings.pop("fit"), FitOptions)
         particles = msgspec.convert(settings.pop("particles", {}), ParticleOptions)
@@ -82,60 +78,6 @@ def run(config: ReplayConfig) -> None:
             found_here = run_images(source, recording.mask, fit, particles, settings, config.output, motion=motion)
             estimates = [found_here.as_json()]
     _compare(recording.read_results(), estimates, config)
-
-
-def _explored(recording: Replay, settings: dict[str, Any], config: ReplayConfig) -> None:
-    """Estimate and map again from what the robot saw and felt; every result must be the same to the last bit. A stage
-    that failed when it was recorded is told, not computed again: whether it fails may hang on the machine."""
-    import msgspec
-    import numpy as np
-
-    from deformscope.experiments.explore import ExploreOptions, Explorer, explore_again
-    from deformscope.pictures.words import failed_words
-    from deformscope.recording.results import read_results
-    from deformscope.rows import components
-    from deformscope.stages.map.exploration import MapEstimate, StageFailure, SurfaceEstimate, TouchEstimate
-    from deformscope.stages.poke.contact import ArmCompliance
-
-    options = msgspec.convert(settings["explore"], ExploreOptions)
-    arm = msgspec.convert(settings["arm"], ArmCompliance)
-    width, depth = settings["size_m"]
-    failed = [one.result for one in read_results(config.recording, (StageFailure,), trust=True)]
-    explorer = Explorer((float(width), float(depth)), options, arm, failed=failed)  # type: ignore[arg-type]
-    kinds = (SurfaceEstimate, TouchEstimate, MapEstimate)
-    recorded = [found.result for found in read_results(config.recording, kinds, trust=True)]
-    again = [result for results in explore_again(recording.read_inputs("explored"), explorer) for result in results]
-    for fresh in [one for one in explorer.failures if one not in failed]:
-        raise Different("the recorded numbers", failed_words(fresh), where=config.recording)
-    if len(recorded) != len(again):
-        raise Different(f"{len(recorded)} results as recorded", str(len(again)), where=config.recording)
-    for before, now in zip(recorded, again, strict=True):
-        first, second = components(before), components(now)
-        known = set(first) & set(second) - {"truth_labels", "truth_labels_shape", "iou"}  # the truth is not computed
-        for name in sorted(known):
-            if not np.array_equal(first[name][1], second[name][1], equal_nan=first[name][0] == "float64"):
-                came = f"another {name} of {type(before).__name__}"
-                raise Different("the recorded numbers, to the last bit", came, where=config.recording)
-    for one in failed:
-        console().print(f"failed when it was recorded: {failed_words(one)}", markup=False)  # type: ignore[arg-type]
-    console().print(f"replay: {len(again)} results, identical to the recorded numbers")
-    told = {"results": len(again), "identical": True, "failures": failed}
-    write_json(told, config.output.json)
-
-
-def _stages(config: ReplayConfig) -> None:
-    """Compute again what stages found while devices were recorded."""
-    from deformscope.experiments.replay_stages import replay_stages
-    from deformscope.pictures.words import failed_words
-
-    found = replay_stages(config.recording, trust=True)
-    for one in found.failures:
-        console().print(f"failed when it was recorded: {failed_words(one)}", markup=False)
-    write_json({"results": found.results, "different": found.different, "failures": found.failures}, config.output.json)
-    if wrong := {name: share for name, share in found.different.items() if share > 0.0}:
-        came = ", ".join(f"{name} that differs by {share:.2g}" for name, share in wrong.items())
-        raise Different("the recorded results of every stage, to the last bit", came, where=config.recording)
-    console().print(f"replay: {found.results} results of stages, identical to the recorded ones")
 
 
 def _wait(frame: ColorFrame) -> None:

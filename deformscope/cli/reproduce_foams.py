@@ -104,7 +104,10 @@ def tell(results: Sequence[FoamResult], trends: Sequence[Trend], seconds: float,
             rows.append((name(fit), f"{one.value:.3f} ({low:.3f} to {high:.3f}), {one.verdict}{k}{warning}"))
         show_table(f"Foam {result.foam.name}", rows)
     rows = [
-        (name(one), f"softest - firmest {one.drop:+.2f}; rank correlation {_signed(one.rank_correlation)}; {one.told}")
+        (
+            name(one),
+            f"softest - firmest {one.drop:+.2f}; rank correlation {_signed(one.rank_correlation)}; {one.told}",
+        )
         for one in trends
     ]
     show_table("Beta against hardness", rows)

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from deformscope.config.flags import (
+    CameraFlag,
     FileFlag,
     GridFlag,
     HeldFlag,
@@ -39,6 +40,8 @@ class ImageOptions:
     """Scale of the image [px/cm]; with it lengths are told in metres too."""
     stride: int = 1
     """Take every n-th frame."""
+    camera: CameraFlag = None
+    """Of a recording that holds the images of several cameras: the one to take."""
     fps: PositiveFlag = None
     """Frames a second of images that do not say; default: what the video says."""
     flow: Literal["dis", "farneback"] = "dis"

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from deformscope.config.flags import (
+    CameraFlag,
     GridFlag,
     HeldFlag,
     HeldPart,
@@ -187,6 +188,29 @@ class RecoverConfig(JsonOptions):
     def writes(self) -> tuple[Written, ...]:
         out = () if self.out is None else (Written("--out", self.out, replace=False),)
         return (*out, *written_json(self.json))
+
+
+@dataclass(frozen=True, slots=True)
+class ExportConfig(JsonOptions):
+    """Write the images of a recording as files, byte for byte as they were recorded: JPEG or PNG, distances as 16 bit
+    PNG in the camera's unit. Their names are their places in the camera's stream."""
+
+    recording: Annotated[Path, Positional, arg(metavar="FILE.rrd")]
+    """The recording."""
+    images: Annotated[Path, arg(metavar="FOLDER")]
+    """Where they go; several cameras get a folder each in it."""
+    camera: CameraFlag = None
+    """Those of this camera alone."""
+    overwrite: bool = False
+    """Replace the images of an earlier export. Without it, a folder that holds something is refused."""
+    json: JsonFlag = None
+    """Write what was written as JSON; with -, stdout is the JSON alone."""
+
+    def reads(self) -> tuple[str, ...]:
+        return (str(self.recording),)
+
+    def writes(self) -> tuple[Written, ...]:
+        return written_json(self.json)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.experiments.explore import ExploreOptions, ExploringRobot, TouchMeasurement
+from deformscope.experiments.explore import Look
+from deformscope.experiments.explorer import Geometry
+from deformscope.experiments.options import ExploreOptions
+from deformscope.session import RigExperiment, ask
+from deformscope.stages.map.measured import TouchMeasurement
 from deformscope.stages.map.surface import fit_surface
 from deformscope.stages.poke.contact import ArmCompliance, calibrate_compliance, fit_approach
 
@@ -47,15 +51,23 @@ class ArmGive:
     off_sd_m: float
 
 
-def touch_rigid(robot: ExploringRobot, options: ExploreOptions, xy_m: FloatArray, touches: int) -> Iterator[GiveTouch]:
-    """Touch a place (2,) [m] of something rigid so often, after a look at it. Raises ExplorationStopped, and InputError
-    where there is nothing to see."""
-    looked = robot.look()
-    world = fit_surface(looked.points_m, noise_m=looked.noise_m, within_m=((0.0, 0.0), robot.size_m), outlier_sd=5.0)
+def touch_rigid(
+    geometry: Geometry,
+    options: ExploreOptions,
+    xy_m: FloatArray,
+    touches: int,
+    found_one: Callable[[GiveTouch], None],
+) -> RigExperiment[None]:
+    """The experiment that touches a place (2,) [m] of something rigid so often, after a look at it.
+
+    found_one: called with each. Raises ExplorationStopped, and InputError where there is nothing to see.
+    """
+    seen = geometry.look((yield from ask(Look())))
+    world = fit_surface(seen.points_m, noise_m=seen.noise_m, within_m=((0.0, 0.0), geometry.size_m), outlier_sd=5.0)
     height_m = float(world.at(xy_m[None]).mean[0])
     normal = world.normals(xy_m[None])[0]
     for _ in range(touches):
-        made = robot.touch(xy_m, height_m, normal, None)
+        made = geometry.touch((yield from ask(geometry.approach(xy_m, height_m, normal, None))))
         found = calibrate_compliance(
             made.time_s, made.position_m, made.force_n, normal, set_force_n=options.set_force_n
         )
@@ -70,7 +82,7 @@ def touch_rigid(robot: ExploringRobot, options: ExploreOptions, xy_m: FloatArray
                 "a dent that stiffens as it grows, as foam's",
                 "a block of steel or stone, firmly on the surface",
             )
-        yield GiveTouch(found, law.peak_force_n, height_m, met_m)
+        found_one(GiveTouch(found, law.peak_force_n, height_m, met_m))
 
 
 def _straight(made: TouchMeasurement, normal: FloatArray, found: ArmCompliance, contact_m: float) -> bool:

@@ -397,7 +397,7 @@ class TactileStage:
 
 
 @dataclass(frozen=True, slots=True)
-class Approach:
+class ApproachReadings:
     """What arm and force sensor gave of an approach.
 
     arm_ns: (m,) stamps; position_m: (m, 3) of the arm's end; rotation_rad: (m, 3) its Euler angles, in the arm's base
@@ -470,7 +470,7 @@ class ContactStage:
     def packed(self, frames: Sequence[Frame]) -> Any:
         arms = [frame for frame in frames if isinstance(frame, ArmFrame)]
         forces = [frame for frame in frames if isinstance(frame, WrenchFrame)]
-        return Approach(
+        return ApproachReadings(
             np.array([frame.stamp.host_ns for frame in arms], np.int64),
             np.array([frame.position_m for frame in arms]).reshape(-1, 3),
             np.array([frame.rotation_rad for frame in arms]).reshape(-1, 3),
@@ -484,7 +484,9 @@ class ContactStage:
         return fit_contact(packed, np.array(options.T_ee_tip, dtype=np.float64), options.set_force_n, arm)
 
 
-def fit_contact(approach: Approach, T_ee_tip: FloatArray, set_force_n: float, arm: ArmCompliance) -> TouchEstimate:
+def fit_contact(
+    approach: ApproachReadings, T_ee_tip: FloatArray, set_force_n: float, arm: ArmCompliance
+) -> TouchEstimate:
     """The law of an approach, along the way that the tip took while it pressed.
 
     Raises InputError where the arm did not press, and where the law cannot be fitted.

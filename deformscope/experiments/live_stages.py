@@ -1,9 +1,7 @@
 """Stages that run while devices do: items of a rig in, results out, computed beside the loop that takes the items.
 
-    with StageProcesses(options.names) as beside:
-        experiment = live_stages(stages_of(options, streams), beside)
-        next(experiment)
-        results = experiment.send(items)        # never waits for a stage
+    with StageProcesses(options.names, quiet_warp) as beside:
+        counts = session.run(rig, live_stages(stages_of(options, streams), beside, ended), recorder)
 
 The newest frame wins: while a stage computes, frames pass it by, and are counted. An image is computed on as it is
 recorded (decoded from JPEG), and a result names the frames that it rests on: `replay_stages` computes every result of a
@@ -12,7 +10,7 @@ recording again and compares it to the last bit. A stage that fails gives a `Sta
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -22,6 +20,7 @@ import numpy as np
 from deformscope.experiments.device_stages import Stage, compute
 from deformscope.frames import Frame, Item, StageResult, UsedFrames
 from deformscope.images import decode_image, encode_color
+from deformscope.session import RigExperiment, Step
 from deformscope.stages.map.exploration import StageFailure
 from deformscope_drivers.clock import monotonic_ns
 
@@ -62,19 +61,28 @@ class StageCounts:
 
 
 def live_stages(
-    stages: Sequence[Stage], beside: Mapping[str, Beside], *, lossless: bool = False
-) -> Generator[tuple[StageResult, ...], Sequence[Item] | None, dict[str, StageCounts]]:
-    """Items are sent in, the results that came since the last call come out. `None` ends it; it returns the counts.
+    stages: Sequence[Stage],
+    beside: Mapping[str, Beside],
+    ended: Callable[[Sequence[Item]], bool],
+    *,
+    lossless: bool = False,
+) -> RigExperiment[dict[str, StageCounts]]:
+    """The experiment that passes on what comes to stages, and gives the `StageResult`s that came; returns the counts.
 
-    beside: what computes each stage, by its name; lossless: colour images are recorded as they are
+    beside: what computes each stage, by its name: each has its own, so that none waits for another; ended: sees every
+    batch, and says when it is over; lossless: colour images are recorded as they are
     """
     running = [_Running(stage, beside[stage.name], lossless) for stage in stages]
-    items = yield ()
-    while items is not None:
-        results = [result for one in running if (result := one.result()) is not None]
+    given = yield Step()
+    over = False
+    while not over:
+        items = given if isinstance(given, Sequence) else ()
+        results = tuple(result for one in running if (result := one.result()) is not None)
         for one in running:
             one.go_on(items)
-        items = yield tuple(results)
+        over = ended(items)
+        if results or not over:
+            given = yield Step(results)
     return {one.stage.name: one.end() for one in running}
 
 

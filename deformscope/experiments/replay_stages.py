@@ -16,7 +16,7 @@ from deformscope.frames import Frame, StageResult
 from deformscope.recording.items import read_items, read_streams
 from deformscope.recording.reader import Replay
 from deformscope.recording.stage_results import read_stage_results
-from deformscope.rows import components
+from deformscope.rows import to_components
 from deformscope.stages.map.exploration import StageFailure
 
 Key = tuple[str, int]
@@ -96,17 +96,17 @@ def _difference(before: object, now: object) -> float:
     """The largest difference of two results' numbers, as a share of the larger one."""
     if type(before) is not type(now):
         return float("inf")
-    first, second = components(before), components(now)
+    first, second = to_components(before), to_components(now)
     if first.keys() != second.keys():
         return float("inf")
     worst = 0.0
-    for name, (kind, values) in first.items():
-        one, other = np.asarray(values), np.asarray(second[name][1])
+    for name, one in first.items():
+        other, number = second[name], one.dtype.kind == "f"
         if one.shape != other.shape:
             return float("inf")
-        if np.array_equal(one, other, equal_nan=kind == "float64"):
+        if np.array_equal(one, other, equal_nan=number):
             continue
-        if kind != "float64" or not np.array_equal(np.isfinite(one), np.isfinite(other)):
+        if not number or not np.array_equal(np.isfinite(one), np.isfinite(other)):
             return float("inf")
         known = np.isfinite(one)
         scale = max(float(np.abs(one[known]).max()), float(np.abs(other[known]).max()))

@@ -22,7 +22,7 @@ from deformscope.session import Experiment, Step
 from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation, Progress, calibrate
 from deformscope.stages.fit.dynamics import MovingSearch, Pace
 from deformscope.stages.fit.estimate import Choice, Comparison
-from deformscope.stages.fit.held_out import TOLD_LEAST, HeldOut, blocks_of, difference, hold_out, tells
+from deformscope.stages.fit.held_out import TOLD_LEAST, HeldOut, blocks_of, difference, hold_out, separates
 from deformscope.stages.fit.search import Search
 from deformscope.stages.msm.clusters import held_mask, spacing
 from deformscope.stages.see.particles import ParticleGrid, Tracked
@@ -197,7 +197,7 @@ def select(
         still = tried[best][1]
         text.append(_said_of_pace(stepped, fastest, still, options.select))
         table += _rows(stepped, fastest)
-        if tells(still, stepped[fastest][1]):
+        if separates(still, stepped[fastest][1]):
             table = [dataclasses.replace(one, chosen=one.chosen and one.alpha is not None) for one in table]
             return Selection(moving[fastest], tuple(table), "; ".join(text))
         table = [dataclasses.replace(one, chosen=one.chosen and one.alpha is None) for one in table]
@@ -327,7 +327,7 @@ def _said_of_static(tried: Sequence[Trial], best: int, choices: Sequence[str]) -
             return f"{one.model.cluster_size} a side" if choice == "cluster-size" else ",".join(one.parts)
 
         others = [one for one in tried if value(one[0]) != value(way) and one[1].usable]
-        same = list(dict.fromkeys(value(one[0]) for one in others if not tells(one[1], out)))
+        same = list(dict.fromkeys(value(one[0]) for one in others if not separates(one[1], out)))
         name = "clusters" if choice == "cluster-size" else "held"
         also = f" ({' and '.join(same)} cannot be told from it)" if same else ""
         said.append(f"{name}: {value(way)}{also}")
@@ -338,11 +338,11 @@ def _said_of_pace(tried: Sequence[Trial], best: int, still: HeldOut, choices: Se
     """Whether the data tell alpha and dt at all, and which values fit as well as the best."""
     out = tried[best][1]
     names = " and ".join(choice for choice in ("alpha", "dt") if choice in choices)
-    if not tells(still, out):
-        late = sum(not one.usable or tells(one, still) for _, one in tried)
+    if not separates(still, out):
+        late = sum(not one.usable or separates(one, still) for _, one in tried)
         but = f" ({late} of {len(tried)} settings tried would lag behind)" if late else ""
         return f"the motion was slow enough to be static; {names} cannot be told{but}"
-    good = [way.pace for way, one in tried if one.usable and way.pace is not None and not tells(one, out)]
+    good = [way.pace for way, one in tried if one.usable and way.pace is not None and not separates(one, out)]
     said = []
     if "alpha" in choices:
         said.append("alpha " + _span([pace.alpha for pace in good]))

@@ -96,7 +96,12 @@ class Source:
 
 
 def open_source(
-    paths: Sequence[str | Path], *, stride: int = 1, fps: float | None = None, mask: Path | None = None
+    paths: Sequence[str | Path],
+    *,
+    stride: int = 1,
+    fps: float | None = None,
+    mask: Path | None = None,
+    camera: str | None = None,
 ) -> Source:
     """A source of frames from what the user named.
 
@@ -104,6 +109,7 @@ def open_source(
     stride: keep every n-th frame; a frame's index counts the kept ones
     fps: frames a second of the source before `stride`; default: the video's own, else 30; a recording has its stamps
     mask: an image that is no frame, should it lie among them
+    camera: whose images, where a recording holds those of several
     """
     if stride < 1:
         raise InputError("a stride of 1 or more", str(stride))
@@ -111,6 +117,8 @@ def open_source(
         raise InputError("a positive frame rate", str(fps))
     if not paths:
         raise InputError("a source of frames", "none", "a video, a folder of frames, or image files")
+    if camera is not None and (len(paths) > 1 or Path(paths[0]).suffix.lower() != RECORDING_SUFFIX):
+        raise InputError("a recording (.rrd) with --camera", str(paths[0]), "leave out --camera")
     if len(paths) > 1:
         return _images([_image_path(path) for path in paths], f"{len(paths)} images", stride, fps, mask)
 
@@ -120,7 +128,7 @@ def open_source(
     if path.is_dir():
         return _images(images_in(path), str(path), stride, fps, mask)
     if path.suffix.lower() == RECORDING_SUFFIX:
-        return _recording(path, stride)
+        return _recording(path, stride, camera)
     if path.suffix.lower() in IMAGE_SUFFIXES:
         raise InputError("at least two frames", "one image", "name all images in order, or their folder", path)
     return _video(path, stride, fps)
@@ -249,13 +257,15 @@ def _capture(path: Path) -> Iterator[cv2.VideoCapture]:
         capture.release()
 
 
-def _recording(path: Path, stride: int) -> Source:
+def _recording(path: Path, stride: int, camera: str | None) -> Source:
     from deformscope.recording.reader import Replay
 
     replay = Replay(path)
+    name = replay.camera(camera)
 
     def read() -> Iterator[ColorFrame]:
-        for index, frame in enumerate(itertools.islice(replay.frames(), 0, None, stride)):
+        frames = replay.frames(camera=name)
+        for index, frame in enumerate(itertools.islice(frames, 0, None, stride)):
             yield ColorFrame(frame.stamp, index, frame.image)
 
-    return Source(str(path), read, math.ceil(replay.frame_count / stride))
+    return Source(str(path), read, math.ceil(replay.color_counts[name] / stride))

@@ -1,4 +1,4 @@
-"""An arm that presses on a world: the force at which what gives way, the arm and the world, are in balance."""
+"""An arm that presses on a world: the force at which arm and world, which both yield, are in balance."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from deformscope_drivers.clock import Clock
 from deformscope_drivers.jaco.kinematics import FloatArray
 
 ARM_CYCLE_NS = 10_000_000
-ARM_STIFFNESS_N_M = 5000.0
+ARM_STIFFNESS_N_M, ARM_DOUBT = 5000.0, 0.1
+"""Of a simulated arm under a push, which its joints do not see; the share of it that a calibration leaves unknown."""
 SOLVED_N = 2e-3
 SOLVED_AT_MOST = 60
 FIRST_M = 2e-5
@@ -39,7 +40,7 @@ class PushedArm(Protocol):
 class ArmContact:
     """The tip of a simulated arm in a world that can be touched.
 
-    world: what is touched; force_n: (3,) what it does to the tip now, surface frame [N]; max_force_n: its greatest
+    world: what is touched; force_n: (3,) on the tip now, surface frame [N]; max_force_n: its greatest
     magnitude so far
     """
 

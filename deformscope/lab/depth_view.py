@@ -1,12 +1,12 @@
-"""What a depth camera sees of a slab on its table, with a robot in the way: rays cast into triangles and capsules.
+"""What a depth camera sees of a slab on its table, with a robot in front of it: rays cast into triangles and capsules.
 
     view = DepthView(scene, DepthViewConfig(width=320, height=240))
     exact = view.render(world.displaced_m(contact, view.places_m), [Capsule(tip_m, wrist_m, 0.008)])
-    depth = view.observe(exact, random)                      # (H, W) uint16 [mm], 0 where the camera could not tell
+    depth = view.observe(exact, random)                      # (H, W) uint16 [mm], 0 where the camera measured nothing
     exact.depth_m, exact.color, exact.seen                   # without noise; what each pixel fell on
 
 The camera is a PrimeSense by its figures: 640x480 pixels, 570 px of focal length. It looks at the slab's middle from
-0.8 m, at 45 degrees, across the long edge at y = 0.4 m unless told otherwise: an arm had better stand opposite.
+0.8 m, at 45 degrees, across the long edge at y = 0.4 m unless set otherwise: an arm had better stand opposite.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ class DepthViewConfig:
     azimuth_deg: where it stands around the slab's middle, from the x axis towards y
     noise_m, noise_per_m: deviation of depth z is noise_m + noise_per_m z^2 [m]; the default is a first Kinect's,
     which has the same sensor (1.4 mm at 1 m: Khoshelham and Oude Elberink 2012)
-    missing: share of pixels that tell nothing; grazing_deg: surfaces seen flatter than that tell nothing
-    unit_m: step of depth; far_m: farthest depth that is told
+    missing: share of pixels without depth; grazing_deg: surfaces seen flatter than that have none
+    unit_m: step of depth; far_m: farthest depth that is measured
     """
 
     width: int = 640
@@ -129,15 +129,15 @@ class DepthView:
         return Rendered(depth, np.rint(color).astype(np.uint8), seen, facing)
 
     def observe(self, exact: Rendered, random: np.random.Generator) -> npt.NDArray[np.uint16]:
-        """(H, W) the depth that the camera tells, in units of `unit_m`, 0 where it could not: noise along the view,
+        """(H, W) the depth that the camera reports, in units of `unit_m`, 0 where it could not: noise along the view,
         steps, and points missing at random and where a surface is seen too flat."""
         config = self.config
         depth = np.nan_to_num(exact.depth_m, nan=0.0)
-        told = (depth > 0.0) & (np.abs(exact.facing) >= np.sin(np.deg2rad(config.grazing_deg)))
-        told &= random.random(depth.shape) >= config.missing
+        measured = (depth > 0.0) & (np.abs(exact.facing) >= np.sin(np.deg2rad(config.grazing_deg)))
+        measured &= random.random(depth.shape) >= config.missing
         depth = depth + random.standard_normal(depth.shape) * (config.noise_m + config.noise_per_m * depth**2)
-        told &= depth <= config.far_m
-        return np.where(told, np.clip(np.rint(depth / config.unit_m), 1, 65535), 0).astype(np.uint16)
+        measured &= depth <= config.far_m
+        return np.where(measured, np.clip(np.rint(depth / config.unit_m), 1, 65535), 0).astype(np.uint16)
 
     def points_m(self, depth_m: FloatArray) -> FloatArray:
         """(H, W, 3) places in the surface frame of depths (H, W) along the view [m]."""

@@ -59,7 +59,7 @@ CAMERA_WITHIN_S = 0.3
 
 
 def inject(lab: TouchLab, injected: Injected, random: np.random.Generator) -> None:
-    """Let it go wrong now. random: draws how badly, where there is more than one way."""
+    """Let it go wrong now. random: draws how badly, where there is more than one."""
     assert lab.camera is not None
     match injected:
         case Injected.FORCE_SILENT:

@@ -122,7 +122,7 @@ class _Half:
                 if step < SHORTEST_STEP * (end - start):
                     raise InputError(
                         "a push that the finite elements can follow",
-                        f"no equilibrium found beyond {1e3 * reached:.2f} mm, on the way to {1e3 * end:.2f} mm",
+                        f"no equilibrium found beyond {1e3 * reached:.2f} mm, before {1e3 * end:.2f} mm",
                         "a smaller depth, a wider clamp or a law without so flat a plateau",
                     )
                 continue
@@ -151,7 +151,7 @@ class _Half:
 
     def _line_search(self, state: FloatArray, step: FloatArray, slope: float) -> FloatArray | None:
         """The longest of 1, 1/2, 1/4... of a step that lowers the energy as its slope lets expect (Armijo 1966)."""
-        if slope >= 0.0:  # no way down: the tangent is not positive definite here
+        if slope >= 0.0:  # no descent: the tangent is not positive definite here
             return None
         energy = self._energy(state)
         share = 1.0
@@ -186,7 +186,7 @@ class _Half:
         return _INNER_FORCE.assemble(self.basis, stress=stress), _STIFFNESS.assemble(self.basis, tangent=tangent)
 
     def result(self, state: FloatArray, depth: float) -> PressedBlock:
-        """What is told of a state."""
+        """What is reported of a state."""
         force, _ = self._assemble(state)
         vertical = self.axis == 1
         moved = state.reshape(-1, 2)

@@ -1,7 +1,6 @@
 """A scene in closed form: quick enough for the host's clock, where finite elements would be waited for.
 
-For trying robots and rigs, not for studies: it is the law that `stages.contact` fits, so that an estimate agrees better
-than it would with foam.
+For trying robots and rigs, not for studies: linear elasticity on an axis, without finite elements' shapes of a contact.
 """
 
 from __future__ import annotations
@@ -10,17 +9,23 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope.lab.scenes import Scene
-from deformscope.stages.poke.contact import layer_modulus
 from deformscope_drivers.jaco.kinematics import FloatArray
 
 BLUR_M = 0.012
 """A touch feels the foam around it about this far."""
 SPOTS = 16
 RIGID_N_PER_M = 2e6
+NEWTON_STEPS, LEAST_SLOPE = 6, 0.1
+"""From above and below the steps come to the last bit of a force in four; the slope is held above 0 where a layer is so
+thin that the law ends."""
 
 
 class LayerWorld:
-    """A ball on a scene's layers (Dimitriadis et al. 2002), each place with the mean log modulus around it.
+    """A ball on a scene's layers, each place with the mean log modulus around it.
+
+    A half-space below Hertz's ball (Johnson 1985, eq. 4.22) sinks by how deep it is; what it would sink at the depth
+    of the table, which does not sink, is taken off (Steinbrenner 1934; on the axis of a point load, Johnson 1985, eq.
+    3.18).
 
     pressed: (3,) where the ball is and how deep: x, y, depth [m]
     """
@@ -48,12 +53,21 @@ class LayerWorld:
             self.pressed = np.array([*center[:2], 0.0])
             return np.array([0.0, 0.0, table_n])
         modulus = float(np.exp(np.log(scene.modulus_pa(center[:2] + self._around_m)).mean()))
-        thickness = float(foot[2])
-        newtons = modulus / layer_modulus(
-            depth, 1.0, radius_m=self._radius_m, thickness_m=thickness, poisson=scene.poisson
-        )
+        newtons = modulus * self._newtons_per_pa(depth, float(foot[2]))
         self.pressed = np.array([*center[:2], depth])
         return np.asarray(newtons * normal + np.array([0.0, 0.0, table_n]))
+
+    def _newtons_per_pa(self, depth_m: float, thickness_m: float) -> float:
+        """Force over Young's modulus [N/Pa] at a depth: with a = how deep Hertz's ball would be,
+        depth = a - held a^(3/2)."""
+        poisson = self.scene.poisson
+        hertz = 4.0 / 3.0 / (1.0 - poisson**2) * np.sqrt(self._radius_m)
+        held = hertz * (1.0 + poisson) * (3.0 - 2.0 * poisson) / (2.0 * np.pi * thickness_m)
+        alone_m = depth_m
+        for _ in range(NEWTON_STEPS):
+            off_m = alone_m - held * alone_m**1.5 - depth_m
+            alone_m -= off_m / max(1.0 - 1.5 * held * np.sqrt(alone_m), LEAST_SLOPE)
+        return float(hertz * alone_m**1.5)
 
     def displaced_m(self, places_m: npt.NDArray[np.floating]) -> FloatArray:
         """(n, 3) how the surface at places (n, 2) has moved [m], as a half-space below Hertz's pressure would (Johnson

@@ -27,6 +27,8 @@ from deformscope.lab.layer_world import LayerWorld
 from deformscope.lab.scenes import Scene, built_in
 from deformscope.rig.rig_file import RigDevice
 from deformscope.robot.placement import Placement, best_joints
+from deformscope.robot.robot import sleep_until
+from deformscope.robot.setup import Truth
 from deformscope.robot.shape import arm_shape
 from deformscope_drivers.clock import monotonic_ns
 from deformscope_drivers.depth_camera import SyntheticDepthCamera, View
@@ -48,7 +50,7 @@ CAMERA = DepthViewConfig(width=320, height=240, azimuth_deg=-90.0)
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class _Table:
-    """What the processes are told of the table."""
+    """What the processes get of the table."""
 
     scene: str
     seed: int
@@ -83,7 +85,12 @@ class _Shared:
 
 
 class LiveLab:
-    """The table, the arm over it, and what is seen and felt there. view: the camera; arm: the simulated one"""
+    """The table, the arm over it, and what is seen and felt there (`robot.setup.SimulatedTable`).
+
+    view: the camera; arm: the simulated one
+    """
+
+    runs_itself, opener, clock, wait_until = True, None, staticmethod(monotonic_ns), staticmethod(sleep_until)
 
     def __init__(
         self,
@@ -94,6 +101,7 @@ class LiveLab:
         model: str | None = None,
     ) -> None:
         """T_surface_camera: (4, 4), default where the scene is seen well; model: of the arm, as the vendor calls it"""
+        self.size_m, self.truth = scene.size_m, Truth(scene.regions)
         self._table = _Table(scene.name, scene.seed, placement, model or "j2n6s300", T_surface_camera)
         chain = CHAINS[self._table.model]
         parked = np.array([scene.size_m[0] / 2, scene.size_m[1] / 2, PARKED_M])
@@ -106,6 +114,11 @@ class LiveLab:
         self.view = DepthView(scene, CAMERA, T_surface_camera)
         self._context = multiprocessing.get_context("spawn")
         self._shared = _Shared(self._context)
+
+    @property
+    def T_surface_camera(self) -> FloatArray:
+        """(4, 4) where the camera stands [m]."""
+        return np.asarray(self.view.surface_from_camera, np.float64)
 
     @property
     def max_force_n(self) -> float:

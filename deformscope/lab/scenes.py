@@ -5,7 +5,8 @@
     scene.truth()                                                        # the labels of the map's cells
 
 Everything is in the *surface frame*: x and y along the table's edges, z up, the table's top at z = 0, the slab's corner
-at the origin; where the arm stands, `touch_lab.T_BASE_SURFACE` says. Pieces reach from top to bottom, and meet sharply.
+at the origin; where the arm stands, `robot.setup.T_BASE_SURFACE` says. Pieces reach from top to bottom, and
+meet sharply.
 
 **Hardness** is the force that presses a plate of 324 cm2 into the foam by 40 % (ISO 2439). A fingertip of 3 N strains
 foam less than that, below its plateau, so that it meets the *initial* modulus: the plate's stress at 40 % is taken for
@@ -215,6 +216,11 @@ class Scene:
         x, y = (CELL_M * (np.arange(round(side / CELL_M)) + 0.5) for side in self.size_m)
         return np.stack(np.meshgrid(x, y), axis=-1)
 
+    @property
+    def regions(self) -> IntArray | None:
+        """(rows, columns) as `truth`; None where the modulus changes smoothly."""
+        return self.truth() if self.pieces else None
+
     def truth(self) -> IntArray:
         """(rows, columns) the label of each cell's centre."""
         return self.label(self.cells_m())
@@ -227,21 +233,21 @@ BUILT_IN = {
     "two-110-150": "two foams, 110 and 150 N, that meet along a tilted line",
     "two-150-rigid": "a foam of 150 N beside something rigid",
     "three-60-110-rigid": "foams of 60 and 110 N and something rigid, as stripes or as a T",
-    "disc": "a disc of 16 to 20 cm in another foam, 30 and 200 N either way round",
+    "disc": "a disc of 16 to 20 cm in another foam, 30 and 200 N, either being the softer",
     "gradient": "foam whose modulus rises evenly from corner to corner, without regions",
     "bumpy": "two foams, 60 and 150 N, under a surface that is not flat",
     "soft-spot": "a spot of 10 to 12 cm and 60 N in a foam of 150 N",
     "wavy": "two foams, 60 and 150 N, that meet along a wave",
-    "corner": "a rectangle in a corner of another foam, 60 and 150 N either way round",
-    "strip": "a strip of 12 to 18 cm across another foam, 60 and 150 N either way round",
-    "patches": "two discs of 14 to 18 cm in another foam, 60 and 150 N either way round",
+    "corner": "a rectangle in a corner of another foam, 60 and 150 N, either being the softer",
+    "strip": "a strip of 12 to 18 cm across another foam, 60 and 150 N, either being the softer",
+    "patches": "two discs of 14 to 18 cm in another foam, 60 and 150 N, either being the softer",
 }
 """Scenes by name, and what they are: thesis table 4.1's six, and what it did not try."""
 
 PIECES = {"disc": ("30", "200"), "soft-spot": ("150", "60")} | dict.fromkeys(
     ("bumpy", "wavy", "corner", "strip", "patches"), ("60", "150")
 )
-"""Hardness [N] of the pieces where the name does not tell; 30 and 200 N are 19 and 123 kPa."""
+"""Hardness [N] of the pieces where the name does not say; 30 and 200 N are 19 and 123 kPa."""
 
 COUNT = {"homogeneous": 1, "two": 2, "three": 3} | dict.fromkeys(PIECES, 2)
 

@@ -35,7 +35,7 @@ KNOT_PX = 5
 
 INVERSE_TOLERANCE_PX = 1e-4
 EDGE_FINENESS = 8
-"""Parts of a pixel, each way, by which the outline's share of it is counted."""
+"""Parts of a pixel along each axis, by which the outline's share of it is counted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +165,7 @@ class _Scene:
         place = rest.reshape(view.height, view.width, 2)
         by_y, by_x = np.gradient(place, axis=0), np.gradient(place, axis=1)
         shade = np.zeros((view.height, view.width))
-        half = 0.5 / np.sqrt(3.0)  # the mean over a pixel by Gauss's rule of two points each way
+        half = 0.5 / np.sqrt(3.0)  # the mean over a pixel by Gauss's rule of two points along each axis
         for dy in (-half, half):
             for dx in (-half, half):
                 at = 2.0 * (place + dx * by_x + dy * by_y + self.margin)

@@ -21,7 +21,7 @@ _numbers = itertools.count(1)
 def stand_in(driver: str, config: Any) -> Iterator[Device[Any]]:
     """A device of this driver, closed, that a running double is behind; it runs until the end of the context.
 
-    config: as for the real device; wherever it says that the device is, the double is reached in a like way, and no
+    config: as for the real device; wherever it says that the device is, the double is reached alike, and no
     hardware or CAN of the kernel's is needed
     """
     if driver in WIRED:
@@ -53,10 +53,10 @@ def wire_of(driver: str, config: Any, bus: str) -> Iterator[Wire]:
 
 def reaching(config: Any, wire: Wire) -> Any:
     """The configuration, for the double at the other end of a wire."""
-    ways = {"port": wire.port}
+    links = {"port": wire.port}
     if hasattr(config, "bus"):
-        ways = {"port": "", "bus": wire.port} if wire.is_bus else {"port": wire.port, "bus": ""}
-    return dataclasses.replace(_of_any_serial(config), **ways)
+        links = {"port": "", "bus": wire.port} if wire.is_bus else {"port": wire.port, "bus": ""}
+    return dataclasses.replace(_of_any_serial(config), **links)
 
 
 def _of_any_serial(config: Any) -> Any:

@@ -19,21 +19,19 @@ import numpy.typing as npt
 from deformscope.lab.arm_contact import ARM_CYCLE_NS, ARM_STIFFNESS_N_M, ArmContact, World
 from deformscope.rig.rig_file import Tool
 from deformscope.robot.placement import Placement
+from deformscope.robot.setup import T_BASE_SURFACE
 from deformscope_drivers.depth_camera import SyntheticDepthCamera
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig, View
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.jaco import Jaco, JacoConfig, JacoDouble
-from deformscope_drivers.jaco.kinematics import CHAINS, FloatArray, damped_joint_rates, jacobian_of, transform
+from deformscope_drivers.jaco.kinematics import CHAINS, FloatArray, damped_joint_rates, jacobian_of
 from deformscope_drivers.jaco.structures import AngularInfo, PositionType, actuator_values
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.optoforce import Optoforce, OptoforceConfig
 from deformscope_drivers.optoforce.double import OMD_20_SE_40N, OptoforceDouble, Sensors
 from deformscope_drivers.optoforce.protocol import Decoder, Reading, encode
 
-T_BASE_SURFACE: FloatArray = transform(np.eye(3), (-0.30, -0.55, 0.0))
-"""(4, 4) surface frame to the arm's base frame [m], in every scene: the arm stands 0.15 m beyond the middle of the long
-edge at y = 0.4 m, and the far corners are 0.63 m from its axis."""
 READY_NEAR_DEG = (270.0, 200.0, 100.0, 200.0, 90.0, 90.0)
 """Joint angles near which the arm stands above that table in the configuration that reaches all of it."""
 READY_M = (0.3, 0.2, 0.2)

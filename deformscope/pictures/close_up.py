@@ -25,7 +25,7 @@ THIN = 0.3
 
 @dataclass(frozen=True, slots=True)
 class CloseUp:
-    """The part of a body that tells.
+    """The part of a body that is worth showing.
 
     low, high: (3,) its corners [unit]; heights: how many times z is drawn out; surface: a layer seen from above
     """

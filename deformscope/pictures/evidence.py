@@ -5,7 +5,6 @@ The same drawings go into recordings, the `--picture` of a command and its repor
 
 from __future__ import annotations
 
-import io
 import math
 import textwrap
 from collections.abc import Sequence
@@ -17,6 +16,7 @@ import numpy as np
 
 from deformscope.arrays import FloatArray, ImageArray
 from deformscope.pictures.close_up import CloseUp, close_up
+from deformscope.pictures.figures import canvas, png_of
 from deformscope.pictures.palette import HELD, OBSERVED, REST, SIMULATED, hexadecimal, readable, round_up
 from deformscope.stages.fit.distance import distances
 from deformscope.stages.fit.estimate import Comparison, Estimate
@@ -97,9 +97,9 @@ def where_wrong(comparison: Comparison) -> str:
 
 def evidence_png(estimate: Estimate) -> bytes:
     """The error over the parameter, and below it, on the same axis, the posterior."""
-    figure = _figure(8.0, 5.6)
+    figure = canvas(8.0, 5.6, layout="constrained")
     _draw_evidence(figure, figure.add_gridspec(5, 1), estimate, size=13)
-    return _png(figure, 130)
+    return png_of(figure, 130)
 
 
 def particles_png(result: Result, index: int) -> bytes:
@@ -116,7 +116,7 @@ def results_png(results: Sequence[Result]) -> bytes:
     """Everything in one picture: a row for each comparison, the evidence beside, the verdict in words above."""
     rows = _rows(results)
     height = sum(_height(results[place].comparisons[index]) for place, index in rows)
-    figure = _figure(17.0, max(height, 4.4) + 1.0)
+    figure = canvas(17.0, max(height, 4.4) + 1.0, layout="constrained")
     grid = figure.add_gridspec(len(rows), 3, width_ratios=[1.0, 1.1, 1.15])
     done: list[int] = []
     for row, (place, index) in enumerate(rows):
@@ -130,14 +130,14 @@ def results_png(results: Sequence[Result]) -> bytes:
             _draw_evidence(figure, inner, result.estimate, titled=len(results) > 1, size=10, width=44)
     first = results[0].estimate
     if len(results) == 1:
-        words = f"{headline(first)}\n{_wrapped(first.verdict_text(), 130)}\nstiffness: {first.stiffness_text()}"
+        words = f"{headline(first)}\n{textwrap.fill(first.verdict_text(), 130)}\nstiffness: {first.stiffness_text()}"
         figure.suptitle(words, color=verdict_color(first), fontsize=14, fontweight="bold")
     else:
         figure.suptitle(f"{first.parameter} of {len(results)} pairs", fontsize=15, fontweight="bold")
     shown, every = len(rows), sum(len(one.comparisons) for one in results)
     if shown < every:
         figure.supxlabel(f"{shown} of {every} comparisons: those with the largest errors", fontsize=11)
-    return _png(figure, DPI)
+    return png_of(figure, DPI)
 
 
 def _height(comparison: Comparison) -> float:
@@ -158,24 +158,9 @@ def _rows(results: Sequence[Result]) -> list[tuple[int, int]]:
 
 
 def _one(result: Result, index: int, draw: Any) -> bytes:
-    figure = _figure(6.2, 4.6)
+    figure = canvas(6.2, 4.6, layout="constrained")
     draw(figure, figure.add_gridspec(1, 1)[0, 0], result, index)
-    return _png(figure, DPI)
-
-
-def _figure(width: float, height: float) -> Figure:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def _png(figure: Figure, dpi: int) -> bytes:
-    encoded = io.BytesIO()
-    figure.savefig(encoded, format="png", dpi=dpi, metadata={"Software": None})
-    return encoded.getvalue()
+    return png_of(figure, DPI)
 
 
 # Error curve and posterior -------------------------------------------------------------------------------------------
@@ -195,7 +180,7 @@ def _draw_evidence(
         _draw_posterior(below, estimate, size)
     _draw_curve(above, estimate, size)
     if titled:
-        words = f"{_wrapped(headline(estimate), width)}\n{_wrapped(estimate.verdict_text(), width)}"
+        words = f"{textwrap.fill(headline(estimate), width)}\n{textwrap.fill(estimate.verdict_text(), width)}"
         above.set_title(words, fontsize=size + 1, color=verdict_color(estimate), fontweight="bold")
 
 
@@ -279,10 +264,6 @@ def _error_at(estimate: Estimate) -> float:
     if not known.any():
         return estimate.aee
     return float(np.interp(estimate.value, estimate.curve.parameter[known], estimate.curve.aee[known]))
-
-
-def _wrapped(words: str, width: int) -> str:
-    return textwrap.fill(words, width)
 
 
 # Particles -----------------------------------------------------------------------------------------------------------
@@ -498,7 +479,7 @@ def _deep_frame(axes: Any, comparison: Comparison) -> float:
 
 
 def _length_unit(comparison: Comparison) -> tuple[float, str]:
-    """The factor and the unit that positions are told in."""
+    """The factor and the unit that positions are shown in."""
     if comparison.unit == "px":
         return 1.0, "px"
     size = float(np.ptp(comparison.rest, axis=0).max())

@@ -1,4 +1,4 @@
-"""Pictures of an exploration, as PNG: the maps, why the next touch goes where it goes, and what a touch told.
+"""Pictures of an exploration, as PNG: the maps, why the next touch goes where it goes, and what a touch measured.
 
 The same drawings go into recordings and into the picture of a result. Lengths on the axes are in cm, in the surface
 frame; touches are numbered from 1, in their order.
@@ -7,17 +7,17 @@ frame; touches are numbered from 1, in their order.
 from __future__ import annotations
 
 import functools
-import io
 import math
 import textwrap
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.images import encode_png
+from deformscope.pictures.figures import canvas, png_of
 from deformscope.pictures.palette import OBSERVED, SIMULATED, hexadecimal
 from deformscope.pictures.words import (
     counted,
@@ -31,11 +31,8 @@ from deformscope.pictures.words import (
 )
 from deformscope.stages.map.exploration import MapEstimate, PlannedTouch, SurfaceEstimate, TouchEstimate
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 REGIONS = ("#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#f0e442", "#0072b2", "#d55e00", "#999999")
-"""From the softest; told apart by colour-blind readers too (Okabe and Ito 2008)."""
+"""From the softest; distinct to colour-blind readers too (Okabe and Ito 2008)."""
 STIFFNESS, BETA, DEVIATION, GAIN, HEIGHT = "viridis", "plasma", "magma", "cividis", "viridis"
 """Colours of each quantity, everywhere the same."""
 TARGET = "#e8112d"
@@ -65,38 +62,13 @@ LEAST_SURE = 0.25
 """Probability of a label at which its colour is as pale as it gets."""
 
 
-def stiffness_png(maps: MapEstimate) -> bytes:
-    """The stiffness field [N/mm], on a logarithmic scale."""
-    return _one(lambda axes: draw_stiffness(axes, maps))
-
-
-def stiffness_deviation_png(maps: MapEstimate) -> bytes:
-    """One standard deviation of the stiffness field [%]."""
-    return _one(lambda axes: draw_stiffness_deviation(axes, maps))
-
-
-def beta_png(maps: MapEstimate) -> bytes:
-    """The beta-field [-]."""
-    return _one(lambda axes: draw_beta(axes, maps))
-
-
-def beta_deviation_png(maps: MapEstimate) -> bytes:
-    """One standard deviation of the beta-field [-]."""
-    return _one(lambda axes: draw_beta_deviation(axes, maps))
-
-
-def regions_png(maps: MapEstimate) -> bytes:
-    """The regions that were found; the paler, the less sure."""
-    return _one(lambda axes: draw_regions(axes, maps))
-
-
-def truth_png(maps: MapEstimate) -> bytes:
-    """The regions that are there, where that is known, and over them the outline of those that were found."""
-    return _one(lambda axes: draw_truth(axes, maps))
+def map_png(quantity: str, maps: MapEstimate) -> bytes:
+    """One of `MAP_DRAWINGS`."""
+    return _one(lambda axes: MAP_DRAWINGS[quantity](axes, maps))
 
 
 def gain_png(plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None = None) -> bytes:
-    """What a touch of each cell is expected to tell, the cells that may not be touched, the next touch and why.
+    """The expected information of a touch of each cell, the cells that may not be touched, the next touch and why.
 
     contacts_m: (n, 2) touches so far
     """
@@ -125,7 +97,7 @@ def words_png(words: str) -> bytes:
 
 def result_png(maps: MapEstimate, title: str = "") -> bytes:
     """The whole result in one picture: both fields with their deviations, the regions, and the truth where known."""
-    figure = _figure(3 * WIDE, 2 * HIGH + 0.5)
+    figure = canvas(3 * WIDE, 2 * HIGH + 0.5)
     drawings: tuple[tuple[Callable[[Any, MapEstimate], None], ...], ...] = (
         (functools.partial(draw_stiffness, path=True), draw_beta, draw_regions),
         (draw_stiffness_deviation, draw_beta_deviation, draw_truth),
@@ -136,9 +108,9 @@ def result_png(maps: MapEstimate, title: str = "") -> bytes:
             left, bottom, width, height = PLACE
             axes = figure.add_axes(((column + left) / 3, share * (1 - row + bottom), width / 3, share * height))
             draw(axes, maps)
-    figure.text(0.02, 0.975, title or "What the touches told", fontsize=14, weight="bold", va="top")
+    figure.text(0.02, 0.975, title or "What the touches measured", fontsize=14, weight="bold", va="top")
     figure.text(0.98, 0.972, _headline(maps), fontsize=11, ha="right", va="top")
-    return _png(figure, DPI)
+    return png_of(figure, DPI)
 
 
 # One drawing a quantity ----------------------------------------------------------------------------------------------
@@ -205,8 +177,8 @@ def draw_truth(axes: Any, maps: MapEstimate) -> None:
     _draw_labels(axes, drawn, np.ones(truth.shape), maps.cell_m)
     _draw_outline(axes, maps.labels, maps.cell_m, "black")
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
-    told = f"{iou_words(maps)}; " if maps.iou is not None else ""
-    _title(axes, f"Truth: {counted(len(np.unique(truth)), 'region')}", f"{told}line: as found")
+    score = f"{iou_words(maps)}; " if maps.iou is not None else ""
+    _title(axes, f"Truth: {counted(len(np.unique(truth)), 'region')}", f"{score}line: as found")
 
 
 def draw_gain(axes: Any, plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None = None) -> None:
@@ -248,7 +220,7 @@ def draw_force(axes: Any, touch: TouchEstimate, name: str = "") -> None:
     if not touch.usable:
         _title(axes, f"{name}: {stiffness_words(touch)}", f"{dent_words(touch)}; {_beta_words(touch)}")
         axes.plot(touch.approach_m * 1e3, touch.approach_n, ".", color=hexadecimal(OBSERVED), ms=5)
-        axes.set_xlabel("way of the tip [mm]", fontsize=11)
+        axes.set_xlabel("displacement of the tip [mm]", fontsize=11)
         axes.set_ylabel("force [N]", fontsize=11)
         return
     depth_mm = (touch.approach_m - touch.contact_m) * 1e3
@@ -316,8 +288,8 @@ def _rings(away_cm: FloatArray, height_mm: FloatArray) -> tuple[FloatArray, Floa
     """Mean distance and height of the points in rings around the contact."""
     ring = np.floor(away_cm / RING_CM).astype(np.int64)
     count = np.bincount(ring)
-    told = count > 0
-    away, height = (np.bincount(ring, weights=one)[told] / count[told] for one in (away_cm, height_mm))
+    filled = count > 0
+    away, height = (np.bincount(ring, weights=one)[filled] / count[filled] for one in (away_cm, height_mm))
     return away, height
 
 
@@ -327,6 +299,18 @@ def _beta_words(touch: TouchEstimate) -> str:
     low, high = touch.beta_interval or (touch.beta, touch.beta)
     between = f", {low:.2f} to {high:.2f}" if touch.beta_interval else ""
     return f"beta {touch.beta:.2f} ({touch.beta_verdict}{between})"
+
+
+MAP_DRAWINGS: dict[str, Callable[[Any, MapEstimate], None]] = {
+    "stiffness": draw_stiffness,
+    "stiffness_deviation": draw_stiffness_deviation,
+    "beta": draw_beta,
+    "beta_deviation": draw_beta_deviation,
+    "regions": draw_regions,
+    "truth": draw_truth,
+}
+"""Of the maps: fields [N/mm], [-], one standard deviation of each [%], [-]; the regions that were found, the paler the
+less sure; the true ones, where these are known, and over them the outline of those that were found."""
 
 
 # What the drawings share ---------------------------------------------------------------------------------------------
@@ -419,14 +403,16 @@ def _matched(truth: IntArray, found: IntArray) -> IntArray:
     """The truth's labels, renamed so that a region has the colour of the found one that it overlaps the most."""
     from scipy.optimize import linear_sum_assignment
 
-    there, told = np.unique(truth), np.unique(found)
-    overlap = np.array([[np.count_nonzero((truth == one) & (found == other)) for other in told] for one in there])
+    there, found_labels = np.unique(truth), np.unique(found)
+    overlap = np.array(
+        [[np.count_nonzero((truth == one) & (found == other)) for other in found_labels] for one in there]
+    )
     renamed = np.full(truth.shape, -1, np.int64)
     rows, columns = linear_sum_assignment(-overlap)
     for row, column in zip(rows, columns, strict=True):
-        renamed[truth == there[row]] = told[column]
+        renamed[truth == there[row]] = found_labels[column]
     missed = [label for label in there if not (renamed[truth == label] >= 0).any()]
-    for fresh, label in enumerate(missed, start=int(told.max()) + 1):
+    for fresh, label in enumerate(missed, start=int(found_labels.max()) + 1):
         renamed[truth == label] = fresh
     return renamed
 
@@ -558,28 +544,13 @@ def _headline(maps: MapEstimate) -> str:
 # Figures -------------------------------------------------------------------------------------------------------------
 
 
-def _figure(width: float, height: float) -> Figure:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height))  # no layout engine: it takes longer than the drawing
-    FigureCanvasAgg(figure)
-    return figure
-
-
 def _one(draw: Callable[[Any], None], place: tuple[float, float, float, float] = PLACE) -> bytes:
     """place: of the axes in the picture: left, bottom, width, height, shares of it"""
-    figure = _figure(WIDE, HIGH)
+    figure = canvas(WIDE, HIGH)  # no layout engine: it takes longer than the drawing
     axes = figure.add_axes(place)
     draw(axes)
-    canvas: Any = figure.canvas
+    drawn: Any = figure.canvas
     figure.set_dpi(DPI)
-    canvas.draw()
-    picture: npt.NDArray[np.uint8] = np.asarray(canvas.buffer_rgba())[..., :3]
+    drawn.draw()
+    picture: npt.NDArray[np.uint8] = np.asarray(drawn.buffer_rgba())[..., :3]
     return encode_png(np.ascontiguousarray(picture))
-
-
-def _png(figure: Figure, dpi: int) -> bytes:
-    encoded = io.BytesIO()
-    figure.savefig(encoded, format="png", dpi=dpi, metadata={"Software": None})
-    return encoded.getvalue()

@@ -3,25 +3,42 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Told apart by colour-blind readers too (Okabe and Ito 2008)."""
+"""Distinct to colour-blind readers too (Okabe and Ito 2008)."""
 
 LINES = ("-", "--", ":", "-.")
+
+
+def canvas(width: float, height: float, **options: Any) -> Figure:
+    """An empty figure [inch], drawn off screen whatever display there is."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    made = Figure(figsize=(width, height), **options)
+    FigureCanvasAgg(made)
+    return made
+
+
+def png_of(drawn: Figure, dpi: int) -> bytes:
+    """The same bytes for the same drawing."""
+    encoded = io.BytesIO()
+    drawn.savefig(encoded, format="png", dpi=dpi, metadata={"Software": None})
+    return encoded.getvalue()
 
 
 @contextmanager
 def figure(path: Path, columns: int, rows: int = 1, *, share_y: bool = False) -> Iterator[Any]:
     """Axes (rows, columns) to draw on; written to `path` as PNG at the end. Unused axes (without a title) vanish."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    drawn = Figure(figsize=(4.6 * columns, 3.9 * rows), layout="constrained")
-    FigureCanvasAgg(drawn)
+    drawn = canvas(4.6 * columns, 3.9 * rows, layout="constrained")
     axes = drawn.subplots(rows, columns, squeeze=False, sharey=share_y)
     yield axes
     for one in axes.flat:

@@ -71,6 +71,7 @@ def gather_facts(path: Path) -> Facts:
             facts["until_s"] = max(facts.get("until_s", 0.0), max(times_ns, default=0) / 1e9)
             if (counted := _counted(chunk.entity_path, batch.schema.names)) is not None:
                 counts[counted] += batch.num_rows
+                counts["frames"] += batch.num_rows if counted.endswith("/frames") else 0
         facts["outcome"] = replay.outcome
         facts["losses"] = _losses(path, replay.outcome)
     except InputError as error:
@@ -83,11 +84,9 @@ def gather_facts(path: Path) -> Facts:
 def _counted(entity: str, columns: list[str]) -> str | None:
     """What a row of these columns counts as; None where it is part of something that counts elsewhere."""
     parts = entity.strip("/").split("/")
-    if "Stamp:host_ns" in columns:
+    if any(column.endswith("Frame:index") for column in columns):
         return f"{parts[-1]}/frames"
-    if parts[0] == "input" and "EncodedImage:blob" in columns:
-        return "frames"
-    return "inputs" if parts[0] == "input" and "blob" in columns else None
+    return "inputs" if "InputFile:name" in columns else None
 
 
 def _losses(path: Path, outcome: dict[str, Any]) -> dict[str, dict[str, float]]:
@@ -100,7 +99,7 @@ def _losses(path: Path, outcome: dict[str, Any]) -> dict[str, dict[str, float]]:
         found: dict[str, dict[str, float]] = json.loads(outcome["losses"])
         return found
     last: HealthReport | None = None
-    for item in read_items(path, trust=True, kinds=("health",)):
+    for item in read_items(path, trust=True, kinds=(HealthReport,)):
         last = item if isinstance(item, HealthReport) else last
     return {} if last is None else losses_of(last)
 

@@ -15,12 +15,15 @@ import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, Generic, Literal, Protocol, TypeVar
 
 from deformscope.errors import InputError
+
+if TYPE_CHECKING:
+    from deformscope.log.live_stream import LiveStream
 
 ViewerKind = Literal["none", "native", "page"]
 
@@ -151,6 +154,25 @@ def _ending_with_this_process(command: Sequence[str]) -> list[str]:
 def window_options() -> list[str]:
     """More options of a native viewer."""
     return []
+
+
+def live_stream(
+    application: str, recording_id: str, viewer: Viewer, properties: Mapping[str, object], give_up: threading.Event
+) -> LiveStream:
+    """Connected to the viewer; blocks until it is there."""
+    import rerun as rr
+
+    from deformscope.log.live_stream import LiveStream
+
+    def check(timeout_s: float) -> None:
+        check_running(viewer)
+        check_answers(viewer, timeout_s)
+
+    wait_for_viewer(viewer, give_up)
+    rec = rr.RecordingStream(application, recording_id=recording_id)
+    rec.set_sinks(rr.GrpcSink(viewer.url))
+    rec.send_property("session", rr.AnyValues(True, **properties))
+    return LiveStream(rec, check)
 
 
 def wait_for_viewer(viewer: Viewer, give_up: threading.Event) -> None:

@@ -1,12 +1,16 @@
-"""What made a result: versions, git state, command line, machine."""
+"""What made a result: format, settings, versions, git state, command line, machine."""
 
 from __future__ import annotations
 
 import importlib.metadata
+import json
 import platform
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+
+from deformscope.rows import FORMAT
 
 VERSIONED = ("deformscope", "rerun-sdk", "numpy", "opencv-python-headless", "warp-lang")
 
@@ -46,3 +50,15 @@ def command() -> list[str]:
 def machine() -> str:
     """The operating system and processor."""
     return platform.platform()
+
+
+def properties(settings: Mapping[str, object], *, brief: bool) -> dict[str, object]:
+    """All of it, as text that any tool can read. brief: without what differs between two runs of one input"""
+    found: dict[str, object] = {"format": FORMAT, "settings": json.dumps(settings, sort_keys=True, default=str)}
+    seed = settings.get("seed")
+    if isinstance(seed, int):
+        found["seed"] = seed
+    if not brief:
+        found |= {"versions": json.dumps(versions()), "git": json.dumps(git_state())}
+        found |= {"command": json.dumps(command()), "platform": machine()}
+    return found

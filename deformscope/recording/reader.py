@@ -4,25 +4,21 @@ from __future__ import annotations
 
 import json
 import logging
-import math
 import re
 import time
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-import numpy.typing as npt
-
 from deformscope.arrays import ImageArray
 from deformscope.errors import InputError
-from deformscope.frames import ColorFrame
+from deformscope.frames import ColorFrame, DepthFrame, InputFile
 from deformscope.images import decode_image
 from deformscope.recording.ledger import check_ledger
-from deformscope_drivers.clock import Stamp
+from deformscope.rows import FORMAT
 
 if TYPE_CHECKING:
     from rerun.chunk import Chunk, RrdReader
@@ -31,19 +27,13 @@ Pace = Literal["fast", "real", "step"]
 RRD_MAGIC = b"RRF"
 APPLICATION_PREFIX = "deformscope"
 """Every layout of ours has an application of its own (`deformscope.recording.recorder.APPLICATIONS`)."""
-IMAGE, MASK, PAIR, ESTIMATE = "/input/image", "/input/mask", "/input/pair", "/calibration/estimate"
+ESTIMATE = "/calibration/estimate"
 BLOB = "EncodedImage:blob"
+IMAGE_FIELDS = {BLOB: "image", "EncodedDepthImage:blob": "depth", "DepthFrame:color": "color"}
+"""What the images in each component are."""
 SESSION, OUTCOME = "/__properties/session", "/__properties/outcome"
 
 _logger = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True)
-class LoggedRow:
-    """One logged value: its place on the `frame` timeline (None where it holds throughout) and its components."""
-
-    frame: int | None
-    values: dict[str, Any]
 
 
 class Replay:
@@ -59,7 +49,10 @@ class Replay:
     @cached_property
     def settings(self) -> dict[str, Any]:
         """Everything that decided the recorded results."""
-        return self._json(SESSION, "settings")
+        found = json.loads(self._properties(SESSION).get("settings", "null"))
+        if not isinstance(found, dict):
+            raise InputError("a recording with settings", "one without", where=self.path)
+        return found
 
     @cached_property
     def identity(self) -> tuple[str, str]:
@@ -70,87 +63,102 @@ class Replay:
     @cached_property
     def outcome(self) -> dict[str, Any]:
         """How the recording ended: frames, steps, live_dropped, complete; empty where the run was cut short."""
-        rows = self._rows(OUTCOME)
-        return {name: _scalar(value) for row in rows for name, value in row.values.items()}
+        return self._properties(OUTCOME)
 
     @cached_property
+    def image_counts(self) -> dict[tuple[str, str], int]:
+        """How many images were recorded, by device and what they are: `image`, or `depth` and `color`."""
+        from deformscope.recording.items import portions
+
+        found: Counter[tuple[str, str]] = Counter()
+        for chunk, _, device in portions(self, (ColorFrame, DepthFrame)):
+            batch = chunk.to_record_batch()
+            for name in batch.schema.names:
+                if name in IMAGE_FIELDS:
+                    found[device, IMAGE_FIELDS[name]] += sum(map(bool, batch.column(name).value_lengths().to_pylist()))
+        return {one: count for one, count in sorted(found.items()) if count}
+
+    @property
+    def color_counts(self) -> dict[str, int]:
+        """How many colour images were recorded of each camera, by its name."""
+        return {device: count for (device, what), count in self.image_counts.items() if what != "depth"}
+
+    @property
     def frame_count(self) -> int:
-        """How many frames were recorded."""
-        return sum(chunk.num_rows for chunk in self._images())
+        """How many colour images were recorded, of all cameras."""
+        return sum(self.color_counts.values())
 
-    @cached_property
+    def camera(self, name: str | None = None) -> str:
+        """The camera of this name; without a name, the only one that was recorded."""
+        known = list(self.color_counts)
+        if not known:
+            raise InputError("a recording with images of a camera", "one without", where=self.path)
+        if name is None and len(known) > 1:
+            came = f"a recording of several: {', '.join(known)}"
+            raise InputError("one camera", came, f"--camera {known[0]}", self.path)
+        if name is not None and name not in known:
+            came = f"{name!r}, of which no colour images were recorded"
+            raise InputError("a camera of the recording", came, f"--camera {' or '.join(known)}", self.path)
+        return known[0] if name is None else name
+
+    @property
     def mask(self) -> ImageArray | None:
         """The recorded mask image, if there was one."""
-        blobs = [row.values[BLOB] for row in self._rows(MASK) if BLOB in row.values]
-        return decode_image(_bytes(blobs[-1]), self.path) if blobs else None
+        found = self.read_inputs().get("mask")
+        return None if found is None else decode_image(found, self.path)
 
     def read_pair_bytes(self) -> list[bytes]:
         """The pair files as they were, in the order of their names."""
-        found: dict[str, bytes] = {}
-        for chunk in self.chunks(PAIR, f"{PAIR}/**"):
-            for row in _rows_of(chunk):
-                if "blob" in row.values:
-                    found[chunk.entity_path] = _bytes(row.values["blob"])
-        return [found[name] for name in sorted(found, key=_natural)]
+        found = self.read_inputs()
+        return [found[name] for name in sorted(found, key=_natural) if name.split("/")[0] == "pair"]
 
-    def read_inputs(self, folder: str) -> dict[str, bytes]:
-        """Inputs that are no frames, by their names below `input/FOLDER`, in the order of their names."""
-        found: dict[str, bytes] = {}
-        prefix = f"/input/{folder}"
-        for chunk in self.chunks(prefix, f"{prefix}/**"):
-            for row in _rows_of(chunk):
-                if "blob" in row.values:
-                    found[chunk.entity_path.removeprefix(prefix).strip("/")] = _bytes(row.values["blob"])
-        return {name: found[name] for name in sorted(found)}
+    def read_inputs(self, folder: str = "") -> dict[str, bytes]:
+        """Inputs that are no frames, by their names below FOLDER, in the order of their names."""
+        from deformscope.recording.items import read_rows
+
+        found = {row.item.name: row.item.content for row in read_rows(self, (InputFile,))}
+        prefix = f"{folder}/" if folder else ""
+        return {name.removeprefix(prefix): found[name] for name in sorted(found) if name.startswith(prefix)}
 
     def read_results(self) -> list[dict[str, Any]]:
         """The recorded estimates, as the JSON objects that they were recorded as, in the order of their frames."""
-        rows = sorted(self._rows(ESTIMATE), key=lambda row: -1 if row.frame is None else row.frame)
-        return [json.loads(_scalar(row.values["json"])) for row in rows if "json" in row.values]
+        found: list[tuple[int, list[str]]] = []
+        for chunk in self.chunks(ESTIMATE):
+            batch = chunk.to_record_batch()
+            if "json" in batch.schema.names:
+                many = "frame" in batch.schema.names
+                frames = batch.column("frame").to_pylist() if many else [-1] * batch.num_rows
+                found += zip(frames, batch.column("json").to_pylist(), strict=True)
+        return [json.loads(cell[0]) for _, cell in sorted(found) if cell]
 
-    def frames(self, pace: Pace = "fast", wait: Callable[[ColorFrame], None] | None = None) -> Iterator[ColorFrame]:
-        """The recorded frames in their order, with their recorded stamps.
+    def frames(
+        self, pace: Pace = "fast", wait: Callable[[ColorFrame], None] | None = None, camera: str | None = None
+    ) -> Iterator[ColorFrame]:
+        """The recorded colour images in their order, with their recorded stamps.
 
         pace: "fast" as they can be read; "real" as they were taken; "step" each after `wait` (called with the frame
-        that comes next) returns
+        that comes next) returns; camera: by its name, needed where several were recorded
         """
         if pace == "step" and wait is None:
             raise ValueError('a pace of "step" needs something to wait for')
         started_ns: int | None = None
-        for index, (stamp, encoded) in enumerate(self._encoded()):
-            frame = ColorFrame(stamp, index, decode_image(encoded, f"frame {index} of {self.path}"))
+        for frame in self._color_frames(self.camera(camera)):
             if pace == "step" and wait is not None:
                 wait(frame)
             if pace == "real":
-                started_ns = started_ns or time.monotonic_ns() - stamp.host_ns
-                time.sleep(max(0, started_ns + stamp.host_ns - time.monotonic_ns()) / 1e9)
+                started_ns = started_ns or time.monotonic_ns() - frame.stamp.host_ns
+                time.sleep(max(0, started_ns + frame.stamp.host_ns - time.monotonic_ns()) / 1e9)
             yield frame
 
-    def _encoded(self) -> Iterator[tuple[Stamp, bytes]]:
-        """Stamps and PNG bytes in the order of the `frame` timeline.
+    def _color_frames(self, camera: str) -> Iterator[ColorFrame]:
+        from deformscope.recording.items import read_rows
 
-        Portions of a recording may lie in any order. Their places are read first; then a frame waits only until
-        nothing before it can come any more, so that a long recording is never held whole.
-        """
-        coming = {chunk.id: min(_frames_of(chunk), default=0) for chunk in self._images()}
-        pending: dict[int, tuple[Stamp, bytes]] = {}
-        for chunk in self._images():
-            coming.pop(chunk.id, None)
-            for row in _rows_of(chunk, only=(BLOB, "host_ns", "device_ticks")):
-                if row.frame is not None:
-                    pending[row.frame] = self._stamp(row), _bytes(row.values[BLOB])
-            next_frame = min(coming.values(), default=math.inf)
-            for frame in sorted(frame for frame in pending if frame < next_frame):
-                yield pending.pop(frame)
-
-    def _images(self) -> Iterator[Chunk]:
-        return (chunk for chunk in self.chunks(IMAGE) if BLOB in chunk.to_record_batch().schema.names)
-
-    def _stamp(self, row: LoggedRow) -> Stamp:
-        if "host_ns" not in row.values:
-            raise InputError("a stamp with every frame", f"none with frame {row.frame}", where=self.path)
-        ticks = int(_scalar(row.values["device_ticks"]))
-        return Stamp(int(_scalar(row.values["host_ns"])), None if ticks == -1 else ticks)
+        for row in read_rows(self, (ColorFrame, DepthFrame), device=camera):
+            frame: ColorFrame | DepthFrame = row.item
+            if isinstance(frame, ColorFrame):
+                yield frame
+            elif frame.color is not None:
+                yield ColorFrame(frame.stamp, frame.index, frame.color, camera)
 
     def _check(self, trust: bool) -> None:
         """Refuse what is no recording of ours, or no longer what was recorded."""
@@ -171,6 +179,18 @@ class Replay:
         if not any(_ours(name) for name in known):
             came = f"one of {known[0]!r}" if known else "one without content"
             raise InputError("a recording made by deformscope", came, where=path)
+        self._check_format()
+
+    def _check_format(self) -> None:
+        """Refuse what this version would misread."""
+        session = self._properties(SESSION)
+        if "format" not in session:
+            came, hint = "one without, made by an earlier version", "record it again, or read it with that version"
+        elif (number := session["format"]) != FORMAT:
+            came, hint = f"one of format {number}", "the version of deformscope that made it, or a newer one"
+        else:
+            return
+        raise InputError(f"a recording of format {FORMAT}", came, hint, self.path)
 
     def _check_ledger(self) -> None:
         try:
@@ -201,16 +221,14 @@ class Replay:
         except Exception as error:  # whatever the reader raises on damaged bytes
             raise _unreadable(self.path) from error
 
-    def _rows(self, entity: str) -> list[LoggedRow]:
-        return [row for chunk in self.chunks(entity) for row in _rows_of(chunk)]
-
-    def _json(self, entity: str, name: str) -> dict[str, Any]:
-        for row in self._rows(entity):
-            if name in row.values:
-                found = json.loads(_scalar(row.values[name]))
-                if isinstance(found, dict):
-                    return found
-        raise InputError(f"a recording with {name}", "one without", where=self.path)
+    def _properties(self, entity: str) -> dict[str, Any]:
+        """Each property's one value; empty where there are none."""
+        for chunk in self.chunks(entity):
+            batch = chunk.to_record_batch()
+            names = [name for name in batch.schema.names if not name.startswith("rerun.controls.")]
+            if found := {name: cell[0] for name in names if (cell := batch.column(name)[-1].as_py())}:
+                return found
+        return {}
 
 
 def _ours(application: str) -> bool:
@@ -225,40 +243,6 @@ def read_results(path: Path) -> list[dict[str, Any]]:
 def read_pair_bytes(path: Path) -> list[bytes]:
     """The pair files in a recording, as they were."""
     return Replay(path).read_pair_bytes()
-
-
-def _rows_of(chunk: Chunk, only: tuple[str, ...] | None = None) -> Iterator[LoggedRow]:
-    """The rows of a chunk; `only` names the components that are wanted."""
-    batch = chunk.to_record_batch()
-    frames = _frames_of(chunk)
-    wanted = [
-        name
-        for name in batch.schema.names
-        if name not in chunk.timeline_names and not name.startswith("rerun.controls.") and (not only or name in only)
-    ]
-    for place in range(batch.num_rows):
-        cells = {name: batch.column(name)[place] for name in wanted}
-        values = {name: cell.values for name, cell in cells.items() if cell.is_valid and len(cell.values)}
-        if values:
-            yield LoggedRow(frames[place] if frames else None, values)
-
-
-def _frames_of(chunk: Chunk) -> list[int]:
-    if chunk.is_static or "frame" not in chunk.timeline_names:
-        return []
-    found: list[int] = chunk.to_record_batch().column("frame").to_pylist()
-    return found
-
-
-def _scalar(values: Any) -> Any:
-    return values[0].as_py()
-
-
-def _bytes(values: Any) -> bytes:
-    """The bytes of a blob: either a list of one blob, or the bytes themselves."""
-    flat = values.flatten() if hasattr(values, "flatten") and str(values.type).startswith("list") else values
-    array: npt.NDArray[np.uint8] = flat.to_numpy(zero_copy_only=False)
-    return array.tobytes()
 
 
 def _natural(name: str) -> list[tuple[int, str]]:

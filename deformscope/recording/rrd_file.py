@@ -9,6 +9,7 @@ not get on, or the disk is short, it is left out, and the recording is the first
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import shutil
@@ -234,6 +235,18 @@ def _stream(
     rec.set_log_time_enabled(not deterministic)
     rec.set_sinks(rr.FileSink(path, write_footer=footer))
     return rec
+
+
+def write_outcome(path: Path, application: str, recording_id: str, outcome: Mapping[str, object]) -> None:
+    """How a run ended, as a part of its recording, to be merged with the rest."""
+    import rerun as rr
+
+    rec = rr.RecordingStream(application, recording_id=recording_id, send_properties=False)
+    rec.set_sinks(rr.FileSink(path))
+    texts = {name: json.dumps(value) if isinstance(value, dict) else value for name, value in outcome.items()}
+    rec.send_property("outcome", rr.AnyValues(True, **texts))
+    rec.flush(timeout_sec=FLUSH_TIMEOUT_S)
+    rec.disconnect()
 
 
 def _has_footer(path: Path) -> bool:

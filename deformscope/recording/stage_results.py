@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from deformscope.errors import InputError
-from deformscope.frames import StageResult, UsedFrames
+from deformscope.frames import StageResult
 from deformscope.recording.reader import Replay
-from deformscope.rows import result_of
+from deformscope.rows import from_components
 from deformscope.stages.fit.moment import MomentFit
 from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, TouchEstimate
 from deformscope.stages.see.arrows import FlowArrows
@@ -27,27 +27,26 @@ def read_stage_results(path: Path, *, trust: bool = False) -> list[StageResult]:
         if chunk.is_static:
             continue
         batch = chunk.to_record_batch()
-        columns = {name: batch.column(name).to_pylist() for name in batch.schema.names if ":" in name}
+        columns = {name: batch.column(name) for name in batch.schema.names if ":" in name}
         for row in range(batch.num_rows):
-            cells = {name: column[row] for name, column in columns.items() if column[row] is not None}
+            cells = {
+                name: column[row].values.to_numpy(zero_copy_only=False)
+                for name, column in columns.items()
+                if column[row].is_valid
+            }
             if cells:
                 found.append(_result(cells, path))
     return sorted(found, key=lambda one: (one.host_ns, one.stage))
 
 
-def _result(cells: dict[str, list[Any]], path: Path) -> StageResult:
+def _result(cells: dict[str, Any], path: Path) -> StageResult:
     kind = next((kind for kind in KINDS if any(name.startswith(f"{kind.__name__}:") for name in cells)), None)
     if kind is None:
         raise InputError("results of known stages", cells["StageResult:stage"][0], where=path)
+    return from_components(StageResult, _of(StageResult, cells), {"result": from_components(kind, _of(kind, cells))})
+
+
+def _of(kind: type, cells: dict[str, Any]) -> dict[str, Any]:
+    """The components of one class, by field."""
     prefix = f"{kind.__name__}:"
-    values = {name.removeprefix(prefix): value for name, value in cells.items() if name.startswith(prefix)}
-    own = {name.removeprefix("StageResult:"): value for name, value in cells.items()}
-    used = zip(own["device"], own["first"], own["last"], strict=True)
-    return StageResult(
-        stage=own["stage"][0],
-        used=tuple(UsedFrames(*one) for one in used),
-        host_ns=own["host_ns"][0],
-        skipped=own["skipped"][0],
-        late_s=own["late_s"][0],
-        result=result_of(kind, values),
-    )
+    return {name.removeprefix(prefix): value for name, value in cells.items() if name.startswith(prefix)}

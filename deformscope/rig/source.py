@@ -106,6 +106,10 @@ class RigSource:
     ) -> None:
         self.close()
 
+    def device(self, name: str) -> Device[Any]:
+        """One of the devices."""
+        return next(member.device for member in self._members if member.name == name)
+
     @property
     def streams(self) -> tuple[Stream, ...]:
         """What is known of every device; only while open."""

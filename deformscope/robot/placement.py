@@ -86,6 +86,10 @@ class Placement:
         """(4, 4) the tip's centre in the surface frame, for the pose of the arm's end in the base frame."""
         return np.asarray(self.T_surface_base @ T_base_ee @ self.T_ee_center)
 
+    def force_on_tip_n(self, force_n: FloatArray, T_base_ee: FloatArray) -> FloatArray:
+        """(3,) what the world does to the tip in the surface frame [N], from what it does to the world in its own."""
+        return np.asarray(-self.T_surface_center(T_base_ee)[:3, :3] @ force_n)
+
     def T_base_ee(self, center_m: npt.ArrayLike, normal: npt.ArrayLike) -> FloatArray:
         """(4, 4) the arm's end in the base frame when the tip's centre (3,) [m] is here and the stick along -normal.
 

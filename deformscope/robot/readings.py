@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,17 +22,22 @@ PERIOD_NS = 10_000_000
 class ForceSample:
     """time_ns: arrival; force_n: (3,) what the tip does to the world, in the tip's frame, positive z = compression,
     tare taken off; pattern: the bits as sent, the same for a frozen sensor; usable: sensor and wire are well
+    ticks: the sensor's own count, -1 = none; sensor_n: (3,) before the tare was taken off
     """
 
     time_ns: int
     force_n: FloatArray
     pattern: Hashable = None
     usable: bool = True
+    ticks: int = -1
+    sensor_n: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     @classmethod
     def of(cls, reading: ForceMeasurement, tare_n: FloatArray) -> ForceSample:
         """The first channel of a reading."""
-        return cls(reading.stamp.host_ns, reading.force_n[0] - tare_n, reading.counts, reading.usable)
+        sensor_n, stamp = reading.force_n[0], reading.stamp
+        ticks = -1 if stamp.device_ticks is None else stamp.device_ticks
+        return cls(stamp.host_ns, sensor_n - tare_n, reading.counts, reading.usable, ticks, sensor_n)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

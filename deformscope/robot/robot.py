@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from array import array
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -34,6 +35,10 @@ from deformscope_drivers.optoforce.measurement import ForceMeasurement
 
 VALID_PERIODS = 4
 """A velocity ends by itself unless it is set again within so many control periods."""
+
+
+Watch = Callable[[RobotObservation, SafetyVerdict], None]
+"""Called with what was seen and judged in each control period."""
 
 
 class RobotStopped(Exception):
@@ -96,7 +101,7 @@ class Robot:
         camera: Device[DepthImage] | None = None,
         clock: Clock = monotonic_ns,
         wait_until: Waits = sleep_until,
-        watch: Callable[[RobotObservation, SafetyVerdict], None] | None = None,
+        watch: Watch | None = None,
     ) -> None:
         """watch: called with what was seen and judged in each period, for a recording; when it fails, the arm is halted
         first"""
@@ -109,6 +114,7 @@ class Robot:
         self.tare_n: FloatArray = np.zeros(3)
         self.camera_needed = False
         self._may_move = False
+        self._judged_ns = array("q")
         self.commanded: list[tuple[int, float]] = []
         self.seen = RobotObservation(clock())
         self._pose: ArmSample | None = None
@@ -142,8 +148,7 @@ class Robot:
 
     def force_on_tip_n(self, sample: ForceSample, pose: ArmSample | None = None) -> FloatArray:
         """(3,) what the world does to the tip, in the surface frame [N]."""
-        T = self.placement.T_surface_center((pose or self.pose).T_base_ee)
-        return np.asarray(-T[:3, :3] @ sample.force_n)
+        return self.placement.force_on_tip_n(sample.force_n, (pose or self.pose).T_base_ee)
 
     # The control period ----------------------------------------------------------------------------------------------
 
@@ -171,6 +176,7 @@ class Robot:
             commanded_rotation=self.rotation.rotation,
             camera_needed=self.camera_needed and self.camera is not None,
         )
+        self._judged_ns.append(self.seen.now_ns)
         if self._refusal is not None:  # unless a fault was seen that is the reason of it
             fault, reason = self._refusal
             verdict = self.supervisor.refused(reason, self._clock(), fault)
@@ -215,6 +221,17 @@ class Robot:
             failed = "; ".join(f"{check.name}: {check.came}" for check in preflight.checks if not check.passed)
             raise InputError("a preflight that passed", failed, "see to it, and check again")
         self._may_move = True
+        del self._judged_ns[:]
+
+    @property
+    def may_move(self) -> bool:
+        """Whether velocities are sent."""
+        return self._may_move
+
+    @property
+    def gaps_s(self) -> FloatArray:
+        """(n,) from each look of the supervisor to the next since the robot may move [s]."""
+        return np.diff(1e-9 * np.array(self._judged_ns, dtype=np.float64))
 
     def resume(self) -> None:
         """After somebody has seen to the reason of a stop: judge anew, and let the arm take commands again, once

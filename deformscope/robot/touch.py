@@ -9,16 +9,18 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
 
 import numpy as np
 
+from deformscope.arrays import IntArray
 from deformscope.errors import InputError
+from deformscope.robot.placement import Placement
 from deformscope.robot.pressing import ForceControl
-from deformscope.robot.readings import ForceSample, RobotObservation
+from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
 from deformscope.robot.robot import Robot, RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Action, Fault
 from deformscope.robot.travel import NotThere, to_above
@@ -141,6 +143,8 @@ class TouchRecord:
     center_m, final_force_n: (3,) mean over the last of the dwell; None where there was none
     peak_force_n: greatest measured magnitude; noise_n: (3,) deviation of a reading in free air at the tare
     phases: what it did when; ending, reason: why it ended; settled: dent and force were still
+    arms, forces: the states and readings that all of it is computed from, each reading with the time of the arm's
+    newest state then [ns]; poses: all states of that, those before the approach among them
     """
 
     plan: TouchPlan
@@ -160,6 +164,9 @@ class TouchRecord:
     reason: str = ""
     fault: Fault = Fault.NONE
     settled: bool = False
+    arms: tuple[ArmSample, ...] = ()
+    forces: tuple[tuple[ForceSample, int], ...] = ()
+    poses: tuple[ArmSample, ...] = ()
 
 
 HELD_GAIN_PER_S = 3.0
@@ -389,10 +396,10 @@ class _Run:
         if robot.supervisor.verdict.action is not Action.GO_ON:
             raise RobotStopped(robot.supervisor.verdict)
         self._spans: list[PhaseSpan] = []
-        self._times: list[int] = []
-        self._centers: list[FloatArray] = []
-        self._forces: list[tuple[int, FloatArray]] = []
-        self._rotations: list[FloatArray] = []
+        self._arms: list[ArmSample] = []
+        self._forces: list[tuple[ForceSample, int]] = []
+        self._forces_n: list[FloatArray] = []
+        self._poses: list[ArmSample] = []
         self._machine: TouchStateMachine | None = None
         self._loading_s = math.inf
         self._end_s = math.inf
@@ -464,16 +471,15 @@ class _Run:
     def _see(self, seen: RobotObservation) -> FloatArray:
         """Keep what came; the mean force of this period, in the surface frame (the last one where none came)."""
         robot = self._robot
-        for sample in seen.arms:
-            T = robot.placement.T_surface_center(sample.T_base_ee)
-            self._times.append(sample.time_ns)
-            self._centers.append(T[:3, 3])
-            self._rotations.append(T[:3, :3])
-        good = [(sample.time_ns, robot.force_on_tip_n(sample)) for sample in seen.forces if sample.usable]
-        self._forces += good
-        if good:
-            return np.asarray(np.mean([force for _, force in good], axis=0))
-        return self._forces[-1][1] if self._forces else np.zeros(3)
+        self._arms += seen.arms
+        good = [sample for sample in seen.forces if sample.usable]
+        forces_n = [robot.force_on_tip_n(sample) for sample in good]
+        self._forces += [(sample, robot.pose.time_ns) for sample in good]
+        self._poses.append(robot.pose)
+        self._forces_n += forces_n
+        if forces_n:
+            return np.asarray(np.mean(forces_n, axis=0))
+        return self._forces_n[-1] if self._forces_n else np.zeros(3)
 
     def fail(self, ending: TouchEnding, reason: str, fault: Fault) -> None:
         verdict = self._robot.supervisor.verdict
@@ -486,13 +492,13 @@ class _Run:
 
     def record(self) -> TouchRecord:
         machine = self._machine
-        times_s = np.array(self._times, dtype=float) / 1e9
-        centers_m = np.array(self._centers).reshape(-1, 3)
-        forces_n = self._forces_at_states()
+        times_s, centers_m = centers_of(self._arms, self._robot.placement)
+        stamps = np.array([sample.time_ns for sample, _ in self._forces], dtype=np.int64)
+        forces_n = forces_at([sample.time_ns for sample in self._arms], stamps, self._forces_n)
         kept = times_s <= self._end_s
         met = math.isfinite(self._loading_s) and math.isfinite(self._end_s)
         dwelt = kept & (times_s > self._end_s - STILL_S) & met
-        peaks = [float(np.linalg.norm(force)) for _, force in self._forces]
+        peaks = [float(np.linalg.norm(force)) for force in self._forces_n]
         return TouchRecord(
             plan=self._plan,
             time_s=times_s[kept],
@@ -511,26 +517,38 @@ class _Run:
             reason=self._reason,
             fault=self._fault,
             settled=machine.settled if machine is not None else False,
+            arms=tuple(sample for sample, among in zip(self._arms, kept, strict=True) if among),
+            forces=tuple(self._forces),
+            poses=tuple(self._poses),
         )
-
-    def _forces_at_states(self) -> FloatArray:
-        """(n, 3) force at each of the arm's states: mean of the readings around it, between readings where none is."""
-        if not self._forces:
-            return np.zeros((len(self._times), 3))
-        stamps = np.array([stamp for stamp, _ in self._forces])
-        forces_n = np.array([force for _, force in self._forces])
-        sums = np.vstack([np.zeros(3), np.cumsum(forces_n, axis=0)])
-        out = np.empty((len(self._times), 3))
-        for index, state_ns in enumerate(self._times):
-            first, last = np.searchsorted(stamps, [state_ns - AVERAGED_NS, state_ns + AVERAGED_NS + 1])
-            if last > first:
-                out[index] = (sums[last] - sums[first]) / (last - first)
-            else:
-                out[index] = [np.interp(state_ns, stamps, forces_n[:, axis]) for axis in range(3)]
-        return out
 
     def _now_s(self) -> float:
         return self._robot.seen.now_ns / 1e9
+
+
+def centers_of(arms: Sequence[ArmSample], placement: Placement) -> tuple[FloatArray, FloatArray]:
+    """(n,) times [s] of an arm's states, and (n, 3) where the tip's centre was as the joints say [m, surface frame]."""
+    centers = [placement.T_surface_center(sample.T_base_ee)[:3, 3] for sample in arms]
+    return np.array([sample.time_ns for sample in arms], dtype=float) / 1e9, np.array(centers).reshape(-1, 3)
+
+
+def forces_at(states_ns: Sequence[int], stamps: IntArray, forces_n: Sequence[FloatArray]) -> FloatArray:
+    """(n, 3) force at each of the arm's states: mean of the readings around it, between readings where none is.
+
+    stamps (m,), forces_n (m, 3): of the readings, in order of time
+    """
+    if not len(forces_n):
+        return np.zeros((len(states_ns), 3))
+    measured_n = np.array(forces_n)
+    sums = np.vstack([np.zeros(3), np.cumsum(measured_n, axis=0)])
+    out = np.empty((len(states_ns), 3))
+    for index, state_ns in enumerate(states_ns):
+        first, last = np.searchsorted(stamps, [state_ns - AVERAGED_NS, state_ns + AVERAGED_NS + 1])
+        if last > first:
+            out[index] = (sums[last] - sums[first]) / (last - first)
+        else:
+            out[index] = [np.interp(state_ns, stamps, measured_n[:, axis]) for axis in range(3)]
+    return out
 
 
 TARE_PERIODS = 30

@@ -36,20 +36,20 @@ NEAR_ONE = 0.97
 Truth = Literal["prior", "zero", "near one"]
 Nothing = Literal["noise alone", "rigid motion", "no motion", "shuffled labels", "random motion"]
 NOTHING: tuple[Nothing, ...] = ("noise alone", "rigid motion", "no motion", "shuffled labels", "random motion")
-"""Data that tell nothing: shuffled labels = the true displacements of the free particles, dealt out at random."""
+"""Data without information: shuffled labels = the true displacements of the free particles, dealt out at random."""
 
 
 @dataclass(frozen=True, slots=True)
 class Condition:
     """One kind of noise.
 
-    held_noise: the prescribed positions have it too; told: whether that is said (`held_measured`)
+    held_noise: the prescribed positions have it too; said: whether that is stated (`held_measured`)
     correlated: neighbours share it, over about one spacing; stated: factors by which the noise that is given is wrong
     """
 
     name: str
     held_noise: bool
-    told: bool | None = None
+    said: bool | None = None
     correlated: bool = False
     stated: tuple[float, ...] = (1.0,)
 
@@ -57,9 +57,9 @@ class Condition:
 WRONG = (0.25, 0.5, 2.0, 4.0)
 CONDITIONS = (
     Condition("independent noise", False),
-    Condition("independent noise, held told exact", False, told=False),
+    Condition("independent noise, held stated exact", False, said=False),
     Condition("noisy held positions", True),
-    Condition("noisy held positions, told", True, told=True),
+    Condition("noisy held positions, stated", True, said=True),
     Condition("correlated over a cell", True, correlated=True),
     Condition("correlated over a cell, held exact", False, correlated=True),
     Condition("wrong noise level", True, stated=WRONG),
@@ -187,7 +187,7 @@ def try_object(case: Case) -> Outcome:
     if not condition.held_noise:
         noise[body.held] = 0.0
     stated = sigma * float(rng.choice(condition.stated))
-    seen = body.observe(body.deform(truth) + noise, stated, condition.told)
+    seen = body.observe(body.deform(truth) + noise, stated, condition.said)
     begun = time.process_time()
     options = FitOptions(Model(cluster_size=body.cluster_size), BOUNDS, candidates=CANDIDATES, level=case.level)
     found = calibrate([seen], options)
@@ -206,14 +206,14 @@ def try_object(case: Case) -> Outcome:
 
 
 def try_nothing(case: NothingCase) -> Verdict:
-    """The verdict on data that tell nothing; the noise is stated in every other case."""
+    """The verdict on data without information; the noise is stated in every other case."""
     rng = np.random.default_rng([case.seed, 99, NOTHING.index(case.kind), case.number])
     body = random_body(rng, 3 if case.number % 3 == 2 else 2)
-    return fit_nothing(body, case.kind, rng, told=case.number % 2 == 0).verdict
+    return fit_nothing(body, case.kind, rng, stated=case.number % 2 == 0).verdict
 
 
-def fit_nothing(body: RandomBody, kind: Nothing, rng: np.random.Generator, *, told: bool) -> Estimate:
-    """A body's fit to data of one kind that tell nothing; told: the noise is stated."""
+def fit_nothing(body: RandomBody, kind: Nothing, rng: np.random.Generator, *, stated: bool) -> Estimate:
+    """A body's fit to data of one kind without information; stated: the noise is."""
     sigma = SPACING_M * float(np.exp(rng.uniform(np.log(0.005), np.log(0.05))))
     noise = sigma * random_noise(rng, body.rest, correlated=bool(rng.integers(2)))
     deformed = body.rest + (0.0 if kind == "no motion" else noise)
@@ -227,7 +227,7 @@ def fit_nothing(body: RandomBody, kind: Nothing, rng: np.random.Generator, *, to
         else:
             moved[free] = rng.normal(0.0, np.sqrt(np.mean(moved[free] ** 2)), (len(free), body.rest.shape[1]))
         deformed = body.rest + moved + noise
-    seen = body.observe(deformed, sigma if told else None)
+    seen = body.observe(deformed, sigma if stated else None)
     options = FitOptions(Model(cluster_size=body.cluster_size), BOUNDS, candidates=CANDIDATES)
     return calibrate([seen], options).estimate
 

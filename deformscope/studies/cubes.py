@@ -181,9 +181,9 @@ def cube_from_pair(raw: bytes, name: str) -> Cube:
     Raises InputError for what is no pair file, or where the ratio is nowhere.
     """
     seen = parse_pair(raw, name)
-    told = read_arrays(raw, "a pair file (.npz of arrays)", name).get("nu", np.empty(0)).reshape(-1)
-    if told.size == 1 and told.dtype.kind in "fiu":
-        poisson = float(told[0])
+    given = read_arrays(raw, "a pair file (.npz of arrays)", name).get("nu", np.empty(0)).reshape(-1)
+    if given.size == 1 and given.dtype.kind in "fiu":
+        poisson = float(given[0])
     elif found := _RATIO_IN_NAME.search(PurePath(name).stem):
         poisson = float(found[1])
     else:

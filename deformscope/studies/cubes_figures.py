@@ -124,7 +124,7 @@ def draw_resolution(path: Path, found: Sequence[Found]) -> None:
 
 
 def draw_clusters(path: Path, found: Sequence[Found], cluster_size: int) -> None:
-    """Errors of one cluster and of overlapping ones, and the side of the cube that tells them apart the most."""
+    """Errors of one cluster and of overlapping ones, and the side of the cube that separates them the most."""
     some = [one for one in found if one.overlapping is not None and one.one_cluster is not None]
     resolutions = list(dict.fromkeys(one.cube.resolution for one in some))
     many = f"clusters of {cluster_size} a side, theta and beta"
@@ -228,7 +228,7 @@ def sem_rows(found: Sequence[Found]) -> list[dict[str, object]]:
     for group, some in grouped_spreads(found).items():
         for spread in some:
             its_own = spread.count == (9 if group == "settings" else 3)
-            told = THESIS_SEM.get(spread.of or "all settings", {}) if its_own else {}
+            printed = THESIS_SEM.get(spread.of or "all settings", {}) if its_own else {}
             rows.append(
                 {
                     "by": group,
@@ -238,7 +238,7 @@ def sem_rows(found: Sequence[Found]) -> list[dict[str, object]]:
                     "theta": spread.mean,
                     "sem": spread.sem,
                     "sem_equal_share": spread.equal_share_sem,
-                    "sem_thesis": told.get(spread.poisson),
+                    "sem_thesis": printed.get(spread.poisson),
                 }
             )
     return rows

@@ -16,12 +16,13 @@ import numpy as np
 from deformscope.lab.arm_contact import ARM_CYCLE_NS
 from deformscope.lab.faults import ARM, CAMERA, FORCE, Injected, inject
 from deformscope.lab.springy_foam import SpringyFoam
-from deformscope.lab.touch_lab import T_BASE_SURFACE, TouchLab
+from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig.rig_file import Tool
 from deformscope.robot.placement import Placement, best_joints, reach
 from deformscope.robot.preflight import check
 from deformscope.robot.readings import RobotObservation
 from deformscope.robot.robot import Robot
+from deformscope.robot.setup import T_BASE_SURFACE
 from deformscope.robot.supervisor import Action, Fault, Limits, SafetyVerdict
 from deformscope.robot.touch import TouchPlan, run_touch
 from deformscope_drivers.depth_camera.synthetic import View
@@ -154,7 +155,7 @@ def run_fault(seed: int, injected: Injected) -> FaultRun:
     finally:
         with contextlib.suppress(
             NotStopped
-        ):  # the arm's cable is out: its driver says at closing that nobody could tell it
+        ):  # the arm's cable is out: its driver says at closing that it could not be stopped
             lab.close()
     return _judge(seed, injected, state, verdicts, joints, lab)
 

@@ -130,7 +130,7 @@ def measure(
     progress: Progress | None = None,
     keep: Callable[[ColorFrame], None] | None = None,
 ) -> FoamResult:
-    """Push one foam, film it, follow its particles, and fit them in all ways; `keep` is shown every image."""
+    """Push one foam, film it, follow its particles, and fit them in every combination; `keep` is shown every image."""
     poses = _push(foam, setup, setup.images - 1, progress)
     shot = film(poses, setup.block, setup.clamp_m, setup.view, noise=setup.noise, seed=seed)
     shown: list[npt.NDArray[np.uint8]] = []
@@ -208,12 +208,12 @@ def _fits(
 
 @dataclass(frozen=True, slots=True)
 class Trend:
-    """How beta goes with hardness over the foams, in one way of fitting.
+    """How beta goes with hardness over the foams, for one combination.
 
     drop: beta of the softest less that of the firmest foam (Thesis: .04, .16, .21 at cluster sizes 2, 4, 5)
     rank_correlation: of beta with hardness (Spearman), None where all are one or there are only two foams
     common: the betas that lie in every foam's interval; None where there are none, so that beta does differ
-    told: in words
+    told: in words (a key of the JSON)
     """
 
     source: Source
@@ -234,15 +234,15 @@ def trend(results: Sequence[FoamResult], source: Source, held: Held, cluster_siz
     correlation = rank_correlation(np.array([result.foam.hardness for result in ordered]), value)
     steps = np.diff(value)
     if low <= high:
-        told = f"no trend told: any beta from {low:.2f} to {high:.2f} fits all"
+        summary = f"no trend: any beta from {low:.2f} to {high:.2f} fits all"
     elif (steps < 0.0).all():
-        told = "falls with firmness"
+        summary = "falls with firmness"
     elif (steps > 0.0).all():
-        told = "rises with firmness"
+        summary = "rises with firmness"
     else:
-        told = "differs, but not in the order of firmness"
+        summary = "differs, but not in the order of firmness"
     common = (low, high) if low <= high else None
-    return Trend(source, held, cluster_size, float(value[0] - value[-1]), correlation, common, told)
+    return Trend(source, held, cluster_size, float(value[0] - value[-1]), correlation, common, summary)
 
 
 def rank_correlation(a: FloatArray, b: FloatArray) -> float | None:
@@ -284,7 +284,7 @@ class Control:
 
 
 def controls(setup: Setup, seed: int = 0, progress: Progress | None = None) -> list[Control]:
-    """One property at a time, no camera: the same push, the true positions, fitted in all ways."""
+    """One property at a time, no camera: the same push, the true positions, fitted in every combination."""
     tried = [("nothing", BASE)]
     tried += [(name, dataclasses.replace(BASE, **{name: value})) for name, ends in CHANGES.items() for value in ends]
     box = setup.particles("clamp")

@@ -8,14 +8,14 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from deformscope.pictures.figures import canvas
 from deformscope.stages.fit.estimate import Estimate
 from deformscope.studies.foams import HELD, PX_PER_CM, Control, FoamResult, Held, Source, Trend
 
 COLOURS = ("#d55e00", "#e69f00", "#009e73", "#0072b2", "#aa3377")
-"""Of the foams in their order; told apart by colour-blind readers too (Okabe and Ito 2008)."""
+"""Of the foams in their order; distinct to colour-blind readers too (Okabe and Ito 2008)."""
 
 SIZE_COLOURS = ("#7f3b08", "#2d8fbd", "#8073ac", "#5a5a5a")
 """Of the cluster sizes."""
@@ -43,9 +43,9 @@ def figure_3_14(results: Sequence[FoamResult], trends: Sequence[Trend], held: He
             _with_interval(values, result, "true", held, size, colour, 2.0)
         curve.set(title=f"clusters {size} x {size}", xlabel="beta", xlim=(-0.02, 1.0))
         curve.set_ylim(bottom=0.0)
-        told = _told(next(t for t in trends if (t.source, t.held, t.cluster_size) == ("flow", held, size)))
+        found = _in_words(next(t for t in trends if (t.source, t.held, t.cluster_size) == ("flow", held, size)))
         values.set(xlabel="hardness [N]  (density/hardness)", ylim=(-0.03, 1.03))
-        values.set_title(told, fontsize=9)
+        values.set_title(found, fontsize=9)
         _hardness_ticks(values, results)
     axes[0, 0].set_ylabel("average Euclidean error [mm]")
     axes[0, 0].legend(title="density/hardness", fontsize=8)
@@ -70,11 +70,11 @@ def stiffness(results: Sequence[FoamResult], path: Path) -> None:
     hardness = np.array([result.foam.hardness for result in results])
     order = np.argsort(hardness)
     for size, marker, shift, colour in zip(sizes, "osD^v", (-2.0, 0.0, 2.0), SIZE_COLOURS, strict=False):
-        told = [result.fit("flow", "clamp", size).estimate.stiffness for result in results]
-        if any(one is None for one in told):
+        found = [result.fit("flow", "clamp", size).estimate.stiffness for result in results]
+        if any(one is None for one in found):
             continue
-        value = np.array([one[0] for one in told if one is not None])
-        ends = np.array([one[1] for one in told if one is not None]).T
+        value = np.array([one[0] for one in found if one is not None])
+        ends = np.array([one[1] for one in found if one is not None]).T
         axes[0, 0].errorbar(
             (hardness + shift)[order], value[order], yerr=np.abs(ends - value)[:, order], marker=marker, color=colour,
             capsize=3, label=f"k, clusters {size} x {size}",
@@ -113,8 +113,10 @@ def particles(results: Sequence[FoamResult], held: Held, cluster_size: int, path
         axis.plot(*shape.simulated.T, "o", color="#e01e1e", ms=3.0, label="simulated")
         axis.plot(*shape.simulated[shape.held].T, "o", mfc="none", color="k", ms=7, label="held")
         one = found.estimate
-        told = f"{result.foam.name}: beta {one.value:.2f} [{one.interval[0]:.2f}, {one.interval[1]:.2f}], {one.verdict}"
-        axis.set_title(f"{told}; error {one.aee * MM_PER_PX:.2f} mm", fontsize=10)
+        words = (
+            f"{result.foam.name}: beta {one.value:.2f} [{one.interval[0]:.2f}, {one.interval[1]:.2f}], {one.verdict}"
+        )
+        axis.set_title(f"{words}; error {one.aee * MM_PER_PX:.2f} mm", fontsize=10)
         axis.set(xlabel="x [px]", ylabel="y [px]")
     shown, names = axes.flat[0].get_legend_handles_labels()
     figure.legend(shown, names, ncols=len(shown), loc="outside lower center")
@@ -129,12 +131,12 @@ def one_change(found: Sequence[Control], path: Path) -> None:
     labels = [f"{_change(one)}\n{one.moved_mm:.2f} mm, {one.force_n:.0f} N" for one in found]
     for axis, held in zip(axes.flat, HELD, strict=True):
         for size, marker, shift, colour in zip(sizes, "osD^v", (-0.2, 0.0, 0.2), SIZE_COLOURS, strict=False):
-            told = [
+            found = [
                 next(f.calibration.estimate for f in one.fits if (f.held, f.cluster_size) == (held, size))
                 for one in found
             ]
-            value = np.array([one.value for one in told])
-            ends = np.array([one.interval for one in told]).T
+            value = np.array([one.value for one in found])
+            ends = np.array([one.interval for one in found]).T
             axis.errorbar(
                 np.arange(len(found)) + shift, value, yerr=np.abs(ends - value), fmt=marker, color=colour, capsize=3,
                 label=f"clusters {size} x {size}",
@@ -168,7 +170,7 @@ def _with_interval(
     axis.errorbar(result.foam.hardness + shift, one.value, yerr=off, fmt="o", color=colour, mfc=face, capsize=3)
 
 
-def _told(one: Trend) -> str:
+def _in_words(one: Trend) -> str:
     correlation = "" if one.rank_correlation is None else f"; rank correlation {one.rank_correlation:+.1f}"
     return f"softest - firmest {one.drop:+.2f}{correlation}\n{one.told}"
 
@@ -184,6 +186,5 @@ def _hardness_ticks(axis: Any, results: Sequence[FoamResult]) -> None:
 
 def _figure(rows: int, columns: int, width: float, height: float) -> tuple[Figure, Any]:
     """Drawn off screen, whatever display there is."""
-    figure = Figure(figsize=(width, height), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = canvas(width, height, dpi=110, layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False)

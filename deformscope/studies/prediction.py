@@ -26,7 +26,7 @@ NEAR_M = 0.03
 """The surface within this distance of the tip's edge is judged [m]."""
 
 POISSON = 0.3
-"""Poisson's ratio that the half-space and the finite elements are given: nothing tells it to them."""
+"""Poisson's ratio that the half-space and the finite elements are given: they have no data for it."""
 
 FITTED_DEPTH = 1e-3
 """At which the elastic bodies are given their modulus [m]: there the model is linear."""

@@ -9,38 +9,26 @@ from scipy.interpolate import PchipInterpolator
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.capsule import Capsule
-from deformscope.experiments.explore import (
-    SHALLOW_M,
-    ExploreOptions,
-    SurfaceMeasurement,
-    TouchMeasurement,
-    Truth,
-    pinhole,
-    sample_box,
-)
+from deformscope.experiments.explorer import Touch
+from deformscope.experiments.measured import off_the_border, sample_box
+from deformscope.experiments.options import SHALLOW_M, VIEW_CELL_M, ExploreOptions
+from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
 from deformscope.lab.depth_view import DepthView
 from deformscope.lab.scenes import RIGID_PA, Piece, Scene
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld
 from deformscope.lab.touching import Approach, Sensing, approach, force_curve
 from deformscope.rig.rig_file import Tool
+from deformscope.robot.setup import Truth
 from deformscope.stages.map.map_score import TrueMap
+from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 from deformscope.stages.map.touches import MapGrid
 from deformscope.stages.poke.contact import ArmCompliance
-from deformscope.stages.see.cloud import perceive
+from deformscope.stages.see.cloud import Intrinsics, perceive
 
 STICK_M = 0.25
-BORDER_M = 0.02
-ARM_N_PER_M, ARM_DOUBT = 5000.0, 0.1
-"""The arm gives way under a push, which its joints do not see; a calibration on a rigid block leaves some of it."""
-VIEW_CELL_M = 0.004
 SOFT_PA = 1e-3 * RIGID_PA
 """Modulus of the slab that is pressed to know the truth: soft enough for every depth, stiff enough for every force."""
-
-
-def truth_of(scene: Scene) -> Truth:
-    """What a scene really is."""
-    return Truth(scene.truth() if scene.pieces else None)
 
 
 def true_map(scene: Scene, options: ExploreOptions) -> TrueMap:
@@ -53,7 +41,7 @@ def true_map(scene: Scene, options: ExploreOptions) -> TrueMap:
     pieces = np.array([piece.modulus_pa for piece in scene.pieces])
     pressed = (options.set_force_n, options.max_depth_m, options.tip_radius_m, scene.thickness_m, scene.poisson)
     return TrueMap(
-        labels=scene.truth() if scene.pieces else None,
+        labels=scene.regions,
         level=_slab_log_stiffness(pieces, *pressed),
         rigid=np.array([piece.rigid for piece in scene.pieces], dtype=bool),
         log_stiffness=_slab_log_stiffness(modulus, *pressed),
@@ -83,7 +71,7 @@ def _slab_curve(
 
 
 def felt_log_stiffness(made: Approach, set_force_n: float) -> float:
-    """Log of force over depth [N/mm] that a touch would have told had nothing been noisy: at the same force."""
+    """Log of force over depth [N/mm] that a touch would have measured without noise: at the same force."""
     at_n = min(set_force_n, float(made.true_force_n.max()))
     loading = slice(0, int(made.true_force_n.argmax()) + 1)
     return float(np.log(1e-3 * at_n / np.interp(at_n, made.true_force_n[loading], made.true_depth_m[loading])))
@@ -102,12 +90,12 @@ class LabRobot:
     ) -> None:
         self.scene = scene
         self.size_m = scene.size_m
-        self.arm = ArmCompliance(1.0 / ARM_N_PER_M, ARM_DOUBT / ARM_N_PER_M)
-        self.truth = truth_of(scene)
+        self.arm = ArmCompliance(1.0 / ARM_STIFFNESS_N_M, ARM_DOUBT / ARM_STIFFNESS_N_M)
+        self.truth = Truth(scene.regions)
         self.most_force_n = 0.0
         self.felt: list[float] = []
         self._options = options
-        self._sensing = sensing or Sensing(arm_n_per_m=ARM_N_PER_M)
+        self._sensing = sensing or Sensing(arm_n_per_m=ARM_STIFFNESS_N_M)
         self._sees = sees
         self._world = SlabWorld(scene)
         self._view = DepthView(scene)
@@ -116,18 +104,15 @@ class LabRobot:
 
     def reachable(self, grid: MapGrid) -> BoolArray:
         """All but a margin at the border."""
-        places, size = grid.centres_m, np.asarray(self.size_m)
-        inside = ((places > BORDER_M) & (places < size - BORDER_M)).all(axis=1)
-        return np.asarray(inside).reshape(grid.shape)
+        return off_the_border(grid)
 
     def look(self) -> SurfaceMeasurement:
         """The surface at rest, without the robot."""
         return self._see(None, ())
 
-    def touch(
-        self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None = None
-    ) -> TouchMeasurement:
+    def touch(self, command: Touch) -> TouchMeasurement:
         """Come down along the normal that was seen, and look at the dent."""
+        xy_m, normal = command.xy_m, command.normal
         options = self._options
         made = approach(
             self._world,
@@ -153,14 +138,11 @@ class LabRobot:
             after = self._see(moved, (stick, ball)).points_m
         return TouchMeasurement(xy_m, normal, made.time_s, made.position_m, made.force_n, after, made.reached)
 
-    def now_ns(self) -> int:
-        """No time passes here."""
-        return 0
-
     def _see(self, moved_m: FloatArray | None, robot: tuple[Capsule, ...]) -> SurfaceMeasurement:
         exact = self._view.render(moved_m, robot)
         depth_m = self._view.observe(exact, self._random) * self._view.config.unit_m
-        camera = pinhole(self._view.intrinsics)
+        seen_by = self._view.intrinsics
+        camera = Intrinsics((seen_by.fx_px, seen_by.fy_px), (seen_by.cx_px, seen_by.cy_px))
         box = sample_box(self.size_m, self._options.thickness_m)
         cell = None if robot else VIEW_CELL_M
         found = perceive(depth_m, camera, self._view.surface_from_camera, box, links=robot, cell_m=cell)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,9 +15,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from deformscope.errors import InputError
-from deformscope.experiments.explore import ExploreOptions, Explorer, Moment, explore
+from deformscope.experiments.explore import AtOnce, Exploration, ExplorationStopped, explore, within_loop
+from deformscope.experiments.explorer import AsMeasured, ExplorationStages, Explorer
+from deformscope.experiments.options import ExploreOptions
+from deformscope.frames import ColorFrame, Item
 from deformscope.lab.scenes import built_in
 from deformscope.plain import plain
+from deformscope.session import Step, run
 from deformscope.stages.map.exploration import PlannedTouch, TouchEstimate
 from deformscope.stages.map.map_score import MapScore, TrueMap, score_map
 from deformscope.stages.map.plan import Planner, PlanOptions
@@ -41,8 +45,8 @@ class MapAfter:
 
     travel_m: of the tip over the surface, from its corner; robot_s: what that and the touches take, as the planner
     reckons; compute_s: from this touch to the next target
-    log_stiffness, log_sd, rigid: what the last touch told [N/mm], at `xy_m`; felt_log_stiffness: what it would have
-    told without noise; touch_covered: whether its 90 % interval holds that, None where it is rigid
+    log_stiffness, log_sd, rigid: what the last touch measured [N/mm], at `xy_m`; felt_log_stiffness: what it would have
+    measured without noise; touch_covered: whether its 90 % interval holds that, None where it is rigid
     """
 
     touches: int
@@ -94,35 +98,64 @@ def run_table(job: TableJob) -> TableRun:
         robot = LabRobot(scene, options, sees=False)
         explorer = Explorer(scene.size_m, options, robot.arm, robot.truth)
         truth = true_map(scene, options)
-        after: list[MapAfter] = []
-        told: TouchEstimate | None = None
-        stop_after = None
-        for moment in explore(robot, explorer):
-            for result in moment.results:
-                if isinstance(result, TouchEstimate):
-                    told = result
-                elif isinstance(result, PlannedTouch) and told is not None:
-                    after.append(_after(moment, explorer, told, robot.felt[-1], truth))
-                    if result.stop_reason not in ("", "budget") and stop_after is None:
-                        stop_after = len(after)
-    return TableRun(job, scene.region_count, tuple(after), robot.most_force_n, stop_after, time.perf_counter() - began)
+        found = Exploration()
+        scores = _Scores(found, explorer, robot, truth)
+        stages = ExplorationStages(explorer, AsMeasured(scene.size_m, robot.reachable))
+        run([], explore(lambda: 0, within_loop(stages), found), scores, AtOnce(robot))
+        if found.stop is not None:
+            raise ExplorationStopped(found.stop, found.stop_ns)
+    after, stop_after = tuple(scores.after), scores.stop_after
+    return TableRun(job, scene.region_count, after, robot.most_force_n, stop_after, time.perf_counter() - began)
 
 
-def _after(moment: Moment, explorer: Explorer, told: TouchEstimate, felt: float, truth: TrueMap) -> MapAfter:
+class _Scores:
+    """Scores each map once the plan after it is there; the session's recorder.
+
+    stop_after: touches after which the plan said enough, though it went on
+    """
+
+    def __init__(self, found: Exploration, explorer: Explorer, robot: LabRobot, truth: TrueMap) -> None:
+        self.after: list[MapAfter] = []
+        self.stop_after: int | None = None
+        self._found, self._explorer, self._robot, self._truth = found, explorer, robot, truth
+        self._computed_s = 0.0
+
+    def write_results(
+        self, results: Sequence[object], now_ns: int, touch: int, cell_m: float, seen_ns: int | None = None
+    ) -> None:
+        for plan in (one for one in results if isinstance(one, PlannedTouch)):
+            spent_s, self._computed_s = self._found.compute_s - self._computed_s, self._found.compute_s
+            if self._found.touches:
+                told, felt = self._found.touches[-1], self._robot.felt[-1]
+                self.after.append(_after(spent_s, self._explorer, told, felt, self._truth))
+                if plan.stop_reason not in ("", "budget") and self.stop_after is None:
+                    self.stop_after = len(self.after)
+
+    def write(self, step: Step) -> None:
+        pass
+
+    def write_frame(self, frame: ColorFrame) -> None:
+        pass
+
+    def write_items(self, items: Sequence[Item]) -> None:
+        pass
+
+
+def _after(compute_s: float, explorer: Explorer, measured: TouchEstimate, felt: float, truth: TrueMap) -> MapAfter:
     count, plan, regions = len(explorer.told), PlanOptions(), explorer.region_map()
     touch = explorer.posterior.touches[-1]
-    low, high = told.stiffness_interval
+    low, high = measured.stiffness_interval
     return MapAfter(
         touches=count,
         travel_m=explorer.travel_m,
         robot_s=explorer.travel_m / plan.speed_m_s + count * plan.touch_s,
-        compute_s=moment.compute_s,
+        compute_s=compute_s,
         xy_m=(float(touch.xy_m[0]), float(touch.xy_m[1])),
         log_stiffness=touch.log_stiffness,
         log_sd=touch.log_sd,
         rigid=touch.rigid,
         felt_log_stiffness=felt,
-        touch_covered=None if told.rigid else bool(low <= np.exp(felt) <= high),
+        touch_covered=None if measured.rigid else bool(low <= np.exp(felt) <= high),
         score=score_map(regions, truth),
         probability=dict(regions.probability),
     )
@@ -144,12 +177,12 @@ def read_runs(path: Path) -> Iterator[TableRun]:
             if not line.endswith("\n"):
                 return
             try:
-                told = json.loads(line)
+                read = json.loads(line)
                 after = [
                     MapAfter(**{**one, "xy_m": tuple(one["xy_m"]), "score": MapScore(**one["score"])})
-                    for one in told["after"]
+                    for one in read["after"]
                 ]
-                yield TableRun(**{**told, "job": TableJob(**told["job"]), "after": tuple(after)})
+                yield TableRun(**{**read, "job": TableJob(**read["job"]), "after": tuple(after)})
             except (ValueError, TypeError, KeyError) as error:
                 raise InputError(
                     "runs of this version", str(error), "leave --resume out", f"{path}:{number}"

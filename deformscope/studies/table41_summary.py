@@ -22,7 +22,7 @@ FOUND_IOU = 0.5
 """A small region is found where the number of regions is right and its match overlaps it so much."""
 
 LOOKED_AT = (3, 4, 6, 8, 12)
-"""Touches that a table tells of; the thesis touched 3 or 4 times."""
+"""Touches that a table reports; the thesis touched 3 or 4 times."""
 
 DRAWS = 2000
 What = Literal["touches", "travel_m", "robot_s"]
@@ -37,7 +37,7 @@ def summarise(runs: Sequence[TableRun], touches: int) -> dict[str, Any]:
     gradual: shares. levels_covered: share of the levels in their intervals, over `levels_runs` layouts whose number is
     right; field_covered: mean share of cells; touches_covered: share of the touches so far that are not rigid
     unmet_m: radius of the largest disc of another material that no touch would have met, median
-    None where there is nothing to tell of
+    None where there is nothing to report
     """
     last = [run.at(touches) for run in runs]
     scores = [after.score for after in last]
@@ -88,7 +88,7 @@ def first_passage(run: TableRun, iou: float) -> tuple[dict[What, float], bool]:
 
 
 def compare(runs: Sequence[TableRun], against: Sequence[TableRun], iou: float) -> dict[str, Any]:
-    """One planner's way to maps this good, beside another's on the same scenes and seeds.
+    """One planner's effort for maps this good, beside another's on the same scenes and seeds.
 
     reached: share of layouts in which it got there at all; touches, travel_m, robot_s: mean first passages, with their
     ratio, and 5 and 95 % of its bootstrap over layouts
@@ -96,7 +96,7 @@ def compare(runs: Sequence[TableRun], against: Sequence[TableRun], iou: float) -
     other = {(run.job.scene, run.job.seed): run for run in against}
     pairs = [(run, other[run.job.scene, run.job.seed]) for run in runs if (run.job.scene, run.job.seed) in other]
     passed = [[first_passage(one, iou) for one in pair] for pair in pairs]
-    told: dict[str, Any] = {
+    summary: dict[str, Any] = {
         "planner": runs[0].job.planner,
         "against": against[0].job.planner,
         "iou": iou,
@@ -107,9 +107,9 @@ def compare(runs: Sequence[TableRun], against: Sequence[TableRun], iou: float) -
     for what in PASSED:
         both = np.array([[one[0][what] for one in pair] for pair in passed])
         mean, ratio = both.mean(axis=0), _ratio(both)
-        told |= {what: float(mean[0]), f"{what}_against": float(mean[1]), f"{what}_ratio": ratio[0]}
-        told |= {f"{what}_low": ratio[1], f"{what}_high": ratio[2]}
-    return told
+        summary |= {what: float(mean[0]), f"{what}_against": float(mean[1]), f"{what}_ratio": ratio[0]}
+        summary |= {f"{what}_low": ratio[1], f"{what}_high": ratio[2]}
+    return summary
 
 
 def _ratio(pairs: FloatArray) -> tuple[float, float, float]:

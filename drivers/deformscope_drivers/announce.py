@@ -1,4 +1,4 @@
-"""Where running doubles are found by other processes: each tells its port in a small file while it lives."""
+"""Where running doubles are found by other processes: each writes its port to a small file while it runs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class RunningDouble:
 
 
 def announcements() -> Path:
-    """The folder in which running doubles tell where they are; it may not exist."""
+    """The folder in which running doubles write their ports; it may not exist."""
     base = os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()
     return Path(base) / f"deformscope-doubles-{os.getuid()}"
 

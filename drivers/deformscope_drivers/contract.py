@@ -32,7 +32,7 @@ TOLD_WITHIN_S = 1.0
 @dataclass(frozen=True, slots=True)
 class Bench:
     """A device on the bench. device: closed; unplug, plug: pull its cable out and put it back, None = cannot be
-    told from here; pause, resume: the device falls silent and speaks again, on a link that stays; another: opens the
+    done from here; pause, resume: the device falls silent and speaks again, on a link that stays; another: opens the
     same port a second time, which must be refused"""
 
     device: Device[Any]
@@ -155,7 +155,7 @@ class DeviceContract:
         bench.resume()
         device.next(PATIENCE_S)
 
-    def test_a_slow_reader_loses_the_oldest_and_is_told(self, device: Device[Any]) -> None:
+    def test_a_slow_reader_loses_the_oldest_and_sees_how_many(self, device: Device[Any]) -> None:
         readings = device.readings(capacity=4)
         quick = device.readings()
         wait_until(lambda: readings.dropped >= 3)
@@ -183,7 +183,7 @@ class DeviceContract:
         assert ended.wait(PATIENCE_S)
         reader.join()
 
-    def test_health_says_how_it_does(self, device: Device[Any]) -> None:
+    def test_health_counts_what_came_and_was_lost(self, device: Device[Any]) -> None:
         device.next(PATIENCE_S)
         readings = [device.next(PATIENCE_S) for _ in range(5)]
         health = device.health()
@@ -197,7 +197,7 @@ class DeviceContract:
 
     # A link that is lost ---------------------------------------------------------------------------------------------
 
-    def test_a_cable_pulled_out_is_told_and_put_back_is_found(self, bench: Bench, device: Device[Any]) -> None:
+    def test_a_cable_pulled_out_is_reported_and_put_back_is_found(self, bench: Bench, device: Device[Any]) -> None:
         if bench.unplug is None or bench.plug is None:
             pytest.skip("this cable cannot be pulled from here")
         events = device.events()

@@ -1,6 +1,6 @@
-"""What every device is: opened and closed, read in three ways, reconnected by itself, and open about how it does.
+"""What every device is: opened and closed, with three reads, reconnected by itself, and open about its health.
 
-One thread owns the link, from opening to closing: it alone reads and writes. What another thread wants done is handed
+One thread owns the link, from opening to closing: it alone reads and writes. What another thread asks for is handed
 to it (`_do`). So no lock guards a port, no reading is torn, and a cable that was pulled out is noticed in one place.
 """
 
@@ -62,7 +62,7 @@ RECONNECT = Reconnect()
 
 class EndOfReadings(Exception):
     """For a `_receive` that has nothing more to give, as at the end of a file: readers come to their end, as if the
-    device had been closed. Its words become the reason that `health()` tells."""
+    device had been closed. Its words become the reason in `health()`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ class RawChunk:
 class Device(ABC, Generic[MeasurementT]):
     """`with SomeDevice(config) as device:` and then one of the three reads.
 
-    - `for reading in device:` every reading, through a bounded queue; `device.readings()` tells what was dropped
+    - `for reading in device:` every reading, through a bounded queue; `device.readings()` counts what was dropped
     - `device.next(timeout_s)` the next reading that arrives
     - `device.latest(max_age_s)` the newest reading, refused when it is older than that
 
@@ -134,7 +134,7 @@ class Device(ABC, Generic[MeasurementT]):
         """Close the link, in whatever state it is; a device that moves is stopped first if it can be."""
 
     def _fingerprint(self, reading: MeasurementT) -> Hashable:
-        """What is the same in two readings of a sensor that is stuck; None = cannot tell."""
+        """What is the same in two readings of a sensor that is stuck; None = unknown."""
         return None
 
     def _wake(self) -> None:
@@ -165,7 +165,7 @@ class Device(ABC, Generic[MeasurementT]):
                 self._thread = None
                 self._disconnect_quietly()
                 raise
-            self._tell(Link.CONNECTED)
+            self._report_link(Link.CONNECTED)
             return self
         opened: Future[None] = Future()
         self._thread = threading.Thread(target=self._run, args=(opened,), name=f"device {self.name}", daemon=True)
@@ -276,7 +276,7 @@ class Device(ABC, Generic[MeasurementT]):
         try:
             found = list(self._receive(timeout_s))
         except LinkLost as error:
-            self._tell(Link.LOST, str(error))
+            self._report_link(Link.LOST, str(error))
             raise
         except EndOfReadings as end:
             self._finish(str(end))
@@ -288,7 +288,7 @@ class Device(ABC, Generic[MeasurementT]):
     # More to look at -------------------------------------------------------------------------------------------------
 
     def raw(self, capacity: int = QUEUE_CHUNKS) -> Subscription[RawChunk]:
-        """A queue of all bytes from now on, both ways, as a recording keeps them; empty for what sends no bytes."""
+        """A queue of all bytes from now on, in both directions, as recorded; empty for what sends no bytes."""
         return self._subscribe(self._chunks, capacity)
 
     def events(self, capacity: int = QUEUE_EVENTS) -> Subscription[LinkEvent]:
@@ -296,7 +296,7 @@ class Device(ABC, Generic[MeasurementT]):
         return self._subscribe(self._events, capacity)
 
     def health(self) -> Health:
-        """How the device does, as of now."""
+        """The device's health, as of now."""
         now_ns = self._clock()
         last = self._last
         with self._changed:
@@ -322,7 +322,7 @@ class Device(ABC, Generic[MeasurementT]):
             )
 
     def identity(self) -> Identity:
-        """Model, serial number and firmware, as far as the device told them while connecting; touches nothing."""
+        """Model, serial number and firmware, as far as the device reported them while connecting; touches nothing."""
         return Identity()
 
     # For subclasses --------------------------------------------------------------------------------------------------
@@ -417,7 +417,7 @@ class Device(ABC, Generic[MeasurementT]):
         reason = ""
         try:
             self._connect()
-            self._tell(Link.CONNECTED)
+            self._report_link(Link.CONNECTED)
             opened.set_result(None)
             while not self._closing.is_set():
                 try:
@@ -453,7 +453,7 @@ class Device(ABC, Generic[MeasurementT]):
                 self._publish(reading)
 
     def _lose(self, error: LinkLost) -> None:
-        self._tell(Link.LOST, str(error))
+        self._report_link(Link.LOST, str(error))
         self._disconnect_quietly()
         self._refuse_jobs(error)
         if self._clock_fit is not None:
@@ -473,7 +473,7 @@ class Device(ABC, Generic[MeasurementT]):
                 continue
             with self._changed:
                 self._tally.reconnects += 1
-            self._tell(Link.CONNECTED)
+            self._report_link(Link.CONNECTED)
             return
 
     def _finish(self, reason: str) -> None:
@@ -488,9 +488,9 @@ class Device(ABC, Generic[MeasurementT]):
         except Exception as error:  # whatever happens, readers that wait come to their end
             failure = failure or error
         if failure is None:
-            self._tell(Link.CLOSED, reason or (self._reason if self._link is Link.LOST else ""))
+            self._report_link(Link.CLOSED, reason or (self._reason if self._link is Link.LOST else ""))
         else:
-            self._tell(Link.FAILED, str(failure) or type(failure).__name__)
+            self._report_link(Link.FAILED, str(failure) or type(failure).__name__)
         self._refuse_jobs(NotConnected("a device that is open", "one that was closed", where=self.name))
         with self._changed:
             self._failure = failure
@@ -502,7 +502,7 @@ class Device(ABC, Generic[MeasurementT]):
         for queue in queues:
             queue.end(failure)
 
-    def _tell(self, link: Link, reason: str = "") -> None:
+    def _report_link(self, link: Link, reason: str = "") -> None:
         event = LinkEvent(self._clock(), link, reason)
         with self._changed:
             self._tally.follow_link(link, event.host_ns)
@@ -548,7 +548,7 @@ class StreamDevice(Device[MeasurementT]):
 
     A subclass gives `_start` (what is said after opening), `_make_decoder`, and `_measure` (an event of the decoder
     that is no measurement gives none). `_ask` sends a command and waits for its reply.
-    silence_s: a device that should send and sent nothing for this long is lost (a bus does not tell); None = it may
+    silence_s: a device that should send and sent nothing for this long is lost (a bus does not show it); None = it may
     """
 
     def __init__(
@@ -639,7 +639,7 @@ class StreamDevice(Device[MeasurementT]):
         tries: int = 1,
         what: str = "a reply",
     ) -> ResultT:
-        """Send a command and wait for the event that `accept` makes something of; readings go their way meanwhile.
+        """Send a command and wait for the event that `accept` makes something of; readings are published meanwhile.
 
         Runs in the device's thread: a public method wraps it into `_do`. Raises NoReply after the last try.
         """

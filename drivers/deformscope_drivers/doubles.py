@@ -11,7 +11,7 @@ from collections import deque
 from typing import Protocol
 
 FIFO_BYTES = 16
-"""What a serial port's chip gathers before it tells its host."""
+"""What a serial port's chip gathers before it interrupts its host."""
 
 
 class Double(Protocol):

@@ -31,7 +31,7 @@ class DeviceError(Exception):
 
     @classmethod
     def in_words(cls, words: str) -> Self:
-        """An error that another process told in whole words, as one of this one."""
+        """An error that another process reported in words, as one of this one."""
         error = cls.__new__(cls)
         Exception.__init__(error, words)
         return error

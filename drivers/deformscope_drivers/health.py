@@ -1,4 +1,4 @@
-"""How a device does: what came, what was lost and why, how often, how old."""
+"""The health of a device: what came, what was lost and why, how often, how old."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Health:
     clock: how the device's clock runs beside the host's, None where it has none
     extra: what only this kind of device counts
     lost_by_time: how many of the lost ones are counted at the device's rate, for the time of a lost link or of silence,
-    where its counter does not tell; silent_s: how long that was [s]
+    where its counter does not show it; silent_s: how long that was [s]
     """
 
     link: Link

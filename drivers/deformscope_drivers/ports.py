@@ -1,4 +1,4 @@
-"""What is plugged into this machine, as far as it can be told without opening anything."""
+"""What is plugged into this machine, as far as it can be seen without opening anything."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ SERIAL_ADAPTER = "a serial port or adapter; the SDH's tactile controller or its 
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class FoundDevice:
     """Something that is plugged in.
 
-    driver: the package that speaks to it; empty where only asking it would tell
+    driver: the package that speaks to it; empty where only a query would show it
     port: what a configuration names; serial: its serial number, or that of the USB adapter
     """
 
@@ -33,12 +33,12 @@ class Found:
     note: str = ""
 
 
-def find_doubles() -> list[Found]:
+def find_doubles() -> list[FoundDevice]:
     """Simulated devices that other processes run."""
-    return [Found(d.driver, d.port, d.name, note=f"a double, run by process {d.pid}") for d in running_doubles()]
+    return [FoundDevice(d.driver, d.port, d.name, note=f"a double, run by process {d.pid}") for d in running_doubles()]
 
 
-def find_serial() -> list[Found]:
+def find_serial() -> list[FoundDevice]:
     """Serial ports, USB first by their stable names."""
     from serial.tools import list_ports
 
@@ -50,28 +50,28 @@ def find_serial() -> list[Found]:
         # The identity is that of a chip maker's example, which others use too: the name decides.
         driver = "optoforce" if (port.vid, port.pid) == OPTOFORCE_USB and "optoforce" in name.lower() else ""
         note = "" if driver else SERIAL_ADAPTER
-        found.append(Found(driver, _stable_name(Path(port.device)), name, port.serial_number or "", note=note))
+        found.append(FoundDevice(driver, _stable_name(Path(port.device)), name, port.serial_number or "", note=note))
     return found
 
 
-def find_usb_arms(devices: Path = USB_DEVICES) -> list[Found]:
+def find_usb_arms(devices: Path = USB_DEVICES) -> list[FoundDevice]:
     """Kinova arms on USB."""
     found = []
     for folder in sorted(devices.glob("*")) if devices.is_dir() else []:
         if _text(folder / "idVendor").lower() == f"{KINOVA_VENDOR:04x}":
             name = _text(folder / "product") or "Kinova arm"
-            found.append(Found("jaco", f"usb:{folder.name}", name, _text(folder / "serial")))
+            found.append(FoundDevice("jaco", f"usb:{folder.name}", name, _text(folder / "serial")))
     return found
 
 
-def find_can(network: Path = NETWORK) -> list[Found]:
+def find_can(network: Path = NETWORK) -> list[FoundDevice]:
     """CAN interfaces of the kernel's (socketcan)."""
     found = []
     for folder in sorted(network.glob("*")) if network.is_dir() else []:
         if _text(folder / "type") == ARPHRD_CAN:
             state = _text(folder / "operstate")
             note = "" if state in ("up", "unknown") else f"it is {state}: sudo ip link set {folder.name} up"
-            found.append(Found("", f"socketcan:{folder.name}", "CAN interface", note=note))
+            found.append(FoundDevice("", f"socketcan:{folder.name}", "CAN interface", note=note))
     return found
 
 

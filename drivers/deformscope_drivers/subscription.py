@@ -1,4 +1,4 @@
-"""A reader's own bounded queue: a slow reader loses the oldest, and is told how many."""
+"""A reader's own bounded queue: a slow reader loses the oldest, and learns how many."""
 
 from __future__ import annotations
 

@@ -117,7 +117,7 @@ class SyntheticSource(Device[MeasurementT], Generic[MeasurementT, ViewT]):
         self._frozen = frozen
 
     def drop(self, count: int) -> None:
-        """Lose the next pictures on their way."""
+        """Lose the next pictures in transit."""
         self._to_drop = count
 
     # A device --------------------------------------------------------------------------------------------------------

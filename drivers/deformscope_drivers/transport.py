@@ -1,4 +1,4 @@
-"""The ways to a device: serial ports, sockets and CAN buses.
+"""Transports to a device: serial ports, sockets and CAN buses.
 
 A transport carries bytes. It decodes nothing; it says at once when the link is gone.
 Ports and buses are named by rig files, which come from anywhere: pyserial and python-can know more kinds than are
@@ -151,7 +151,7 @@ class SerialTransport(Transport):
                 os.write(self._wake_write, b".")
 
     def _read_descriptor(self, timeout_s: float) -> bytes:
-        """The quickest way there is: one system call to wait and one to read."""
+        """The quickest read: one system call to wait and one to read."""
         ready, _, _ = select.select([self._descriptor, self._wake_read], [], [], max(timeout_s, 0.0))
         if self._wake_read in ready:
             with contextlib.suppress(BlockingIOError):
@@ -270,10 +270,10 @@ def open_bus(bus: str, receive_id: int, bitrate: int) -> Any:
     """A python-can bus that gives the frames of one id. bus: as for `CanTransport`; raises NotConnected."""
     import can
 
-    interface, channel, told = parse_bus(bus)
-    chosen: dict[str, Any] = {"bitrate": bitrate, **told}
+    interface, channel, options = parse_bus(bus)
+    chosen: dict[str, Any] = {"bitrate": bitrate, **options}
     if interface == "udp_multicast":
-        chosen = {"hop_limit": 0, "fd": False, **told}  # hop limit 0: never beyond this host
+        chosen = {"hop_limit": 0, "fd": False, **options}  # hop limit 0: never beyond this host
     filters = [{"can_id": receive_id, "can_mask": 0x7FF, "extended": False}]
     try:
         return can.Bus(interface=interface, channel=channel, can_filters=filters, **chosen)

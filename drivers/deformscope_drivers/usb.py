@@ -1,4 +1,4 @@
-"""USB devices as the kernel tells of them under /sys, without opening anything."""
+"""USB devices as the kernel lists them under /sys, without opening anything."""
 
 from __future__ import annotations
 

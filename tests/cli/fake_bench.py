@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from functools import partial
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -12,18 +13,24 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from deformscope.arrays import BoolArray, FloatArray
-from deformscope.experiments.explore import ExploreOptions, SurfaceMeasurement, TouchMeasurement
+from deformscope.arrays import FloatArray
+from deformscope.cli.setups import Opening
+from deformscope.experiments.explore import Look
+from deformscope.experiments.explorer import AsMeasured, Touch
+from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.touching_robot import CheckFirst
 from deformscope.frames import HealthReport, Item
 from deformscope.images import encode_png
-from deformscope.rig.rig_file import Tool
+from deformscope.rig.rig_file import Tool, Workspace
 from deformscope.robot.placement import Placement
 from deformscope.robot.preflight import Check, Preflight
+from deformscope.robot.setup import CameraView, Setup
 from deformscope.robot.touch import Phase
+from deformscope.session import Inline, Moment, Step
+from deformscope.stages.map.exploration import PhaseStart
+from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 from deformscope.stages.map.regions import RegionPosterior
 from deformscope.stages.map.surface import HeightProcess, fit_surface
-from deformscope.stages.map.touches import MapGrid
-from deformscope.stages.poke.contact import ArmCompliance
 
 SIZE_M = (0.6, 0.4)
 THICKNESS_M = 0.05
@@ -31,36 +38,43 @@ PERIOD_NS = 10_000_000
 
 
 class FakeRobot:
-    """Looks and touches at once. moving: what the arm does; halts: why it was told to stand; calls: of this robot"""
+    """Looks and touches at once. moving: what the arm does; halts: why it was told to stand"""
 
-    size_m = SIZE_M
     forces_told = "3 N"
     doing = ""
+    gaps_s = np.full(9, 0.01)
 
-    def __init__(self, bench: FakeBench, on_cycle: Callable[[], None] | None) -> None:
+    def __init__(self, bench: FakeBench, on_cycle: Callable[[], None]) -> None:
         self._bench, self._on_cycle = bench, on_cycle
-        self.arm = ArmCompliance()
         self.moving = False
         self.halts: list[str] = []
-        self.on_phase: Callable[[Phase, int], None] = lambda phase, time_ns: None
+        self.on_phase: Callable[[Phase, int], None] = lambda phase, touch: None
+        self.stopped: Future[None] = Future()
+        self._touches = 0
+        self._reports: list[Step] = []
+
+    def carry_out(self, command: object, keep: Callable[[], object]) -> Future[Any]:
+        match command:
+            case CheckFirst():
+                passed = Preflight((Check("arm: still", True, "at rest", "at rest"),))
+                return Inline().submit(lambda: passed)
+            case Look():
+                return Inline().submit(self.look)
+            case Touch():
+                return Inline().submit(self.touch, command)
+        return Inline().submit(self._cycles, 2)
+
+    def reports(self) -> list[Step]:
+        taken, self._reports = self._reports, []
+        return taken
 
     def _cycles(self, count: int) -> None:
         for _ in range(count):
             self._bench.now_ns += PERIOD_NS
-            if self._on_cycle is not None:
-                self._on_cycle()
-
-    def now_ns(self) -> int:
-        return self._bench.now_ns
-
-    def preflight(self, calibrated: object, places_m: object = None) -> Preflight:
-        return Preflight((Check("arm: still", True, "at rest", "at rest"),))
+            self._on_cycle()
 
     def let_move(self, preflight: Preflight) -> None:
         pass
-
-    def reachable(self, grid: MapGrid) -> BoolArray:
-        return np.ones(grid.shape, dtype=bool)
 
     def look(self) -> SurfaceMeasurement:
         self._cycles(2)
@@ -68,10 +82,14 @@ class FakeRobot:
         wavy = THICKNESS_M + 1e-4 * np.sin(40.0 * x) * np.cos(50.0 * y)
         return SurfaceMeasurement(np.column_stack([x, y, wavy]), np.full(len(x), 5e-4))
 
-    def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> TouchMeasurement:
+    def touch(self, command: Touch) -> TouchMeasurement:
+        xy_m, height_m = command.xy_m, command.height_m
         self.moving = True
+        self._touches += 1
         for phase in (Phase.TRAVEL, Phase.PRESS, Phase.RETREAT):
-            self.on_phase(phase, self._bench.now_ns)
+            began = Moment(self._bench.now_ns, self._touches)
+            self._reports.append(Step((PhaseStart(str(phase), self._touches - 1),), moment=began))
+            self.on_phase(phase, self._touches)
             self._cycles(2)
         self.moving = False
         stiffness = 1.5 if xy_m[0] > 0.3 else 0.6
@@ -86,9 +104,6 @@ class FakeRobot:
 
     def ask_to_stop(self, reason: str) -> None:
         pass
-
-    def look_on(self, duration_s: float) -> None:
-        self._cycles(2)
 
     def halt(self, reason: str) -> bool:
         self.halts.append(reason)
@@ -112,33 +127,35 @@ class FakeSource:
     def look(self) -> HealthReport:
         return HealthReport(0, ())
 
+    def close(self) -> None:
+        pass
+
 
 class FakeBench:
-    """A `Bench`. robots: that were opened"""
-
-    size_m = SIZE_M
-    truth = None
-    runs_itself = False
-    simulated = True
-    calibrated: ClassVar[dict[str, bool]] = {}
-    max_force_n = 3.0
-    arm = ArmCompliance()
+    """A setup's robots. robots: that were opened; now_ns: their clock"""
 
     def __init__(self) -> None:
-        self.placement = Placement(np.eye(4), Tool())
         self.now_ns = 0
         self.robots: list[FakeRobot] = []
-
-    @property
-    def clock(self) -> Callable[[], int]:
-        return lambda: self.now_ns
+        self.setup = Setup(
+            size_m=SIZE_M,
+            placement=Placement(np.eye(4), Tool()),
+            workspace=Workspace(),
+            camera=CameraView(),
+            open_source=self.source,  # type: ignore[arg-type]
+            names=("arm", "tip", "camera"),
+            simulated=True,
+            runs_itself=False,
+            true_force_n=lambda: 3.0,
+            clock=lambda: self.now_ns,
+        )
 
     @contextlib.contextmanager
     def source(self) -> Iterator[FakeSource]:
         yield FakeSource()
 
     @contextlib.contextmanager
-    def robot(self, on_cycle: Callable[[], None] | None = None) -> Iterator[FakeRobot]:
+    def robot(self, setup: Setup, source: object, options: object, on_cycle: Callable[[], None]) -> Iterator[FakeRobot]:
         self.robots.append(FakeRobot(self, on_cycle))
         yield self.robots[-1]
 
@@ -147,18 +164,20 @@ def use_fake_bench(monkeypatch: pytest.MonkeyPatch) -> FakeBench:
     """From now on `explore` explores this, on coarse maps of few particles."""
     bench = FakeBench()
 
-    def bench_of(name: str, options: ExploreOptions, set_force_n: float | None, *, trusted: bool) -> Any:
+    def setup_of(name: str, options: ExploreOptions, set_force_n: float | None, *, trusted: bool) -> Opening:
         options = dataclasses.replace(options, cell_m=0.02, beta_model="none")
-        return bench, options, {"scene": name}
+        return Opening(bench.setup, options, {"scene": name})
 
-    monkeypatch.setattr("deformscope.cli.explore.bench_of", bench_of)
+    monkeypatch.setattr("deformscope.cli.explore.setup_of", setup_of)
+    monkeypatch.setattr("deformscope.experiments.touching_robot.touching_robot", bench.robot)
+    monkeypatch.setattr("deformscope.experiments.beside.FromFrames", lambda geometry, options: AsMeasured(SIZE_M))
     pixel = encode_png(np.zeros((1, 1, 3), np.uint8))
     monkeypatch.setattr("deformscope.pictures.exploration._one", lambda *_: pixel)
     monkeypatch.setattr("deformscope.pictures.exploration.result_png", lambda *_: pixel)
-    monkeypatch.setattr("deformscope.experiments.explore.fit_surface", _surface)
+    monkeypatch.setattr("deformscope.experiments.explorer.fit_surface", _surface)
     few = partial(RegionPosterior.before_touches, particle_count=50)
     posterior = SimpleNamespace(before_touches=few)
-    monkeypatch.setattr("deformscope.experiments.explore.RegionPosterior", posterior)
+    monkeypatch.setattr("deformscope.experiments.explorer.RegionPosterior", posterior)
     return bench
 
 

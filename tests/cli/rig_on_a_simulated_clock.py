@@ -13,16 +13,14 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from deformscope.experiments import explore_rig
 from deformscope.lab.depth_view import DepthView
 from deformscope.lab.layer_world import LayerWorld
 from deformscope.lab.live_lab import CAMERA, PARKED_M
 from deformscope.lab.scenes import Scene
 from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig.rig_file import RigDevice
-from deformscope.rig.source import RigSource
 from deformscope.robot.placement import Placement, best_joints
-from deformscope.robot.robot import Robot
+from deformscope.robot.setup import Setup, Truth, rig_setup
 from deformscope.robot.shape import arm_shape
 from deformscope_drivers.depth_camera import View
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
@@ -35,6 +33,8 @@ from deformscope_drivers.optoforce.double import OMD_20_SE_40N
 class SimulatedTable:
     """In place of `LiveLab`: the same table, in this thread and on `clock`."""
 
+    runs_itself = False
+
     def __init__(
         self,
         clock: SimulatedClock,
@@ -44,7 +44,8 @@ class SimulatedTable:
         T_surface_camera: npt.NDArray[np.floating] | None = None,
         model: str | None = None,
     ) -> None:
-        self._clock, self._scene, self._placement = clock, scene, placement
+        self.clock, self._placement = clock, placement
+        self.size_m, self.truth = scene.size_m, Truth(scene.regions)
         self.view = DepthView(scene, CAMERA, T_surface_camera)
         self._world = LayerWorld(scene, placement.tool.radius_m)
         parked = np.array([scene.size_m[0] / 2, scene.size_m[1] / 2, PARKED_M])
@@ -67,7 +68,7 @@ class SimulatedTable:
         )
         self.lab = TouchLab(
             self._world,
-            self._clock,
+            self.clock,
             tool=self._placement.tool,
             T_base_surface=self._placement.T_base_surface,
             view=self._see,
@@ -79,7 +80,14 @@ class SimulatedTable:
         made = {"jaco": self.lab.arm, "optoforce": self.lab.force, "depth_camera": self.lab.camera}
         yield {entry.name: made[entry.driver.name] for entry in entries}
 
-    def open(self) -> None:
+    @property
+    def T_surface_camera(self) -> npt.NDArray[np.float64]:
+        return np.asarray(self.view.surface_from_camera, np.float64)
+
+    def wait_until(self, until_ns: int) -> None:
+        self.lab.wait_until(until_ns)
+
+    def opener(self) -> None:
         """As `TouchLab.open`, but the force sensor's zero is left to who explores."""
         for device in (self.lab.force, self.lab.arm, self.lab.camera):
             if device is not None:
@@ -93,19 +101,16 @@ class SimulatedTable:
 
 
 def use_a_simulated_clock(monkeypatch: pytest.MonkeyPatch) -> None:
-    """From now on `RigBench` makes its doubles in this thread, on a clock of their own."""
-    clock = SimulatedClock(1_000_000_000)
-    tables: list[SimulatedTable] = []
+    """From now on a rig's doubles over a table run in this thread, on a clock of their own."""
+    monkeypatch.setattr("deformscope.lab.live_lab.LiveLab", partial(SimulatedTable, SimulatedClock(1_000_000_000)))
 
-    def table(*arguments: Any, **options: Any) -> SimulatedTable:
-        tables.append(SimulatedTable(clock, *arguments, **options))
-        return tables[-1]
 
-    def wait_until(until_ns: int) -> None:
-        tables[-1].lab.wait_until(until_ns)
+def count_as_real(monkeypatch: pytest.MonkeyPatch, **changes: Any) -> None:
+    """From now on a rig's doubles are treated as real devices, calibrated unless the changes say otherwise."""
+    changes = {"calibrated": {"all": True}} | changes
 
-    monkeypatch.setattr(explore_rig, "LiveLab", table)
-    monkeypatch.setattr(explore_rig, "monotonic_ns", clock)
-    monkeypatch.setattr(explore_rig, "RigSource", partial(RigSource, clock=clock, opener=lambda: tables[-1].open()))
-    monkeypatch.setattr(explore_rig, "Robot", partial(Robot, clock=clock, wait_until=wait_until))
-    monkeypatch.setattr(explore_rig.RigBench, "runs_itself", False)
+    def made(*arguments: Any) -> Setup:
+        setup = rig_setup(*arguments)
+        return dataclasses.replace(setup, simulated=False, **changes)
+
+    monkeypatch.setattr("deformscope.robot.setup.rig_setup", made)

@@ -19,7 +19,7 @@ pytest.importorskip("tyro")
 from deformscope.bench import peers, report, starting
 from deformscope.bench.numpy_step import NumpyLattice
 from deformscope.bench.peers import Peer
-from deformscope.bench.plan import BenchPlan, Tell
+from deformscope.bench.plan import BenchPlan, Note
 from deformscope.bench.timing import Contestant, Timing, TimingRow, compare
 from deformscope.cli import EXIT_INPUT, EXIT_INTERRUPTED, main
 from deformscope.stages.msm import reference
@@ -166,7 +166,7 @@ def test_other_engines_that_are_not_installed_are_asked_for(
 def test_what_was_measured_is_kept_when_it_is_interrupted(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def interrupted(plan: BenchPlan, tell: Tell) -> Iterator[TimingRow]:
+    def interrupted(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
         yield TimingRow("step", "64 particles", "deformscope", "ms/step", (1.5,))
         raise KeyboardInterrupt
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from deformscope.cli import main
-from deformscope.cli.exploring import Companion
+from deformscope.experiments.touching_robot import TouchingRobot
 from deformscope.frames import DepthFrame
 from deformscope.lab.faults import CAMERA, Injected
 from deformscope.recording.items import read_items
@@ -154,7 +154,7 @@ def test_a_fault_stops_it_and_the_recording_is_whole(
     assert f"stopped: {kind}" in names
     assert names[:2] == ["look", "travel"]
     assert found["seconds"]["session"] > found["fault"]["time_s"] + 0.49
-    frames = [one for one in read_items(record, kinds=("depth",), trust=True) if isinstance(one, DepthFrame)]
+    frames = [one for one in read_items(record, kinds=(DepthFrame,), trust=True) if isinstance(one, DepthFrame)]
     assert frames[-1].stamp.host_ns - LAB_STARTS_NS > at_ns + 300_000_000
 
     # the file is whole; what a device that fell silent did not give is a loss, and named
@@ -186,9 +186,9 @@ def test_every_fault_is_noticed_and_its_recording_whole(
 
 def interrupted_at(phase: Phase, *numbers: int) -> Callable[..., None]:
     """In place of what follows the phases: signals as such a phase begins."""
-    followed = Companion.phase_began
+    followed = TouchingRobot._begin
 
-    def phase_began(self: Companion, began: Phase, time_ns: int) -> None:
+    def phase_began(self: TouchingRobot, began: Phase, time_ns: int) -> None:
         followed(self, began, time_ns)
         if began is phase:
             for number in numbers:
@@ -204,7 +204,7 @@ def test_ctrl_c_stops_the_arm_and_keeps_all(
     number: int, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     record, told, terminal = tmp_path / "e.rrd", tmp_path / "e.json", Terminal()
-    monkeypatch.setattr(Companion, "phase_began", interrupted_at(Phase.DWELL, number))
+    monkeypatch.setattr(TouchingRobot, "_begin", interrupted_at(Phase.DWELL, number))
     monkeypatch.setattr(sys, "stderr", terminal)
 
     assert main(["explore", "lab:two-60-150", *STOPPED, "--record", str(record), "--json", str(told)]) == status
@@ -225,7 +225,7 @@ def test_ctrl_c_stops_the_arm_and_keeps_all(
 def test_a_second_ctrl_c_leaves_at_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Companion, "phase_began", interrupted_at(Phase.APPROACH, signal.SIGINT, signal.SIGINT))
+    monkeypatch.setattr(TouchingRobot, "_begin", interrupted_at(Phase.APPROACH, signal.SIGINT, signal.SIGINT))
     record = tmp_path / "e.rrd"
 
     assert main(["explore", "lab:two-60-150", *STOPPED, "--record", str(record)]) == 130
@@ -249,7 +249,7 @@ def test_a_full_disk_halts_the_arm_first(
         noticed.set()
         return usage._replace(free=0)
 
-    def phase_began(self: Companion, phase: Phase, time_ns: int) -> None:
+    def phase_began(self: TouchingRobot, phase: Phase, time_ns: int) -> None:
         began.append(phase)
         if phase is Phase.APPROACH:
             assert noticed.wait(PATIENCE_S)  # a simulated arm is faster than any look at a disk
@@ -261,7 +261,7 @@ def test_a_full_disk_halts_the_arm_first(
         self.close()
 
     monkeypatch.setattr(shutil, "disk_usage", filling)
-    monkeypatch.setattr(Companion, "phase_began", phase_began)
+    monkeypatch.setattr(TouchingRobot, "_begin", phase_began)
     monkeypatch.setattr(RigSource, "__exit__", leave)
     monkeypatch.setattr("deformscope.recording.rrd_file.BEAT_S", 0.0)
     record = tmp_path / "e.rrd"
@@ -283,7 +283,7 @@ def test_the_robot_is_watched_while_the_disk_blocks(
     """From one phase to another no flush comes back: what looks at the force goes on as before."""
     blocks, free, given_up = threading.Event(), threading.Event(), list[bool]()
     looks = 0
-    flush, judge, followed = RecordingFile.flush, Supervisor.judge, Companion.phase_began
+    flush, judge, followed = RecordingFile.flush, Supervisor.judge, TouchingRobot._begin
 
     def slow(self: RecordingFile) -> None:
         if Phase.APPROACH in begun and not free.is_set():
@@ -298,7 +298,7 @@ def test_the_robot_is_watched_while_the_disk_blocks(
 
     begun: list[Phase] = []
 
-    def phase_began(self: Companion, phase: Phase, time_ns: int) -> None:
+    def phase_began(self: TouchingRobot, phase: Phase, time_ns: int) -> None:
         begun.append(phase)
         if phase is Phase.APPROACH:
             assert blocks.wait(PATIENCE_S)
@@ -308,7 +308,7 @@ def test_the_robot_is_watched_while_the_disk_blocks(
 
     monkeypatch.setattr(RecordingFile, "flush", slow)
     monkeypatch.setattr(Supervisor, "judge", looked)
-    monkeypatch.setattr(Companion, "phase_began", phase_began)
+    monkeypatch.setattr(TouchingRobot, "_begin", phase_began)
     monkeypatch.setattr("deformscope.recording.rrd_file.BEAT_S", 0.0)
     monkeypatch.setattr("deformscope.recording.recorder.AHEAD_JOBS", 1000)  # as of devices that go on by themselves
     record = tmp_path / "e.rrd"

@@ -20,7 +20,7 @@ from deformscope.stages.map.exploration import StageFailure
 from tests.cli.fake_bench import FakeBench, FakeRobot, use_fake_bench
 
 EXPLORE = ["explore", "lab:two-60-150", "--touches", "4", "--viewer", "none"]
-EXPLORER = "deformscope.experiments.explore"
+EXPLORER = "deformscope.experiments.explorer"
 STAGES = {
     "contact": f"{EXPLORER}.fit_approach",
     "regions": "deformscope.stages.map.regions.RegionPosterior.with_touch",
@@ -153,12 +153,14 @@ def test_failures_without_end_end_it_in_order(
 
 # Any call fails once -------------------------------------------------------------------------------------------------
 
-ROBOT = [f"tests.cli.fake_bench.FakeRobot.{name}" for name in ("look", "reachable", "touch", "let_move", "now_ns")]
-RECORDER = [
-    f"deformscope.recording.recorder.Recorder.{name}" for name in ("write_results", "write_items", "write_input")
+ROBOT = [f"tests.cli.fake_bench.FakeRobot.{name}" for name in ("look", "touch", "let_move", "carry_out", "reports")]
+RECORDER = [f"deformscope.recording.recorder.Recorder.{name}" for name in ("write_results", "write_items")]
+WATCH = ["deformscope.cli.exploring.Watch.__call__"]
+COMMAND = [
+    "deformscope.cli.explore._remarks",
+    "deformscope.experiments.explore.Exploration.add",
+    f"{EXPLORER}.ExplorationStages.touch",
 ]
-COMPANION = [f"deformscope.cli.exploring.Companion.{name}" for name in ("__call__", "phase_began", "write")]
-COMMAND = ["deformscope.cli.explore._remarks", f"{EXPLORER}.Explorer.new_inputs", f"{EXPLORER}.Explorer.touch"]
 ENDS: list[BaseException] = [
     RuntimeError("a bug"),
     KeyboardInterrupt(),
@@ -210,10 +212,10 @@ def ends_well(
 @pytest.mark.parametrize(
     ("target", "at", "error"),
     [
-        (ROBOT[2], 2, ENDS[0]),
+        (ROBOT[1], 2, ENDS[0]),
         (RECORDER[0], 5, ENDS[2]),
-        (COMPANION[0], 12, ENDS[1]),
-        (COMPANION[0], 12, ENDS[3]),
+        (WATCH[0], 12, ENDS[1]),
+        (WATCH[0], 12, ENDS[3]),
         (COMMAND[2], 1, ENDS[0]),
     ],
 )
@@ -235,7 +237,7 @@ def test_an_error_leaves_the_arm_standing_and_what_is_known(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("error", ENDS, ids=lambda error: type(error).__name__)
-@pytest.mark.parametrize("target", [*ROBOT, *RECORDER, *COMPANION, *COMMAND])
+@pytest.mark.parametrize("target", [*ROBOT, *RECORDER, *WATCH, *COMMAND])
 def test_every_call_may_fail(
     target: str, error: BaseException, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

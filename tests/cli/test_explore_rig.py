@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from deformscope.cli import main
-from deformscope.experiments.explore import ExploreOptions
-from deformscope.experiments.explore_rig import RigBench, options_of
+from deformscope.cli.setups import setup_of_rig
 from deformscope.recording.items import read_items
 from deformscope.rig.rig_file import parse_rig
 from deformscope.robot.placement import reach
@@ -25,7 +24,7 @@ from deformscope.stages.map.touches import MapGrid
 from deformscope_drivers.errors import SettingsRefused
 from deformscope_drivers.jaco.kinematics import J2N6S300
 from deformscope_drivers.optoforce import Optoforce
-from tests.cli.rig_on_a_simulated_clock import use_a_simulated_clock
+from tests.cli.rig_on_a_simulated_clock import count_as_real, use_a_simulated_clock
 
 RIG = """
 [devices.arm]
@@ -75,8 +74,7 @@ def explored_recorded_and_replayed(
     rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """All is asked of the doubles that is asked of real devices."""
-    monkeypatch.setattr(RigBench, "simulated", False)
-    monkeypatch.setattr(RigBench, "calibrated", property(lambda bench: dict.fromkeys(("all",), True)))
+    count_as_real(monkeypatch)
     record, told = tmp_path / "r.rrd", tmp_path / "r.json"
     arguments = ["explore", str(rig), "--touches", "1", "--beta-model", "none", "--record", str(record)]
 
@@ -113,8 +111,7 @@ def test_a_rig_of_doubles_is_explored_on_the_hosts_clock(
 def test_a_real_arm_does_not_move_unless_somebody_says_yes(
     rig: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(RigBench, "simulated", False)
-    monkeypatch.setattr(RigBench, "calibrated", property(lambda bench: dict.fromkeys(("all",), True)))
+    count_as_real(monkeypatch)
     monkeypatch.setattr(sys, "stdin", io.StringIO("yes\n"))
     moved: list[Any] = []
     monkeypatch.setattr("deformscope.robot.robot.Robot.let_move", lambda robot, preflight: moved.append(preflight))
@@ -131,7 +128,8 @@ def test_an_arm_that_is_not_calibrated_does_not_move(
     rig: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig.write_text(rig.read_text().replace("compliance_m_per_n = 2e-4\ncompliance_sd = 2e-5", ""))
-    monkeypatch.setattr(RigBench, "simulated", False)
+    calibrated = {"[tool] compliance_m_per_n": False, "[camera] T_arm_camera": False}
+    count_as_real(monkeypatch, calibrated=calibrated)
 
     assert main(["explore", str(rig), "--touches", "1", "--yes", "--record", "r.rrd"]) == 2
 
@@ -236,13 +234,13 @@ def test_the_example_fits_together_once_its_lines_are_uncommented(
     for driver in ("optoforce", "jaco", "depth_camera"):
         example = example.replace(f'driver = "{driver}"\n', f'driver = "{driver}"\ndouble = true\n')
     told = parse_rig(example, "example.toml")
-    bench = RigBench(told, options_of(told, ExploreOptions(), None))
+    setup = setup_of_rig(told)
     low_m, high_m = np.array(told.workspace.low_m), np.array(told.workspace.high_m)
-    grid = MapGrid(bench.size_m, 0.05)
+    grid = MapGrid(setup.size_m, 0.05)
     places_m = np.column_stack([grid.centres_m, np.full(len(grid.centres_m), 0.19)])
-    in_base_m = np.array([bench.placement.point_in_base_m(place_m) for place_m in places_m])
+    in_base_m = np.array([setup.placement.point_in_base_m(place_m) for place_m in places_m])
 
-    assert all(bench.calibrated.values())
+    assert all(setup.calibrated.values())
     assert ((in_base_m > low_m) & (in_base_m < high_m)).all()
     touching_m = np.column_stack([grid.centres_m, np.full(len(grid.centres_m), 0.06)])
-    assert reach(J2N6S300, bench.placement, touching_m[::7]).reached.all()
+    assert reach(J2N6S300, setup.placement, touching_m[::7]).reached.all()

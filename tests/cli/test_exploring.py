@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from deformscope.cli.exploring import let_move
+from deformscope.cli.exploring import permitted
 from deformscope.cli.rigs import until_interrupted
 from deformscope.errors import InputError
-from deformscope.experiments.explore import ExploreOptions
+from deformscope.experiments.options import ExploreOptions
 from deformscope.robot.preflight import Check, Preflight
+from deformscope.session import Inline, Step, run
 
 WELL, BAD = (Preflight((Check("arm: still", passed, "at rest", "what came"),)) for passed in (True, False))
 
@@ -27,11 +30,18 @@ class Asked:
         self.checked = list(checked)
         self.wishes: list[str] = []
         self.moves: list[Preflight] = []
+        self.stopped: Future[None] = Future()
 
-    def preflight(self, calibrated: object, places_m: object = None) -> Preflight:
+    def carry_out(self, command: object, keep: object) -> Future[Any]:
+        return Inline().submit(self.preflight)
+
+    def preflight(self) -> Preflight:
         if self.wishes:
             raise KeyError("stopped: a person asked")
         return self.checked.pop(0)
+
+    def reports(self) -> list[Step]:
+        return []
 
     def ask_to_stop(self, reason: str) -> None:
         self.wishes.append(reason)
@@ -43,56 +53,67 @@ class Asked:
 
 
 @pytest.fixture
-def ask(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """Ask at a terminal where somebody does this."""
+def ask(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
+    """Ask at a terminal where somebody does this; devices are recorded meanwhile."""
+    reading, writing = os.pipe()
+    terminal = os.fdopen(reading)
 
-    def at_terminal(robot: Asked, answer: Callable[[str], str]) -> None:
-        monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: True))
-        monkeypatch.setattr("builtins.input", answer)
-        bench: Any = SimpleNamespace(simulated=False)
+    def at_terminal(robot: Asked, answer: Callable[[int, int], None]) -> int:
+        stdin = SimpleNamespace(isatty=lambda: True, fileno=terminal.fileno, readline=terminal.readline)
+        monkeypatch.setattr("sys.stdin", stdin)
+        setup: Any = SimpleNamespace(simulated=False)
+        portions: list[object] = []
+
+        def take(wait_s: float) -> list[Any]:
+            portions.append(wait_s)
+            answer(writing, len(portions))
+            return []
+
+        recorder: Any = SimpleNamespace(write=portions.append, write_items=lambda items: None)
+        source: Any = SimpleNamespace(take=take)
         with until_interrupted() as asked:
-            let_move(robot, bench, ExploreOptions(), {}, asked, yes=False)  # type: ignore[arg-type]
+            experiment = permitted(robot, setup, ExploreOptions(), {}, asked, yes=False)  # type: ignore[arg-type]
+            run(source, experiment, recorder, robot)
+        return len(portions)
 
-    return at_terminal
+    yield at_terminal
+    os.close(writing)
+    terminal.close()
 
 
-def test_yes_lets_it_move_if_the_checks_still_pass(ask: Callable[..., None]) -> None:
+def says(words: bytes, after: int = 3) -> Callable[[int, int], None]:
+    """Somebody writes this once the devices were recorded a few times."""
+    return lambda writing, portion: (os.write(writing, words), None)[1] if portion == after else None
+
+
+def test_yes_lets_it_move_if_the_checks_still_pass(ask: Callable[..., int]) -> None:
     robot = Asked(WELL, WELL)
-    ask(robot, lambda question: "yes")
+    assert ask(robot, says(b"yes\n")) >= 3
     assert robot.moves == [WELL]
     assert not robot.checked
 
 
-def test_who_moved_something_while_the_question_waited_is_told(
-    ask: Callable[..., None], capsys: pytest.CaptureFixture[str]
+def test_what_was_moved_while_the_question_waited_is_noticed(
+    ask: Callable[..., int], capsys: pytest.CaptureFixture[str]
 ) -> None:
     robot = Asked(WELL, BAD)
     with pytest.raises(InputError, match="preflight"):
-        ask(robot, lambda question: "yes")
+        ask(robot, says(b"yes\n"))
     assert not robot.moves
     assert "NO  arm: still" in capsys.readouterr().err
 
 
-def test_the_first_ctrl_c_ends_the_question(ask: Callable[..., None]) -> None:
-    def interrupted(question: str) -> str:
-        signal.raise_signal(signal.SIGINT)
-        return "yes"  # never: the terminal would wait on for an answer
-
+def test_the_first_ctrl_c_ends_the_question(ask: Callable[..., int]) -> None:
     robot = Asked(WELL, WELL)
     with pytest.raises(KeyError, match="a person asked"):
-        ask(robot, interrupted)
+        ask(robot, lambda writing, portion: signal.raise_signal(signal.SIGINT) if portion == 3 else None)
     assert robot.wishes == ["Ctrl-C"]
     assert not robot.moves
 
 
-@pytest.mark.parametrize("answer", ["", "no", "y", None])
-def test_nothing_else_lets_it_move(ask: Callable[..., None], answer: str | None) -> None:
-    def answered(question: str) -> str:
-        if answer is None:
-            raise EOFError
-        return answer
-
+@pytest.mark.parametrize("answer", [b"\n", b"no\n", b"y\n"])
+def test_nothing_else_lets_it_move(ask: Callable[..., int], answer: bytes) -> None:
     robot = Asked(WELL, WELL)
     with pytest.raises(InputError, match="nothing has moved"):
-        ask(robot, answered)
+        ask(robot, says(answer))
     assert not robot.moves

@@ -55,7 +55,8 @@ def test_what_stages_find_is_recorded_counted_and_found_again(rig: Path, tmp_pat
     assert main(["replay", str(file), "--json", str(again)]) == 0
 
     found = json.loads(again.read_text())
-    assert found == {"results": len(results), "different": {"flow": 0.0, "tactile": 0.0}, "failures": []}
+    assert found["stages"] == {"results": len(results), "different": {"flow": 0.0, "tactile": 0.0}, "failures": []}
+    assert found["identical"]
 
 
 def test_a_rig_without_the_device_is_refused_before_anything_opens(

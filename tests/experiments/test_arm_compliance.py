@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
-from deformscope.experiments.arm_compliance import COMMON_SD, arm_give, touch_rigid
-from deformscope.experiments.explore import ExploreOptions, SurfaceMeasurement, TouchMeasurement
-from deformscope.stages.map.touches import MapGrid
-from deformscope.stages.poke.contact import ArmCompliance
+from deformscope.experiments.arm_compliance import COMMON_SD, GiveTouch, arm_give, touch_rigid
+from deformscope.experiments.explore import AtOnce
+from deformscope.experiments.explorer import AsMeasured, Touch
+from deformscope.experiments.options import ExploreOptions
+from deformscope.session import run
+from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 
 GIVES_M_PER_N = 3e-4
 HEIGHT_M, OFF_M = 0.05, 0.002
@@ -23,15 +26,8 @@ class RigidTable:
 
     def __init__(self, scatter: float = 0.0) -> None:
         self.size_m = (0.3, 0.2)
-        self.arm = ArmCompliance()
         self._random = np.random.default_rng(5)
         self._scatter = scatter
-
-    def now_ns(self) -> int:
-        return 0
-
-    def reachable(self, grid: MapGrid) -> BoolArray:
-        return np.ones(grid.shape, bool)
 
     def look(self) -> SurfaceMeasurement:
         x, y = np.meshgrid(np.linspace(0.0, 0.3, 61), np.linspace(0.0, 0.2, 41))
@@ -39,7 +35,8 @@ class RigidTable:
         points_m[:, 2] += 1e-4 * self._random.standard_normal(x.size)
         return SurfaceMeasurement(points_m, np.full(x.size, 1e-4))
 
-    def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> TouchMeasurement:
+    def touch(self, command: Touch) -> TouchMeasurement:
+        xy_m, normal = command.xy_m, command.normal
         gives = GIVES_M_PER_N * (1.0 + self._scatter * self._random.standard_normal())
         force_n = np.clip(np.linspace(-2.0, 3.0, 250), 0.0, None)
         approach_m = np.linspace(0.008, 0.0, 250).clip(0.0032) - 0.0032  # in the air, then only the arm gives
@@ -50,8 +47,16 @@ class RigidTable:
         return TouchMeasurement(xy_m, normal, np.arange(250) * 0.01, place_m, felt_n, np.zeros((0, 3)), True)
 
 
+def touched(table: RigidTable, touches: int) -> list[GiveTouch]:
+    made: list[GiveTouch] = []
+    recorder: Any = SimpleNamespace(write=lambda step: None)
+    geometry, place_m = AsMeasured(table.size_m), np.array([0.15, 0.1])
+    run([], touch_rigid(geometry, ExploreOptions(), place_m, touches, made.append), recorder, AtOnce(table))
+    return made
+
+
 def test_it_is_found_again_and_so_is_where_the_camera_is_off() -> None:
-    made = list(touch_rigid(RigidTable(), ExploreOptions(), np.array([0.15, 0.1]), 3))
+    made = touched(RigidTable(), 3)
 
     found = arm_give(made)
 
@@ -62,7 +67,7 @@ def test_it_is_found_again_and_so_is_where_the_camera_is_off() -> None:
 
 
 def test_touches_that_differ_are_told() -> None:
-    made = list(touch_rigid(RigidTable(scatter=0.2), ExploreOptions(), np.array([0.15, 0.1]), 8))
+    made = touched(RigidTable(scatter=0.2), 8)
 
     found = arm_give(made)
 
@@ -79,8 +84,8 @@ def test_nothing_tells_nothing() -> None:
 class FoamTable(RigidTable):
     """Foam where a rigid block should be: a ball sinks with the power 2/3 of the force."""
 
-    def touch(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> TouchMeasurement:
-        made = super().touch(xy_m, height_m, normal, over_m)
+    def touch(self, command: Touch) -> TouchMeasurement:
+        made = super().touch(command)
         force_n = made.force_n[:, 2].clip(0.0)
         place_m = made.position_m.copy()
         place_m[:, 2] = np.where(force_n > 0.02, HEIGHT_M + 0.01 - 3e-3 * force_n ** (2.0 / 3.0), place_m[:, 2])
@@ -89,4 +94,4 @@ class FoamTable(RigidTable):
 
 def test_foam_is_not_taken_for_something_rigid() -> None:
     with pytest.raises(InputError, match="something rigid"):
-        list(touch_rigid(FoamTable(), ExploreOptions(), np.array([0.15, 0.1]), 1))
+        touched(FoamTable(), 1)

@@ -3,61 +3,98 @@
 from __future__ import annotations
 
 import dataclasses
+from concurrent.futures import BrokenExecutor
+from typing import Any
 
 import numpy as np
 import pytest
 
-from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.explore import (
-    ExploreOptions,
-    Explorer,
-    Moment,
-    SurfaceMeasurement,
-    TouchMeasurement,
+    AtOnce,
+    Exploration,
+    ExploringRobot,
+    RecordedRobot,
     explore,
-    explore_again,
-    pack,
-    unpack_touched,
+    within_loop,
 )
+from deformscope.experiments.explorer import AsMeasured, ExplorationStages, Explorer, Touch
+from deformscope.experiments.options import PLAN_CELL_M, ExploreOptions
 from deformscope.lab.scenes import built_in
-from deformscope.rows import components
-from deformscope.stages.map.exploration import MapEstimate, PlannedTouch, SurfaceEstimate, TouchEstimate
+from deformscope.robot.setup import Truth
+from deformscope.rows import from_components, to_components
+from deformscope.session import Compute, Moment, Step, run
+from deformscope.stages.map.exploration import (
+    ExplorationStop,
+    MapEstimate,
+    PhaseStart,
+    PlannedTouch,
+    SurfaceEstimate,
+    TouchEstimate,
+)
+from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.studies.surface_robot import LabRobot
 
 
-def explored(name: str, **changes: object) -> tuple[Explorer, list[Moment], dict[str, bytes]]:
+class Results:
+    """A session's recorder. moments: of each portion of results"""
+
+    def __init__(self) -> None:
+        self.moments: list[tuple[Moment, tuple[object, ...]]] = []
+
+    def write_results(self, results: Any, now_ns: int, touch: int, cell_m: float, seen_ns: int | None = None) -> None:
+        self.moments.append((Moment(now_ns, touch, seen_ns, cell_m), tuple(results)))
+
+    def write(self, step: Step) -> None:
+        assert not step.results
+
+    write_frame = write_items = write
+
+
+def carried_out(
+    robot: ExploringRobot, options: ExploreOptions, truth: Truth | None = None, arm: ArmCompliance | None = None
+) -> tuple[Explorer, Exploration, list[tuple[Moment, tuple[object, ...]]]]:
+    """An exploration of a robot that is done at once: what computed it, what it found, and all results."""
+    results, found, size_m = Results(), Exploration(), (0.6, 0.4)
+    explorer = Explorer(size_m, options, arm or ArmCompliance(), truth)
+    stages = ExplorationStages(explorer, AsMeasured(size_m, getattr(robot, "reachable", None)))
+    run([], explore(lambda: 0, within_loop(stages), found), results, AtOnce(robot))
+    return explorer, found, results.moments
+
+
+Explored = tuple[Explorer, list[object]]
+
+
+def explored(name: str, **changes: object) -> Explored:
     options = ExploreOptions(**{"budget": 3, "beta_model": "none", **changes})  # type: ignore[arg-type]
-    scene = built_in(name, options.seed)
-    robot = LabRobot(scene, options, sees=options.beta_model != "none")
-    explorer = Explorer(scene.size_m, options, robot.arm, robot.truth)
-    moments, inputs = [], {}
-    for moment in explore(robot, explorer):
-        moments.append(moment)
-        inputs.update({name.removeprefix("explored/"): content for name, content in explorer.new_inputs()})
+    robot = LabRobot(built_in(name, options.seed), options, sees=options.beta_model != "none")
+    explorer, found, moments = carried_out(robot, options, robot.truth, robot.arm)
     assert robot.most_force_n < 8.0
-    return explorer, moments, inputs
+    assert found.travel_m == explorer.travel_m
+    assert found.touches == explorer.told
+    assert found.maps is explorer.known
+    return explorer, [result for _, results in moments for result in results]
 
 
-def of(kind: type, moments: list[Moment]) -> list[object]:
-    return [result for moment in moments for result in moment.results if isinstance(result, kind)]
+def of(kind: type, results: list[object]) -> list[object]:
+    return [result for result in results if isinstance(result, kind)]
 
 
 def same(first: object, second: object) -> bool:
-    one, other = components(first), components(second)  # type: ignore[arg-type]
+    one, other = to_components(first), to_components(second)
     return one.keys() == other.keys() and all(
-        np.array_equal(one[name][1], other[name][1], equal_nan=one[name][0] == "float64") for name in one
+        np.array_equal(one[name], other[name], equal_nan=one[name].dtype.kind == "f") for name in one
     )
 
 
 @pytest.fixture(scope="module")
-def two() -> tuple[Explorer, list[Moment], dict[str, bytes]]:
+def two() -> Explored:
     return explored("two-60-150", budget=4)
 
 
-def test_a_touch_tells_stiffness_and_the_map_its_place(two: tuple[Explorer, list[Moment], dict[str, bytes]]) -> None:
-    _, moments, _ = two
+def test_a_touch_tells_stiffness_and_the_map_its_place(two: Explored) -> None:
+    _, moments = two
     told = of(TouchEstimate, moments)
     scene = built_in("two-60-150", 0)
     stiff = [one for one in told if scene.modulus_pa(one.xyz_m[:2]) > 60e3]  # type: ignore[attr-defined]
@@ -76,7 +113,7 @@ def test_a_touch_tells_stiffness_and_the_map_its_place(two: tuple[Explorer, list
     assert maps.boundary_m is not None  # type: ignore[attr-defined]
 
 
-def test_the_law_that_is_shown_is_the_one_that_was_felt(two: tuple[Explorer, list[Moment], dict[str, bytes]]) -> None:
+def test_the_law_that_is_shown_is_the_one_that_was_felt(two: Explored) -> None:
     """Over the whole way of the tip, what the arm gives among it."""
     for told in of(TouchEstimate, two[1]):
         assert isinstance(told, TouchEstimate)
@@ -95,7 +132,7 @@ def test_a_dent_that_was_pressed_on_is_as_deep_as_at_its_last_force() -> None:
     explorer = Explorer(scene.size_m, ExploreOptions(beta_model="none"), ArmCompliance())
     places = np.random.default_rng(0).uniform(size=(500, 2)) * scene.size_m
     points = np.column_stack([places, np.full(500, 0.05)])
-    explorer.look(SurfaceMeasurement(points, np.full(500, 1e-3)))
+    explorer.look(lambda: SurfaceMeasurement(points, np.full(500, 1e-3)))
     up, none = np.array([0.0, 0.0, 1.0]), np.zeros((0, 3))
     touched = TouchMeasurement(np.array([0.2, 0.2]), up, np.arange(230) * 0.01, position, along, none, True)
     told = explorer.touch(touched)
@@ -106,81 +143,95 @@ def test_a_dent_that_was_pressed_on_is_as_deep_as_at_its_last_force() -> None:
 
 def test_results_of_a_touch_say_which_and_when_its_dent_was_seen() -> None:
     class Once:
-        size_m, arm = (0.6, 0.4), ArmCompliance()
+        inner = LabRobot(built_in("two-60-150", 0), ExploreOptions(beta_model="none"), sees=False)
+        look = inner.look
 
-        def __init__(self) -> None:
-            self.inner = LabRobot(built_in("two-60-150", 0), ExploreOptions(beta_model="none"), sees=False)
+        def touch(self, command: Touch) -> TouchMeasurement:
+            return dataclasses.replace(self.inner.touch(command), seen_ns=40)
 
-        def touch(
-            self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None
-        ) -> TouchMeasurement:
-            return dataclasses.replace(self.inner.touch(xy_m, height_m, normal, over_m), seen_ns=40)
-
-        def __getattr__(self, name: str) -> object:
-            return getattr(self.inner, name)
-
-    explorer = Explorer((0.6, 0.4), ExploreOptions(budget=2, beta_model="none"), ArmCompliance())
-    moments = list(explore(Once(), explorer))  # type: ignore[arg-type]
-    told = [moment for moment in moments if any(isinstance(one, TouchEstimate) for one in moment.results)]
-    assert [(moment.touch, moment.seen_ns) for moment in told] == [(1, 40), (2, 40)]
-    plans = [moment for moment in moments if any(isinstance(one, PlannedTouch) for one in moment.results)]
+    _, found, moments = carried_out(Once(), ExploreOptions(budget=2, beta_model="none"))
+    estimates = [moment for moment, results in moments if isinstance(results[0], TouchEstimate)]
+    assert [(moment.touch, moment.seen_ns) for moment in estimates] == [(1, 40), (2, 40)]
+    plans = [moment for moment, results in moments if isinstance(results[0], PlannedTouch)]
     assert [(moment.touch, moment.seen_ns) for moment in plans] == [(0, None), (1, None), (2, None)]
+    assert found.stop_reason == "budget"
 
 
-def test_the_surface_is_seen_where_it_is(two: tuple[Explorer, list[Moment], dict[str, bytes]]) -> None:
+def test_the_surface_is_seen_where_it_is(two: Explored) -> None:
     (seen,) = of(SurfaceEstimate, two[1])
     scene = built_in("two-60-150", 0)
 
     assert np.abs(seen.height_m - scene.height_m(scene.cells_m())).max() < 5e-4  # type: ignore[attr-defined]
 
 
-def test_it_stops_for_a_reason_and_says_why_it_goes_where(two: tuple[Explorer, list[Moment], dict[str, bytes]]) -> None:
-    explorer, moments, _ = two
+def test_it_stops_for_a_reason_and_says_why_it_goes_where(two: Explored) -> None:
+    explorer, moments = two
     plans = of(PlannedTouch, moments)
 
     assert explorer.stop_reason == "budget"
     assert plans[-1].target_m is None  # type: ignore[attr-defined]
     assert all(plan.reason for plan in plans)  # type: ignore[attr-defined]
     for plan in plans[:-1]:
-        column, row = (plan.target_m / explorer.plan_cell_m).astype(int)  # type: ignore[attr-defined]
+        column, row = (plan.target_m / PLAN_CELL_M).astype(int)  # type: ignore[attr-defined]
         assert not plan.excluded[row, column]  # type: ignore[attr-defined]
 
 
-def test_the_same_seed_gives_the_same_map(two: tuple[Explorer, list[Moment], dict[str, bytes]]) -> None:
-    _, again, inputs = explored("two-60-150", budget=4)
+def test_the_same_seed_gives_the_same_map(two: Explored) -> None:
+    _, again = explored("two-60-150", budget=4)
 
-    assert inputs == two[2]
     assert all(same(a, b) for a, b in zip(of(MapEstimate, two[1]), of(MapEstimate, again), strict=True))
 
 
-def test_what_was_recorded_gives_the_same_results_to_the_last_bit(
-    two: tuple[Explorer, list[Moment], dict[str, bytes]],
-) -> None:
-    before, moments, inputs = two
-    explorer = Explorer(before.grid.size_m, before.options, before._arm)
-    again = [result for results in explore_again(inputs, explorer) for result in results]
-    told = [one for one in again if isinstance(one, TouchEstimate)]
+def test_what_was_recorded_gives_the_same_results_to_the_last_bit(two: Explored) -> None:
+    """Plans among them, and from a row of a recording as from the robot."""
+    before, moments = two
+    given = [
+        from_components(type(one), to_components(one))
+        for one in moments
+        if isinstance(one, SurfaceMeasurement | TouchMeasurement)
+    ]
+    scene = built_in("two-60-150", 0)
+    robot = RecordedRobot(list(given))
+    robot.reachable = LabRobot(scene, before.options).reachable  # type: ignore[attr-defined]
+    _, _, made = carried_out(robot, before.options, Truth(scene.regions), before._arm)
 
-    assert all(same(a, b) for a, b in zip(of(TouchEstimate, moments), told, strict=True))
-    last = [one for one in again if isinstance(one, MapEstimate)][-1]
-    first = of(MapEstimate, moments)[-1]
-    np.testing.assert_array_equal(last.stiffness_n_per_mm, first.stiffness_n_per_mm)  # type: ignore[attr-defined]
-    np.testing.assert_array_equal(last.labels, first.labels)  # type: ignore[attr-defined]
+    assert len(given) == 5
+    kinds = (SurfaceEstimate, PlannedTouch, TouchEstimate, MapEstimate)
+    first = [one for one in moments if isinstance(one, kinds)]
+    again = [one for _, results in made for one in results if isinstance(one, kinds)]
+    assert len(first) == 1 + 5 + 4 + 4
+    assert all(same(a, b) for a, b in zip(first, again, strict=True))
 
 
-def test_a_touch_survives_its_file() -> None:
-    touched = TouchMeasurement(
-        np.zeros(2), np.array([0, 0, 1.0]), np.arange(3.0), np.ones((3, 3)), np.ones((3, 3)), np.zeros((0, 3)), True
-    )
-    back = unpack_touched(pack(touched))
+def test_a_recording_that_ends_early_ends_it_in_order(two: Explored) -> None:
+    looked = next(one for one in two[1] if isinstance(one, SurfaceMeasurement))
 
-    assert back.reached
-    np.testing.assert_array_equal(back.position_m, touched.position_m)
-    assert pack(back) == pack(touched)
+    _, found, moments = carried_out(RecordedRobot([looked]), ExploreOptions(beta_model="none"))
+
+    assert found.stop is not None
+    assert found.stop.kind == "recording at its end"
+    *_, (_, (phase, stop)) = moments
+    assert isinstance(phase, PhaseStart)
+    assert isinstance(stop, ExplorationStop)
+    _, found, _ = carried_out(RecordedRobot([]), ExploreOptions())
+    assert found.stop is not None  # it was stopped before it had looked
+
+
+def test_a_process_that_ends_is_a_reason_to_stop() -> None:
+    def broken(name: str, *inputs: object) -> Compute:
+        raise BrokenExecutor("killed")
+
+    robot, found = LabRobot(built_in("two-60-150", 0), ExploreOptions()), Exploration()
+    stage = lambda name, *inputs: Compute(broken, (name, *inputs))  # noqa: E731
+    run([], explore(lambda: 9, stage, found), Results(), AtOnce(robot))
+
+    assert found.stop is not None
+    assert "the process that computes has ended" in found.stop.reason
+    assert found.stop_ns == 9
 
 
 def test_beta_comes_with_a_verdict_and_the_maps_with_its_field() -> None:
-    _, moments, _ = explored("homogeneous-60", budget=2, beta_model="volume")
+    _, moments = explored("homogeneous-60", budget=2, beta_model="volume")
     told = of(TouchEstimate, moments)
 
     assert all(one.beta_verdict for one in told)  # type: ignore[attr-defined]
@@ -192,7 +243,7 @@ def test_beta_comes_with_a_verdict_and_the_maps_with_its_field() -> None:
 
 
 def test_the_thesis_way_says_what_its_trend_is() -> None:
-    _, moments, _ = explored("homogeneous-60", budget=1, beta_model="thesis")
+    _, moments = explored("homogeneous-60", budget=1, beta_model="thesis")
     (told,) = of(TouchEstimate, moments)
 
     assert told.beta is not None  # type: ignore[attr-defined]
@@ -201,7 +252,7 @@ def test_the_thesis_way_says_what_its_trend_is() -> None:
 
 def test_it_goes_on_where_it_is_told_to() -> None:
     """A gradient is soon known; the plan still says that it would stop."""
-    _, moments, _ = explored("gradient", budget=6, go_on=True)
+    _, moments = explored("gradient", budget=6, go_on=True)
     plans = of(PlannedTouch, moments)
 
     assert len(of(TouchEstimate, moments)) == 6
@@ -210,7 +261,7 @@ def test_it_goes_on_where_it_is_told_to() -> None:
 
 
 def test_the_way_to_the_next_touch_is_as_high_as_what_it_leads_over() -> None:
-    explorer, _, _ = explored("bumpy", budget=2)
+    explorer, _ = explored("bumpy", budget=2)
     scene = built_in("bumpy", 0)
     start, goal = explorer.told[-1].xyz_m[:2], np.array([0.1, 0.3])
     way = start + np.linspace(0.0, 1.0, 200)[:, None] * (goal - start)
@@ -228,12 +279,6 @@ def test_before_the_first_touch_nobody_knows_what_the_way_leads_over() -> None:
     explorer = Explorer((0.6, 0.4), ExploreOptions(), LabRobot(built_in("homogeneous-60", 0), ExploreOptions()).arm)
 
     assert explorer.over_m(np.array([0.1, 0.1])) is None
-
-
-def test_what_was_stopped_before_it_had_looked_gives_nothing() -> None:
-    explorer = Explorer((0.6, 0.4), ExploreOptions(), LabRobot(built_in("homogeneous-60", 0), ExploreOptions()).arm)
-
-    assert list(explore_again({}, explorer)) == []
 
 
 def test_forces_that_are_too_large_are_refused() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
@@ -48,6 +48,7 @@ from deformscope.images import decode_image, encode_jpeg
 from deformscope.recording.recorder import Recorder
 from deformscope.recording.stage_results import read_stage_results
 from deformscope.rig.rig_file import load_rig
+from deformscope.session import Step
 from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, TouchEstimate
 from deformscope.stages.see.tactile import TactileContact
 from deformscope_drivers.clock import Stamp, monotonic_ns
@@ -106,71 +107,79 @@ def pads(index: int, device: str = "pads") -> TactileFrame:
     return TactileFrame(Stamp(monotonic_ns()), index, np.zeros(0, np.int64), (), device)
 
 
-def counts_of(experiment: Any) -> dict[str, StageCounts]:
-    with pytest.raises(StopIteration) as end:
-        experiment.send(None)
-    found: dict[str, StageCounts] = end.value.value
-    return found
+class Session:
+    """The experiment, driven by hand."""
+
+    def __init__(self, stages: Sequence[Stage], beside: Mapping[str, ByHand]) -> None:
+        self._over = False
+        self._experiment = live_stages(stages, beside, lambda items: self._over)
+        next(self._experiment)
+
+    def send(self, given: Sequence[Item]) -> tuple[Any, ...]:
+        return self._experiment.send(given).results
+
+    def end(self) -> dict[str, StageCounts]:
+        self._over = True
+        with pytest.raises(StopIteration) as end:
+            self._experiment.send([])
+        found: dict[str, StageCounts] = end.value.value
+        return found
 
 
 def test_the_newest_frame_wins_and_the_others_are_counted() -> None:
     worker = ByHand()
-    experiment = live_stages([Doubled()], {"tactile": worker})
-    next(experiment)
+    session = Session([Doubled()], {"tactile": worker})
 
-    assert experiment.send([pads(0), pads(1), pads(2), pads(9, "others")]) == ()
-    assert experiment.send([pads(3)]) == ()  # still computing
-    assert experiment.send([pads(4), pads(5)]) == ()
+    assert session.send([pads(0), pads(1), pads(2), pads(9, "others")]) == ()
+    assert session.send([pads(3)]) == ()  # still computing
+    assert session.send([pads(4), pads(5)]) == ()
     worker.finish()
-    (first,) = experiment.send([pads(6)])
+    (first,) = session.send([pads(6)])
     worker.finish()
-    (second,) = experiment.send([])
+    (second,) = session.send([])
 
     assert (first.result, first.used, first.skipped) == (4, (UsedFrames("pads", 2, 2),), 2)
     assert (second.result, second.used, second.skipped) == (12, (UsedFrames("pads", 6, 6),), 3)
     assert first.late_s >= 0.0
-    counts = counts_of(experiment)["tactile"]
+    counts = session.end()["tactile"]
     assert (counts.frames, counts.results, counts.failures, counts.skipped) == (7, 2, 0, 5)
     assert len(counts.late_s) == 2
 
 
 def test_what_was_not_finished_counts_as_skipped() -> None:
     worker = ByHand()
-    experiment = live_stages([Doubled()], {"tactile": worker})
-    next(experiment)
-    experiment.send([pads(0), pads(1)])
-    experiment.send([pads(2), pads(3)])
+    session = Session([Doubled()], {"tactile": worker})
+    session.send([pads(0), pads(1)])
+    session.send([pads(2), pads(3)])
 
-    counts = counts_of(experiment)["tactile"]
+    counts = session.end()["tactile"]
 
     assert (counts.frames, counts.results, counts.skipped) == (4, 0, 4)
     assert counts.as_json()["lag_ms"] is None
 
 
 def test_a_stage_that_fails_says_so_and_goes_on() -> None:
-    experiment = live_stages([Doubled()], {"tactile": AtOnce()})
-    next(experiment)
-    experiment.send([pads(13)])
+    session = Session([Doubled()], {"tactile": AtOnce()})
+    session.send([pads(13)])
 
-    (failed,) = experiment.send([pads(14)])
-    (after,) = experiment.send([])
+    (failed,) = session.send([pads(14)])
+    (after,) = session.send([])
 
     assert isinstance(failed.result, StageFailure)
     assert failed.result.reason == "expected luck; got 13"
     assert after.result == 28
-    assert counts_of(experiment)["tactile"].failures == 1
+    assert session.end()["tactile"].failures == 1
 
 
 def test_a_process_that_dies_is_a_failure_too() -> None:
     worker = ByHand()
-    experiment = live_stages([Doubled()], {"tactile": worker})
-    next(experiment)
-    experiment.send([pads(1)])
+    session = Session([Doubled()], {"tactile": worker})
+    session.send([pads(1)])
     worker.die()
 
-    (failed,) = experiment.send([pads(2)])
+    (failed,) = session.send([pads(2)])
     worker.finish()
-    (after,) = experiment.send([])
+    (after,) = session.send([])
 
     assert isinstance(failed.result, StageFailure)
     assert "killed" in failed.result.reason
@@ -179,10 +188,9 @@ def test_a_process_that_dies_is_a_failure_too() -> None:
 
 def test_two_stages_do_not_wait_for_each_other() -> None:
     slow, fast = ByHand(), AtOnce()
-    experiment = live_stages([Doubled(name="flow"), Doubled()], {"flow": slow, "tactile": fast})
-    next(experiment)
-    experiment.send([pads(1)])
-    results = [result for index in (2, 3) for result in experiment.send([pads(index)])]
+    session = Session([Doubled(name="flow"), Doubled()], {"flow": slow, "tactile": fast})
+    session.send([pads(1)])
+    results = [result for index in (2, 3) for result in session.send([pads(index)])]
 
     assert [(one.stage, one.result) for one in results] == [("tactile", 2), ("tactile", 4)]
 
@@ -385,14 +393,13 @@ def record(path: Path, given: list[list[Item]], results: Sequence[StageResult]) 
         recorder.start_rig(STREAMS, 1_000_000_000, (), [("flow", "camera"), ("tactile", "pads")])
         for batch in given:
             recorder.write_items(batch)
-        recorder.write_stage_results(results)
+        recorder.write(Step(tuple(results)))
 
 
 def computed(given: list[list[Item]]) -> list[StageResult]:
     stages: tuple[Stage, ...] = stages_of(OPTIONS, STREAMS)
-    experiment = live_stages(stages, {"flow": AtOnce(), "tactile": AtOnce()})
-    next(experiment)
-    return [result for batch in [*given, []] for result in experiment.send(batch)]
+    session = Session(stages, {"flow": AtOnce(), "tactile": AtOnce()})
+    return [result for batch in [*given, []] for result in session.send(batch)]
 
 
 def test_a_replay_finds_the_same_and_an_altered_image_shows(tmp_path: Path) -> None:
@@ -434,12 +441,11 @@ def test_a_frame_that_is_missing_is_named(tmp_path: Path) -> None:
 
 
 def test_a_stage_sees_the_image_as_it_is_recorded() -> None:
-    experiment = live_stages(stages_of(OPTIONS, STREAMS)[:1], {"flow": AtOnce()})
-    next(experiment)
+    session = Session(stages_of(OPTIONS, STREAMS)[:1], {"flow": AtOnce()})
     images: list[ImageArray] = [foam(), foam(5.0)]
-    experiment.send([ColorFrame(Stamp(1), 0, images[0]), ColorFrame(Stamp(2), 1, images[1])])
+    session.send([ColorFrame(Stamp(1), 0, images[0]), ColorFrame(Stamp(2), 1, images[1])])
 
-    (found,) = experiment.send([])
+    (found,) = session.send([])
 
     decoded = tuple(decode_image(encode_jpeg(image), "image") for image in images)
     expected: Any = compute(stages_of(OPTIONS, STREAMS)[0], decoded)

@@ -21,6 +21,7 @@ from deformscope.log.rig import Place, log_streams, prepare_items
 from deformscope.recording.items import read_items
 from deformscope.recording.recorder import Recorder
 from deformscope.recording.results import Recorded, read_results
+from deformscope.rows import FORMAT
 from deformscope.stages.map.exploration import (
     ExplorationStop,
     MapEstimate,
@@ -54,6 +55,7 @@ def record(path: Path, told: Sequence[Told], items: Sequence[Item] = (), streams
     """told: (session [ns], touch, results)"""
     rec = rr.RecordingStream("deformscope-explore", recording_id="exploration")
     rec.set_sinks(rr.FileSink(path))
+    rec.send_property("session", rr.AnyValues(True, format=FORMAT))
     rec.send_blueprint(exploration_blueprint(streams))
     log_streams(rec, streams)
     log_exploration_start(rec, streams, BASE_FROM_SURFACE)
@@ -322,6 +324,7 @@ def test_what_cannot_be_shown_is_recorded_with_where_it_failed(tmp_path: Path, m
     told, maps = synthetic.touch(1), synthetic.maps(2)
     rec = rr.RecordingStream("deformscope-explore", recording_id="exploration")
     rec.set_sinks(rr.FileSink(tmp_path / "run.rrd"))
+    rec.send_property("session", rr.AnyValues(True, format=FORMAT))
     failed: list[StageFailure] = []
     prepare_results([told, maps], 5, Place(2, PICTURES_NS), failed=failed).send(rec)
     rec.flush(timeout_sec=10)

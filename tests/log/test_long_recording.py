@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from deformscope.cli import main
+from deformscope.frames import HandFrame
 from deformscope.recording.items import read_items
 from deformscope.recording.ledger import read_counts
 from tests.log.long_recording import PER_SECOND
@@ -44,5 +45,5 @@ def test_memory_is_flat(seconds: int, more: list[str], tmp_path: Path) -> None:
     counts = read_counts(path)
     assert counts["fingertip/frames"] == counts["fingertip/received"] == 1000 * seconds
     assert counts["jaco/frames"] == 100 * seconds
-    hands = sum(1 for _ in read_items(path, trust=True, kinds=("hand",)))
+    hands = sum(1 for _ in read_items(path, trust=True, kinds=(HandFrame,)))
     assert hands == counts["hand/frames"] == PER_SECOND["hand"] * seconds

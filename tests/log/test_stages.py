@@ -17,6 +17,7 @@ from deformscope.log.rig.tactile import Hand
 from deformscope.log.stages import log_stage_streams, prepare_stage_results, stage_blueprint
 from deformscope.log.stages.words import summary
 from deformscope.recording.stage_results import read_stage_results
+from deformscope.rows import FORMAT
 from deformscope.stages.fit.moment import MomentFit
 from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, TouchEstimate
 from deformscope.stages.see.arrows import FlowArrows
@@ -88,6 +89,7 @@ def written(path: Path, given: list[StageResult], **options: Any) -> dict[str, l
     """Rows by entity."""
     rec = rr.RecordingStream("deformscope-rig", recording_id="stages")
     rec.set_sinks(rr.FileSink(path))
+    rec.send_property("session", rr.AnyValues(True, format=FORMAT))
     rec.send_blueprint(stage_blueprint(STAGES, STREAMS))
     log_stage_streams(rec, STAGES, STREAMS)
     prepare_stage_results(given, START_NS, STREAMS, **options).send(rec)

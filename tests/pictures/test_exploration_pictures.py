@@ -31,7 +31,7 @@ def test_cells_are_crisp() -> None:
     """A map of two values has two colours and none between them: its cells are not blurred."""
     bare = dataclasses.replace(MAPS, contacts_m=np.zeros((0, 2)))
     checks = np.where((np.indices(MAPS.labels.shape) // 10).sum(axis=0) % 2, 0.5, 1.0)
-    image = decoded(pictures.stiffness_png(dataclasses.replace(bare, stiffness_n_per_mm=checks)))
+    image = decoded(pictures.map_png("stiffness", dataclasses.replace(bare, stiffness_n_per_mm=checks)))
     height, width = image.shape[:2]
     inside = image[height * 2 // 5 : height * 3 // 5, width // 4 : width // 2].reshape(-1, 3)
     assert len(np.unique(inside, axis=0)) == 2
@@ -41,7 +41,7 @@ def test_up_is_up_and_right_is_right() -> None:
     """Stiff where x and y are large: bright in the picture's upper right corner of the map."""
     bare = dataclasses.replace(MAPS, contacts_m=np.zeros((0, 2)))
     corner = np.where((synthetic.X > 0.4) & (synthetic.Y > 0.3), 1.0, 0.5)
-    image = decoded(pictures.stiffness_png(dataclasses.replace(bare, stiffness_n_per_mm=corner))).astype(int)
+    image = decoded(pictures.map_png("stiffness", dataclasses.replace(bare, stiffness_n_per_mm=corner))).astype(int)
     height, width = image.shape[:2]
     left, bottom, wide, high = pictures.PLACE
     columns = [round(width * (left + share * wide)) for share in (0.05, 0.95)]
@@ -52,19 +52,21 @@ def test_up_is_up_and_right_is_right() -> None:
 
 def test_the_truth_has_the_colours_of_the_regions_that_it_is_compared_with() -> None:
     """Labels are names: renaming the truth's changes nothing, and a region that was missed has its own colour."""
-    png = pictures.truth_png(MAPS)
-    assert pictures.truth_png(dataclasses.replace(MAPS, truth_labels=7 - 3 * synthetic.TRUTH)) == png
+    png = pictures.map_png("truth", MAPS)
+    assert pictures.map_png("truth", dataclasses.replace(MAPS, truth_labels=7 - 3 * synthetic.TRUTH)) == png
     missed = synthetic.TRUTH.copy()
     missed[:20, :20] = 2
-    found = decoded(pictures.truth_png(dataclasses.replace(MAPS, truth_labels=missed)))
+    found = decoded(pictures.map_png("truth", dataclasses.replace(MAPS, truth_labels=missed)))
     shares = [share_of(color, found) for color in pictures.REGIONS[:4]]
     assert min(shares[:3]) > 0.01
     assert shares[3] == 0.0
 
 
 def test_unsure_cells_are_pale() -> None:
-    sure = decoded(pictures.regions_png(dataclasses.replace(MAPS, label_probability=np.ones(MAPS.labels.shape))))
-    unsure = decoded(pictures.regions_png(dataclasses.replace(MAPS, label_probability=np.full(MAPS.labels.shape, 0.5))))
+    sure = decoded(pictures.map_png("regions", dataclasses.replace(MAPS, label_probability=np.ones(MAPS.labels.shape))))
+    unsure = decoded(
+        pictures.map_png("regions", dataclasses.replace(MAPS, label_probability=np.full(MAPS.labels.shape, 0.5)))
+    )
     assert share_of(pictures.REGIONS[0], sure) > 0.1
     assert share_of(pictures.REGIONS[0], unsure) < 0.001
     assert unsure.mean() > sure.mean()
@@ -91,15 +93,15 @@ def test_every_picture_is_drawn_whatever_is_missing() -> None:
     gradual = synthetic.gradual(6)
     assert decoded(pictures.result_png(first, "made up")).std() > 10
     for maps in (empty, flat, holed, gradual):
-        for draw in (pictures.stiffness_png, pictures.regions_png, pictures.truth_png):
-            assert decoded(draw(maps)).std() > 10
+        for quantity in ("stiffness", "regions", "truth"):
+            assert decoded(pictures.map_png(quantity, maps)).std() > 10
     for number, touch in enumerate((synthetic.touch(0), synthetic.rigid_touch(1), synthetic.unusable_touch(2))):
         assert decoded(pictures.force_png(touch)).std() > 10, number
         assert decoded(pictures.section_png(touch)).std() > 10, number
     none = np.zeros((0, 3))
     unseen = dataclasses.replace(synthetic.unusable_touch(2), observed_m=none, simulated_m=none)
     assert decoded(pictures.section_png(unseen)).std() > 5
-    assert share_of(pictures.REGIONS[0], decoded(pictures.regions_png(gradual))) == 0.0
+    assert share_of(pictures.REGIONS[0], decoded(pictures.map_png("regions", gradual))) == 0.0
     nowhere = dataclasses.replace(synthetic.plan(2), excluded=np.ones_like(synthetic.plan(2).excluded))
     flat_gain = dataclasses.replace(synthetic.plan(2), gain=np.zeros_like(nowhere.excluded, dtype=np.float64))
     for plan in (synthetic.plan(0), nowhere, flat_gain):

@@ -346,7 +346,7 @@ def no_viewer(monkeypatch: pytest.MonkeyPatch) -> None:
 
     viewer = Viewer(0, "rerun+http://127.0.0.1:1/proxy", "http://127.0.0.1:2?url=here")
     monkeypatch.setattr(recorder, "start_viewer", lambda kind: viewer)
-    monkeypatch.setattr(recorder, "_live_stream", stay_away)
+    monkeypatch.setattr(recorder, "live_stream", stay_away)
 
 
 @pytest.mark.usefixtures("no_viewer")

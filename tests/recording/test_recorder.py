@@ -102,7 +102,7 @@ def test_what_a_recording_holds(tmp_path: Path) -> None:
         moving.setdefault(chunk.entity_path, set()).update(batch.column("frame").to_pylist())
         for frame, session in zip(batch.column("frame"), batch.column("session"), strict=True):
             assert session.value == frame.as_py() * 33_333_333
-    assert moving["/input/image"] == {0, 1, 2, 3}
+    assert moving["/color/camera"] == {0, 1, 2, 3}
     assert moving["/particles/rest"] == {0}
     assert moving["/particles/observed"] == {0, 1, 2, 3}
     assert moving["/flow/arrows"] == {1, 2, 3}
@@ -306,9 +306,7 @@ def wait_for_looks(made: Recorder) -> None:
     done = threading.Event()
 
     def flush() -> None:
-        made._write_gathered()
-        if made._file is not None:
-            made._file.flush()
+        made._write_last()
         done.set()
 
     made._put(flush, 0)
@@ -422,7 +420,7 @@ def test_devices_killed_outright(tmp_path: Path) -> None:
             made.start_rig(rig.STREAMS, rig.START_NS)
             for batch in rig.batches(without_images(0.5)):
                 made.write_items(batch)
-            while made._writer.waiting_bytes or made._gathered:
+            while made._writer.waiting_bytes or len(made._portions):
                 time.sleep(0.01)
             beats = made._file._beats
             while made._file._beats == beats:  # the next look at the disk
@@ -576,7 +574,7 @@ def test_the_file_never_waits_for_the_viewer(
     stuck = threading.Event()
     unregistered, unblocked = list[bool](), list[bool]()
     monkeypatch.setattr(recorder, "start_viewer", lambda kind: Viewer(0, "rerun+http://127.0.0.1:1/proxy", ""))
-    monkeypatch.setattr(recorder, "_live_stream", lambda *given: unblocked.append(stuck.wait(PATIENCE_S)))
+    monkeypatch.setattr(recorder, "live_stream", lambda *given: unblocked.append(stuck.wait(PATIENCE_S)))
     monkeypatch.setattr(recorder, "LIVE_TIMEOUT_S", 0.3)
     monkeypatch.setattr(recorder, "leave_streams_alone", lambda: unregistered.append(True))
     path = tmp_path / "run.rrd"

@@ -194,3 +194,21 @@ def test_refuses_what_is_no_recording_of_ours(tmp_path: Path) -> None:
         with pytest.raises(InputError, match="recording") as refused:
             Replay(path)
         assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("format_number", "came"),
+    [(99, "one of format 99"), (None, "one without, made by an earlier version")],
+    ids=["newer", "older"],
+)
+def test_another_format_is_refused_in_a_line(tmp_path: Path, format_number: int | None, came: str) -> None:
+    path = tmp_path / "run.rrd"
+    rec = rr.RecordingStream("deformscope-rig", recording_id="rig")
+    rec.set_sinks(rr.FileSink(path))
+    told = {"settings": "{}"} if format_number is None else {"settings": "{}", "format": format_number}
+    rec.send_property("session", rr.AnyValues(True, **told))
+    rec.flush(timeout_sec=10)
+    rec.disconnect()
+    with pytest.raises(InputError, match=f"expected a recording of format 1; got {came}") as refused:
+        Replay(path, trust=True)
+    assert "\n" not in str(refused.value)

@@ -21,7 +21,7 @@ from deformscope.lab.stand_in import stand_in, wire_of
 from deformscope.recording.losses import losses_of, named
 from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.source import RigMember, RigSource
-from deformscope.session import watch
+from deformscope.session import finish, passing_on, run
 from deformscope_drivers.dsa import Dsa, DsaConfig, DsaDouble
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.health import Link
@@ -159,7 +159,8 @@ class Keeper:
 def test_watching_leaves_nothing_behind() -> None:
     keeper = Keeper()
     with doubled("optoforce", "tip") as tip, RigSource([tip]) as source:
-        watch(source, keeper, lambda items: len(frames_of(keeper.items, "tip")) > 200)
+        run(source, passing_on(lambda items: len(frames_of(keeper.items, "tip")) > 200), keeper)
+        finish(source, keeper)
         health = tip.device.health()
     frames = frames_of(keeper.items, "tip")
 
@@ -206,7 +207,8 @@ def test_a_recording_of_files_ends_with_them(tmp_path: Path) -> None:
     device = driver.make(driver.config_class()(path=str(tmp_path), fps=50.0))
     keeper = Keeper()
     with RigSource([RigMember("camera", driver, device)]) as source:
-        watch(source, keeper, lambda items: source.ended)
+        run(source, passing_on(lambda items: source.ended), keeper)
+        finish(source, keeper)
 
     assert len(frames_of(keeper.items, "camera")) == 3
     assert not source.failures

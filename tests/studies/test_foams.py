@@ -86,8 +86,8 @@ def made(seen: FoamResult, betas: list[tuple[float, float, float]]) -> list[Foam
         ((0.9, 0.8, 0.7, 0.6, 0.5), 0.02, "falls with firmness", -1.0),
         ((0.5, 0.6, 0.7, 0.8, 0.9), 0.02, "rises with firmness", 1.0),
         ((0.9, 0.6, 0.7, 0.8, 0.5), 0.02, "differs, but not in the order of firmness", -0.6),
-        ((0.9, 0.8, 0.7, 0.6, 0.5), 0.3, "no trend told: any beta from 0.60 to 0.80 fits all", -1.0),
-        ((0.0, 0.0, 0.0, 0.0, 0.0), 0.3, "no trend told: any beta from -0.30 to 0.30 fits all", None),
+        ((0.9, 0.8, 0.7, 0.6, 0.5), 0.3, "no trend: any beta from 0.60 to 0.80 fits all", -1.0),
+        ((0.0, 0.0, 0.0, 0.0, 0.0), 0.3, "no trend: any beta from -0.30 to 0.30 fits all", None),
     ],
 )
 def test_trend_says_no_more_than_the_intervals_allow(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from deformscope.errors import InputError
-from deformscope.experiments.explore import ExploreOptions
+from deformscope.experiments.options import ExploreOptions
 from deformscope.lab.scenes import built_in
 from deformscope.stages.map.map_score import MapScore
 from deformscope.stages.poke.contact import layer_modulus

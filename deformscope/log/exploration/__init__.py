@@ -5,6 +5,7 @@ at `touch`: 0 before the first touch, then the number of the touch that it belon
 What a touch told is at the frame of its dent. `deformscope.recording.results` reads the results back.
 
     exploration/surface|touch|maps|plan   one row a result, every field of it a component of the same name
+    exploration/input/...                 which frames they are computed from, or measurements where there are none
     exploration/phase                     likewise, and the state that a timeline shows
     exploration/failed|stopped            likewise, and why as a line of text
     display/scene/...                     the surface in space, the contacts, the next touch; the arm stands in it

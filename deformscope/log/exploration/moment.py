@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import rerun as rr
 
-from deformscope.log.rig.columns import Batch, Columns, moments
-from deformscope.rows import ENTITIES, Result, components
+from deformscope.log.rig.columns import Batch, Columns, moments, recorded
+from deformscope.rows import ENTITIES, Result
 
 
 class ResultBatch:
@@ -29,9 +28,7 @@ class ResultBatch:
 
     def record(self, result: Result) -> None:
         """Every field of a result, without loss."""
-        kind = type(result)
-        told = {name: pa.array(values, type=_ARROW[arrow]) for name, (arrow, values) in components(result).items()}
-        self.send(ENTITIES[kind], _row(kind.__name__, told))
+        self.send(ENTITIES[type(result)], recorded([result]))
 
     def show_png(self, path: str, png: bytes) -> None:
         self.send(path, rr.EncodedImage.columns(blob=[png], media_type=["image/png"]))
@@ -57,15 +54,3 @@ class ResultBatch:
             *rr.LineStrips3D.columns(colors=[color], radii=[radius]),
         ]
         self.send(path, columns)
-
-
-_ARROW = {"float64": pa.float64(), "int64": pa.int64(), "bool": pa.bool_(), "string": pa.string()}
-
-
-def _row(archetype: str, told: dict[str, pa.Array]) -> list[rr.ComponentColumn]:
-    """One row, its components as long as they are."""
-    columns: list[rr.ComponentColumn] = []
-    for name, values in told.items():
-        made = rr.DynamicArchetype.columns(archetype=archetype, components={name: values})
-        columns += made.partition([len(values)])
-    return columns

@@ -9,14 +9,7 @@ from deformscope.stages.map.exploration import MapEstimate, PlannedTouch, Surfac
 
 HEIGHT, GAIN = "display/surface/height", "display/plan/gain"
 FORCE, SECTION = "display/touch/force", "display/touch/section"
-MAPS = {
-    "display/maps/stiffness": pictures.stiffness_png,
-    "display/maps/stiffness_deviation": pictures.stiffness_deviation_png,
-    "display/maps/beta": pictures.beta_png,
-    "display/maps/beta_deviation": pictures.beta_deviation_png,
-    "display/maps/regions": pictures.regions_png,
-    "display/maps/truth": pictures.truth_png,
-}
+MAPS = {f"display/maps/{quantity}": quantity for quantity in pictures.MAP_DRAWINGS}
 
 
 def log_nothing_known(now: ResultBatch) -> None:
@@ -30,8 +23,8 @@ def log_height(now: ResultBatch, surface: SurfaceEstimate) -> None:
 
 
 def log_maps(now: ResultBatch, maps: MapEstimate) -> None:
-    for path, draw in MAPS.items():
-        now.show_png(path, draw(maps))
+    for path, quantity in MAPS.items():
+        now.show_png(path, pictures.map_png(quantity, maps))
 
 
 def log_gain(now: ResultBatch, plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None) -> None:

@@ -1,17 +1,18 @@
 """How a rig is recorded and shown: every item without loss, in batches, and beside them what a person looks at.
 
-What is measured stands at `KIND/DEVICE`, named as the fields of `deformscope.frames`; `deformscope.recording.items`
-reads it back. Every row is at `session`, the time since the recording's start, and frames also at `frame`, their place
-in the device's own stream. In an exploration's recording that place is on `index`, and `frame` is the depth camera's
-for all.
+What is measured stands at `KIND/DEVICE`, one row a frame, each field of it a component (`deformscope.rows`);
+`deformscope.recording.items` reads it back. Every row is at `session`, the time since the recording's start, and frames
+also at `frame`, their place in the device's own stream. In an exploration's recording that place is on `index`, and
+`frame` is the depth camera's for all.
 
-    wrench/DEVICE             stamp, counts, flags; below it force_n/CHANNEL and torque_nm/CHANNEL
-    tactile/DEVICE            stamp, counts, pressures; below it peak_kpa, one value a pad
-    arm/DEVICE, hand/DEVICE   stamp, queue, states; below them one entity a quantity, as joint_deg
-    color/DEVICE              stamp and image: JPEG, or PNG without loss
-    depth/DEVICE              stamp and image: PNG without loss; below it color
-    raw/DEVICE/received|sent  the bytes on the wire
+    wrench/DEVICE             counts, forces, flags; below it plots force_n/CHANNEL and torque_nm/CHANNEL
+    tactile/DEVICE            counts, pressures; below it the plot peak_kpa, one value a pad
+    arm/DEVICE, hand/DEVICE   all quantities; below them one plot a quantity, as joint_deg
+    color/DEVICE              the image: JPEG, or PNG without loss
+    depth/DEVICE              the image: PNG without loss, and the colour image on its pixels as a component
+    raw/DEVICE                the bytes on the wire, received or sent
     link/DEVICE               when the link was made and lost, and why
+    input                     files that were given, with their names
     health                    a table for people; below it each device's counters
     display/...               false colours, labels and transforms, all derived from the above
 """
@@ -29,6 +30,7 @@ from deformscope.frames import (
     DepthFrame,
     HandFrame,
     HealthReport,
+    InputFile,
     Item,
     LinkChange,
     RawBytes,
@@ -39,16 +41,19 @@ from deformscope.frames import (
 from deformscope.log.rig.arm import log_arm, log_arm_stream
 from deformscope.log.rig.blueprint import rig_blueprint
 from deformscope.log.rig.cameras import log_color, log_depth
-from deformscope.log.rig.columns import Batch, Place, Shown, root
+from deformscope.log.rig.columns import Batch, Place, Shown, moments, recorded, root
 from deformscope.log.rig.hand import log_hand, log_hand_stream
 from deformscope.log.rig.health import log_health, log_health_stream
 from deformscope.log.rig.link import log_link, log_link_stream, log_raw
 from deformscope.log.rig.tactile import log_tactile, log_tactile_stream
 from deformscope.log.rig.warm_up import nowhere, small_items
 from deformscope.log.rig.wrench import log_wrench, log_wrench_stream
-from deformscope.rows import stream_json
+from deformscope.rows import ENTITIES, to_json
 
-__all__ = ["Batch", "Place", "Shown", "log_items", "log_streams", "prepare_items", "rig_blueprint", "warm_up"]
+__all__ = [
+    *("Batch", "Place", "Shown", "log_items", "log_streams", "prepare_input", "prepare_items", "rig_blueprint"),
+    "warm_up",
+]
 
 _STREAMS: dict[str, Callable[[rr.RecordingStream, Stream], None]] = {
     "wrench": log_wrench_stream,
@@ -61,7 +66,7 @@ _STREAMS: dict[str, Callable[[rr.RecordingStream, Stream], None]] = {
 def log_streams(rec: rr.RecordingStream, streams: Sequence[Stream]) -> None:
     """What is known before the first frame: descriptions, names and colours of series, pads, the arm's shape."""
     for stream in streams:
-        rec.log(root(stream.kind, stream.device), rr.AnyValues(stream=stream_json(stream)), static=True)
+        rec.log(root(stream.kind, stream.device), rr.AnyValues(stream=to_json(stream)), static=True)
         if stream.kind in _STREAMS:
             _STREAMS[stream.kind](rec, stream)
     for device in sorted({stream.device for stream in streams}):
@@ -121,6 +126,14 @@ def prepare_items(
             log_health(batch, group, start_ns, streams, shown if changes_only else None)
         else:
             raise TypeError(f"no twin in deformscope.log.rig shows a {kind.__name__}")
+    return batch
+
+
+def prepare_input(given: InputFile, frame: int, session_ns: int) -> Batch:
+    """Make an input ready. frame, session_ns: when it was given"""
+    batch = Batch()
+    times = [*moments([session_ns], 0), rr.TimeColumn("frame", sequence=[frame])]
+    batch.send_columns(ENTITIES[InputFile], times, recorded([given]))
     return batch
 
 

@@ -12,7 +12,7 @@ import pyarrow as pa
 import rerun as rr
 
 from deformscope.frames import ArmFrame, Stream
-from deformscope.log.rig.columns import Batch, frame_times, log_series, moments, root, scalars, singles, stamps
+from deformscope.log.rig.columns import Batch, frame_times, log_series, moments, recorded, root, scalars
 from deformscope.pictures.palette import AXES, JOINTS
 
 QUANTITIES = (
@@ -84,8 +84,7 @@ def log_arm(batch: Batch, device: str, frames: Sequence[ArmFrame], start_ns: int
     for quantity in QUANTITIES:
         rows = [getattr(frame, quantity) for frame in frames]
         batch.send_columns(root("arm", device, quantity), times, scalars(rows))
-    queued = singles("ArmFrame", "queued", [frame.queued for frame in frames], pa.int64())
-    batch.send_columns(root("arm", device), times, [*stamps(frames), *queued])
+    batch.send_columns(root("arm", device), times, recorded(frames))
     if stream is not None and stream.urdf is not None:
         _log_pose(batch, device, frames, start_ns, shape_of(stream.urdf, device))
 

@@ -11,10 +11,10 @@ import pyarrow as pa
 import rerun as rr
 
 from deformscope.arrays import ImageArray
-from deformscope.frames import ColorFrame, DepthFrame, Frame
+from deformscope.frames import ColorFrame, DepthFrame
 from deformscope.images import PNG_SIGNATURE, encode_color, encode_png
 from deformscope.log.canvas import TEXT
-from deformscope.log.rig.columns import Batch, Shown, frame_times, is_news, moments, root, singles, stamps
+from deformscope.log.rig.columns import Batch, Shown, frame_times, is_news, moments, recorded, root
 from deformscope.pictures.palette import BACKGROUND
 
 LOOK_EVERY, RARE, STEP_M = 8, 0.01, 0.05
@@ -22,8 +22,10 @@ LOOK_EVERY, RARE, STEP_M = 8, 0.01, 0.05
 
 
 def log_color(batch: Batch, device: str, frames: Sequence[ColorFrame], start_ns: int, lossless: bool) -> None:
-    columns = _color_columns([frame.image for frame in frames], lossless)
-    batch.send_columns(root("color", device), frame_times(frames, start_ns), [*columns, *stamps(frames)])
+    encoded = [encode_color(frame.image, lossless=lossless) for frame in frames]
+    kinds = [f"image/{'png' if one.startswith(PNG_SIGNATURE) else 'jpeg'}" for one in encoded]
+    columns = [*rr.EncodedImage.columns(blob=encoded, media_type=kinds), *recorded(frames)]
+    batch.send_columns(root("color", device), frame_times(frames, start_ns), columns)
 
 
 def log_depth(
@@ -34,11 +36,6 @@ def log_depth(
     lossless: bool,
     shown: Shown | None = None,
 ) -> None:
-    colored: list[Frame] = [frame for frame in frames if frame.color is not None]
-    if colored:
-        images = [frame.color for frame in frames if frame.color is not None]
-        columns = _color_columns(images, lossless)
-        batch.send_columns(root("depth", device, "color"), frame_times(colored, start_ns), columns)
     reach = _range(frames[0].depth, frames[0].unit_m)
     columns = [
         *rr.EncodedDepthImage.columns(
@@ -48,10 +45,10 @@ def log_depth(
             colormap=[rr.components.Colormap.Turbo] * len(frames),
             depth_range=[reach] * len(frames),
         ),
-        *singles("DepthFrame", "unit_m", [frame.unit_m for frame in frames], pa.float64()),
-        *singles("DepthFrame", "colored", [frame.color is not None for frame in frames], pa.bool_()),
-        *stamps(frames),
+        *recorded(frames),
     ]
+    if any(frame.color is not None for frame in frames):
+        columns += _blobs("DepthFrame:color", [_color_of(frame, lossless) for frame in frames])
     batch.send_columns(root("depth", device), frame_times(frames, start_ns), columns)
     if is_news(shown, device, (*reach, frames[0].depth.shape), frames[0].stamp.host_ns):
         _log_scale(batch, device, frames[0], reach, start_ns)
@@ -95,7 +92,13 @@ def _scale_png(low_m: float, high_m: float, shape: tuple[int, int]) -> bytes:
     return encode_png(picture)
 
 
-def _color_columns(images: Sequence[ImageArray], lossless: bool) -> list[rr.ComponentColumn]:
-    encoded = [encode_color(image, lossless=lossless) for image in images]
-    kinds = ["image/png" if blob.startswith(PNG_SIGNATURE) else "image/jpeg" for blob in encoded]
-    return list(rr.EncodedImage.columns(blob=encoded, media_type=kinds))
+def _color_of(frame: DepthFrame, lossless: bool) -> bytes:
+    return b"" if frame.color is None else encode_color(frame.color, lossless=lossless)
+
+
+def _blobs(component: str, rows: Sequence[bytes]) -> list[rr.ComponentColumn]:
+    """Bytes, any number a row."""
+    archetype, name = component.split(":")
+    flat = pa.array(np.frombuffer(b"".join(rows), np.uint8))
+    made = rr.DynamicArchetype.columns(archetype=archetype, components={name: flat})
+    return list(made.partition([len(row) for row in rows]))

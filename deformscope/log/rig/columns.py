@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +13,7 @@ from rerun.chunk import Chunk
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.frames import Frame
+from deformscope.rows import OF_DEVICES, to_columns
 
 Columns = Iterable[rr.ComponentColumn]
 
@@ -120,34 +120,13 @@ def frame_times(frames: Sequence[Frame], start_ns: int) -> list[rr.TimeColumn]:
     return [*moments([frame.stamp.host_ns for frame in frames], start_ns), rr.TimeColumn("frame", sequence=indices)]
 
 
-def stamps(frames: Sequence[Frame]) -> list[rr.ComponentColumn]:
-    """Stamps as integers: none of their digits is lost. A device without a clock has empty ticks."""
-    ticks = [[] if frame.stamp.device_ticks is None else [frame.stamp.device_ticks] for frame in frames]
-    return [
-        *singles("Stamp", "host_ns", [frame.stamp.host_ns for frame in frames], pa.int64()),
-        *lists("Stamp", "device_ticks", ticks, pa.int64()),
-    ]
-
-
-def singles(archetype: str, name: str, values: Sequence[Any], kind: pa.DataType) -> Columns:
-    """One value a row."""
-    return rr.DynamicArchetype.columns(archetype=archetype, components={name: pa.array(values, kind)})
-
-
-def lists(archetype: str, name: str, rows: Sequence[Any], kind: pa.DataType) -> Columns:
-    """Any number of values a row; rows: sequences or (n,) arrays."""
-    lengths = [len(row) for row in rows]
-    if rows and isinstance(rows[0], np.ndarray):
-        flat = pa.array(np.concatenate(rows), kind)
-    else:
-        flat = pa.array([value for row in rows for value in row], kind)
-    return rr.DynamicArchetype.columns(archetype=archetype, components={name: flat}).partition(lengths)
-
-
-def blobs(archetype: str, name: str, rows: Sequence[bytes]) -> Columns:
-    """Bytes, any number a row."""
-    flat = pa.array(np.frombuffer(b"".join(rows), np.uint8), pa.uint8())
-    return rr.DynamicArchetype.columns(archetype=archetype, components={name: flat}).partition([len(r) for r in rows])
+def recorded(items: Sequence[object]) -> list[rr.ComponentColumn]:
+    """Every field of these but images, without loss; all of one class, and of the device that their entity names."""
+    kind, found = type(items[0]), list[rr.ComponentColumn]()
+    for name, column in to_columns(items, ("device",) if kind in OF_DEVICES else ()).items():
+        made = rr.DynamicArchetype.columns(archetype=kind.__name__, components={name: column.values})
+        found += made.partition(column.lengths)
+    return found
 
 
 def scalars(rows: Sequence[FloatArray]) -> Columns:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import pyarrow as pa
 import rerun as rr
 
 from deformscope.frames import HandFrame, Stream
-from deformscope.log.rig.columns import Batch, frame_times, lists, log_series, root, scalars, stamps
+from deformscope.log.rig.columns import Batch, frame_times, log_series, recorded, root, scalars
 from deformscope.pictures.palette import JOINTS
 
 QUANTITIES = ("position_deg", "velocity_deg_s", "temperature_c")
@@ -25,5 +24,4 @@ def log_hand(batch: Batch, device: str, frames: Sequence[HandFrame], start_ns: i
     for quantity in QUANTITIES:
         rows = [getattr(frame, quantity) for frame in frames]
         batch.send_columns(root("hand", device, quantity), times, scalars(rows))
-    states = lists("HandFrame", "state", [frame.state for frame in frames], pa.string())
-    batch.send_columns(root("hand", device), times, [*stamps(frames), *states])
+    batch.send_columns(root("hand", device), times, recorded(frames))

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
 from collections.abc import Sequence
 
-import pyarrow as pa
 import rerun as rr
 
 from deformscope.frames import HealthReport, Stream
-from deformscope.log.rig.columns import Batch, Shown, lists, moments, root, singles
+from deformscope.log.rig.columns import Batch, Shown, moments, recorded, root
 from deformscope.pictures.palette import BAD, GOOD, IDLE, WARN
 from deformscope_drivers.health import Health, Link
 
@@ -18,7 +15,6 @@ STALE_S = 1.0
 """A reading older than this, or than STALE_READINGS at the stream's own rate, whichever is longer, is stale."""
 STALE_READINGS = 5.0
 
-COUNTERS = ("received", "lost", "lost_by_time", "dropped", "skipped_bytes", "resyncs", "reconnects")
 COLORS = {
     "ok": GOOD,
     "waiting": IDLE,
@@ -68,13 +64,11 @@ def log_health(
     for device, seen in looks.items():
         _log_device(batch, device, seen, start_ns, known.get(device))
     when = [report.host_ns for report in reports]
-    names = [[device for device, _ in report.devices] for report in reports]
     columns = [
         *rr.TextDocument.columns(
             text=[table(report, known) for report in reports], media_type=["text/markdown"] * len(reports)
         ),
-        *singles("HealthReport", "host_ns", when, pa.int64()),
-        *lists("HealthReport", "devices", names, pa.string()),
+        *recorded(reports),
     ]
     batch.send_columns("health", moments(when, start_ns), columns)
 
@@ -103,19 +97,5 @@ def _log_device(
     batch: Batch, device: str, looks: Sequence[tuple[int, Health]], start_ns: int, stream: Stream | None
 ) -> None:
     health = [one for _, one in looks]
-    clocks = [[] if one.clock is None else [json.dumps(dataclasses.asdict(one.clock))] for one in health]
-    columns = [
-        *rr.StateChange.columns(state=[word(one, stream) for one in health]),
-        *singles("Health", "link", [str(one.link) for one in health], pa.string()),
-        *singles("Health", "reason", [one.reason for one in health], pa.string()),
-        *singles("Health", "rate_hz", [one.rate_hz for one in health], pa.float64()),
-        *lists("Health", "age_s", [[] if one.age_s is None else [one.age_s] for one in health], pa.float64()),
-        *singles("Health", "silent_s", [one.silent_s for one in health], pa.float64()),
-        *singles("Health", "stuck", [one.stuck for one in health], pa.bool_()),
-        *singles("Health", "refused", [json.dumps(dict(one.refused)) for one in health], pa.string()),
-        *singles("Health", "extra", [json.dumps(dict(one.extra)) for one in health], pa.string()),
-        *lists("Health", "clock", clocks, pa.string()),
-    ]
-    for counter in COUNTERS:
-        columns += singles("Health", counter, [getattr(one, counter) for one in health], pa.int64())
+    columns = [*rr.StateChange.columns(state=[word(one, stream) for one in health]), *recorded(health)]
     batch.send_columns(root("health", device), moments([at for at, _ in looks], start_ns), columns)

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import pyarrow as pa
 import rerun as rr
 
 from deformscope.frames import LinkChange, RawBytes, Stream
-from deformscope.log.rig.columns import Batch, blobs, moments, root, scalars, singles
+from deformscope.log.rig.columns import Batch, moments, recorded, root, scalars
 from deformscope.log.rig.plotted import plotted
 from deformscope.pictures.palette import BAD, GOOD, IDLE, WARN
 from deformscope_drivers.health import Link
@@ -31,9 +30,7 @@ def log_link(
     columns = [
         *rr.TextLog.columns(text=told, level=[LEVELS[event.link] for event in events]),
         *rr.StateChange.columns(state=[str(event.link) for event in events]),
-        *singles("LinkEvent", "host_ns", [event.host_ns for event in events], pa.int64()),
-        *singles("LinkEvent", "link", [str(event.link) for event in events], pa.string()),
-        *singles("LinkEvent", "reason", [event.reason for event in events], pa.string()),
+        *recorded(changes),
     ]
     batch.send_columns(root("link", device), moments([event.host_ns for event in events], start_ns), columns)
     ends = [event.host_ns for event in events if event.link != Link.CONNECTED]
@@ -43,12 +40,4 @@ def log_link(
 
 
 def log_raw(batch: Batch, device: str, pieces: Sequence[RawBytes], start_ns: int) -> None:
-    for way, sent in (("received", False), ("sent", True)):
-        those = [piece for piece in pieces if piece.sent is sent]
-        if those:
-            when = [piece.host_ns for piece in those]
-            columns = [
-                *singles("RawBytes", "host_ns", when, pa.int64()),
-                *blobs("RawBytes", "data", [piece.data for piece in those]),
-            ]
-            batch.send_columns(root("raw", device, way), moments(when, start_ns), columns)
+    batch.send_columns(root("raw", device), moments([piece.host_ns for piece in pieces], start_ns), recorded(pieces))

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import pyarrow as pa
 import rerun as rr
 
 from deformscope.arrays import FloatArray, IntArray
@@ -18,12 +17,11 @@ from deformscope.log.rig.columns import (
     Sink,
     frame_times,
     is_news,
-    lists,
     log_series,
     moments,
+    recorded,
     root,
     scalars,
-    stamps,
 )
 from deformscope.pictures.palette import BACKGROUND, JOINTS, colors, round_up
 
@@ -145,15 +143,8 @@ def log_tactile(
     shown: Shown | None = None,
 ) -> None:
     times = frame_times(frames, start_ns)
-    shapes = [[side for pad in frame.pressure_pa for side in pad.shape] for frame in frames]
-    columns = [
-        *stamps(frames),
-        *lists("TactileFrame", "counts", [frame.counts for frame in frames], pa.uint16()),
-        *lists("TactileFrame", "pressure_pa", [_texels_pa(frame) for frame in frames], pa.float64()),
-        *lists("TactileFrame", "shape", shapes, pa.int64()),
-    ]
     batch.send_columns(root("tactile", device, "peak_kpa"), times, scalars([_peaks_kpa(frame) for frame in frames]))
-    batch.send_columns(root("tactile", device), times, columns)
+    batch.send_columns(root("tactile", device), times, recorded(frames))
     if stream is not None and stream.pads:
         hand = Hand.of(stream.pads)
     elif frames[0].pressure_pa:

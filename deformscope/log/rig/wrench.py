@@ -1,14 +1,13 @@
-"""Forces and torques: the plot's values are the recorded ones."""
+"""Forces and torques, and their plots."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-import pyarrow as pa
 import rerun as rr
 
 from deformscope.frames import Stream, WrenchFrame
-from deformscope.log.rig.columns import Batch, frame_times, lists, log_series, root, scalars, singles, stamps
+from deformscope.log.rig.columns import Batch, frame_times, log_series, recorded, root, scalars
 from deformscope.pictures.palette import AXES
 
 
@@ -31,10 +30,4 @@ def log_wrench(batch: Batch, device: str, frames: Sequence[WrenchFrame], start_n
         for channel in range(max(len(row) for row in rows)):
             path = root("wrench", device, quantity, str(channel))
             batch.send_columns(path, times, scalars([row[channel] for row in rows]))
-    columns = [
-        *stamps(frames),
-        *lists("WrenchFrame", "counts", [frame.counts for frame in frames], pa.int64()),
-        *singles("WrenchFrame", "overload", [frame.overload for frame in frames], pa.bool_()),
-        *singles("WrenchFrame", "usable", [frame.usable for frame in frames], pa.bool_()),
-    ]
-    batch.send_columns(root("wrench", device), frame_times(frames, start_ns), columns)
+    batch.send_columns(root("wrench", device), frame_times(frames, start_ns), recorded(frames))

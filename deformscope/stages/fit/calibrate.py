@@ -116,7 +116,7 @@ def calibrate(
     near = [nearest_error(c.simulated[c.seen], c.observed[c.seen]) for c in comparisons]
     supported = (fit.tried.parameter >= ends[0]) & (fit.tried.parameter <= ends[1])
     converged = inferred.converged and bool(fit.tried.converged[supported].all())
-    told = identifiability(seen, comparisons, inferred)
+    identified = identifiability(seen, comparisons, inferred)
     # frames of a motion carry no force
     k = None if one_motion else _stiffness(fit, best, supported, inferred, options.level)
     estimate = Estimate(
@@ -125,7 +125,7 @@ def calibrate(
         interval=ends,
         level=options.level,
         bounds=bounds,
-        verdict=verdict(ends, bounds, told) if converged else "unidentified",
+        verdict=verdict(ends, bounds, identified) if converged else "unidentified",
         stiffness_verdict="unidentified" if k is None else relative_verdict(*k),
         aee=float(fit.only(np.arange(len(seen)), np.ones(len(seen))).error()[best]),
         aee_free=float(free.mean()),
@@ -137,7 +137,7 @@ def calibrate(
         stiffness=k,
         metres_per_unit=seen[0].metres_per_unit,
         posterior=inferred.posterior,
-        identifiability=told,
+        identifiability=identified,
     )
     return Calibration(estimate, comparisons, inferred)
 
@@ -158,7 +158,7 @@ def check_range(parameter: Parameter, bounds: tuple[float, float]) -> None:
 def identifiability(
     seen: Sequence[Observation], comparisons: Sequence[Comparison], inferred: Inferred
 ) -> Identifiability:
-    """Whether the data can tell the parameter at all: see there."""
+    """Whether the data identify the parameter: see there."""
     return Identifiability(
         rise=inferred.rise,
         explained=explained(seen, [c.simulated for c in comparisons]),

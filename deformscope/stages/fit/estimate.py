@@ -18,7 +18,7 @@ IDENTIFIED_WIDTH, WEAK_WIDTH = 0.2, 0.7
 """An interval narrower than the first is identified, narrower than the second weak."""
 
 RISE_LEAST = 2.0
-"""Standard deviations by which the data must tell the likeliest value from the least likely, to tell anything."""
+"""Standard deviations by which the data must separate the likeliest value from the least likely."""
 
 EXPLAINED_LEAST, EXPLAINED_LOW = 0.3, 0.6
 """Share of the non-rigid motion that a model must explain before its parameter means anything, and below which so much
@@ -98,9 +98,9 @@ class Posterior:
 
 @dataclass(frozen=True, slots=True)
 class Identifiability:
-    """Whether the data can tell the parameter at all.
+    """Whether the data identify the parameter.
 
-    rise: by how many standard deviations the data tell the likeliest value of the range from the least likely one
+    rise: by how many standard deviations the data separate the likeliest value of the range from the least likely one
     explained: share of the motion, less the best rigid one, that the model explains (sums of squares; free particles);
     0 or less where misfit or noise are as large as the motion itself
     deviation: of the posterior; misfit: root mean square of what the model cannot do, a coordinate [unit]
@@ -114,11 +114,11 @@ class Identifiability:
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """A way of fitting that was tried on particles that it was not fitted to.
+    """A choice of model that was tried on particles that it was not fitted to.
 
     held: the parts whose motion is prescribed; alpha, dt [s]: of time stepping, None for static states, which neither
     alters; held_out, fit: mean error on particles left out, and of the same ones when fitted [the estimate's unit];
-    scatter: standard error of the first against that of the best way; value: the parameter then; chosen: it was used
+    scatter: standard error of the first against that of the best choice; value: the parameter then; chosen: it was used
     """
 
     cluster_size: int | None
@@ -156,11 +156,11 @@ class Estimate:
 
     value: the parameter with the lowest error; interval: at `level`, always holds `value`; one-sided at a bound
     bounds: the range that was searched
-    verdict: on the parameter; stiffness_verdict: on stiffness, which position alone cannot tell
+    verdict: on the parameter; stiffness_verdict: on stiffness, which position alone does not identify
     stiffness: the energy's stiffness k and its interval over `interval` [N/m], where a force was given
     metres_per_unit: the scale of the lengths; None where pixels have no known size
     posterior, identifiability: what the interval and the verdict rest on
-    selection: ways of fitting that were tried, where some were to be chosen; selection_text: what can be said of them
+    selection: choices of model that were tried, where some were to be chosen; selection_text: what can be said of them
     aee: mean error over all observed particles, held ones included (eq. 3.18); aee_free: over the free ones alone
     nearest: one-sided nearest-neighbour error (eq. 4.6); unit: of every length here
     converged: every simulation that the value and the interval rest on reached its static state
@@ -217,12 +217,12 @@ class Estimate:
                 "the motion itself"
             )
         low, high = self.interval
-        return f"any {self.parameter} from {low:.2g} to {high:.2g} fits; the data do not tell it"
+        return f"any {self.parameter} from {low:.2g} to {high:.2g} fits; the data do not identify it"
 
     def stiffness_text(self) -> str:
         """What can be said of stiffness, in plain words."""
         if self.stiffness is None:
-            return "position alone cannot tell stiffness here: give a force"
+            return "position alone does not identify stiffness here: give a force"
         value, (low, high) = self.stiffness
         return f"{self.stiffness_verdict}: {value:.4g} N/m ({low:.4g} to {high:.4g})"
 
@@ -267,13 +267,13 @@ class Estimate:
             thin = self.posterior.thinned(SHOWN)
             found["posterior"] = {"parameter": thin.parameter.tolist(), "density": thin.density.tolist()}
         if self.identifiability is not None:
-            told = self.identifiability
+            identified = self.identifiability
             found["identifiability"] = {
-                "rise_sd": told.rise,
-                "explained": told.explained,
-                "deviation": told.deviation,
-                "misfit_m": in_metres(told.misfit),
-                "misfit_px": in_pixels(told.misfit),
+                "rise_sd": identified.rise,
+                "explained": identified.explained,
+                "deviation": identified.deviation,
+                "misfit_m": in_metres(identified.misfit),
+                "misfit_px": in_pixels(identified.misfit),
             }
         if self.selection:
             scale = 1.0 if metres is None else metres
@@ -287,10 +287,10 @@ class Estimate:
 
 def explained_text(share: float) -> str:
     """What share of a motion beyond a rigid one is explained, in plain words, with a warning where it is little."""
-    told = f"{max(share, 0.0):.0%} of the motion beyond a rigid one"
+    described = f"{max(share, 0.0):.0%} of the motion beyond a rigid one"
     if share >= EXPLAINED_LOW:
-        return told
-    return f"{told}: LITTLE; wrong units, order or held particles, or a thing that this model does not describe"
+        return described
+    return f"{described}: LITTLE; wrong units, order or held particles, or a thing that this model does not describe"
 
 
 def verdict(
@@ -298,8 +298,8 @@ def verdict(
 ) -> Verdict:
     """What an interval within its bounds, and the data behind it, allow to say."""
     width = ends[1] - ends[0]
-    told = identifiability
-    if width >= WEAK_WIDTH or (told is not None and (told.rise < RISE_LEAST or told.explained < EXPLAINED_LEAST)):
+    found = identifiability
+    if width >= WEAK_WIDTH or (found is not None and (found.rise < RISE_LEAST or found.explained < EXPLAINED_LEAST)):
         return "unidentified"
     if ends[0] <= bounds[0] or ends[1] >= bounds[1]:
         return "at-bound"

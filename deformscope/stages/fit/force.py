@@ -1,4 +1,4 @@
-"""Stiffness from force: what position alone cannot tell."""
+"""Stiffness from force, since position alone does not identify it."""
 
 from __future__ import annotations
 
@@ -44,28 +44,28 @@ def stiffness(
     several forces scatter more than their noise, its deviation grows as much (Birge's ratio). Eq. 3.17 has no energy,
     so with theta in that form there is no force to compare.
     """
-    told = [row for row, s in enumerate(seen) if s.force_n is not None and s.metres_per_unit is not None]
-    if not told or (model.volume == "scale" and theta.any()):
+    rows = [row for row, s in enumerate(seen) if s.force_n is not None and s.metres_per_unit is not None]
+    if not rows or (model.volume == "scale" and theta.any()):
         return None
-    simulated = np.zeros((len(beta), len(told)))
-    measured = np.array([float(seen[row].force_n or 0.0) for row in told])
-    for column, row in enumerate(told):
+    simulated = np.zeros((len(beta), len(rows)))
+    measured = np.array([float(seen[row].force_n or 0.0) for row in rows])
+    for column, row in enumerate(rows):
         s = seen[row]
         rest = reference.build_rest(s.rest, model.grouping(s), s.held, basis=model.basis)
         contact = s.held if s.contact is None else s.contact
         for g, (b, th) in enumerate(zip(beta, theta, strict=True)):
             net = reference.reaction(positions[row][g], rest, float(b), float(th))[contact].sum(axis=0)
             simulated[g, column] = float(np.linalg.norm(net)) * float(s.metres_per_unit or 1.0)
-    given = [seen[row].force_noise_n for row in told]
+    given = [seen[row].force_noise_n for row in rows]
     noise = np.array([FORCE_SHARE * f if n is None else n for n, f in zip(given, measured, strict=True)])
-    missed = np.zeros(len(told)) if misfit is None else np.array([misfit[row] ** 2 for row in told])
+    missed = np.zeros(len(rows)) if misfit is None else np.array([misfit[row] ** 2 for row in rows])
     deviation = np.maximum(np.hypot(noise, missed * measured), CERTAIN * measured.max(initial=0.0))
     deviation = np.where(deviation > 0.0, deviation, 1.0)
     a, b = simulated / deviation, measured / deviation
     size = np.sum(a**2, axis=1)
     felt = np.where(size > 0.0, size, 1.0)
     k = np.where(size > 0.0, a @ b / felt, np.nan)
-    scatter = np.sum((b - k[:, None] * a) ** 2, axis=1) / max(len(told) - 1, 1)
+    scatter = np.sum((b - k[:, None] * a) ** 2, axis=1) / max(len(rows) - 1, 1)
     return Stiffness(k, np.sqrt(np.maximum(scatter, 1.0) / felt))
 
 
@@ -95,10 +95,10 @@ def stiffness_interval(
 
 def stiffness_posterior(found: Stiffness, share: FloatArray) -> Posterior | None:
     """Of k [N/m], with the parameter's probability (g,) at each value; None where no finite force was simulated."""
-    told = np.isfinite(found.value) & (share > 0.0)
-    if not told.any():
+    known = np.isfinite(found.value) & (share > 0.0)
+    if not known.any():
         return None
-    value, deviation, share = found.value[told], found.deviation[told], share[told]
+    value, deviation, share = found.value[known], found.deviation[known], share[known]
     grid = np.linspace(max((value - 6.0 * deviation).min(), 0.0), (value + 6.0 * deviation).max(), 2001)
     z = (grid[:, None] - value) / deviation
     density = np.exp(-0.5 * z**2) / deviation @ share

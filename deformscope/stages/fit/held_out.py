@@ -1,4 +1,4 @@
-"""How well a way of fitting says what it was not fitted to: error on blocks of particles that were left out.
+"""How well a choice of model predicts what it was not fitted to: error on blocks of particles that were left out.
 
 Blocks, not single particles, because neighbours share errors: a particle whose neighbours were fitted is not held out.
 And particles, not frames: errors are much the same in all frames, so a frame left out is no new trial.
@@ -28,12 +28,12 @@ FINE = 10
 
 
 TOLD_LEAST = 0.01
-"""Share of the held-out error by which two ways must differ to count as different at all."""
+"""Share of the held-out error by which two choices must differ to count as different at all."""
 
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """Errors of one way of fitting over all frames [unit].
+    """Errors of one choice of model over all frames [unit].
 
     error: held-out AEE; block: (b,) of each block; fit: AEE of the same particles when all are fitted; value: the
     parameter then; usable: the simulation stayed finite
@@ -107,7 +107,7 @@ def difference(one: HeldOut, other: HeldOut) -> tuple[float, float]:
     return one.error - other.error, float(gap.std(ddof=1) / np.sqrt(gap.size))
 
 
-def tells(worse: HeldOut, better: HeldOut) -> bool:
-    """Whether the data tell two ways apart: beyond two standard errors, and by more than a hundredth."""
+def separates(worse: HeldOut, better: HeldOut) -> bool:
+    """Whether the data separate two choices: beyond two standard errors, and by more than a hundredth."""
     gap, scatter = difference(worse, better)
     return bool(gap > 2.0 * scatter and gap > TOLD_LEAST * better.error)

@@ -5,8 +5,8 @@ hypotheses weighed and summed at each value; what is simulated between candidate
 -log(1 - beta), which spreads out what happens near 1. The range is narrowed until the spline's knots resolve the
 posterior, however narrow it is.
 
-It goes in two steps. All residuals together tell how they come about: noise, its reach, its level, misfit. Then the
-few projections of the residuals that the parameter can change tell the parameter, with the noise of that step. So an
+It goes in two steps. All residuals together identify their causes: noise, its reach, its level, misfit. Then the
+few projections of the residuals that the parameter can change identify it, with the noise of that step. So an
 estimate is as sharp as least squares, no sharper: to weigh every detail by a covariance that is but a guess (as
 generalised least squares does) would take the finest part of a misfit for knowledge.
 """
@@ -49,7 +49,7 @@ NARROWEST = 1e-9
 @dataclass(frozen=True, slots=True)
 class Inferred:
     """posterior; explanations: one an observation; noise: typical white noise of a coordinate [unit]
-    rise: by how many standard deviations the data tell the likeliest value of the range from the least likely
+    rise: by how many standard deviations the data separate the likeliest value of the range from the least likely
     converged: all simulations that it rests on have settled"""
 
     posterior: Posterior
@@ -96,7 +96,7 @@ class Inference:
         self, low: float, high: float, judge: Judge, progress: Progress | None
     ) -> tuple[FloatArray, FloatArray, float]:
         """A grid (f,) of stretched values that resolves a posterior, its logarithm there (f,), and by how many standard
-        deviations it tells the likeliest value of the whole range from the least likely."""
+        deviations it separates the likeliest value of the whole range from the least likely."""
         fine, total = self._over(low, high, judge)
         finite = total[np.isfinite(total)]
         rise = float(np.sqrt(2.0 * (finite.max() - finite.min())))
@@ -134,7 +134,7 @@ class Inference:
     def _explain(
         self, row: int, residual: FloatArray, responses: Sequence[FloatArray], share: FloatArray
     ) -> FloatArray:
-        """By all that the residuals are: tells how they come about."""
+        """By all that the residuals are: identifies their causes."""
         part = self.parts[row]
         each = [part.errors.evidence(residual, response, part.chosen) for response in responses]
         mixed = [np.sum(share[:, None] * np.stack(some), axis=0) for some in zip(*map(_fields, each), strict=True)]
@@ -145,7 +145,7 @@ class Inference:
     def _summarise(
         self, row: int, residual: FloatArray, responses: Sequence[FloatArray], share: FloatArray
     ) -> FloatArray:
-        """By what of the residuals the parameter can change, given how they come about: tells the parameter."""
+        """By what of the residuals the parameter can change, given their causes: identifies the parameter."""
         part = self.parts[row]
         onto = part.summary(residual)
         each = [part.log_summary(residual, onto, response) for response in responses]

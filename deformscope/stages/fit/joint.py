@@ -101,7 +101,7 @@ def calibrate_both(
 
 
 class _Joint:
-    """The grid over both, and every error that was met on the way."""
+    """The grid over both, and every error that was met."""
 
     def __init__(self, seen: Sequence[Observation], options: JointOptions) -> None:
         self.seen, self.options = list(seen), options
@@ -161,7 +161,7 @@ class _Joint:
         self, progress: Progress | None, *, explain: bool
     ) -> tuple[FloatArray, FloatArray, FloatArray, list[float]]:
         """The grid that resolves the posterior, its logarithm, and for each parameter by how many standard deviations
-        it tells the likeliest value of the whole range from the least likely."""
+        it separates the likeliest value of the whole range from the least likely."""
         low, high = (float(-np.log1p(-bound)) for bound in self.options.beta_bounds)
         b, t, total = self.over((low, high), self.options.theta_bounds, explain=explain)
         rise = [float(np.sqrt(2.0 * np.ptp(total.max(axis=axis)))) for axis in (1, 0)]
@@ -200,8 +200,8 @@ class _Joint:
         noise = white_noise(explanations, self.parts)
         k = self._stiffness(grid, t, density, (beta, theta), explanations)
         found = [
-            Inferred(marginal, explanations, noise, told, self.converged)
-            for marginal, told in zip(marginals, rise, strict=True)
+            Inferred(marginal, explanations, noise, separation, self.converged)
+            for marginal, separation in zip(marginals, rise, strict=True)
         ]
         of_beta = self._estimate("beta", beta, found[0], comparisons, aee, k)
         of_theta = self._estimate("theta", theta, found[1], comparisons, aee, k)
@@ -256,7 +256,7 @@ class _Joint:
         options = self.options
         bounds = options.beta_bounds if name == "beta" else options.theta_bounds
         ends = inferred.posterior.shortest(options.level, value)
-        told = identifiability(self.seen, comparisons, inferred)
+        identified = identifiability(self.seen, comparisons, inferred)
         free = np.concatenate(
             [distances(c.simulated, c.observed)[s.free_observed] for c, s in zip(comparisons, self.seen, strict=True)]
         )
@@ -266,7 +266,7 @@ class _Joint:
             interval=ends,
             level=options.level,
             bounds=bounds,
-            verdict=verdict(ends, bounds, told) if self.converged else "unidentified",
+            verdict=verdict(ends, bounds, identified) if self.converged else "unidentified",
             stiffness_verdict="unidentified" if k is None else relative_verdict(*k),
             aee=aee,
             aee_free=float(free.mean()),
@@ -284,7 +284,7 @@ class _Joint:
             stiffness=k,
             metres_per_unit=self.seen[0].metres_per_unit,
             posterior=inferred.posterior,
-            identifiability=told,
+            identifiability=identified,
         )
 
     def _stiffness(

@@ -2,7 +2,7 @@
 
 Gauss-Newton steps with finite differences, damped (Levenberg, Marquardt): each round is two batches, one for the
 derivatives and one for steps of several lengths, of which the best is taken. For even noise the least sum of squares is
-the likeliest; it is smooth where the average distance (Thesis eq. 3.18) is not, so that its curvature tells how sure.
+the likeliest; it is smooth where the average distance (Thesis eq. 3.18) is not, so that its curvature is known.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ prescribed positions that are off do to the simulation. The errors (e, e_held) o
     that of optical flow, in free and prescribed particles alike; or misfit of the model, in the free ones alone.
 
 Each combination of a field's roughness, length and size is one hypothesis with a Gaussian likelihood; whether the
-prescribed positions were measured too is another choice where it was not told. The scale is integrated (Laplace) with a
+prescribed positions were measured too is another choice where unstated. The scale is integrated (Laplace) with a
 log-normal prior about 1, or a flat one where no noise was stated.
 
 With G the covariance of (e, e_held), r has P G P^T, P = [I, -J]. It is never formed: that is the marginal of a flat
@@ -56,10 +56,10 @@ they are large their finest part must not pass for knowledge."""
 
 PRIOR_NO_FIELD = 0.5
 PRIOR_HELD_EXACT = 0.15
-"""Prior weight of exact prescribed positions where it is not told whether they were measured."""
+"""Prior weight of exact prescribed positions where it is not stated whether they were measured."""
 
 SCALE_SPREAD = 1.0
-"""Log-normal deviation of the true noise about the stated one: a factor of 2.7 either way is one deviation."""
+"""Log-normal deviation of the true noise about the stated one: a factor of 2.7 up or down is one deviation."""
 
 SCALE_LEAST = 0.05
 """Residuals this far below the stated noise are no sample of it (made-up or smoothed data): the statement stands."""
@@ -154,12 +154,13 @@ class ErrorModel:
         self._bases: dict[Field, _Basis] = {}
 
     def _enumerate(self, unknown: bool) -> NoiseHypotheses:
-        told = self.measured.held_measured
-        ways = {True: {True: 1.0}, False: {False: 1.0}, None: {False: PRIOR_HELD_EXACT, True: 1.0 - PRIOR_HELD_EXACT}}
+        stated = self.measured.held_measured
+        either = {False: PRIOR_HELD_EXACT, True: 1.0 - PRIOR_HELD_EXACT}
+        choices = {True: {True: 1.0}, False: {False: 1.0}, None: either}
         sizes = [size for size in FIELD_SIZES if not unknown or size <= MISFIT_MOST_UNKNOWN]
         fields = [(CORRELATIONS.index(rough), length) for rough, lengths in FIELDS for length in lengths]
         rows: list[tuple[float, ...]] = []
-        for held, prior in ways[told].items():
+        for held, prior in choices[stated].items():
             rows.append((held, False, 0, 1.0, 0.0, np.log(prior * PRIOR_NO_FIELD)))
             kinds = (False, True) if held and self.measured.held_rest is not None else (False,)
             for shared, (field, length) in product(kinds, fields):

@@ -1,19 +1,19 @@
-"""The frames of one motion as one set of observations: how much they tell together.
+"""The frames of one motion as one set of observations: how much information they hold together.
 
 Frames are not independent. Advected particles carry their errors along, the model's misfit is much the same in
 neighbouring frames, and adding up the frames' log likelihoods as if each were new would shrink the interval as
 1/sqrt(frames). Here the sum is a *composite likelihood* (Varin, Reid and Firth 2011), sum_t w_t log L_t, scaled so that
 its curvature is that of its score's variance, as a true likelihood's is (Chandler and Bate 2007; Pauli, Racugno and
-Ventura 2011). With C_ts the correlation of two frames' errors and a_t what frame t alone tells of the parameter:
+Ventura 2011). With C_ts the correlation of two frames' errors and a_t the information of frame t alone:
 
     C_ts = far + (1 - far) near^|t - s|      errors that all frames share, and errors that drift from frame to frame
     w a = v, v >= 0 the sharpest sum: the largest (v'a)^2 / v'C v;  sum_t w_t log L_t scaled by v'a / v'C v
 
-Errors fully shared leave the one frame that tells most, with weight 1; independent ones count every frame in full;
+Errors fully shared leave the one most informative frame, with weight 1; independent ones count every frame in full;
 those of a walk from frame to frame leave mostly the last. C is taken from the residuals: the correlation, between
 frames, of the scores of patches of particles larger than what the flow's errors share. It is uncertain, and too little
 of it gives false confidence: the weights among frames use its estimate, their scale its upper bound over resampled
-patches, and errors count as fully shared where there are too few patches to tell.
+patches, and errors count as fully shared where there are too few patches to judge.
 
 Measured on sheets of 8 to 12 particles a side in 6 frames (40 a kind): with noise of its own in each frame the 90 %
 intervals cover 97 %, are 0.72 times as wide as the last frame's, and the rms error is 0.3 of it; with noise that all
@@ -35,17 +35,17 @@ PATCH = 3.0
 """Side of a patch of particles whose errors count as one [spacings]."""
 
 PATCHES_LEAST = 4
-"""Fewer patches than this cannot tell whether frames share their errors."""
+"""Fewer patches than this do not show whether frames share their errors."""
 
 RHO_MOST = 0.999
 RHO_LEVEL = 0.9
 RESAMPLED = 400
 
 STEP = 0.05
-"""Share of the (stretched) range by which the parameter is changed to see what a frame tells of it."""
+"""Share of the (stretched) range by which the parameter is changed to measure a frame's information."""
 
 FRAMES_IN_POSTERIOR = 8
-"""Frames that the posterior is taken from, spread over those that tell something: more would tell little else."""
+"""Frames that the posterior is taken from, spread over the informative ones: more would add little."""
 
 WEIGHT_LEAST = 0.02
 """Frames of less weight than this share of the largest are left out of the posterior."""
@@ -79,21 +79,22 @@ FULLY = Shared(RHO_MOST, RHO_MOST, RHO_MOST, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class Together:
-    """What frames tell together.
+    """The information of frames together.
 
     weight: (F,) of each frame's error and log likelihood; 1 = as an observation of its own
-    told: (F,) what each frame alone tells of the parameter, in standard deviations over `STEP` of the range
+    information: (F,) of each frame alone on the parameter, in standard deviations over `STEP` of the range
     shared: how the frames' errors correlate
     """
 
     weight: FloatArray
-    told: FloatArray
+    information: FloatArray
     shared: Shared
 
     @property
     def worth(self) -> float:
         """Of how many of the best frame all of them are worth; 1 where errors are fully shared."""
-        return float(self.weight @ self.told**2 / np.max(self.told) ** 2) if self.told.any() else 1.0
+        each = self.information
+        return float(self.weight @ each**2 / np.max(each) ** 2) if each.any() else 1.0
 
 
 def together(search: Search, seed: int) -> Together:
@@ -106,17 +107,17 @@ def together(search: Search, seed: int) -> Together:
     at = search.best()
     patch = patches(search.seen[0].rest, PATCH * search.bodies[0].scale)
     count = int(patch.max()) + 1
-    told, score = np.zeros(len(search.seen)), np.zeros((len(search.seen), count))
+    information, score = np.zeros(len(search.seen)), np.zeros((len(search.seen), count))
     for row, (seen, position) in enumerate(zip(search.seen, search.tried.positions, strict=True)):
         free = seen.free_observed
         effect = (position[ends[1]] - position[ends[0]])[free]
         residual = (seen.deformed - position[at])[free]
         floor = 1e-9 * search.bodies[row].extent
         deviation = float(np.sqrt(np.mean(residual**2) + floor**2))
-        told[row] = np.sqrt(np.sum(effect**2)) / deviation
+        information[row] = np.sqrt(np.sum(effect**2)) / deviation
         score[row] = np.bincount(patch[free], np.sum(effect * residual, axis=1), count)
     shared = shared_part(score, np.random.default_rng(seed))
-    return Together(weights(told, np.arange(len(told)), shared), told, shared)
+    return Together(weights(information, np.arange(len(information)), shared), information, shared)
 
 
 def patches(rest: FloatArray, side: float) -> IntArray:
@@ -150,13 +151,13 @@ def shared_part(score: FloatArray, rng: np.random.Generator) -> Shared:
     return Shared(mean, max(mean, float(np.quantile(rho, RHO_LEVEL))), far, min(near, RHO_MOST))
 
 
-def weights(told: FloatArray, rows: IntArray, shared: Shared) -> FloatArray:
-    """Weights of the frames `rows`, which alone tell (F,) standard deviations each."""
-    weight = np.zeros(len(told))
-    kept = np.flatnonzero(told > 0.0)
+def weights(information: FloatArray, rows: IntArray, shared: Shared) -> FloatArray:
+    """Weights of the frames `rows`, which alone hold (F,) standard deviations of information each."""
+    weight = np.zeros(len(information))
+    kept = np.flatnonzero(information > 0.0)
     if kept.size == 0:
-        return np.ones(len(told))
-    a = told[kept]
+        return np.ones(len(information))
+    a = information[kept]
     lower = np.linalg.cholesky(shared.matrix(rows[kept]))
     share, _ = nnls(lower.T, np.linalg.solve(lower, a))
     variance = share @ shared.bound(rows[kept]) @ share
@@ -169,5 +170,5 @@ def for_posterior(found: Together) -> tuple[IntArray, FloatArray]:
     rows = np.flatnonzero(found.weight >= WEIGHT_LEAST * found.weight.max())
     if rows.size > FRAMES_IN_POSTERIOR:
         rows = rows[np.linspace(0, rows.size - 1, FRAMES_IN_POSTERIOR).round().astype(int)]
-    weight = weights(found.told[rows], rows, found.shared)
+    weight = weights(found.information[rows], rows, found.shared)
     return rows[weight > 0.0], weight[weight > 0.0]

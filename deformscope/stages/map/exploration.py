@@ -1,4 +1,4 @@
-"""What is known of a surface after each touch: the maps, why the next touch goes where it goes, and what a touch told.
+"""What is known of a surface after each touch: the maps, the reason for the next touch, and what a touch measured.
 
 Maps are on one grid over the surface: arrays (rows, columns) = (y, x), cell centres at (i + 0.5) cells. The surface
 frame has x, y in the table's plane and z up.
@@ -33,13 +33,13 @@ class SurfaceEstimate:
 
 @dataclass(frozen=True, slots=True)
 class TouchEstimate:
-    """What one touch told.
+    """What one touch measured.
 
     number: from 0; xyz_m: (3,) contact; normal: (3,) unit, out of the surface
-    approach_m, approach_n: (n,) way of the tip along the normal from the first reading [m] and force along it [N]
-    fitted_n: (n,) the fitted force at each [N]; contact_m: where contact began on the same way
+    approach_m, approach_n: (n,) displacement of the tip along the normal since the first reading [m], force on it [N]
+    fitted_n: (n,) the fitted force at each [N]; contact_m: where contact began, on the same axis
     stiffness_n_per_mm, stiffness_interval: apparent, at the set force; rigid: a lower bound
-    modulus_pa: corrected for the tip and the layer, None = not told; depth_m, peak_force_n: of the dent
+    modulus_pa: corrected for the tip and the layer, None = not identified; depth_m, peak_force_n: of the dent
     beta, beta_interval, beta_verdict: of the MSM fitted to the dent, None = not fitted
     observed_m: (k, 3) raw points around the dent; simulated_m: (p, 3) particles of the fitted model there
     usable: whether it has a stiffness: where its contact could not be fitted, all that comes from the fit is nan

@@ -5,7 +5,7 @@
     field.left_out                         # each touch against what the others say of it, in deviations
 
 Each touch comes with its own variance; what touches at one place scatter beyond that is the *nugget*, the same for all.
-A few touches cannot tell the hyper-parameters, so that each has a weak prior (`FieldPrior`), and what they may be is
+A few touches do not identify the hyper-parameters: each has a weak prior (`FieldPrior`), and what they may be is
 averaged over, not only the likeliest: a map of three touches then knows how little it knows.
 """
 
@@ -40,7 +40,7 @@ LEAST_CURVATURE, LEAST_SHARE = 0.5, 1e-4
 """Curvature is at least this share of the priors' own; points of a smaller share of the mass are dropped."""
 
 LEAST_SD = 1e-6
-"""Smallest deviation of a touch, so that touches at one place can be told from each other's."""
+"""Smallest deviation of a touch, so that touches at one place stay distinct."""
 
 NAMES = ("sigma_e", "length", "nugget")
 
@@ -53,7 +53,7 @@ class FieldPrior:
     """Log-normal priors of the hyper-parameters: a median, and a spread in natural logarithms.
 
     sigma_e: deviation of the field [its unit]; length_m [m]; nugget: deviation from touch to touch at one place
-    level_sd: deviation of the constant mean around that of the touches; large, so that touches alone tell it
+    level_sd: deviation of the constant mean around that of the touches; large, so that touches alone determine it
     The defaults are for log stiffness: foams that differ by a factor of 1.2 to 3, regions of 10 to 40 cm, and touches
     that repeat within some 5 %. For beta, 0 to 1, `BETA_PRIOR`.
     """
@@ -125,9 +125,9 @@ class Field:
         with threadpool_limits(1):
             for state in self.states:
                 across = state.kernel.between(self.places_m, places) + state.level_sd**2
-                told = solve_triangular(state.factor, across, lower=True)
+                whitened = solve_triangular(state.factor, across, lower=True)
                 mean = across.T @ state.weight
-                variance = state.kernel.sigma_e**2 + state.level_sd**2 - np.sum(told**2, axis=0)
+                variance = state.kernel.sigma_e**2 + state.level_sd**2 - np.sum(whitened**2, axis=0)
                 first += state.share * mean
                 second += state.share * (variance.clip(0.0) + mean**2)
         return Believed(first + self.level, np.sqrt((second - first**2).clip(0.0)))
@@ -150,7 +150,7 @@ class Field:
 
     @property
     def left_out(self) -> FloatArray:
-        """(n,) each touch's value less what all others tell of it, in deviations of that difference, its own noise
+        """(n,) each touch's value less what all others predict of it, in deviations of that difference, its own noise
         included: standard normal where the field is right (Rasmussen and Williams 2006, eq. 5.12)."""
         first, second = np.zeros(len(self.value)), np.zeros(len(self.value))
         for state in self.states:
@@ -174,7 +174,7 @@ def fit_field(
     """The field through touches at places (n, 2) [m] with values (n,) and their deviations (n,).
 
     kernel, nugget: kept where given, else learned by marginal likelihood under `prior`; several touches at one place
-    are replicates and tell the nugget
+    are replicates and identify the nugget
     average: over what the hyper-parameters may be; else the likeliest are taken as known
     Raises InputError for no touch, and values that are not finite.
     """

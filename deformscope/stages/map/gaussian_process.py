@@ -51,7 +51,7 @@ class Kernel:
 
 @dataclass(frozen=True, slots=True)
 class Believed:
-    """Values at places, as a process tells them. mean, deviation: (n,), of the process itself, without noise"""
+    """Values at places, as a process predicts them. mean, deviation: (n,), of the process itself, without noise"""
 
     mean: FloatArray
     deviation: FloatArray

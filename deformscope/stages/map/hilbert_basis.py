@@ -3,7 +3,7 @@
 On a box around the data the kernel is nearly a sum over sines, each weighed by the kernel's spectral density at its
 frequency. Only these weights depend on the kernel, so that what the points say is summed up once, and each trial of the
 hyper-parameters costs as much for a million points as for a thousand. For products of sines even that sum is cheap:
-sin a sin b = (cos(a - b) - cos(a + b)) / 2, so that sums of cosines at every point tell all products of two sines.
+sin a sin b = (cos(a - b) - cos(a + b)) / 2, so that sums of cosines at every point give all products of two sines.
 """
 
 from __future__ import annotations

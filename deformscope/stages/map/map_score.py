@@ -1,4 +1,4 @@
-"""How good a map of regions is, where the truth is known: one score for every study and for what a user is told."""
+"""How good a map of regions is, where the truth is known: one score for every study and for the report to a user."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class TrueMap:
 
     @property
     def measurable(self) -> BoolArray:
-        """(rows, columns) cells whose stiffness can be told: those that are not rigid."""
+        """(rows, columns) cells whose stiffness can be measured: those that are not rigid."""
         if self.labels is None:
             return np.ones(self.log_stiffness.shape, dtype=bool)
         return np.asarray(~self.rigid[self.labels])
@@ -50,7 +50,7 @@ class MapScore:
     iou: `match_regions`; least_iou: of the smallest true region with what it is matched to; boundary_m:
     `boundary_distance`
     ordered: the matched regions' levels stand in the true order
-    rigid_found: most of what is rigid is told to be
+    rigid_found: most of what is rigid is reported so
     levels_covered: share of the true levels (rigid ones left out) in the 90 % intervals of the regions they are matched
     to; None where the number of regions is wrong
     field_rms: of log stiffness; field_covered: share of cells whose truth lies in the field's 90 % interval; both over
@@ -129,7 +129,7 @@ def match_regions(found: IntArray, truth: IntArray) -> tuple[float, list[tuple[i
 
 
 def boundary_distance(found: IntArray, truth: IntArray, cell_m: float) -> float | None:
-    """Mean distance between the boundaries of two label maps, both ways [m]; None where one has none."""
+    """Mean distance between the boundaries of two label maps, in both directions [m]; None where one has none."""
     edges = [_boundary(labels) for labels in (found, truth)]
     if not all(edge.any() for edge in edges):
         return None

@@ -1,7 +1,7 @@
 """Hyper-parameters of a surface's Gaussian process by the marginal likelihood of all its points.
 
-A rough look at a few lengths, from long to short, tells where to start; then L-BFGS-B climbs, in a basis of sines that
-is laid out anew wherever the length leaves what it is good for. The priors are so wide (a factor of 4.5 either way)
+A rough look at a few lengths, from long to short, gives the start; then L-BFGS-B climbs, in a basis of sines that
+is laid out anew wherever the length leaves what it is good for. The priors are so wide (a factor of 4.5 up or down)
 that a hundred points overrule them; they keep a handful of points from running off.
 """
 
@@ -20,7 +20,7 @@ from deformscope.stages.map.gaussian_process import Kernel
 from deformscope.stages.map.hilbert_basis import MOST_SINES, HilbertBasis, ListedPoints, Weighed
 
 FLOOR_M = 1e-6
-"""Heights are not told apart below this [m]: constant ones still have a scale."""
+"""Heights are not distinguished below this [m]: constant ones still have a scale."""
 
 LONGEST = 3.0
 """The length is at most this many times the longer side of the data."""
@@ -131,8 +131,8 @@ class _Search:
                 f"{given.sigma_w:.3g} m",
                 "give sigma_e and the noise too, or a smaller box",
             )
-        told = [given.sigma_e, length, given.noise_scale]
-        fixed = [None if one is None else float(np.log(one)) for one in told]
+        chosen = [given.sigma_e, length, given.noise_scale]
+        fixed = [None if one is None else float(np.log(one)) for one in chosen]
         low, high = self.scales - FREEDOM, self.scales + FREEDOM
         low[1], high[1] = np.log(self.limits)
         start = np.array([s if f is None else f for s, f in zip(self.scales, fixed, strict=True)])
@@ -163,7 +163,7 @@ class _Search:
         return Learned(Kernel.of_length(sigma_e, length), scale, value, tuple(bound), self.trials)
 
     def _first(self, start: FloatArray, free_noise: bool) -> FloatArray:
-        """Where to start from: the best of a few lengths, from long to short, each with the noise that neighbours tell,
+        """Where to start from: the best of a few lengths, from long to short, each with the noise that neighbours show,
         and with less, since a surface that is rough between neighbours looks like noise."""
         length, best, at = 0.5 * self.limits[1] / LONGEST, -np.inf, start
         while True:

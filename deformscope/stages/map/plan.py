@@ -1,4 +1,4 @@
-"""Where to touch next, and why: what each place would tell, what going there costs, and where not to go.
+"""Where to touch next, and why: the expected information of each place, what going there costs, and where not to go.
 
 `random-above`: any place whose field variance is above a threshold (Thesis 4.2); `max-variance`: the largest variance;
 `integrated-variance`: the largest drop of the mean variance (active learning Cohn, 1996); `regions`, the default:
@@ -33,7 +33,7 @@ OUTCOMES = 16
 """Bins of a touch's possible readings, over which information is counted; half of them for labels."""
 
 CONTENDERS = 100
-"""Places, those that tell most about the map per second, for which the gain in labels is worked out."""
+"""Places, those most informative about the map per second, for which the gain in labels is worked out."""
 
 INCLUSION_RADII_M = (0.04, 0.06, 0.085, 0.12)
 """Discs that may be there unseen, wherever more than their half lies on the surface."""
@@ -61,7 +61,7 @@ class FieldKernel:
 @dataclass(frozen=True, slots=True)
 class PlanOptions:
     """planner; fill: touches that fill the space before regions are asked for; cell_m: of the places considered
-    border_m, apart_m: kept from the border and from earlier touches; touch_s, speed_m_s: what a touch and the way cost
+    border_m, apart_m: kept from the border and from earlier touches; touch_s, speed_m_s: costs of touch and route
     threshold: of variance, as a share of the field's variance before any touch (Th, thesis 4.2)
     least_gain: where less is to be gained it stops: of the share of cells with the right label, or of inclusions that
     may be there; sure: the probability from which the number of regions is no longer in doubt; budget: touches in all
@@ -91,9 +91,9 @@ class TouchChoice:
     """The next touch. Maps are (rows, columns) of `grid`, whose cells are the places considered.
 
     target_m: (2,) the best place [m], None if there is none; stop: why no touch is worth it any more, None to go on
-    gain: what each place would tell, nan where excluded; unit: of gain ("label": share of cells that get the right
+    gain: expected of each place, nan where excluded; unit: of gain ("label": share of cells that get the right
     label; "inclusion": share of the inclusions that may be there which it meets first)
-    cost_s: time of the way and the touch; excluded: codes (ALLOWED, OUT_OF_REACH, AT_BORDER, TOUCHED_BEFORE)
+    cost_s: time of the route and the touch; excluded: codes (ALLOWED, OUT_OF_REACH, AT_BORDER, TOUCHED_BEFORE)
     reason: in words
     """
 
@@ -332,11 +332,11 @@ def _gain(
 
 def _region_gain(posterior: RegionPosterior, noise_sd: float, places: FloatArray, cost: FloatArray) -> FloatArray:
     """(p,) what a touch is expected to add to the labels, and to levels that are hardly known; for all but the places
-    that tell most, as far as the latter go."""
+    that are most informative, as far as the latter go."""
     hypotheses, blur = posterior.hypotheses(), posterior.prior.blur_m
     gain = LEVEL_WORTH * level_information(hypotheses, places, blur, posterior.prior.rigid_sd)
-    told = LEVEL_WORTH * information(hypotheses, places, blur, noise_sd)
-    best = np.argsort(-(gain + told) / cost, kind="stable")[:CONTENDERS]
+    learned = LEVEL_WORTH * information(hypotheses, places, blur, noise_sd)
+    best = np.argsort(-(gain + learned) / cost, kind="stable")[:CONTENDERS]
     cells = MapGrid(posterior.grid.size_m, LABEL_CELL_M).centres_m
     gain[best] += label_gain(hypotheses, places[best], cells, blur, noise_sd)
     return gain

@@ -402,7 +402,7 @@ def _prior_maps(seed: int, regions: int, size_m: tuple[float, float], count: int
 
 
 def _readings(touches: Sequence[StiffnessSample], prior: RegionPrior) -> _Readings:
-    """Rigid touches all stand at the highest of their bounds: one material, as stiff as can be told."""
+    """Rigid touches all stand at the highest of their bounds: one material, as stiff as can be measured."""
     value = np.array([touch.log_stiffness for touch in touches])
     sd = np.array([touch.log_sd for touch in touches])
     rigid = np.array([touch.rigid for touch in touches], dtype=bool)
@@ -425,7 +425,7 @@ def _levels(
     last_noise: factor on the variance of the last touch
     """
     k = shares.shape[-1]
-    mixed = 2.0 * (1.0 - (shares**2).sum(axis=-1))  # 1 half way between two regions
+    mixed = 2.0 * (1.0 - (shares**2).sum(axis=-1))  # 1 midway between two regions
     variance = readings.variance + (prior.mixed_share * readings.spread * mixed) ** 2
     variance[:, -1:] *= last_noise
     weighted = shares / variance[..., None]

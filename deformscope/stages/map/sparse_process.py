@@ -1,7 +1,7 @@
 """Sparse Gaussian process regression with inducing points on a lattice (SGPR; Titsias 2009).
 
 The kernel is a product over x and y, and so is what a lattice of inducing points makes of it: features of a place are
-products of features of x and of y. Points of the lattice that tell nothing new (spaced closer than the kernel can tell
+products of features of x and of y. Points of the lattice that add nothing new (spaced closer than the kernel resolves
 apart, within rounding) are left out by the eigenvalues of each axis's covariances.
 """
 
@@ -111,8 +111,8 @@ class SparseProcess:
             some = slice(start, start + CHUNK)
             feature = self._features(places[some], slope)
             mean[some] = feature @ self._weight
-            told = solve_triangular(self._factor, feature.T, lower=True, check_finite=False)
-            variance[some] = (prior - np.sum(feature**2, axis=1)).clip(0.0) + np.sum(told**2, axis=0)
+            whitened = solve_triangular(self._factor, feature.T, lower=True, check_finite=False)
+            variance[some] = (prior - np.sum(feature**2, axis=1)).clip(0.0) + np.sum(whitened**2, axis=0)
         return mean, variance
 
     def _features(self, places: FloatArray, slope: tuple[bool, bool] = (False, False)) -> FloatArray:

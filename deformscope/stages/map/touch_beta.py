@@ -55,7 +55,7 @@ THESIS_NOTE = (
 
 @dataclass(frozen=True, slots=True)
 class BallContact:
-    """A ball pressed into a surface from above, as arm and force sensor tell it.
+    """A ball pressed into a surface from above, as arm and force sensor report it.
 
     lowest_m: (3,) its foremost point; radius_m: of the ball; depth_m: how far that point sank since contact [m]
     force_n: [N], None if unknown
@@ -109,7 +109,7 @@ def fit_touch(
 ) -> TouchBeta:
     """beta of layers of material below the surface, their bottom held, all that the ball touches held to it.
 
-    world: the surface before, a process of all points seen then: it tells the heights at rest, not the dent
+    world: the surface before, a process of all points seen then: it gives the heights at rest, not the dent
     after_m: (n, 3) raw points seen while the ball pressed, the robot's taken away [m]
     thickness_m: of the foam [m]; sample_m: (low, high) places where the foam ends, default the world's box
     spacing_m: of the lattice, default the patch's radius: four columns then stand in the patch whatever its size, and
@@ -198,7 +198,7 @@ def _contact(touch: BallContact) -> dict[str, FloatArray]:
     return {"touched": rest, "touched_by": np.column_stack([np.zeros_like(aside), sink])}
 
 
-# The thesis's way -----------------------------------------------------------------------------------------------------
+# The thesis's procedure ----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,10 +12,10 @@ from deformscope.errors import InputError
 
 @dataclass(frozen=True, slots=True)
 class StiffnessSample:
-    """What one touch told about a place.
+    """What one touch measured at a place.
 
     xy_m: (2,) in the surface frame [m]; log_stiffness: natural log of the apparent stiffness at the set force [N/mm];
-    log_sd: its standard deviation; rigid: the dent was below what the arm can tell: `log_stiffness` is a lower bound
+    log_sd: its standard deviation; rigid: the dent was below what the arm resolves: `log_stiffness` is a lower bound
     """
 
     xy_m: FloatArray
@@ -34,7 +34,7 @@ class StiffnessSample:
 
 @dataclass(frozen=True, slots=True)
 class MapGrid:
-    """Square cells over a surface from (0, 0) to `size_m` [m], 5 mm wide unless told otherwise (Thesis 4.4); arrays
+    """Square cells over a surface from (0, 0) to `size_m` [m], 5 mm wide unless set otherwise (Thesis 4.4); arrays
     have a row for each y, a column for each x."""
 
     size_m: tuple[float, float] = (0.60, 0.40)

@@ -142,9 +142,9 @@ def fit_axes(
     p_isotropic = float(chi2.sf(excess, d - 1))
     converged = bool(best.converged and even.converged and np.isfinite(best.jacobian).all())
     deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    told = explained(seen, fit.positions(best))
+    share = explained(seen, fit.positions(best))
     identifiability = tuple(
-        Identifiability(rise, told, float(spread * np.exp(-at)), least_squares.deviation_of(best.residual, d))
+        Identifiability(rise, share, float(spread * np.exp(-at)), least_squares.deviation_of(best.residual, d))
         for rise, spread, at in zip(fit.rises(best, noise), deviation, best.at, strict=True)
     )
     verdicts = tuple(
@@ -202,10 +202,10 @@ class _AxisFit:
 
     def noise(self, best: least_squares.Minimum, rng: np.random.Generator) -> Noise:
         """Noise of the observed numbers: what was stated, else what the fit left; and of the held ones alike."""
-        told = [s.noise[j] for s, j in zip(self.seen, self.judged, strict=True) if s.noise is not None]
+        stated = [s.noise[j] for s, j in zip(self.seen, self.judged, strict=True) if s.noise is not None]
         least = max(10.0 * TOLERANCE[body.precision] * body.extent for body in self.bodies)
-        if len(told) == len(self.seen):
-            least = max(least, float(np.sqrt(np.mean(np.concatenate(told) ** 2))))
+        if len(stated) == len(self.seen):
+            least = max(least, float(np.sqrt(np.mean(np.concatenate(stated) ** 2))))
         tried = max(least, least_squares.deviation_of(best.residual, len(best.at)))
         shaken = []
         for s in self.seen:
@@ -228,7 +228,7 @@ class _AxisFit:
         return count / worth
 
     def rises(self, best: least_squares.Minimum, noise: Noise) -> list[float]:
-        """By how many standard deviations the data tell each beta from the least likely one of its range, (d,)."""
+        """By how many standard deviations the data separate each beta from the least likely one of its range, (d,)."""
         d = len(best.at)
         tried = np.repeat(best.at[None], d * len(RANGE), axis=0)
         for k in range(d):

@@ -303,7 +303,7 @@ class _YieldFit:
         return np.array(rows)
 
     def _creeps(self) -> FloatArray:
-        """Rates that a motion of this many frames and this length can tell apart."""
+        """Rates that a motion of this many frames and this length can separate."""
         assert self.motion.duration is not None
         return np.geomspace(0.1 / self.motion.duration.sum(), 1.0 / self.motion.duration.min(), CREEPS + 2)
 
@@ -370,7 +370,7 @@ class _YieldFit:
         return _Profile(grid, squares, excess)
 
     def _freed(self, best: Minimum, away: FloatArray) -> FloatArray:
-        """What is left of a change when beta and creep give way as well as they can."""
+        """What is left of a change when beta and creep adapt as well as they can."""
         others = best.jacobian[:, 1:]
         if not others.shape[1]:
             return away
@@ -382,7 +382,7 @@ class _YieldFit:
         """By how many noise variances another simulation's squared error exceeds the least one."""
         return float(squares - best.squares) / noise.variance_along(other - best.simulated)
 
-    # -- telling ---------------------------------------------------------------------------------------------------
+    # -- results ---------------------------------------------------------------------------------------------------
 
     def beta(self, best: Minimum, half: FloatArray) -> Parameter:
         if not self.fits_beta:

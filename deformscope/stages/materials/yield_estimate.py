@@ -1,4 +1,4 @@
-"""What a motion tells of yielding: the yield strain, what was found with it, and the evidence they rest on."""
+"""What a motion shows of yielding: the yield strain, what was found with it, and the evidence they rest on."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class YieldEstimate:
-    """What a motion tells of yielding.
+    """What a motion shows of yielding.
 
     yield_strain: |S - I|_2 above which it flows; where the verdict is `unidentified` its interval has no upper end:
     no yield strain above the lower one contradicts the motion
@@ -55,7 +55,7 @@ class YieldEstimate:
     def as_json(self) -> dict[str, object]:
         """The public form; an interval's end that is null is open."""
 
-        def told(parameter: Parameter | None) -> dict[str, object] | None:
+        def public(parameter: Parameter | None) -> dict[str, object] | None:
             if parameter is None:
                 return None
             low, high = parameter.interval
@@ -63,12 +63,12 @@ class YieldEstimate:
 
         return {
             "parameter": "yield_strain",
-            **(told(self.yield_strain) or {}),
+            **(public(self.yield_strain) or {}),
             "level": self.level,
             "verdict": self.verdict,
             "explained": self.explained,
-            "beta": told(self.beta),
-            "creep_per_s": told(self.creep),
+            "beta": public(self.beta),
+            "creep_per_s": public(self.creep),
             "largest_strain": self.largest_strain,
             "permanent_set_m": self.set,
             "rms_m": self.deviation,

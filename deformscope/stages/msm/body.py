@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+import warp as wp
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.msm.layout import Layout, upload
@@ -43,12 +44,12 @@ class Parameters:
 class RestArrays:
     """Rest data of C clusters (or of one that stands for all): see `reference.RestCluster`.
 
-    a_qq: (C, d, d) moments over their trace; untold: (C, d, r); span: (C, d, d), columns beyond span_count (C,) are 0
+    a_qq: (C, d, d) moments over their trace; null: (C, d, r); span: (C, d, d), columns beyond span_count (C,) are 0
     root: (C, d, d); lift: (C, d, r)
     """
 
     a_qq: FloatArray
-    untold: FloatArray
+    null: FloatArray
     span: FloatArray
     span_count: IntArray
     root: FloatArray
@@ -57,17 +58,15 @@ class RestArrays:
 
 def rest_struct(functions: Any, arrays: RestArrays, stride: int, scalar: Any, device: str) -> Any:
     """Rest data as `cluster_functions` reads it, rows `stride` numbers apart."""
-    import warp as wp
-
-    rest = functions.rest()
+    rest = functions.FitRest()
     n, d = arrays.a_qq.shape[:2]
 
     def rows(each: FloatArray) -> Any:
         return upload(np.pad(each.reshape(n, -1).T, ((0, 0), (0, stride - n))), scalar, device)
 
     rest.a_qq = rows(arrays.a_qq[:, *np.triu_indices(d)])
-    rest.some_untold = int(np.abs(arrays.untold).max(initial=0.0) > 1e-12)
-    rest.untold_t = rows(arrays.untold.transpose(0, 2, 1)) if rest.some_untold else upload(np.zeros(1), scalar, device)
+    rest.has_null = int(np.abs(arrays.null).max(initial=0.0) > 1e-12)
+    rest.null_t = rows(arrays.null.transpose(0, 2, 1)) if rest.has_null else upload(np.zeros(1), scalar, device)
     spare = stride - n
 
     def matrices(each: FloatArray) -> Any:
@@ -120,6 +119,61 @@ class Operator(Protocol):
     def cluster_values(self, values: FloatArray) -> Any: ...
 
     def cluster_gradient(self, adjoint: Any) -> FloatArray: ...
+
+
+class GoalScratch:
+    """What the operators of all bodies share: fields of clusters, and what a fit leaves for its derivative.
+
+    arrays: the body's, with the struct types `Motion` and `Kept`; cluster_stride: numbers between rows of a field of
+    clusters; maps: the clusters' goal maps
+    """
+
+    def __init__(self, body: Any, layout: Layout, arrays: Any, cluster_stride: int) -> None:
+        self.body, self.layout, self.arrays, self.cluster_stride = body, layout, arrays, cluster_stride
+        self.dim, self.metric = body.dim, arrays.metric
+        self.maps: Any = None
+        self._nothing = layout.each(np.zeros(1), int)
+        self.still = self.motion(1.0, 0.0, np.zeros(self.dim), stepping=False)
+        self._kept: dict[int, Any] = {}
+
+    def cluster_field(self, rows: int) -> Any:
+        """`rows` rows of 0."""
+        return wp.zeros(rows * self.cluster_stride, dtype=self.layout.scalar, device=self.layout.device)
+
+    def motion(self, alpha: float, going_on: float, push: FloatArray, *, stepping: bool = True) -> Any:
+        """What a time step needs: see `lattice_kernels.motion_for`."""
+        motion = self.arrays.Motion()
+        motion.stepping = int(stepping)
+        motion.alpha, motion.going_on = alpha, going_on
+        motion.push = upload(push, self.layout.scalar, self.layout.device)
+        return motion
+
+    def kept(self, volume: int) -> Any:
+        """What `residual` leaves for `change`."""
+        if volume not in self._kept:
+            d = self.dim
+            kept = self.arrays.Kept()
+            kept.turned = self.cluster_field(d * d)
+            kept.compliance = self.cluster_field(6 if d == 3 else 1)
+            kept.affine = self.cluster_field(d * d if volume else 1)
+            kept.stride = self.cluster_stride
+            self._kept[volume] = kept
+        return self._kept[volume]
+
+    def unkept(self) -> Any:
+        """For a `residual` that leaves nothing."""
+        if -1 not in self._kept:
+            kept = self.arrays.Kept()
+            kept.turned = kept.compliance = kept.affine = self.maps
+            kept.stride = 0
+            self._kept[-1] = kept
+        return self._kept[-1]
+
+    def by_group(self, values: FloatArray) -> FloatArray:
+        """(B, C, ...) as (groups, abreast, C, ...); the last candidate fills what is left of its group."""
+        groups, abreast = self.layout.groups, self.layout.abreast
+        filled = np.concatenate([values, np.repeat(values[-1:], groups * abreast - len(values), 0)])
+        return filled.reshape(groups, abreast, *values.shape[1:])
 
 
 class Body(Protocol):

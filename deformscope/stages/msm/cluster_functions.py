@@ -13,7 +13,7 @@ from typing import Any
 import warp as wp
 
 from deformscope.stages.msm.functions import functions_for
-from deformscope.stages.msm.lanes import lanes_for, product_for, rows_for
+from deformscope.stages.msm.lanes import lanes_for, named, product_for, rows_for
 from deformscope.stages.msm.reference import NO_ROTATION
 
 GOAL, BY_BETA, BY_THETA = 0, 1, 2
@@ -29,12 +29,12 @@ NEWTON_STEPS = 8
 class ClusterFunctions:
     """For one dimension, basis, precision and width.
 
-    rest, kept: the struct types of what a cluster is at rest, and of what a fit leaves for its derivative
-    the others: the parts of a fit and of its derivative, for fits that are put together in another way
+    FitRest, Kept: the struct types of what a cluster is at rest, and of what a fit leaves for its derivative
+    the others: the parts of a fit and of its derivative, for fits that are put together differently
     """
 
-    rest: Any
-    kept: Any
+    FitRest: Any
+    Kept: Any
     fit: Any
     fit_change: Any
     turn: Any
@@ -60,10 +60,10 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Clus
     moments = rows_for(moment_count, width, scalar)
     transforms = rows_for(terms * dim, width, scalar)
     turns = rows_for(square_count + compliance_count + 1, width, scalar)
-    load_moment, load_untold, row_of_turn = moments.own, transforms.own, turns.row
+    load_moment, load_null, row_of_turn = moments.own, transforms.own, turns.row
     store_square, load_square, store_compliance = squares.store, squares.load, compliances.store
     load_compliance, add_transform = compliances.load, transforms.add
-    times_untold = product_for(terms, dim, dim, width, scalar)
+    times_null = product_for(terms, dim, dim, width, scalar)
     functions = functions_for(dim, scalar)
     square, turn_one = functions.square, functions.turn
     denominator_of, denominator_change = functions.volume_denominator, functions.denominator_change
@@ -79,12 +79,12 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Clus
         return f"wp::mat_t<{rows}, {width}, {number}>"
 
     @wp.struct
-    class Rest:
+    class FitRest:
         """What stays the same: `stride` between rows of a quantity, `step` 1 where each lane has its own, else 0."""
 
         a_qq: wp.array(dtype=scalar)  # upper triangle of the normalised rest moments
-        untold_t: wp.array(dtype=scalar)  # what of the basis a cluster cannot tell, transposed; empty if nothing
-        some_untold: int
+        null_t: wp.array(dtype=scalar)  # what of the basis a cluster leaves undetermined, transposed; empty if nothing
+        has_null: int
         span_axes: wp.array(dtype=square)
         span_count: wp.array(dtype=int)
         root: wp.array(dtype=square)  # see `reference.RestCluster`; one for each cluster that has its own rest
@@ -108,16 +108,16 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Clus
         const {number} s = c.data[1][l] - c.data[2][l];
         const {number} k = trace + c.data[0][l] + c.data[3][l];
         const {number} size = wp::sqrt(s * s + k * k);
-        const bool told = size > {number}({NO_ROTATION}) * trace;
-        const {number} safe = told ? size : {number}(1);
+        const bool determined = size > {number}({NO_ROTATION}) * trace;
+        const {number} safe = determined ? size : {number}(1);
         const {number} reach = k > 0 ? k + safe : {number}(1);
-        const {number} cosine = told ? (k > 0 ? -s * s / (safe * reach) : (k - safe) / safe) : {number}(0);
-        const {number} sine = told ? s / safe : {number}(0);
+        const {number} cosine = determined ? (k > 0 ? -s * s / (safe * reach) : (k - safe) / safe) : {number}(0);
+        const {number} sine = determined ? s / safe : {number}(0);
         r.data[0][l] = cosine;
         r.data[1][l] = sine;
         r.data[2][l] = -sine;
         r.data[3][l] = cosine;
-        r.data[4][l] = told ? 1 / safe : {number}(0);
+        r.data[4][l] = determined ? 1 / safe : {number}(0);
         r.data[5][l] = 1;
     }}
     return r;"""
@@ -310,7 +310,9 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Clus
         ...
 
     @wp.func(inline=False)  # long, and not needed where theta = 0
-    def conserve(rest: Rest, cluster: int, step: int, affine_t: transforms.rows, theta: lane, volume: int, what: int):
+    def conserve(
+        rest: FitRest, cluster: int, step: int, affine_t: transforms.rows, theta: lane, volume: int, what: int
+    ):
         """A~_theta - [I, 0] of A~ - [I, 0] (transposed): eq. 3.17, or the projection; or its derivative by theta."""
         for l in range(width):
             own_cluster = cluster + l * step
@@ -347,7 +349,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Clus
 
     @wp.func(inline=False)
     def conserve_change(
-        rest: Rest,
+        rest: FitRest,
         cluster: int,
         step: int,
         before_t: squares.rows,
@@ -391,7 +393,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Clus
 
     @wp.func
     def fit(
-        rest: Rest,
+        rest: FitRest,
         cluster: int,
         step: int,
         kept: Kept,
@@ -410,9 +412,11 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Clus
         """
         turns = turn(load_moment(rest.a_qq, cluster, rest.stride, step), change_t)
         turned = turned_part(turns)
-        if rest.some_untold != 0:  # terms that the cluster cannot tell follow its rotation
+        if rest.has_null != 0:  # terms that the cluster leaves undetermined follow its rotation
             affine_t = add_transform(
-                affine_t, one, times_untold(load_untold(rest.untold_t, cluster, rest.stride, step), turned)
+                affine_t,
+                one,
+                times_null(load_null(rest.null_t, cluster, rest.stride, step), turned),
             )
         if kept.stride > 0:
             store_square(kept.turned, position, kept.stride, turned, count)
@@ -429,7 +433,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Clus
 
     @wp.func
     def fit_change(
-        rest: Rest,
+        rest: FitRest,
         cluster: int,
         step: int,
         kept: Kept,
@@ -443,26 +447,15 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Clus
         """Derivative of `fit` along a direction whose own fit and moments are `affine_t` and `change_t`."""
         turned = load_square(kept.turned, position, kept.stride)
         change = turn_change(turned, load_compliance(kept.compliance, position, kept.stride), change_t)
-        if rest.some_untold != 0:
+        if rest.has_null != 0:
             affine_t = add_transform(
-                affine_t, one, times_untold(load_untold(rest.untold_t, cluster, rest.stride, step), change)
+                affine_t,
+                one,
+                times_null(load_null(rest.null_t, cluster, rest.stride, step), change),
             )
         if volume != wp.static(NONE):
             before = load_square(kept.affine, position, kept.stride)
             affine_t = conserve_change(rest, cluster, step, before, affine_t, theta, volume)
         return mixed(affine_t, beta, change, lane(one) - beta)
 
-    return ClusterFunctions(
-        Rest,
-        Kept,
-        fit,
-        fit_change,
-        turn,
-        turned_part,
-        compliance_part,
-        turn_change,
-        mixed,
-        conserve,
-        conserve_change,
-        square_part,
-    )
+    return named(ClusterFunctions, locals())

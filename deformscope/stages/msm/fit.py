@@ -18,10 +18,10 @@ LARGEST = 0.9999
 """Largest beta tried: at 1 nothing but the linear fit is left, and most bodies have no single static state."""
 
 STATE_TOLERANCE = 1e-5
-"""Of the static states along the way, as a share of the body's extent; the last one is relaxed to its default."""
+"""Of the static states of the search, as a share of the body's extent; the last one is relaxed to its default."""
 
 DERIVATIVE_TOLERANCE = 1e-3
-"""Of d state / d beta along the way, as a share: it is only to tell where to go."""
+"""Of d state / d beta in the search, as a share: it only gives the direction."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,19 +70,19 @@ def fit_beta(
 
     held_position: (n, d); observed: (K, d), nan where a particle was not seen [m]; tolerance: on beta
     """
-    way: Newton = body._way(Newton, 1, 0)
+    method: Newton = body._method(Newton, 1, 0)
     seen: BoolArray = np.asarray(np.isfinite(observed).all(axis=1))
     target = np.where(seen[:, None], (observed - body.rest) / body.scale, 0.0)
     u = np.zeros_like(target)
     u[body.held] = (held_position - body.rest[body.held]) / body.scale
-    way.put(u[None])
+    method.put(u[None])
     spread = STATE_TOLERANCE * body.extent / body.scale
     low, high = 0.0, LARGEST
     before: tuple[float, float] | None = None
     beta, evaluations = start, 0
     settled = False
     while evaluations < max_evaluations and not settled:
-        slope, curvature, moved = _downhill(way, body, beta, target, seen, spread)
+        slope, curvature, moved = _downhill(method, body, beta, target, seen, spread)
         evaluations += 1
         low, high = (max(low, beta), high) if slope < 0.0 else (low, min(high, beta))
         step = -slope / curvature if curvature > 0.0 else 0.0
@@ -93,27 +93,27 @@ def fit_beta(
         new = float(np.clip(beta + step, low + 0.1 * (beta - low), high - 0.1 * (high - beta)))
         settled = abs(new - beta) <= tolerance
         before = (beta, slope)
-        way.layout.put((way.layout.get(way.u, body.dim) + moved * (new - beta)), way.u)
+        method.layout.put((method.layout.get(method.u, body.dim) + moved * (new - beta)), method.u)
         beta = new
-    way.set(np.array([beta]), np.zeros(1))
+    method.set(np.array([beta]), np.zeros(1))
     share = TOLERANCE[body.precision] * body.extent / body.scale
-    ended = way.relax(None, share, 40 * len(body.rest) + 4000)
-    position = body.rest + way.layout.get(way.u, body.dim)[0] * body.scale
+    ended = method.relax(None, share, 40 * len(body.rest) + 4000)
+    position = body.rest + method.layout.get(method.u, body.dim)[0] * body.scale
     distance = np.linalg.norm(position[seen] - observed[seen], axis=1)
     found = settled and bool(ended.state[0] == CONVERGED)
     return Fit(beta, position, float(distance.mean()), evaluations, found)
 
 
 def _downhill(
-    way: Newton, body: Msm, beta: float, target: FloatArray, seen: BoolArray, tolerance: float
+    method: Newton, body: Msm, beta: float, target: FloatArray, seen: BoolArray, tolerance: float
 ) -> tuple[float, float, FloatArray]:
     """Slope of the summed distance at beta, a curvature that never overshoots, and d state / d beta (1, K, d)."""
-    way.set(np.array([beta]), np.zeros(1))
-    way.relax(None, tolerance, 40 * len(body.rest) + 4000)
-    way.derive(BY_BETA)
-    way.solve(DERIVATIVE_TOLERANCE)
-    moved = way.layout.get(way.step, body.dim)
-    away = (way.layout.get(way.u, body.dim)[0] - target)[seen]
+    method.set(np.array([beta]), np.zeros(1))
+    method.relax(None, tolerance, 40 * len(body.rest) + 4000)
+    method.derive(BY_BETA)
+    method.solve(DERIVATIVE_TOLERANCE)
+    moved = method.layout.get(method.step, body.dim)
+    away = (method.layout.get(method.u, body.dim)[0] - target)[seen]
     along = moved[0][seen]
     distance = np.maximum(np.sqrt(np.sum(away * away, axis=1)), 1e-9)
     slope = float(np.sum(np.sum(away * along, axis=1) / distance))
@@ -167,7 +167,7 @@ def fit_beta_theta(
                 at, position, error = at + step, tried, found
                 settled = error <= smallest
                 break
-    # along the way states are good enough to tell where to go; the last one is relaxed to its default
+    # the states of the search are good enough for its direction; the last one is relaxed to its default
     beta, theta = float(-np.expm1(-at[0])), float(at[1])
     ended = body.relax(held_position, beta, theta, volume=volume, start=position)
     error = float(np.linalg.norm(ended.position[0, seen] - observed[seen], axis=1).mean())

@@ -9,6 +9,7 @@ from typing import Any
 
 import warp as wp
 
+from deformscope.stages.msm.lanes import named
 from deformscope.stages.msm.reference import MIN_DENOMINATOR, NO_ROTATION
 
 
@@ -501,14 +502,4 @@ def functions_for(dim: int, scalar: Any) -> Functions:
                 x[2, 2] = stretch[2] * (z20 - z12)
         return u * x * wp.transpose(v) - change
 
-    return Functions(
-        vec,
-        square,
-        turn,
-        turn_change,
-        volume_denominator,
-        denominator_change,
-        project,
-        project_change,
-        singular_values,
-    )
+    return named(Functions, locals())

@@ -10,7 +10,7 @@ import warp as wp
 from deformscope.arrays import FloatArray
 from deformscope.stages.msm import general_kernels as k
 from deformscope.stages.msm import reference
-from deformscope.stages.msm.body import BodyRest, Parameters, RestArrays, rest_struct
+from deformscope.stages.msm.body import BodyRest, GoalScratch, Parameters, RestArrays, rest_struct
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
 from deformscope.stages.msm.clusters import Clusters
 from deformscope.stages.msm.layout import Layout, upload, widths
@@ -31,7 +31,7 @@ class GeneralBody:
         count = clusters.count
         a_qq, span, root = np.zeros((3, count, d, d))
         span_count = np.zeros(count, dtype=np.int32)
-        untold, lift = np.zeros((2, count, d, self.terms))
+        null, lift = np.zeros((2, count, d, self.terms))
         for c, cluster in enumerate(spec.clusters):
             m, r = cluster.mass[:, None], cluster.radius
             share.append(cluster.mass / cluster.mass.sum())
@@ -43,10 +43,10 @@ class GeneralBody:
             moment.append(m * cluster.q / (norm * r))
             span[c, :, : cluster.span.shape[1]] = cluster.span
             span_count[c] = cluster.span.shape[1]
-            told = cluster.inverse @ np.einsum("n,ni,nj->ij", cluster.mass, cluster.q_basis, cluster.q_basis)
-            untold[c] = (np.eye(len(told)) - told.T)[:d]
+            determined = cluster.inverse @ np.einsum("n,ni,nj->ij", cluster.mass, cluster.q_basis, cluster.q_basis)
+            null[c] = (np.eye(len(determined)) - determined.T)[:d]
             root[c], lift[c] = cluster.root, cluster.lift
-        self.rest_arrays = RestArrays(a_qq, untold, span, span_count, root, lift)
+        self.rest_arrays = RestArrays(a_qq, null, span, span_count, root, lift)
         order = np.argsort(clusters.members, kind="stable")
         cluster_of = np.repeat(np.arange(count), np.diff(clusters.offsets))
         self._lists: dict[str, Any] = {
@@ -68,18 +68,9 @@ class GeneralBody:
         width, abreast = widths(candidates, self.scalar, self.device, cells_in_lanes=False)
         groups = -(-candidates // abreast)
         group = self.particle_count * abreast
-        return Layout(
-            candidates,
-            width,
-            abreast,
-            self.particle_count,
-            0,
-            group,
-            groups * group + width,
-            np.arange(self.particle_count),
-            self.scalar,
-            self.device,
-        )
+        count, place = self.particle_count, np.arange(self.particle_count)
+        stride = groups * group + width
+        return Layout(candidates, width, abreast, count, 0, group, stride, place, self.scalar, self.device)
 
     def operator(self, layout: Layout) -> GeneralOperator:
         return GeneralOperator(self, layout, self.arrays(layout.width))
@@ -102,7 +93,7 @@ class _GeneralArrays:
         self.kernels = k.general_kernels_for(body.dim, body.terms, body.scalar, width)
         functions = cluster_functions_for(body.dim, body.terms, body.scalar, width)
         self.rest = rest_struct(functions, body.rest_arrays, body.cluster_count, body.scalar, body.device)
-        self.kept_type = functions.kept
+        self.Kept, self.Motion = functions.Kept, self.kernels.Motion
         free = body.rest.free.astype(float)
         spare = 2 * width
         self.free = upload(free, body.scalar, body.device, spare)
@@ -110,49 +101,22 @@ class _GeneralArrays:
         self.metric = upload(body.rest.metric, body.scalar, body.device, spare)
 
 
-class GeneralOperator:
+class GeneralOperator(GoalScratch):
     """Goals of clusters given as lists, for the candidates of one layout, with their scratch."""
 
     def __init__(self, body: GeneralBody, layout: Layout, arrays: _GeneralArrays) -> None:
-        self.body, self.layout, self.arrays = body, layout, arrays
-        self.dim, self.metric = body.dim, arrays.metric
-        lists = body.lists(arrays.kernels.lists())
-        lists.abreast, lists.particles, lists.clusters = layout.abreast, body.particle_count, body.cluster_count
-        lists.particle_stride = layout.stride
-        self.cluster_stride = layout.groups * body.cluster_count * layout.abreast + layout.width
-        lists.cluster_stride = self.cluster_stride
+        clusters = body.cluster_count
+        super().__init__(body, layout, arrays, layout.groups * clusters * layout.abreast + layout.width)
+        lists = body.lists(arrays.kernels.Lists())
+        lists.abreast, lists.particles, lists.clusters = layout.abreast, body.particle_count, clusters
+        lists.particle_stride, lists.cluster_stride = layout.stride, self.cluster_stride
         self.lists = lists
-        self.beta_stride = body.cluster_count * layout.abreast
-        self._maps = self._cluster_field(self.dim + self.dim * body.terms)
+        self.beta_stride = clusters * layout.abreast
+        self.maps = self.cluster_field(self.dim + self.dim * body.terms)
+        self.material: Any = 0
         self._star = layout.field(self.dim)
-        self._nothing = layout.each(np.zeros(1), int)
-        self._still = self.motion(1.0, 0.0, np.zeros(self.dim), stepping=False)
-        self._kept: dict[int, Any] = {}
         self.threads = 0
         self.resident: Any = None
-
-    def _cluster_field(self, rows: int) -> Any:
-        return wp.zeros(rows * self.cluster_stride, dtype=self.layout.scalar, device=self.layout.device)
-
-    def motion(self, alpha: float, going_on: float, push: FloatArray, *, stepping: bool = True) -> Any:
-        """What a time step needs: see `general_kernels`."""
-        motion = self.arrays.kernels.motion()
-        motion.stepping = int(stepping)
-        motion.alpha, motion.going_on = alpha, going_on
-        motion.push = upload(push, self.layout.scalar, self.layout.device)
-        return motion
-
-    def kept(self, volume: int) -> Any:
-        """What `residual` leaves for `change`."""
-        if volume not in self._kept:
-            d = self.dim
-            kept = self.arrays.kept_type()
-            kept.turned = self._cluster_field(d * d)
-            kept.compliance = self._cluster_field(6 if d == 3 else 1)
-            kept.affine = self._cluster_field(d * d if volume else 1)
-            kept.stride = self.cluster_stride
-            self._kept[volume] = kept
-        return self._kept[volume]
 
     def residual(
         self, u: Any, out: Any, parameters: Parameters, running: Any, kept: Any = None, what: int = GOAL
@@ -161,15 +125,15 @@ class GeneralOperator:
 
         kept: where to leave what `change` needs (None: nowhere)
         """
-        kept = self._unkept() if kept is None else kept
+        kept = self.unkept() if kept is None else kept
         self._fit(self.arrays.kernels.fit_clusters, u, parameters, running, kept, what)
         star = u if what == GOAL else self._zero()
-        self._finish(star, star, self._still, running, out, self._nothing)
+        self._finish(star, star, self.still, running, out, self._nothing)
 
     def change(self, direction: Any, out: Any, parameters: Parameters, running: Any, kept: Any) -> None:
         """J p - p for a direction p of the free particles, where `residual` was last evaluated."""
         self._fit(self.arrays.kernels.fit_changes, direction, parameters, running, kept, GOAL)
-        self._finish(direction, direction, self._still, running, out, self._nothing)
+        self._finish(direction, direction, self.still, running, out, self._nothing)
 
     def step(self, u: Any, before: Any, motion: Any, parameters: Parameters, running: Any, ran_away: Any) -> None:
         """One time step; `before` becomes the new displacement."""
@@ -179,15 +143,13 @@ class GeneralOperator:
             [self.lists, u, before, motion, self.arrays.free],
             [self._star],
         )
-        self._fit(self.arrays.kernels.fit_clusters, self._star, parameters, running, self._unkept(), GOAL)
+        self._fit(self.arrays.kernels.fit_clusters, self._star, parameters, running, self.unkept(), GOAL)
         self._finish(u, self._star, motion, running, before, ran_away)
 
     def cluster_values(self, values: FloatArray) -> Any:
         """(B, C) one value for each cluster, as the kernels read them."""
         layout = self.layout
-        filled = np.concatenate([values, np.repeat(values[-1:], layout.groups * layout.abreast - len(values), 0)])
-        host = filled.reshape(layout.groups, layout.abreast, -1).transpose(0, 2, 1)
-        return upload(host, layout.scalar, layout.device, 2 * layout.width)
+        return upload(self.by_group(values).transpose(0, 2, 1), layout.scalar, layout.device, 2 * layout.width)
 
     def cluster_gradient(self, adjoint: Any) -> FloatArray:
         """(B, C) sum over each cluster's particles of m_i <adjoint_i, d goal_i / d beta_c>.
@@ -195,7 +157,7 @@ class GeneralOperator:
         The derivative of the goals by beta is what `residual` gave last.
         """
         body, d = self.body, self.dim
-        maps = self._cluster_fields(self._maps, d + d * body.terms)[:, :, d:]
+        maps = self._cluster_fields(self.maps, d + d * body.terms)[:, :, d:]
         maps = maps.reshape(*maps.shape[:2], body.terms, d)
         pull = self.layout.get(adjoint, d)[:, body.members] * body.member_mass[:, None]
         cluster_of = np.repeat(np.arange(body.cluster_count), np.diff(body.offsets))
@@ -214,14 +176,6 @@ class GeneralOperator:
             self._zeros = self.layout.field(self.dim)
         return self._zeros
 
-    def _unkept(self) -> Any:
-        if -1 not in self._kept:
-            kept = self.arrays.kept_type()
-            kept.turned = kept.compliance = kept.affine = self._maps
-            kept.stride = 0
-            self._kept[-1] = kept
-        return self._kept[-1]
-
     def _launch(self, kernel: Any, dim: tuple[int, ...], inputs: list[Any], outputs: list[Any]) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.layout.device)
 
@@ -230,16 +184,16 @@ class GeneralOperator:
             kernel,
             (self.layout.groups, self.body.cluster_count),
             [
-                *(self.lists, self.arrays.rest, kept, u, parameters.beta, parameters.beta_stride, parameters.theta),
-                *(parameters.volume, what, running),
+                *(self.lists, self.arrays.rest, kept, self.material, u, parameters.beta, parameters.beta_stride),
+                *(parameters.theta, parameters.volume, what, running),
             ],
-            [self._maps],
+            [self.maps],
         )
 
     def _finish(self, u: Any, star: Any, motion: Any, running: Any, out: Any, ran_away: Any) -> None:
         self._launch(
             self.arrays.kernels.finish,
             (self.layout.groups, self.body.particle_count),
-            [self.lists, self._maps, u, star, motion, self.arrays.pull, running],
+            [self.lists, self.maps, u, star, motion, self.arrays.pull, running],
             [out, ran_away],
         )

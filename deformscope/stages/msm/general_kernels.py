@@ -10,22 +10,23 @@ from typing import Any
 import warp as wp
 
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
-from deformscope.stages.msm.lanes import Sized, lanes_for, module_options, rows_for
-from deformscope.stages.msm.lattice_kernels import FAR
+from deformscope.stages.msm.lanes import Sized, lanes_for, module_options, named, rows_for
+from deformscope.stages.msm.lattice_kernels import FAR, motion_for
 
 
 @dataclass(frozen=True, slots=True)
 class GeneralKernels:
     """The compiled set, its struct types, and functions of theirs that other fits share."""
 
-    lists: Any
-    motion: Any
+    Lists: Any
+    Motion: Any
     fit_clusters: Any
     fit_changes: Any
     predict: Any
     finish: Any
     gathered: Any
     parameter: Any
+    fit_kernel: Any
 
 
 @functools.cache
@@ -34,6 +35,7 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Genera
     module = f"deformscope_general_{dim}d_{terms}_{scalar.__name__}_{width}"
     wp.get_module(module).options.update(module_options(scalar))
     kernel = functools.partial(wp.kernel, module=module, enable_backward=False)
+    Motion = motion_for(scalar)
     lanes = lanes_for(width, scalar)
     lane, own, times, below = lanes.lane, lanes.own, lanes.times, lanes.below
     vecs, squares = rows_for(dim, width, scalar), rows_for(dim * dim, width, scalar)
@@ -67,15 +69,6 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Genera
         row_offsets: wp.array(dtype=int)
         row_clusters: wp.array(dtype=int)
         row_basis: wp.array(dtype=scalar)  # q~, `terms` an entry
-
-    @wp.struct
-    class Motion:
-        """What time stepping adds: alpha, the share of the last motion that goes on, and a push each step."""
-
-        stepping: int
-        alpha: scalar
-        going_on: scalar
-        push: wp.array(dtype=scalar)
 
     def outer(name: str, count: int, rows: Any) -> Any:
         """The function m + w outer v for the `count` weights w of one member."""
@@ -129,75 +122,74 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Genera
             change_t = add_moment(change_t, lists.moment, slot, away)
         return centre, affine_t, change_t
 
-    @kernel
-    def fit_clusters(
-        lists: Lists,
-        rest: cluster.rest,
-        kept: cluster.kept,
-        # In:
-        u_in: wp.array(dtype=scalar),
-        beta: wp.array(dtype=scalar),
-        beta_stride: int,
-        theta: wp.array(dtype=scalar),
-        volume: int,
-        what: int,
-        running: wp.array(dtype=int),
-        # Out:
-        maps_out: wp.array(dtype=scalar),
-    ):
-        """Each cluster's goal map (eq. 3.7 to 3.14, 3.17): mean displacement, and the blend of rotation and fit."""
-        group, c = wp.tid()
-        if running[group] == 0:
-            return
-        centre, affine_t, change_t = gathered(lists, group, c, u_in)
-        at = (group * lists.clusters + c) * lists.abreast
-        b = parameter(lists, beta, beta_stride, group, c)
-        t = parameter(lists, theta, 0, group, c)
-        blend_t = fit(rest, c, 0, kept, at, wp.static(width), affine_t, change_t, b, t, volume, what)
-        if what != wp.static(GOAL):
-            centre = vecs.rows()
-        store(maps_out, at, lists.cluster_stride, centre, wp.static(width))
-        store_transform(
-            maps_out,
-            at + wp.static(dim) * lists.cluster_stride,
-            lists.cluster_stride,
-            blend_t,
-            wp.static(width),
-        )
+    def fit_of_cluster(changing: bool, name: str) -> Any:
+        """The function `fit` of one of the clusters, or `changing` its derivative; without a material of its own."""
 
-    @kernel
-    def fit_changes(
-        lists: Lists,
-        rest: cluster.rest,
-        kept: cluster.kept,
-        # In:
-        direction_in: wp.array(dtype=scalar),
-        beta: wp.array(dtype=scalar),
-        beta_stride: int,
-        theta: wp.array(dtype=scalar),
-        volume: int,
-        what: int,
-        running: wp.array(dtype=int),
-        # Out:
-        maps_out: wp.array(dtype=scalar),
-    ):
-        """Derivative of `fit_clusters` along a direction, from what it kept."""
-        group, c = wp.tid()
-        if running[group] == 0:
-            return
-        centre, affine_t, change_t = gathered(lists, group, c, direction_in)
-        at = (group * lists.clusters + c) * lists.abreast
-        b = parameter(lists, beta, beta_stride, group, c)
-        t = parameter(lists, theta, 0, group, c)
-        blend_t = fit_change(rest, c, 0, kept, at, affine_t, change_t, b, t, volume)
-        store(maps_out, at, lists.cluster_stride, centre, wp.static(width))
-        store_transform(
-            maps_out,
-            at + wp.static(dim) * lists.cluster_stride,
-            lists.cluster_stride,
-            blend_t,
-            wp.static(width),
-        )
+        @wp.func(name=name)
+        def fit_one(
+            lists: Lists,
+            rest: cluster.FitRest,
+            kept: cluster.Kept,
+            material: int,
+            group: int,
+            c: int,
+            affine_t: transforms.rows,
+            change_t: squares.rows,
+            beta: wp.array(dtype=scalar),
+            beta_stride: int,
+            theta: wp.array(dtype=scalar),
+            volume: int,
+            what: int,
+        ):
+            at = (group * lists.clusters + c) * lists.abreast
+            b = parameter(lists, beta, beta_stride, group, c)
+            t = parameter(lists, theta, 0, group, c)
+            if wp.static(changing):
+                return fit_change(rest, c, 0, kept, at, affine_t, change_t, b, t, volume)
+            else:  # noqa: RET505 (a static `if` compiles one of the two)
+                return fit(rest, c, 0, kept, at, wp.static(width), affine_t, change_t, b, t, volume, what)
+
+        return fit_one
+
+    def fit_kernel(kernel: Any, name: str, material_type: Any, fit_of: Any) -> Any:
+        """The kernel that gathers the moments of a cluster, fits them by `fit_of`, and leaves its goal map."""
+
+        @kernel(name=name)
+        def fits(
+            lists: Lists,
+            rest: cluster.FitRest,
+            kept: cluster.Kept,
+            material: material_type,
+            # In:
+            u_in: wp.array(dtype=scalar),
+            beta: wp.array(dtype=scalar),
+            beta_stride: int,
+            theta: wp.array(dtype=scalar),
+            volume: int,
+            what: int,
+            running: wp.array(dtype=int),
+            # Out:
+            maps_out: wp.array(dtype=scalar),
+        ):
+            """Mean displacement (0 in a derivative by a parameter); blend of rotation and fit (eq. 3.7-3.14, 3.17)."""
+            group, c = wp.tid()
+            if running[group] == 0:
+                return
+            centre, affine_t, change_t = gathered(lists, group, c, u_in)
+            blend_t = fit_of(
+                lists, rest, kept, material, group, c, affine_t, change_t, beta, beta_stride, theta, volume, what
+            )
+            if what != wp.static(GOAL):
+                centre = vecs.rows()
+            at = (group * lists.clusters + c) * lists.abreast
+            stride = lists.cluster_stride
+            store(maps_out, at, stride, centre, wp.static(width))
+            store_transform(maps_out, at + wp.static(dim) * stride, stride, blend_t, wp.static(width))
+
+        return fits
+
+    fit_clusters = fit_kernel(kernel, "fit_clusters", int, fit_of_cluster(False, "fit_one"))
+    fit_changes = fit_kernel(kernel, "fit_changes", int, fit_of_cluster(True, "change_one"))
 
     @wp.func
     def ahead(lists: Lists, u: vecs.rows, before_in: wp.array(dtype=scalar), motion: Motion, free: scalar, at: int):
@@ -274,4 +266,4 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Genera
                             new[i, l] = u[i, l]
             store(out, at, lists.particle_stride, new, wp.static(width))
 
-    return GeneralKernels(Lists, Motion, fit_clusters, fit_changes, predict, finish, gathered, parameter)
+    return named(GeneralKernels, locals())

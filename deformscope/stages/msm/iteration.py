@@ -1,4 +1,4 @@
-"""The two ways to a static state, over the goals of any body: Newton's steps, and Anderson's acceleration.
+"""The two methods for a static state, over the goals of any body: Newton's steps, and Anderson's acceleration.
 
 Launches are recorded once and replayed: on a CPU too, where a launch from Python costs more than its work.
 """
@@ -62,7 +62,7 @@ class Graph:
 
 
 class Iteration:
-    """What both ways share: fields of the candidates, their parameters, and how sums over particles are taken."""
+    """What both methods share: fields of the candidates, their parameters, and how sums over particles are taken."""
 
     def __init__(self, body: Body, rest: BodyRest, size: int, volume: int) -> None:
         self.body, self.volume = body, volume
@@ -70,7 +70,7 @@ class Iteration:
         self.operator: Operator = body.operator(self.layout)
         self.kernels = k.iteration_kernels_for(body.dim, body.scalar, self.layout.width)
         self.kind = "cpu" if self.layout.device.startswith("cpu") else "cuda"
-        span = self.kernels.span()
+        span = self.kernels.Span()
         span.abreast, span.blocks = self.layout.abreast, self.layout.blocks
         self.threads = self.operator.threads
         span.parts = 1 if self.threads else max(1, min(-(-self.layout.blocks // PART_BLOCKS[self.kind]), MOST_PARTS))
@@ -92,6 +92,15 @@ class Iteration:
         """Starts at displacements (B or 1, K, d); what of a residual is rounding grows with them."""
         self.layout.put(u, self.u)
         set_first(self.floor, ROUNDING[self.layout.scalar] * max(1.0, float(np.abs(u).max(initial=0.0))))
+
+    def _numbers(self, struct: Any) -> Any:
+        """A struct whose arrays have a number for each candidate, 0, of the type that it says."""
+        state, zero = struct(), np.zeros(self.layout.candidates)
+        for name, field in struct.vars.items():
+            dtype = getattr(field.type, "dtype", None)
+            if dtype in (wp.int32, wp.float32, wp.float64):
+                setattr(state, name, self.layout.each(zero, int if dtype is wp.int32 else dtype))
+        return state
 
     def parts(self, rows: int) -> Any:
         count = rows * self.layout.groups * self.span.parts * self.layout.width
@@ -135,27 +144,7 @@ class Newton(Iteration):
         d = body.dim
         self.step, self.rho = layout.field(d), layout.field(d)
         self._parts = self.parts(2)
-        state = self.kernels.newton()
-        zero = np.zeros(size)
-        for name in ("state", "inner", "outers", "inners", "backs", "stalls", "total", "last", "sharp"):
-            setattr(state, name, layout.each(zero, int))
-        for name in (
-            "norm",
-            "best",
-            "first",
-            "error",
-            "square",
-            "target",
-            "slope",
-            "taken",
-            "least",
-            "least_before",
-            "reach",
-            "longest",
-        ):
-            setattr(state, name, layout.each(zero, wp.float64))
-        for name in ("by", "length", "mix"):
-            setattr(state, name, layout.each(zero))
+        state = self._numbers(self.kernels.NewtonState)
         state.tolerance, state.floor = self.tolerance, self.floor
         self._relative = wp.zeros(1, dtype=wp.float64, device=layout.device)
         state.relative = self._relative
@@ -227,15 +216,8 @@ class Newton(Iteration):
                 dim=groups * self.threads,
                 block_dim=self.threads,
                 inputs=[
-                    span,
-                    self.state,
-                    groups,
-                    self.threads,
-                    right,
-                    self.rho,
-                    self.direction,
-                    self.step,
-                    self._parts,
+                    *(span, self.state, groups, self.threads, right),
+                    *(self.rho, self.direction, self.step, self._parts),
                 ],
                 device=layout.device,
             )
@@ -335,12 +317,7 @@ class Anderson(Iteration):
         self.u_last, self.residual_last = layout.field(d), layout.field(d)
         self.du, self.dr = layout.field(d * k.MEMORY), layout.field(d * k.MEMORY)
         self._parts = self.parts(2 * (k.MEMORY + 1))
-        state = self.kernels.anderson()
-        zero = np.zeros(size)
-        for name in ("state", "known", "total", "mark"):
-            setattr(state, name, layout.each(zero, int))
-        for name in ("path", "norm", "best", "error", "least", "least_before", "target"):
-            setattr(state, name, layout.each(zero, wp.float64))
+        state = self._numbers(self.kernels.AndersonState)
         lanes = layout.groups * layout.abreast + layout.width
         state.gamma = upload(np.zeros((k.MEMORY, lanes)), layout.scalar, layout.device)
         state.stride = lanes

@@ -1,7 +1,7 @@
-"""Warp kernels of the two ways to a static state: Newton's steps by conjugate gradients, and Anderson's acceleration.
+"""Warp kernels of the two methods for a static state: Newton's steps with conjugate gradients; Anderson acceleration.
 
-They see fields of particles as they lie (see `layout.py`) and know nothing of clusters. Sums over particles are
-taken in a fixed order, so that runs repeat bit for bit. Every candidate goes its own way: what has ended gets steps of
+They take fields of particles as they lie (see `layout.py`), whatever the clusters. Sums over particles are
+taken in a fixed order, so that runs repeat bit for bit. Candidates are independent: what has ended gets steps of
 0, and a group in which all have ended is skipped.
 
 Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
@@ -13,7 +13,7 @@ from typing import Any
 
 import warp as wp
 
-from deformscope.stages.msm.lanes import lanes_for, module_options, rows_for
+from deformscope.stages.msm.lanes import lanes_for, module_options, named, rows_for
 from deformscope.stages.msm.lattice_kernels import FAR
 
 MEMORY = 8
@@ -35,8 +35,8 @@ SHARP = 1e-2
 class NewtonFunctions:
     """What one thread does in each part of a Newton step, and the struct types."""
 
-    span: Any
-    newton: Any
+    Span: Any
+    NewtonState: Any
     sums: Any
     put: Any
     inner_products: Any
@@ -60,9 +60,9 @@ class NewtonFunctions:
 class IterationKernels:
     """The compiled set and its struct types."""
 
-    span: Any
-    newton: Any
-    anderson: Any
+    Span: Any
+    NewtonState: Any
+    AndersonState: Any
     inner_products: Any
     move: Any
     judge: Any
@@ -115,7 +115,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
         metric_total: wp.float64
 
     @wp.struct
-    class Newton:
+    class NewtonState:
         """What Newton's steps keep of each candidate (arrays of B), and which groups have work to do."""
 
         tolerance: wp.array(dtype=wp.float64)  # of the distance to the static state [spacing]; first entry
@@ -231,7 +231,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
     @wp.func
     def move(
         span: Span,
-        newton: Newton,
+        newton: NewtonState,
         step_in: wp.array(dtype=scalar),
         u: wp.array(dtype=scalar),
         group: int,
@@ -245,7 +245,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
         store(u, at, span.stride, new, count)
 
     @wp.func
-    def judge(span: Span, newton: Newton, parts: wp.array(dtype=wp.float64), groups: int, group: int):
+    def judge(span: Span, newton: NewtonState, parts: wp.array(dtype=wp.float64), groups: int, group: int):
         """After a Newton step: has it gone too far, is this the static state, and how well to solve for the next step.
 
         The energy falls along the step as long as its slope <residual, step> is positive; where the slope at the end is
@@ -293,7 +293,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
                     if norm < half * newton.best[i]:
                         newton.best[i] = norm
                         newton.stalls[i] = 0
-                    elif norm <= wp.float64(1000.0) * newton.floor[0]:  # on the way there it may well rise
+                    elif norm <= wp.float64(1000.0) * newton.floor[0]:  # before, it may well rise
                         newton.stalls[i] = newton.stalls[i] + 1
                     if newton.stalls[i] > wp.static(PATIENCE):
                         newton.state[i] = wp.static(STALLED)
@@ -312,7 +312,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
                         newton.inner[i] = 1
                         newton.inners[i] = 0
                         newton.last[i] = 0
-                        if newton.outers[i] > 0 and newton.backs[i] == 0:  # a straight step held: dare a longer one
+                        if newton.outers[i] > 0 and newton.backs[i] == 0:  # a straight step held: try a longer one
                             newton.reach[i] = wp.min(wp.float64(2.0) * newton.reach[i], reach)
                         newton.backs[i] = 0
                         newton.slope[i] = nought
@@ -329,7 +329,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
     @wp.func
     def begin(
         span: Span,
-        newton: Newton,
+        newton: NewtonState,
         residual_in: wp.array(dtype=scalar),
         rho_out: wp.array(dtype=scalar),
         direction_out: wp.array(dtype=scalar),
@@ -353,7 +353,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
         store(step_out, at, span.stride, choose(keeps, load(step_out, at, span.stride)), count)
 
     @wp.func
-    def curvature(span: Span, newton: Newton, parts: wp.array(dtype=wp.float64), groups: int, group: int):
+    def curvature(span: Span, newton: NewtonState, parts: wp.array(dtype=wp.float64), groups: int, group: int):
         """How far to go along the direction p: to the minimum, by its curvature <p, (I - J) p>.
 
         Where the energy curves down (a crushed cluster about to turn, a strut about to buckle) the solve ends with a
@@ -381,7 +381,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
     @wp.func
     def descend(
         span: Span,
-        newton: Newton,
+        newton: NewtonState,
         direction_in: wp.array(dtype=scalar),
         change_in: wp.array(dtype=scalar),
         step: wp.array(dtype=scalar),
@@ -408,7 +408,9 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
         return square_sum, longest
 
     @wp.func
-    def conjugate(span: Span, newton: Newton, parts: wp.array(dtype=wp.float64), groups: int, most: int, group: int):
+    def conjugate(
+        span: Span, newton: NewtonState, parts: wp.array(dtype=wp.float64), groups: int, most: int, group: int
+    ):
         """Ends the solve, or mixes the next direction.
 
         No particle goes farther in one step than steps have proved good.
@@ -450,7 +452,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
     @wp.func
     def direct(
         span: Span,
-        newton: Newton,
+        newton: NewtonState,
         rho_in: wp.array(dtype=scalar),
         direction: wp.array(dtype=scalar),
         group: int,
@@ -464,7 +466,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
         store(direction, at, span.stride, p, count)
 
     @wp.func
-    def aim(span: Span, newton: Newton, parts: wp.array(dtype=wp.float64), groups: int, group: int):
+    def aim(span: Span, newton: NewtonState, parts: wp.array(dtype=wp.float64), groups: int, group: int):
         """A linear solve ends at `relative` of its right-hand side."""
         for member in range(span.abreast):
             i = group * span.abreast + member
@@ -473,7 +475,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
             newton.target[i] = square * newton.relative[0] * newton.relative[0]
 
     @wp.func
-    def reset(newton: Newton, groups: int, abreast: int, reach: wp.float64, outer: int, inner: int, i: int):
+    def reset(newton: NewtonState, groups: int, abreast: int, reach: wp.float64, outer: int, inner: int, i: int):
         """Every candidate runs, from Newton's first step or (with `inner`) from a linear solve."""
         if i < groups:
             newton.outer_groups[i] = outer
@@ -511,27 +513,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
             first_out[places[i] + k * stride] = value
             second_out[places[i] + k * stride] = value
 
-    return NewtonFunctions(
-        Span,
-        Newton,
-        sums,
-        put,
-        inner_products,
-        move,
-        judge,
-        begin,
-        curvature,
-        descend,
-        conjugate,
-        direct,
-        aim,
-        reset,
-        put_at,
-        metric_of,
-        of_candidate,
-        add_product,
-        collected,
-    )
+    return named(NewtonFunctions, locals())
 
 
 @functools.cache
@@ -551,29 +533,12 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
     far, growth = wp.float64(FAR), wp.float64(1e2)
     ridge = wp.float64(1e-14 if scalar is wp.float64 else 1e-8)
     functions = newton_functions_for(dim, scalar, width)
-    Span, Newton, sums, put = functions.span, functions.newton, functions.sums, functions.put
-    products_of, move_of, judge_of, begin_of = (
-        functions.inner_products,
-        functions.move,
-        functions.judge,
-        functions.begin,
-    )
-    curvature_of, descend_of, conjugate_of, direct_of = (
-        functions.curvature,
-        functions.descend,
-        functions.conjugate,
-        functions.direct,
-    )
-    aim_of, reset_of, put_one = functions.aim, functions.reset, functions.put_at
-    metric_of, of_candidate, add_product, collected = (
-        functions.metric_of,
-        functions.of_candidate,
-        functions.add_product,
-        functions.collected,
-    )
+    Span, NewtonState, sums, put = functions.Span, functions.NewtonState, functions.sums, functions.put
+    metric_of, of_candidate, add_product = functions.metric_of, functions.of_candidate, functions.add_product
+    collected = functions.collected
 
     @wp.struct
-    class Anderson:
+    class AndersonState:
         """What Anderson's acceleration keeps of each candidate."""
 
         tolerance: wp.array(dtype=wp.float64)  # of the distance to the static state [spacing]; first entry
@@ -610,24 +575,24 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
         """Parts of <a, b> and of <c, d>."""
         group, part = wp.tid()
         if running[group] != 0:
-            first_sum, second_sum = products_of(span, a, b, c, d, group, part, span.parts)
+            first_sum, second_sum = functions.inner_products(span, a, b, c, d, group, part, span.parts)
             put(parts_out, (group * span.parts + part) * wp.static(width), first_sum)
             put(parts_out, ((groups + group) * span.parts + part) * wp.static(width), second_sum)
 
     @kernel
-    def move(span: Span, newton: Newton, step_in: wp.array(dtype=scalar), u: wp.array(dtype=scalar)):
+    def move(span: Span, newton: NewtonState, step_in: wp.array(dtype=scalar), u: wp.array(dtype=scalar)):
         group, block = wp.tid()
         if newton.outer_groups[group] != 0:
-            move_of(span, newton, step_in, u, group, block)
+            functions.move(span, newton, step_in, u, group, block)
 
     @kernel
-    def judge(span: Span, newton: Newton, parts: wp.array(dtype=wp.float64), groups: int):
-        judge_of(span, newton, parts, groups, wp.tid())
+    def judge(span: Span, newton: NewtonState, parts: wp.array(dtype=wp.float64), groups: int):
+        functions.judge(span, newton, parts, groups, wp.tid())
 
     @kernel
     def begin(
         span: Span,
-        newton: Newton,
+        newton: NewtonState,
         residual_in: wp.array(dtype=scalar),
         rho_out: wp.array(dtype=scalar),
         direction_out: wp.array(dtype=scalar),
@@ -635,18 +600,18 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
     ):
         group, block = wp.tid()
         if newton.inner_groups[group] != 0:
-            begin_of(span, newton, residual_in, rho_out, direction_out, step_out, group, block)
+            functions.begin(span, newton, residual_in, rho_out, direction_out, step_out, group, block)
 
     @kernel
-    def curvature(span: Span, newton: Newton, parts: wp.array(dtype=wp.float64), groups: int):
+    def curvature(span: Span, newton: NewtonState, parts: wp.array(dtype=wp.float64), groups: int):
         group = wp.tid()
         if newton.inner_groups[group] != 0:
-            curvature_of(span, newton, parts, groups, group)
+            functions.curvature(span, newton, parts, groups, group)
 
     @kernel
     def descend(
         span: Span,
-        newton: Newton,
+        newton: NewtonState,
         groups: int,
         direction_in: wp.array(dtype=scalar),
         change_in: wp.array(dtype=scalar),
@@ -656,34 +621,36 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
     ):
         group, part = wp.tid()
         if newton.inner_groups[group] != 0:
-            square_sum, longest = descend_of(span, newton, direction_in, change_in, step, rho, group, part, span.parts)
+            square_sum, longest = functions.descend(
+                span, newton, direction_in, change_in, step, rho, group, part, span.parts
+            )
             put(parts_out, (group * span.parts + part) * wp.static(width), square_sum)
             put(parts_out, ((groups + group) * span.parts + part) * wp.static(width), longest)
 
     @kernel
-    def conjugate(span: Span, newton: Newton, parts: wp.array(dtype=wp.float64), groups: int, most: int):
+    def conjugate(span: Span, newton: NewtonState, parts: wp.array(dtype=wp.float64), groups: int, most: int):
         group = wp.tid()
         if newton.inner_groups[group] != 0:
-            conjugate_of(span, newton, parts, groups, most, group)
+            functions.conjugate(span, newton, parts, groups, most, group)
 
     @kernel
-    def direct(span: Span, newton: Newton, rho_in: wp.array(dtype=scalar), direction: wp.array(dtype=scalar)):
+    def direct(span: Span, newton: NewtonState, rho_in: wp.array(dtype=scalar), direction: wp.array(dtype=scalar)):
         group, block = wp.tid()
         if newton.inner_groups[group] != 0:
-            direct_of(span, newton, rho_in, direction, group, block)
+            functions.direct(span, newton, rho_in, direction, group, block)
 
     @kernel
-    def aim(span: Span, newton: Newton, parts: wp.array(dtype=wp.float64), groups: int):
-        aim_of(span, newton, parts, groups, wp.tid())
+    def aim(span: Span, newton: NewtonState, parts: wp.array(dtype=wp.float64), groups: int):
+        functions.aim(span, newton, parts, groups, wp.tid())
 
     @kernel
-    def reset(newton: Newton, groups: int, abreast: int, reach: wp.float64, outer: int, inner: int):
-        reset_of(newton, groups, abreast, reach, outer, inner, wp.tid())
+    def reset(newton: NewtonState, groups: int, abreast: int, reach: wp.float64, outer: int, inner: int):
+        functions.reset(newton, groups, abreast, reach, outer, inner, wp.tid())
 
     @kernel
     def remember(
         span: Span,
-        anderson: Anderson,
+        anderson: AndersonState,
         # In:
         u_in: wp.array(dtype=scalar),
         residual_in: wp.array(dtype=scalar),
@@ -712,7 +679,7 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
     @kernel
     def history_products(
         span: Span,
-        anderson: Anderson,
+        anderson: AndersonState,
         groups: int,
         # In:
         residual_in: wp.array(dtype=scalar),
@@ -747,7 +714,7 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
         put(parts_out, (((2 * what + 1) * groups + group) * span.parts + part) * wp.static(width), second_sum)
 
     @kernel
-    def accelerate(span: Span, anderson: Anderson, parts: wp.array(dtype=wp.float64), groups: int):
+    def accelerate(span: Span, anderson: AndersonState, parts: wp.array(dtype=wp.float64), groups: int):
         """Anderson's weights of the remembered changes: least squares of the residual over them, slightly damped.
 
         The distance still to go is judged by the path over the last quarter of all iterations, since accelerated steps
@@ -857,7 +824,7 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
     @kernel
     def advance(
         span: Span,
-        anderson: Anderson,
+        anderson: AndersonState,
         # In:
         residual_in: wp.array(dtype=scalar),
         du_in: wp.array(dtype=scalar),
@@ -911,26 +878,6 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
         first_out: wp.array(dtype=scalar),
         second_out: wp.array(dtype=scalar),
     ):
-        put_one(places, values, stride, first_out, second_out, wp.tid())
+        functions.put_at(places, values, stride, first_out, second_out, wp.tid())
 
-    return IterationKernels(
-        Span,
-        Newton,
-        Anderson,
-        inner_products,
-        move,
-        judge,
-        begin,
-        curvature,
-        descend,
-        conjugate,
-        direct,
-        aim,
-        reset,
-        remember,
-        history_products,
-        accelerate,
-        advance,
-        add_field,
-        put_at,
-    )
+    return named(IterationKernels, locals())

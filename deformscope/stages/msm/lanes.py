@@ -9,9 +9,10 @@ not turned.
 Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
 """
 
+import dataclasses
 import functools
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import warp as wp
 
@@ -31,6 +32,14 @@ def module_options(scalar: Any) -> dict[str, Any]:
         "cpu_compiler_flags": CPU_FLAGS,
         "fast_math": scalar is wp.float32,
     }
+
+
+KindT = TypeVar("KindT")
+
+
+def named(kind: type[KindT], names: dict[str, Any]) -> KindT:
+    """The set of functions and types that a factory made, each field by its name among the factory's own."""
+    return kind(**{field.name: names[field.name] for field in dataclasses.fields(kind)})
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +93,7 @@ def lanes_for(width: int, scalar: Any) -> Lanes:
         """1 if every lane is below the limit (a lane that is not a number is not)."""
         ...
 
-    return Lanes(lane, own, times, least, below)
+    return named(Lanes, locals())
 
 
 @functools.cache
@@ -137,7 +146,7 @@ def rows_for(count: int, width: int, scalar: Any) -> Rows:
         """m where `when` is positive, else 0 (whatever m holds there)."""
         ...
 
-    return Rows(rows, load, store, own, row, with_row, add, scale, choose)
+    return named(Rows, locals())
 
 
 @functools.cache

@@ -9,7 +9,7 @@ import warp as wp
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.msm import lattice_kernels as k
-from deformscope.stages.msm.body import BodyRest, Parameters, RestArrays, rest_struct
+from deformscope.stages.msm.body import BodyRest, GoalScratch, Parameters, RestArrays, rest_struct
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
 from deformscope.stages.msm.clusters import FLAT_MOMENT_RATIO, LatticeClusters
 from deformscope.stages.msm.layout import Layout, upload, widths
@@ -160,26 +160,26 @@ class _LatticeArrays:
         axes = d  # along which the passes take moments
         edges = body.edges[3 - axes :]
         values, vectors = np.linalg.eigh(gram)
-        told = values > FLAT_MOMENT_RATIO * np.maximum(values[:, -1:], np.finfo(float).tiny)
-        inverse = np.where(told, 1.0 / np.where(told, values, 1.0), 0.0)
+        determined = values > FLAT_MOMENT_RATIO * np.maximum(values[:, -1:], np.finfo(float).tiny)
+        inverse = np.where(determined, 1.0 / np.where(determined, values, 1.0), 0.0)
         pinv = np.einsum("nik,nk,njk->nij", vectors, inverse, vectors)
         size = values.sum(axis=1)
         size[size <= 0.0] = 1.0  # no cluster there
-        span_count = told.sum(axis=1)
-        packed = np.argsort(~told, axis=1, kind="stable")  # spanned directions first
+        span_count = determined.sum(axis=1)
+        packed = np.argsort(~determined, axis=1, kind="stable")  # spanned directions first
         ordered = np.take_along_axis(vectors, packed[:, None, :], axis=2)
-        order_told = np.take_along_axis(told, packed, axis=1)
-        span = ordered * order_told[:, None, :]
-        spread = np.where(order_told, np.sqrt(np.take_along_axis(np.maximum(values, 0), packed, axis=1)), 1.0)
+        order_determined = np.take_along_axis(determined, packed, axis=1)
+        span = ordered * order_determined[:, None, :]
+        spread = np.where(order_determined, np.sqrt(np.take_along_axis(np.maximum(values, 0), packed, axis=1)), 1.0)
         mean_log = np.log(spread).sum(axis=1) / np.maximum(span_count, 1)
-        stretch = np.where(order_told, spread / np.exp(mean_log)[:, None], 0.0)
+        stretch = np.where(order_determined, spread / np.exp(mean_log)[:, None], 0.0)
         unstretch = np.divide(1.0, stretch, out=np.zeros_like(stretch), where=stretch > 0)
         root, lift = span * stretch[:, None, :], np.einsum("nk,nik->nki", unstretch, span)
         full = span_count == d  # a full root must not be a reflection
         root[full] = np.einsum("nik,njk->nij", root[full], ordered[full])
         lift[full] = np.einsum("nik,nkj->nij", ordered[full], lift[full])
         spare = 2 * width
-        site = self.functions.site()
+        site = self.functions.Site()
         site.valid = upload(body.corner.astype(np.float64), scalar, device, spare)
         site.stride = n + (spare if n > 1 else 0)
         site.step = int(n > 1)
@@ -195,15 +195,15 @@ class _LatticeArrays:
         site.moment = rows(np.einsum("ai,n->nia", edges, 1.0 / size))
         site.edge_t = upload(edges, scalar, device)
         self.site = site
-        untold = np.eye(d) - np.einsum("nik,nk,njk->nij", vectors, told, vectors)
+        null = np.eye(d) - np.einsum("nik,nk,njk->nij", vectors, determined, vectors)
         self.rest = rest_struct(
             functions,
-            RestArrays(gram / size[:, None, None], untold, span, span_count, root, lift),
+            RestArrays(gram / size[:, None, None], null, span, span_count, root, lift),
             site.stride,
             scalar,
             device,
         )
-        self.kept_type = functions.kept
+        self.Kept, self.Motion = functions.Kept, self.functions.Motion
         spare += body.window[2]  # a window reaches over the last cell, too
         self.mass = upload(
             body.mass.reshape(-1)[:1] if body.alike else body.mass, scalar, device, 0 if body.alike else spare
@@ -213,14 +213,14 @@ class _LatticeArrays:
         self.metric = upload(body.metric, scalar, device, spare)
 
 
-class LatticeOperator:
+class LatticeOperator(GoalScratch):
     """Goals of lattice clusters for the candidates of one layout, with their scratch."""
 
     def __init__(self, body: LatticeBody, layout: Layout, arrays: _LatticeArrays) -> None:
-        self.body, self.layout, self.arrays = body, layout, arrays
+        super().__init__(body, layout, arrays, layout.stride)
         kk = arrays.functions
         n, w, many = body.shape, body.window, layout.abreast
-        grid = kk.grid()
+        grid = kk.Grid()
         grid.cells_0, grid.cells_1 = n[0], n[1]
         grid.clusters_0, grid.clusters_1 = n[0] - w[0] + 1, n[1] - w[1] + 1
         grid.window_0, grid.window_1, grid.window_2 = w
@@ -244,40 +244,16 @@ class LatticeOperator:
         grid.items_windows = n[0] * segments[0] * grid.blocks_windows
         grid.items_spread = n[0] * segments[1] * grid.blocks_spread
         self.grid = grid
-        d, self.dim = body.dim, body.dim
-        fields = kk.fields()
+        d = body.dim
+        fields = kk.Fields()
         fields.mass, fields.free, fields.pull = arrays.mass, arrays.free, arrays.pull
         fields.sums_fast, fields.sums_middle = layout.field(2 * d), layout.field(3 * d)
-        fields.maps = layout.field(d + d * d)
+        fields.maps = self.maps = layout.field(d + d * d)
         fields.maps_slow = layout.field(3 * d) if d == 3 else fields.maps
         fields.maps_middle = layout.field(2 * d)
         self._fields = fields
-        self._nothing = layout.each(np.zeros(1), int)
-        self.still = self.motion(1.0, 0.0, np.zeros(d), stepping=False)
-        self._kept: dict[int, Any] = {}
         self.beta_stride = layout.group
-        self.metric = arrays.metric
         self.resident = arrays.resident
-
-    def motion(self, alpha: float, going_on: float, push: FloatArray, *, stepping: bool = True) -> Any:
-        """What a time step needs: see `lattice_kernels`."""
-        motion = self.arrays.functions.motion()
-        motion.stepping = int(stepping)
-        motion.alpha, motion.going_on = alpha, going_on
-        motion.push = upload(push, self.layout.scalar, self.layout.device)
-        return motion
-
-    def kept(self, volume: int) -> Any:
-        """What `residual` leaves for `change`."""
-        if volume not in self._kept:
-            d = self.dim
-            kept = self.arrays.kept_type()
-            kept.turned = self.layout.field(d * d)
-            kept.compliance = self.layout.field(6 if d == 3 else 1)
-            kept.affine = self.layout.field(d * d if volume else 1)
-            kept.stride = self.layout.stride
-            self._kept[volume] = kept
-        return self._kept[volume]
 
     def residual(
         self, u: Any, out: Any, parameters: Parameters, running: Any, kept: Any = None, what: int = GOAL
@@ -308,7 +284,7 @@ class LatticeOperator:
 
     def fields(self, parameters: Parameters, what: int = GOAL) -> Any:
         """What the passes work on, for these parameters."""
-        fields = self.arrays.functions.fields()
+        fields = self.arrays.functions.Fields()
         for name in FIELDS:
             setattr(fields, name, getattr(self._fields, name))
         fields.beta, fields.theta = parameters.beta, parameters.theta
@@ -319,8 +295,7 @@ class LatticeOperator:
         """(B, C) one value for each cluster, as the kernels read them."""
         layout = self.layout
         host = np.zeros((layout.groups, layout.group // layout.abreast, layout.abreast))
-        filled = np.concatenate([values, np.repeat(values[-1:], layout.groups * layout.abreast - len(values), 0)])
-        host[:, self.body.clusters_at, :] = filled.reshape(layout.groups, layout.abreast, -1).transpose(0, 2, 1)
+        host[:, self.body.clusters_at, :] = self.by_group(values).transpose(0, 2, 1)
         return upload(host, layout.scalar, layout.device, 2 * layout.width)
 
     def cluster_gradient(self, adjoint: Any) -> FloatArray:
@@ -329,7 +304,7 @@ class LatticeOperator:
         The derivative of the goals by beta is what `residual` gave last.
         """
         axes = self.dim
-        maps = self._cluster_fields(self._fields.maps, self.dim * (1 + axes))
+        maps = self._cluster_fields(self.maps, self.dim * (1 + axes))
         body = self.body
         weighted = np.zeros((self.layout.candidates, body.count, self.dim))
         weighted[:, body.cell] = self.layout.get(adjoint, self.dim) * body.mass.reshape(-1)[body.cell, None]
@@ -389,14 +364,6 @@ class LatticeOperator:
             device=layout.device,
             record_cmd=True,
         )
-
-    def unkept(self) -> Any:
-        if -1 not in self._kept:
-            kept = self.arrays.kept_type()
-            kept.turned = kept.compliance = kept.affine = self._fields.maps
-            kept.stride = 0
-            self._kept[-1] = kept
-        return self._kept[-1]
 
     def _blocks(self, numbers: int) -> int:
         return -(-numbers // self.layout.width)

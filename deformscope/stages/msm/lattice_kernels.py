@@ -3,7 +3,7 @@
 FastLSM (Rivers and James 2007) sums the raw moments of all windows by prefix sums, which float32 cannot hold. Here the
 sums are local: each axis in turn adds up, over its window, what the axis before left, and the first moments are taken
 about the middle of the window. A thread slides along the axis for `run` cells, adding the cell that enters and
-subtracting the one that leaves; with `run` = 1 it adds up one window only, which is what a GPU wants for small ones.
+subtracting the one that leaves; with `run` = 1 it adds up one window only, which suits a GPU for small ones.
 
 A lattice has three axes (slow to fast: 0, 1, 2); in the plane the first has one cell. A cluster lives at the cell of
 its lowest corner. Fields are structures of arrays; a cell's place is the same in every field. Places that no cluster
@@ -19,7 +19,7 @@ from typing import Any
 import warp as wp
 
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
-from deformscope.stages.msm.lanes import lanes_for, module_options, product_for, rows_for
+from deformscope.stages.msm.lanes import lanes_for, module_options, named, product_for, rows_for
 
 FAR = 1e4
 """Spacings beyond which a particle has run away."""
@@ -32,10 +32,10 @@ class LatticeFunctions:
     Passes follow each other; each has its count of items.
     """
 
-    grid: Any
-    site: Any
-    fields: Any
-    motion: Any
+    Grid: Any
+    Site: Any
+    Fields: Any
+    Motion: Any
     windows_fast: Any
     windows_middle: Any
     fit_clusters: Any
@@ -59,13 +59,30 @@ class LatticeKernels:
 
 
 @functools.cache
+def motion_for(scalar: Any) -> Any:
+    """The struct type of what time stepping needs."""
+
+    @wp.struct
+    class StepMotion:
+        """What time stepping adds: alpha, the share of the last motion that goes on, and a push each step."""
+
+        stepping: int
+        alpha: scalar
+        going_on: scalar
+        push: wp.array(dtype=scalar)
+
+    return StepMotion
+
+
+@functools.cache
 def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) -> LatticeFunctions:
     """The functions for `dim` = 2 or 3, scalar = wp.float32 or wp.float64, and lanes of `width`.
 
-    window: cells of a cluster along every axis, each summed up anew, two axes at once: a GPU then has all its numbers
-    on the way at once, and fewer passes to wait for; 0: any windows and runs, as the grid says
+    window: cells of a cluster along every axis, each summed up anew, two axes at once: a GPU then loads all its numbers
+    at once, and waits for fewer passes; 0: any windows and runs, as the grid says
     """
     axes = dim
+    Motion = motion_for(scalar)
     lanes = lanes_for(width, scalar)
     lane, own, times, below = lanes.lane, lanes.own, lanes.times, lanes.below
     vecs = rows_for(dim, width, scalar)
@@ -159,15 +176,6 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         beta_stride: int
         volume: int
         what: int
-
-    @wp.struct
-    class Motion:
-        """What time stepping adds: alpha, the share of the last motion that goes on, and a push each step."""
-
-        stepping: int
-        alpha: scalar
-        going_on: scalar
-        push: wp.array(dtype=scalar)
 
     @wp.func
     def middle(window_here: int):
@@ -412,67 +420,46 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
     )
     def stacked(a: vecs.rows, b: vecs.rows, c: vecs.rows) -> maps.rows: ...
 
-    @wp.func
-    def fitted(
-        grid: Grid,
-        site: Site,
-        rest: cluster.rest,
-        kept: cluster.kept,
-        fields: Fields,
-        at: int,
-        cell: int,
-        group: int,
-        total: vecs.rows,
-        moments: maps.rows,
-        count: int,
-    ):
-        """From the moments of a cluster to its goal map, as what the particles add up: a shift, and slopes by axis."""
-        place, valid_place, differ = rest_place(grid, site, cell)
-        valid = own(site.valid, valid_place, differ)
-        step = differ * site.step
-        mean = own_mean(site.mean, place, site.stride, step)
-        moments = centred(moments, mean, total, valid)
-        affine_t = square_times_map(own_map(site.affine, place, site.stride, step), moments)
-        change_t = square_times_map(own_map(site.moment, place, site.stride, step), moments)
-        beta = parameter(grid, fields.beta, fields.beta_stride, group, cell)
-        theta = parameter(grid, fields.theta, 0, group, cell)
-        blend_t = fit(rest, place, step, kept, at, count, affine_t, change_t, beta, theta, fields.volume, fields.what)
-        slopes = map_times_square(own_map(site.edge_t, 0, 1, 0), blend_t)
-        share = own(site.share, place, step)
-        if fields.what != wp.static(GOAL):
-            share = lane()
-        store(fields.maps, at, grid.stride, shift_of(total, share, mean, slopes, valid), count)
-        store_map(fields.maps, at + wp.static(dim) * grid.stride, grid.stride, only_map(valid, slopes), count)
+    def solved(changing: bool, name: str) -> Any:
+        """The function from the moments of a cluster to its goal map, or `changing` to its derivative along them."""
 
-    @wp.func
-    def changed(
-        grid: Grid,
-        site: Site,
-        rest: cluster.rest,
-        kept: cluster.kept,
-        fields: Fields,
-        at: int,
-        cell: int,
-        group: int,
-        total: vecs.rows,
-        moments: maps.rows,
-        count: int,
-    ):
-        """Derivative of `fitted` along the direction that the moments belong to."""
-        place, valid_place, differ = rest_place(grid, site, cell)
-        valid = own(site.valid, valid_place, differ)
-        step = differ * site.step
-        mean = own_mean(site.mean, place, site.stride, step)
-        moments = centred(moments, mean, total, valid)
-        affine_t = square_times_map(own_map(site.affine, place, site.stride, step), moments)
-        change_t = square_times_map(own_map(site.moment, place, site.stride, step), moments)
-        beta = parameter(grid, fields.beta, fields.beta_stride, group, cell)
-        theta = parameter(grid, fields.theta, 0, group, cell)
-        blend_t = fit_change(rest, place, step, kept, at, affine_t, change_t, beta, theta, fields.volume)
-        slopes = map_times_square(own_map(site.edge_t, 0, 1, 0), blend_t)
-        share = own(site.share, place, step)
-        store(fields.maps, at, grid.stride, shift_of(total, share, mean, slopes, valid), count)
-        store_map(fields.maps, at + wp.static(dim) * grid.stride, grid.stride, only_map(valid, slopes), count)
+        @wp.func(name=name)
+        def solve(
+            grid: Grid,
+            site: Site,
+            rest: cluster.FitRest,
+            kept: cluster.Kept,
+            fields: Fields,
+            at: int,
+            cell: int,
+            group: int,
+            total: vecs.rows,
+            moments: maps.rows,
+            count: int,
+        ):
+            """The goal map as what the particles add up: a shift, and slopes by axis."""
+            place, valid_place, differ = rest_place(grid, site, cell)
+            valid = own(site.valid, valid_place, differ)
+            step = differ * site.step
+            mean = own_mean(site.mean, place, site.stride, step)
+            moments = centred(moments, mean, total, valid)
+            affine_t = square_times_map(own_map(site.affine, place, site.stride, step), moments)
+            change_t = square_times_map(own_map(site.moment, place, site.stride, step), moments)
+            beta = parameter(grid, fields.beta, fields.beta_stride, group, cell)
+            theta = parameter(grid, fields.theta, 0, group, cell)
+            volume = fields.volume
+            if wp.static(changing):
+                blend_t = fit_change(rest, place, step, kept, at, affine_t, change_t, beta, theta, volume)
+            else:
+                blend_t = fit(rest, place, step, kept, at, count, affine_t, change_t, beta, theta, volume, fields.what)
+            slopes = map_times_square(own_map(site.edge_t, 0, 1, 0), blend_t)
+            share = own(site.share, place, step)
+            if fields.what != wp.static(GOAL):
+                share = lane()
+            store(fields.maps, at, grid.stride, shift_of(total, share, mean, slopes, valid), count)
+            store_map(fields.maps, at + wp.static(dim) * grid.stride, grid.stride, only_map(valid, slopes), count)
+
+        return solve
 
     @wp.func
     def rest_place(grid: Grid, site: Site, cell: int):
@@ -497,8 +484,8 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         def windows(
             grid: Grid,
             site: Site,
-            rest: cluster.rest,
-            kept: cluster.kept,
+            rest: cluster.FitRest,
+            kept: cluster.Kept,
             fields: Fields,
             group: int,
             item: int,
@@ -553,8 +540,8 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
         return windows
 
-    fit_clusters = windows_slow(fitted, "fit_clusters")
-    fit_changes = windows_slow(changed, "fit_changes")
+    fit_clusters = windows_slow(solved(False, "fitted"), "fit_clusters")
+    fit_changes = windows_slow(solved(True, "changed"), "fit_changes")
 
     @wp.func
     def spread_slow(grid: Grid, fields: Fields, group: int, item: int):
@@ -716,19 +703,9 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
             grid, fields, motion, total, u_in, offset, before_in, before_offset, out, ran_away, group, at, cell, count
         )  # fmt: skip
 
-    return LatticeFunctions(
-        Grid,
-        Site,
-        Fields,
-        Motion,
-        windows_both if window else windows_fast,
-        windows_middle,
-        fit_clusters,
-        fit_changes,
-        spread_slow,
-        spread_middle,
-        finish_both if window else finish,
-    )
+    if window:
+        windows_fast, finish = windows_both, finish_both
+    return named(LatticeFunctions, locals())
 
 
 @functools.cache
@@ -740,72 +717,69 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> L
     fitting = functools.partial(kernel, launch_bounds=(256, 2))  # else too few threads fit to hide what they wait for
     functions = lattice_functions_for(dim, scalar, width, window)
     cluster = cluster_functions_for(dim, dim, scalar, width)
-    windows_fast_of, windows_middle_of = functions.windows_fast, functions.windows_middle
-    fit_clusters_of, fit_changes_of = functions.fit_clusters, functions.fit_changes
-    spread_slow_of, spread_middle_of, finish_of = functions.spread_slow, functions.spread_middle, functions.finish
 
     @kernel
     def windows_fast(
-        grid: functions.grid,
-        fields: functions.fields,
-        motion: functions.motion,
+        grid: functions.Grid,
+        fields: functions.Fields,
+        motion: functions.Motion,
         running: wp.array(dtype=int),
         u_in: wp.array(dtype=scalar),
         before_in: wp.array(dtype=scalar),
     ):
         group, item = wp.tid()
         if running[group] != 0:
-            windows_fast_of(grid, fields, motion, u_in, 0, before_in, 0, group, item)
+            functions.windows_fast(grid, fields, motion, u_in, 0, before_in, 0, group, item)
 
     @kernel
-    def windows_middle(grid: functions.grid, fields: functions.fields, running: wp.array(dtype=int)):
+    def windows_middle(grid: functions.Grid, fields: functions.Fields, running: wp.array(dtype=int)):
         group, item = wp.tid()
         if running[group] != 0:
-            windows_middle_of(grid, fields, group, item)
+            functions.windows_middle(grid, fields, group, item)
 
     @fitting
     def fit_clusters(
-        grid: functions.grid,
-        site: functions.site,
-        rest: cluster.rest,
-        kept: cluster.kept,
-        fields: functions.fields,
+        grid: functions.Grid,
+        site: functions.Site,
+        rest: cluster.FitRest,
+        kept: cluster.Kept,
+        fields: functions.Fields,
         running: wp.array(dtype=int),
     ):
         group, item = wp.tid()
         if running[group] != 0:
-            fit_clusters_of(grid, site, rest, kept, fields, group, item)
+            functions.fit_clusters(grid, site, rest, kept, fields, group, item)
 
     @fitting
     def fit_changes(
-        grid: functions.grid,
-        site: functions.site,
-        rest: cluster.rest,
-        kept: cluster.kept,
-        fields: functions.fields,
+        grid: functions.Grid,
+        site: functions.Site,
+        rest: cluster.FitRest,
+        kept: cluster.Kept,
+        fields: functions.Fields,
         running: wp.array(dtype=int),
     ):
         group, item = wp.tid()
         if running[group] != 0:
-            fit_changes_of(grid, site, rest, kept, fields, group, item)
+            functions.fit_changes(grid, site, rest, kept, fields, group, item)
 
     @kernel
-    def spread_slow(grid: functions.grid, fields: functions.fields, running: wp.array(dtype=int)):
+    def spread_slow(grid: functions.Grid, fields: functions.Fields, running: wp.array(dtype=int)):
         group, item = wp.tid()
         if running[group] != 0:
-            spread_slow_of(grid, fields, group, item)
+            functions.spread_slow(grid, fields, group, item)
 
     @kernel
-    def spread_middle(grid: functions.grid, fields: functions.fields, running: wp.array(dtype=int)):
+    def spread_middle(grid: functions.Grid, fields: functions.Fields, running: wp.array(dtype=int)):
         group, item = wp.tid()
         if running[group] != 0:
-            spread_middle_of(grid, fields, group, item)
+            functions.spread_middle(grid, fields, group, item)
 
     @kernel
     def finish(
-        grid: functions.grid,
-        fields: functions.fields,
-        motion: functions.motion,
+        grid: functions.Grid,
+        fields: functions.Fields,
+        motion: functions.Motion,
         running: wp.array(dtype=int),
         u_in: wp.array(dtype=scalar),
         before_in: wp.array(dtype=scalar),
@@ -814,6 +788,6 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> L
     ):
         group, item = wp.tid()
         if running[group] != 0:
-            finish_of(grid, fields, motion, u_in, 0, before_in, 0, out, ran_away, group, item)
+            functions.finish(grid, fields, motion, u_in, 0, before_in, 0, out, ran_away, group, item)
 
-    return LatticeKernels(windows_fast, windows_middle, fit_clusters, fit_changes, spread_slow, spread_middle, finish)
+    return named(LatticeKernels, locals())

@@ -67,12 +67,12 @@ class MaterialOperator(GeneralOperator):
         super().__init__(body, layout, arrays)
         self.material_body = body
         self.kernels = material_kernels_for(body.dim, body.terms, body.scalar, layout.width)
-        material = self.kernels.material()
+        material = self.kernels.Material()
         material.plastic, material.axes = int(body.plastic), int(body.axes is not None)
-        material.strain = self._cluster_field(body.dim**2 if body.plastic else 1)
+        material.strain = self.cluster_field(body.dim**2 if body.plastic else 1)
         self.material = material
         self.strain = material.strain
-        self._moved, self._size = self._cluster_field(1), self._cluster_field(1)
+        self._moved, self._size = self.cluster_field(1), self.cluster_field(1)
         self._all = wp.full(layout.groups, 1, dtype=int, device=layout.device)
         self.law: Any = None
 
@@ -120,21 +120,11 @@ class MaterialOperator(GeneralOperator):
     def _pack(self, values: FloatArray) -> Any:
         """(B, C, rows) as fields of clusters are laid out; the last candidate fills what is left of its group."""
         layout = self.layout
-        more = layout.groups * layout.abreast - len(values)
-        filled = np.concatenate([values, np.repeat(values[-1:], more, axis=0)])
-        rows = filled.reshape(layout.groups, layout.abreast, *values.shape[1:]).transpose(3, 0, 2, 1)
+        rows = self.by_group(values).transpose(3, 0, 2, 1)
         host = np.zeros((values.shape[2], self.cluster_stride))
         host[:, : self.cluster_stride - layout.width] = rows.reshape(values.shape[2], -1)
         return upload(host, layout.scalar, layout.device)
 
     def _fit(self, kernel: Any, u: Any, parameters: Parameters, running: Any, kept: Any, what: int) -> None:
         ours = self.kernels.fit_clusters if kernel is self.arrays.kernels.fit_clusters else self.kernels.fit_changes
-        self._launch(
-            ours,
-            (self.layout.groups, self.body.cluster_count),
-            [
-                *(self.lists, self.arrays.rest, kept, self.material, u),
-                *(parameters.beta, parameters.beta_stride, parameters.theta, parameters.volume, what, running),
-            ],
-            [self._maps],
-        )
+        super()._fit(ours, u, parameters, running, kept, what)

@@ -11,24 +11,24 @@ from typing import Any
 
 import warp as wp
 
-from deformscope.stages.msm.cluster_functions import BY_BETA, BY_THETA, GOAL, NONE, cluster_functions_for
+from deformscope.stages.msm.cluster_functions import BY_BETA, BY_THETA, NONE, cluster_functions_for
 from deformscope.stages.msm.functions import functions_for
 from deformscope.stages.msm.general_kernels import general_kernels_for
-from deformscope.stages.msm.lanes import Sized, lanes_for, module_options, product_for, rows_for
+from deformscope.stages.msm.lanes import Sized, lanes_for, module_options, named, product_for, rows_for
 from deformscope.stages.msm.materials import LEAST_FACTOR
 
 HALVINGS = 60
 """Of the share that has to flow, down to rounding."""
 
 SHRINKS = 60
-"""Steps of S^p toward its bound; each leaves at most about a tenth of the way."""
+"""Steps of S^p toward its bound; each leaves at most about a tenth of the distance."""
 
 
 @dataclass(frozen=True, slots=True)
 class MaterialKernels:
     """The compiled set and its struct type."""
 
-    material: Any
+    Material: Any
     fit_clusters: Any
     fit_changes: Any
     flow: Any
@@ -41,16 +41,16 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Mater
     wp.get_module(module).options.update(module_options(scalar))
     kernel = functools.partial(wp.kernel, module=module, enable_backward=False)
     general = general_kernels_for(dim, terms, scalar, width)
-    lists_type, gathered, parameter = general.lists, general.gathered, general.parameter
+    lists_type, gathered, parameter = general.Lists, general.gathered, general.parameter
     lane = lanes_for(width, scalar).lane
-    vecs, squares = rows_for(dim, width, scalar), rows_for(dim * dim, width, scalar)
+    squares = rows_for(dim * dim, width, scalar)
     moments = rows_for(dim * (dim + 1) // 2, width, scalar)
     compliances = rows_for(6 if dim == 3 else 1, width, scalar)
     transforms = rows_for(terms * dim, width, scalar)
-    store_vec, store_transform, store_square = vecs.store, transforms.store, squares.store
-    load_square, load_moment, load_untold = squares.load, moments.own, transforms.own
+    store_square = squares.store
+    load_square, load_moment, load_null = squares.load, moments.own, transforms.own
     load_compliance, store_compliance, add_transform = compliances.load, compliances.store, transforms.add
-    times_untold = product_for(terms, dim, dim, width, scalar)
+    times_null = product_for(terms, dim, dim, width, scalar)
     cluster = cluster_functions_for(dim, terms, scalar, width)
     turn, turned_part, compliance_part = cluster.turn, cluster.turned_part, cluster.compliance_part
     turn_change, mixed, square_part = cluster.turn_change, cluster.mixed, cluster.square_part
@@ -71,7 +71,7 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Mater
     class Material:
         """What clusters have beyond a fit. plastic, axes: 0 or 1.
 
-        strain: S^p - I by rows, laid out as fields of clusters are; with axes, `beta` holds W and C the same way
+        strain: S^p - I by rows, laid out as fields of clusters are; with axes, `beta` holds W and C alike
         """
 
         plastic: int
@@ -132,28 +132,23 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Mater
         """T + (X - T) C."""
         ...
 
-    @kernel
-    def fit_clusters(
+    @wp.func
+    def fit_one(
         lists: lists_type,
-        rest: cluster.rest,
-        kept: cluster.kept,
+        rest: cluster.FitRest,
+        kept: cluster.Kept,
         material: Material,
-        # In:
-        u_in: wp.array(dtype=scalar),
+        group: int,
+        c: int,
+        affine_t: transforms.rows,
+        change_t: squares.rows,
         beta: wp.array(dtype=scalar),
         beta_stride: int,
         theta: wp.array(dtype=scalar),
         volume: int,
         what: int,
-        running: wp.array(dtype=int),
-        # Out:
-        maps_out: wp.array(dtype=scalar),
     ):
-        """Each cluster's goal map, as `general_kernels.fit_clusters`, toward R S^p and with C in place of beta."""
-        group, c = wp.tid()
-        if running[group] == 0:
-            return
-        centre, affine_t, change_t = gathered(lists, group, c, u_in)
+        """A cluster's goal map, as `cluster_functions.fit`, toward R S^p and with C in place of beta."""
         at = (group * lists.clusters + c) * lists.abreast
         stride = lists.cluster_stride
         a_qq = load_moment(rest.a_qq, c, rest.stride, 0)
@@ -170,8 +165,8 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Mater
         target = turned
         if material.plastic != 0:
             target = on_plastic(turned, s, one)
-        if rest.some_untold != 0:  # terms that the cluster cannot tell follow what it is pulled to
-            affine_t = add_transform(affine_t, one, times_untold(load_untold(rest.untold_t, c, rest.stride, 0), target))
+        if rest.has_null != 0:  # terms that the cluster leaves undetermined follow what it is pulled to
+            affine_t = add_transform(affine_t, one, times_null(load_null(rest.null_t, c, rest.stride, 0), target))
         if kept.stride > 0:
             store_square(kept.turned, at, kept.stride, turned, wp.static(width))
             store_compliance(kept.compliance, at, kept.stride, compliance_part(turns), wp.static(width))
@@ -191,33 +186,25 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Mater
                 blend_t = mixed(affine_t, b, target, lane())
             else:
                 blend_t = mixed(affine_t, b, target, lane(one) - b)
-        if what != wp.static(GOAL):
-            centre = vecs.rows()
-        store_vec(maps_out, at, stride, centre, wp.static(width))
-        store_transform(maps_out, at + wp.static(dim) * stride, stride, blend_t, wp.static(width))
+        return blend_t
 
-    @kernel
-    def fit_changes(
+    @wp.func
+    def change_one(
         lists: lists_type,
-        rest: cluster.rest,
-        kept: cluster.kept,
+        rest: cluster.FitRest,
+        kept: cluster.Kept,
         material: Material,
-        # In:
-        direction_in: wp.array(dtype=scalar),
+        group: int,
+        c: int,
+        affine_t: transforms.rows,
+        change_t: squares.rows,
         beta: wp.array(dtype=scalar),
         beta_stride: int,
         theta: wp.array(dtype=scalar),
         volume: int,
         what: int,
-        running: wp.array(dtype=int),
-        # Out:
-        maps_out: wp.array(dtype=scalar),
     ):
-        """Derivative of `fit_clusters` along a direction, from what it kept."""
-        group, c = wp.tid()
-        if running[group] == 0:
-            return
-        centre, affine_t, change_t = gathered(lists, group, c, direction_in)
+        """Derivative of `fit_one` along a direction, from what it kept."""
         at = (group * lists.clusters + c) * lists.abreast
         stride = lists.cluster_stride
         if material.axes != 0:
@@ -230,8 +217,8 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Mater
         change = turn_change(turned, load_compliance(kept.compliance, at, kept.stride), change_t)
         if material.plastic != 0:
             change = on_plastic(change, s, zero)
-        if rest.some_untold != 0:
-            affine_t = add_transform(affine_t, one, times_untold(load_untold(rest.untold_t, c, rest.stride, 0), change))
+        if rest.has_null != 0:
+            affine_t = add_transform(affine_t, one, times_null(load_null(rest.null_t, c, rest.stride, 0), change))
         if volume != wp.static(NONE):
             before = load_square(kept.affine, at, kept.stride)
             affine_t = conserve_change(rest, c, 0, before, affine_t, parameter(lists, theta, 0, group, c), volume)
@@ -241,8 +228,10 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Mater
         else:
             b = parameter(lists, beta, beta_stride, group, c)
             blend_t = mixed(affine_t, b, change, lane(one) - b)
-        store_vec(maps_out, at, stride, centre, wp.static(width))
-        store_transform(maps_out, at + wp.static(dim) * stride, stride, blend_t, wp.static(width))
+        return blend_t
+
+    fit_clusters = general.fit_kernel(kernel, "fit_clusters", Material, fit_one)
+    fit_changes = general.fit_kernel(kernel, "fit_changes", Material, change_one)
 
     # Flow
 
@@ -277,7 +266,7 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Mater
 
     @wp.func
     def bounded(plastic: square, span_axes: square, span_count: int, maximum: scalar):
-        """S^p with |S^p - I|_2 at most `maximum` and its measure 1: less and less of the way from I to it."""
+        """S^p with |S^p - I|_2 at most `maximum` and its measure 1: less and less of the step from I to it."""
         size = strain_size(plastic)
         if size <= maximum:
             return plastic
@@ -297,7 +286,7 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Mater
     @kernel
     def flow(
         lists: lists_type,
-        rest: cluster.rest,
+        rest: cluster.FitRest,
         material: Material,
         # In:
         u_in: wp.array(dtype=scalar),
@@ -335,7 +324,7 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Mater
                 plastic[i, i] = plastic[i, i] + one
             if span_count == wp.static(dim):
                 a = (a + identity) * wp.inverse(plastic)
-            else:  # what is told alone: the other singular values are 0, and come last
+            else:  # only what is determined: the other singular values are 0, and come last
                 a = (a * span_axes + span_axes) * wp.transpose(span_axes) * wp.inverse(plastic)
             _u, values, v = singular_values(a)
             size = zero
@@ -372,4 +361,4 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Mater
             moved_out[at + l] = moved
             size_out[at + l] = size
 
-    return MaterialKernels(Material, fit_clusters, fit_changes, flow)
+    return named(MaterialKernels, locals())

@@ -9,7 +9,7 @@ e_i e_i^T:
 
 So there is an energy, whose gradient the goals are (static states are minima, the reaction force is exact), it turns
 with the body, equal betas give Thesis eq. 3.13, beta = 0 and 1 along an axis are the rigid and the free limit, and
-0 <= W <= A_qq, so a step to the goals is never too long. A shear gives way by the harmonic mean of its two axes.
+0 <= W <= A_qq, so a step to the goals is never too long. A shear has the harmonic mean of its two axes.
 Linear fit, theta = 0.
 
 **Plasticity.** Müller et al. 2005, section 4.5: each cluster has a plastic deformation S^p, I at first. With the polar

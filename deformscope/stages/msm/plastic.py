@@ -90,9 +90,9 @@ class PlasticMsm:
         if not body.free.any():
             raise ValueError("expected free particles; got a body whose particles are all held")
         held_u, beta_b, theta_b = self._parameters(held_position, beta, theta)
-        way = body._way(*body._kind(theta_b, self.size, volume))
-        way.set(beta_b, theta_b)
-        operator = way.operator
+        method = body._method(*body._kind(theta_b, self.size, volume))
+        method.set(beta_b, theta_b)
+        operator = method.operator
         operator.put_plastic(self._plastic)
         share = np.ones(self.size) if duration is None else np.minimum(duration * self._creep, 1.0)
         operator.set_law(self._yield, share, self._maximum)
@@ -100,13 +100,13 @@ class PlasticMsm:
         u[:, body.held] = held_u
         limit = (TOLERANCE[body.precision] if tolerance is None else tolerance) * body.extent / body.scale
         most = max(4000, 40 * len(body.rest))
-        ended = way.relax(u, limit, most)
+        ended = method.relax(u, limit, most)
         strain = np.zeros((self.size, body.cluster_count))
         flowed = np.zeros(self.size, dtype=bool)
         still = np.zeros(self.size, dtype=bool)
         rounds = 0
         for rounds in range(1, ROUNDS + 1):
-            operator.flow(way.u, stop=True)
+            operator.flow(method.u, stop=True)
             moved, before = operator.flowed()
             if rounds == 1:
                 strain = before.copy()
@@ -115,11 +115,11 @@ class PlasticMsm:
             still = most_moved <= settled * self._yield
             if not (most_moved > 0.0).any():
                 break
-            ended = way.relax(way.layout.get(way.u, dim), limit, most)
+            ended = method.relax(method.layout.get(method.u, dim), limit, most)
             if duration is not None or still.all():
                 break
         self._plastic = operator.plastic()
-        self._position = body.rest + way.layout.get(way.u, dim) * body.scale
+        self._position = body.rest + method.layout.get(method.u, dim) * body.scale
         static = np.asarray(ended.state == CONVERGED)
         return Loaded(self._position.copy(), strain, flowed, static if duration is not None else static & still, rounds)
 
@@ -141,13 +141,13 @@ class PlasticMsm:
         at = np.broadcast_to(np.asarray(position, dtype=np.float64), self._position.shape)
         _, beta_b, theta_b = self._parameters(at[:, body.held], beta, theta)
         kind, size, how = body._kind(theta_b, self.size, volume)
-        way = body._way(kind, size, how)
-        way.set(beta_b, theta_b)
+        method = body._method(kind, size, how)
+        method.set(beta_b, theta_b)
         own = self._plastic if plastic is None else np.broadcast_to(plastic, self._plastic.shape)
-        way.operator.put_plastic(own)
-        way.put(body._displacements(at))
-        way.evaluate()
-        return np.asarray(way.layout.get(way.residual, body.dim) * body.scale)
+        method.operator.put_plastic(own)
+        method.put(body._displacements(at))
+        method.evaluate()
+        return np.asarray(method.layout.get(method.residual, body.dim) * body.scale)
 
     def start(self, position: FloatArray | None = None) -> None:
         """Without velocity, at `position` (K, d) or (B, K, d), default where it is; S^p stays."""

@@ -90,9 +90,9 @@ class Poke:
     def __post_init__(self) -> None:
         if (self.depth is None) == (self.force is None):
             raise InputError("a depth or a force of the poke", "both" if self.depth is not None else "neither")
-        told = self.depth if self.depth is not None else self.force
-        if told is None or not (np.isfinite(told) and told > 0.0):
-            raise InputError("a depth or force above 0", f"{told}")
+        given = self.depth if self.depth is not None else self.force
+        if given is None or not (np.isfinite(given) and given > 0.0):
+            raise InputError("a depth or force above 0", f"{given}")
         if not np.isfinite(self.at).all():
             raise InputError("a finite place of the poke", "NaN or infinity")
 
@@ -161,7 +161,7 @@ def press(
     precision: Precision = "float64",
     device: str = "cpu",
 ) -> Pressed:
-    """The static state under a poke. With a force, `stiffness` k [N/m] tells how deep it goes.
+    """The static state under a poke. With a force, `stiffness` k [N/m] determines its depth.
 
     poke.at: (d,) a point on the tip's axis; deepest: depth [m] at which the search for that of a force is given up
     Each round relaxes the body with the touched particles held, lets those that slip go to where nothing pulls them
@@ -214,7 +214,7 @@ def settle(
     start: FloatArray | None,
 ) -> PokedBody:
     """The static states with the touched particles at `at` (m, d) or (B, m, d), one for each law; those that slip go on
-    until nothing pulls them sideways, the way along the tip's direction kept. start: (K, d) or (B, K, d)"""
+    until nothing pulls them sideways, at the same displacement along the tip's direction. start: (K, d) or (B, K, d)"""
     toward = scene.toward
     beta, theta = (np.array([getattr(law, name) for law in laws]) for name in ("beta", "theta"))
     at = np.array(np.broadcast_to(at, (len(laws), *at.shape[-2:])))

@@ -40,7 +40,7 @@ from deformscope.stages.msm.reference import Basis, RestCluster, Volume, build_r
 VOLUMES: dict[Volume, int] = {"scale": k.SCALE, "project": k.PROJECT}
 
 SMALLEST_TOLERANCE = 2e-12
-"""Share of a cluster's radius to which the numbers themselves tell where a static state is."""
+"""Share of a cluster's radius to which the numbers themselves determine a static state."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,10 +118,10 @@ class OneCluster:
         away = held_q - held_mean
         held_gram = (away.T * held_m) @ away
         moment, axes = np.linalg.eigh(gram)
-        told = moment > FLAT_MOMENT_RATIO * moment[-1]
-        white = axes[:, told] / np.sqrt(moment[told])
+        determined = moment > FLAT_MOMENT_RATIO * moment[-1]
+        white = axes[:, determined] / np.sqrt(moment[determined])
         share, turn = np.linalg.eigh(white.T @ held_gram @ white)
-        mode = np.zeros((self.terms, self.terms))  # columns; those of untold terms stay 0
+        mode = np.zeros((self.terms, self.terms))  # columns; those of undetermined terms stay 0
         mode[:, : len(share)] = white @ turn
         shares = np.ones(self.terms)
         shares[: len(share)] = np.clip(share, 0.0, 1.0)
@@ -149,9 +149,9 @@ class OneCluster:
         white: FloatArray,
         held_mean: FloatArray,
     ) -> Any:
-        """The rest data on the device. mode: (terms, terms) in columns; white: (terms, told), white^T G white = I"""
+        """The rest data on the device. mode: (terms, terms) in columns; white: (terms, n), white^T G white = I"""
         d, kk = self.dim, self._k
-        body = kk.body()
+        body = kk.ReducedBody()
         free_gram, linear = gram - held_gram, np.eye(d, self.terms)
         lift = linear if volume == "scale" else cluster.lift
         span = np.zeros((d, d))
@@ -166,7 +166,7 @@ class OneCluster:
         body.held_mode = rows((held_gram @ mode)[:d].T, kk.vec)
         body.share = rows(share, wp.float64)
         body.free_q = rows(free_gram[:d])
-        body.untold = rows(linear - gram[:d] @ white @ white.T)
+        body.null = rows(linear - gram[:d] @ white @ white.T)
         body.gram = rows(gram)
         body.lift = rows(lift)
         body.lift_free = kk.square(*(lift @ free_gram[:, :d]).ravel())
@@ -308,9 +308,9 @@ class _Work:
 
     def __init__(self, body: OneCluster, rest: Any, size: int) -> None:
         self.body, self.rest, self.size = body, rest, size
-        self.row_in = self._zeros(size, body._k.row)
+        self.row_in = self._zeros(size, body._k.row_width)
         self.row: FloatArray = self.row_in.numpy()  # on the CPU the array itself
-        split = body._k.row - body.dim * body.terms
+        split = body._k.row_width - body.dim * body.terms
         self.held, self.start = self.row[:, k.HELD : split], self.row[:, split:]
 
     def relax(self) -> FloatArray:
@@ -321,11 +321,11 @@ class _Work:
 
     @functools.cached_property
     def _relax(self) -> tuple[Any, Any]:
-        return self._recorded(self.body._k.relax, self._zeros(self.size, self.body._k.result))
+        return self._recorded(self.body._k.relax, self._zeros(self.size, self.body._k.result_width))
 
     @functools.cached_property
     def _differentiate(self) -> tuple[Any, Any]:
-        return self._recorded(self.body._k.differentiate, self._zeros(self.size, 2, self.body._k.result))
+        return self._recorded(self.body._k.differentiate, self._zeros(self.size, 2, self.body._k.result_width))
 
     def _zeros(self, *shape: int) -> Any:
         return wp.zeros(shape, dtype=wp.float64, device=self.body.device)

@@ -15,6 +15,7 @@ from typing import Any
 import warp as wp
 
 from deformscope.stages.msm.functions import functions_for
+from deformscope.stages.msm.lanes import named
 
 BETA, THETA, TOLERANCE, MOST_ITERATIONS, STARTED, HELD = range(6)
 """Places in a candidate's row: numbers first, then what is held, then the transform to start from."""
@@ -39,16 +40,18 @@ FINEST_PATH = 1.0 / 256.0
 
 @dataclass(frozen=True, slots=True)
 class ReducedKernels:
-    """The compiled set, and its types. body: the struct of rest data; row, result: numbers a candidate brings, takes"""
+    """The compiled set, and its types. ReducedBody: the struct of rest data; row_width,
+    result_width: numbers that a candidate brings and takes
+    """
 
-    body: Any
+    ReducedBody: Any
     vec: Any
     square: Any
     basis_vec: Any
     relax: Any
     differentiate: Any
-    row: int
-    result: int
+    row_width: int
+    result_width: int
 
 
 @functools.cache
@@ -85,11 +88,11 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
     finest = scalar(FINEST_PATH)
 
     @wp.struct
-    class Body:
+    class ReducedBody:
         """Rest data, with masses that sum to 1 and lengths in cluster radii.
 
         mode, free_mode: (terms,) b_j and (G - C) b_j; held_mode: (terms,) first entries of C b_j; share: (terms,) mu_j
-        free_q: (dim,) first rows of G - C; untold: (dim,) first rows of I - G G+; gram: (terms,) G
+        free_q: (dim,) first rows of G - C; null: (dim,) first rows of I - G G+; gram: (terms,) G
         lift, root: how volume is conserved (`volume_frame`); lifted_mode: (terms,) L (G - C) b_j; lift_free:
         L (G - C) J^T; volume: SCALE or PROJECT
         """
@@ -99,7 +102,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         held_mode: wp.array(dtype=vec)
         share: wp.array(dtype=scalar)
         free_q: wp.array(dtype=basis_vec)
-        untold: wp.array(dtype=basis_vec)
+        null: wp.array(dtype=basis_vec)
         gram: wp.array(dtype=basis_vec)
         lift: wp.array(dtype=basis_vec)
         lifted_mode: wp.array(dtype=vec)
@@ -161,7 +164,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         return wp.identity(n=dim, dtype=scalar)
 
     @wp.func
-    def volume_frame(body: Body, a: square, theta: scalar):
+    def volume_frame(body: ReducedBody, a: square, theta: scalar):
         """What conserving volume adds to the fit, as multiples of `lift`, and what `volume_change` needs to know.
 
         Eq. 3.17: A / den - A. Projection: theta (P - B), with B = A root and P the nearest matrix of the rest volume.
@@ -173,14 +176,14 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         return a * ((one - den) / den), a, a, a, vec(), den
 
     @wp.func
-    def volume_gain(body: Body, a: square, theta: scalar):
+    def volume_gain(body: ReducedBody, a: square, theta: scalar):
         """What conserving volume adds to the fit, as multiples of `lift`."""
         out, _toward, _left, _right, _stretch, _number = volume_frame(body, a, theta)
         return out
 
     @wp.func
     def volume_change(
-        body: Body,
+        body: ReducedBody,
         a: square,
         theta: scalar,
         toward: square,
@@ -199,7 +202,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         return change * ((one - number) / number) - a * (d_den / (number * number))
 
     @wp.func
-    def sums(body: Body, row: wp.array(dtype=scalar), beta: scalar, slope: bool):
+    def sums(body: ReducedBody, row: wp.array(dtype=scalar), beta: scalar, slope: bool):
         """N, V, W, U, Y, K at beta, or their derivatives by beta: sums over the modes."""
         n = square()
         v = square()
@@ -235,7 +238,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         return n, v, w, u, y, k
 
     @wp.func
-    def gain(body: Body, beta: scalar, mode: int):
+    def gain(body: ReducedBody, beta: scalar, mode: int):
         """1 / (1 - beta lambda_j); 0 for what nothing holds in shape (beta = 1): it stays as at rest."""
         left = (one - beta) + beta * body.share[mode]
         if left <= tiny:
@@ -243,7 +246,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         return one / left
 
     @wp.func
-    def lifted(body: Body, e: square):
+    def lifted(body: ReducedBody, e: square):
         """e L."""
         out = transform()
         for i in range(wp.static(dim)):
@@ -254,7 +257,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
 
     @wp.func
     def assemble(
-        body: Body,
+        body: ReducedBody,
         row: wp.array(dtype=scalar),
         beta: scalar,
         e: square,
@@ -282,7 +285,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         return out
 
     @wp.func
-    def fit(body: Body, row: wp.array(dtype=scalar), t: transform):
+    def fit(body: ReducedBody, row: wp.array(dtype=scalar), t: transform):
         """R of the rotation and A~ of the fit (eq. 3.7, 3.9, 3.14) for the state T, held particles included."""
         a_pq = square()
         for i in range(wp.static(dim)):
@@ -299,7 +302,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         for i in range(wp.static(dim)):
             for j in range(wp.static(dim)):
                 for m in range(wp.static(terms)):
-                    out[i, m] = out[i, m] + r[i, j] * body.untold[j][m]
+                    out[i, m] = out[i, m] + r[i, j] * body.null[j][m]
         return r, out
 
     @wp.func
@@ -311,7 +314,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         return out
 
     @wp.func
-    def misfit(body: Body, row: wp.array(dtype=scalar), t: transform, beta: scalar, theta: scalar):
+    def misfit(body: ReducedBody, row: wp.array(dtype=scalar), t: transform, beta: scalar, theta: scalar):
         """Root mean square of goal - place over all particles of the state T (none taken as held): the equations anew,
         by themselves. And their rotation and linear fit."""
         r, a = fit(body, row, t)
@@ -372,7 +375,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
 
     @wp.func
     def solve(
-        body: Body,
+        body: ReducedBody,
         a: square,
         r: square,
         beta: scalar,
@@ -475,7 +478,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
     @wp.kernel(module=module, enable_backward=False)
     def relax(
         # In:
-        body: Body,
+        body: ReducedBody,
         rows: wp.array2d(dtype=scalar),
         # Out:
         results: wp.array2d(dtype=scalar),
@@ -619,7 +622,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
     @wp.kernel(module=f"{module}_slopes", enable_backward=False)
     def differentiate(
         # In:
-        body: Body,
+        body: ReducedBody,
         rows: wp.array2d(dtype=scalar),
         # Out: for beta, then theta
         results: wp.array3d(dtype=scalar),
@@ -663,4 +666,4 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
                     place -= metres * body.held_mean[j]
                 result[wp.static(translation_at) + i] = place
 
-    return ReducedKernels(Body, vec, square, basis_vec, relax, differentiate, row_width, result_width)
+    return named(ReducedKernels, locals())

@@ -4,19 +4,19 @@ What the equations leave open is decided here, for degenerate clusters:
 
 - Flat in space or on a line at rest: the fit uses the directions that the cluster spans (pseudo-inverse, chosen once
   at rest), and eq. 3.17 conserves its area or length instead of its volume.
-- Too few particles for the quadratic terms (2x2, 3x3x2...): the same pseudo-inverse; untold terms turn with R.
+- Too few particles for the quadratic terms (2x2, 3x3x2...): the same pseudo-inverse; undetermined terms turn with R.
 - Crushed or inverted (det A <= 0): the cube root keeps its sign and the denominator of eq. 3.17 is held at or above
   `MIN_DENOMINATOR`; the rotation is a proper one (det R = +1) always.
 - Where several rotations fit equally well (a line, a mirror image, a point): one of the best ones. It is the rest
   orientation, R = I, for a point, and in the plane.
 - All particles held: nothing to solve; their positions stand.
 
-Volume is conserved in one of two ways; without conservation (theta = 0) they are the same, and both give A_theta the
+Volume is conserved by one of two rules; without conservation (theta = 0) they are the same, and both give A_theta the
 rest volume at theta = 1:
 
-- "scale" is eq. 3.17, faithful to the thesis: A is divided by a number. No energy stands behind it: what it does to a
+- "scale" is eq. 3.17, faithful to the thesis: A is divided by a number. No energy stands behind it: its effect on a
   compressed cluster amplifies every displacement, so overlapping clusters at high beta and theta diverge.
-- "project" goes the share theta of the way from the fit to the nearest fit of the rest volume. Its goals are the
+- "project" goes the share theta of the distance from the fit to the nearest fit of the rest volume. Its goals are the
   gradient of an energy that no step to them raises (see `energy`), so it cannot diverge; theta weighs the pull to the
   rest volume.
   Choose it for overlapping clusters, and wherever stability counts more than the thesis's numbers.
@@ -108,8 +108,8 @@ def _measure_metric(gram: FloatArray, span: FloatArray, largest: float) -> tuple
     """`root` and `lift` of a cluster. gram: (r, r) sum m q~ q~^T, without what the fit leaves out.
 
     A change dA~ = [dA, dQ] of the best fit costs tr(dA~ gram dA~^T). For a given dA that is least with dQ = -dA C,
-    C = G_AQ G_QQ^+, and then it is tr(dA S dA^T) with the Schur complement S = G_AA - C G_QA: the quadratic terms give
-    way. Where they alone fit every displacement in a direction (too few particles), the measure can have any value
+    C = G_AQ G_QQ^+, and then it is tr(dA S dA^T) with the Schur complement S = G_AA - C G_QA: the quadratic terms
+    adapt. Where they alone fit every displacement in a direction (too few particles), the measure can have any value
     for nothing, and nothing is to be projected.
     """
     d, k = span.shape
@@ -217,7 +217,7 @@ def cluster_goals(
     p = (x[cluster.index] - t) / cluster.radius  # eq. 3.8, in units of the cluster's radius
     a_pq = np.einsum("n,ni,nj->ij", m, p, cluster.q)
     r = rotation(a_pq, float(np.einsum("n,ni,ni->", m, cluster.q, cluster.q)))  # eq. 3.9
-    # eq. 3.7, 3.14, as the fit of what the rotation leaves: the same, but terms that the cluster cannot tell follow R
+    # eq. 3.7, 3.14, as the fit of what the rotation leaves: the same, but undetermined terms follow R
     a_tilde = np.einsum("n,ni,nj->ij", m, p - cluster.q @ r.T, cluster.q_basis) @ cluster.inverse
     a_tilde[:, :d] += r
     if volume == "scale":

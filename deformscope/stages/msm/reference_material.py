@@ -53,7 +53,7 @@ def axis_weight(cluster: RestCluster, beta: AxisBeta, plastic: FloatArray | None
 def axis_parts(
     x: FloatArray, cluster: RestCluster, beta: AxisBeta, plastic: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Mass centre (d,), best fit A, rotation R and W of a cluster at x (K, d). A has what is told alone."""
+    """Mass centre (d,), best fit A, rotation R and W of a cluster at x (K, d). A has only what is determined."""
     m = cluster.mass
     t = np.average(x[cluster.index], axis=0, weights=m)
     p = (x[cluster.index] - t) / cluster.radius
@@ -65,8 +65,8 @@ def axis_parts(
 def axis_goals(x: FloatArray, cluster: RestCluster, beta: AxisBeta, plastic: FloatArray | None = None) -> FloatArray:
     """Goal positions (n, d) of one cluster's particles with a beta along each axis."""
     t, a, r, w = axis_parts(x, cluster, beta, plastic)
-    told = cluster.span @ cluster.span.T
-    blend = r + (a - r @ told) @ (np.eye(len(r)) - w @ cluster.inverse)
+    determined = cluster.span @ cluster.span.T
+    blend = r + (a - r @ determined) @ (np.eye(len(r)) - w @ cluster.inverse)
     return np.asarray(cluster.q @ blend.T * cluster.radius + t)
 
 
@@ -196,9 +196,9 @@ def _flowed(
 
 def unit_measure(plastic: FloatArray, span: FloatArray) -> FloatArray:
     """S^p with its determinant made 1: scaled within what the cluster spans."""
-    told = span @ span.T
+    determined = span @ span.T
     by = np.linalg.det(plastic) ** (-1.0 / span.shape[1])
-    return np.asarray(plastic @ (by * told + np.eye(len(plastic)) - told))
+    return np.asarray(plastic @ (by * determined + np.eye(len(plastic)) - determined))
 
 
 def bounded(plastic: FloatArray, span: FloatArray, maximum: float) -> FloatArray:

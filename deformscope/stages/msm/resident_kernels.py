@@ -15,7 +15,7 @@ import warp as wp
 
 from deformscope.stages.msm.cluster_functions import cluster_functions_for
 from deformscope.stages.msm.iteration_kernels import newton_functions_for
-from deformscope.stages.msm.lanes import Sized, module_options
+from deformscope.stages.msm.lanes import Sized, module_options, named
 from deformscope.stages.msm.lattice_kernels import lattice_functions_for
 
 THREADS = {wp.float32: 512, wp.float64: 256}
@@ -45,11 +45,11 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
     lattice = lattice_functions_for(dim, scalar, width, window)
     cluster = cluster_functions_for(dim, dim, scalar, width)
     newton = newton_functions_for(dim, scalar, width)
-    Grid, Site, Fields, Motion = lattice.grid, lattice.site, lattice.fields, lattice.motion
+    Grid, Site, Fields, Motion = lattice.Grid, lattice.Site, lattice.Fields, lattice.Motion
     windows_fast, windows_middle, finish = lattice.windows_fast, lattice.windows_middle, lattice.finish
     fit_clusters, fit_changes = lattice.fit_clusters, lattice.fit_changes
     spread_slow, spread_middle = lattice.spread_slow, lattice.spread_middle
-    Span, Newton, sums, put = newton.span, newton.newton, newton.sums, newton.put
+    Span, NewtonState, sums, put = newton.Span, newton.NewtonState, newton.sums, newton.put
     inner_products, move, judge, begin = newton.inner_products, newton.move, newton.judge, newton.begin
     aim_at, reset_one, put_one = newton.aim, newton.reset, newton.put_at
     curvature, descend, conjugate, direct = newton.curvature, newton.descend, newton.conjugate, newton.direct
@@ -98,8 +98,8 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
     def operate(
         grid: Grid,
         site: Site,
-        rest: cluster.rest,
-        kept: cluster.kept,
+        rest: cluster.FitRest,
+        kept: cluster.Kept,
         fields: Fields,
         motion: Motion,
         u: wp.array(dtype=scalar),
@@ -149,8 +149,8 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
     def steps(
         grid: Grid,
         site: Site,
-        rest: cluster.rest,
-        kept: cluster.kept,
+        rest: cluster.FitRest,
+        kept: cluster.Kept,
         fields: Fields,
         motion: Motion,
         count: int,
@@ -200,12 +200,12 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
     def relax(
         grid: Grid,
         site: Site,
-        rest: cluster.rest,
-        kept: cluster.kept,
+        rest: cluster.FitRest,
+        kept: cluster.Kept,
         fields: Fields,
         still: Motion,
         span: Span,
-        state: Newton,
+        state: NewtonState,
         groups: int,
         most: int,
         limit: int,
@@ -271,7 +271,7 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
     @relax_kernel
     def aim(
         span: Span,
-        state: Newton,
+        state: NewtonState,
         groups: int,
         threads: int,
         # In:
@@ -295,7 +295,7 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
             begin(span, state, right, rho, direction, step, group, block)
 
     @relax_kernel
-    def reset(state: Newton, groups: int, abreast: int, reach: wp.float64, outer: int, inner: int):
+    def reset(state: NewtonState, groups: int, abreast: int, reach: wp.float64, outer: int, inner: int):
         reset_one(state, groups, abreast, reach, outer, inner, wp.tid())
 
     @steps_kernel
@@ -308,4 +308,4 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
     ):
         put_one(places, values, stride, first_out, second_out, wp.tid())
 
-    return ResidentKernels(steps, put_at, relax, aim, reset)
+    return named(ResidentKernels, locals())

@@ -1,4 +1,4 @@
-"""The MSM engine: rest data on a device, the two ways to run it over many candidates at once, and its derivatives."""
+"""The MSM engine: rest data on a device, two methods for many candidates at once, and its derivatives."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ PARTICLES_AT_ONCE = 2_000_000
 """Particles of all candidates together that `relax` holds at once: at most some 2 GB; more are taken in turns."""
 
 KEPT_NUMBERS = 2_000_000
-"""Particles of all candidates up to which the scratch of a way to run is kept for the next call."""
+"""Particles of all candidates up to which the scratch of a method is kept for the next call."""
 
 MOVES = 200
-"""Moves that held particles make at most on their way in time stepping; of more steps, several pass at each place."""
+"""Moves that held particles make at most in time stepping; of more steps, several pass at each place."""
 
 VOLUMES: dict[Volume, int] = {"scale": SCALE, "project": PROJECT}
 
@@ -271,16 +271,16 @@ class Msm:
             return np.zeros((1, *self.rest.shape))
         return (np.asarray(position, np.float64).reshape(-1, *self.rest.shape) - self.rest) / self.scale
 
-    def _way(self, kind: type[Newton] | type[Anderson], size: int, volume: int) -> Any:
-        """A way to run, with its scratch; that of the last few calls is kept."""
+    def _method(self, kind: type[Newton] | type[Anderson], size: int, volume: int) -> Any:
+        """A method, with its scratch; that of the last few calls is kept."""
         key = (kind, size, volume)
         body = self._double if kind is Anderson else self._body
-        way = self._scratch.pop(key, None) or kind(body, self._particles, size, volume)
+        method = self._scratch.pop(key, None) or kind(body, self._particles, size, volume)
         if size * len(self.rest) <= KEPT_NUMBERS:
-            self._scratch[key] = way
+            self._scratch[key] = method
             while len(self._scratch) > 4:
                 del self._scratch[next(iter(self._scratch))]
-        return way
+        return method
 
     # -- relax -----------------------------------------------------------------------------------------------------
 
@@ -342,11 +342,11 @@ class Msm:
             count = some.stop - first
             u = np.array(np.broadcast_to(origin[some] if len(origin) > 1 else origin, (count, *self.rest.shape)))
             u[:, self.held] = held_u[some] if len(held_u) > 1 else held_u
-            way = self._way(*self._kind(theta_b[some], count, volume))
-            way.set(beta_b[some], theta_b[some])
+            method = self._method(*self._kind(theta_b[some], count, volume))
+            method.set(beta_b[some], theta_b[some])
             note = None if progress is None else functools.partial(_offset, progress, first, size)
-            ended = way.relax(u, share * self.extent / self.scale, most, note)
-            parts.append(self._relaxed(way.layout.get(way.u, self.dim), ended))
+            ended = method.relax(u, share * self.extent / self.scale, most, note)
+            parts.append(self._relaxed(method.layout.get(method.u, self.dim), ended))
         if len(parts) == 1:
             return parts[0]
         fields = [f.name for f in dataclasses.fields(Relaxed)]
@@ -417,20 +417,20 @@ class Msm:
         position = np.asarray(position, np.float64).reshape(-1, *self.rest.shape)
         if self._one is not None:
             return self._one_sensitivity(position, beta, theta, volume)
-        way = self._at(position, beta, theta, volume)
+        method = self._at(position, beta, theta, volume)
         out = []
         good = True
         for by in (BY_BETA, BY_THETA):
-            if isinstance(way, Newton):
-                self._derive(way, by, position, beta, theta, volume)
-                good &= way.solve(LINEAR_TOLERANCE[self.precision])
-                out.append(way.layout.get(way.step, self.dim) * self.scale)
+            if isinstance(method, Newton):
+                self._derive(method, by, position, beta, theta, volume)
+                good &= method.solve(LINEAR_TOLERANCE[self.precision])
+                out.append(method.layout.get(method.step, self.dim) * self.scale)
             else:
-                way.derive_goals(by, way.linear_right)
-                good &= way.solve(LINEAR_TOLERANCE["float64"], _most_iterations(len(self.rest)))
-                out.append(way.layout.get(way.u, self.dim) * self.scale)
-                way.layout.put(self._displacements(position), way.u)
-                way.evaluate()
+                method.derive_goals(by, method.linear_right)
+                good &= method.solve(LINEAR_TOLERANCE["float64"], _most_iterations(len(self.rest)))
+                out.append(method.layout.get(method.u, self.dim) * self.scale)
+                method.layout.put(self._displacements(position), method.u)
+                method.evaluate()
         return Sensitivity(out[0], out[1], good)
 
     def gradient(
@@ -457,34 +457,34 @@ class Msm:
             by_beta, by_theta = (np.sum(free * each, axis=(1, 2)) for each in (changes.beta, changes.theta))
             by_cluster = by_beta[:, None] if self._one else np.full((len(by_beta), self.cluster_count), np.nan)
             return Gradient(by_beta, by_theta, by_cluster, changes.converged)
-        way = self._at(position, beta, theta, volume)
+        method = self._at(position, beta, theta, volume)
         metric = self._particles.metric[:, None]
         right = np.divide(cotangent, metric, out=np.zeros_like(cotangent), where=metric > 0)
-        way.layout.put(right * self.scale, way.residual)
-        good = way.solve(LINEAR_TOLERANCE[self.precision])
-        adjoint = way.layout.get(way.step, self.dim)
-        way.derive(BY_BETA)
-        by_cluster = way.operator.cluster_gradient(way.step) / self._particles.mass.mean()
-        self._derive(way, BY_THETA, position, beta, theta, volume)
-        by_theta = np.sum(metric * adjoint * way.layout.get(way.residual, self.dim), axis=(1, 2))
+        method.layout.put(right * self.scale, method.residual)
+        good = method.solve(LINEAR_TOLERANCE[self.precision])
+        adjoint = method.layout.get(method.step, self.dim)
+        method.derive(BY_BETA)
+        by_cluster = method.operator.cluster_gradient(method.step) / self._particles.mass.mean()
+        self._derive(method, BY_THETA, position, beta, theta, volume)
+        by_theta = np.sum(metric * adjoint * method.layout.get(method.residual, self.dim), axis=(1, 2))
         return Gradient(by_cluster.sum(axis=1), by_theta, by_cluster, good)
 
     def _derive(
         self,
-        way: Newton,
+        method: Newton,
         by: int,
         position: FloatArray,
         beta: FloatArray | float,
         theta: FloatArray | float,
         volume: Volume,
     ) -> None:
-        """Derivative of the goals into the way's residual; by theta also where it is 0 and nothing is conserved yet."""
-        if by == BY_THETA and way.volume == NONE:
-            conserving = self._at(position, beta, theta, volume, way_kind=Newton, conserving=True)
+        """Derivative of the goals into the method's residual; by theta also where that is 0, without conservation."""
+        if by == BY_THETA and method.volume == NONE:
+            conserving = self._at(position, beta, theta, volume, method_kind=Newton, conserving=True)
             conserving.derive(by)
-            wp.copy(way.residual, conserving.residual)
+            wp.copy(method.residual, conserving.residual)
         else:
-            way.derive(by)
+            method.derive(by)
 
     def _at(
         self,
@@ -494,22 +494,22 @@ class Msm:
         volume: Volume,
         *,
         conserving: bool = False,
-        way_kind: type[Newton] | None = None,
+        method_kind: type[Newton] | None = None,
     ) -> Any:
-        """A way to run, evaluated at `position`.
+        """The method, evaluated at `position`.
 
-        conserving: with volume conservation though theta is 0; way_kind: which, where it only is to be evaluated
+        conserving: with volume conservation though theta is 0; method_kind: which, where it only is to be evaluated
         """
         _, beta_b, theta_b = self._candidates(position[:, self.held], beta, theta)
         size = max(len(position), len(beta_b))
         kind, size, how = self._kind(theta_b, size, volume)
         if conserving and how == NONE:
             kind, how = (Newton if volume == "project" else Anderson), VOLUMES[volume]
-        way = self._way(way_kind or kind, size, how)
-        way.set(np.broadcast_to(beta_b, (size, *beta_b.shape[1:])), np.broadcast_to(theta_b, (size,)))
-        way.layout.put(self._displacements(position), way.u)
-        way.evaluate()
-        return way
+        method = self._method(method_kind or kind, size, how)
+        method.set(np.broadcast_to(beta_b, (size, *beta_b.shape[1:])), np.broadcast_to(theta_b, (size,)))
+        method.layout.put(self._displacements(position), method.u)
+        method.evaluate()
+        return method
 
     def _one_sensitivity(
         self, position: FloatArray, beta: FloatArray | float, theta: FloatArray | float, volume: Volume
@@ -586,8 +586,8 @@ class Msm:
         if isinstance(beta, AxisBeta):
             return self._along(beta, theta).residual(position, beta.value[:, None, :])
         position = np.asarray(position, dtype=np.float64).reshape(-1, *self.rest.shape)
-        way = self._at(position, beta, theta, volume, way_kind=Newton)
-        return np.asarray(way.layout.get(way.residual, self.dim) * self.scale)
+        method = self._at(position, beta, theta, volume, method_kind=Newton)
+        return np.asarray(method.layout.get(method.residual, self.dim) * self.scale)
 
     def reaction(self, position: FloatArray, beta: FloatArray | float, theta: FloatArray | float = 0.0) -> FloatArray:
         """Force that each particle asks of what holds it, per unit of the body's stiffness k [m]: (B, K, d).

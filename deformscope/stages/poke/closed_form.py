@@ -1,6 +1,6 @@
 """A rigid tip on an elastic half-space: the closed forms that one would reach for first.
 
-Boussinesq, Hertz, Sneddon: no thickness, no friction, small strain. E* = E / (1 - nu^2) is all that force tells; nu
+Boussinesq, Hertz, Sneddon: no thickness, no friction, small strain. force identifies E* = E / (1 - nu^2) alone; nu
 enters the sideways motion.
 """
 

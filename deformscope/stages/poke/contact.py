@@ -1,7 +1,7 @@
 """How stiff a place is, from the approach of a tip itself: force and arm, no camera.
 
 Pressed by a tip, F = k (z - z0)^p, with p about 1.5 for a sphere and 1 for a flat tip. Taking the first force above a
-threshold as contact puts z0 too deep and the stiffness 15 to 20 % too high; here z0 is fitted. What the arm gives way
+threshold as contact puts z0 too deep and the stiffness 15 to 20 % too high; here z0 is fitted. What the arm yields
 under the force is taken off, as calibrated on a rigid block.
 """
 
@@ -38,7 +38,7 @@ RIGID_SDS = 3.0
 
 @dataclass(frozen=True, slots=True)
 class ArmCompliance:
-    """How the arm gives way along the normal.
+    """How the arm yields along the normal.
 
     compliance_m_per_n: tip behind where the arm says it is, for each newton; compliance_sd: its deviation [m/N];
     position_sd_m: scatter of the arm's position about it [m]
@@ -55,7 +55,7 @@ class ArmCompliance:
 
 @dataclass(frozen=True, slots=True)
 class ContactFit:
-    """What an approach tells of the place.
+    """What an approach measures at the place.
 
     stiffness_n_per_mm: force over depth at `at_force_n` (apparent stiffness), with its 90 % `interval_n_per_mm`; of a
     `rigid` place a lower bound, whose interval is open above; log_stiffness, log_sd: its natural log and deviation
@@ -97,9 +97,9 @@ def fit_approach(
     """Fit the law to an approach, from before contact to the peak of the force; what follows is left out.
 
     time_s: (n,) rising [s]; position_m: (n, 3) of the tip as the arm says [m]; force_n: (n, 3) on the tip [N], all in
-    one frame; normal: (3,) out of the surface; set_force_n: at which the stiffness is told; where the approach ended
-    before, it is told at the force reached
-    arm: what the arm gives way, from `calibrate_compliance`; default a stiff arm that scatters by 0.1 mm
+    one frame; normal: (3,) out of the surface; set_force_n: at which the stiffness is taken; where the approach ended
+    before, it is taken at the force reached
+    arm: how the arm yields, from `calibrate_compliance`; default a stiff arm that scatters by 0.1 mm
     force_sd_n: noise of the force, default as it scatters before contact
 
     The position is fitted as a function of the force, since the arm's scatter is what matters:
@@ -130,7 +130,7 @@ def fit_approach(
     )
     z0, depth, p = (float(value) for value in found.x)
     scatter = residuals(found.x)[:-1]
-    # the arm may scatter more than it is told to
+    # the arm may scatter more than stated
     inflation = max(1.0, float(np.median(np.abs(scatter))) / 0.6745)
     jacobian = found.jac.copy()
     jacobian[:-1] /= inflation
@@ -167,7 +167,7 @@ def fit_approach(
 def calibrate_compliance(
     time_s: FloatArray, position_m: FloatArray, force_n: FloatArray, normal: FloatArray, *, set_force_n: float = 3.0
 ) -> ArmCompliance:
-    """What the arm gives way, from an approach to a rigid block: z = z0 + c F (arguments as in `fit_approach`)."""
+    """How the arm yields, from an approach to a rigid block: z = z0 + c F (arguments as in `fit_approach`)."""
     depth_along, force = _along(time_s, position_m, force_n, normal)
     force, _, _, loaded = _loaded(force, set_force_n, None)
     z, f = depth_along[loaded], force[loaded]
@@ -235,7 +235,7 @@ def layer_modulus(
 def _along(
     time_s: FloatArray, position_m: FloatArray, force_n: FloatArray, normal: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """(n,) way into the surface [m] and force out of it [N]."""
+    """(n,) displacement into the surface [m] and force out of it [N]."""
     count = len(time_s)
     if position_m.shape != (count, 3) or force_n.shape != (count, 3) or np.shape(normal) != (3,):
         raise InputError(f"{count} positions and forces (n, 3)", f"{position_m.shape} and {force_n.shape}")

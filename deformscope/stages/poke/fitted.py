@@ -123,7 +123,7 @@ class FittedModel:
         return float(field.at(place)[0]) * float(spacing / self.spacing) ** (self.dim - 2)
 
     def stiffness_deviation(self, at: FloatArray) -> float:
-        """Standard deviation of the logarithm of the stiffness at a place (d,), as far as the pokes tell it."""
+        """Standard deviation of the logarithm of the stiffness at a place (d,), as far as the pokes determine it."""
         field, place = self._field(self.stiffness, at)
         return float(field.deviation(place)[0])
 

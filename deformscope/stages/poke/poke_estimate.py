@@ -34,7 +34,7 @@ BESIDE = (-0.9, -0.45, -0.2, 0.0, 0.2, 0.45, 0.9)
 """Values of -log(1 - beta) beside the estimate at which the error curve is taken."""
 
 NEXT_TO = 0.01
-"""A value within this of an end of the range is not told from the end."""
+"""A value within this of an end of the range is not distinguished from the end."""
 
 BEYOND, CLEAR = 5, 2.5
 """Values taken from there to the end of the range, where the error has not risen to this many times the lowest: high
@@ -91,9 +91,9 @@ class PokesFound:
 
     def rows(self) -> list[PokeRow]:
         """Each poke: place, depth, force, stiffness there and how well it is followed."""
-        told, k = self.fit.stiffness(self.fit.best)
-        by_poke = dict(zip(told.tolist(), k.tolist(), strict=True))
-        left_out = dict(zip(told.tolist(), self.model.left_out.tolist(), strict=True))
+        measured, k = self.fit.stiffness(self.fit.best)
+        by_poke = dict(zip(measured.tolist(), k.tolist(), strict=True))
+        left_out = dict(zip(measured.tolist(), self.model.left_out.tolist(), strict=True))
         error = dict(zip(self.fit.shaped.tolist(), self.fit.best.surface_error.tolist(), strict=True))
         held_out = dict(zip(self.fit.shaped.tolist(), self.fit.best.held_out.tolist(), strict=True))
         rows = []
@@ -180,7 +180,9 @@ def conclude(
     left = float(sum(np.sum(one.residual(one.settle([best.law])) ** 2) for one in fit.posed))
     moved = float(sum(np.sum(one.weighed(one.poke.moved) ** 2) for one in fit.posed))
     misfit = float(np.sqrt(np.mean(best.surface_error**2))) * float(np.mean([poke.depth for poke in fit.pokes]))
-    told = Identifiability(rise, 1.0 - left / moved, posterior.deviation(), misfit / np.sqrt(fit.pokes[0].components))
+    identified = Identifiability(
+        rise, 1.0 - left / moved, posterior.deviation(), misfit / np.sqrt(fit.pokes[0].components)
+    )
     k = _stiffness(fit, profile, posterior, level)
     model = _model(fit, provenance)
     estimate = Estimate(
@@ -189,7 +191,7 @@ def conclude(
         interval=ends,
         level=level,
         bounds=bounds,
-        verdict=verdict(ends, bounds, told) if best.converged else "unidentified",
+        verdict=verdict(ends, bounds, identified) if best.converged else "unidentified",
         stiffness_verdict="unidentified" if k is None else relative_verdict(*k),
         aee=float(every.mean()),
         aee_free=float(apart.mean()),
@@ -212,7 +214,7 @@ def conclude(
         stiffness=k,
         metres_per_unit=1.0,
         posterior=posterior,
-        identifiability=told,
+        identifiability=identified,
     )
     return PokesFound(estimate, comparisons, fit, model)
 
@@ -272,7 +274,7 @@ class Profile:
         return np.asarray((there - here) * one.poke.depth / step)
 
     def posterior(self) -> tuple[Posterior, float]:
-        """Of beta, theta integrated, and by how many deviations the data tell its likeliest value from the least.
+        """Of beta, theta integrated, and by how many deviations the data separate its likeliest value from the least.
 
         What is left at the best law is misfit more than noise, and points of a surface share it: as many count as
         independent as there are patches of the size of the tip. Several pokes share it too: they count as one.
@@ -281,7 +283,7 @@ class Profile:
         beta, law = beta_of(fine, self.fit.beta_range), self.fit.best.law
         thetas = np.linspace(0.0, 1.0, THETAS) if self.by_theta is not None else np.array([law.theta])
         squares = np.zeros((len(thetas), FINE))
-        values = 0.0  # that tell something by themselves
+        values = 0.0  # that are independent
         for place, one in enumerate(self.fit.posed):
             along = CubicSpline(self.stretched, self.residual[place], axis=0)(fine)
             patches = independent(one.places, one.poke.misfit_over or one.poke.tip.width)
@@ -314,8 +316,8 @@ def _stiffness(
     fit: PokesFit, profile: Profile, posterior: Posterior, level: float
 ) -> tuple[float, tuple[float, float]] | None:
     """k and its interval over what beta may be, the misfit of the surface and the scatter among the pokes."""
-    told, k = fit.stiffness(fit.best)
-    if not told.size:
+    measured, k = fit.stiffness(fit.best)
+    if not measured.size:
         return None
     value = float(np.median(k))
     tail = 0.5 * (1.0 - level)
@@ -346,9 +348,9 @@ def _comparison(one: PosedPoke, law: Law) -> Comparison:
 
 
 def _model(fit: PokesFit, provenance: Mapping[str, object]) -> FittedModel:
-    told, k = fit.stiffness(fit.best)
-    places = np.array([fit.pokes[i].at for i in told]).reshape(-1, 3)
-    field = fit_field(places[:, :2], k) if told.size else None
+    measured, k = fit.stiffness(fit.best)
+    places = np.array([fit.pokes[i].at for i in measured]).reshape(-1, 3)
+    field = fit_field(places[:, :2], k) if measured.size else None
     rivals = [
         Rival(one.law, fit.stiffness(one)[1], one.score)
         for one in fit.tried[1:]

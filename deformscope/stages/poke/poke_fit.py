@@ -2,7 +2,7 @@
 
 The static state under each poke is compared with the surface around it, between the lattice's columns. Beta and theta
 are those of the least squared error (`scipy.optimize.least_squares`); the
-cluster size is the one whose error is smallest; how well it does on pokes left out is told.
+cluster size is the one whose error is smallest; how well it does on pokes left out is reported.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class SeenPoke:
     average_over: cells of this side, seen from above, whose mean displacement is compared in place of each point's [m]:
     white noise of many points falls, and what is left is the misfit; None: every point by itself
     misfit_over: points nearer than this share the model's misfit [m], None: the tip's width
-    heights_only: `points` are places where a camera saw the surface afterwards, and of `moved` it tells the height
+    heights_only: `points` are places where a camera saw the surface afterwards, and of `moved` it measures the height
     alone, not which point of the material stands there
     """
 
@@ -352,9 +352,9 @@ class PokesFit:
 
     def stiffness(self, one: ShapeFit) -> tuple[IntArray, FloatArray]:
         """The pokes whose force was measured (f,), and k [N/m] at each."""
-        told = np.flatnonzero([poke.force is not None and poke.force > 0.0 for poke in self.pokes])
-        force = np.array([float(self.pokes[i].force or 0.0) for i in told])
-        return told, force / one.reaction[told]
+        measured = np.flatnonzero([poke.force is not None and poke.force > 0.0 for poke in self.pokes])
+        force = np.array([float(self.pokes[i].force or 0.0) for i in measured])
+        return measured, force / one.reaction[measured]
 
 
 def fit_pokes(

@@ -24,7 +24,7 @@ from deformscope.errors import InputError
 FieldKind = Literal["uniform", "materials", "gradual"]
 
 MATERIALS_APART = float(np.log(1.22))
-"""Materials differ by at least 22 % in stiffness: nearer ones cannot be told from noise of 8 % a touch."""
+"""Materials differ by at least 22 % in stiffness: nearer ones are not separable from noise of 8 % a touch."""
 
 BETTER = 0.8
 """A richer field must bring the error on pokes left out below this share of the simpler one's."""

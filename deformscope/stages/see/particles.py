@@ -43,7 +43,7 @@ class Rect:
     width: float
     height: float
 
-    def told(self) -> str:
+    def described(self) -> str:
         """As it is typed: x,y,width,height."""
         return f"{self.x:g},{self.y:g},{self.width:g},{self.height:g}"
 
@@ -148,7 +148,7 @@ def seed_grid(
     fits = region.x >= 0 and region.y >= 0 and region.x + region.width <= width and region.y + region.height <= height
     if not (fits and region.width > 0 and region.height > 0):
         raise InputError(
-            f"a region inside the {width} x {height} px image", region.told(), "--roi x,y,width,height in px"
+            f"a region inside the {width} x {height} px image", region.described(), "--roi x,y,width,height in px"
         )
     if shape is not None and spacing_px is not None:
         raise InputError("a grid shape or a spacing", "both", "leave one out")
@@ -212,7 +212,9 @@ def select_held(grid: ParticleGrid, groups: Sequence[str], contact: Rect | None 
         else:
             raise InputError(f"held groups out of {', '.join(get_args(HeldGroup))}", repr(group))
     if "contact" in groups and contact is not None and not contact.contains(grid.rest_px).any():
-        raise InputError("particles inside the contact rectangle", f"none in {contact.told()}", "a larger rectangle")
+        raise InputError(
+            "particles inside the contact rectangle", f"none in {contact.described()}", "a larger rectangle"
+        )
     if not held.any():
         raise InputError("at least one held particle", "none", f"groups out of {', '.join(get_args(HeldGroup))}")
     if held.all():

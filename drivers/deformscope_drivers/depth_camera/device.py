@@ -25,7 +25,7 @@ from deformscope_drivers.depth_camera.image import DepthImage, Intrinsics
 from deformscope_drivers.device import RECONNECT, Device, EndOfReadings, Reconnect
 from deformscope_drivers.errors import DeviceError, LinkLost, NotConnected, SettingsRefused
 from deformscope_drivers.images import QUEUE_IMAGES, fingerprint
-from deformscope_drivers.openni.camera import Settings
+from deformscope_drivers.openni.camera import OpenniSettings
 from deformscope_drivers.openni.command import process_command, process_environment
 from deformscope_drivers.openni.library import library_file
 from deformscope_drivers.openni.messages import END, FAILED, FRAME, OPENED, unpack_frame, unpack_words
@@ -42,11 +42,11 @@ WRONG_SIZE = "size"
 class DepthCameraConfig:
     """How a depth camera is opened and set.
 
-    port: empty = the first camera; `usb:1-2` = the one in that socket, as `deformscope devices` tells it, which stays
+    port: empty = the first camera; `usb:1-2` = the one in that socket, as `deformscope devices` prints it, which stays
     when it is plugged in again; a uri of OpenNI2's; the path of a recording (.oni); `Dummy` = OpenNI2's own test camera
     width, height [px], fps [Hz], unit_m (0.001 or 0.0001): None = as the camera has it; of a recording they are checked
     color: colour pictures too; registered: depth in the colour camera's pixels, where there is colour
-    mirror: pictures mirrored, as many cameras have them unless told otherwise
+    mirror: pictures mirrored, as many cameras have them unless set otherwise
     speed, loop: of a recording; speed 0 = as fast as its readers take it, and no reader loses any
     library: path or folder of libOpenNI2.so; empty = where the system has it
     silence_s: no picture for this long means a lost camera; stuck_after_s: the same picture for this long means a
@@ -108,7 +108,7 @@ class DepthCamera(Device[DepthImage]):
         self._usb = usb
         self._process: subprocess.Popen[bytes] | None = None
         self._connection: Connection | None = None
-        self._told: dict[str, Any] = {}
+        self._reported: dict[str, Any] = {}
         self._intrinsics: Intrinsics | None = None
         self._heard_ns = 0
         self._last_index: int | None = None
@@ -117,16 +117,16 @@ class DepthCamera(Device[DepthImage]):
     @property
     def model(self) -> str:
         """The camera's maker and name, once it was opened."""
-        return str(self._told.get("name", ""))
+        return str(self._reported.get("name", ""))
 
     @property
     def serial(self) -> str:
-        """The camera's serial number, once it was opened; empty where it tells none."""
-        return str(self._told.get("serial", ""))
+        """The camera's serial number, once it was opened; empty where it reports none."""
+        return str(self._reported.get("serial", ""))
 
     @property
     def intrinsics(self) -> Intrinsics | None:
-        """From the camera's field of view, once it was opened; None where it tells none."""
+        """From the camera's field of view, once it was opened; None where it reports none."""
         return self._intrinsics
 
     # A device --------------------------------------------------------------------------------------------------------
@@ -135,9 +135,9 @@ class DepthCamera(Device[DepthImage]):
         if self.config.is_recording and not Path(self.config.port).is_file():
             raise NotConnected("a recording that is there", "none", where=self.config.port)
         self._start_process(resolve_port(self.config.port, self._usb))
-        self._told = self._await_opened()
-        width, height = int(self._told["width"]), int(self._told["height"])
-        angles = self._told["field_of_view_rad"]
+        self._reported = self._await_opened()
+        width, height = int(self._reported["width"]), int(self._reported["height"])
+        angles = self._reported["field_of_view_rad"]
         self._intrinsics = None if angles is None else Intrinsics.from_field_of_view(width, height, *angles)
         self._heard_ns = self._clock()
         self._last_index = None
@@ -186,7 +186,7 @@ class DepthCamera(Device[DepthImage]):
 
     def _start_process(self, uri: str) -> None:
         config = self.config
-        settings = Settings(
+        settings = OpenniSettings(
             uri,
             config.width,
             config.height,
@@ -242,7 +242,7 @@ class DepthCamera(Device[DepthImage]):
     def _picture(self, message: bytes) -> Iterable[DepthImage]:
         frame = unpack_frame(message)
         self._count(frame.index)
-        if (frame.width, frame.height) != (self._told["width"], self._told["height"]):
+        if (frame.width, frame.height) != (self._reported["width"], self._reported["height"]):
             self._count_refused(WRONG_SIZE)
             return []
         # What was read ahead has not arrived before it is wanted.
@@ -254,7 +254,7 @@ class DepthCamera(Device[DepthImage]):
         color = None
         if frame.color:
             color = np.frombuffer(frame.color, np.uint8).reshape(frame.color_height, frame.color_width, 3)
-        return [DepthImage(stamp, depth, float(self._told["unit_m"]), color, self._intrinsics)]
+        return [DepthImage(stamp, depth, float(self._reported["unit_m"]), color, self._intrinsics)]
 
     def _count(self, index: int) -> None:
         """Count what is missing before a frame, by the camera's counter; a recording's begins again with each round
@@ -262,7 +262,7 @@ class DepthCamera(Device[DepthImage]):
         last, self._last_index = self._last_index, index
         if last is None:
             return
-        frame_count = self._told["frame_count"]
+        frame_count = self._reported["frame_count"]
         if index <= last:
             last = index - 1 if frame_count is None else last - int(frame_count)
         if index > last + 1:
@@ -271,7 +271,7 @@ class DepthCamera(Device[DepthImage]):
     def _ticks(self, timestamp_us: int) -> int:
         """The camera's time, which goes on where a recording begins again."""
         if timestamp_us + self._ticks_offset < self._ticks_before and self.config.is_recording:
-            self._ticks_offset = self._ticks_before + round(1e6 / max(int(self._told["fps"]), 1)) - timestamp_us
+            self._ticks_offset = self._ticks_before + round(1e6 / max(int(self._reported["fps"]), 1)) - timestamp_us
         self._ticks_before = timestamp_us + self._ticks_offset
         return self._ticks_before
 

@@ -1,4 +1,4 @@
-"""Depth cameras that are plugged in, as the kernel tells of them, without opening any; and the names of their ports."""
+"""Depth cameras that are plugged in, as the kernel lists them, without opening any; and the names of their ports."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from deformscope_drivers.errors import NotConnected
 from deformscope_drivers.openni.command import process_command, process_environment
 from deformscope_drivers.openni.library import INSTALL, ListedDevice
-from deformscope_drivers.ports import Found
+from deformscope_drivers.ports import FoundDevice
 from deformscope_drivers.usb import UsbDevice, sysfs_text, usb_device
 
 USB_DEVICES = Path("/sys/bus/usb/devices")
@@ -40,35 +40,35 @@ def list_by_openni() -> list[ListedDevice] | None:
             timeout=LIST_TIMEOUT_S,
             check=False,
         )
-        told = json.loads(asked.stdout or "[]")
+        reported = json.loads(asked.stdout or "[]")
     except (subprocess.TimeoutExpired, OSError, ValueError):
         return []
-    return [ListedDevice(**device) for device in told] if isinstance(told, list) else None
+    return [ListedDevice(**device) for device in reported] if isinstance(reported, list) else None
 
 
 def discover(
     devices: Path = USB_DEVICES, list_cameras: Callable[[], list[ListedDevice] | None] = list_by_openni
-) -> list[Found]:
+) -> list[FoundDevice]:
     """Every depth camera that is plugged in: those on USB that are known, by the socket they are in, and what else
     OpenNI2 sees (a vendor's own build of it knows more).
 
     devices: /sys/bus/usb/devices; list_cameras: what OpenNI2 sees, None where it is not installed
     """
     listed = list_cameras()
-    found, told = [], set()
+    found, reported = [], set()
     for folder in sorted(devices.iterdir()) if devices.is_dir() else []:
         usb = usb_device(folder)
         if usb is None or (usb.vendor, usb.product) not in CAMERAS:
             continue
         uri = openni_uri(usb)
-        told.add(uri)
+        reported.add(uri)
         name = " ".join(f"{usb.manufacturer} {usb.name}".split()) or CAMERAS[usb.vendor, usb.product]
         note = f"OpenNI2: {uri}" if listed is not None else f"OpenNI2 is not installed: {INSTALL}"
-        found.append(Found("depth_camera", USB_PORT + folder.name, name, usb.serial, usb.revision, note))
+        found.append(FoundDevice("depth_camera", USB_PORT + folder.name, name, usb.serial, usb.revision, note))
     for camera in listed or []:
-        if camera.uri not in told:
+        if camera.uri not in reported:
             name = " ".join(f"{camera.vendor} {camera.name}".split())
-            found.append(Found("depth_camera", camera.uri, name, note="told by OpenNI2"))
+            found.append(FoundDevice("depth_camera", camera.uri, name, note="listed by OpenNI2"))
     return found
 
 

@@ -36,7 +36,7 @@ class DepthImage:
     """One depth picture, and what a colour camera beside it saw.
 
     stamp: when it arrived; its device_ticks are the camera's own timestamp [us]
-    depth: (H, W) uint16, distance along the view in units of `unit_m`; 0 where the camera could not tell
+    depth: (H, W) uint16, distance along the view in units of `unit_m`; 0 where the camera measured nothing
     unit_m: 0.001 for millimetres
     color: (H', W', 3) RGB uint8 of the same moment (within half a period), None where there is none
     intrinsics: of `depth`, as far as the camera knows them (its field of view, no calibration); None where it does not
@@ -50,4 +50,9 @@ class DepthImage:
 
     def depth_m(self) -> NDArray[np.float32]:
         """(H, W) distances along the view [m], nan where the camera could not tell."""
-        return np.where(self.depth > 0, self.depth * np.float32(self.unit_m), np.float32(np.nan)).astype(np.float32)
+        return depth_m(self.depth, self.unit_m)
+
+
+def depth_m(depth: NDArray[np.uint16], unit_m: float) -> NDArray[np.float32]:
+    """(H, W) distances along the view [m], nan where the camera could not tell, of a depth image in units of unit_m."""
+    return np.where(depth > 0, depth * np.float32(unit_m), np.float32(np.nan)).astype(np.float32)

@@ -36,8 +36,8 @@ class SyntheticDepthConfig(SyntheticConfig):
 
     unit_m: the step of depth [m]
     noise_m, noise_per_m: deviation of depth z is noise_m + noise_per_m z^2 [m]; the default is a first Kinect's
-    (1.4 mm at 1 m, 6 mm at 2 m: Khoshelham and Oude Elberink 2012); missing: share of pixels that tell nothing
-    near_m, far_m: beyond these nothing is told
+    (1.4 mm at 1 m, 6 mm at 2 m: Khoshelham and Oude Elberink 2012); missing: share of pixels without a distance
+    near_m, far_m: beyond these nothing is measured
     """
 
     name: str = "synthetic depth camera"

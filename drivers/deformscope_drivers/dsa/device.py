@@ -1,8 +1,8 @@
 """The SDH's tactile sensors as a device: started in the right order, set as configured, its frames stamped and cut up.
 
-with Dsa(DsaConfig(port="/dev/ttyUSB0")) as hand:
-    for reading in hand:
-        print(hand.contacts(reading))
+with Dsa(DsaConfig(port="/dev/ttyUSB0")) as dsa:
+    for reading in dsa:
+        print(dsa.contacts(reading))
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from deformscope_drivers.dsa.messages import (
 from deformscope_drivers.dsa.pads import Pad
 from deformscope_drivers.dsa.pressure import FloatArray, PadContact, pad_contact, to_pressure
 from deformscope_drivers.dsa.protocol import Decoder, encode, single, stop, stream
-from deformscope_drivers.dsa.timestamps import TimestampGate, Verdict
+from deformscope_drivers.dsa.timestamps import TimestampGate, TimestampVerdict
 from deformscope_drivers.errors import (
     CommandRefused,
     DeviceError,
@@ -71,7 +71,7 @@ REPLY_TIMEOUT_S = 1.0
 REPLY_TRIES = 3
 SETTLE_S = 0.05
 """How long answers to what was asked before, and frames, may still come. (Schunk's software waits 1 s after the first
-stop. Answers come in order, so a late one to it is past when the controller has told what it is.)"""
+stop. Answers come in order, so a late one to it is past when the controller has reported its identity.)"""
 
 CELLS_MAX = (0xFFFF - 5) // 2
 """More would not fit a packet."""
@@ -102,7 +102,7 @@ class TactileReading:
 
 
 @dataclass
-class _Settings:
+class _WantedSettings:
     """What was asked for, and is asked for again after every reconnect: by matrix, None = of all."""
 
     streaming: bool
@@ -161,7 +161,7 @@ class Dsa(StreamDevice[TactileReading]):
 
     @property
     def matrices(self) -> tuple[MatrixInfo, ...]:
-        """Each matrix's geometry; matrix = 2 * finger + part, as `Pad.of_matrix` tells. Empty before opening."""
+        """Each matrix's geometry; matrix = 2 * finger + part, by `Pad.of_matrix`. Empty before opening."""
         return self._matrices
 
     @property
@@ -250,17 +250,17 @@ class Dsa(StreamDevice[TactileReading]):
         self._command(set_it)
 
     def sensitivity(self, matrix: int) -> SensitivityInfo:
-        """A matrix's sensitivity as the controller tells it; firmware up to 218 always tells 0.5."""
+        """A matrix's sensitivity as the controller reports it; firmware up to 218 always reports 0.5."""
         self._check_matrix(matrix)
         return self._command(lambda: self._query(QuerySensitivity(matrix), SensitivityInfo, "query of sensitivity"))
 
     def threshold(self, matrix: int) -> int:
-        """A matrix's threshold as the controller tells it. Needs firmware 268, else raises SettingsRefused."""
+        """A matrix's threshold as the controller reports it. Needs firmware 268, else raises SettingsRefused."""
         self._check_matrix(matrix)
         return self._command(lambda: self._read_threshold(matrix))
 
     def identity(self) -> Identity:
-        """As the controller told it while connecting."""
+        """As the controller reported it while connecting."""
         if self._controller is None:
             return Identity("Weiss DSACON32m")
         return Identity("Weiss DSACON32m", str(self._controller.serial_number), str(self._controller.software_version))
@@ -272,7 +272,7 @@ class Dsa(StreamDevice[TactileReading]):
         return self._packets
 
     def _start(self) -> None:
-        """Stop, throw away what is on its way, ask what it is, set it, and have it stream."""
+        """Stop, discard what is still in transit, ask what it is, set it, and have it stream."""
         self._silence_ns = None
         self._acknowledged(stop(), "stop", STOP_TIMEOUT_S, STOP_TRIES)
         self._settle(SETTLE_S)
@@ -297,13 +297,13 @@ class Dsa(StreamDevice[TactileReading]):
         if not isinstance(event, Reading) or self._packets.cells is None:  # left over from an earlier time
             return []
         verdict = self._gate.check(event.timestamp_ms)
-        if verdict is Verdict.REPEATED:
+        if verdict is TimestampVerdict.REPEATED:
             self._repeated += 1
             return []
-        if verdict is Verdict.JUMPED:
+        if verdict is TimestampVerdict.JUMPED:
             self._count_refused("timestamp")
             return []
-        if verdict is Verdict.RESTARTED:
+        if verdict is TimestampVerdict.RESTARTED:
             self._restarts += 1
             self._forget_time(event.timestamp_ms)
         self._measured_ns = host_ns
@@ -358,10 +358,12 @@ class Dsa(StreamDevice[TactileReading]):
         if self.controller.software_version < SENSITIVITY_READ_BACK_FROM:
             return
         for index in self._chosen(matrix):
-            told = self._query(QuerySensitivity(index), SensitivityInfo, "query of sensitivity")
-            wanted = told.factory if value is None else value
-            if not abs(told.current - wanted) <= SENSITIVITY_TOLERANCE:
-                raise SettingsRefused(f"sensitivity {wanted:g} of matrix {index}", f"{told.current:g}", where=self.name)
+            reported = self._query(QuerySensitivity(index), SensitivityInfo, "query of sensitivity")
+            wanted = reported.factory if value is None else value
+            if not abs(reported.current - wanted) <= SENSITIVITY_TOLERANCE:
+                raise SettingsRefused(
+                    f"sensitivity {wanted:g} of matrix {index}", f"{reported.current:g}", where=self.name
+                )
 
     def _apply_threshold(self, matrix: int | None, value: int | None, persistent: bool) -> None:
         self._require_thresholds()
@@ -369,9 +371,9 @@ class Dsa(StreamDevice[TactileReading]):
             SetThreshold(_adjust(matrix, value, persistent), matrix or 0, value or 0), "set threshold", persistent
         )
         for index in self._chosen(matrix) if value is not None else ():
-            told = self._read_threshold(index)
-            if told != value:
-                raise SettingsRefused(f"threshold {value} of matrix {index}", f"{told}", where=self.name)
+            reported = self._read_threshold(index)
+            if reported != value:
+                raise SettingsRefused(f"threshold {value} of matrix {index}", f"{reported}", where=self.name)
 
     def _read_threshold(self, matrix: int) -> int:
         self._require_thresholds()
@@ -466,7 +468,7 @@ class Dsa(StreamDevice[TactileReading]):
         return CommandRefused(code, error_name(code), doing, where=self.name)
 
     def _settle(self, wait_s: float) -> None:
-        """Let answers that are still on their way come, and forget them; readings go their way."""
+        """Let answers that are still in transit come, and discard them; readings are published."""
         until_ns = self._clock() + round(wait_s * 1e9)
         while (left_ns := until_ns - self._clock()) > 0:
             for event, host_ns in self._listen(left_ns / 1e9):
@@ -480,7 +482,7 @@ class Dsa(StreamDevice[TactileReading]):
 
     def _begin(self) -> None:
         """As the configuration says, whatever was set since."""
-        self._settings = _Settings(self.config.streaming, self.config.rle)
+        self._settings = _WantedSettings(self.config.streaming, self.config.rle)
         self._repeated = self._restarts = 0
         self._measured_ns = 0
         self._forget_time()
@@ -500,10 +502,10 @@ class Dsa(StreamDevice[TactileReading]):
         if matrix is not None and not 0 <= matrix < len(self._matrices):
             raise OutOfLimits(f"a matrix from 0 to {len(self._matrices) - 1}", f"{matrix}", where=self.name)
 
-    def _known(self, told: ResultT | None) -> ResultT:
-        if told is None:
+    def _known(self, reported: ResultT | None) -> ResultT:
+        if reported is None:
             raise NotConnected("a device that was opened", "one that was not", "open() it", self.name)
-        return told
+        return reported
 
 
 def _is_answer(event: Reading | Reply, id: int) -> bool:

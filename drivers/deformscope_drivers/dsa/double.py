@@ -42,7 +42,7 @@ from deformscope_drivers.dsa.messages import (
 )
 from deformscope_drivers.dsa.pressure import SCHUNK_PA_PER_COUNT
 from deformscope_drivers.dsa.protocol import CommandDecoder, Faulty, encode
-from deformscope_drivers.dsa.scene import Grasp, Scene, sdh_matrices
+from deformscope_drivers.dsa.scene import GraspScene, Scene, sdh_matrices
 from deformscope_drivers.dsa.texels import TEXEL_MAX
 from deformscope_drivers.framing import Skipped
 
@@ -66,7 +66,7 @@ _SENSITIVITY_READ_BACK_BROKEN_UP_TO = 218
 
 
 @dataclass
-class _Settings:
+class _MatrixSettings:
     """Of one matrix."""
 
     sensitivity: float = FACTORY_SENSITIVITY
@@ -77,7 +77,7 @@ class DsaDouble:
     """`PtyWire(DsaDouble())`, or `MemoryTransport(DsaDouble(), clock)`.
 
     software_version: decides which quirks it has (268 and 269: fewest); serial_number: of controller and sensor
-    matrices: as it describes them (default: the SDH's six); scene: what they feel [Pa] (default: `Grasp`)
+    matrices: as it describes them (default: the SDH's six); scene: what they feel [Pa] (default: `GraspScene`)
     pa_per_count: of a texel at sensitivity 0.5; noise_counts: standard deviation, before the threshold
     bytes_per_s: the line's, None = as over TCP; boot_s: from power-up to answers (`BOOT_S` for a real one's)
     seed: of scene and noise; first_timestamp_ms: the clock at power-up
@@ -100,7 +100,7 @@ class DsaDouble:
         self.matrices = sdh_matrices() if matrices is None else matrices
         self.cells = sum(matrix.cells for matrix in self.matrices)
         self._shapes = [(matrix.cells_y, matrix.cells_x) for matrix in self.matrices]
-        self._scene = Grasp(self._shapes, seed) if scene is None else scene
+        self._scene = GraspScene(self._shapes, seed) if scene is None else scene
         self._software_version = software_version
         self._serial_number = serial_number
         self._pa_per_count = pa_per_count
@@ -108,7 +108,7 @@ class DsaDouble:
         self._random = np.random.default_rng(seed)
         self._boot_ns = round(boot_s * 1e9)
         self._first_timestamp_ms = first_timestamp_ms
-        self._kept = [_Settings() for _ in self.matrices]
+        self._kept = [_MatrixSettings() for _ in self.matrices]
         self._line = Line(bytes_per_s)
         self._acquisition = 0
         self._once = False
@@ -180,7 +180,7 @@ class DsaDouble:
         self._power_ns = now_ns
         self._ready_ns = now_ns + self._boot_ns
         self._decoder = CommandDecoder()
-        self._settings = [_Settings(kept.sensitivity, kept.threshold) for kept in self._kept]
+        self._settings = [_MatrixSettings(kept.sensitivity, kept.threshold) for kept in self._kept]
         self._acquisition = 0
         self._once = False
         self._frame_ns = now_ns

@@ -84,7 +84,7 @@ class Reading:
     """One full frame.
 
     timestamp_ms: the controller's clock, 32 bits (that it counts milliseconds is how Schunk's software takes it)
-    flags: as sent; `FRAME_RLE` tells how the texels were coded
+    flags: as sent; `FRAME_RLE` says how the texels were coded
     texels: (n,) uint16, 0 to 4095, read-only: the matrices one after the other, each row by row
     """
 

@@ -62,7 +62,7 @@ _COMMAND_PAYLOAD_MAX = 64  # well above the longest that is public, 6; a length 
 
 
 def stream(*, rle: bool = True, frame_rate_hz: int = 30) -> ConfigureAcquisition:
-    """Send frames until told otherwise, as many as the line carries; the rate asked for is not kept to."""
+    """Send frames until they are stopped, as many as the line carries; the rate asked for is not kept to."""
     return ConfigureAcquisition(Acquisition.ON | (Acquisition.RLE if rle else 0), frame_rate_hz)
 
 
@@ -93,7 +93,7 @@ def packet(id: int, payload: bytes) -> bytes:
     return whole + struct.pack("<H", crc16(whole[len(PREAMBLE) :])) if payload else whole
 
 
-class _PacketDecoder(FrameDecoder[EventT]):
+class _DsaDecoder(FrameDecoder[EventT]):
     """What both ends do with a stream of packets."""
 
     def _find(self, buffer: bytes, start: int) -> int:
@@ -131,10 +131,10 @@ class _PacketDecoder(FrameDecoder[EventT]):
         """What a whole packet says; `intact`: its checksum is right."""
 
 
-class Decoder(_PacketDecoder[Reading | Reply]):
+class Decoder(_DsaDecoder[Reading | Reply]):
     """The host's end. Yields `Reading`, replies (`Ack`, `ControllerInfo`...) and `Skipped`.
 
-    cells: texels of all matrices together, as the controller tells them (it may be set later). Frames must then have
+    cells: texels of all matrices together, as the controller reports them (it may be set later). Frames must then have
     exactly so many. While it is None, any number up to the SDH's 486 passes: the largest sensor whose size is public,
     and a bound is needed, for a damaged length must not hold up the frames behind it.
     """
@@ -183,7 +183,7 @@ class Faulty:
     error: int
 
 
-class CommandDecoder(_PacketDecoder[Command | Faulty]):
+class CommandDecoder(_DsaDecoder[Command | Faulty]):
     """The controller's end, for doubles. Yields commands, `Faulty` for packets that are none, and `Skipped`.
 
     A controller trusts the length and answers what it cannot use, where the host searches on. Which error code answers

@@ -14,7 +14,7 @@ Scene = Callable[[float], Sequence[npt.NDArray[np.float64]]]
 """Time since power-up [s] -> for each matrix the pressure on its texels (rows, columns) [Pa]."""
 
 TEXEL_PITCH_MM = float(np.float32(3.4))
-"""An assumption: no public source gives the SDH's pitch. A real controller tells its own."""
+"""An assumption: no public source gives the SDH's pitch. A real controller reports its own."""
 
 ROWS_PROXIMAL, ROWS_DISTAL, COLUMNS = 14, 13, 6
 """That the proximal pads are the longer ones is an assumption too; the sizes are public."""
@@ -34,7 +34,7 @@ def _matrix(rows: int, index: int) -> MatrixInfo:
     return MatrixInfo(0, TEXEL_PITCH_MM, TEXEL_PITCH_MM, COLUMNS, rows, uid, bytes(2), 1, zero, zero, 0.0, 0)
 
 
-class Grasp:
+class GraspScene:
     """A hand that closes on something round and lets go, again and again.
 
     Each pad is pressed by a patch that grows, drifts and shrinks: the distal pads first and most. At time 0 nothing is

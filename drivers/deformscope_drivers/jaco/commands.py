@@ -189,7 +189,7 @@ def target_point(target: Target, config: JacoConfig) -> TrajectoryPoint:
 
 
 def fingers_point(fingers: Sequence[float], joints_deg: Sequence[float], config: JacoConfig) -> TrajectoryPoint:
-    """The point that moves the fingers while the joints are told to stay where they are."""
+    """The point that moves the fingers while the joints are commanded to stay where they are."""
     point = target_point(JointTarget(tuple(joints_deg)), config)
     point.Position.HandMode = HandMode.POSITION
     point.Position.Fingers = FingersPosition(*fingers)

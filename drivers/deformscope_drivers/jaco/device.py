@@ -10,7 +10,7 @@ schedule and never ahead, and a velocity lasts only as long as its sender vouche
 - closed, an exception, Ctrl-C, the interpreter's end: erased before the library is closed
 
 A process that is killed outright (SIGKILL) can erase nothing. The arm then carries out what waits: one or two velocity
-points, that is 20 ms of motion; but a `move_to` under way is one point, and goes on to its target.
+points, that is 20 ms of motion; but a `move_to` in progress is one point, and goes on to its target.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from deformscope_drivers.jaco.config import JacoConfig
 from deformscope_drivers.jaco.errors import MotionStopped, NotReached, NotStopped, VendorError
 from deformscope_drivers.jaco.kinematics import Chain
 from deformscope_drivers.jaco.library import Functions, Library, call
-from deformscope_drivers.jaco.pacing import Pacer
+from deformscope_drivers.jaco.pacing import SlotPacer
 from deformscope_drivers.jaco.reading import Sweep
 from deformscope_drivers.jaco.startup import CONFIGURATION_GAP_S, JacoIdentity, bring_up, let_go
 from deformscope_drivers.jaco.state import JacoState
@@ -53,7 +53,7 @@ FIRST_ACTUATOR_ADDRESS = 16
 
 @dataclass(frozen=True, slots=True)
 class _Streamed:
-    """A velocity that is sent in every slot until it expires. since_ns: when the arm was first told to move, with this
+    """A velocity that is sent in every slot until it expires. since_ns: when the arm first began to move, with this
     velocity or one that it replaced"""
 
     velocity: Velocity
@@ -63,7 +63,7 @@ class _Streamed:
 
 
 class Jaco(Device[JacoState]):
-    """`with Jaco(JacoConfig(library="/opt/kinova")) as arm:`; read it in the three ways that every device has.
+    """`with Jaco(JacoConfig(library="/opt/kinova")) as arm:`; with the three reads that every device has.
 
     One thread calls the vendor's library, which is not made for several.
     """
@@ -87,7 +87,7 @@ class Jaco(Device[JacoState]):
         self._position_until_ns: int | None = None
         self._erase_due = False
         self._stopped = ""
-        self._pacer = Pacer(PERIOD_NS)
+        self._pacer = SlotPacer(PERIOD_NS)
         self._sweep: Sweep | None = None
         self._state: JacoState | None = None
         self._crowded = False
@@ -101,7 +101,7 @@ class Jaco(Device[JacoState]):
         """Take control of the arm, at rest. Raises NotConnected, LibraryMissing, or the vendor's code by its name."""
         if not self.is_open:
             self._stopped = ""
-            self._pacer = Pacer(PERIOD_NS)
+            self._pacer = SlotPacer(PERIOD_NS)
             self._sent = self._expired = self._left_out = 0
         super().open(own_thread=own_thread)
         atexit.register(self.close)  # a program that ends without closing must not leave the arm moving
@@ -110,7 +110,7 @@ class Jaco(Device[JacoState]):
     def close(self) -> None:
         """Erase the arm's trajectories, give control back, close the library. Closing twice is nothing.
 
-        Raises NotStopped where the arm was moving and could not be told to stop.
+        Raises NotStopped where the arm was moving and could not be stopped.
         """
         super().close()
         atexit.unregister(self.close)  # not before: one that hangs is to be tried again at the end
@@ -175,7 +175,7 @@ class Jaco(Device[JacoState]):
     # The cycle: run by the device's own thread -----------------------------------------------------------------------
 
     def _receive(self, timeout_s: float) -> Iterable[JacoState]:
-        """One slot: first what the arm must be told, then what it can be asked before the next slot."""
+        """One slot: first the commands for the arm, then the queries that fit before the next slot."""
         if not self._wait_for_slot(timeout_s):
             return ()
         now_ns = self._clock()
@@ -317,28 +317,28 @@ class Jaco(Device[JacoState]):
         with self._commanded:
             self._require_moves()
             if self._position_until_ns is not None:
-                raise OutOfLimits("an arm that is not on its way to a target", "one that is", "stop() first", self.name)
+                raise OutOfLimits("an arm that is not moving to a target", "one that is", "stop() first", self.name)
             now_ns = self._clock()
             since_ns = now_ns if self._streamed is None else self._streamed.since_ns
             self._streamed = _Streamed(velocity, point, now_ns + round(valid_s * 1e9), since_ns)
 
     def stop(self) -> None:
-        """Stop at once: forget the velocity, erase what waits in the arm. Raises when the arm could not be told.
+        """Stop at once: forget the velocity, erase what waits in the arm. Raises where that did not reach the arm.
 
-        The next command moves it again, whoever gives it; `halt` is for who wants it to stay.
+        The next command moves it again, whoever gives it; use `halt` to keep it stopped.
         """
         self._forget_commands()
         self._do(self._erase, COMMAND_TIMEOUT_S)
 
     def halt(self, reason: str) -> None:
         """Stop at once, and refuse the commands of all threads until `acknowledge_stop`. Raises as `stop` does."""
-        self._forget_commands(reason or "it was told to")
+        self._forget_commands(reason or "by command")
         self._do(self._erase, COMMAND_TIMEOUT_S)
 
     def move_to(self, target: Target, timeout_s: float = 30.0) -> JacoState:
         """Send the arm to a target at the configured speed limits, and wait until it is there and still.
 
-        target: CartesianTarget (the hand in the base frame) or JointTarget. The way there is the arm's own choice; the
+        target: CartesianTarget (the hand in the base frame) or JointTarget. The path is the arm's own choice; the
         ends are checked (ranges, workspace, reachable), what lies between is not. Raises OutOfLimits before anything is
         sent, NotReached after timeout_s; on any exception, Ctrl-C too, the arm is stopped.
         """
@@ -359,7 +359,7 @@ class Jaco(Device[JacoState]):
     def move_fingers(self, fingers: Sequence[float], timeout_s: float = 5.0) -> JacoState:
         """Move the fingers to positions (3,) from 0 (open) to 6800 (closed), and wait until they are still.
 
-        The joints stay. Fingers that hold something stop before their target: no error, the state tells where they are.
+        The joints stay. Fingers that hold something stop before their target: no error, the state has their positions.
         """
         self._require_moves()
         values = commands.check_fingers(fingers, self.name)
@@ -378,7 +378,7 @@ class Jaco(Device[JacoState]):
         return self._travel(point, None, there, timeout_s, f"fingers at {values}")
 
     def home(self, timeout_s: float = 60.0) -> JacoState:
-        """Send the arm to its own home pose, on its own way and at its own speed; wait until it is still."""
+        """Send the arm to its own home pose, on its own path and at its own speed; wait until it is still."""
         self._require_moves()
         moving_ns = self._clock()
 
@@ -431,7 +431,7 @@ class Jaco(Device[JacoState]):
                 self._require_moves()
                 if there(state):
                     return state
-            raise NotReached(where_to, f"the arm on its way after {timeout_s:g} s", "a longer timeout_s", self.name)
+            raise NotReached(where_to, f"the arm still moving after {timeout_s:g} s", "a longer timeout_s", self.name)
         finally:
             with self._commanded:
                 given_up = True
@@ -441,7 +441,7 @@ class Jaco(Device[JacoState]):
     # Force -----------------------------------------------------------------------------------------------------------
 
     def start_force_control(self, control: Literal["cartesian", "joint"] = "cartesian") -> None:
-        """Let the arm give way to pushes (admittance), at the end effector or joint by joint, until it is stopped.
+        """Let the arm yield to pushes (admittance), at the end effector or joint by joint, until it is stopped.
 
         Velocities and targets come on top of it. The arm must stand upright, its torque sensors zeroed.
         """

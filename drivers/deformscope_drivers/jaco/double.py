@@ -300,7 +300,7 @@ class JacoDouble:
         return OK
 
     def MoveHome(self) -> int:
-        """Returns at once; the arm is on its way."""
+        """Returns at once; the arm is moving."""
         self._arm.go_home()
         return OK
 

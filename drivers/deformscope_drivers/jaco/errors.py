@@ -57,282 +57,108 @@ class UnknownCode(VendorError):
     remedy = "look the code up in the headers of the library's own version; power the arm off and on"
 
 
-class UnspecifiedFailure(VendorError):
-    vendor_code, symbol = 666, "UNKNOWN_ERROR"
-    meaning = "something failed, the library cannot say what"
-    remedy = _REPLUG
-
-
-class UsbLibraryMissing(VendorError, LibraryMissing):
-    vendor_code, symbol = 1001, "ERROR_LOAD_USB_LIBRARY"
-    meaning = "libusb could not be loaded"
-    remedy = "install libusb-1.0 (Debian: apt install libusb-1.0-0)"
-
-
-class UsbOpenMissing(VendorError, LibraryMissing):
-    vendor_code, symbol = 1002, "ERROR_OPEN_METHOD"
-    meaning = "the USB library has no open function"
-    remedy = _REINSTALL
-
-
-class UsbWriteMissing(VendorError, LibraryMissing):
-    vendor_code, symbol = 1003, "ERROR_WRITE_METHOD"
-    meaning = "the USB library has no write function"
-    remedy = _REINSTALL
-
-
-class UsbReadMissing(VendorError, LibraryMissing):
-    vendor_code, symbol = 1004, "ERROR_READ_METHOD"
-    meaning = "the USB library has no read function"
-    remedy = _REINSTALL
-
-
-class UsbReadIntMissing(VendorError, LibraryMissing):
-    vendor_code, symbol = 1005, "ERROR_READ_INT_METHOD"
-    meaning = "the USB library has no interrupt read function"
-    remedy = _REINSTALL
-
-
-class UsbFreeMissing(VendorError, LibraryMissing):
-    vendor_code, symbol = 1006, "ERROR_FREE_LIBRARY"
-    meaning = "the USB library has no function to free it"
-    remedy = _REINSTALL
-
-
-class UsbConnectionBroken(VendorError, LinkLost):
-    vendor_code, symbol = 1007, "ERROR_JACO_CONNECTION"
-    meaning = "the USB connection between computer and arm is faulty"
-    remedy = _REPLUG + "; another cable, a port of the computer itself, no hub, no virtual machine"
-
-
-class UsbInterfaceClaimed(VendorError, Busy):
-    vendor_code, symbol = 1008, "ERROR_CLAIM_INTERFACE"
-    meaning = "the USB interface could not be claimed"
-    remedy = "close other programs that use the arm (ROS driver, Development Center); check the udev rule for 22cd"
-
-
-class UnknownDevice(VendorError, NotConnected):
-    vendor_code, symbol = 1009, "ERROR_UNKNOWN_DEVICE"
-    meaning = "the device is of a type that the library does not know"
-    remedy = "use a library of the arm's generation: this interface is for Jaco2, Mico2 and the spherical arms"
-
-
-class NotInitialized(VendorError, NotConnected):
-    vendor_code, symbol = 1010, "ERROR_NOT_INITIALIZED"
-    meaning = "what is asked for was not initialised"
-    remedy = "open the arm first; check that the connection (usb or ethernet) is the one the cable has"
-
-
-class UsbDeviceGone(VendorError, LinkLost):
-    vendor_code, symbol = 1011, "ERROR_LIBUSB_NO_DEVICE"
-    meaning = "libusb no longer finds the device"
-    remedy = _REPLUG
-
-
-class UsbBusy(VendorError, Busy):
-    vendor_code, symbol = 1012, "ERROR_LIBUSB_BUSY"
-    meaning = "libusb is busy"
-    remedy = "close other programs that use the arm, then try again"
-
-
-class UsbNotSupported(VendorError):
-    vendor_code, symbol = 1013, "ERROR_LIBUSB_NOT_SUPPORTED"
-    meaning = "the libusb installed cannot do this"
-    remedy = "install a newer libusb-1.0"
-
-
-class PacketNotSent(VendorError, LinkLost):
-    vendor_code, symbol = 1014, "ERROR_SENDPACKET_UNKNOWN"
-    meaning = "a packet could not be sent, the reason is not known"
-    remedy = _REPLUG
-
-
-class NoDeviceFound(VendorError, NotConnected):
-    vendor_code, symbol = 1015, "ERROR_NO_DEVICE_FOUND"
-    meaning = "no arm was found"
-    remedy = (
-        "power the arm and wait until its joystick light is steady; plug the cable into a port of the computer itself "
-        "(not a virtual machine); check the udev rule for vendor 22cd; after a crash unplug and replug"
-    )
-
-
-class OperationIncomplete(VendorError):
-    vendor_code, symbol = 1016, "ERROR_OPERATION_INCOMPLETED"
-    meaning = "the operation was not entirely done"
-    remedy = "try again; if it stays, " + _REPLUG
-
-
-class Rs485InvalidHandle(VendorError):
-    vendor_code, symbol = 1017, "ERROR_RS485_INVALID_HANDLE"
-    meaning = "the handle of the RS-485 passthrough is not valid"
-    remedy = "power the arm off and on: the passthrough stays active until then"
-
-
-class Rs485Pending(VendorError):
-    vendor_code, symbol = 1018, "ERROR_RS485_IO_PENDING"
-    meaning = "an RS-485 transfer has not ended yet"
-    remedy = "wait and try again"
-
-
-class Rs485OutOfMemory(VendorError):
-    vendor_code, symbol = 1019, "ERROR_RS485_NOT_ENOUGH_MEMORY"
-    meaning = "not enough memory for an RS-485 transfer"
-    remedy = "free memory of this computer"
-
-
-class Rs485Timeout(VendorError, NoReply):
-    vendor_code, symbol = 1020, "ERROR_RS485_TIMEOUT"
-    meaning = "an RS-485 transfer got no answer in time"
-    remedy = "power the arm off and on"
-
-
-class FunctionNotAccessible(VendorError):
-    vendor_code, symbol = 1021, "ERROR_FUNCTION_NOT_ACCESSIBLE"
-    meaning = "the function is not available in the present mode"
-    remedy = "after the RS-485 passthrough was activated the arm has to be powered off and on"
-
-
-class CommunicationTimeout(VendorError, LinkLost):
-    vendor_code, symbol = 1022, "ERROR_COMM_TIMEOUT"
-    meaning = "the arm did not answer in time"
-    remedy = "check power and cable; with Ethernet check addresses and subnet"
-
-
-class ApiInitFailed(VendorError, NotConnected):
-    vendor_code, symbol = 2001, "ERROR_INIT_API"
-    meaning = "the library could not be initialised"
-    remedy = "check that the arm is powered and plugged in, then try again"
-
-
-class CommLayerMissing(VendorError, LibraryMissing):
-    vendor_code, symbol = 2002, "ERROR_LOAD_COMM_DLL"
-    meaning = "the communication layer was not found"
-    remedy = _COMM_LAYER
-
-
-class NackFirst(VendorError):
-    vendor_code, symbol = 2003, "JACO_NACK_FIRST"
-    meaning = "the arm refused the first packet of a command"
-    remedy = "try again; if it stays, power the arm off and on"
-
-
-class CommunicationFailed(VendorError, LinkLost):
-    vendor_code, symbol = 2004, "JACO_COMM_FAILED"
-    meaning = "communication with the arm failed"
-    remedy = _REPLUG
-
-
-class NackNormal(VendorError):
-    vendor_code, symbol = 2005, "JACO_NACK_NORMAL"
-    meaning = "the arm refused a packet"
-    remedy = "try again; if it stays, power the arm off and on"
-
-
-class CommInitMissing(VendorError, LibraryMissing):
-    vendor_code, symbol = 2006, "ERROR_INIT_COMM_METHOD"
-    meaning = "the communication layer could not be initialised"
-    remedy = _REINSTALL
-
-
-class CommCloseMissing(VendorError, LibraryMissing):
-    vendor_code, symbol = 2007, "ERROR_CLOSE_METHOD"
-    meaning = "the communication layer has no close function"
-    remedy = _REINSTALL
-
-
-class CommDeviceCountMissing(VendorError, LibraryMissing):
-    vendor_code, symbol = 2008, "ERROR_GET_DEVICE_COUNT_METHOD"
-    meaning = "the communication layer has no function that counts devices"
-    remedy = _REINSTALL
-
-
-class CommSendPacketMissing(VendorError, LibraryMissing):
-    vendor_code, symbol = 2009, "ERROR_SEND_PACKET_METHOD"
-    meaning = "the communication layer has no function that sends packets"
-    remedy = _REINSTALL
-
-
-class CommSetActiveDeviceMissing(VendorError, LibraryMissing):
-    vendor_code, symbol = 2010, "ERROR_SET_ACTIVE_DEVICE_METHOD"
-    meaning = "the communication layer has no function that selects a device"
-    remedy = _REINSTALL
-
-
-class CommDeviceListMissing(VendorError, LibraryMissing):
-    vendor_code, symbol = 2011, "ERROR_GET_DEVICES_LIST_METHOD"
-    meaning = "the communication layer has no function that lists devices"
-    remedy = _REINSTALL
-
-
-class SemaphoreFailed(VendorError):
-    vendor_code, symbol = 2012, "ERROR_SEMAPHORE_FAILED"
-    meaning = "the system semaphore could not be set up"
-    remedy = "another user's run may have left it: remove /dev/shm/sem.KinovaMutex once no program uses the arm"
-
-
-class CommScanMissing(VendorError, LibraryMissing):
-    vendor_code, symbol = 2013, "ERROR_SCAN_FOR_NEW_DEVICE"
-    meaning = "the communication layer has no function that scans for devices"
-    remedy = _REINSTALL
-
-
-class CommGetActiveDeviceMissing(VendorError, LibraryMissing):
-    vendor_code, symbol = 2014, "ERROR_GET_ACTIVE_DEVICE_METHOD"
-    meaning = "the communication layer has no function that tells the selected device"
-    remedy = _REINSTALL
-
-
-class CommRs485Missing(VendorError, LibraryMissing):
-    vendor_code, symbol = 2015, "ERROR_OPEN_RS485_ACTIVATE"
-    meaning = "the communication layer has no RS-485 passthrough"
-    remedy = _REINSTALL
-
-
-class InvalidParameter(VendorError):
-    vendor_code, symbol = 2100, "ERROR_INVALID_PARAM"
-    meaning = "a parameter is not valid"
-    remedy = "check the values: this is a fault of the caller, not of the arm"
-
-
-class ApiNotInitialized(VendorError, NotConnected):
-    vendor_code, symbol = 2101, "ERROR_API_NOT_INITIALIZED"
-    meaning = "the library was not initialised, or its initialisation failed"
-    remedy = "open the arm first; if opening failed, its first error is the one to mend"
-
-
-class CommStructuresMissing(VendorError, LibraryMissing):
-    vendor_code, symbol = 2102, "ERROR_INIT_DATA_STRUCTURES_METHOD"
-    meaning = "the communication layer cannot set up its data"
-    remedy = _REINSTALL
-
-
-class UnknownFile(VendorError):
-    vendor_code, symbol = 5001, "ERROR_UNKNOWFILE"
-    meaning = "a file does not exist or is corrupt"
-    remedy = "check the file's path"
-
-
-class OutOfMemory(VendorError):
-    vendor_code, symbol = 5002, "ERROR_MEMORY"
-    meaning = "this computer has not enough memory"
-    remedy = "free memory of this computer"
-
-
-class FileUnreadable(VendorError):
-    vendor_code, symbol = 5003, "ERROR_FILEREADING"
-    meaning = "a file could not be read"
-    remedy = "check the file's permissions"
-
-
-class NackReceived(VendorError):
-    vendor_code, symbol = 9999, "ERROR_NACK_RECEIVED"
-    meaning = "the arm refused the command"
-    remedy = "check that the arm is in a state that allows it (control started, no fault, FIFO not full)"
-
-
-VENDOR_ERRORS: dict[int, type[VendorError]] = {
-    error.vendor_code: error for error in VendorError.__subclasses__() if error.vendor_code
+_CODES = """
+ 666 UnspecifiedFailure UNKNOWN_ERROR - something failed, the library cannot say what
+1001 UsbLibraryMissing ERROR_LOAD_USB_LIBRARY missing libusb could not be loaded
+1002 UsbOpenMissing ERROR_OPEN_METHOD missing the USB library has no open function
+1003 UsbWriteMissing ERROR_WRITE_METHOD missing the USB library has no write function
+1004 UsbReadMissing ERROR_READ_METHOD missing the USB library has no read function
+1005 UsbReadIntMissing ERROR_READ_INT_METHOD missing the USB library has no interrupt read function
+1006 UsbFreeMissing ERROR_FREE_LIBRARY missing the USB library has no function to free it
+1007 UsbConnectionBroken ERROR_JACO_CONNECTION lost the USB connection between computer and arm is faulty
+1008 UsbInterfaceClaimed ERROR_CLAIM_INTERFACE busy the USB interface could not be claimed
+1009 UnknownDevice ERROR_UNKNOWN_DEVICE absent the device is of a type that the library does not know
+1010 NotInitialized ERROR_NOT_INITIALIZED absent what is asked for was not initialised
+1011 UsbDeviceGone ERROR_LIBUSB_NO_DEVICE lost libusb no longer finds the device
+1012 UsbBusy ERROR_LIBUSB_BUSY busy libusb is busy
+1013 UsbNotSupported ERROR_LIBUSB_NOT_SUPPORTED - the libusb installed cannot do this
+1014 PacketNotSent ERROR_SENDPACKET_UNKNOWN lost a packet could not be sent, the reason is not known
+1015 NoDeviceFound ERROR_NO_DEVICE_FOUND absent no arm was found
+1016 OperationIncomplete ERROR_OPERATION_INCOMPLETED - the operation was not entirely done
+1017 Rs485InvalidHandle ERROR_RS485_INVALID_HANDLE - the handle of the RS-485 passthrough is not valid
+1018 Rs485Pending ERROR_RS485_IO_PENDING - an RS-485 transfer has not ended yet
+1019 Rs485OutOfMemory ERROR_RS485_NOT_ENOUGH_MEMORY - not enough memory for an RS-485 transfer
+1020 Rs485Timeout ERROR_RS485_TIMEOUT silent an RS-485 transfer got no answer in time
+1021 FunctionNotAccessible ERROR_FUNCTION_NOT_ACCESSIBLE - the function is not available in the present mode
+1022 CommunicationTimeout ERROR_COMM_TIMEOUT lost the arm did not answer in time
+2001 ApiInitFailed ERROR_INIT_API absent the library could not be initialised
+2002 CommLayerMissing ERROR_LOAD_COMM_DLL missing the communication layer was not found
+2003 NackFirst JACO_NACK_FIRST - the arm refused the first packet of a command
+2004 CommunicationFailed JACO_COMM_FAILED lost communication with the arm failed
+2005 NackNormal JACO_NACK_NORMAL - the arm refused a packet
+2006 CommInitMissing ERROR_INIT_COMM_METHOD missing the communication layer could not be initialised
+2007 CommCloseMissing ERROR_CLOSE_METHOD missing the communication layer cannot be closed
+2008 CommDeviceCountMissing ERROR_GET_DEVICE_COUNT_METHOD missing the communication layer cannot count devices
+2009 CommSendPacketMissing ERROR_SEND_PACKET_METHOD missing the communication layer cannot send packets
+2010 CommSetActiveDeviceMissing ERROR_SET_ACTIVE_DEVICE_METHOD missing the communication layer cannot select a device
+2011 CommDeviceListMissing ERROR_GET_DEVICES_LIST_METHOD missing the communication layer cannot list devices
+2012 SemaphoreFailed ERROR_SEMAPHORE_FAILED - the system semaphore could not be set up
+2013 CommScanMissing ERROR_SCAN_FOR_NEW_DEVICE missing the communication layer cannot scan for devices
+2014 CommGetActiveDeviceMissing ERROR_GET_ACTIVE_DEVICE_METHOD missing the communication layer lacks GetActiveDevice
+2015 CommRs485Missing ERROR_OPEN_RS485_ACTIVATE missing the communication layer has no RS-485 passthrough
+2100 InvalidParameter ERROR_INVALID_PARAM - a parameter is not valid
+2101 ApiNotInitialized ERROR_API_NOT_INITIALIZED absent the library was not initialised, or its initialisation failed
+2102 CommStructuresMissing ERROR_INIT_DATA_STRUCTURES_METHOD missing the communication layer cannot set up data
+5001 UnknownFile ERROR_UNKNOWFILE - a file does not exist or is corrupt
+5002 OutOfMemory ERROR_MEMORY - this computer has not enough memory
+5003 FileUnreadable ERROR_FILEREADING - a file could not be read
+9999 NackReceived ERROR_NACK_RECEIVED - the arm refused the command
+"""
+"""A line a code: number, exception, the vendor's name, the kind of the common tree that it is too, its meaning."""
+_REMEDIES = {
+    666: _REPLUG,
+    1001: "install libusb-1.0 (Debian: apt install libusb-1.0-0)",
+    1007: _REPLUG + "; another cable, a port of the computer itself, no hub, no virtual machine",
+    1008: "close other programs that use the arm (ROS driver, Development Center); check the udev rule for 22cd",
+    1009: "use a library of the arm's generation: this interface is for Jaco2, Mico2 and the spherical arms",
+    1010: "open the arm first; check that the connection (usb or ethernet) is the one the cable has",
+    1011: _REPLUG,
+    1012: "close other programs that use the arm, then try again",
+    1013: "install a newer libusb-1.0",
+    1014: _REPLUG,
+    1015: "power the arm and wait until its joystick light is steady; plug the cable into a port of the computer "
+    "itself (not a virtual machine); check the udev rule for vendor 22cd; after a crash unplug and replug",
+    1016: "try again; if it stays, " + _REPLUG,
+    1017: "power the arm off and on: the passthrough stays active until then",
+    1018: "wait and try again",
+    1019: "free memory of this computer",
+    1020: "power the arm off and on",
+    1021: "after the RS-485 passthrough was activated the arm has to be powered off and on",
+    1022: "check power and cable; with Ethernet check addresses and subnet",
+    2001: "check that the arm is powered and plugged in, then try again",
+    2002: _COMM_LAYER,
+    2003: "try again; if it stays, power the arm off and on",
+    2004: _REPLUG,
+    2005: "try again; if it stays, power the arm off and on",
+    2012: "another user's run may have left it: remove /dev/shm/sem.KinovaMutex once no program uses the arm",
+    2100: "check the values: this is a fault of the caller, not of the arm",
+    2101: "open the arm first; if opening failed, its first error is the one to mend",
+    5001: "check the file's path",
+    5002: "free memory of this computer",
+    5003: "check the file's permissions",
+    9999: "check that the arm is in a state that allows it (control started, no fault, FIFO not full)",
 }
+"""What to try; for a code that is not here the parts of the vendor's software do not fit each other."""
+_KINDS = {"missing": LibraryMissing, "lost": LinkLost, "busy": Busy, "absent": NotConnected, "silent": NoReply}
+
+
+def _vendor_error(line: str) -> type[VendorError]:
+    """The exception class of a line of the table."""
+    code, name, symbol, kind, meaning = line.split(maxsplit=4)
+    bases = (VendorError,) if kind == "-" else (VendorError, _KINDS[kind])
+    remedy = _REMEDIES.get(int(code), _REINSTALL)
+    described = {"vendor_code": int(code), "symbol": symbol, "meaning": meaning, "remedy": remedy}
+    return type(name, bases, {"__module__": __name__, "__doc__": f"{meaning.capitalize()}.", **described})
+
+
+VENDOR_ERRORS = {error.vendor_code: error for error in map(_vendor_error, _CODES.strip().splitlines())}
+"""The exception of each code."""
+NoDeviceFound = VENDOR_ERRORS[1015]
+CommunicationTimeout = VENDOR_ERRORS[1022]
+CommLayerMissing = VENDOR_ERRORS[2002]
+InvalidParameter = VENDOR_ERRORS[2100]
+ApiNotInitialized = VENDOR_ERRORS[2101]
+NackReceived = VENDOR_ERRORS[9999]
 
 
 def error_of(code: int, call: str, where: object = "") -> VendorError:
@@ -354,4 +180,4 @@ class NotReached(DeviceError):
 
 
 class NotStopped(DeviceError):
-    """The arm was moving and could not be told to stop."""
+    """The arm was moving, and the stop command did not reach it."""

@@ -109,7 +109,7 @@ class Chain:
     def gravity_torque_nm(self, T_base_links: FloatArray, gravity_m_s2: float = 9.81) -> FloatArray:
         """Torque (n,) [Nm] that holds the links up, base standing upright; T_base_links as from `forward`.
 
-        Each link's mass is taken to sit half way to the next joint, which is what the published masses allow.
+        Each link's mass is taken to sit midway to the next joint, which is what the published masses allow.
         """
         axes, origins_m = T_base_links[:-1, :3, 2], T_base_links[:-1, :3, 3]
         centres_m = 0.5 * (origins_m + T_base_links[1:, :3, 3])

@@ -72,15 +72,13 @@ SIGNATURES: dict[str, tuple[Any, ...]] = {
     "InitFingers": (),
     "SetEndEffectorOffset": (c_uint, c_float, c_float, c_float),
     # readings
-    "GetAngularPosition": (POINTER(AngularPosition),),
-    "GetAngularVelocity": (POINTER(AngularPosition),),
-    "GetAngularCommand": (POINTER(AngularPosition),),
-    "GetAngularForce": (POINTER(AngularPosition),),
-    "GetAngularForceGravityFree": (POINTER(AngularPosition),),
-    "GetAngularCurrent": (POINTER(AngularPosition),),
-    "GetCartesianPosition": (POINTER(CartesianPosition),),
-    "GetCartesianCommand": (POINTER(CartesianPosition),),
-    "GetCartesianForce": (POINTER(CartesianPosition),),
+    **{
+        f"GetAngular{what}": (POINTER(AngularPosition),)
+        for what in ("Position", "Velocity", "Command", "Force", "ForceGravityFree", "Current")
+    },
+    **dict.fromkeys(
+        ("GetCartesianPosition", "GetCartesianCommand", "GetCartesianForce"), (POINTER(CartesianPosition),)
+    ),
     "GetCommandVelocity": (CartesianRates, AngularRates),
     "GetForcesInfo": (POINTER(ForcesInfo),),
     "GetSensorsInfo": (POINTER(SensorsInfo),),

@@ -9,7 +9,7 @@ import numpy as np
 LATENESS_KEPT = 1000
 
 
-class Pacer:
+class SlotPacer:
     """Slots of equal length. A slot that was missed is counted and never made up for: no burst follows a stall."""
 
     def __init__(self, period_ns: int) -> None:

@@ -1,6 +1,6 @@
 """A simulated arm that lives in cycles of 10 ms: what its controller does with the points that it was sent.
 
-What it models, as the protocol reference tells it: a FIFO of 2000 trajectory points; one velocity point taken in each
+What it models, as in the protocol reference: a FIFO of 2000 trajectory points; one velocity point taken in each
 cycle, so that points sent faster pile up and the arm runs on after the sender stopped; position points followed at a
 limited speed; joint ranges and speeds; fingers from 0 to 6800; control that must be started, and whose first start
 after a cold boot may be ignored; admittance to a push from outside. Where the real arm's behaviour is not public the
@@ -62,7 +62,7 @@ class SimulatedArm:
         self._homing = False
         self._opening = False
 
-    # What it is told -------------------------------------------------------------------------------------------------
+    # Commands ------------------------------------------------------------------------------------------------------
 
     def start_control(self) -> None:
         """Take points from here on; a cold arm ignores this once."""
@@ -159,7 +159,7 @@ class SimulatedArm:
         return rates
 
     def _follow_fingers(self, point: TrajectoryPoint) -> bool:
-        """Move the fingers for one cycle as a point asks; whether they are where it wants them."""
+        """Move the fingers for one cycle as a point asks; whether they have arrived."""
         position = point.Position
         if position.HandMode == HandMode.POSITION:
             target = np.clip(finger_values(position.Fingers), 0.0, FINGER_CLOSED)
@@ -210,7 +210,7 @@ class SimulatedArm:
         return rates / max(1.0, fastest)
 
     def _give_way(self) -> FloatArray:
-        """Rates (n,) [deg/s] by which the arm gives way to the push, on top of what it was told."""
+        """Rates (n,) [deg/s] by which the arm yields to the push, on top of its command."""
         if self.angular_control:
             return np.degrees(self.admittance.joint_rates(kinematics.jacobian_of(self.links).T @ self.wrench))
         return self._rates_of(self.admittance.twist(self.wrench))
@@ -271,7 +271,7 @@ class Admittance:
         self._joint_rates: FloatArray = np.zeros(joint_count)
 
     def start(self) -> None:
-        """Give way from here on, from rest."""
+        """Yield from here on, from rest."""
         self.active = True
         self._twist = np.zeros_like(self._twist)
         self._joint_rates = np.zeros_like(self._joint_rates)

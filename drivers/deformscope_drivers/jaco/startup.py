@@ -38,7 +38,7 @@ _MODELS = {
 class JacoIdentity:
     """Which arm was opened, through what.
 
-    library_version: of the vendor's library; firmware: as the device list tells it; chain: its kinematics
+    library_version: of the vendor's library; firmware: as in the device list; chain: its kinematics
     """
 
     serial: str
@@ -99,7 +99,7 @@ def _find(functions: Functions, config: JacoConfig, pause: Callable[[float], Non
     for attempt in range(1, config.open_attempts + 1):
         try:
             _initialize(functions, config)
-            functions.function("RefresDevicesList")()  # the list itself tells whether there is an arm
+            functions.function("RefresDevicesList")()  # whether there is an arm shows in the list itself
             return _choose(devices(functions), config.serial, functions.where)
         except NoDeviceFound:
             with contextlib.suppress(DeviceError):

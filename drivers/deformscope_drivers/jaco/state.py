@@ -18,7 +18,7 @@ class JacoState:
     rates_deg_s: (n,) joint rates; torques_nm: (n,) joint torques without those of gravity; currents_a: (n,)
     position_m: (3,) of the end effector in the base frame; theta_rad: (3,) its rotation about x, the new y, the new z
     wrench: (6,) force [N] and torque [Nm] at the end effector, in the base frame: the joints' torque sensors drift, so
-    that some newtons are shown where nothing touches; which way it points was never verified on an arm
+    that some newtons are shown where nothing touches; its direction was never verified on an arm
     fingers: (3,) from 0 open to 6800 closed; fifo_count: trajectory points that wait in the arm
     supply_v, supply_a: its main supply; temperatures_deg_c: (n,) of the joints; these are read once a second
     """

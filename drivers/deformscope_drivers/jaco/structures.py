@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import c_char, c_double, c_float, c_int, c_short, c_ubyte, c_uint, c_ulong, c_ushort
 from enum import IntEnum
+from typing import Any
 
 STRING_LENGTH = 20
 DEVICE_COUNT_MAX = 20
@@ -56,8 +57,13 @@ class DeviceType(IntEnum):
     SPHERICAL_7DOF = 8
 
 
+def _alike(kind: type[Any], names: str) -> list[tuple[str, type[Any]]]:
+    """Fields of one type, in their order."""
+    return [(name, kind) for name in names.split()]
+
+
 class CartesianInfo(ctypes.Structure):
-    _fields_ = [(name, c_float) for name in ("X", "Y", "Z", "ThetaX", "ThetaY", "ThetaZ")]
+    _fields_ = _alike(c_float, "X Y Z ThetaX ThetaY ThetaZ")
 
 
 class AngularInfo(ctypes.Structure):
@@ -96,8 +102,7 @@ class Limitation(ctypes.Structure):
 class TrajectoryPoint(ctypes.Structure):
     _fields_ = [
         ("Position", UserPosition),
-        ("LimitationsActive", c_int),
-        ("SynchroType", c_int),
+        *_alike(c_int, "LimitationsActive SynchroType"),
         ("Limitations", Limitation),
     ]
 
@@ -109,24 +114,17 @@ class TrajectoryFIFO(ctypes.Structure):
 class JoystickCommand(ctypes.Structure):
     _fields_ = [
         ("ButtonValue", c_short * 16),
-        ("InclineLeftRight", c_float),
-        ("InclineForwardBackward", c_float),
-        ("Rotate", c_float),
-        ("MoveLeftRight", c_float),
-        ("MoveForwardBackward", c_float),
-        ("PushPull", c_float),
+        *_alike(
+            c_float,
+            "InclineLeftRight InclineForwardBackward Rotate MoveLeftRight MoveForwardBackward PushPull",
+        ),
     ]
 
 
 class KinovaDevice(ctypes.Structure):
     _fields_ = [
-        ("SerialNumber", c_char * STRING_LENGTH),
-        ("Model", c_char * STRING_LENGTH),
-        ("VersionMajor", c_int),
-        ("VersionMinor", c_int),
-        ("VersionRelease", c_int),
-        ("DeviceType", c_int),
-        ("DeviceID", c_int),
+        *_alike(c_char * STRING_LENGTH, "SerialNumber Model"),
+        *_alike(c_int, "VersionMajor VersionMinor VersionRelease DeviceType DeviceID"),
     ]
 
 
@@ -134,61 +132,35 @@ class SensorsInfo(ctypes.Structure):
     """Supply [V], [A], acceleration of the base [g], temperatures [deg C]."""
 
     _fields_ = [
-        (name, c_float)
-        for name in (
-            "Voltage",
-            "Current",
-            "AccelerationX",
-            "AccelerationY",
-            "AccelerationZ",
-            *(f"ActuatorTemp{i}" for i in range(1, 8)),
-            *(f"FingerTemp{i}" for i in range(1, 4)),
-        )
+        *_alike(c_float, "Voltage Current AccelerationX AccelerationY AccelerationZ"),
+        *((f"ActuatorTemp{i}", c_float) for i in range(1, 8)),
+        *((f"FingerTemp{i}", c_float) for i in range(1, 4)),
     ]
 
 
 class QuickStatus(ctypes.Structure):
     """Flags; the header says 0 means on for control, force control and current limitation."""
 
-    _fields_ = [
-        (name, c_ubyte)
-        for name in (
-            "Finger1Status",
-            "Finger2Status",
-            "Finger3Status",
-            "RetractType",
-            "RetractComplexity",
-            "ControlEnableStatus",
-            "ControlActiveModule",
-            "ControlFrameType",
-            "CartesianFaultState",
-            "ForceControlStatus",
-            "CurrentLimitationStatus",
-            "RobotType",
-            "RobotEdition",
-            "TorqueSensorsStatus",
-        )
-    ]
+    _fields_ = _alike(
+        c_ubyte,
+        "Finger1Status Finger2Status Finger3Status RetractType RetractComplexity ControlEnableStatus "
+        "ControlActiveModule ControlFrameType CartesianFaultState ForceControlStatus CurrentLimitationStatus "
+        "RobotType RobotEdition TorqueSensorsStatus",
+    )
 
 
 class ForcesInfo(ctypes.Structure):
     """Joint torques [Nm], then force [N] and torque [Nm] at the end effector."""
 
-    _fields_ = [(f"Actuator{i}", c_float) for i in range(1, 8)] + [
-        (name, c_float) for name in ("X", "Y", "Z", "ThetaX", "ThetaY", "ThetaZ")
-    ]
+    _fields_ = [(f"Actuator{i}", c_float) for i in range(1, 8)] + _alike(c_float, "X Y Z ThetaX ThetaY ThetaZ")
 
 
 class EthernetCommConfig(ctypes.Structure):
     """Addresses in network byte order, as inet_addr gives them; times in milliseconds."""
 
     _fields_ = [
-        ("localIpAddress", c_ulong),
-        ("subnetMask", c_ulong),
-        ("robotIpAddress", c_ulong),
-        ("localCmdport", c_ushort),
-        ("localBcastPort", c_ushort),
-        ("robotPort", c_ushort),
+        *_alike(c_ulong, "localIpAddress subnetMask robotIpAddress"),
+        *_alike(c_ushort, "localCmdport localBcastPort robotPort"),
         ("rxTimeOutInMs", c_ulong),
     ]
 
@@ -197,50 +169,28 @@ class GeneralInformations(ctypes.Structure):
     """Nearly everything that the arm knows of itself; only what the header documents is worth reading."""
 
     _fields_ = [
-        ("TimeAbsolute", c_double),
-        ("TimeFromStartup", c_double),
+        *_alike(c_double, "TimeAbsolute TimeFromStartup"),
         ("IndexStartup", c_uint),
         ("ExpansionLong1", c_int),
-        ("TimeStampSavings", c_float),
-        ("ExpansionFloat", c_float),
-        ("SupplyVoltage", c_float),
-        ("TotalCurrent", c_float),
-        ("Power", c_float),
-        ("AveragePower", c_float),
-        ("Acceleration", c_float * 3),
-        ("SensorExpansion", c_float * 3),
-        ("CodeVersion", c_uint),
-        ("CodeRevision", c_uint),
-        ("Status", c_ushort),
-        ("Controller", c_ushort),
-        ("ControlMode", c_ushort),
-        ("HandMode", c_ushort),
-        ("ConnectedActuatorCount", c_ushort),
-        ("PositionType", c_ushort),
+        *_alike(c_float, "TimeStampSavings ExpansionFloat SupplyVoltage TotalCurrent Power AveragePower"),
+        *_alike(c_float * 3, "Acceleration SensorExpansion"),
+        *_alike(c_uint, "CodeVersion CodeRevision"),
+        *_alike(c_ushort, "Status Controller ControlMode HandMode ConnectedActuatorCount PositionType"),
         ("ErrorsSpiExpansion", c_ushort * 2),
-        ("ErrorsMainSPICount", c_ushort),
-        ("ErrorsExternalSPICount", c_ushort),
-        ("ErrorsMainCANCount", c_ushort),
-        ("ErrorsExternalCANCount", c_ushort),
+        *_alike(c_ushort, "ErrorsMainSPICount ErrorsExternalSPICount ErrorsMainCANCount ErrorsExternalCANCount"),
         ("ActualSystemStatus", c_uint * 11),
-        ("Position", UserPosition),
-        ("Command", UserPosition),
-        ("Current", UserPosition),
-        ("Force", UserPosition),
+        *_alike(UserPosition, "Position Command Current Force"),
         ("ActualLimitations", Limitation),
         ("ControlIncrement", c_float * 7),
         ("FingerControlIncrement", c_float * 3),
         ("ActualJoystickCommand", JoystickCommand),
-        ("PeripheralsConnected", c_uint * 4),
-        ("PeripheralsDeviceID", c_uint * 4),
+        *_alike(c_uint * 4, "PeripheralsConnected PeripheralsDeviceID"),
         ("ActuatorsTemperatures", c_float * 7),
-        ("FingersTemperatures", c_float * 3),
-        ("FutureTemperatures", c_float * 3),
+        *_alike(c_float * 3, "FingersTemperatures FutureTemperatures"),
         ("ActuatorsCommErrors", c_int * 7),
         ("FingersCommErrors", c_int * 3),
         ("ExpansionLong2", c_int),
-        ("ControlTimeAbsolute", c_double),
-        ("ControlTimeFromStartup", c_double),
+        *_alike(c_double, "ControlTimeAbsolute ControlTimeFromStartup"),
         ("ExpansionsBytes", c_ubyte * 192),
     ]
 

@@ -23,7 +23,7 @@ WAITING = 4
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class OpenniSettings:
     """How a camera is opened; None = as it is. uri: OpenNI2's; speed: of a recording, 0 = as fast as it is read"""
 
     uri: str = ""
@@ -42,7 +42,7 @@ class Settings:
 class OpenniCamera:
     """A camera that was opened and set as asked, every setting read back. Raises SettingsRefused on a mismatch."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: OpenniSettings) -> None:
         self._settings = settings
         self._openni = Openni(settings.library)
         self._device = self._openni.open(settings.uri)
@@ -52,7 +52,7 @@ class OpenniCamera:
         self._set()
 
     def words(self) -> dict[str, object]:
-        """What it tells of itself."""
+        """What it reports of itself."""
         mode, info = self.depth.mode(), self._device.info()
         seen_as = self.color if self.color is not None and self._registers else self.depth
         field_of_view = seen_as.field_of_view_rad() or self.depth.field_of_view_rad()
@@ -127,13 +127,15 @@ class OpenniCamera:
         came = stream.mode()
         if came != asked or (stream.sensor is Sensor.DEPTH and came.pixel_format not in UNITS_M):
             kind = stream.sensor.name.lower()
-            raise SettingsRefused(f"{kind} {_told(asked)}", _told(came), "another size, rate or unit", settings.uri)
+            raise SettingsRefused(
+                f"{kind} {_in_words(asked)}", _in_words(came), "another size, rate or unit", settings.uri
+            )
 
 
 class Pairs:
     """Puts depth and colour of the same moment together: timestamps within half a period.
 
-    Streams may lag behind each other: a depth frame waits for its colour until a later colour frame tells that there
+    Streams may lag behind each other: a depth frame waits for its colour until a later colour frame shows that there
     is none, or until WAITING depth frames wait.
     """
 
@@ -187,7 +189,7 @@ def _message(depth: Frame, host_ns: int, color: Frame | None) -> FrameMessage:
     )
 
 
-def _told(mode: Mode) -> str:
+def _in_words(mode: Mode) -> str:
     form = (
         PixelFormat(mode.pixel_format).name if mode.pixel_format in set(PixelFormat) else f"format {mode.pixel_format}"
     )

@@ -1,7 +1,7 @@
 """OpenNI2's C interface, as much of it as reading a depth camera takes, through ctypes.
 
 The Python bindings on PyPI (`openni`, `primesense`) wrap the same functions; both call `oniShutdown` when the
-interpreter ends, which crashes (measured with Debian's 2.2.0.33), and want a file name that Debian does not have.
+interpreter ends, which crashes (measured with Debian's 2.2.0.33), and need a file name that Debian does not have.
 Nothing here is called in the process that records.
 Sources: OpenNI2's public headers OniCAPI.h, OniCTypes.h, OniCEnums.h, OniCProperties.h (Apache-2.0).
 """
@@ -68,11 +68,8 @@ class _VideoMode(Structure):
 
 class _DeviceInfo(Structure):
     _fields_ = (
-        ("uri", c_char * 256),
-        ("vendor", c_char * 256),
-        ("name", c_char * 256),
-        ("usb_vendor", c_uint16),
-        ("usb_product", c_uint16),
+        *((name, c_char * 256) for name in ("uri", "vendor", "name")),
+        *((name, c_uint16) for name in ("usb_vendor", "usb_product")),
     )
 
 
@@ -82,14 +79,9 @@ class _Frame(Structure):
         ("data", c_void_p),
         ("sensor", c_int),
         ("timestamp_us", c_uint64),
-        ("index", c_int),
-        ("width", c_int),
-        ("height", c_int),
+        *((name, c_int) for name in ("index", "width", "height")),
         ("mode", _VideoMode),
-        ("cropped", c_int),
-        ("crop_x", c_int),
-        ("crop_y", c_int),
-        ("stride", c_int),
+        *((name, c_int) for name in ("cropped", "crop_x", "crop_y", "stride")),
     )
 
 
@@ -211,7 +203,7 @@ class OpenniDevice:
         return _listed(info)
 
     def serial(self) -> str:
-        """Its serial number; empty where it does not tell."""
+        """Its serial number; empty where it does not report one."""
         text, size = ctypes.create_string_buffer(256), c_int(256)
         if self._lib.oniDeviceGetProperty(self.handle, DeviceProperty.SERIAL_NUMBER, text, byref(size)) != OK:
             return ""
@@ -264,16 +256,16 @@ class OpenniStream:
     def mode(self) -> Mode:
         mode, size = _VideoMode(), c_int(sizeof(_VideoMode))
         status = self._lib.oniStreamGetProperty(self.handle, StreamProperty.VIDEO_MODE, byref(mode), byref(size))
-        self._openni.check(status, "a stream that tells its size", self._uri)
+        self._openni.check(status, "a stream that reports its size", self._uri)
         return Mode(mode.width, mode.height, mode.fps, mode.pixel_format)
 
     def set_mode(self, mode: Mode) -> None:
-        """Ask for a mode; `mode` tells what is in force."""
+        """Ask for a mode; `mode` says what is in force."""
         asked = _VideoMode(mode.pixel_format, mode.width, mode.height, mode.fps)
         self._lib.oniStreamSetProperty(self.handle, StreamProperty.VIDEO_MODE, byref(asked), sizeof(asked))
 
     def mirror(self) -> bool | None:
-        """Whether pictures are mirrored; None where the camera does not tell."""
+        """Whether pictures are mirrored; None where the camera does not say."""
         value, size = c_int(), c_int(sizeof(c_int))
         status = self._lib.oniStreamGetProperty(self.handle, StreamProperty.MIRRORING, byref(value), byref(size))
         return bool(value.value) if status == OK else None
@@ -290,7 +282,7 @@ class OpenniStream:
         self._lib.oniStreamSetProperty(self.handle, StreamProperty.MIRRORING, byref(value), sizeof(value))
 
     def field_of_view_rad(self) -> tuple[float, float] | None:
-        """Horizontal and vertical [rad]; None where the camera does not tell."""
+        """Horizontal and vertical [rad]; None where the camera does not say."""
         angles = []
         for number in (StreamProperty.HORIZONTAL_FOV, StreamProperty.VERTICAL_FOV):
             value, size = c_float(), c_int(sizeof(c_float))

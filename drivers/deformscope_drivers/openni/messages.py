@@ -1,4 +1,4 @@
-"""What the process that reads a camera tells the one that records: one tag byte, then a body."""
+"""What the process that reads a camera sends to the one that records: one tag byte, then a body."""
 
 from __future__ import annotations
 

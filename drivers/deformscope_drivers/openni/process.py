@@ -15,14 +15,14 @@ import time
 from multiprocessing.connection import Connection
 
 from deformscope_drivers.errors import DeviceError
-from deformscope_drivers.openni.camera import OpenniCamera, Pairs, Settings
+from deformscope_drivers.openni.camera import OpenniCamera, OpenniSettings, Pairs
 from deformscope_drivers.openni.library import Openni
 from deformscope_drivers.openni.messages import END, FAILED, OPENED, pack_frame, pack_words
 
 ROUND_S = 0.05
 
 
-def serve(settings: Settings, connection: Connection) -> None:
+def serve(settings: OpenniSettings, connection: Connection) -> None:
     """Read a camera until the other end is closed."""
     try:
         camera = OpenniCamera(settings)
@@ -53,7 +53,7 @@ def main(arguments: list[str]) -> None:
             print(json.dumps({"error": str(error)}), flush=True)
     else:
         with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # the other end was closed
-            serve(Settings(**json.loads(arguments[1])), Connection(int(arguments[0])))
+            serve(OpenniSettings(**json.loads(arguments[1])), Connection(int(arguments[0])))
     sys.stdout.flush()
     os._exit(0)  # the library's own clearing up at exit crashes
 

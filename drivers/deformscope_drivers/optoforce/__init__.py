@@ -1,8 +1,8 @@
 """OptoForce force sensors (OMD, HEX) on their DAQ, over USB, UART or CAN."""
 
 from deformscope_drivers.optoforce.config import OptoforceConfig
-from deformscope_drivers.optoforce.counter import Verdict
-from deformscope_drivers.optoforce.device import Optoforce, Settings
+from deformscope_drivers.optoforce.counter import CounterStep
+from deformscope_drivers.optoforce.device import DaqSettings, Optoforce
 from deformscope_drivers.optoforce.double import OMD_20_SE_40N, OptoforceDouble, Sensors
 from deformscope_drivers.optoforce.measurement import ForceMeasurement
 from deformscope_drivers.optoforce.protocol import Kind, Status
@@ -10,6 +10,8 @@ from deformscope_drivers.optoforce.sensitivity import Sensitivity
 
 __all__ = [
     "OMD_20_SE_40N",
+    "CounterStep",
+    "DaqSettings",
     "ForceMeasurement",
     "Kind",
     "Optoforce",
@@ -17,7 +19,5 @@ __all__ = [
     "OptoforceDouble",
     "Sensitivity",
     "Sensors",
-    "Settings",
     "Status",
-    "Verdict",
 ]

@@ -1,4 +1,4 @@
-"""Loss told from the counter that every reading carries: a u16 that wraps, whose unit is not documented.
+"""Losses by the counter that every reading carries: a u16 that wraps, whose unit is not documented.
 
 It may count readings, or the DAQ's own samples at 1 kHz, so that its usual step is learned from the stream.
 """
@@ -20,7 +20,7 @@ ANCHOR_NS = 10_000_000_000
 """After how long the clocks are compared anew, so that their drift does not matter."""
 
 
-class Verdict(Enum):
+class CounterStep(Enum):
     """What a reading's counter says of it."""
 
     FIRST = "first"
@@ -28,7 +28,7 @@ class Verdict(Enum):
     LOST = "lost"  # readings before this one are missing
     REPEATED = "repeated"
     LATE = "late"  # overtaken by readings that came before it
-    JUMPED = "jumped"  # further than time allows; the next reading tells whether the device restarted
+    JUMPED = "jumped"  # further than time allows; the next reading shows whether the device restarted
     RESTARTED = "restarted"  # the reading before this one was the first after a restart
     CORRECTED = "corrected"  # the counter of the reading before this one was damaged; nothing was lost there
 
@@ -42,11 +42,11 @@ class Gap:
     carries what was lost meanwhile.
     """
 
-    verdict: Verdict
+    verdict: CounterStep
     lost: int = 0
 
 
-_NEXT = Gap(Verdict.NEXT)
+_NEXT = Gap(CounterStep.NEXT)
 
 
 class CounterTrack:
@@ -55,9 +55,9 @@ class CounterTrack:
     step: the usual step between readings, None while it is learned
     lost, late, repeated, damaged, restarts: how many there were
 
-    period_ns: time between readings, from which a restart is told apart from a loss; None = unknown: then a counter
+    period_ns: time between readings, by which a restart is distinguished from a loss; None = unknown: then a counter
     that goes back has restarted. Where both may be, it is taken for a loss. A pause in which the counter goes once
-    round and more is not told from a shorter one.
+    round and more is not distinguished from a shorter one.
     """
 
     def __init__(self, period_ns: float | None = None) -> None:
@@ -83,11 +83,11 @@ class CounterTrack:
         """
         last, self._last = self._last, counter
         if last is None:
-            return Gap(Verdict.FIRST)
+            return Gap(CounterStep.FIRST)
         step = (counter - last) % WRAP
         if twin and step == 0:
             self.repeated += 1
-            return Gap(Verdict.REPEATED)
+            return Gap(CounterStep.REPEATED)
         if self.step is None:
             return self._learn(step, host_ns)
         if step == self.step:
@@ -97,34 +97,34 @@ class CounterTrack:
     def _learn(self, step: int, host_ns: int) -> Gap:
         if step == 0:
             self.repeated += 1
-            return Gap(Verdict.REPEATED)
+            return Gap(CounterStep.REPEATED)
         self._learned_from.append(step)
         if len(self._learned_from) < LEARNED_FROM:
             return _NEXT
         often = Counter(self._learned_from)
         usual = max(often, key=lambda seen: (often[seen], -seen))
-        way = sum(self._learned_from) % WRAP  # of all steps together: a damaged counter between them does not matter
-        lost = max(0, round(way / usual) - LEARNED_FROM) if way < WRAP // 2 else 0
+        span = sum(self._learned_from) % WRAP  # of all steps together: a damaged counter between them does not matter
+        lost = max(0, round(span / usual) - LEARNED_FROM) if span < WRAP // 2 else 0
         self.step = usual
         self.lost += lost
         self._learned_from = []
         self._anchor = (host_ns, self._ticks)
-        return Gap(Verdict.LOST if lost else Verdict.NEXT, lost)
+        return Gap(CounterStep.LOST if lost else CounterStep.NEXT, lost)
 
     def _usual(self, step: int, host_ns: int) -> Gap:
         doubted, self._doubted = self._doubted, None
         self._other = _Run()
-        if doubted is not None and doubted.verdict is Verdict.JUMPED:
+        if doubted is not None and doubted.verdict is CounterStep.JUMPED:
             self.restarts += 1
             self._anchor = (host_ns, self._ticks)
-            return Gap(Verdict.RESTARTED)
+            return Gap(CounterStep.RESTARTED)
         self._ticks += step
         self._compare_clocks(host_ns)
         return _NEXT
 
     def _unusual(self, last: int, counter: int, step: int, usual: int, host_ns: int) -> Gap:
         if step and self._other.again(step) == LEARNED_FROM:
-            gap = Gap(Verdict.NEXT, -self._other.lost)
+            gap = Gap(CounterStep.NEXT, -self._other.lost)
             self.lost += gap.lost
             self.step = step
             self._anchor = (host_ns, self._ticks)
@@ -133,51 +133,51 @@ class CounterTrack:
         gap = self._judge(step, usual, host_ns)
         doubted = self._doubted
         if doubted is not None:
-            jumped = Verdict.JUMPED in (doubted.verdict, gap.verdict)
+            jumped = CounterStep.JUMPED in (doubted.verdict, gap.verdict)
             since = (counter - doubted.base) % WRAP
             if since == 2 * usual or (jumped and 2 * usual < since <= LATE_STEPS * usual):
                 return self._correct(doubted, since, usual)
-            if doubted.verdict is Verdict.JUMPED and gap.verdict is Verdict.LOST:
+            if doubted.verdict is CounterStep.JUMPED and gap.verdict is CounterStep.LOST:
                 self.restarts += 1
                 self.restart(self._period_ns)
                 self._last = counter
-                return Gap(Verdict.RESTARTED)
+                return Gap(CounterStep.RESTARTED)
         self._count(gap)
-        if gap.verdict in (Verdict.LATE, Verdict.REPEATED):
+        if gap.verdict in (CounterStep.LATE, CounterStep.REPEATED):
             self._last = last
         self._doubted = _Doubted(last, gap.verdict, gap.lost)
-        if gap.verdict is Verdict.LOST:
+        if gap.verdict is CounterStep.LOST:
             self._other.lost += gap.lost
             self._ticks += (gap.lost + 1) * usual
         return gap
 
     def _judge(self, step: int, usual: int, host_ns: int) -> Gap:
         if step == 0:
-            return Gap(Verdict.REPEATED)
+            return Gap(CounterStep.REPEATED)
         if WRAP - step <= LATE_STEPS * usual:
-            return Gap(Verdict.LATE, -1 if self.lost else 0)
+            return Gap(CounterStep.LATE, -1 if self.lost else 0)
         if self._period_ns is None:
-            return Gap(Verdict.JUMPED) if step >= WRAP // 2 else Gap(Verdict.LOST, _missing(step, usual))
+            return Gap(CounterStep.JUMPED) if step >= WRAP // 2 else Gap(CounterStep.LOST, _missing(step, usual))
         if self._ahead_ns(step, host_ns) > JITTER_NS:
-            return Gap(Verdict.JUMPED)
-        return Gap(Verdict.LOST, _missing(step, usual))
+            return Gap(CounterStep.JUMPED)
+        return Gap(CounterStep.LOST, _missing(step, usual))
 
     def _count(self, gap: Gap, times: int = 1) -> None:
         self.lost += times * gap.lost
-        self.late += times * (gap.verdict is Verdict.LATE)
-        self.repeated += times * (gap.verdict is Verdict.REPEATED)
+        self.late += times * (gap.verdict is CounterStep.LATE)
+        self.repeated += times * (gap.verdict is CounterStep.REPEATED)
 
     def _correct(self, doubted: _Doubted, since: int, usual: int) -> Gap:
         """The counter of the reading before was damaged, and what was said of it was wrong."""
         self._count(Gap(doubted.verdict, doubted.lost), times=-1)
-        if doubted.verdict is Verdict.LOST:
+        if doubted.verdict is CounterStep.LOST:
             self._ticks -= (doubted.lost + 1) * usual
         missing = _missing(since, usual) - 1
         self.damaged += 1
         self.lost += missing
         self._ticks += since
         self._doubted = None
-        return Gap(Verdict.CORRECTED, missing - doubted.lost)
+        return Gap(CounterStep.CORRECTED, missing - doubted.lost)
 
     def _ahead_ns(self, step: int, host_ns: int) -> float:
         """By how much the counter would be ahead of the host's clock."""
@@ -203,7 +203,7 @@ class _Doubted:
     """
 
     base: int
-    verdict: Verdict
+    verdict: CounterStep
     lost: int
 
 

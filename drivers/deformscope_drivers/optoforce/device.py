@@ -1,4 +1,4 @@
-"""OptoForce's DAQ as a device: settings kept in a shadow copy, zeroing that is checked, loss told by its counter."""
+"""OptoForce's DAQ as a device: settings kept in a shadow copy, zeroing that is checked, losses found by its counter."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from deformscope_drivers.device import ROUND_S, StreamDevice
 from deformscope_drivers.errors import CommandRefused, NoReply, SettingsRefused
 from deformscope_drivers.health import Identity, Link
 from deformscope_drivers.optoforce.config import OptoforceConfig, filter_of, speed_of
-from deformscope_drivers.optoforce.counter import WRAP, CounterTrack, Gap, Verdict
+from deformscope_drivers.optoforce.counter import WRAP, CounterStep, CounterTrack, Gap
 from deformscope_drivers.optoforce.measurement import ForceMeasurement
 from deformscope_drivers.optoforce.plausibility import doubts
 from deformscope_drivers.optoforce.protocol import (
@@ -53,8 +53,8 @@ FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
-    """What the DAQ was last told, as it cannot be asked. zeroed: it subtracts a zero point itself"""
+class DaqSettings:
+    """The settings last sent to the DAQ, which cannot be read back. zeroed: it subtracts a zero point itself"""
 
     speed: Speed
     filter: Filter
@@ -69,7 +69,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     transport, clock: in place of the configuration's port and the host's clock (a simulated laboratory)
     """
 
-    _settings: Settings
+    _settings: DaqSettings
     _kind: Kind | None
     _offset: FloatArray | None
     _before: Reading | None
@@ -103,8 +103,8 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     # What a user calls -----------------------------------------------------------------------------------------------
 
     @property
-    def settings(self) -> Settings:
-        """What the DAQ was last told."""
+    def settings(self) -> DaqSettings:
+        """The settings last sent to the DAQ."""
         return self._settings
 
     @property
@@ -145,7 +145,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
 
         def clear() -> None:
             self._offset = None
-            self._tell_settings(replace(self._settings, zeroed=False))
+            self._send_settings(replace(self._settings, zeroed=False))
 
         self._do(clear, 10.0)
 
@@ -154,7 +154,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         return Identity(f"OptoForce {self._kind.value}" if self._kind else "OptoForce", self._serial)
 
     def serial_number(self) -> str:
-        """The serial number; raises NoReply with firmware that does not tell."""
+        """The serial number; raises NoReply with firmware that has none."""
         return self._do(self._ask_serial, 10.0)
 
     # What the base class asks for ------------------------------------------------------------------------------------
@@ -177,8 +177,8 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     def _receive(self, timeout_s: float) -> Iterable[ForceMeasurement]:
         if self._restart:
             reason, self._restart = self._restart, ""
-            self._tell_settings(replace(self._settings, zeroed=False))
-            self._tell(Link.CONNECTED, f"{reason}; its settings were sent again")
+            self._send_settings(replace(self._settings, zeroed=False))
+            self._report_link(Link.CONNECTED, f"{reason}; its settings were sent again")
         return super()._receive(timeout_s)
 
     def _measure(self, event: Reply, host_ns: int) -> Iterable[ForceMeasurement]:
@@ -193,7 +193,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         self._look_for_restart(gap, host_ns)
         self._before, self._before_ns = event, host_ns
         found = doubts(event, self._nominal_counts if known else None)
-        if gap.verdict in (Verdict.JUMPED, Verdict.LATE, Verdict.REPEATED):
+        if gap.verdict in (CounterStep.JUMPED, CounterStep.LATE, CounterStep.REPEATED):
             found += ("counter",)
         if not known:
             found += ("kind",)
@@ -235,7 +235,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     # Within: all in the device's thread ------------------------------------------------------------------------------
 
     def _begin_session(self) -> None:
-        self._settings = Settings(speed_of(self.config.rate_hz), filter_of(self.config.filter_hz))
+        self._settings = DaqSettings(speed_of(self.config.rate_hz), filter_of(self.config.filter_hz))
         self._offset = None
         self._acknowledges: bool | None = None
         self._serial = ""
@@ -253,17 +253,17 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         self._overloaded = 0
         self._doubted = 0
 
-    def _change(self, wanted: Settings) -> None:
+    def _change(self, wanted: DaqSettings) -> None:
         """Send speed and filter, and see that readings come.
 
         Every `Configure` says something about the zero point as well, and whether a second 255 keeps it or sets it
         anew is not documented: so it is cleared, and what it was is subtracted here.
         """
-        self._tell_settings(replace(wanted, zeroed=False))
+        self._send_settings(replace(wanted, zeroed=False))
         if wanted.speed:
             self._gather(1)
 
-    def _tell_settings(self, wanted: Settings) -> None:
+    def _send_settings(self, wanted: DaqSettings) -> None:
         zero = Zero.SET if wanted.zeroed else Zero.CLEAR
         command = Configure(wanted.speed, wanted.filter, zero)
         self._zero_in_doubt |= wanted.zeroed != self._settings.zeroed
@@ -292,10 +292,10 @@ class Optoforce(StreamDevice[ForceMeasurement]):
 
     def _look_for_restart(self, gap: Gap, host_ns: int) -> None:
         """A DAQ that was switched off and on sends at its defaults, and has forgotten its zero point."""
-        if gap.verdict is Verdict.RESTARTED:
+        if gap.verdict is CounterStep.RESTARTED:
             self._restart = "the DAQ restarted"
             self._settings = replace(self._settings, zeroed=False)
-        elif gap.verdict is Verdict.LOST:
+        elif gap.verdict is CounterStep.LOST:
             period_ns = self._settings.speed * 1e6
             pause_ns = max(host_ns - self._before_ns, gap.lost * period_ns)
             if pause_ns >= max(RESTART_S * 1e9, SILENCE_READINGS * period_ns):
@@ -325,14 +325,14 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         settle = math.ceil((ZERO_REST_S + self._settling_s()) * rate_hz)
         self._still_mean(count, still_counts, "the zero point is as it was")
         self._offset = None
-        self._tell_settings(replace(self._settings, zeroed=False))
+        self._send_settings(replace(self._settings, zeroed=False))
         self._gather(settle)
         before = self._still_mean(count, still_counts, "the zero point is cleared")
-        self._tell_settings(replace(self._settings, zeroed=True))
+        self._send_settings(replace(self._settings, zeroed=True))
         self._gather(settle)
         after = self._still_mean(count, still_counts, "the zero point is set, perhaps wrongly")
         if np.abs(after).max() > still_counts:
-            self._tell_settings(replace(self._settings, zeroed=False))
+            self._send_settings(replace(self._settings, zeroed=False))
             raise SettingsRefused(
                 f"readings within {still_counts:g} counts of zero",
                 f"{np.array2string(after, precision=0)}; the zero point is cleared again",
@@ -370,7 +370,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         return np.asarray(counts.mean(axis=0))
 
     def _gather(self, count: int) -> list[ForceMeasurement]:
-        """The next so many readings, which go their way as well."""
+        """The next so many readings, which are published as well."""
         found: list[ForceMeasurement] = []
         wait_s = max(SILENCE_S, SILENCE_READINGS * self._settings.speed * 1e-3) + 2e-3 * count * self._settings.speed
         until_ns = self._clock() + round(wait_s * 1e9)
@@ -400,11 +400,11 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         self._per_count = np.stack([report.per_count for report in reports]) if reports else None
         self._nominal_counts = [report.counts_at_nominal for report in reports] or None
 
-    def _compare_clocks(self, reading: Reading, verdict: Verdict, host_ns: int) -> None:
+    def _compare_clocks(self, reading: Reading, verdict: CounterStep, host_ns: int) -> None:
         step = self._track.step
-        if step is None or verdict in (Verdict.JUMPED, Verdict.LATE, Verdict.REPEATED):
+        if step is None or verdict in (CounterStep.JUMPED, CounterStep.LATE, CounterStep.REPEATED):
             return
-        if self._unwrap is None or self._clock_fit is None or verdict is Verdict.RESTARTED:
+        if self._unwrap is None or self._clock_fit is None or verdict is CounterStep.RESTARTED:
             tick_ns = self._settings.speed * 1e6 / step
             self._unwrap, self._clock_fit = Unwrap(WRAP, tick_ns), ClockFit(tick_ns)
         self._clock_fit.add(self._unwrap(reading.counter, host_ns), host_ns)

@@ -91,7 +91,7 @@ class Sensors:
 
 
 @dataclass(slots=True)
-class _Settings:
+class _VolatileSettings:
     """What is gone after switching off.
 
     cleared_ns: since when the zero point is cleared; None = it is set
@@ -144,7 +144,7 @@ class OptoforceDouble:
     def power_up(self, now_ns: int) -> None:
         """Start as after switching on: defaults, zero point cleared, counter at 0."""
         shape = (self.sensors.kind.channels, self.sensors.kind.axes)
-        self._settings = _Settings(cleared_ns=now_ns - ZERO_REST_NS)
+        self._settings = _VolatileSettings(cleared_ns=now_ns - ZERO_REST_NS)
         self._commands = CommandDecoder()
         self._line.clear()
         self._random = np.random.default_rng(self.sensors.seed)

@@ -10,6 +10,7 @@ Every damage of a kind is done to a 16-byte packet within a stream, and the dama
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import combinations
@@ -40,10 +41,10 @@ Patch = dict[int, int]
 
 
 @dataclass(frozen=True, slots=True)
-class Tally:
-    """How often one kind of damage passes the byte sum, and which check tells of it first.
+class DamageCount:
+    """How often one kind of damage passes the byte sum, and which check finds it first.
 
-    possible: how many ways there are; passed: how many of them the decoder takes for a reading
+    possible: how many there are; passed: how many of them the decoder takes for a reading
     by_status: of these, how many show another kind of sensor, or a status that is undefined or not usable
     by_counter: a counter that does not follow the one before; by_load: more than twice the nominal load
     unseen: none of these
@@ -57,18 +58,18 @@ class Tally:
     unseen: int = 0
 
 
-def count(packet: bytes, nominal_counts: float | None) -> dict[str, Tally]:
+def count(packet: bytes, nominal_counts: float | None) -> dict[str, DamageCount]:
     """What each kind of damage to this packet comes to; with the nominal counts, its load is checked as well."""
     return {
         "1 bit flipped": _tally(packet, _flips(packet, 1), 8 * SIZE, nominal_counts),
-        "2 bits flipped": _tally(packet, _flips(packet, 2), _choose(8 * SIZE, 2), nominal_counts),
-        "3 bits flipped": _tally(packet, _flips(packet, 3), _choose(8 * SIZE, 3), nominal_counts),
-        "2 bytes changed": _tally(packet, _changes(packet), _choose(SIZE, 2) * 255**2, nominal_counts),
+        "2 bits flipped": _tally(packet, _flips(packet, 2), math.comb(8 * SIZE, 2), nominal_counts),
+        "3 bits flipped": _tally(packet, _flips(packet, 3), math.comb(8 * SIZE, 3), nominal_counts),
+        "2 bytes changed": _tally(packet, _changes(packet), math.comb(SIZE, 2) * 255**2, nominal_counts),
         "2 bytes swapped": _tally(packet, _swaps(packet), _different_pairs(packet), nominal_counts),
     }
 
 
-def _tally(packet: bytes, patches: Iterable[Patch], possible: int, nominal_counts: float | None) -> Tally:
+def _tally(packet: bytes, patches: Iterable[Patch], possible: int, nominal_counts: float | None) -> DamageCount:
     (reading,) = Decoder().feed(packet)
     assert isinstance(reading, Reading)
     behind = b"".join(
@@ -94,7 +95,7 @@ def _tally(packet: bytes, patches: Iterable[Patch], possible: int, nominal_count
             by_counter += 1
         elif "load" in found:
             by_load += 1
-    return Tally(possible, passed, by_status, by_counter, by_load, passed - by_status - by_counter - by_load)
+    return DamageCount(possible, passed, by_status, by_counter, by_load, passed - by_status - by_counter - by_load)
 
 
 def _flips(packet: bytes, bits: int) -> Iterator[Patch]:
@@ -154,18 +155,11 @@ def _different_pairs(packet: bytes) -> int:
     return sum(1 for first, second in combinations(packet, 2) if first != second)
 
 
-def _choose(many: int, few: int) -> int:
-    ways = 1
-    for i in range(few):
-        ways = ways * (many - i) // (i + 1)
-    return ways
-
-
 def table(packets: list[bytes], nominal_counts: float | None) -> str:
     """The counts as Markdown, the mean over several packets."""
     tallies = [count(packet, nominal_counts) for packet in packets]
     lines = [
-        "| damage to a packet | ways | pass the sum | status or kind tells | counter tells | load tells | unseen |",
+        "| damage to a packet | cases | pass the sum | by status or kind | by counter | by load | unseen |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for damage in tallies[0]:
@@ -174,9 +168,9 @@ def table(packets: list[bytes], nominal_counts: float | None) -> str:
             np.mean([getattr(tally, name) for tally in of])
             for name in ("possible", "passed", "by_status", "by_counter", "by_load", "unseen")
         ]
-        ways, passed, *rest = columns
-        shown = f"{passed:.10g} ({passed / ways:.3%})" if ways else "0"
-        lines.append(f"| {damage} | {ways:.10g} | {shown} | " + " | ".join(f"{value:.10g}" for value in rest) + " |")
+        cases, passed, *rest = columns
+        shown = f"{passed:.10g} ({passed / cases:.3%})" if cases else "0"
+        lines.append(f"| {damage} | {cases:.10g} | {shown} | " + " | ".join(f"{value:.10g}" for value in rest) + " |")
     return "\n".join(lines)
 
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from deformscope_drivers.clock import Stamp
 from deformscope_drivers.errors import DeviceError
-from deformscope_drivers.optoforce.counter import Verdict
+from deformscope_drivers.optoforce.counter import CounterStep
 from deformscope_drivers.optoforce.protocol import Kind, Status
 
 FloatArray = npt.NDArray[np.float64]
@@ -36,7 +36,7 @@ class ForceMeasurement:
     per_count: FloatArray | None = None
     offset_counts: FloatArray | None = None
     lost_before: int = 0
-    follows: Verdict = Verdict.NEXT
+    follows: CounterStep = CounterStep.NEXT
     doubts: tuple[str, ...] = ()
 
     @property
@@ -44,7 +44,7 @@ class ForceMeasurement:
         """(channels, axes) forces [N] and torques [N m]. Raises DeviceError without a sensitivity report."""
         if self.per_count is None:
             raise DeviceError(
-                "a sensitivity report, which tells what a count is worth",
+                "a sensitivity report, with what a count is worth",
                 "none that fits this sensor: it differs from sensor to sensor",
                 "OptoforceConfig(sensitivity=Sensitivity(counts_at_nominal=..., nominal=...)); counts need none",
             )

@@ -247,7 +247,7 @@ class _Packet(Generic[EventT]):
     read: Callable[[bytes, int], EventT | None]
 
 
-class _PacketDecoder(FrameDecoder[EventT]):
+class _OptoforceDecoder(FrameDecoder[EventT]):
     def __init__(self, *packets: _Packet[EventT], fill_to: int = 1) -> None:
         super().__init__()
         self._fill_to = fill_to
@@ -277,7 +277,7 @@ class _PacketDecoder(FrameDecoder[EventT]):
         return len(buffer[at : at + most]) - len(buffer[at : at + most].lstrip(b"\0")) if most else 0
 
 
-class Decoder(_PacketDecoder[Reply]):
+class Decoder(_OptoforceDecoder[Reply]):
     """What a DAQ sends. A header that stands within a packet is found if the packet is bad, and only then.
 
     fill_to: zeros that fill a packet up to a multiple of this belong to it (8 on CAN, where some DAQs may do so)
@@ -292,7 +292,7 @@ class Decoder(_PacketDecoder[Reply]):
         )
 
 
-class CommandDecoder(_PacketDecoder[Command]):
+class CommandDecoder(_OptoforceDecoder[Command]):
     """What a DAQ hears. Zeros with which some hosts fill up a CAN frame are skipped as noise."""
 
     def __init__(self) -> None:

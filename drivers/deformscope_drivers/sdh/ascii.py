@@ -1,4 +1,4 @@
-r"""The ASCII protocol, which every firmware speaks: lines of text, both ways.
+r"""The ASCII protocol, which every firmware speaks: lines of text, in both directions.
 
 The host ends a command by \r\n; the hand ends a line by \n, with \r at either end or without.
 

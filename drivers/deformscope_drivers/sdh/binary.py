@@ -3,7 +3,7 @@
     request  code u8, length u8, count u8 (0 or 7),            count x f32, [crc u16]
     reply    code u8, length u8, count u8,         status u8,      7 x f32, [crc u16]
 
-Little-endian. `length` counts every byte behind itself, with the checksum; so it tells whether there is one. There is
+Little-endian. `length` counts every byte behind itself, with the checksum; so it shows whether there is one. There is
 one on RS-232, over all bytes before it, and none on CAN and TCP. Source: ipab-slmc/SDHLibrary-CPP, sdh/sdhserial.cpp.
 """
 

@@ -54,52 +54,12 @@ class Grasp(IntEnum):
 
 
 # Binary command codes; the names in lower case are the commands of the ASCII protocol.
-CODES: Final = {
-    "v": 128,
-    "vel": 129,
-    "rvel": 130,
-    "pos": 131,
-    "state": 132,
-    "p": 133,
-    "a": 134,
-    "m": 135,
-    "stop": 136,
-    "vp": 137,
-    "con": 138,
-    "tpap": 139,
-    "tvav": 140,
-    "vlim": 141,
-    "alim": 142,
-    "pos_save": 143,
-    "ref": 144,
-    "temp": 145,
-    "id": 146,
-    "sn": 147,
-    "ver": 148,
-    "ver_date": 149,
-    "soc": 150,
-    "soc_date": 151,
-    "numaxis": 152,
-    "p_min": 153,
-    "p_max": 154,
-    "p_offset": 155,
-    "get_duration": 156,
-    "igrip": 157,
-    "ihold": 158,
-    "selgrip": 159,
-    "grip": 160,
-    "pid": 161,
-    "kv": 162,
-    "ilim": 163,
-    "power": 164,
-    "demo": 165,
-    "user_errors": 166,
-    "terminal": 167,
-    "debug": 168,
-    "use_fixed_length": 169,
-    "change_rs232": 170,
-    "change_channel": 171,
-}
+_IN_ORDER = """
+    v vel rvel pos state p a m stop vp con tpap tvav vlim alim pos_save ref temp id sn ver ver_date soc soc_date
+    numaxis p_min p_max p_offset get_duration igrip ihold selgrip grip pid kv ilim power demo user_errors
+    terminal debug use_fixed_length change_rs232 change_channel
+"""
+CODES: Final = {name: code for code, name in enumerate(_IN_ORDER.split(), start=128)}
 NAMES: Final = {code: name for name, code in CODES.items()}
 
 # Those that Schunk's library sends in binary; it notes of the others that not all are implemented.
@@ -110,14 +70,8 @@ TEXT_COMMANDS: Final = frozenset(("id", "sn", "ver", "ver_date", "soc", "soc_dat
 INTEGER_COMMANDS: Final = frozenset(("con", "vp", "selgrip", "demo", "user_errors", "terminal", "debug"))
 
 # The replies that are measured; the others repeat a setting. TPAP and TVAV answer with what POS and VEL would.
-MEASURED_COUNT: Final = {
-    "pos": AXIS_COUNT,
-    "vel": AXIS_COUNT,
-    "rvel": AXIS_COUNT,
-    "state": AXIS_COUNT,
-    "tpap": AXIS_COUNT,
-    "tvav": AXIS_COUNT,
-    "temp": TEMPERATURE_COUNT,
+MEASURED_COUNT: Final = dict.fromkeys(("pos", "vel", "rvel", "state", "tpap", "tvav"), AXIS_COUNT) | {
+    "temp": TEMPERATURE_COUNT
 }
 
 ERRORS: Final = (
@@ -145,7 +99,7 @@ ERRORS: Final = (
     ("DEVICE_NOT_OPENED", "switch the hand off and on"),
     ("IO_ERROR", "on CAN the bus may be off: look at its terminators and bit rate"),
     ("INVALID_PARAMETER", "look at the values"),
-    ("RANGE_ERROR", "stay within the limits that `vlim`, `alim` and the range of the axes tell"),
+    ("RANGE_ERROR", "stay within the limits that `vlim`, `alim` and the range of the axes give"),
     ("NO_DATAPIPE", "switch the hand off and on"),
     ("INDEX_OUT_OF_BOUNDS", "axes are 0 to 6"),
     ("HOMING_ERROR", "reference the axis again"),
@@ -177,7 +131,7 @@ POSITION_MAX_DEG: Final = (90.0,) * AXIS_COUNT
 POSITION_EPSILON_DEG: Final = 0.5
 """The precision of reported angles: near an end they may lie outside the range by this much."""
 
-# What Schunk's library takes before it asks the hand, and where the firmware cannot tell.
+# What Schunk's library takes before it asks the hand, and where the firmware does not say.
 VELOCITY_MAX_DEG_S: Final = (80.0, 100.0, 100.0, 100.0, 100.0, 100.0, 100.0)
 VELOCITY_MAX_OLD_DEG_S: Final = (85.7, 200.0, 157.8, 200.0, 157.8, 200.0, 157.8)  # firmware before 0.0.2.1
 ACCELERATION_MAX_DEG_S2: Final = (5000.0, 400.0, 1500.0, 400.0, 1500.0, 400.0, 1500.0)

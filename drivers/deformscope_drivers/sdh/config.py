@@ -59,7 +59,7 @@ class SdhConfig:
         return not self.bus and not self.port.startswith("socket://")
 
     def transport(self) -> Transport:
-        """The way to the hand, not opened. Raises NotConnected unless there is exactly one of port and bus."""
+        """The transport to the hand, not opened. Raises NotConnected unless there is exactly one of port and bus."""
         return serial_or_can(
             self.port,
             self.bus,

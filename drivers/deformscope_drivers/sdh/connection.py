@@ -1,4 +1,4 @@
-"""The way to the hand: opening, asking and being answered, and the readings that are asked for again and again."""
+"""The link to the hand: opening, asking and being answered, and the readings that are asked for again and again."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ ReplyT = TypeVar("ReplyT", Reading, ValueReply, TextReply)
 
 
 class SdhConnection(StreamDevice[HandReading]):
-    """Asks the hand, one command at a time, in the device's thread; `device.Sdh` adds what one wants from a hand."""
+    """Asks the hand, one command at a time, in the device's thread; `device.Sdh` adds what a user asks of a hand."""
 
     def __init__(self, config: SdhConfig, *, transport: Transport | None = None, clock: Clock = monotonic_ns) -> None:
         self.config = config
@@ -99,13 +99,13 @@ class SdhConnection(StreamDevice[HandReading]):
         return []  # a reading is made of three answers: see _poll
 
     def _fingerprint(self, reading: HandReading) -> Hashable:
-        return None  # a hand at rest tells the same again and again
+        return None  # a hand at rest reports the same again and again
 
     def _extra_health(self) -> dict[str, float]:
         return {"retries": self._retries}
 
     def _start(self) -> None:
-        """Schunk's way in: end a half command, drop what waits, ask for the release."""
+        """As Schunk's library begins: end a half command, drop what waits, ask for the release."""
         self._release = ()
         self._send(END_OF_COMMAND)
         dropped = self._transport.drain(OPEN_QUIET_S, OPEN_QUIET_S, OPEN_DROP_BYTES)

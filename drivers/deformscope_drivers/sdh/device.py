@@ -39,7 +39,7 @@ from deformscope_drivers.transport import Transport
 SETTLE_S = 0.5
 """For so long after a command an idle axis may not have noticed it yet: IPA's driver waits as long."""
 MARGIN_S = 1.0
-LONGEST_MOTION_S = 15.0  # where old firmware does not tell: the whole range at 12 deg/s
+LONGEST_MOTION_S = 15.0  # where old firmware does not report it: the whole range at 12 deg/s
 REFERENCE_TIMEOUT_S = 10.0
 GRIP_VELOCITY_MIN_DEG_S = 0.1
 COMMAND_TIMEOUT_S = 10.0
@@ -64,7 +64,7 @@ class Toward(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class _Started:
-    """A motion under way. targets_deg: by axis that moves, None where the hand alone knows them"""
+    """A motion in progress. targets_deg: by axis that moves, None where the hand alone knows them"""
 
     sent_ns: int
     duration_s: float | None
@@ -74,9 +74,9 @@ class _Started:
 
 
 class Sdh(SdhConnection):
-    """The hand. Readings (`HandReading`) come at `config.rate_hz`, read in the three ways of every device.
+    """The hand. Readings (`HandReading`) come at `config.rate_hz`, with the three reads of every device.
 
-    After a link was lost and made again the hand is told to stop, a motion that was waited for raises LinkLost, and
+    After a link was lost and made again the hand is stopped, a motion that was waited for raises LinkLost, and
     `health().extra["stopped_after_reconnect"]` counts it. transport, clock: for a hand in memory
     """
 
@@ -107,7 +107,7 @@ class Sdh(SdhConnection):
 
         targets_deg: (7,), or by axis, the others staying where they are; velocity_deg_s, acceleration_deg_s2: (7,) or
         one for all (the sin² profile knows no acceleration); timeout_s: None = the hand's own duration and 1 s more,
-        after which the hand is told to stop, as it is by Ctrl-C. Firmware switches all axes on by this.
+        after which the hand is stopped, as it is by Ctrl-C. Firmware switches all axes on by this.
         A blocked axis raises nothing; `result.outcome` says so, since touching things is what hands are for.
         Raises OutOfLimits (nothing was sent), CommandRefused, LinkLost, NoReply.
         """
@@ -124,8 +124,8 @@ class Sdh(SdhConnection):
             planned = () if self._release >= DURATION_REPLIES_SINCE else self._values("get_duration")
             self._switched_on = True
             sent_ns = self._clock()
-            told = self._values("m") or planned
-            return _Started(sent_ns, told[0] if told else None, targets, self._connections, self._stops)
+            reported = self._values("m") or planned
+            return _Started(sent_ns, reported[0] if reported else None, targets, self._connections, self._stops)
 
         return self._run_motion(start, wait, timeout_s)
 
@@ -143,7 +143,7 @@ class Sdh(SdhConnection):
         return self._run_motion(lambda: self._grip("grip", close, velocity_deg_s), wait, timeout_s)
 
     def wait_until_still(self, timeout_s: float) -> MoveResult:
-        """Wait until no axis moves any more; what still moves then is told to stop."""
+        """Wait until no axis moves any more; what still moves then is stopped."""
         return self._wait(_Started(self._clock(), None, None, self._connections, self._stops), timeout_s)
 
     def stop(self) -> StopReport:
@@ -190,7 +190,7 @@ class Sdh(SdhConnection):
     def power(self, on: bool | Sequence[bool]) -> None:
         """Switch axes on, holding where they are, or off: one for all, or (7,).
 
-        Raises SettingsRefused when the hand says otherwise than it was told, as during a grip.
+        Raises SettingsRefused when the hand reports another value than was set, as during a grip.
         """
         wanted = (on,) * AXIS_COUNT if isinstance(on, bool) else tuple(on)
         if len(wanted) != AXIS_COUNT:
@@ -208,7 +208,7 @@ class Sdh(SdhConnection):
         return tuple(value != 0.0 for value in self._do(lambda: self._values("power"), COMMAND_TIMEOUT_S))
 
     def current_limits_a(self, mode: CurrentMode = CurrentMode.MOVE) -> ByAxis:
-        """The limits of the motor currents, (7,) [A]. The hand tells no currents that flow."""
+        """The limits of the motor currents, (7,) [A]. The hand does not report the currents that flow."""
         return self._do(lambda: self._values(CurrentMode(mode)), COMMAND_TIMEOUT_S)
 
     def set_current_limits(self, limit_a: Sequence[float] | float, mode: CurrentMode = CurrentMode.MOVE) -> None:
@@ -223,11 +223,11 @@ class Sdh(SdhConnection):
         """
         if not toward or any(axis not in range(AXIS_COUNT) for axis in toward):
             raise OutOfLimits(f"axes of 0 to {AXIS_COUNT - 1}", f"{sorted(toward)}", where=self.name)
-        ways = tuple(float(Toward(toward[axis])) if axis in toward else 0.0 for axis in range(AXIS_COUNT))
+        senses = tuple(float(Toward(toward[axis])) if axis in toward else 0.0 for axis in range(AXIS_COUNT))
 
         def run() -> None:
             self._switched_on = True
-            self._values("ref", *ways, timeout_s=REFERENCE_TIMEOUT_S, tries=1)
+            self._values("ref", *senses, timeout_s=REFERENCE_TIMEOUT_S, tries=1)
 
         self._do(run, REFERENCE_TIMEOUT_S + COMMAND_TIMEOUT_S)
 
@@ -251,7 +251,7 @@ class Sdh(SdhConnection):
             timeout_s = planned_s + MARGIN_S + 2 / self.config.rate_hz
         try:
             return self._wait(started, timeout_s)
-        except KeyboardInterrupt:  # who presses Ctrl-C wants the hand to stop, whatever becomes of the program
+        except KeyboardInterrupt:  # Ctrl-C stops the hand, whatever becomes of the program
             with contextlib.suppress(DeviceError):
                 self.stop()
             raise
@@ -271,7 +271,7 @@ class Sdh(SdhConnection):
             if left_s <= 0 and last is not None:
                 return self._result(started, last, timed_out)
             if left_s <= 0:
-                raise Stale("readings of a hand that was told to stop", "none", "switch it off", self.name)
+                raise Stale("readings of a hand that was stopped", "none", "switch it off", self.name)
             reading = self._next_of(started, left_s)
             if reading is None:
                 continue
@@ -289,7 +289,7 @@ class Sdh(SdhConnection):
         except Stale:
             reading = None
         if self.link is not Link.CONNECTED or self._connections != started.connection:
-            advice = "see how it stands; it is told to stop as soon as the link is back"
+            advice = "see how it stands; it is stopped as soon as the link is back"
             raise LinkLost("the end of a motion", "a lost link", advice, self.name)
         return None if reading is None or reading.stamp.host_ns < started.sent_ns else reading
 
@@ -359,7 +359,7 @@ class Sdh(SdhConnection):
         return []
 
     def _velocity(self) -> FloatArray:
-        """While velocities are driven they are told again each time, which also answers with the actual ones."""
+        """While velocities are driven they are sent again each time, which also answers with the actual ones."""
         if self._drive_until_ns is None:
             return super()._velocity()
         return self._measured("tvav", self._driven)[0]
@@ -397,25 +397,26 @@ class Sdh(SdhConnection):
         return tuple(targets.get(axis, float(actual[axis])) for axis in range(AXIS_COUNT))
 
     def _grip(self, name: str, *values: float) -> _Started:
-        """Sent once only: a second one may come while the first is under way."""
+        """Sent once only: a second one may come while the first is in progress."""
         self._take_up(Controller.POSE, VelocityProfile.SIN_SQUARE)
-        tells_duration = self._release >= DURATION_REPLIES_SINCE
-        timeout_s = None if tells_duration else LONGEST_MOTION_S  # older firmware answers when it is done
+        reports_duration = self._release >= DURATION_REPLIES_SINCE
+        timeout_s = None if reports_duration else LONGEST_MOTION_S  # older firmware answers when it is done
         self._switched_on = True
         sent_ns = self._clock()
         self._grip_until_ns = sent_ns + round(LONGEST_MOTION_S * 1e9)  # while nothing better is known
-        told = self._values(name, *values, timeout_s=timeout_s, tries=1)
-        duration_s = told[0] if tells_duration and told else None
+        reported = self._values(name, *values, timeout_s=timeout_s, tries=1)
+        duration_s = reported[0] if reports_duration and reported else None
         self._grip_until_ns = self._clock() + round((duration_s or 0.0) * 1e9)
         return _Started(sent_ns, duration_s, None, self._connections, self._stops)
 
     def _set(self, name: str, values: ByAxis) -> None:
-        """Set, and see that it is so. How finely the hand repeats what it was told is not documented."""
-        told = self._values(name, *values)
-        agrees = len(told) == len(values) and all(
-            abs(is_ - wanted) <= ECHO_TOLERANCE + 1e-3 * abs(wanted) for is_, wanted in zip(told, values, strict=True)
+        """Set, and see that it is so. How finely the hand repeats a value is not documented."""
+        reported = self._values(name, *values)
+        agrees = len(reported) == len(values) and all(
+            abs(is_ - wanted) <= ECHO_TOLERANCE + 1e-3 * abs(wanted)
+            for is_, wanted in zip(reported, values, strict=True)
         )
         if not agrees:
-            came = ", ".join(f"{value:g}" for value in told) or "nothing"
+            came = ", ".join(f"{value:g}" for value in reported) or "nothing"
             asked = ", ".join(f"{value:g}" for value in values)
             raise SettingsRefused(f"{name} = {asked}", came, "wait until the hand is still", self.name)

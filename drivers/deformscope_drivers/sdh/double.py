@@ -36,7 +36,7 @@ class SdhDouble:
 
     firmware: decides what it knows: binary from 0.0.2.15 on, `con` and `rvel` from 0.0.2.6, `vlim` from 0.0.2.1, `alim`
     from 0.0.2.7; before 0.0.3.1 it adds debug lines, and answers `m`, `selgrip` and `grip` without duration
-    state_lag_s: how long after a command it still tells the axis states from before (0.5 s is what IPA's driver waits)
+    state_lag_s: how long after a command it reports the axis states from before (0.5 s is what IPA's driver waits)
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class SdhDouble:
     ) -> None:
         self.port = port
         self.commands = 0
-        self.silent = False  # hears nothing, says nothing, and goes on with what it does
+        self.silent = False  # receives and sends nothing, and goes on as it is
         texts = {"ver_date": "2010-11-12", "id": name, "sn": serial_number, "soc": "1.0.0.1", "soc_date": "2009-03-03"}
         self._firmware = Firmware(firmware, texts, state_lag_s)
         self._checksummed = port is Port.RS232
@@ -81,7 +81,7 @@ class SdhDouble:
             axis.position_deg = angle
 
     def obstruct(self, axis: int, low_deg: float = -math.inf, high_deg: float = math.inf) -> None:
-        """Something lies in the way of an axis, beyond these angles; without any, it is taken away."""
+        """Something blocks an axis, beyond these angles; without any, it is taken away."""
         self.motion.axes[axis].obstacle_low_deg = low_deg
         self.motion.axes[axis].obstacle_high_deg = high_deg
 

@@ -1,6 +1,6 @@
 """What a simulated SDH hand does with commands, and how its firmware answers them.
 
-Where no document tells (marked "assumed"), it does the plain thing: what `stop` is answered with, that `selgrip` turns
+Where no document says (marked "assumed"), it does the plain thing: what `stop` is answered with, that `selgrip` turns
 the base axis only, and what is refused while a grip goes on.
 """
 
@@ -68,7 +68,7 @@ class Firmware:
         self._gripping_until_ns = 0
         self._after_grip: Callable[[], None] | None = None
         self._lag_until_ns = 0
-        self._told_states = tuple(axis.state for axis in self.motion.axes)
+        self._reported_states = tuple(axis.state for axis in self.motion.axes)
         self._integers = dict.fromkeys(INTEGER_COMMANDS, 0)
         self._pid = [(1.0, 0.0, 0.0)] * AXIS_COUNT
         self._kv = [0.0] * AXIS_COUNT
@@ -100,8 +100,8 @@ class Firmware:
             case "m" | "get_duration":
                 return self._move(name, now_ns)
             case "stop":
-                if now_ns >= self._gripping_until_ns:  # a grip goes on, and so does what it told
-                    self._told(now_ns, lag=False)
+                if now_ns >= self._gripping_until_ns:  # a grip goes on, and so do its reports
+                    self._keep_reporting(now_ns, lag=False)
                     self.motion.stop()
                 return [ValueReply("stop")]  # assumed
             case "selgrip" | "grip":
@@ -119,7 +119,7 @@ class Firmware:
                 return [ValueReply(name, values, command.axis)]
             case "numaxis":
                 return [ValueReply(name, (float(AXIS_COUNT),))]
-        raise Refusal(UNKNOWN)  # `demo` too: nothing here moves without having been told where to
+        raise Refusal(UNKNOWN)  # `demo` too: nothing here moves without a target
 
     def _axes(self, command: Command) -> list[tuple[int, Axis]]:
         axes = list(enumerate(self.motion.axes))
@@ -144,14 +144,14 @@ class Firmware:
 
     def _states(self, now_ns: int) -> tuple[AxisState, ...]:
         if now_ns < self._lag_until_ns:
-            return self._told_states
+            return self._reported_states
         return tuple(axis.state for axis in self.motion.axes)
 
-    def _told(self, now_ns: int, *, lag: bool = True) -> None:
-        """Before a command takes effect: for a while the states from before it are told on."""
+    def _keep_reporting(self, now_ns: int, *, lag: bool = True) -> None:
+        """Before a command takes effect: for a while the states from before it are still reported."""
         if lag and now_ns < self._lag_until_ns:
             return
-        self._told_states = self._states(now_ns)
+        self._reported_states = self._states(now_ns)
         self._lag_until_ns = now_ns + self._state_lag_ns if lag else now_ns
 
     def _setting(self, command: Command, now_ns: int) -> Event:
@@ -166,7 +166,7 @@ class Firmware:
             for (index, axis), value in zip(axes, values, strict=True):
                 self._set(name, index, axis, value, now_ns)
             if name in ("v", "tvav") and self.motion.controller is not Controller.POSE:
-                self._told(now_ns)
+                self._keep_reporting(now_ns)
                 self.motion.follow_velocities()
         if name in MEASURED_COUNT:
             return self._measured(command, now_ns)
@@ -234,11 +234,11 @@ class Firmware:
         return ValueReply(command.name, tuple(values), command.axis)
 
     @property
-    def _tells_duration(self) -> bool:
+    def _reports_duration(self) -> bool:
         return self.release >= DURATION_REPLIES_SINCE
 
     def _debug(self, *lines: str) -> list[Event]:
-        return [] if self._tells_duration else [DebugLine(line) for line in lines]
+        return [] if self._reports_duration else [DebugLine(line) for line in lines]
 
     def _plan_line(self, targets_deg: Sequence[float | None], duration_s: float) -> str:
         distance = max(
@@ -257,11 +257,11 @@ class Firmware:
         plan = self._plan_line(targets, duration_s)
         if name == "get_duration":
             return [*self._debug(plan), ValueReply(name, (duration_s,))]
-        self._told(now_ns)
+        self._keep_reporting(now_ns)
         for index in range(AXIS_COUNT):
             self.motion.power(index, True)
         self.motion.start(targets, velocities)
-        if self._tells_duration:
+        if self._reports_duration:
             return [ValueReply(name, (duration_s,))]
         return [DebugLine("Enabling all axis"), DebugLine(plan), ValueReply(name)]
 
@@ -279,15 +279,15 @@ class Firmware:
             base_deg = grasp_angles_deg(self._grasp, 0.0)[0]
             targets: list[float | None] = [base_deg, *[None] * (AXIS_COUNT - 1)]
             velocities = [axis.target_velocity_deg_s for axis in axes]
-            moved, first, told = range(AXIS_COUNT), "Enabling all axis", (number,)
+            moved, first, reported = range(AXIS_COUNT), "Enabling all axis", (number,)
         else:
             close, velocity = _exactly(command.values, 2)
             if not 0.0 <= close <= 1.0 or not 0.0 < velocity <= GRIP_VELOCITY_MAX_DEG_S:
                 raise Refusal(RANGE)
             targets = [None, *grasp_angles_deg(self._grasp, close)[1:]]
             velocities = [velocity] * AXIS_COUNT
-            moved, first, told = range(1, AXIS_COUNT), "Enabling finger axis", (close,)
-        self._told(now_ns)
+            moved, first, reported = range(1, AXIS_COUNT), "Enabling finger axis", (close,)
+        self._keep_reporting(now_ns)
         for index in moved:
             self.motion.power(index, True)
         plan = self._plan_line(targets, self.motion.duration_s(targets, velocities))
@@ -295,10 +295,10 @@ class Firmware:
         self._gripping_until_ns = now_ns + round(duration_s * 1e9)
         if command.name == "selgrip":
             self._after_grip = lambda: self.motion.power(0, False)
-        if self._tells_duration:
-            return [ValueReply(command.name, (duration_s, *told))]
+        if self._reports_duration:
+            return [ValueReply(command.name, (duration_s, *reported))]
         self.busy_until_ns = self._gripping_until_ns
-        self.last_line = ValueReply(command.name, told)
+        self.last_line = ValueReply(command.name, reported)
         currents = "Setting current limit to " + " ".join(f"@{axis.grip_current_a:.1f}" for axis in axes) + " @"
         return self._debug(first, currents, plan)
 
@@ -309,7 +309,7 @@ class Firmware:
             (number,) = _exactly(values, 1)
             if number not in tuple(Controller):
                 raise Refusal(RANGE)
-            self._told(now_ns, lag=False)
+            self._keep_reporting(now_ns, lag=False)
             self.motion.set_controller(Controller(int(number)))
         return ValueReply("con", (float(self.motion.controller),))
 
@@ -338,14 +338,14 @@ class Firmware:
 
     def _reference(self, command: Command, now_ns: int) -> list[Event]:
         axes = self._axes(command)
-        ways = _exactly(command.values, len(axes))
-        _check(ways, lambda value: value in (0.0, 1.0, 2.0))
+        senses = _exactly(command.values, len(axes))
+        _check(senses, lambda value: value in (0.0, 1.0, 2.0))
         targets: list[float | None] = [None] * AXIS_COUNT
-        for (index, axis), way in zip(axes, ways, strict=True):
-            if way:
+        for (index, axis), sense in zip(axes, senses, strict=True):
+            if sense:
                 self.motion.power(index, True)
-                targets[index] = axis.high_deg if way == 1.0 else axis.low_deg
-        self._told(now_ns)
+                targets[index] = axis.high_deg if sense == 1.0 else axis.low_deg
+        self._keep_reporting(now_ns)
         duration_s = self.motion.start(targets, [REFERENCE_VELOCITY_DEG_S] * AXIS_COUNT)
         self.busy_until_ns = now_ns + round(duration_s * 1e9)
         self.last_line = ValueReply("ref", command.values, command.axis)

@@ -1,4 +1,4 @@
-"""What the hand may be told, checked before anything is sent."""
+"""Limits of commands to the hand, checked before anything is sent."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ByAxis = tuple[float, ...]
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """The limits of the seven axes. Velocities and accelerations are the hand's own where its firmware tells them.
+    """The limits of the seven axes. Velocities and accelerations are the hand's own where its firmware reports them.
 
     position_min_deg, position_max_deg, velocity_max_deg_s, acceleration_max_deg_s2, current_max_a: (7,) each
     """

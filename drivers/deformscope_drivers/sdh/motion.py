@@ -1,7 +1,7 @@
 """How a simulated hand moves: seven axes with profiles, velocity control, limits, obstacles, and motors that warm up.
 
 Known from Schunk's library and its trace of old firmware: all axes of a pose move start and end together; the sin²
-profile takes twice the way over the set velocity (8.31 deg at 40 deg/s are told as T=0.42s, 42 points: the hand's
+profile takes twice the distance over the set velocity (8.31 deg at 40 deg/s have T=0.42s, 42 points: the hand's
 cycle is 10 ms); the grasps' angles. Assumed: the ramp profile is a trapezoid; `stop` slows down by the set
 acceleration; "CW" is the direction of growing angles; the temperatures' time and size.
 """
@@ -74,7 +74,7 @@ def _sin_square_part(time_part: float) -> float:
 
 
 def _ramp_part(time_part: float, ramp: float) -> float:
-    """The part of the way at a part of the time, where the first and last `ramp` of the time change the speed."""
+    """The part of the distance at a part of the time, where the first and last `ramp` of the time change the speed."""
     if time_part > 0.5:
         return 1 - _ramp_part(1 - time_part, ramp)
     top = 1 / (1 - ramp)
@@ -167,7 +167,7 @@ class Motion:
 
     @property
     def moving(self) -> bool:
-        """Whether any axis changes its place, or is told to."""
+        """Whether any axis moves, or is commanded to."""
         return any(axis.mode is not _Mode.HOLD for axis in self.axes)
 
     def advance(self, now_ns: int) -> None:
@@ -266,9 +266,9 @@ class Motion:
             case _Mode.POSE:
                 elapsed_s = (self._now_ns - self._start_ns) / 1e9
                 part = min(elapsed_s / self._duration_s, 1.0) if self._duration_s else 1.0
-                way = _sin_square_part(part) if axis.ramp_part is None else _ramp_part(part, axis.ramp_part)
+                share = _sin_square_part(part) if axis.ramp_part is None else _ramp_part(part, axis.ramp_part)
                 ended = part >= 1.0
-                met = axis.advance_to(axis.to_deg if ended else axis.from_deg + way * (axis.to_deg - axis.from_deg))
+                met = axis.advance_to(axis.to_deg if ended else axis.from_deg + share * (axis.to_deg - axis.from_deg))
                 axis.velocity_deg_s = (axis.position_deg - before) / _CYCLE_S
             case _Mode.SPEED:
                 met = self._step_speed(axis)

@@ -53,14 +53,14 @@ class Outcome(StrEnum):
     LIMITED = "limited"  # still; an axis came to the end of its range
     STOPPED = "stopped"  # `stop` was called
     MISSED = "missed"  # still, not at the targets, and no axis says why
-    TIMED_OUT = "timed out"  # it went on for too long and was told to stop
+    TIMED_OUT = "timed out"  # it went on for too long and was stopped
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MoveResult:
     """How a motion went.
 
-    duration_s: what the hand planned, None where old firmware does not tell
+    duration_s: what the hand planned, None where old firmware does not report it
     elapsed_s: what it took until it was seen to be still
     blocked, limited, disabled: axes in such a state; reading: the last one, None where it was not waited for
     error_deg: largest distance of an axis from its target, None where the hand alone knows the targets
@@ -81,7 +81,7 @@ class StopReport:
     """What `stop` could do: the hand confirmed it, and a move or a velocity ends.
 
     grip_left_s: `stop` does not end what `select_grip` and `grip` started (nor does switching off, in Schunk's words);
-    so long may such a motion still take, 0 = none was under way
+    so long may such a motion still take, 0 = there was none
     """
 
     grip_left_s: float = 0.0

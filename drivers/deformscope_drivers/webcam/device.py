@@ -67,7 +67,7 @@ class Webcam(Device[ColorImage]):
 
     open() raises SettingsRefused when the camera runs otherwise than configured. `health().extra["gaps"]` counts
     pauses between images longer than one and a half periods, by the camera's timestamps where it gives them: images
-    lost, or a camera that exposes longer in the dark (OpenCV hands on no frame counter that would tell).
+    lost, or a camera that exposes longer in the dark (OpenCV gives no frame counter that would show it).
     Never tried on a camera.
     """
 
@@ -177,8 +177,8 @@ def apply(config: WebcamConfig, capture: Capture, where: str) -> None:
             wrong.append((setting, value, came))
     if wrong:
         raise SettingsRefused(
-            ", ".join(_told(setting, value) for setting, value, _ in wrong),
-            ", ".join(_told(setting, came) for setting, _, came in wrong),
+            ", ".join(_in_words(setting, value) for setting, value, _ in wrong),
+            ", ".join(_in_words(setting, came) for setting, _, came in wrong),
             f"v4l2-ctl -d {where} --list-formats-ext --list-ctrls",
             where,
         )
@@ -199,7 +199,7 @@ def to_fourcc(text: str) -> int:
     return int.from_bytes(text.encode("ascii"), "little")
 
 
-def _told(setting: Setting, value: float | None) -> str:
+def _in_words(setting: Setting, value: float | None) -> str:
     name = setting.name.lower().replace("_", " ")
     if value is None:
         return f"no {name}"

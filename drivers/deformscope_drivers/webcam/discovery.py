@@ -1,15 +1,15 @@
-"""Webcams that are plugged in, as the kernel tells of them, without opening any."""
+"""Webcams that are plugged in, as the kernel lists them, without opening any."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from deformscope_drivers.ports import Found
+from deformscope_drivers.ports import FoundDevice
 from deformscope_drivers.usb import UsbDevice, sysfs_text, usb_device
 from deformscope_drivers.webcam.device import stable_name
 
 
-def discover(sysfs: Path = Path("/sys"), dev: Path = Path("/dev")) -> list[Found]:
+def discover(sysfs: Path = Path("/sys"), dev: Path = Path("/dev")) -> list[FoundDevice]:
     """Every V4L2 camera, by its stable name where there is one.
 
     A camera's further nodes (metadata, which give no images) are left out. sysfs, dev: where those folders are
@@ -23,11 +23,11 @@ def discover(sysfs: Path = Path("/sys"), dev: Path = Path("/dev")) -> list[Found
         port = stable_name(str(device), dev / "v4l" / "by-id")
         name = sysfs_text(node / "name")
         usb = _usb_of(node)
-        told = [] if port == str(device) else [str(device)]
+        notes = [] if port == str(device) else [str(device)]
         if usb is not None:
-            told.append(f"usb {usb.vendor:04x}:{usb.product:04x}")
+            notes.append(f"usb {usb.vendor:04x}:{usb.product:04x}")
         serial, revision = (usb.serial, usb.revision) if usb is not None else ("", "")
-        found.append(Found("webcam", port, name, serial, revision, ", ".join(told)))
+        found.append(FoundDevice("webcam", port, name, serial, revision, ", ".join(notes)))
     return found
 
 

@@ -151,8 +151,8 @@ class VideoFile(Playback):
         if not capture.isOpened():
             capture.release()
             raise NotConnected("a video", "a file that is none, or damaged", f"ffprobe {self.path}", self.path)
-        told = float(capture.get(cv2.CAP_PROP_FPS))
-        return _VideoPictures(capture), told if math.isfinite(told) and told > 0 else None
+        reported = float(capture.get(cv2.CAP_PROP_FPS))
+        return _VideoPictures(capture), reported if math.isfinite(reported) and reported > 0 else None
 
 
 class ImageFolder(Playback):

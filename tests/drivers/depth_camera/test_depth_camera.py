@@ -278,7 +278,7 @@ def test_damaged_recordings_end_in_words(recording: Path) -> None:
         camera = DepthCamera(DepthCameraConfig(port=str(recording), speed=0.0, silence_s=0.5))
         with contextlib.suppress(DeviceError), camera:
             for picture in camera:
-                assert picture.depth.shape == (camera._told["height"], camera._told["width"])
+                assert picture.depth.shape == (camera._reported["height"], camera._reported["width"])
         assert not camera.is_open
         assert camera._process is None
 

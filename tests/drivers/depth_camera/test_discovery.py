@@ -10,7 +10,7 @@ from deformscope_drivers.depth_camera import DepthCamera, DepthCameraConfig, dis
 from deformscope_drivers.depth_camera.discovery import list_by_openni, resolve_port
 from deformscope_drivers.errors import NotConnected
 from deformscope_drivers.openni.library import ListedDevice
-from deformscope_drivers.ports import Found
+from deformscope_drivers.ports import FoundDevice
 
 
 def plug(devices: Path, socket: str, files: dict[str, str]) -> None:
@@ -33,8 +33,8 @@ def devices(tmp_path: Path) -> Path:
     return tmp_path
 
 
-XTION = Found("depth_camera", "usb:1-2", "PrimeSense PrimeSense Device", "", "0.01", "OpenNI2: 1d27/0601@1/14")
-KINECT = Found(
+XTION = FoundDevice("depth_camera", "usb:1-2", "PrimeSense PrimeSense Device", "", "0.01", "OpenNI2: 1d27/0601@1/14")
+KINECT = FoundDevice(
     "depth_camera", "usb:2-1.1", "Kinect for Xbox 360 or Windows", "A00362A12345", "", "OpenNI2: 045e/02ae@2/9"
 )
 
@@ -50,7 +50,7 @@ def test_what_openni_sees_beside_them_is_told_by_its_own_name(devices: Path) -> 
     assert discover(devices, lambda: [xtion, astra]) == [
         XTION,
         KINECT,
-        Found("depth_camera", "2bc5/0401@1/7", "Orbbec Astra", note="told by OpenNI2"),
+        FoundDevice("depth_camera", "2bc5/0401@1/7", "Orbbec Astra", note="told by OpenNI2"),
     ]
 
 

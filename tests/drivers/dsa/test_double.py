@@ -23,7 +23,7 @@ from deformscope_drivers.dsa.messages import (
 from deformscope_drivers.dsa.pads import Pad, Part
 from deformscope_drivers.dsa.pressure import SCHUNK_PA_PER_COUNT
 from deformscope_drivers.dsa.protocol import SDH_CELLS, Decoder, encode, single, stop, stream
-from deformscope_drivers.dsa.scene import Grasp
+from deformscope_drivers.dsa.scene import GraspScene
 from tests.drivers.dsa.packets import ACK, checked, hexed
 
 S = 1_000_000_000
@@ -296,7 +296,7 @@ def test_a_scene_of_the_wrong_shape_is_refused() -> None:
 
 
 def test_the_grasp_closes_and_opens() -> None:
-    grasp = Grasp(SHAPES, seed=5)
+    grasp = GraspScene(SHAPES, seed=5)
     open_pa, held_pa = (np.concatenate([pad.ravel() for pad in grasp(time_s)]) for time_s in (0.0, 4.0))
     tip = grasp(4.0)[Pad(0, Part.DISTAL).matrix]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from deformscope_drivers.dsa.timestamps import STEP_MAX_MS, TimestampGate, Verdict
+from deformscope_drivers.dsa.timestamps import STEP_MAX_MS, TimestampGate, TimestampVerdict
 
-NEW, REPEATED, JUMPED, RESTARTED = Verdict.NEW, Verdict.REPEATED, Verdict.JUMPED, Verdict.RESTARTED
+NEW, REPEATED, JUMPED, RESTARTED = map(TimestampVerdict, ("new", "repeated", "jumped", "restarted"))
 
 
 @pytest.mark.parametrize(
@@ -26,7 +26,7 @@ NEW, REPEATED, JUMPED, RESTARTED = Verdict.NEW, Verdict.REPEATED, Verdict.JUMPED
         ([0, 60_000, 60_033], [NEW, JUMPED, RESTARTED]),  # a pause of a minute costs one frame
     ],
 )
-def test_frames_in_turn(times: list[int], verdicts: list[Verdict]) -> None:
+def test_frames_in_turn(times: list[int], verdicts: list[TimestampVerdict]) -> None:
     gate = TimestampGate()
 
     assert [gate.check(time) for time in times] == verdicts

@@ -43,7 +43,7 @@ from deformscope_drivers.jaco import errors as vendor_errors
 from deformscope_drivers.jaco.commands import Velocity
 from deformscope_drivers.jaco.kinematics import J2N6S300, FloatArray
 from deformscope_drivers.jaco.library import Functions, Library, read
-from deformscope_drivers.jaco.pacing import Pacer
+from deformscope_drivers.jaco.pacing import SlotPacer
 from deformscope_drivers.jaco.structures import (
     AngularPosition,
     PositionType,
@@ -1033,7 +1033,7 @@ def test_a_link_lost_on_the_way_to_a_target_is_told_at_once() -> None:
 
 
 def test_a_pacer_keeps_its_schedule_and_counts_what_it_missed() -> None:
-    pacer = Pacer(10)
+    pacer = SlotPacer(10)
     pacer.start(100)
     assert pacer.enter(100) == 0
     assert pacer.due_ns == 110

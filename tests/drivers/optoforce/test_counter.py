@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deformscope_drivers.optoforce.counter import LEARNED_FROM, CounterTrack, Verdict
+from deformscope_drivers.optoforce.counter import LEARNED_FROM, CounterStep, CounterTrack
 
 MS = 1_000_000
 
@@ -23,7 +23,7 @@ def track_of(step: int = 1, period_ns: float | None = MS, first: int = 0) -> tup
     track = CounterTrack(period_ns)
     counters = [first + step * at for at in range(LEARNED_FROM + 1)]
     gaps = follow(track, counters, period_ns=int(period_ns or MS))
-    assert [gap.verdict for gap in gaps] == [Verdict.FIRST] + [Verdict.NEXT] * LEARNED_FROM
+    assert [gap.verdict for gap in gaps] == [CounterStep.FIRST] + [CounterStep.NEXT] * LEARNED_FROM
     assert track.step == step
     return track, counters[-1], len(counters) * int(period_ns or MS)
 
@@ -33,9 +33,9 @@ def test_the_step_is_learned_and_loss_counted_in_readings(step: int) -> None:
     track, last, now_ns = track_of(step, period_ns=step * MS, first=65536 - 4 * step)
     gap = track.follow((last + 4 * step) % 65536, now_ns + 3 * step * MS)
 
-    assert (gap.verdict, gap.lost) == (Verdict.LOST, 3)
+    assert (gap.verdict, gap.lost) == (CounterStep.LOST, 3)
     assert track.lost == 3
-    assert track.follow((last + 5 * step) % 65536, now_ns + 4 * step * MS).verdict is Verdict.NEXT
+    assert track.follow((last + 5 * step) % 65536, now_ns + 4 * step * MS).verdict is CounterStep.NEXT
 
 
 def test_loss_while_the_step_is_learned_is_told_when_it_is() -> None:
@@ -60,8 +60,8 @@ def test_a_damaged_counter_is_no_loss() -> None:
         counters = [(last + 1) ^ 1 << bit, last + 2, last + 3]
         gaps = follow(track, counters, start_ns=now_ns)
 
-        assert gaps[0].verdict is not Verdict.NEXT
-        assert [gap.verdict for gap in gaps[1:]] == [Verdict.CORRECTED, Verdict.NEXT]
+        assert gaps[0].verdict is not CounterStep.NEXT
+        assert [gap.verdict for gap in gaps[1:]] == [CounterStep.CORRECTED, CounterStep.NEXT]
         assert sum(gap.lost for gap in gaps) == track.lost == 0
         assert track.damaged == 1
         assert track.restarts == track.late == track.repeated == 0
@@ -72,7 +72,7 @@ def test_a_damaged_counter_beside_a_loss() -> None:
         track, last, now_ns = track_of(first=1000)
         gaps = follow(track, [damaged, last + 4, last + 5], start_ns=now_ns)
 
-        assert [gap.verdict for gap in gaps[1:]] == [Verdict.CORRECTED, Verdict.NEXT]
+        assert [gap.verdict for gap in gaps[1:]] == [CounterStep.CORRECTED, CounterStep.NEXT]
         assert sum(gap.lost for gap in gaps) == track.lost == 2
 
 
@@ -80,7 +80,12 @@ def test_a_reading_that_others_overtook() -> None:
     track, last, now_ns = track_of(first=65530)
     gaps = follow(track, [last + 1, last + 3, last + 2, last + 4], start_ns=now_ns)
 
-    assert [gap.verdict for gap in gaps] == [Verdict.NEXT, Verdict.LOST, Verdict.LATE, Verdict.NEXT]
+    assert [gap.verdict for gap in gaps] == [
+        CounterStep.NEXT,
+        CounterStep.LOST,
+        CounterStep.LATE,
+        CounterStep.NEXT,
+    ]
     assert sum(gap.lost for gap in gaps) == track.lost == 0
     assert track.late == 1
 
@@ -89,7 +94,7 @@ def test_a_reading_sent_twice() -> None:
     track, last, now_ns = track_of()
     gaps = follow(track, [last + 1, last + 1, last + 2], start_ns=now_ns)
 
-    assert [gap.verdict for gap in gaps] == [Verdict.NEXT, Verdict.REPEATED, Verdict.NEXT]
+    assert [gap.verdict for gap in gaps] == [CounterStep.NEXT, CounterStep.REPEATED, CounterStep.NEXT]
     assert (track.repeated, track.lost) == (1, 0)
 
 
@@ -97,7 +102,7 @@ def test_a_reading_sent_twice_before_a_loss_was_not_damaged() -> None:
     track, last, now_ns = track_of()
     gaps = [track.follow(last, now_ns, twin=True), track.follow(last + 2, now_ns + MS)]
 
-    assert [gap.verdict for gap in gaps] == [Verdict.REPEATED, Verdict.LOST]
+    assert [gap.verdict for gap in gaps] == [CounterStep.REPEATED, CounterStep.LOST]
     assert (track.repeated, track.damaged, track.lost) == (1, 0, 1)
 
 
@@ -106,7 +111,12 @@ def test_a_restart_is_no_loss(before: int) -> None:
     track, _, now_ns = track_of(first=before)
     gaps = follow(track, [0, 1, 2, 3], start_ns=now_ns + 300 * MS)
 
-    assert [gap.verdict for gap in gaps] == [Verdict.JUMPED, Verdict.RESTARTED, Verdict.NEXT, Verdict.NEXT]
+    assert [gap.verdict for gap in gaps] == [
+        CounterStep.JUMPED,
+        CounterStep.RESTARTED,
+        CounterStep.NEXT,
+        CounterStep.NEXT,
+    ]
     assert (track.restarts, track.lost) == (1, 0)
 
 
@@ -114,7 +124,7 @@ def test_a_restart_with_another_step_is_no_loss() -> None:
     track, _, now_ns = track_of(first=30_000)  # 1 kHz; after power-up it sends every tenth sample
     gaps = follow(track, [0, 10, 20, *range(30, 200, 10)], start_ns=now_ns + 300 * MS, period_ns=10 * MS)
 
-    assert [gap.verdict for gap in gaps[:2]] == [Verdict.JUMPED, Verdict.RESTARTED]
+    assert [gap.verdict for gap in gaps[:2]] == [CounterStep.JUMPED, CounterStep.RESTARTED]
     assert (track.restarts, track.lost, track.step) == (1, 0, 10)
 
 
@@ -123,7 +133,7 @@ def test_a_long_pause_is_loss_up_to_the_counters_range(lost: int) -> None:
     track, last, now_ns = track_of()
     gap = track.follow((last + 1 + lost) % 65536, now_ns + lost * MS)
 
-    assert (gap.verdict, gap.lost) == (Verdict.LOST, lost)
+    assert (gap.verdict, gap.lost) == (CounterStep.LOST, lost)
 
 
 def test_a_host_that_stalls_and_reads_late_sees_what_was_lost() -> None:
@@ -148,7 +158,7 @@ def test_another_rate_is_no_loss_for_long() -> None:
 def test_a_counter_that_stands_still_repeats_for_ever() -> None:
     track, last, now_ns = track_of()
 
-    assert {gap.verdict for gap in follow(track, [last] * 40, start_ns=now_ns)} == {Verdict.REPEATED}
+    assert {gap.verdict for gap in follow(track, [last] * 40, start_ns=now_ns)} == {CounterStep.REPEATED}
     assert track.step == 1
 
 
@@ -156,7 +166,7 @@ def test_without_a_known_period_a_counter_that_goes_back_has_restarted() -> None
     track, _, now_ns = track_of(first=20_000, period_ns=None)
     gaps = follow(track, [0, 1], start_ns=now_ns)
 
-    assert [gap.verdict for gap in gaps] == [Verdict.JUMPED, Verdict.RESTARTED]
+    assert [gap.verdict for gap in gaps] == [CounterStep.JUMPED, CounterStep.RESTARTED]
 
 
 @pytest.mark.parametrize("ppm", [-300, 300])
@@ -171,7 +181,7 @@ def test_hours_of_drift_make_no_restart_and_no_loss(ppm: int) -> None:
     for at in range(LEARNED_FROM + step, 3 * 3600 * 1000, step):
         for last in (at - 1, at):
             gap = track.follow(last % 65536, round(last * period))
-            assert gap.verdict in (Verdict.LOST, Verdict.NEXT)
+            assert gap.verdict in (CounterStep.LOST, CounterStep.NEXT)
             lost += gap.lost
     assert track.restarts == 0
     assert lost == track.lost == pytest.approx(3 * 3600 * 1000 * (step - 2) / step, rel=1e-3)

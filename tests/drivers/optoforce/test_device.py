@@ -18,13 +18,13 @@ from deformscope_drivers.health import Identity, Link
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.optoforce import (
     OMD_20_SE_40N,
+    CounterStep,
     Kind,
     Optoforce,
     OptoforceConfig,
     OptoforceDouble,
     Sensitivity,
     Sensors,
-    Verdict,
 )
 from deformscope_drivers.optoforce.protocol import Configure, Filter, Reading, Speed, Status, encode
 from deformscope_drivers.wires import CanWire, PtyWire, Wire
@@ -311,7 +311,7 @@ def test_lost_readings_are_counted_where_they_are_missing() -> None:
         simulation.double.due(simulation.clock())  # nobody hears these
         measured = simulation.run(0.1)
 
-        assert (measured[0].lost_before, measured[0].follows) == (7, Verdict.LOST)
+        assert (measured[0].lost_before, measured[0].follows) == (7, CounterStep.LOST)
         assert sum(one.lost_before for one in measured) == device.health().lost == 7
 
 

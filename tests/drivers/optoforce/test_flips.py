@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from deformscope_drivers.optoforce import flips
-from deformscope_drivers.optoforce.flips import Tally, table
+from deformscope_drivers.optoforce.flips import DamageCount, table
 from deformscope_drivers.optoforce.plausibility import doubts
 from deformscope_drivers.optoforce.protocol import Decoder, Kind, Reading, Skipped, Status, encode
 from tests.drivers.optoforce.packets import FROM_DAQ
@@ -89,11 +89,11 @@ def test_the_published_counts_of_a_sensor_at_rest() -> None:
     found = count(bytes.fromhex(FROM_DAQ[3][0]), 16037)
 
     assert found == {
-        "1 bit flipped": Tally(128),
-        "2 bits flipped": Tally(8128, 234, by_status=49, by_counter=67, by_load=9, unseen=109),
-        "3 bits flipped": Tally(341376, 1023, by_status=317, by_counter=382, by_load=19, unseen=305),
-        "2 bytes changed": Tally(7803000, 7800, by_status=2539, by_counter=2400, by_load=41, unseen=2820),
-        "2 bytes swapped": Tally(115, 41, by_status=14, by_counter=13, by_load=0, unseen=14),
+        "1 bit flipped": DamageCount(128),
+        "2 bits flipped": DamageCount(8128, 234, by_status=49, by_counter=67, by_load=9, unseen=109),
+        "3 bits flipped": DamageCount(341376, 1023, by_status=317, by_counter=382, by_load=19, unseen=305),
+        "2 bytes changed": DamageCount(7803000, 7800, by_status=2539, by_counter=2400, by_load=41, unseen=2820),
+        "2 bytes swapped": DamageCount(115, 41, by_status=14, by_counter=13, by_load=0, unseen=14),
     }
 
 

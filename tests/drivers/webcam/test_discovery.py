@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from deformscope_drivers.ports import Found
+from deformscope_drivers.ports import FoundDevice
 from deformscope_drivers.webcam import discover
 
 
@@ -50,8 +50,8 @@ def test_cameras_are_told_by_their_stable_names(machine: Path) -> None:
     name, note = "HD Pro Webcam C920", f"{machine}/dev/video0, usb 046d:082d"
 
     assert discover(machine / "sys", machine / "dev") == [
-        Found("webcam", str(link), name, "9D5B0A6F", "0.11", note),
-        Found("webcam", str(machine / "dev/video10"), "Dummy video device"),
+        FoundDevice("webcam", str(link), name, "9D5B0A6F", "0.11", note),
+        FoundDevice("webcam", str(machine / "dev/video10"), "Dummy video device"),
     ]
 
 

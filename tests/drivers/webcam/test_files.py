@@ -65,7 +65,7 @@ class TestAsFastAsRead(DeviceContract):
     def bench(self, video: Path) -> Bench:
         return Bench(VideoFile(video, real_time=False, loop=True))
 
-    def test_a_slow_reader_loses_the_oldest_and_is_told(self, device) -> None:
+    def test_a_slow_reader_loses_the_oldest_and_sees_how_many(self, device) -> None:
         slow = device.readings(capacity=4)
         wait_until(lambda: len(slow) == 4)
         quick = device.readings()

@@ -173,7 +173,7 @@ def test_motion_that_the_model_does_not_explain_tells_nothing() -> None:
     assert found.verdict == "unidentified"
     assert found.identifiability is not None
     assert found.identifiability.explained < 0.3
-    assert "% of the motion" in found.verdict_text() or "do not tell it" in found.verdict_text()
+    assert "% of the motion" in found.verdict_text() or "do not identify it" in found.verdict_text()
 
 
 @pytest.mark.parametrize("what", ["rest", "shift", "turn", "stretch"])

@@ -92,7 +92,7 @@ def test_little_that_is_explained_comes_with_a_warning() -> None:
         ((0.6, 0.99), "at-bound", "weak, at the upper bound: any beta above 0.6 fits"),
         ((0.93, 0.99), "at-bound", "at the upper bound: any beta above 0.93 fits"),
         ((0.0, 0.1), "at-bound", "at the lower bound: any beta below 0.1 fits"),
-        ((0.0, 0.95), "unidentified", "unidentified: any beta from 0 to 0.95 fits; the data do not tell it"),
+        ((0.0, 0.95), "unidentified", "unidentified: any beta from 0 to 0.95 fits; the data do not identify it"),
     ],
 )
 def test_verdicts_in_words(ends: tuple[float, float], kind: Verdict, words: str) -> None:
@@ -118,5 +118,5 @@ def test_verdicts_in_words(ends: tuple[float, float], kind: Verdict, words: str)
     assert one.verdict_text() == words
     shown = one.as_json()
     assert shown["verdict_text"] == words
-    assert shown["stiffness_text"] == "position alone cannot tell stiffness here: give a force"
+    assert shown["stiffness_text"] == "position alone does not identify stiffness here: give a force"
     assert len(shown["posterior"]["parameter"]) <= 121  # type: ignore[index]

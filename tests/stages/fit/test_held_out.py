@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("warp")
 
-from deformscope.stages.fit.held_out import FOLDS, HeldOut, blocks_of, difference, hold_out, tells
+from deformscope.stages.fit.held_out import FOLDS, HeldOut, blocks_of, difference, hold_out, separates
 from deformscope.stages.fit.model import Model
 from deformscope.stages.fit.search import Search
 from tests.stages.bodies import lattice
@@ -52,9 +52,9 @@ def test_ways_are_told_apart_beyond_their_scatter_only() -> None:
     def way(block: np.ndarray) -> HeldOut:
         return HeldOut(float(block.mean()), block, 0.0, 0.5)
 
-    assert tells(way(base + 0.1), way(base))  # everywhere worse
-    assert not tells(way(base + rng.normal(0.0, 0.2, 12)), way(base))
-    assert not tells(way(base + 1e-4), way(base))  # everywhere worse, by nothing that matters
+    assert separates(way(base + 0.1), way(base))  # everywhere worse
+    assert not separates(way(base + rng.normal(0.0, 0.2, 12)), way(base))
+    assert not separates(way(base + 1e-4), way(base))  # everywhere worse, by nothing that matters
     gap, scatter = difference(way(base + 0.1), way(base))
     assert gap == pytest.approx(0.1)
     assert scatter < 1e-9

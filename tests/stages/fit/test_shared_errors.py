@@ -113,7 +113,7 @@ def test_frames_of_the_posterior_are_few_and_no_less_honest() -> None:
     rows, weight = for_posterior(found)
     assert len(rows) <= 8
     assert rows[-1] == 19
-    assert weight @ found.told[rows] ** 2 <= found.weight @ found.told**2
+    assert weight @ found.information[rows] ** 2 <= found.weight @ found.information**2
 
 
 # -- the fit ----------------------------------------------------------------------------------------------------------

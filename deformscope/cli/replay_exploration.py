@@ -1,0 +1,160 @@
+"""`deformscope replay` of an exploration: from its recorded depth images, wire forces and states of the arm, once more
+all that was computed of them: surface, plans with their maps, touches, maps; each equal to the last bit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deformscope.cli.common import Different, console, write_json
+from deformscope.config import ReplayConfig
+from deformscope.errors import InputError
+
+if TYPE_CHECKING:
+    from deformscope.frames import ColorFrame, Item
+    from deformscope.recording.reader import Replay
+    from deformscope.session import Step
+
+TRUTH = {"truth_labels", "truth_labels_shape", "iou", "boundary_m"}
+"""Not computed again: it is no input."""
+
+
+@dataclass
+class _Results:
+    """Takes what a session computes; its recorder."""
+
+    made: list[Any] = field(default_factory=list)
+
+    def write_results(
+        self, results: Sequence[object], now_ns: int, touch: int, cell_m: float, seen_ns: int | None = None
+    ) -> None:
+        self.made += results
+
+    def write(self, step: Step) -> None:
+        pass
+
+    def write_frame(self, frame: ColorFrame) -> None:
+        pass
+
+    def write_items(self, items: Sequence[Item]) -> None:
+        pass
+
+
+def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
+    """Compute and compare; raises Different. A stage that failed when it was recorded is reported, not computed again:
+    whether it fails may hang on the machine."""
+    import msgspec
+    import numpy as np
+
+    from deformscope.experiments.explore import AtOnce, Exploration, RecordedRobot, explore, within_loop
+    from deformscope.experiments.explorer import AsMeasured, ExplorationStages, Explorer, FromFrames
+    from deformscope.experiments.measured import SetupGeometry
+    from deformscope.experiments.options import ExploreOptions
+    from deformscope.pictures.words import failed_words
+    from deformscope.recording.results import read_results
+    from deformscope.rows import to_components
+    from deformscope.session import run
+    from deformscope.stages.map.exploration import (
+        MapEstimate,
+        PlannedTouch,
+        StageFailure,
+        SurfaceEstimate,
+        TouchEstimate,
+    )
+    from deformscope.stages.map.measured import SurfaceMeasurement
+
+    settings, path = recording.settings, config.recording
+    options = msgspec.convert(settings["explore"], ExploreOptions)
+    geometry = SetupGeometry.from_json(settings.get("setup", {}))
+    kinds = (SurfaceEstimate, PlannedTouch, TouchEstimate, MapEstimate)
+    recorded = [one.result for one in read_results(path, kinds, trust=True)]
+    failed = [one.result for one in read_results(path, (StageFailure,), trust=True)]
+    given = recorded_inputs(path)
+    measured = bool(given) and isinstance(given[0], SurfaceMeasurement)
+    explorer = Explorer(geometry.size_m, options, geometry.arm, failed=failed)  # type: ignore[arg-type]
+    stages = ExplorationStages(explorer, AsMeasured(geometry.size_m) if measured else FromFrames(geometry, options))
+    results = _Results()
+    run([], explore(lambda: 0, within_loop(stages), Exploration()), results, AtOnce(RecordedRobot(given)))
+    again = [one for one in results.made if isinstance(one, kinds)]
+    for fresh in (one for one in explorer.failures if one not in failed):
+        raise Different("the recorded numbers", failed_words(fresh), where=path)
+    if len(recorded) > len(again) or (len(recorded) < len(again) and not recording.outcome.get("stopped")):
+        raise Different(f"{len(recorded)} results as recorded", str(len(again)), where=path)
+    for before, now in zip(recorded, again, strict=False):
+        if type(before) is not type(now):
+            raise Different(f"a {type(before).__name__}, as recorded", f"a {type(now).__name__}", where=path)
+        first, second = to_components(before), to_components(now)
+        for name in sorted((set(first) | set(second)) - TRUTH):
+            same = name in first and name in second
+            if not same or not np.array_equal(first[name], second[name], equal_nan=first[name].dtype.kind == "f"):
+                came = f"another {name} of {type(before).__name__}"
+                raise Different("the recorded numbers, to the last bit", came, where=path)
+    for one in failed:
+        console().print(f"failed when it was recorded: {failed_words(one)}", markup=False)  # type: ignore[arg-type]
+    start = "measurements" if measured else "depth images, forces and states of the arm"
+    console().print(f"replay: {len(recorded)} results from {start}, identical to the recorded numbers")
+    write_json({"results": len(recorded), "identical": True, "failures": failed}, config.output.json)
+
+
+def recorded_inputs(path: Path) -> list[Any]:
+    """What the robot gave of its look and its touches, in their order, as `ExplorationStages` takes it.
+
+    Raises InputError where a frame that one of them names is not in the recording.
+    """
+    from deformscope.experiments.measured import Looked, Touched
+    from deformscope.recording.results import read_results
+    from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
+
+    kinds = (LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement)
+    inputs: list[Any] = [one.result for one in read_results(path, kinds, trust=True)]
+    named = [one for one in inputs if isinstance(one, LookFrames | TouchFrames)]
+    if not named:
+        return inputs
+    data = _frames(path, named)
+    return [Looked(one, data) if isinstance(one, LookFrames) else Touched(one, data) for one in named]
+
+
+def _frames(path: Path, named: list[Any]) -> Any:
+    """What is in the frames that are named."""
+    import numpy as np
+
+    from deformscope.experiments.measured import FrameData
+    from deformscope.frames import ArmFrame, DepthFrame, WrenchFrame
+    from deformscope.recording.items import read_items
+    from deformscope.robot.readings import ArmSample
+    from deformscope.stages.map.measured import LookFrames
+    from deformscope_drivers.depth_camera.image import depth_m
+    from deformscope_drivers.jaco.kinematics import rotation_from_euler_xyz, transform
+
+    images, states, readings = set[int](), set[int](), set[tuple[int, int]]()
+    for one in named:
+        images.update(map(int, one.depth_ns))
+        if isinstance(one, LookFrames):
+            states.add(one.arm_ns)
+            continue
+        states.update(map(int, np.concatenate([one.arm_ns, one.pose_ns, one.depth_arm_ns, [one.end_ns]])))
+        readings.update(zip(map(int, one.wrench_ns), map(int, one.wrench_ticks), strict=True))
+    depths: dict[int, Any] = {}
+    poses: dict[int, ArmSample] = {}
+    forces: dict[tuple[int, int], Any] = {}
+    devices = {one.camera for one in named} | {one.arm for one in named}
+    devices |= {one.wrench for one in named if not isinstance(one, LookFrames)}
+    for item in read_items(path, trust=True, kinds=(DepthFrame, ArmFrame, WrenchFrame)):
+        match item:
+            case DepthFrame() if item.stamp.host_ns in images and item.device in devices:
+                depths[item.stamp.host_ns] = depth_m(item.depth.astype(np.uint16, copy=False), item.unit_m)
+            case ArmFrame() if item.stamp.host_ns in states and item.device in devices:
+                pose = transform(rotation_from_euler_xyz(*item.rotation_rad.tolist()), item.position_m)
+                joints_deg = tuple(item.joint_deg.tolist())
+                poses[item.stamp.host_ns] = ArmSample(item.stamp.host_ns, pose, joints_deg, item.queued)
+            case WrenchFrame() if item.device in devices:
+                ticks = -1 if item.stamp.device_ticks is None else item.stamp.device_ticks
+                if (item.stamp.host_ns, ticks) in readings:
+                    forces[item.stamp.host_ns, ticks] = item.force_n[0]
+    missing = len(images - set(depths)), len(readings - set(forces)), len(states - set(poses))
+    if any(missing):
+        came = "without {} depth images, {} forces and {} states of the arm".format(*missing)
+        raise InputError("a recording of every frame that was used", came, "deformscope verify", path)
+    return FrameData(depths, poses, forces)

@@ -1,0 +1,99 @@
+"""What is explored, by its name on the command line: a simulated scene, or the devices of a rig file."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deformscope.errors import InputError
+
+if TYPE_CHECKING:
+    from deformscope.experiments.options import ExploreOptions
+    from deformscope.lab.touch_lab import TouchLab
+    from deformscope.rig.rig_file import Rig
+    from deformscope.robot.setup import Setup
+
+LAB = "lab:"
+
+
+@dataclasses.dataclass(frozen=True, slots=True, eq=False)
+class Opening:
+    """A setup, and what belongs to it.
+
+    options: how to explore it; settings: for its recording; lab: whose faults can be asked for, None on a rig
+    """
+
+    setup: Setup
+    options: ExploreOptions
+    settings: dict[str, Any]
+    lab: TouchLab | None = None
+
+    @property
+    def faulty_lab(self) -> TouchLab:
+        """Raises InputError for a rig."""
+        if self.lab is None:
+            raise InputError("--fault with a simulated scene alone", "a rig", "lab:two-60-150")
+        return self.lab
+
+
+def setup_of(name: str, options: ExploreOptions, set_force_n: float | None, *, trusted: bool) -> Opening:
+    """The setup of `lab:NAME` or of a rig file, closed.
+
+    set_force_n: None = as the rig file says; trusted: as for `deformscope.rig.rig_file.load_rig`
+    """
+    if name.startswith(LAB):
+        from deformscope.experiments.measured import highest_m
+        from deformscope.lab.scene_lab import SceneLab
+        from deformscope.lab.scenes import built_in
+
+        scene = built_in(name.removeprefix(LAB), options.seed)
+        options = dataclasses.replace(options, thickness_m=scene.thickness_m)
+        if set_force_n is not None:
+            options = dataclasses.replace(options, set_force_n=set_force_n)
+        parked_m = highest_m(options)
+        made = SceneLab(scene, tip_radius_m=options.tip_radius_m, parked_m=parked_m, seed=options.seed)
+        return Opening(made.setup, options, {"scene": scene.name}, made.lab)
+    from deformscope.rig.rig_file import load_rig
+
+    if not Path(name).exists() and _is_scene(name):
+        raise InputError("a rig file, or lab:NAME", repr(name), f"{LAB}{name}")
+    rig = load_rig(name, trusted=trusted)
+    options = dataclasses.replace(
+        options,
+        set_force_n=rig.workspace.target_force_n if set_force_n is None else set_force_n,
+        tip_radius_m=rig.tool.radius_m,
+        thickness_m=rig.surface.thickness_m,
+    )
+    settings = {"rig": rig.text, "rig_name": rig.name, "scene": rig.surface.scene}
+    return Opening(setup_of_rig(rig, options.seed), options, settings)
+
+
+def setup_of_rig(rig: Rig, seed: int = 0) -> Setup:
+    """The setup of a rig file, closed. Raises InputError, which names what it lacks."""
+    from deformscope.cli.rigs import member_of
+    from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
+    from deformscope.lab.live_lab import LiveLab
+    from deformscope.lab.scenes import built_in
+    from deformscope.robot.setup import RigParts, rig_setup
+
+    parts = RigParts.of(rig)
+    if not rig.surface.scene:
+        return rig_setup(parts, member_of)
+    table = LiveLab(
+        built_in(rig.surface.scene, seed),
+        parts.placement,
+        T_surface_camera=parts.T_surface_camera,
+        model=parts.devices[0].config.model,
+    )
+    return rig_setup(parts, member_of, table, (1.0 / ARM_STIFFNESS_N_M, ARM_DOUBT / ARM_STIFFNESS_N_M))
+
+
+def _is_scene(name: str) -> bool:
+    from deformscope.lab.scenes import built_in
+
+    with contextlib.suppress(InputError):
+        built_in(name)
+        return True
+    return False

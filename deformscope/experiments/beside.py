@@ -1,0 +1,91 @@
+"""Where the stages of an exploration are computed: beside its loop in a process of their own, or within it."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
+
+from deformscope.experiments.explore import Stage, within_loop
+from deformscope.experiments.explorer import Computed, ExplorationStages, Explorer, FromFrames
+from deformscope.experiments.measured import SetupGeometry
+from deformscope.experiments.options import ExploreOptions
+from deformscope.robot.setup import Setup, Truth
+from deformscope.session import Compute, Inline
+
+NICE = 10
+"""The process that computes leaves the processor to what moves the robot."""
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+_stages: ExplorationStages | None = None
+
+
+def exploration_stages(geometry: SetupGeometry, options: ExploreOptions, truth: Truth | None) -> ExplorationStages:
+    """The stages of a robot whose frames are at hand."""
+    explorer = Explorer(geometry.size_m, options, geometry.arm, truth)
+    return ExplorationStages(explorer, FromFrames(geometry, options))
+
+
+@contextlib.contextmanager
+def stages_beside(setup: Setup, options: ExploreOptions) -> Iterator[tuple[Executor, Stage]]:
+    """What computes, and how to have a stage computed there; its state lasts until the end of the context.
+
+    Devices that go on by themselves are not to be waited for: then it is a process of its own, with one thread of BLAS
+    and a low priority. On a simulated clock nothing goes on meanwhile, and it is computed within the loop.
+    """
+    given = SetupGeometry.of(setup), options, setup.truth
+    if not setup.runs_itself:
+        yield Inline(), within_loop(exploration_stages(*given))
+        return
+    context = multiprocessing.get_context("spawn")
+    with _one_thread():
+        executor = ProcessPoolExecutor(1, context, _begin, given)
+        process_id = executor.submit(os.getpid)
+    try:
+        yield executor, lambda name, *inputs: Compute(_compute, (name, *inputs))
+    finally:
+        executor.shutdown(wait=False, cancel_futures=True)
+        with contextlib.suppress(Exception):  # it may have ended
+            os.kill(process_id.result(0.0), signal.SIGKILL)
+
+
+@contextlib.contextmanager
+def _one_thread() -> Iterator[None]:
+    """Processes that are spawned now have one thread of BLAS."""
+    kept = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in kept.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _begin(geometry: SetupGeometry, options: ExploreOptions, truth: Truth | None) -> None:
+    """In the process, first of all: it ends with its parent, and leaves Ctrl-C to it."""
+    global _stages
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    os.nice(NICE)
+    threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
+    _stages = exploration_stages(geometry, options, truth)
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _compute(name: str, *inputs: object) -> Computed:
+    assert _stages is not None
+    computed: Computed = getattr(_stages, name)(*inputs)
+    return computed

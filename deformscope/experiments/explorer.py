@@ -1,0 +1,515 @@
+"""What is computed of an exploration: pure stages in their order, the same every time.
+
+A stage that fails on one touch costs that stage's result: the failure is a result like the others (`StageFailure`), and
+the exploration goes on with the touches that could be used, until too many in a row could not.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+
+from deformscope.arrays import BoolArray, FloatArray
+from deformscope.experiments.measured import Looked, SetupGeometry, Touched
+from deformscope.experiments.options import PLAN_CELL_M, ExploreOptions
+from deformscope.robot.setup import Truth
+from deformscope.robot.touch import TouchPlan
+from deformscope.stages.map.exploration import (
+    MapEstimate,
+    PlannedTouch,
+    StageFailure,
+    SurfaceEstimate,
+    TouchEstimate,
+)
+from deformscope.stages.map.field import BETA_PRIOR, fit_field
+from deformscope.stages.map.map_score import boundary_distance, called_labels, match_regions
+from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
+from deformscope.stages.map.plan import ALLOWED, FieldKernel, PlanOptions, plan_touch
+from deformscope.stages.map.regions import RegionMap, RegionPosterior
+from deformscope.stages.map.surface import HeightMap, HeightProcess, fit_surface
+from deformscope.stages.map.touch_beta import BallContact, fit_touch, thesis_beta
+from deformscope.stages.map.touches import MapGrid, StiffnessSample
+from deformscope.stages.poke.contact import ArmCompliance, ContactFit, fit_approach, layer_modulus
+from deformscope.stages.see.cloud import tactile_points
+from deformscope_drivers.jaco.kinematics import CHAINS
+
+StageResult = TypeVar("StageResult")
+Result = SurfaceEstimate | TouchEstimate | MapEstimate | PlannedTouch | StageFailure
+NEAR_M = 0.08
+"""Points within this of a touch are shown with it."""
+FEWEST_FOR_FIELD = 2
+BESIDE_M, SURE_SD = 0.02, 3.0
+"""What the tip crosses is looked at this far beside its path, at its height plus so many deviations."""
+LAW_STEPS = 400
+"""Forces at which the fitted law is taken, from none to twice the largest."""
+THESIS_ROI_M, TACTILE_NOISE_M = 0.08, 2e-4
+MOST_FAILED = 3
+"""After so many touches in a row that gave no map the exploration ends: whatever is wrong does not pass by itself."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Touch:
+    """A command: touch a place (2,) [m] whose surface was seen at this height, along this normal (3,).
+
+    over_m: how high the surface may be on the straight way from the touch before, None = not known
+    plan: the same for a robot that has to be led there
+    """
+
+    xy_m: FloatArray
+    height_m: float
+    normal: FloatArray
+    over_m: float | None
+    plan: TouchPlan | None = None
+
+
+class Geometry(Protocol):
+    """What a robot can reach, and what its frames say."""
+
+    size_m: tuple[float, float]
+
+    def look(self, looked: Any) -> SurfaceMeasurement: ...
+
+    def reachable(self, grid: MapGrid) -> BoolArray:
+        """(rows, columns) cells that the tip can touch."""
+
+    def approach(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> Touch: ...
+
+    def touch(self, touched: Any) -> TouchMeasurement: ...
+
+    def dent(self, touched: Any) -> FloatArray:
+        """(k, 3) points seen while it pressed, without the robot [m]."""
+
+
+class AsMeasured:
+    """Of robots that give measurements rather than frames, and reach what `reachable` says, all by default."""
+
+    def __init__(self, size_m: tuple[float, float], reachable: Callable[[MapGrid], BoolArray] | None = None) -> None:
+        self.size_m = size_m
+        self.reachable = reachable or (lambda grid: np.ones(grid.shape, dtype=bool))
+
+    def look(self, looked: SurfaceMeasurement) -> SurfaceMeasurement:
+        return looked
+
+    def approach(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> Touch:
+        return Touch(xy_m, height_m, normal, over_m)
+
+    def touch(self, touched: TouchMeasurement) -> TouchMeasurement:
+        return touched
+
+    def dent(self, touched: TouchMeasurement) -> FloatArray:
+        return touched.after_m
+
+
+class FromFrames:
+    """Of an arm, a force sensor and a camera: everything is computed from their frames."""
+
+    def __init__(self, setup: SetupGeometry, options: ExploreOptions) -> None:
+        self.size_m = setup.size_m
+        self._setup, self._options = setup, options
+        self._looked: Looked | None = None
+        self._joints_deg: tuple[float, ...] = ()
+
+    def look(self, looked: Looked) -> SurfaceMeasurement:
+        self._looked, self._joints_deg = looked, looked.data.arm[looked.used.arm_ns].joints_deg
+        return self._setup.surface(looked, self._options)
+
+    def reachable(self, grid: MapGrid) -> BoolArray:
+        assert self._looked is not None
+        chain = CHAINS[self._looked.used.arm_model]
+        return self._setup.reachable(grid, self._options, chain, self._joints_deg)
+
+    def approach(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> Touch:
+        assert self._looked is not None
+        chain = CHAINS[self._looked.used.arm_model]
+        plan = self._setup.plan_led(xy_m, height_m, normal, over_m, self._options, chain, self._joints_deg)
+        return Touch(xy_m, height_m, plan.normal, over_m, plan)
+
+    def touch(self, touched: Touched) -> TouchMeasurement:
+        self._joints_deg = touched.data.arm[touched.used.end_ns].joints_deg
+        return self._setup.touch(touched)
+
+    def dent(self, touched: Touched) -> FloatArray:
+        assert self._looked is not None
+        return self._setup.dent(touched, self._looked.used, self._options)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Computed:
+    """What one computation of an exploration gave.
+
+    results: in their order; touch: that comes next, None where there is none; given_up: why it makes no sense to touch
+    on; region_probability: of each number of regions; seconds: that it took
+    """
+
+    results: tuple[Result, ...]
+    touch: Touch | None = None
+    given_up: str = ""
+    region_probability: dict[str, float] | None = None
+    seconds: float = 0.0
+
+
+class ExplorationStages:
+    """What `explore` has computed: an `Explorer`, and the geometry of its robot."""
+
+    def __init__(self, explorer: Explorer, geometry: Geometry) -> None:
+        self.explorer, self.geometry = explorer, geometry
+        self._reachable: BoolArray | None = None
+        self._reported = 0
+
+    def look(self, looked: Any) -> Computed:
+        """The surface before any touch."""
+        began = time.perf_counter()
+        seen = self.explorer.look(lambda: self.geometry.look(looked))
+        return self._computed(_made(seen), began)
+
+    def plan(self) -> Computed:
+        """Where to touch next, and how; nothing where enough is known, or nothing can be planned any more."""
+        began = time.perf_counter()
+        explorer = self.explorer
+        plan, touch = None, None
+        if not explorer.given_up:
+            if self._reachable is None:
+                self._reachable = self.geometry.reachable(explorer.grid)
+            plan = explorer.next(self._reachable)
+        if plan is not None and plan.target_m is not None:
+            touch = explorer.approach(plan.target_m, self.geometry)
+        return self._computed(_made(plan), began, touch)
+
+    def touch(self, touched: Any) -> Computed:
+        """What a touch says, and the maps after it."""
+        began = time.perf_counter()
+        made = self.geometry.touch(touched)
+        estimate = self.explorer.touch(made, lambda: self.geometry.dent(touched))
+        return self._computed((estimate, *_made(self.explorer.maps())), began)
+
+    def _computed(self, results: tuple[Result, ...], began: float, touch: Touch | None = None) -> Computed:
+        explorer = self.explorer
+        failed = tuple(explorer.failures[self._reported :])
+        self._reported = len(explorer.failures)
+        seconds = time.perf_counter() - began
+        return Computed((*results, *failed), touch, explorer.given_up, explorer.region_probability, seconds)
+
+
+def _made(result: StageResult | None) -> tuple[StageResult, ...]:
+    return () if result is None else (result,)
+
+
+class Explorer:
+    """The estimates after each touch; pure, but for what it was given so far.
+
+    told: every touch made; known: the newest maps, None before the first; failures: every stage that failed
+    """
+
+    def __init__(
+        self,
+        size_m: tuple[float, float],
+        options: ExploreOptions,
+        arm: ArmCompliance,
+        truth: Truth | None = None,
+        failed: Collection[StageFailure] = (),
+    ) -> None:
+        """failed: what failed when this was recorded: it is not computed again, and fails as it did"""
+        self.options = options
+        self.grid = MapGrid(size_m, options.cell_m)
+        self.world: HeightProcess | None = None
+        self.posterior = RegionPosterior.before_touches(self.grid, seed=options.seed)
+        self.told: list[TouchEstimate] = []
+        self.known: MapEstimate | None = None
+        self.region_probability: dict[str, float] | None = None
+        self.failures: list[StageFailure] = []
+        self.travel_m = 0.0
+        self.stop_reason = ""
+        self._arm = arm
+        self._truth = truth
+        self._regions: RegionMap | None = None
+        self._beta_sd: list[float] = []
+        self._heights: HeightMap | None = None
+        self._failed_before = {(one.touch, one.stage): one for one in failed}
+        self._touch = 0
+        self._left_out: list[FloatArray] = []
+        self._usable = False
+        self._without_map = 0
+
+    # Each step --------------------------------------------------------------------------------------------------------
+
+    def look(self, looked: Callable[[], SurfaceMeasurement]) -> SurfaceEstimate | None:
+        """Take the surface before any touch in; None where it could not be seen or fitted."""
+        return self._stage("surface", lambda: self._surface(looked()))
+
+    def next(self, reachable: BoolArray | None = None) -> PlannedTouch | None:
+        """Where to touch next, and why; None where that could not be planned."""
+        return self._stage("plan", lambda: self._plan(reachable))
+
+    def _surface(self, looked: SurfaceMeasurement) -> SurfaceEstimate:
+        size_m = self.grid.size_m
+        self.world = fit_surface(looked.points_m, noise_m=looked.noise_m, within_m=((0.0, 0.0), size_m), outlier_sd=5.0)
+        heights = self.world.on(self.grid)
+        self._heights = heights
+        return SurfaceEstimate(looked.points_m, heights.mean_m, heights.deviation_m, self.grid.cell_m)
+
+    def _plan(self, reachable: BoolArray | None) -> PlannedTouch:
+        options = self.options
+        plan = plan_touch(
+            self.posterior,
+            FieldKernel(),
+            PlanOptions(
+                planner=options.planner, budget=options.budget, threshold=options.threshold, cell_m=PLAN_CELL_M
+            ),
+            tip_m=self.told[-1].xyz_m[:2] if self.told else None,
+            left_out_m=np.reshape(self._left_out, (-1, 2)),
+            reachable=reachable,
+            seed=options.seed + len(self.told),
+        )
+        enough = plan.stop is not None and not (options.go_on and len(self.told) < options.budget)
+        target = None if enough else plan.target_m
+        self.stop_reason = plan.stop or ""
+        return PlannedTouch(target, plan.gain, plan.cost_s, plan.excluded != ALLOWED, plan.reason, plan.stop or "")
+
+    def approach(self, xy_m: FloatArray, geometry: Geometry) -> Touch | None:
+        """The touch of a place (2,) [m]; None where it could not be planned."""
+        return self._stage("plan", lambda: geometry.approach(xy_m, *self.aim(xy_m), self.over_m(xy_m)))
+
+    def aim(self, xy_m: FloatArray) -> tuple[float, FloatArray]:
+        """Height of the surface at a place (2,) [m], and its unit normal (3,), as the camera saw them."""
+        assert self.world is not None
+        return float(self.world.at(xy_m[None]).mean[0]), self.world.normals(xy_m[None])[0]
+
+    def over_m(self, xy_m: FloatArray) -> float | None:
+        """How high the surface may be on the straight way from the last touch to a place (2,) [m]; None before the
+        first touch."""
+        if not self.told:
+            return None
+        assert self._heights is not None
+        start = self.told[-1].xyz_m[:2]
+        way = xy_m - start
+        along = ((self.grid.centres_m - start) @ way / max(float(way @ way), 1e-12)).clip(0.0, 1.0)
+        beside_m = np.linalg.norm(self.grid.centres_m - start - along[..., None] * way, axis=-1)
+        crossed = beside_m.reshape(self.grid.shape) <= self.options.tip_radius_m + BESIDE_M
+        return float((self._heights.mean_m + SURE_SD * self._heights.deviation_m)[crossed].max())
+
+    def touch(self, touched: TouchMeasurement, dent: Callable[[], FloatArray] | None = None) -> TouchEstimate:
+        """Take a touch in. dent: computes its `after_m`, where that is not known yet"""
+        self._touch = len(self.told) + 1
+        if dent is not None and (after_m := self._stage("dent", dent)) is not None:
+            touched = dataclasses.replace(touched, after_m=after_m)
+        before = self.told[-1].xyz_m[:2] if self.told else np.zeros(2)
+        self.travel_m += float(np.hypot(*(touched.xy_m - before)))
+        contact = self._stage("contact", lambda: self._contact(touched))
+        posterior = None
+        if contact is not None:
+            fit = contact.fit
+            seen = StiffnessSample(touched.xy_m, fit.log_stiffness, fit.log_sd, fit.rigid)
+            posterior = self._stage("regions", lambda: self.posterior.with_touch(seen))
+        self._usable = posterior is not None
+        if posterior is None:
+            self._left_out.append(touched.xy_m)
+        else:
+            self.posterior, self._regions = posterior, None
+        told = self._told(touched, contact)
+        self.told.append(told)
+        return told
+
+    def maps(self) -> MapEstimate | None:
+        """The maps after the newest touch; None where it gave none."""
+        maps = self._stage("maps", self._maps) if self._usable else None
+        self._without_map = self._without_map + 1 if maps is None else 0
+        if maps is not None:
+            self.known, self.region_probability = maps, self.region_map().probability
+        return maps
+
+    @property
+    def given_up(self) -> str:
+        """Why it makes no sense to touch on; empty where it does."""
+        if self._without_map < MOST_FAILED:
+            return ""
+        last = next(one for one in reversed(self.failures) if one.stage in ("contact", "regions", "maps"))
+        return f"{self._without_map} touches in a row gave no map, the last for {last.stage}: {last.reason}"
+
+    def failed(self, touch: int) -> list[str]:
+        """What failed on a touch, from 1, in words."""
+        return [f"{one.stage}: {one.reason}" for one in self.failures if one.touch == touch]
+
+    def _maps(self) -> MapEstimate:
+        found = self.region_map()
+        beta, beta_sd = self._stage("beta field", self._beta_field) or (None, None)
+        truth = None if self._truth is None else self._truth.labels
+        return MapEstimate(
+            touches=len(self.told),
+            cell_m=self.grid.cell_m,
+            stiffness_n_per_mm=np.exp(found.field),
+            stiffness_log_sd=found.field_sd,
+            beta=beta,
+            beta_sd=beta_sd,
+            labels=found.labels,
+            label_probability=found.label_probability,
+            region_count=found.region_count,
+            verdict=found.verdict,
+            probability=found.probability[str(found.region_count or "gradual")],
+            level_n_per_mm=np.exp(found.level),
+            level_interval_n_per_mm=np.exp(found.level_interval),
+            level_rigid=found.rigid,
+            contacts_m=np.array([told.xyz_m[:2] for told in self.told]),
+            tip_radius_m=self.options.tip_radius_m,
+            travel_m=self.travel_m,
+            truth_labels=truth,
+            iou=None if truth is None else match_regions(called_labels(found), truth)[0],
+            boundary_m=None if truth is None else boundary_distance(called_labels(found), truth, self.grid.cell_m),
+        )
+
+    def region_map(self) -> RegionMap:
+        """Regions with their levels and intervals, computed once for each touch."""
+        if self._regions is None:
+            self._regions = self.posterior.region_map()
+        return self._regions
+
+    # Within -----------------------------------------------------------------------------------------------------------
+
+    def _stage(self, name: str, compute: Callable[[], StageResult]) -> StageResult | None:
+        """What a stage computes; None where it fails, which `failures` then says."""
+        if (failed := self._failed_before.get((self._touch, name))) is not None:
+            self.failures.append(failed)
+            return None
+        try:
+            return compute()
+        except Exception as error:  # whatever it is, the arm is over a table and the touches made are worth something
+            self.failures.append(StageFailure.of(name, self._touch, error))
+            return None
+
+    def _contact(self, touched: TouchMeasurement) -> _Contact:
+        options = self.options
+        fit = fit_approach(
+            touched.time_s,
+            touched.position_m,
+            touched.force_n,
+            touched.normal,
+            set_force_n=options.set_force_n,
+            arm=self._arm,
+        )
+        forces = np.linspace(0.0, 2.0 * max(fit.peak_force_n, fit.at_force_n), LAW_STEPS)
+        dent = max(fit.depth_m, 1e-9) * (forces / fit.at_force_n) ** (1.0 / fit.exponent)
+        along = fit.contact_m + dent + self._arm.compliance_m_per_n * forces
+        law = np.interp(_along(touched), along, forces)
+        modulus = None
+        if not fit.rigid and fit.depth_m > 0.0:
+            modulus = layer_modulus(
+                fit.depth_m, fit.at_force_n, radius_m=options.tip_radius_m, thickness_m=options.thickness_m
+            )
+        return _Contact(fit, law, modulus)
+
+    def _told(self, touched: TouchMeasurement, contact: _Contact | None) -> TouchEstimate:
+        along = _along(touched)
+        nan = float("nan")
+        aimed = self._stage("surface", lambda: self.aim(touched.xy_m))
+        lowest_m = float(touched.position_m[:, 2].min()) - self.options.tip_radius_m
+        xyz = np.append(touched.xy_m, lowest_m if aimed is None else aimed[0])
+        beta = _Beta("not fitted: no contact")
+        if contact is not None:
+            fitted = self._stage("beta", lambda: self._beta(touched, contact.fit))
+            beta = fitted or _Beta(f"not fitted: {self.failures[-1].reason}")
+        self._beta_sd.append(beta.sd)
+        near = np.abs(touched.after_m[:, :2] - touched.xy_m).max(axis=1) < NEAR_M if len(touched.after_m) else []
+        fit = None if contact is None else contact.fit
+        return TouchEstimate(
+            number=len(self.told),
+            xyz_m=xyz,
+            normal=touched.normal / np.linalg.norm(touched.normal),
+            approach_m=along - along[0],
+            approach_n=_force_along(touched),
+            fitted_n=np.full(len(along), nan) if contact is None else contact.law_n,
+            contact_m=nan if fit is None else fit.contact_m - along[0],
+            stiffness_n_per_mm=nan if fit is None else fit.stiffness_n_per_mm,
+            stiffness_interval=(nan, nan) if fit is None else fit.interval_n_per_mm,
+            rigid=False if fit is None else fit.rigid,
+            modulus_pa=None if contact is None else contact.modulus_pa,
+            depth_m=nan if fit is None else _dent_m(fit),
+            peak_force_n=float(_force_along(touched).max()) if fit is None else fit.peak_force_n,
+            beta=beta.value,
+            beta_interval=beta.interval,
+            beta_verdict=beta.verdict,
+            observed_m=touched.after_m[near],
+            simulated_m=beta.simulated_m,
+        )
+
+    def _beta(self, touched: TouchMeasurement, fit: ContactFit) -> _Beta:
+        if self.options.beta_model == "none":
+            return _Beta("not asked for")
+        if fit.rigid:
+            return _Beta("rigid: no dent to fit")
+        assert self.world is not None
+        radius = self.options.tip_radius_m
+        deepest = int(np.argmax(-(touched.position_m @ touched.normal)))
+        gives_m = self._arm.compliance_m_per_n * fit.peak_force_n  # the arm says that it is that much deeper
+        lowest = touched.position_m[deepest] - (radius - gives_m) * touched.normal
+        ball = BallContact(lowest, radius, _dent_m(fit), fit.peak_force_n)
+        if self.options.beta_model == "thesis":
+            return self._thesis(touched, ball)
+        found = fit_touch(self.world, touched.after_m, ball, thickness_m=self.options.thickness_m)
+        estimate = found.estimate
+        return _Beta(estimate.verdict, estimate.value, estimate.interval, found.sd, found.simulated_m)
+
+    def _thesis(self, touched: TouchMeasurement, ball: BallContact) -> _Beta:
+        """The thesis's way: the touch surface's own process, with virtual points where the ball is."""
+        assert self.world is not None
+        tactile = tactile_points(ball.lowest_m, ball.radius_m, ball.depth_m, normal=touched.normal)
+        near = np.abs(touched.after_m[:, :2] - touched.xy_m).max(axis=1) < THESIS_ROI_M
+        surface = fit_surface(
+            touched.after_m[near], known_m=tactile, known_noise_m=np.full(len(tactile), TACTILE_NOISE_M)
+        )
+        found = thesis_beta(self.world, surface, touched.xy_m)
+        return _Beta(f"thesis: {found.note}", found.beta, simulated_m=found.simulated_m)
+
+    def _beta_field(self) -> tuple[FloatArray | None, FloatArray | None]:
+        known = [
+            (told.xyz_m[:2], told.beta, sd)
+            for told, sd in zip(self.told, self._beta_sd, strict=True)
+            if told.beta is not None
+        ]
+        if len(known) < FEWEST_FOR_FIELD:
+            return None, None
+        places, values, sds = (np.array(part, dtype=np.float64) for part in zip(*known, strict=True))
+        sds = np.where(np.isfinite(sds), sds, BETA_PRIOR.nugget)
+        field = fit_field(places, values, sds, prior=BETA_PRIOR)
+        found = field.on(self.grid)
+        return found.mean.clip(0.0, 1.0), found.deviation
+
+
+@dataclass(frozen=True, slots=True)
+class _Contact:
+    """fit; law_n: (n,) its force at each reading [N]; modulus_pa: of the layer, None where it cannot be told"""
+
+    fit: ContactFit
+    law_n: FloatArray
+    modulus_pa: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Beta:
+    """verdict: or why there is no value; value, interval: of beta, None where there is none; sd: nan where not known
+    simulated_m: (p, 3) particles of the fitted model"""
+
+    verdict: str
+    value: float | None = None
+    interval: tuple[float, float] | None = None
+    sd: float = float("nan")
+    simulated_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+
+
+def _along(touched: TouchMeasurement) -> FloatArray:
+    """(n,) way of the tip into the surface [m]."""
+    return np.asarray(-(touched.position_m @ touched.normal) / np.linalg.norm(touched.normal))
+
+
+def _force_along(touched: TouchMeasurement) -> FloatArray:
+    """(n,) force out of the surface [N]."""
+    return np.asarray(touched.force_n @ touched.normal / np.linalg.norm(touched.normal))
+
+
+def _dent_m(fit: ContactFit) -> float:
+    """How deep the dent was at the peak of the force, at which the camera saw it: deeper than at the set force where
+    that made too shallow a dent and more was pressed [m]."""
+    return float(fit.depth_m * (fit.peak_force_n / fit.at_force_n) ** (1.0 / fit.exponent))

@@ -1,0 +1,266 @@
+"""From frames to what was measured: the same functions while a robot explores, and when its recording is replayed."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from deformscope.arrays import BoolArray, FloatArray
+from deformscope.capsule import Capsule
+from deformscope.errors import InputError
+from deformscope.experiments.options import ABOVE_M, BORDER_M, EDGE_M, LOW_SHARE, VIEW_CELL_M, ExploreOptions
+from deformscope.rig.rig_file import Tool, Workspace
+from deformscope.robot.placement import Placement, follow
+from deformscope.robot.readings import ArmSample
+from deformscope.robot.setup import CameraView, Setup
+from deformscope.robot.shape import arm_shape
+from deformscope.robot.touch import TouchPlan, centers_of, forces_at
+from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
+from deformscope.stages.map.touches import MapGrid
+from deformscope.stages.poke.contact import ArmCompliance
+from deformscope.stages.see.cloud import Box, Intrinsics, Perceived, perceive
+from deformscope_drivers.jaco.kinematics import CHAINS, Chain
+
+LINK_MARGIN_M, STICK_MARGIN_M = 0.012, 0.005
+"""What is taken away around the arm's links, whose shape is rough, and around stick and ball: there four deviations of
+a depth at 0.8 m (0.9 mm), as points on the stick itself have, and what the arm bends (0.6 mm). A dent is seen best
+within 2 cm of the ball."""
+DENT_M = 0.08
+"""Half the side of what is seen around a dent."""
+SOFT_STOP_SHARE = 0.75
+"""Of the soft stop, at most this share is pressed with: noise and overshoot must not reach it."""
+COARSE_M = 0.03
+"""Reach is computed at places so far apart, and taken for the cells around."""
+UPRIGHT = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameData:
+    """The contents of frames by their times on the host's clock [ns]; a reading of force by time and device's ticks.
+
+    depth_m: (H, W); arm: states; wrench_n: (3,) before any tare, in the tip's frame
+    """
+
+    depth_m: Mapping[int, npt.NDArray[np.floating]]
+    arm: Mapping[int, ArmSample]
+    wrench_n: Mapping[tuple[int, int], npt.NDArray[np.floating]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Looked:
+    """A look at the surface. used: its frames, named; data: what is in them"""
+
+    used: LookFrames
+    data: FrameData
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Touched:
+    """A touch. used: its frames, named; data: what is in them"""
+
+    used: TouchFrames
+    data: FrameData
+
+
+def highest_m(options: ExploreOptions) -> float:
+    """Where the tip's middle is above all that a camera may find on the table [m]."""
+    return options.thickness_m + ABOVE_M + options.standoff_m + options.tip_radius_m
+
+
+def sample_box(size_m: tuple[float, float], thickness_m: float) -> Box:
+    """What belongs to the sample's surface: its edges are left out, where the camera sees its sides."""
+    low = (EDGE_M, EDGE_M, LOW_SHARE * thickness_m)
+    return Box(low, (size_m[0] - EDGE_M, size_m[1] - EDGE_M, thickness_m + ABOVE_M))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SetupGeometry:
+    """Where surface, arm and camera are to one another, and what follows of it; pure.
+
+    compliance_m_per_n, compliance_sd: of the arm under a push [m/N]
+    """
+
+    size_m: tuple[float, float]
+    placement: Placement
+    workspace: Workspace
+    camera: CameraView
+    compliance_m_per_n: float
+    compliance_sd: float
+
+    @classmethod
+    def of(cls, setup: Setup) -> SetupGeometry:
+        give = setup.compliance_m_per_n, setup.compliance_sd
+        return cls(setup.size_m, setup.placement, setup.workspace, setup.camera, *give)
+
+    def as_json(self) -> dict[str, Any]:
+        """For a recording's settings."""
+        told = dataclasses.asdict(self) | {"camera": dataclasses.asdict(self.camera)}
+        del told["placement"]
+        told["tool"], told["T_base_surface"] = dataclasses.asdict(self.placement.tool), self.placement.T_base_surface
+        return msgspec.json.decode(msgspec.json.encode(told, enc_hook=lambda array: array.tolist()))  # type: ignore[no-any-return]
+
+    @classmethod
+    def from_json(cls, told: Mapping[str, Any]) -> SetupGeometry:
+        """The reverse of `as_json`. Raises InputError where something is missing."""
+        try:
+            camera: dict[str, Any] = {}
+            for name, value in told["camera"].items():
+                camera[name] = tuple(value) if isinstance(value, list) else value
+            stands = camera.pop("T_surface_camera")
+            view = CameraView(**camera, T_surface_camera=None if stands is None else np.array(stands))
+            width, depth = told["size_m"]
+            return cls(
+                (float(width), float(depth)),
+                Placement(np.array(told["T_base_surface"]), msgspec.convert(told["tool"], Tool)),
+                msgspec.convert(told["workspace"], Workspace),
+                view,
+                told["compliance_m_per_n"],
+                told["compliance_sd"],
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(
+                "a recording with its setup", f"{type(error).__name__}: {error}", "explore again"
+            ) from error
+
+    @property
+    def arm(self) -> ArmCompliance:
+        return ArmCompliance(self.compliance_m_per_n, self.compliance_sd)
+
+    # What was measured ------------------------------------------------------------------------------------------------
+
+    def surface(self, looked: Looked, options: ExploreOptions) -> SurfaceMeasurement:
+        """The surface before any touch, without the robot."""
+        used, box = looked.used, sample_box(self.size_m, options.thickness_m)
+        pose = looked.data.arm[used.arm_ns]
+        clouds = [
+            self._perceived(looked.data.depth_m[int(when)], pose, used, box, VIEW_CELL_M) for when in used.depth_ns
+        ]
+        return SurfaceMeasurement(
+            np.concatenate([cloud.points_m for cloud in clouds]), np.concatenate([cloud.noise_m for cloud in clouds])
+        )
+
+    def touch(self, touched: Touched) -> TouchMeasurement:
+        """What arm and force sensor gave, without the dent."""
+        used, data = touched.used, touched.data
+        arms = [data.arm[int(when)] for when in used.arm_ns]
+        time_s, position_m = centers_of(arms, self.placement)
+        forces_n = [
+            self.placement.force_on_tip_n(
+                data.wrench_n[int(when), int(ticks)] - used.tare_n, data.arm[int(pose)].T_base_ee
+            )
+            for when, ticks, pose in zip(used.wrench_ns, used.wrench_ticks, used.pose_ns, strict=True)
+        ]
+        force_n = forces_at([arm.time_ns for arm in arms], used.wrench_ns, forces_n)
+        nothing: FloatArray = np.zeros((0, 3))
+        return TouchMeasurement(
+            used.xy_m, used.normal, time_s, position_m, force_n, nothing, used.reached, used.seen_ns
+        )
+
+    def dent(self, touched: Touched, look: LookFrames, options: ExploreOptions) -> FloatArray:
+        """(k, 3) points seen around a place while it was pressed, of all images [m]."""
+        used, box = touched.used, sample_box(self.size_m, options.thickness_m)
+        low = (*np.maximum(box.low_m[:2], used.xy_m - DENT_M), box.low_m[2])
+        high = (*np.minimum(box.high_m[:2], used.xy_m + DENT_M), box.high_m[2])
+        seen = []
+        for when, pose in zip(used.depth_ns, used.depth_arm_ns, strict=True):
+            with contextlib.suppress(InputError):  # nothing but the robot is there
+                pose_then = touched.data.arm[int(pose)]
+                cloud = self._perceived(touched.data.depth_m[int(when)], pose_then, look, Box(low, high), None)
+                seen.append(cloud.points_m)
+        return np.concatenate(seen) if seen else np.zeros((0, 3))
+
+    def _perceived(
+        self, depth_m: npt.NDArray[np.floating], pose: ArmSample, look: LookFrames, box: Box, cell_m: float | None
+    ) -> Perceived:
+        if self.camera.T_surface_camera is None:
+            raise InputError("[camera] T_arm_camera", "none", "where the camera stands")
+        (fx, fy), (cx, cy) = look.focal_px, look.center_px
+        camera = Intrinsics((fx, fy), (cx, cy), self.camera.distortion)
+        links = self.links(pose, CHAINS[look.arm_model])
+        return perceive(depth_m, camera, self.camera.T_surface_camera, box, links=links, margin_m=0.0, cell_m=cell_m)
+
+    def links(self, pose: ArmSample, chain: Chain) -> tuple[Capsule, ...]:
+        """What arm and stick may fill where the arm reports that they are, surface frame."""
+        return arm_shape(
+            self.placement,
+            chain,
+            pose.joints_deg,
+            self.placement.T_surface_center(pose.T_base_ee)[:3, 3],
+            link_margin_m=LINK_MARGIN_M + self.camera.doubt_m,
+            stick_margin_m=STICK_MARGIN_M + self.camera.doubt_m,
+        )
+
+    # Where it can touch -----------------------------------------------------------------------------------------------
+
+    def more_force_n(self, options: ExploreOptions) -> float | None:
+        """Pressed with where the dent stays small; None where the soft stop leaves no room for it."""
+        more_n = min(options.second_force_n, SOFT_STOP_SHARE * self.workspace.soft_stop_n)
+        return more_n if more_n > options.set_force_n else None
+
+    def plan(
+        self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None, options: ExploreOptions
+    ) -> TouchPlan:
+        """A touch of a place whose surface was seen at this height.
+
+        over_m: how high the surface may be on the straight way to it, None = not known: then as high as nothing stands
+        """
+        highest = highest_m(options)
+        if over_m is not None:
+            highest = min(over_m + options.standoff_m + self.placement.center_offset_m, highest)
+        plan = TouchPlan(
+            np.append(xy_m, height_m),
+            np.asarray(normal, np.float64),
+            set_force_n=options.set_force_n,
+            more_force_n=self.more_force_n(options),
+            max_depth_m=options.max_depth_m,
+            standoff_m=options.standoff_m,
+            travel_height_m=highest,
+        )
+        return plan.no_faster(self.workspace.contact_speed_m_s, self.workspace.travel_speed_m_s)
+
+    def plan_led(
+        self,
+        xy_m: FloatArray,
+        height_m: float,
+        normal: FloatArray,
+        over_m: float | None,
+        options: ExploreOptions,
+        chain: Chain,
+        joints_deg: npt.ArrayLike,
+    ) -> TouchPlan:
+        """The same along the normal, or upright where the arm cannot be led along it: joint limits and singularities
+        depend on the tilt."""
+        plan = self.plan(xy_m, height_m, normal, over_m, options)
+        return plan if self._leads(plan, chain, joints_deg) else self.plan(xy_m, height_m, UPRIGHT, over_m, options)
+
+    def reachable(self, grid: MapGrid, options: ExploreOptions, chain: Chain, joints_deg: npt.ArrayLike) -> BoolArray:
+        """(rows, columns) cells that the tip can be led down to with the stick upright, as deep as a touch goes, all
+        but a margin at the border."""
+        rows, columns = grid.shape
+        every = max(1, round(COARSE_M / grid.cell_m))
+        row, column = np.arange(0, rows, every), np.arange(0, columns, every)
+        x, y = np.meshgrid((column + 0.5) * grid.cell_m, (row + 0.5) * grid.cell_m)
+        height_m = options.thickness_m
+        places = [np.array(xy) for xy in zip(x.flat, y.flat, strict=True)]
+        plans = [self.plan(place, height_m, UPRIGHT, None, options) for place in places]
+        good = np.array([self._leads(plan, chain, joints_deg) for plan in plans]).reshape(x.shape)
+        inside = np.repeat(np.repeat(good, every, 0), every, 1)[:rows, :columns]
+        return np.asarray(inside & off_the_border(grid))
+
+    def _leads(self, plan: TouchPlan, chain: Chain, joints_deg: npt.ArrayLike) -> bool:
+        """Whether the arm can be led straight down from above, as deep as a touch goes at most."""
+        down_m = plan.places_m(self.placement.center_offset_m)[1:]
+        return bool(follow(chain, self.placement, down_m, plan.normal, start_deg=joints_deg).all())
+
+
+def off_the_border(grid: MapGrid) -> BoolArray:
+    """(rows, columns) all cells but a margin at the surface's edge."""
+    places = grid.centres_m
+    return ((places > BORDER_M) & (places < np.asarray(grid.size_m) - BORDER_M)).all(axis=1).reshape(grid.shape)

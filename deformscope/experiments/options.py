@@ -1,0 +1,58 @@
+"""How to explore, and the lengths that all of it keeps to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from deformscope.errors import InputError
+from deformscope.stages.map.plan import Planner
+
+BetaModel = Literal["volume", "thesis", "none"]
+SECOND_FORCE_N, SECOND_SHARE = 5.0, 5.0 / 3.0
+SHALLOW_M = 0.002
+BORDER_M = 0.02
+"""No touch is made so near the surface's edge."""
+VIEW_CELL_M = 0.004
+"""Points of the surface before any touch are reduced to one in each cell of this size."""
+PLAN_CELL_M = 0.02
+"""Places that are considered for a touch are this far apart."""
+EDGE_M, ABOVE_M, LOW_SHARE = 0.005, 0.08, 0.5
+"""What a camera sees counts as the surface so far from its edges, so far above its thickness, and down to this share of
+it."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExploreOptions:
+    """How to explore.
+
+    planner, budget, threshold: where to touch, how often at most, and Th of the thesis's rule
+    set_force_n, max_depth_m: of a touch; tip_radius_m: of its ball; thickness_m: of the foam
+    beta_model: layers below the surface, the thesis's single layer, or no beta; cell_m: of the maps; seed
+    standoff_m: of the tip above the surface before and after a touch, and above all that it crosses
+    go_on: touch until the budget is spent, even where the plan says enough (for studies)
+    """
+
+    planner: Planner = "regions"
+    budget: int = 8
+    threshold: float = 0.06
+    set_force_n: float = 3.0
+    max_depth_m: float = 0.015
+    tip_radius_m: float = 0.01
+    thickness_m: float = 0.05
+    beta_model: BetaModel = "volume"
+    cell_m: float = 0.005
+    seed: int = 0
+    standoff_m: float = 0.05
+    go_on: bool = False
+
+    def __post_init__(self) -> None:
+        if self.budget < 1:
+            raise InputError("a budget of one touch or more", f"{self.budget}")
+        if not 0.0 < self.set_force_n <= SECOND_FORCE_N:
+            raise InputError(f"a set force above 0 and up to {SECOND_FORCE_N:g} N", f"{self.set_force_n:g} N")
+
+    @property
+    def second_force_n(self) -> float:
+        """Pressed with where the set force makes a small dent: 5 N after 3 N, and in proportion, 5 N at most."""
+        return min(SECOND_FORCE_N, SECOND_SHARE * self.set_force_n)

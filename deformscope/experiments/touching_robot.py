@@ -1,0 +1,396 @@
+"""Opened devices that look and touch: on hardware, on doubles, and in the laboratory on one simulated clock."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import queue
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.experiments.explore import ExplorationStopped, Look, Wait
+from deformscope.experiments.explorer import Touch
+from deformscope.experiments.measured import UPRIGHT, FrameData, Looked, SetupGeometry, Touched
+from deformscope.experiments.options import ExploreOptions
+from deformscope.rig.source import RigSource
+from deformscope.robot.advice import advice
+from deformscope.robot.preflight import Preflight, check
+from deformscope.robot.readings import ArmSample
+from deformscope.robot.robot import Robot, RobotStopped
+from deformscope.robot.setup import Setup
+from deformscope.robot.supervisor import Action, Fault
+from deformscope.robot.touch import Phase, PhaseSpan, TouchEnding, TouchPlan, TouchRecord, run_touch
+from deformscope.session import Inline, Moment, Step
+from deformscope.stages.map.exploration import ExplorationStop, PhaseStart
+from deformscope.stages.map.measured import LookFrames, TouchFrames
+from deformscope.stages.map.touches import MapGrid
+from deformscope_drivers.depth_camera.image import DepthImage
+from deformscope_drivers.errors import DeviceError
+from deformscope_drivers.subscription import Subscription
+
+DENT_PICTURES = 10
+"""Of a dent's pictures, at most the last so many are taken together."""
+PREFLIGHT_CELL_M = 0.02
+LOOKS = 3
+LOOK_PERIODS = 1000
+KEEP_EVERY = 50
+"""Control periods of a simulated clock between two portions of the recording: each costs bytes and seconds."""
+IDLE_S = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CheckFirst:
+    """A command: look at everything before anything moves; its answer is a `Preflight`.
+
+    calibrated: what has to be, by name, and whether it is; places_m: (n, 2) that will be touched, None = any that can
+    be reached
+    """
+
+    calibrated: Mapping[str, bool] = field(default_factory=dict)
+    places_m: FloatArray | None = None
+
+
+@contextlib.contextmanager
+def touching_robot(
+    setup: Setup, source: RigSource, options: ExploreOptions, on_cycle: Callable[[], None] = lambda: None
+) -> Iterator[TouchingRobot]:
+    """The robot over the devices of an open source; it cycles by itself, where its devices do, until the end of the
+    context. on_cycle: called in every control period"""
+    made: list[TouchingRobot] = []
+
+    def watch(*seen: object) -> None:
+        on_cycle()
+        for robot in made:
+            robot.cycled()
+
+    robot = TouchingRobot(setup.robot(source, watch), setup, options)
+    made.append(robot)
+    if not setup.runs_itself:
+        yield robot
+        return
+    with _without_long_pauses(), robot.in_a_thread():
+        yield robot
+
+
+@contextlib.contextmanager
+def _without_long_pauses() -> Iterator[None]:
+    """Keep what was loaded until now out of Python's search for garbage, which would hold all threads up for 0.1 s and
+    more, in the middle of a motion."""
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+
+
+class TouchingRobot:
+    """Opened devices that look and touch (`deformscope.robot`); a `SessionRobot`.
+
+    on_phase: called with each phase of a touch as it begins, and the touch's number from 1
+    stopped: fails with what stops the robot while it carries nothing out
+    """
+
+    def __init__(self, robot: Robot, setup: Setup, options: ExploreOptions) -> None:
+        self.on_phase: Callable[[Phase, int], None] = lambda phase, touch: None
+        self.stopped: Future[None] = Future()
+        self.geometry = SetupGeometry.of(setup)
+        self._robot = robot
+        self._setup = setup
+        self._options = options
+        self._pictures: Subscription[DepthImage] | None = None
+        self._dwelling = contextlib.ExitStack()
+        self._touches = self._begun = 0
+        self._phase: Phase | None = None
+        self._pressed_m: FloatArray | None = None
+        self._reports: list[Step] = []
+        self._keep: Callable[[], object] | None = None
+        self._periods = 0
+        self._commands: queue.SimpleQueue[tuple[object, Future[Any]]] | None = None
+
+    # Commands ---------------------------------------------------------------------------------------------------------
+
+    def carry_out(self, command: object, keep: Callable[[], object]) -> Future[Any]:
+        """Begin with a `CheckFirst`, `Look`, `Touch` or `Wait`: in the robot's thread, else at once.
+
+        Its answer is a `Preflight`, `Looked`, `Touched` or None; what stops it is an ExplorationStopped.
+        """
+        if self._commands is None:
+            self._keep = keep
+            return Inline().submit(self._do, command)
+        future: Future[Any] = Future()
+        self._commands.put((command, future))
+        return future
+
+    def _do(self, command: object) -> Any:
+        match command:
+            case Touch(plan=TouchPlan() as plan):
+                return self.touch(plan, command.xy_m)
+            case Look():
+                return self.look()
+            case CheckFirst():
+                return self.preflight(command.calibrated, command.places_m)
+            case Wait():
+                self._robot.look_on(command.seconds)
+                return None
+        raise TypeError(f"no command of this robot: {command!r}")
+
+    def reports(self) -> list[Step]:
+        """The phases that began since the last call."""
+        taken, self._reports = self._reports, []
+        return taken
+
+    def cycled(self) -> None:
+        """In each control period."""
+        self._periods += 1
+        if self._keep is not None and self._periods % KEEP_EVERY == 0:
+            self._keep()
+
+    @contextlib.contextmanager
+    def in_a_thread(self) -> Iterator[None]:
+        """Carry commands out in a thread that goes on cycling while there are none, once the robot may move: the
+        supervisor looks in every period, whatever is computed or recorded meanwhile."""
+        commands: queue.SimpleQueue[tuple[object, Future[Any]]] = queue.SimpleQueue()
+        self._commands = commands
+        over = threading.Event()
+
+        def work() -> None:
+            failed = False
+            while not over.is_set():
+                holding = self._robot.may_move and not failed
+                try:
+                    command, future = commands.get(block=not holding, timeout=IDLE_S)
+                except queue.Empty:
+                    failed = failed or (holding and not self._held())
+                    continue
+                try:
+                    future.set_result(self._do(command))
+                except BaseException as error:
+                    failed = True
+                    future.set_exception(error)
+
+        thread = threading.Thread(target=work, name="robot", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()
+
+    def _held(self) -> bool:
+        """Stand still for a control period; whether that went well."""
+        try:
+            with self._stopping():
+                self._robot.cycle()
+        except Exception as error:
+            self.stopped.set_exception(error)
+            return False
+        return True
+
+    # Before it moves --------------------------------------------------------------------------------------------------
+
+    def preflight(self, calibrated: Mapping[str, bool], places_m: FloatArray | None = None) -> Preflight:
+        """See `CheckFirst`. Raises InputError where nothing can be reached."""
+        corners = self._corners() if places_m is None else list(places_m)
+        height_m = self._options.thickness_m
+        plans = [self.geometry.plan(corner, height_m, UPRIGHT, None, self._options) for corner in corners]
+        with self._stopping():
+            found = check(self._robot, plans, calibrated=calibrated)
+        self._robot.rest()
+        return found
+
+    def _corners(self) -> list[FloatArray]:
+        """The outermost places that can be reached."""
+        grid = MapGrid(self._setup.size_m, PREFLIGHT_CELL_M)
+        robot = self._robot
+        allowed = self.geometry.reachable(grid, self._options, robot.arm.chain, robot.pose.joints_deg)
+        places = grid.centres_m[allowed.ravel()]
+        if not len(places):
+            raise InputError("a surface that the arm reaches", "none of it", "move the arm, or the surface")
+        return [places[int(np.argmax(places @ way))] for way in ((1, 1), (1, -1), (-1, 1), (-1, -1))]
+
+    @property
+    def forces_told(self) -> str:
+        """What a touch presses with, in words."""
+        set_n, more_n = self._options.set_force_n, self.geometry.more_force_n(self._options)
+        return f"{set_n:g} N" + ("" if more_n is None else f", {more_n:g} N where that makes a dent below 2 mm")
+
+    def let_move(self, preflight: Preflight) -> None:
+        """From now on the robot may move. Raises InputError where a check has failed, with which."""
+        self._robot.start()
+        self._robot.let_move(preflight)
+
+    # Looking and touching ---------------------------------------------------------------------------------------------
+
+    def look(self) -> Looked:
+        """The newest pictures of the surface, and where the robot stands."""
+        self._robot.start()
+        with self._pictures_kept():
+            pictures = self._take_pictures(LOOKS)
+        pose, camera = self._robot.pose, self._setup.camera
+        focal_px, center_px = camera.focal_px, camera.center_px
+        if focal_px is None or center_px is None:
+            reported = pictures[-1].intrinsics
+            if reported is None:
+                raise InputError("[camera] focal_px and center_px", "none, and a camera that reports none")
+            focal_px, center_px = (reported.fx_px, reported.fy_px), (reported.cx_px, reported.cy_px)
+        arm, _, name = self._setup.names
+        model = self._robot.arm.chain.name
+        used = LookFrames(name, _times_ns(pictures), arm, pose.time_ns, model, focal_px, center_px)
+        return Looked(used, FrameData(_depths_m(pictures), {pose.time_ns: pose}, {}))
+
+    def touch(self, plan: TouchPlan, xy_m: FloatArray) -> Touched:
+        """Go there, touch along the normal, keep the pictures of the dent, come back. Raises ExplorationStopped."""
+        robot = self._robot
+        robot.start()
+        dents: list[tuple[DepthImage, ArmSample]] = []
+
+        def still() -> bool:
+            dents.extend((picture, robot.pose) for picture in self._new_pictures())
+            return True
+
+        with self._stopping(), contextlib.ExitStack() as self._dwelling:
+            record = run_touch(robot, plan, still, self._begin)
+        self._phase = None
+        verdict = robot.supervisor.verdict
+        if verdict.action is not Action.GO_ON:
+            raise self._stop(verdict.fault, verdict.reason, verdict.action, verdict.time_ns)
+        if record.contact_m is None or record.ending in (TouchEnding.NOT_REACHED, TouchEnding.NO_CONTACT):
+            where = f"at ({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm"
+            raise self._stop(record.ending, f"{where}: {record.reason}" if record.reason else where)
+        self._touches += 1
+        return self._touched(record, dents, xy_m)
+
+    def _touched(self, record: TouchRecord, dents: list[tuple[DepthImage, ArmSample]], xy_m: FloatArray) -> Touched:
+        dwells = _dwells(record)
+        seen = [
+            (picture, pose)
+            for picture, pose in dents
+            if any(span.start_s <= picture.stamp.host_ns / 1e9 <= span.end_s for span in dwells[-1:])
+        ][-DENT_PICTURES:]
+        arms = record.arms[: max(record.loading, 10)]
+        end = self._robot.pose
+        pictures = [picture for picture, _ in seen]
+        arm, wrench, camera = self._setup.names
+        used = TouchFrames(
+            xy_m=xy_m,
+            normal=record.plan.normal,
+            reached=record.ending is TouchEnding.SET_FORCE,
+            arm=arm,
+            arm_ns=np.array([sample.time_ns for sample in arms], np.int64),
+            wrench=wrench,
+            wrench_ns=np.array([sample.time_ns for sample, _ in record.forces], np.int64),
+            wrench_ticks=np.array([sample.ticks for sample, _ in record.forces], np.int64),
+            pose_ns=np.array([pose_ns for _, pose_ns in record.forces], np.int64),
+            tare_n=record.tare_n,
+            camera=camera,
+            depth_ns=_times_ns(pictures),
+            depth_arm_ns=np.array([pose.time_ns for _, pose in seen], np.int64),
+            seen_ns=max((round(span.end_s * 1e9) for span in dwells), default=0),
+            end_ns=end.time_ns,
+        )
+        poses = {sample.time_ns: sample for sample in (*record.poses, *(pose for _, pose in seen), end)}
+        forces = {(sample.time_ns, sample.ticks): sample.sensor_n for sample, _ in record.forces}
+        return Touched(used, FrameData(_depths_m(pictures), poses, forces))
+
+    @property
+    def doing(self) -> str:
+        """What it does now, in words; empty between touches."""
+        if self._phase is None:
+            return ""
+        words = f"touch {self._touches + 1}: {self._phase}"
+        if self._pressed_m is not None:
+            depth_m = float(self._pressed_m[2] - self._robot.center_m[2])
+            forces = self._robot.seen.forces
+            force_n = float(np.linalg.norm(forces[-1].force_n)) if forces else np.nan
+            words += f" {force_n:.1f} N {1e3 * depth_m:.1f} mm"
+        return words
+
+    @property
+    def gaps_s(self) -> FloatArray:
+        """(n,) from each look of the supervisor to the next since the robot may move [s]."""
+        return self._robot.gaps_s
+
+    def ask_to_stop(self, reason: str) -> None:
+        """A person wants it to stop: the arm stands within a control period, and the exploration ends."""
+        self._robot.ask_to_stop(reason)
+
+    def halt(self, reason: str) -> bool:
+        """Erase what waits in the arm, which takes no further command; whether it was reached."""
+        return self._robot.halt(reason)
+
+    def _begin(self, phase: Phase, time_ns: int) -> None:
+        self._phase = phase
+        self._begun += phase is Phase.TRAVEL
+        if phase is Phase.DWELL:
+            self._dwelling.enter_context(self._pictures_kept())
+        if phase is Phase.PRESS:
+            self._pressed_m = self._robot.center_m
+        elif phase in (Phase.RETREAT, Phase.BACK_OFF):
+            self._pressed_m = None
+        self._reports.append(Step((PhaseStart(str(phase), self._begun - 1),), moment=Moment(time_ns, self._begun)))
+        self.on_phase(phase, self._begun)
+
+    @contextlib.contextmanager
+    def _stopping(self) -> Iterator[None]:
+        """That the supervisor has stopped the robot ends the exploration."""
+        try:
+            yield
+        except RobotStopped as error:
+            verdict = error.verdict
+            raise self._stop(verdict.fault, verdict.reason, verdict.action, verdict.time_ns) from error
+
+    def _stop(
+        self, cause: Fault | TouchEnding, reason: str, action: Action = Action.STOP, time_ns: int | None = None
+    ) -> ExplorationStopped:
+        """The arm stands."""
+        self._robot.halt(f"{cause}: {reason}")
+        self._phase = self._pressed_m = None
+        stop = ExplorationStop(str(cause), reason, advice(cause), str(action), self._touches)
+        return ExplorationStopped(stop, self._setup.clock() if time_ns is None else time_ns)
+
+    def _new_pictures(self) -> list[DepthImage]:
+        with contextlib.suppress(DeviceError):  # what becomes of a lost camera, the supervisor decides
+            return [] if self._pictures is None else self._pictures.take()
+        return []
+
+    @contextlib.contextmanager
+    def _pictures_kept(self) -> Iterator[None]:
+        """From now on new pictures wait to be taken; at other times nobody takes them, and they would count as lost."""
+        if self._robot.camera is None:
+            yield
+            return
+        with self._robot.camera.readings() as self._pictures:
+            yield
+        self._pictures = None
+
+    def _take_pictures(self, count: int) -> list[DepthImage]:
+        """The next pictures, the robot standing still."""
+        taken: list[DepthImage] = []
+        for _ in range(LOOK_PERIODS):
+            with self._stopping():
+                self._robot.cycle()
+            taken += self._new_pictures()
+            if len(taken) >= count:
+                return taken[-count:]
+        raise self._stop(Fault.CAMERA_SILENT, f"{len(taken)} depth images in {LOOK_PERIODS / 100:g} s")
+
+
+def _times_ns(pictures: list[DepthImage]) -> IntArray:
+    return np.array([picture.stamp.host_ns for picture in pictures], np.int64)
+
+
+def _depths_m(pictures: list[DepthImage]) -> dict[int, Any]:
+    return {picture.stamp.host_ns: picture.depth_m() for picture in pictures}
+
+
+def _dwells(record: TouchRecord) -> list[PhaseSpan]:
+    """When it pressed still: once, or with the set force and then with more."""
+    return [span for span in record.phases if span.phase in (Phase.DWELL, Phase.DWELL_MORE)]

@@ -1,0 +1,117 @@
+"""A simulated scene to explore: finite element foam under an arm, a force sensor and a depth camera, on one clock."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
+from deformscope.lab.depth_view import DepthView, DepthViewConfig
+from deformscope.lab.scenes import Scene
+from deformscope.lab.slab import RigidTip
+from deformscope.lab.slab_world import Contact, SlabWorld
+from deformscope.lab.touch_lab import TouchLab
+from deformscope.rig.driver_table import DRIVERS
+from deformscope.rig.rig_file import Tool, Workspace
+from deformscope.rig.source import RigMember, RigSource
+from deformscope.robot.placement import Placement, best_joints
+from deformscope.robot.setup import T_BASE_SURFACE, CameraView, Setup, Truth
+from deformscope.robot.shape import arm_shape
+from deformscope_drivers.depth_camera import View
+from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
+from deformscope_drivers.device import Device
+from deformscope_drivers.jaco.kinematics import J2N6S300
+from deformscope_drivers.memory import SimulatedClock
+
+CAMERA_HZ = 10.0
+CAMERA_AZIMUTH_DEG = -90.0
+"""The camera looks across the long edge at y = 0: the arm stands beyond the other, and hides what is behind it."""
+BOX_LOW_M, BOX_HIGH_M = (-0.40, -0.66, 0.0), (0.45, 0.10, 0.75)
+"""Where the tip may go, in the base frame: above the table, and to where the arm is parked."""
+UPRIGHT = np.array([0.0, 0.0, 1.0])
+
+
+class SceneLab:
+    """The laboratory with a scene in it, closed. lab: its devices and faults; setup: to explore it"""
+
+    def __init__(
+        self, scene: Scene, *, tip_radius_m: float, parked_m: float, seed: int = 0, camera_width: int = 320
+    ) -> None:
+        """parked_m: z of the tip's centre where the arm stands first [m, surface frame]"""
+        self.scene = scene
+        self.clock = SimulatedClock(1_000_000_000)
+        self._world = SlabWorld(scene)
+        self._tip = RigidTip(radius=tip_radius_m)
+        self._contact: Contact | None = None
+        view = DepthViewConfig(width=camera_width, height=camera_width * 3 // 4, azimuth_deg=CAMERA_AZIMUTH_DEG)
+        self.view = DepthView(scene, view)
+        tool = Tool(radius_m=tip_radius_m)
+        self.placement = Placement(T_BASE_SURFACE, tool)
+        parked = np.array([scene.size_m[0] / 2, scene.size_m[1] / 2, parked_m])
+        touching = np.array([*parked[:2], scene.thickness_m])
+        self.lab = TouchLab(
+            self,
+            self.clock,
+            tool=tool,
+            T_base_surface=T_BASE_SURFACE,
+            arm_stiffness_n_m=ARM_STIFFNESS_N_M,
+            view=self._see,
+            camera_config=SyntheticDepthConfig(rate_hz=CAMERA_HZ, missing=0.02, seed=seed),
+            start_deg=best_joints(J2N6S300, [self.placement.T_base_ee(place, UPRIGHT) for place in (parked, touching)]),
+            seed=seed,
+        )
+
+    @property
+    def setup(self) -> Setup:
+        """The arm's compliance is as a calibration on a rigid block would give it."""
+        intrinsics = self.view.intrinsics
+        return Setup(
+            size_m=self.scene.size_m,
+            placement=self.placement,
+            workspace=Workspace(low_m=BOX_LOW_M, high_m=BOX_HIGH_M),
+            camera=CameraView(
+                (intrinsics.fx_px, intrinsics.fy_px),
+                (intrinsics.cx_px, intrinsics.cy_px),
+                T_surface_camera=self.view.surface_from_camera,
+                rate_hz=CAMERA_HZ,
+            ),
+            open_source=self._source,
+            names=("arm", "tip", "camera"),
+            compliance_m_per_n=1.0 / ARM_STIFFNESS_N_M,
+            compliance_sd=ARM_DOUBT / ARM_STIFFNESS_N_M,
+            calibrated={"camera to surface": True, "arm's compliance": True},
+            simulated=True,
+            truth=Truth(self.scene.regions),
+            runs_itself=False,
+            zeroed=True,
+            true_force_n=lambda: self.lab.contact.max_force_n,
+            clock=self.clock,
+            wait_until=self.lab.wait_until,
+        )
+
+    def press(self, center_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The slab's force on the tip: what `TouchLab` asks of its world."""
+        self._contact = self._world.press(self._tip, center_m)
+        return np.asarray(self._contact.force_n, np.float64)
+
+    def _source(self) -> RigSource:
+        """The devices as a source; entering it opens the laboratory."""
+        devices: dict[str, tuple[str, Device[Any]]] = {
+            "arm": ("jaco", self.lab.arm),
+            "tip": ("optoforce", self.lab.force),
+        }
+        if self.lab.camera is not None:
+            devices["camera"] = ("depth_camera", self.lab.camera)
+        members = [RigMember(name, DRIVERS[driver], device, True) for name, (driver, device) in devices.items()]
+        return RigSource(members, clock=self.clock, opener=self.lab.open)
+
+    def _see(self, time_s: float) -> View:
+        """What the camera sees now: the slab as it is pressed, the arm in its pose."""
+        moved = None
+        if self._contact is not None and len(self._contact.node):
+            moved = self._world.displaced_m(self._contact, self.view.places_m)
+        arm = self.lab.arm_double
+        exact = self.view.render(moved, arm_shape(self.placement, arm.chain, arm.joints_deg, self.lab.contact.center_m))
+        return View(exact.depth_m, exact.color)  # the camera adds its own noise

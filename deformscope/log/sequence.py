@@ -1,0 +1,48 @@
+"""The images of a sequence: recorded without loss, and what is drawn upon."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import rerun as rr
+
+from deformscope.arrays import ImageArray
+from deformscope.frames import ColorFrame
+from deformscope.images import JPEG_QUALITY
+from deformscope.log.canvas import Canvas
+from deformscope.log.rig import Batch, prepare_items
+from deformscope.log.rig.columns import frame_times, root
+
+DISPLAY = "display/image"
+
+
+def canvas_of(frame: ColorFrame) -> Canvas:
+    """The picture that results are drawn upon."""
+    height, width = frame.image.shape[:2]
+    path = root("color", frame.device) if frame.image.dtype == np.uint8 else DISPLAY
+    return Canvas(low=(0.0, 0.0), high=(float(width), float(height)), image=path)
+
+
+def range_of(image: ImageArray) -> tuple[float, float]:
+    """The darkest and the brightest of an image."""
+    return float(image.min()), max(float(image.max()), float(image.min()) + 1.0)
+
+
+def prepare_image(frame: ColorFrame, start_ns: int, limits: tuple[float, float], *, lossless: bool) -> Batch:
+    """Make one image ready, as it is recorded or, not lossless, as a live view gets it.
+
+    start_ns: host time at which `session` is 0 [ns]; limits: spread over 8 bits where the image has 16, as viewers do
+    not show it otherwise
+    """
+    batch = Batch()
+    eight = frame.image.dtype == np.uint8
+    if eight or lossless:
+        batch = prepare_items([frame], start_ns, (), {frame.device} if lossless else ())
+    if not eight:
+        low, high = limits
+        spread = ((frame.image.astype(np.float32) - low) * (255.0 / (high - low))).clip(0, 255).astype(np.uint8)
+        ordered = spread if spread.ndim == 2 else spread[..., ::-1]
+        jpeg = cv2.imencode(".jpg", ordered, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
+        columns = rr.EncodedImage.columns(blob=[jpeg], media_type=["image/jpeg"], draw_order=[-10.0])
+        batch.send_columns(DISPLAY, frame_times([frame], start_ns), columns)
+    return batch

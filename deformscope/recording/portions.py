@@ -1,0 +1,101 @@
+"""What devices give, gathered into portions: writing costs by portion, little by item."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from deformscope.arrays import IntArray
+from deformscope.frames import HealthReport, Item, LinkChange, RawBytes, host_ns
+
+GATHER_S, GATHER_BYTES = 1.0, 8 << 20
+"""Items are gathered for so long, or until they are so much."""
+ITEM_BYTES = 1 << 10
+"""An item costs so much memory beside its arrays."""
+
+
+class Portions:
+    """Items of one touch after the other."""
+
+    def __init__(self) -> None:
+        self._items: list[Item] = []
+        self._bytes = self._touch = 0
+        self._since = 0.0
+
+    def __len__(self) -> int:
+        """How many items wait."""
+        return len(self._items)
+
+    def add(self, items: Sequence[Item], touch: int, size: int) -> Iterator[tuple[list[Item], int]]:
+        """What is complete with these: items, and their touch."""
+        if touch != self._touch:
+            yield from self.rest()
+            self._touch = touch
+        if not self._items:
+            self._since = time.monotonic()
+        self._items += items
+        self._bytes += size
+        if self._bytes >= GATHER_BYTES or host_ns(self._items[-1]) - host_ns(self._items[0]) >= GATHER_S * 1e9:
+            yield from self.rest()
+
+    def overdue(self) -> Iterator[tuple[list[Item], int]]:
+        """What has waited long enough."""
+        if time.monotonic() - self._since >= GATHER_S:
+            yield from self.rest()
+
+    def rest(self) -> Iterator[tuple[list[Item], int]]:
+        """What is left."""
+        if self._items:
+            items, self._items, self._bytes = self._items, [], 0
+            yield items, self._touch
+
+
+class RisingTimes:
+    """Times that only ever become more: what was read of them stays as it was."""
+
+    def __init__(self) -> None:
+        self._held: IntArray = np.zeros(1024, np.int64)
+        self._count = 0
+
+    @property
+    def all(self) -> IntArray:
+        """(n,) so far."""
+        return self._held[: self._count]
+
+    def add(self, times: Sequence[int]) -> None:
+        count = self._count + len(times)
+        if count > len(self._held):
+            longer = np.zeros(2 * count, np.int64)
+            longer[: self._count] = self.all
+            self._held = longer
+        self._held[self._count : count] = times
+        self._count = count
+
+
+def counted_as(item: Item) -> str:
+    """The count that an item belongs to: of its device, and of its kind."""
+    match item:
+        case RawBytes():
+            return f"{item.device}/{'sent' if item.sent else 'received'}"
+        case LinkChange():
+            return f"{item.device}/link"
+        case HealthReport():
+            return "health"
+        case _:
+            return f"{item.device}/frames"
+
+
+def item_size(item: Item) -> int:
+    """Bytes that an item keeps alive."""
+    return ITEM_BYTES + (len(item.data) if isinstance(item, RawBytes) else arrays_size(item))
+
+
+def arrays_size(result: object) -> int:
+    """Bytes of the arrays in a dataclass."""
+    if not dataclasses.is_dataclass(result):
+        return 0
+    values = (getattr(result, field.name) for field in dataclasses.fields(result))
+    return sum(value.nbytes for value in values if isinstance(value, np.ndarray))

@@ -1,0 +1,107 @@
+"""The name that a recording gets, and the unfinished file beside it until then."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import BinaryIO
+
+from deformscope.errors import InputError
+from deformscope.recording.ledger import Losses, ledger_path, write_ledger
+from deformscope.recording.lock import create_locked, is_being_written, one_at_a_time
+from deformscope.recording.rrd_file import RecordingError, check_room, merged_path, sync
+
+SUFFIX = ".rrd"
+
+_logger = logging.getLogger(__name__)
+
+
+class RecordingTarget:
+    """`NAME.rrd`, and `NAME.part.rrd`, which is locked while it is recorded into."""
+
+    def __init__(self, file: Path, *, overwrite: bool) -> None:
+        self.path = _followed(file)
+        self.part = self.path
+        self._overwrite = overwrite
+        self._lock: BinaryIO | None = None
+
+    def reserve(self) -> None:
+        """Make the unfinished file; refuses what cannot work before any work is done."""
+        self.part, self._lock = _reserve(self.path, self._overwrite)
+        try:
+            check_room(self.path, "another disk")
+        except BaseException:
+            self.give_up()
+            raise
+
+    def give_up(self) -> None:
+        """Nothing is recorded."""
+        self.part.unlink(missing_ok=True)
+        self.release()
+
+    def release(self) -> None:
+        """Let others record to this name."""
+        if self._lock is not None:
+            self._lock.close()
+
+    def publish(self, whole: Path, counts: Mapping[str, int], losses: Losses) -> Path:
+        """Give the recording its name, and its ledger. whole: the file that holds it, which is gone then"""
+        if self.path.exists() and not self._overwrite:
+            whole.replace(self.part)
+            came, hint = "one made during the run", f"the new one: {self.part}"
+            raise RecordingError("no file of that name", came, hint, self.path)
+        sync(whole)
+        # An older recording's ledger goes first: a ledger that fits no recording must never stand beside one.
+        ledger_path(self.path).unlink(missing_ok=True)
+        whole.replace(self.path)
+        self.part.unlink(missing_ok=True)  # last, as it is the one that is locked
+        write_ledger(self.path, counts, losses)
+        sync(self.path.parent)
+        return self.path
+
+    def keep_unfinished(self, whole: Path, *, worth_it: bool) -> Path | None:
+        """Leave what there is where it is, unless it is not worth it."""
+        whole.replace(self.part)
+        if not worth_it:
+            self.part.unlink(missing_ok=True)
+            return None
+        _logger.warning("what was recorded before the error is kept: %s", self.part)
+        return self.part
+
+
+def _followed(target: Path) -> Path:
+    """Where a link leads: it stays a link, to the new recording, as with every other output."""
+    if not target.is_symlink():
+        return target
+    found = Path(os.path.realpath(target))
+    if found.is_symlink():
+        raise InputError("a link that leads to a file", "one that leads to itself", where=target)
+    return found
+
+
+def _reserve(target: Path, overwrite: bool) -> tuple[Path, BinaryIO]:
+    """An empty file to record into, beside the target, and its lock until it is closed."""
+    if target.suffix.lower() != SUFFIX:
+        raise InputError(f"a recording's name that ends in {SUFFIX}", f"{target.suffix or 'no ending'}", where=target)
+    if target.is_dir():
+        raise InputError("a file to record into", "a folder", where=target)
+    if target.exists() and not overwrite:
+        raise InputError("a new file to record into", "one that exists", "another name, or --overwrite", target)
+    if not target.parent.is_dir():
+        raise InputError("a folder to record into", "none", f"mkdir -p {target.parent}", target)
+    with one_at_a_time(target.parent):
+        for number in range(1, 1000):
+            part = target.with_name(f"{target.stem}.part{'' if number == 1 else f'-{number}'}{SUFFIX}")
+            try:
+                return part, create_locked(part)
+            except FileExistsError:
+                if is_being_written(part):
+                    came = f"one that another run is recording to ({part.name})"
+                    raise InputError("a recording of its own", came, "another name", target) from None
+                merged_path(part).unlink(missing_ok=True)  # of a run that was killed: of no use without its end
+            except OSError as error:
+                came = (error.strerror or str(error)).lower()
+                raise InputError("a folder that can be written to", came, "another folder", target.parent) from error
+    raise InputError("fewer unfinished recordings", "1000", "rename or delete some", target.parent)

@@ -1,0 +1,300 @@
+"""Recorded bytes decoded again, with the drivers' own decoders, and compared with the recorded frames."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from deformscope.errors import InputError
+from deformscope.frames import Frame, HealthReport, Item, LinkChange, RawBytes, Stream, host_ns
+from deformscope.rig.measured import to_frame
+from deformscope.rig.rig_file import Rig
+from deformscope_drivers.clock import Stamp, Unwrap
+from deformscope_drivers.device import RAW_DROPPED
+from deformscope_drivers.framing import FrameDecoder, Skipped
+from deformscope_drivers.health import Health, Link
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceComparison:
+    """How a device's recorded frames compare with its bytes.
+
+    frames: recorded; compared: of these, decoded again; left_out: what was not compared, and why
+    difference: the first one, in words; empty = none
+    """
+
+    device: str
+    driver: str
+    frames: int
+    compared: int
+    left_out: str = ""
+    difference: str = ""
+
+
+class Redecoder(ABC):
+    """Makes frames of one device's bytes, as its driver did.
+
+    left_out: what of a frame its bytes do not decide; compares: the fields that they decide, beside the stamp
+    """
+
+    left_out = ""
+    compares: tuple[str, ...]
+
+    def __init__(self, config: Any, stream: Stream) -> None:
+        self.config, self.stream = config, stream
+
+    @abstractmethod
+    def begin(self) -> FrameDecoder[Any]:
+        """A new link, with a fresh decoder."""
+
+    @abstractmethod
+    def measure(self, event: Any, host_ns: int) -> Iterable[Any]:
+        """The driver's readings in one event of the decoder."""
+
+    def send(self, data: bytes) -> None:  # noqa: B027
+        """The host sent this."""
+
+    def resume(self) -> None:  # noqa: B027
+        """The driver set the device up again on a link that lasted."""
+
+    def device(self) -> Any:
+        """What `to_frame` asks of a device."""
+
+
+class OptoforceAgain(Redecoder):
+    """A force sensor."""
+
+    left_out = "`usable`, which also rests on what came before"
+    compares: tuple[str, ...] = ("counts", "force_n", "torque_nm", "overload")
+
+    def begin(self) -> FrameDecoder[Any]:
+        from deformscope_drivers.optoforce.protocol import Decoder
+        from deformscope_drivers.transport import CAN_FRAME_BYTES
+
+        self._kind: Any = None
+        return Decoder(CAN_FRAME_BYTES if self.config.bus else 1)
+
+    def resume(self) -> None:
+        if self.config.zero_at_start:  # the zero point that the DAQ has lost is subtracted by the driver
+            self.compares = ("counts", "overload")
+            self.left_out += ", and forces after the DAQ had lost its zero point"
+
+    def measure(self, event: Any, host_ns: int) -> Iterable[Any]:
+        from deformscope_drivers.optoforce.measurement import ForceMeasurement
+        from deformscope_drivers.optoforce.protocol import Reading
+
+        if not isinstance(event, Reading):
+            return []
+        self._kind = self._kind or event.kind
+        reports = self.config.sensitivities
+        known = bool(reports) and event.kind is self._kind
+        per_count = np.stack([report.per_count for report in reports]) if known else None
+        return [ForceMeasurement(Stamp(host_ns, event.counter), event.kind, event.status, event.counts, per_count)]
+
+
+class DsaAgain(Redecoder):
+    """Tactile pads."""
+
+    compares = ("counts", "pressure_pa")
+
+    def begin(self) -> FrameDecoder[Any]:
+        from deformscope_drivers.dsa.protocol import Decoder
+
+        self._described, self._shapes = 0, [(pad.rows, pad.columns) for pad in self.stream.pads]
+        self._packets = Decoder()
+        self._start_streaming()
+        return self._packets
+
+    def send(self, data: bytes) -> None:
+        from deformscope_drivers.dsa.messages import Id
+
+        if len(data) > 3 and data[3] == Id.ACQUISITION:
+            self._start_streaming()
+
+    def measure(self, event: Any, host_ns: int) -> Iterable[Any]:
+        from deformscope_drivers.dsa.device import TICK_NS, TactileReading
+        from deformscope_drivers.dsa.messages import MatrixInfo, Reading
+        from deformscope_drivers.dsa.timestamps import TimestampVerdict
+
+        if isinstance(event, MatrixInfo):
+            self._described += 1
+            if self._described == len(self._shapes):
+                self._packets.cells = sum(rows * columns for rows, columns in self._shapes)
+        if not isinstance(event, Reading) or self._packets.cells is None:
+            return []
+        verdict = self._gate.check(event.timestamp_ms)
+        if verdict in (TimestampVerdict.REPEATED, TimestampVerdict.JUMPED):
+            return []
+        if verdict is TimestampVerdict.RESTARTED:
+            self._unwrap = Unwrap(1 << 32, TICK_NS)
+        ends = np.cumsum([rows * columns for rows, columns in self._shapes])[:-1]
+        parts = np.split(event.texels, ends)
+        pads = tuple(part.reshape(shape) for part, shape in zip(parts, self._shapes, strict=True))
+        stamp = Stamp(host_ns, self._unwrap(event.timestamp_ms, host_ns))
+        return [TactileReading(stamp, event.texels, pads)]
+
+    def device(self) -> Any:
+        from deformscope_drivers.dsa.pressure import to_pressure
+
+        return SimpleNamespace(pressure_pa=lambda reading: to_pressure(reading.pads, self.config.calibration))
+
+    def _start_streaming(self) -> None:
+        from deformscope_drivers.dsa.device import TICK_NS
+        from deformscope_drivers.dsa.timestamps import TimestampGate
+
+        self._gate, self._unwrap = TimestampGate(), Unwrap(1 << 32, TICK_NS)
+
+
+class SdhAgain(Redecoder):
+    """A hand: a reading is made of its answers about states, velocities and, last, angles."""
+
+    compares = ("position_deg", "velocity_deg_s", "temperature_c", "state")
+
+    def begin(self) -> FrameDecoder[Any]:
+        from deformscope_drivers.sdh.protocol import Decoder
+
+        self._answers: dict[str, tuple[float, ...]] = {}
+        return Decoder(checksummed=self.config.checksummed())
+
+    def measure(self, event: Any, host_ns: int) -> Iterable[Any]:
+        from deformscope_drivers.sdh.codes import AxisState
+        from deformscope_drivers.sdh.protocol import Reading
+        from deformscope_drivers.sdh.results import HandReading
+
+        if not isinstance(event, Reading) or event.axis is not None:
+            return []
+        self._answers["vel" if event.quantity == "tvav" else event.quantity] = event.values
+        if event.quantity != "pos" or not {"state", "vel"} <= set(self._answers):
+            return []
+        states, temperature = self._answers.pop("state"), self._answers.get("temp")
+        return [
+            HandReading(
+                Stamp(host_ns),
+                np.array(event.values),
+                np.array(self._answers.pop("vel")),
+                tuple(AxisState(int(state)) for state in states),
+                None if temperature is None else np.array(temperature),
+            )
+        ]
+
+
+REDECODERS: dict[str, type[Redecoder]] = {"optoforce": OptoforceAgain, "dsa": DsaAgain, "sdh": SdhAgain}
+"""By the driver's name; the other drivers do not speak in bytes."""
+
+
+def compare_with_bytes(rig: Rig, streams: Sequence[Stream], items: Iterable[Item]) -> list[DeviceComparison]:
+    """Decode every device's recorded bytes again and compare with its recorded frames, to the last bit.
+
+    items: of the recording, in order of time. Raises InputError where the rig lacks a device that was recorded
+    """
+    configs = {entry.name: entry.config for entry in rig.devices}
+    if missing := [stream.device for stream in streams if stream.device not in configs]:
+        raise InputError(f"a rig with {missing[0]}, which was recorded", "one without")
+    checks = {stream.device: _Check(stream, configs[stream.device]) for stream in streams}
+    for item in items:
+        if isinstance(item, HealthReport):
+            for name, health in item.devices:
+                if name in checks:
+                    checks[name].health = health
+        elif item.device in checks:
+            checks[item.device].take(item)
+    return [check.result() for check in checks.values()]
+
+
+class _Check:
+    """One device's bytes and frames, which belong together by their time of arrival."""
+
+    def __init__(self, stream: Stream, config: Any) -> None:
+        self.health: Health | None = None
+        self._stream = stream
+        known = REDECODERS.get(stream.driver)
+        self._again = None if known is None else known(config, stream)
+        self._decoder = None if self._again is None else self._again.begin()
+        self._now_ns = 0
+        self._recorded: list[Frame] = []
+        self._decoded: list[Frame] = []
+        self._frames = self._compared = self._pieces = self._skipped = 0
+        self._difference = ""
+        self._steady = True
+
+    def take(self, item: Frame | RawBytes | LinkChange) -> None:
+        if host_ns(item) > self._now_ns:
+            self._settle()
+            self._now_ns = host_ns(item)
+        if isinstance(item, Frame):
+            self._frames += 1
+            self._recorded.append(item)
+        elif self._again is None or self._decoder is None:
+            return
+        elif isinstance(item, LinkChange):
+            if item.event.link is not Link.CONNECTED:
+                self._decoder = self._again.begin()
+                self._steady &= item.event.link is Link.CLOSED
+            elif item.event.reason:
+                self._again.resume()
+        elif item.sent:
+            self._again.send(item.data)
+        else:
+            self._pieces += 1
+            self._decoded += self._decode(self._again, self._decoder.feed(item.data))
+
+    def result(self) -> DeviceComparison:
+        """Once all has come."""
+        self._settle()
+        stream = self._stream
+        left_out = self._again.left_out if self._again is not None else ""
+        if self._again is None:
+            left_out = "its driver gives no bytes"
+        elif not self._pieces:
+            left_out = "its bytes were not recorded"
+        elif self.health is not None:
+            counted, dropped = self.health.skipped_bytes, self.health.dropped + self.health.extra.get(RAW_DROPPED, 0)
+            # what a lost link cuts off is counted or not, and the hand's line is drained past its decoder
+            countable = self._steady and stream.driver != "sdh"
+            if countable and self._skipped != counted and not self._difference:
+                self._difference = f"{self._skipped} bytes of {stream.device} that fit no frame; {counted} were counted"
+            if dropped and self._difference:
+                left_out = f"what follows {self._difference}: {dropped:g} readings or pieces of bytes were dropped"
+                self._difference = ""
+        return DeviceComparison(stream.device, stream.driver, self._frames, self._compared, left_out, self._difference)
+
+    def _decode(self, again: Redecoder, events: Iterable[Any]) -> Iterator[Frame]:
+        for event in events:
+            if isinstance(event, Skipped):
+                self._skipped += event.count
+                continue
+            for reading in again.measure(event, self._now_ns):
+                yield to_frame(self._stream.kind, reading, 0, self._stream.device, again.device())
+
+    def _settle(self) -> None:
+        """Compare what came at one moment."""
+        recorded, decoded, self._recorded, self._decoded = self._recorded, self._decoded, [], []
+        if self._again is None or self._difference or not self._pieces:
+            return
+        at = f"{self._stream.device} at {self._now_ns} ns"
+        for frame, other in zip(recorded, decoded, strict=False):
+            self._compared += 1
+            for name in ("stamp", *self._again.compares):
+                if not _same(getattr(frame, name), getattr(other, name)):
+                    self._difference = f"another {name} of frame {frame.index} of {at}"
+                    return
+        if len(recorded) > len(decoded):
+            self._difference = f"frame {recorded[len(decoded)].index} of {at}, which its bytes do not give"
+        elif len(decoded) > len(recorded):
+            self._difference = f"a frame in the bytes of {at}, which was not recorded"
+
+
+def _same(one: Any, other: Any) -> bool:
+    """To the last bit; nan is nan."""
+    if isinstance(one, tuple) and isinstance(other, tuple):
+        return len(one) == len(other) and all(map(_same, one, other))
+    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        if one.shape != other.shape or one.dtype != other.dtype:
+            return False
+        return bool(np.array_equal(one, other, equal_nan=one.dtype.kind == "f"))
+    return bool(one == other)

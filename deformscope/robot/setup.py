@@ -1,0 +1,284 @@
+"""Devices to explore with, closed: an arm, a force sensor at its end and a depth camera, real ones or doubles.
+
+`rig_setup` makes one from a rig file; a laboratory hands its own in (`deformscope.lab.scene_lab`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from deformscope.arrays import IntArray
+from deformscope.errors import InputError
+from deformscope.rig.rig_file import Rig, RigDevice, Workspace
+from deformscope.rig.source import RigMember, RigSource
+from deformscope.robot.advice import advice
+from deformscope.robot.placement import Placement
+from deformscope.robot.robot import Robot, RobotStopped, Waits, Watch, sleep_until
+from deformscope.robot.supervisor import Limits
+from deformscope_drivers.clock import Clock, monotonic_ns
+from deformscope_drivers.device import Device
+from deformscope_drivers.errors import DeviceError
+from deformscope_drivers.jaco.kinematics import FloatArray, transform
+
+ROLES = ("jaco", "optoforce", "depth_camera")
+CAMERA_HZ = 30.0
+FEWEST_PERIODS = 1.5
+"""Of a device's own period: a limit on its silence is at least so long, as a reading that comes late is no fault."""
+T_BASE_SURFACE: FloatArray = transform(np.eye(3), (-0.30, -0.55, 0.0))
+"""(4, 4) surface frame to the arm's base frame [m], where none is given: the arm stands 0.15 m beyond the middle of the
+long edge at y = 0.4 m, and the far corners are 0.63 m from its axis."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """What a simulated surface really is. labels: (rows, columns) region of each cell, None where there are none"""
+
+    labels: IntArray | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraView:
+    """How the depth camera projects, and where it stands.
+
+    focal_px, center_px: (x, y), None = as its images say; distortion: OpenCV's k1, k2, p1, p2, k3
+    T_surface_camera: (4, 4), None = not known; doubt_m: how far off it may be where the surface is; rate_hz
+    """
+
+    focal_px: tuple[float, float] | None = None
+    center_px: tuple[float, float] | None = None
+    distortion: tuple[float, ...] = ()
+    T_surface_camera: npt.NDArray[np.floating] | None = None
+    doubt_m: float = 0.0
+    rate_hz: float = CAMERA_HZ
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setup:
+    """Opened by `source`, then made one robot by `robot`.
+
+    open_source: opens all devices; names: of arm, force sensor and camera among them
+    compliance_m_per_n, compliance_sd: of the arm under a push [m/N]
+    calibrated: what has to be known before the arm moves, by name, and whether it is
+    simulated: nothing real moves; truth: what is simulated, None where that is not known
+    runs_itself: the devices have threads of their own and the host's clock, whatever is computed meanwhile
+    zeroed: the force sensor's zero is taken as the devices open
+    true_force_n: the largest true contact force so far [N], None where only the sensor can say
+    """
+
+    size_m: tuple[float, float]
+    placement: Placement
+    workspace: Workspace
+    camera: CameraView
+    open_source: Callable[[], AbstractContextManager[RigSource]]
+    names: tuple[str, str, str]
+    compliance_m_per_n: float = 0.0
+    compliance_sd: float = 0.0
+    calibrated: Mapping[str, bool] = field(default_factory=dict)
+    simulated: bool = False
+    truth: Truth | None = None
+    runs_itself: bool = True
+    zeroed: bool = False
+    true_force_n: Callable[[], float] | None = None
+    clock: Clock = monotonic_ns
+    wait_until: Waits = sleep_until
+
+    @property
+    def max_force_n(self) -> float | None:
+        """The largest true contact force so far [N]; None where only the sensor can say."""
+        return None if self.true_force_n is None else self.true_force_n()
+
+    def robot(self, source: RigSource, watch: Watch | None = None) -> Robot:
+        """The robot over the open devices, once its arm has reported. watch: as for `Robot`
+
+        Raises InputError where a device is not well.
+        """
+        arm, force, camera = (source.device(name) for name in self.names)
+        if not self.zeroed:
+            try:
+                force.zero()  # type: ignore[attr-defined]
+            except DeviceError as error:
+                raise InputError.about(error, f"device {self.names[1]}") from error
+        robot = Robot(
+            arm,  # type: ignore[arg-type]
+            force,  # type: ignore[arg-type]
+            self.placement,
+            Limits.of(self.workspace, camera_hz=self.camera.rate_hz),
+            camera=camera,
+            clock=self.clock,
+            wait_until=self.wait_until,
+            watch=watch,
+        )
+        try:
+            while not robot.arm_seen:
+                robot.cycle()
+        except RobotStopped as stopped:
+            verdict = stopped.verdict
+            came = f"{verdict.fault}: {verdict.reason}"
+            raise InputError("devices that are well", came, f"see to {advice(verdict.fault)}") from stopped
+        return robot
+
+
+class SimulatedTable(Protocol):
+    """A table that a rig's doubles see and touch (`deformscope.lab.live_lab.LiveLab`).
+
+    opener: as for `RigSource`; other attributes as in `Setup`
+    """
+
+    size_m: tuple[float, float]
+    truth: Truth
+
+    @property
+    def runs_itself(self) -> bool: ...
+
+    @property
+    def clock(self) -> Clock: ...
+
+    @property
+    def wait_until(self) -> Waits: ...
+
+    @property
+    def opener(self) -> Callable[[], None] | None: ...
+
+    @property
+    def T_surface_camera(self) -> FloatArray: ...
+
+    @property
+    def max_force_n(self) -> float: ...
+
+    def devices(self, entries: list[RigDevice]) -> AbstractContextManager[dict[str, Device[Any]]]:
+        """Doubles of these devices, closed, by name."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigParts:
+    """What a rig file says of its robot. devices: that play `ROLES`; Raises InputError, which names what is missing."""
+
+    rig: Rig
+    devices: tuple[RigDevice, ...]
+    placement: Placement
+    T_surface_camera: FloatArray | None
+
+    @classmethod
+    def of(cls, rig: Rig) -> RigParts:
+        devices = tuple(_only(rig, driver) for driver in ROLES)
+        force = devices[1]
+        if not force.double and not force.config.sensitivities:
+            raise InputError("its sensitivity, for forces in newtons", "none", "the sensor's report", force.name)
+        _check_rates(rig, devices)
+        _check_doubles(rig, devices)
+        given, camera = rig.surface.T_arm_surface, rig.camera.T_arm_camera
+        T_base_surface = T_BASE_SURFACE if given is None else np.array(given, dtype=np.float64)
+        T_surface_camera = None
+        if camera is not None:
+            T_surface_camera = np.asarray(np.linalg.inv(T_base_surface) @ np.array(camera), dtype=np.float64)
+        return cls(rig, devices, Placement(T_base_surface, rig.tool), T_surface_camera)
+
+
+def rig_setup(
+    parts: RigParts,
+    double: Callable[[RigDevice], AbstractContextManager[RigMember]],
+    table: SimulatedTable | None = None,
+    give: tuple[float, float] = (0.0, 0.0),
+) -> Setup:
+    """All devices of a rig file.
+
+    double: makes a device of the rig that nothing is simulated around, or its double
+    table: of a `[surface] scene`, over which arm, force sensor and camera are doubles
+    give: compliance of a simulated arm and its deviation [m/N], where the rig file has none
+    """
+    rig, simulated = parts.rig, table is not None
+
+    @contextmanager
+    def open_source() -> Iterator[RigSource]:
+        with ExitStack() as stack:
+            over_table = stack.enter_context(table.devices(list(parts.devices))) if table is not None else {}
+            members = [
+                RigMember(entry.name, entry.driver, over_table[entry.name], simulated=True)
+                if entry.name in over_table
+                else stack.enter_context(double(entry))
+                for entry in rig.devices
+            ]
+            opener, clock = (None, monotonic_ns) if table is None else (table.opener, table.clock)
+            with RigSource(members, raw=rig.record.raw, clock=clock, opener=opener) as source:
+                yield source
+
+    tool, camera = rig.tool, rig.camera
+    known = camera.focal_px is not None and camera.center_px is not None
+    compliance = (tool.compliance_m_per_n, tool.compliance_sd)
+    if tool.compliance_m_per_n is None:
+        compliance = give if simulated else (0.0, 0.0)
+    fps = parts.devices[2].config.fps
+    return Setup(
+        size_m=rig.surface.size_m if table is None else table.size_m,
+        placement=parts.placement,
+        workspace=rig.workspace,
+        camera=CameraView(
+            camera.focal_px if known else None,
+            camera.center_px if known else None,
+            camera.distortion,
+            parts.T_surface_camera if table is None else table.T_surface_camera,
+            camera.doubt_m,
+            float(fps or (10.0 if simulated else CAMERA_HZ)),
+        ),
+        open_source=open_source,
+        names=(parts.devices[0].name, parts.devices[1].name, parts.devices[2].name),
+        compliance_m_per_n=compliance[0] or 0.0,
+        compliance_sd=compliance[1],
+        calibrated={
+            "[surface] T_arm_surface": simulated or rig.surface.T_arm_surface is not None,
+            "[camera] T_arm_camera": simulated or camera.T_arm_camera is not None,
+            "[tool] compliance_m_per_n": simulated or tool.compliance_m_per_n is not None,
+        },
+        simulated=simulated,
+        truth=None if table is None else table.truth,
+        runs_itself=table is None or table.runs_itself,
+        true_force_n=None if table is None else lambda: table.max_force_n,
+        clock=monotonic_ns if table is None else table.clock,
+        wait_until=sleep_until if table is None else table.wait_until,
+    )
+
+
+def _check_rates(rig: Rig, devices: tuple[RigDevice, ...]) -> None:
+    """Each device reports more often than the limit on its silence asks."""
+    workspace = rig.workspace
+    for entry, key, silent_s in zip(
+        devices,
+        ("state_hz", "rate_hz", "fps"),
+        (workspace.arm_silent_s, workspace.force_silent_s, workspace.camera_silent_s),
+        strict=True,
+    ):
+        hz = getattr(entry.config, key)
+        if silent_s is not None and hz is not None and hz * silent_s < FEWEST_PERIODS:
+            least = f"{key} of {FEWEST_PERIODS / silent_s:.0f} or more for {entry.name}, missed after {silent_s:g} s"
+            raise InputError(least, f"{hz:g}", "a higher rate, or a longer ..._silent_s in [workspace]", rig.name)
+
+
+def _only(rig: Rig, driver: str) -> RigDevice:
+    """The device of a rig that plays a part."""
+    found = [entry for entry in rig.devices if entry.driver.name == driver]
+    if driver == "depth_camera" and rig.camera.device:
+        found = [entry for entry in found if entry.name == rig.camera.device]
+    if len(found) != 1:
+        came = "none" if not found else ", ".join(entry.name for entry in found)
+        raise InputError(f'one device with driver = "{driver}", to explore with', came, "the rig file", rig.name)
+    return found[0]
+
+
+def _check_doubles(rig: Rig, devices: tuple[RigDevice, ...]) -> None:
+    """Either all are real, or all are doubles over a simulated table."""
+    names = ", ".join(entry.name for entry in devices)
+    doubled = ", ".join(entry.name for entry in devices if entry.double)
+    real = ", ".join(entry.name for entry in devices if not entry.double)
+    if rig.tool.tip != "sphere":
+        raise InputError('[tool] tip = "sphere", to explore with', repr(rig.tool.tip), where=rig.name)
+    if not rig.surface.scene and doubled:
+        expected = f"{names} all real, or all doubled with a [surface] scene"
+        raise InputError(expected, f"{doubled} doubled", 'scene = "two-60-150"', rig.name)
+    if rig.surface.scene and real:
+        raise InputError(f"double = true for {names}, with a [surface] scene", f"{real} real", where=rig.name)

@@ -1,0 +1,85 @@
+"""What a robot measured of a surface, and which recorded frames it is computed from.
+
+A frame is named by its device and the time at which it came, on the host's clock [ns]: no device gives two at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from deformscope.arrays import FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceMeasurement:
+    """What the camera saw. points_m: (n, 3) of the surface, robot and outliers taken away, surface frame [m]
+    noise_m: (n,) deviation of each height [m]"""
+
+    points_m: FloatArray
+    noise_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class TouchMeasurement:
+    """What a touch gave.
+
+    xy_m: (2,) where it was to be; normal: (3,) that it went along
+    time_s: (n,) rising; position_m: (n, 3) middle of the ball as the arm reports; force_n: (n, 3) on it; surface frame
+    after_m: (k, 3) points seen while it pressed, without the robot; reached: the set force, rather than the depth
+    seen_ns: until when they were seen, on the robot's clock; 0 = nothing was seen
+    """
+
+    xy_m: FloatArray
+    normal: FloatArray
+    time_s: FloatArray
+    position_m: FloatArray
+    force_n: FloatArray
+    after_m: FloatArray
+    reached: bool
+    seen_ns: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class LookFrames:
+    """Which frames a look at the surface is computed from.
+
+    camera, depth_ns (k,): depth images; arm, arm_ns: the arm's state in all of them, and before the first touch
+    arm_model: as the vendor calls it; focal_px, center_px: (x, y) of the camera
+    """
+
+    camera: str
+    depth_ns: IntArray
+    arm: str
+    arm_ns: int
+    arm_model: str
+    focal_px: tuple[float, ...]
+    center_px: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class TouchFrames:
+    """Which frames a touch is computed from.
+
+    xy_m: (2,) where it was to be; normal: (3,) that it went along; reached: the set force, rather than the depth
+    arm, arm_ns (n,): states from the approach until the force was reached
+    wrench, wrench_ns, wrench_ticks (m,): usable readings; pose_ns (m,): the newest state of the arm then
+    tare_n: (3,) what they read in free air before [N]
+    camera, depth_ns (k,): images of the dent; depth_arm_ns: (k,) the arm's state in each
+    seen_ns: until when it pressed still; end_ns: the arm's state after it
+    """
+
+    xy_m: FloatArray
+    normal: FloatArray
+    reached: bool
+    arm: str
+    arm_ns: IntArray
+    wrench: str
+    wrench_ns: IntArray
+    wrench_ticks: IntArray
+    pose_ns: IntArray
+    tare_n: FloatArray
+    camera: str
+    depth_ns: IntArray
+    depth_arm_ns: IntArray
+    seen_ns: int
+    end_ns: int

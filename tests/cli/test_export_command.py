@@ -1,0 +1,94 @@
+"""Recorded images as files: the same bytes, and the same beta."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from deformscope.cli import main
+from deformscope.files.sources import open_source
+from deformscope.frames import ColorFrame, DepthFrame, Item
+from deformscope.images import encode_jpeg
+from deformscope.recording.items import read_items
+from deformscope.recording.recorder import Recorder
+from deformscope_drivers.clock import Stamp
+from tests.log import synthetic
+from tests.log import synthetic_rig as rig
+
+
+def rig_recording(path: Path, items: Sequence[Item]) -> Path:
+    with Recorder(path, "none", {"rig": ""}, layout="rig") as made:
+        made.start_rig([stream for stream in rig.STREAMS if stream.kind in ("color", "depth")], rig.START_NS)
+        made.write(items)
+    return path
+
+
+def beta(capfd: pytest.CaptureFixture[str], *arguments: object) -> dict[str, Any]:
+    flags = ["--spacing-px", "40", "--held", "top,bottom", "--cluster-size", "3", "--candidates", "5", "--json", "-"]
+    assert main(["calibrate", "beta", *map(str, arguments), *flags]) == 0
+    found: dict[str, Any] = json.loads(capfd.readouterr().out)
+    return found
+
+
+def test_beta_of_a_cameras_recorded_images_is_that_of_the_exported_ones(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with open_source(["sample:tension"], stride=1) as source:
+        images = [one.image for one in itertools.islice(source, 3)]
+    frames = [ColorFrame(Stamp(rig.ns(at / 30)), 7 + 2 * at, image, "front") for at, image in enumerate(images)]
+    path = rig_recording(tmp_path / "r.rrd", [*frames, *(rig.depth(i, colored=True, size=(24, 32)) for i in range(3))])
+    assert main(["export", str(path), "--images", str(tmp_path / "front"), "--camera", "front"]) == 0
+    names = sorted(file.name for file in (tmp_path / "front").iterdir())
+    assert names == ["000007.jpg", "000009.jpg", "000011.jpg"]
+    for file, frame in zip(names, frames, strict=True):
+        assert (tmp_path / "front" / file).read_bytes() == encode_jpeg(frame.image)
+    capfd.readouterr()
+    recorded, exported = beta(capfd, path, "--camera", "front"), beta(capfd, tmp_path / "front")
+    assert recorded == exported
+    assert main(["calibrate", "beta", str(path)]) == 2
+    assert "got a recording of several: above, front" in capfd.readouterr().err
+    assert main(["calibrate", "beta", str(path), "--camera", "left"]) == 2
+    assert "'left'" in capfd.readouterr().err
+    assert main(["calibrate", "beta", str(tmp_path / "front"), "--camera", "front"]) == 2
+    assert "leave out --camera" in capfd.readouterr().err
+
+
+def test_every_camera_gets_a_folder_and_distances_are_16_bit(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    items: list[Item] = [rig.color(i, size=(24, 32)) for i in range(2)]
+    items += [rig.depth(i, "above all/1", colored=True, size=(24, 32)) for i in range(3)]
+    path, out = rig_recording(tmp_path / "r.rrd", items), tmp_path / "out"
+    assert main(["export", str(path), "--images", str(out), "--json", "-"]) == 0
+    found = json.loads(capfd.readouterr().out)
+    told = [(one["device"], one["what"], one["count"]) for one in found["images"]]
+    assert told == [("above all/1", "color", 3), ("above all/1", "depth", 3), ("front", "image", 2)]
+    written = {folder.name: len(list(folder.iterdir())) for folder in out.iterdir()}
+    assert written == {"above_all_1": 3, "above_all_1-color": 3, "front": 2}
+    depth = cv2.imread(str(out / "above_all_1" / "000002.png"), cv2.IMREAD_UNCHANGED)
+    expected = next(one for one in items if isinstance(one, DepthFrame) and one.index == 2)
+    np.testing.assert_array_equal(depth, expected.depth)
+    (seen,) = (one for one in read_items(path, kinds=(DepthFrame,)) if one.index == 2)
+    np.testing.assert_array_equal(cv2.imread(str(out / "above_all_1-color" / "000002.jpg"))[..., ::-1], seen.color)
+
+
+def test_nothing_is_written_over(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    with Recorder(tmp_path / "r.rrd", settings={"seed": 0}) as made:
+        for frame in synthetic.frames(3):
+            made.write(frame)
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "notes.txt").write_text("mine")
+    assert main(["export", str(tmp_path / "r.rrd"), "--images", str(out)]) == 2
+    assert "got one that holds files | try: another one, or --overwrite" in capfd.readouterr().err
+    (out / "000099.png").write_bytes(b"of an earlier export")
+    assert main(["export", str(tmp_path / "r.rrd"), "--images", str(out), "--overwrite"]) == 0
+    assert sorted(path.name for path in out.iterdir()) == ["000000.png", "000001.png", "000002.png", "notes.txt"]
+    assert main(["export", str(tmp_path / "r.rrd"), "--images", str(tmp_path / "none"), "--camera", "x"]) == 2
+    assert "expected images in the recording; got none of 'x' | try: --camera camera" in capfd.readouterr().err
+    assert not (tmp_path / "none").exists()

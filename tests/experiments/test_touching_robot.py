@@ -1,0 +1,97 @@
+"""The wired laboratory: its camera sees what is touched, beside the arm that touches it."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from deformscope.errors import InputError
+from deformscope.experiments.measured import SetupGeometry, highest_m
+from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.touching_robot import TouchingRobot
+from deformscope.lab.depth_view import FOAM
+from deformscope.lab.scene_lab import SceneLab
+from deformscope.lab.scenes import built_in
+from deformscope.rig.rig_file import Workspace
+from deformscope.robot.setup import CameraView, Setup
+from deformscope.robot.shape import arm_shape
+from deformscope.studies.fault_study import FaultScene, make_scene
+from deformscope_drivers.jaco.kinematics import J2N6S300
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def setup(scene: FaultScene, workspace: Workspace, doubt_m: float = 0.0) -> Setup:
+    """Of a scene whose devices are open."""
+    return Setup(
+        size_m=(0.6, 0.4),
+        placement=scene.robot.placement,
+        workspace=workspace,
+        camera=CameraView(doubt_m=doubt_m),
+        open_source=lambda: pytest.fail("they are open"),
+        names=("arm", "tip", "camera"),
+        clock=scene.lab.clock,
+    )
+
+
+@pytest.fixture(scope="module")
+def lab() -> SceneLab:
+    options = ExploreOptions()
+    return SceneLab(built_in("homogeneous-60"), tip_radius_m=options.tip_radius_m, parked_m=highest_m(options))
+
+
+@pytest.mark.parametrize("place", [(0.05, 0.05), (0.3, 0.2), (0.25, 0.22), (0.55, 0.05), (0.05, 0.35), (0.5, 0.3)])
+def test_the_arm_does_not_hide_what_it_touches(lab: SceneLab, place: tuple[float, float]) -> None:
+    """Of the surface within 4 cm of the tip the camera sees the most: it stands across from the arm."""
+    center = np.array([*place, lab.scene.thickness_m + lab.placement.center_offset_m])
+    start = lab.lab.arm_double.joints_deg
+    found = J2N6S300.inverse(lab.placement.T_base_ee(center, UP), start)
+    assert found.converged
+    robot = arm_shape(lab.placement, J2N6S300, found.joints_deg, center)
+    free, hidden = lab.view.render(), lab.view.render(None, robot)
+    around = (np.abs(lab.view.points_m(free.depth_m)[..., :2] - place) < 0.04).all(axis=-1) & (free.seen == FOAM)
+    assert around.sum() > 300
+    assert (hidden.seen[around] == FOAM).mean() > 0.6
+
+
+@pytest.mark.parametrize(
+    ("set_n", "soft_n", "more_n", "told"),
+    [(3.0, 8.0, 5.0, "3 N, 5 N where"), (1.0, 2.0, 1.5, "1 N, 1.5 N where"), (3.0, 3.5, None, "3 N")],
+)
+def test_it_never_plans_to_press_up_to_the_soft_stop(
+    set_n: float, soft_n: float, more_n: float | None, told: str
+) -> None:
+    scene = make_scene(3, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
+    workspace = Workspace(target_force_n=set_n, soft_stop_n=soft_n, hard_stop_n=15.0)
+    robot = TouchingRobot(scene.robot, setup(scene, workspace), ExploreOptions(set_force_n=set_n))
+    plan = robot.geometry.plan(np.array([0.3, 0.2]), 0.05, UP, None, ExploreOptions(set_force_n=set_n))
+    scene.lab.close()
+
+    assert plan.more_force_n == more_n
+    assert robot.forces_told.startswith(told)
+
+
+def test_more_is_left_out_around_the_stick_where_the_cameras_place_is_in_doubt() -> None:
+    scene = make_scene(3, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
+    radii, pose = [], scene.robot.pose
+    for doubt_m in (0.0, 0.004):
+        geometry = SetupGeometry.of(setup(scene, Workspace(), doubt_m))
+        radii.append([link.radius_m for link in geometry.links(pose, J2N6S300)])
+    scene.lab.close()
+    plain, doubtful = np.array(radii)
+
+    assert doubtful - plain == pytest.approx(0.004)
+
+
+def test_a_geometry_survives_its_settings() -> None:
+    made = SetupGeometry.of(SceneLab(built_in("homogeneous-60"), tip_radius_m=0.01, parked_m=0.2).setup)
+    back = SetupGeometry.from_json(json.loads(json.dumps(made.as_json())))
+
+    np.testing.assert_array_equal(back.placement.T_base_surface, made.placement.T_base_surface)
+    np.testing.assert_array_equal(np.array(back.camera.T_surface_camera), np.array(made.camera.T_surface_camera))
+    assert back.camera.focal_px == made.camera.focal_px
+    assert (back.placement.tool, back.workspace, back.arm) == (made.placement.tool, made.workspace, made.arm)
+    with pytest.raises(InputError, match="a recording with its setup"):
+        SetupGeometry.from_json({})

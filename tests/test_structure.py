@@ -1,0 +1,91 @@
+"""Names mean one thing, functions stay short, and numbers that a robot moves by name their source."""
+
+from __future__ import annotations
+
+import ast
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.test_imports import PACKAGES, ROOT
+
+SHARED = {"Decoder", "Reading", "CommandDecoder"}
+"""Every byte-stream driver has one of each: the public contract."""
+
+LONGEST_FUNCTION = 100
+"""Lines, of a function that is no kernel nor a factory of kernels."""
+
+
+def trees(folder: Path) -> Iterator[tuple[Path, ast.Module]]:
+    """Every file below a folder, parsed."""
+    for path in sorted(folder.rglob("*.py")):
+        yield path.relative_to(ROOT), ast.parse(path.read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_class_name_stands_for_one_class(package: str) -> None:
+    """Structs of kernels too: a reader who searches for a name finds one place."""
+    places: dict[str, list[Path]] = defaultdict(list)
+    for path, tree in trees(PACKAGES[package]):
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef):
+                places[node.name].append(path)
+
+    assert {name: found for name, found in places.items() if len(found) > 1 and name not in SHARED} == {}
+
+
+def test_functions_are_short() -> None:
+    long = [
+        f"{path}: {node.name} has {length} lines"
+        for folder in PACKAGES.values()
+        for path, tree in trees(folder)
+        if not path.stem.endswith(("_kernels", "functions"))
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        if (length := (node.end_lineno or node.lineno) - node.lineno + 1) > LONGEST_FUNCTION
+    ]
+
+    assert long == []
+
+
+def test_what_kernel_factories_make_has_names() -> None:
+    """They return one thing whose fields are named where it is made: never a long tuple, nor many unnamed arguments."""
+    wrong = []
+    for path, tree in trees(PACKAGES["deformscope"] / "stages" / "msm"):
+        for node in ast.walk(tree):
+            value = node.value if isinstance(node, ast.Return) else None
+            many = isinstance(value, ast.Tuple) and len(value.elts) > 6
+            unnamed = (
+                isinstance(value, ast.Call) and len(value.args) > 6 and path.stem.endswith(("_kernels", "functions"))
+            )
+            if many or (unnamed and isinstance(value, ast.Call) and _made(value)):
+                wrong.append(f"{path}:{node.lineno}")
+
+    assert wrong == []
+
+
+def _made(call: ast.Call) -> bool:
+    """Whether it makes a class, by its name."""
+    return isinstance(call.func, ast.Name) and call.func.id[:1].isupper()
+
+
+def test_constants_that_a_robot_moves_by_name_their_source() -> None:
+    """A docstring stands below each: where the number is from, or what was measured."""
+    bare = []
+    for path, tree in trees(PACKAGES["deformscope"] / "robot"):
+        for node, after in zip(tree.body, [*tree.body[1:], None], strict=True):
+            name = _constant(node)
+            explained = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+            if name and not (explained and isinstance(after.value.value, str)):
+                bare.append(f"{path}: {name}")
+
+    assert bare == []
+
+
+def _constant(node: ast.stmt) -> str:
+    """The name of a module's constant; empty for any other statement."""
+    targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+    names = [target.id for target in targets if isinstance(target, ast.Name)]
+    return names[0] if names and names[0].lstrip("_").isupper() else ""
