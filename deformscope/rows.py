@@ -87,6 +87,9 @@ OF_DEVICES: dict[type, str] = {
 }
 """The same of what comes from a device, whose name follows: `wrench/DEVICE`."""
 
+FRAMES = (WrenchFrame, TactileFrame, ArmFrame, HandFrame, ColorFrame, DepthFrame)
+"""Of these the index is no component but the row's place on the timeline `index` of an exploration, else `frame`."""
+
 IMAGES = {"ColorFrame:image": "EncodedImage:blob", "DepthFrame:depth": "EncodedDepthImage:blob"}
 """Images that a viewer shows: their components are rerun's own."""
 
@@ -122,7 +125,7 @@ def to_columns(items: Sequence[object], leave_out: Collection[str] = ()) -> dict
     Arrays of one field whose types differ from row to row get the type that holds them all.
     """
     found: dict[str, Column] = {}
-    for field in _fields(type(items[0])):
+    for field in _fields(cast("Any", type(items[0]))):
         if field.form != "image" and field.name not in leave_out:
             values = [getattr(item, field.name) for item in items]
             if not field.optional or any(value is not None for value in values):
@@ -148,7 +151,7 @@ def from_components(
     read_image: what becomes of an encoded image, of which the second argument says which it is
     """
     made: dict[str, Any] = dict(given or {})
-    for field in _fields(kind):
+    for field in _fields(cast("Any", kind)):
         if field.name in made:
             continue
         if field.form == "nested":
@@ -158,7 +161,7 @@ def from_components(
         elif field.optional and not _is_there(field, components):
             made[field.name] = None
         elif field.form == "image":
-            where = f"{field.name} {components.get('index', [''])[0]} of {made.get('device', kind.__name__)}"
+            where = f"{field.name} {made.get('index', '')} of {made.get('device', kind.__name__)}"
             made[field.name] = read_image(np.asarray(components[field.name], np.uint8).tobytes(), where)
         else:
             made[field.name] = _DECODERS[field.form](field, components)

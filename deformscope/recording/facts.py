@@ -84,7 +84,7 @@ def gather_facts(path: Path) -> Facts:
 def _counted(entity: str, columns: list[str]) -> str | None:
     """What a row of these columns counts as; None where it is part of something that counts elsewhere."""
     parts = entity.strip("/").split("/")
-    if any(column.endswith("Frame:index") for column in columns):
+    if any(column.endswith("Frame:stamp.host_ns") for column in columns):
         return f"{parts[-1]}/frames"
     return "inputs" if "InputFile:name" in columns else None
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from deformscope.frames import HealthReport, Item, Stream
 from deformscope.images import decode_image
 from deformscope.recording.reader import Replay
-from deformscope.rows import ENTITIES, IMAGES, OF_DEVICES, from_components, from_json
+from deformscope.rows import ENTITIES, FRAMES, IMAGES, OF_DEVICES, from_components, from_json
 
 if TYPE_CHECKING:
     from rerun.chunk import Chunk
@@ -47,7 +47,7 @@ class _Part:
     """What is known of a row so far."""
 
     kind: type
-    device: str
+    given: dict[str, Any]
     touch: int
     cells: Cells
 
@@ -77,22 +77,22 @@ def read_rows(
     waiting: list[tuple[int, bytes]] = []
     cut_off: Counter[tuple[str, str]] = Counter()
     for chunk, kind, name in portions(replay, kinds, device):
-        for when, row_id, touch, cells in _rows(chunk, kind):
+        for when, row_id, touch, index, cells in _rows(chunk, kind):
             if row_id not in parts:
-                parts[row_id] = _Part(kind, name, touch, {})
+                given = {"device": name} if kind in OF_DEVICES else {}
+                parts[row_id] = _Part(kind, given | ({"index": index} if kind in FRAMES else {}), touch, {})
                 heapq.heappush(waiting, (when, row_id))
             parts[row_id].cells.update(cells)
         until = starts.after(chunk)
         while waiting and (until is None or waiting[0][0] < until):
             when, row_id = heapq.heappop(waiting)
             part = parts.pop(row_id)
-            given = {"device": part.device} if part.kind in OF_DEVICES else {}
             try:
-                yield Row(when, part.touch, from_components(part.kind, part.cells, given, read_image))
+                yield Row(when, part.touch, from_components(part.kind, part.cells, part.given, read_image))
             except KeyError:  # a part of it is missing
-                cut_off[part.kind.__name__, part.device] += 1
+                cut_off[part.kind.__name__, part.given.get("device", "the rig")] += 1
     for (kind_name, name), count in cut_off.items():
-        _logger.warning("%d %s of %s were recorded in part, and are left out", count, kind_name, name or "the rig")
+        _logger.warning("%d %s of %s were recorded in part, and are left out", count, kind_name, name)
 
 
 def read_streams(path: Path, *, trust: bool = False) -> tuple[Stream, ...]:
@@ -142,16 +142,19 @@ def _times(chunk: Chunk) -> list[int]:
     return times
 
 
-def _rows(chunk: Chunk, kind: type) -> Iterator[tuple[int, bytes, int, Cells]]:
-    """(time [ns], row id, touch, cells) of each row that has parts of an object of this kind."""
+def _rows(chunk: Chunk, kind: type) -> Iterator[tuple[int, bytes, int, int, Cells]]:
+    """(time [ns], row id, touch, index, cells) of each row that has parts of an object of this kind."""
     batch = chunk.to_record_batch()
     columns = {field: _cells(batch.column(name)) for name in batch.schema.names if (field := _field_of(name, kind))}
-    touches = batch.column("touch").to_pylist() if "touch" in batch.schema.names else [0] * batch.num_rows
+    names, nothing = batch.schema.names, [0] * batch.num_rows
+    touches = batch.column("touch").to_pylist() if "touch" in names else nothing
+    own = "index" if "index" in names else "frame"  # in an exploration `frame` is the depth camera's
+    indices = batch.column(own).to_pylist() if own in names else nothing
     ids = batch.column("rerun.controls.RowId").to_pylist()
-    for row, (when, row_id, touch) in enumerate(zip(_times(chunk), ids, touches, strict=True)):
+    for row, (when, row_id, touch, index) in enumerate(zip(_times(chunk), ids, touches, indices, strict=True)):
         cells = {field: column[row] for field, column in columns.items() if column[row] is not None}
         if cells:
-            yield when, row_id, touch, cells
+            yield when, row_id, touch, index, cells
 
 
 def _field_of(component: str, kind: type) -> str:

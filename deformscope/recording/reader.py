@@ -47,9 +47,14 @@ class Replay:
         self._check(trust)
 
     @cached_property
+    def properties(self) -> dict[str, Any]:
+        """What made the recording: format, settings, seed, versions, git state, command, platform, most as JSON."""
+        return self._values(SESSION)
+
+    @cached_property
     def settings(self) -> dict[str, Any]:
         """Everything that decided the recorded results."""
-        found = json.loads(self._properties(SESSION).get("settings", "null"))
+        found = json.loads(self.properties.get("settings", "null"))
         if not isinstance(found, dict):
             raise InputError("a recording with settings", "one without", where=self.path)
         return found
@@ -63,7 +68,7 @@ class Replay:
     @cached_property
     def outcome(self) -> dict[str, Any]:
         """How the recording ended: frames, steps, live_dropped, complete; empty where the run was cut short."""
-        return self._properties(OUTCOME)
+        return self._values(OUTCOME)
 
     @cached_property
     def image_counts(self) -> dict[tuple[str, str], int]:
@@ -183,10 +188,9 @@ class Replay:
 
     def _check_format(self) -> None:
         """Refuse what this version would misread."""
-        session = self._properties(SESSION)
-        if "format" not in session:
+        if "format" not in self.properties:
             came, hint = "one without, made by an earlier version", "record it again, or read it with that version"
-        elif (number := session["format"]) != FORMAT:
+        elif (number := self.properties["format"]) != FORMAT:
             came, hint = f"one of format {number}", "the version of deformscope that made it, or a newer one"
         else:
             return
@@ -221,7 +225,7 @@ class Replay:
         except Exception as error:  # whatever the reader raises on damaged bytes
             raise _unreadable(self.path) from error
 
-    def _properties(self, entity: str) -> dict[str, Any]:
+    def _values(self, entity: str) -> dict[str, Any]:
         """Each property's one value; empty where there are none."""
         for chunk in self.chunks(entity):
             batch = chunk.to_record_batch()

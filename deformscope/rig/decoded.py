@@ -62,7 +62,7 @@ class Redecoder(ABC):
     def resume(self) -> None:  # noqa: B027
         """The driver set the device up again on a link that lasted."""
 
-    def device(self) -> Any:
+    def device(self) -> Any:  # noqa: B027
         """What `to_frame` asks of a device."""
 
 

@@ -30,6 +30,7 @@ from deformscope.recording.live import LiveFeed, Viewer
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder, RecordingError
 from deformscope.recording.rrd_file import RecordingFile
+from deformscope.rows import FORMAT
 from deformscope.session import Step, run
 from tests.log import synthetic
 from tests.log import synthetic_rig as rig
@@ -115,12 +116,13 @@ def test_provenance(tmp_path: Path) -> None:
     replay = Replay(tmp_path / "run.rrd")
     assert replay.settings == {"seed": 3, "roi": list(ROI), "spacing_px": None}
     assert replay.outcome == {"frames": 2, "steps": 5, "live_dropped": 0, "complete": True}
-    rows = {name: value for row in replay._rows("/__properties/session") for name, value in row.values.items()}
-    assert json.loads(rows["versions"][0].as_py())["rerun-sdk"] == "0.41.0"
-    assert {"python", "numpy", "deformscope"} <= json.loads(rows["versions"][0].as_py()).keys()
-    assert json.loads(rows["command"][0].as_py()) == sys.argv
-    assert rows["seed"][0].as_py() == 3
-    assert isinstance(json.loads(rows["git"][0].as_py()), dict)
+    found = replay.properties
+    assert found["format"] == FORMAT
+    assert json.loads(found["versions"])["rerun-sdk"] == "0.41.0"
+    assert {"python", "numpy", "deformscope"} <= json.loads(found["versions"]).keys()
+    assert json.loads(found["command"]) == sys.argv
+    assert found["seed"] == 3
+    assert isinstance(json.loads(found["git"]), dict)
 
 
 def test_the_views_are_in_the_file(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ also at `frame`, their place in the device's own stream. In an exploration's rec
 
     wrench/DEVICE             counts, forces, flags; below it plots force_n/CHANNEL and torque_nm/CHANNEL
     tactile/DEVICE            counts, pressures; below it the plot peak_kpa, one value a pad
-    arm/DEVICE, hand/DEVICE   all quantities; below them one plot a quantity, as joint_deg
+    arm/DEVICE, hand/DEVICE   all quantities; below them plots of some, as joint_deg
     color/DEVICE              the image: JPEG, or PNG without loss
     depth/DEVICE              the image: PNG without loss, and the colour image on its pixels as a component
     raw/DEVICE                the bytes on the wire, received or sent
@@ -51,7 +51,14 @@ from deformscope.log.rig.wrench import log_wrench, log_wrench_stream
 from deformscope.rows import ENTITIES, to_json
 
 __all__ = [
-    *("Batch", "Place", "Shown", "log_items", "log_streams", "prepare_input", "prepare_items", "rig_blueprint"),
+    "Batch",
+    "Place",
+    "Shown",
+    "log_items",
+    "log_streams",
+    "prepare_input",
+    "prepare_items",
+    "rig_blueprint",
     "warm_up",
 ]
 

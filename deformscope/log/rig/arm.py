@@ -15,10 +15,7 @@ from deformscope.frames import ArmFrame, Stream
 from deformscope.log.rig.columns import Batch, frame_times, log_series, moments, recorded, root, scalars
 from deformscope.pictures.palette import AXES, JOINTS
 
-QUANTITIES = (
-    *("joint_deg", "joint_velocity_deg_s", "joint_torque_nm", "position_m", "rotation_rad", "force_n", "torque_nm"),
-    "finger",
-)
+PLOTS = ("joint_deg", "joint_torque_nm", "force_n")
 POSE_NS = 40_000_000
 """The shape moves at most so often: a pose has nine rows of names and numbers, all of which the joint angles tell."""
 MOVABLE = ("revolute", "continuous", "prismatic")
@@ -63,11 +60,11 @@ def shape_of(urdf: Path, device: str) -> Shape:
 
 
 def log_arm_stream(rec: rr.RecordingStream, stream: Stream) -> None:
-    for quantity in ("joint_deg", "joint_velocity_deg_s", "joint_torque_nm"):
-        names = [f"joint {joint + 1}" for joint in range(len(JOINTS))]
-        log_series(rec, root("arm", stream.device, quantity), names, JOINTS)
-    for quantity, letter, unit in (("position_m", "", "m"), ("force_n", "F", "N"), ("torque_nm", "M", "N m")):
-        log_series(rec, root("arm", stream.device, quantity), [f"{letter}{axis} [{unit}]" for axis in "xyz"], AXES)
+    joints = [f"joint {joint + 1}" for joint in range(len(JOINTS))], JOINTS
+    for quantity, (names, tints) in zip(
+        PLOTS, (joints, joints, ([f"F{axis} [N]" for axis in "xyz"], AXES)), strict=True
+    ):
+        log_series(rec, root("arm", stream.device, quantity), names, tints)
     if stream.urdf is not None:
         display = root("/display/arm", stream.device)
         for chunk in shape_of(stream.urdf, stream.device).tree.stream():
@@ -81,7 +78,7 @@ def log_arm_stream(rec: rr.RecordingStream, stream: Stream) -> None:
 
 def log_arm(batch: Batch, device: str, frames: Sequence[ArmFrame], start_ns: int, stream: Stream | None) -> None:
     times = frame_times(frames, start_ns)
-    for quantity in QUANTITIES:
+    for quantity in PLOTS:
         rows = [getattr(frame, quantity) for frame in frames]
         batch.send_columns(root("arm", device, quantity), times, scalars(rows))
     batch.send_columns(root("arm", device), times, recorded(frames))

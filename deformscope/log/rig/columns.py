@@ -13,7 +13,7 @@ from rerun.chunk import Chunk
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.frames import Frame
-from deformscope.rows import OF_DEVICES, to_columns
+from deformscope.rows import FRAMES, OF_DEVICES, to_columns
 
 Columns = Iterable[rr.ComponentColumn]
 
@@ -121,9 +121,10 @@ def frame_times(frames: Sequence[Frame], start_ns: int) -> list[rr.TimeColumn]:
 
 
 def recorded(items: Sequence[object]) -> list[rr.ComponentColumn]:
-    """Every field of these but images, without loss; all of one class, and of the device that their entity names."""
+    """Every field of these but images, and what their entity and times say; all of one class and, if any, device."""
     kind, found = type(items[0]), list[rr.ComponentColumn]()
-    for name, column in to_columns(items, ("device",) if kind in OF_DEVICES else ()).items():
+    elsewhere = ("device",) * (kind in OF_DEVICES) + ("index",) * (kind in FRAMES)
+    for name, column in to_columns(items, elsewhere).items():
         made = rr.DynamicArchetype.columns(archetype=kind.__name__, components={name: column.values})
         found += made.partition(column.lengths)
     return found
