@@ -91,6 +91,20 @@ class SessionRecorder(Protocol):
     ) -> None: ...
 
 
+class NotRecorded:
+    """A recorder that keeps nothing; what listens to a session overrides what it wants to hear."""
+
+    def write_frame(self, frame: ColorFrame) -> None: ...
+
+    def write(self, step: Step) -> None: ...
+
+    def write_items(self, items: Sequence[Item]) -> None: ...
+
+    def write_results(
+        self, results: Sequence[object], now_ns: int, touch: int, cell_m: float, seen_ns: int | None = None
+    ) -> None: ...
+
+
 class SessionRig(Protocol):
     """Open devices (`deformscope.rig.source.RigSource`)."""
 
@@ -172,7 +186,7 @@ def run(
         while True:
             write(step)
             if isinstance(step.command, Compute):
-                waiting = beside.submit(step.command.call, *step.command.arguments)
+                waiting = _begun(beside, step.command)
             elif step.command is not None and robot is not None:
                 waiting = robot.carry_out(step.command, keep)
             if waiting is None:
@@ -191,6 +205,18 @@ def run(
     except StopIteration as end:
         summary: SummaryT = end.value
         return summary
+
+
+def _begun(beside: Executor, command: Compute) -> Future[Any]:
+    """A computation under way; one that cannot begin has failed."""
+    try:
+        return beside.submit(command.call, *command.arguments)
+    except Exception as error:
+        return Inline().submit(_raise, error)
+
+
+def _raise(error: Exception) -> None:
+    raise error
 
 
 def ask(

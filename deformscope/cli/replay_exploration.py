@@ -3,8 +3,6 @@ all that was computed of them: surface, plans with their maps, touches, maps; ea
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,33 +11,10 @@ from deformscope.config import ReplayConfig
 from deformscope.errors import InputError
 
 if TYPE_CHECKING:
-    from deformscope.frames import ColorFrame, Item
     from deformscope.recording.reader import Replay
-    from deformscope.session import Step
 
 TRUTH = {"truth_labels", "truth_labels_shape", "iou", "boundary_m"}
 """Not computed again: it is no input."""
-
-
-@dataclass
-class _Results:
-    """Takes what a session computes; its recorder."""
-
-    made: list[Any] = field(default_factory=list)
-
-    def write_results(
-        self, results: Sequence[object], now_ns: int, touch: int, cell_m: float, seen_ns: int | None = None
-    ) -> None:
-        self.made += results
-
-    def write(self, step: Step) -> None:
-        pass
-
-    def write_frame(self, frame: ColorFrame) -> None:
-        pass
-
-    def write_items(self, items: Sequence[Item]) -> None:
-        pass
 
 
 def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
@@ -55,7 +30,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
     from deformscope.pictures.words import failed_words
     from deformscope.recording.results import read_results
     from deformscope.rows import to_components
-    from deformscope.session import run
+    from deformscope.session import NotRecorded, run
     from deformscope.stages.map.exploration import (
         MapEstimate,
         PlannedTouch,
@@ -75,9 +50,11 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
     measured = bool(given) and isinstance(given[0], SurfaceMeasurement)
     explorer = Explorer(geometry.size_m, options, geometry.arm, failed=failed)  # type: ignore[arg-type]
     stages = ExplorationStages(explorer, AsMeasured(geometry.size_m) if measured else FromFrames(geometry, options))
-    results = _Results()
-    run([], explore(lambda: 0, within_loop(stages), Exploration()), results, AtOnce(RecordedRobot(given)))
-    again = [one for one in results.made if isinstance(one, kinds)]
+    results: list[object] = []
+    listening = NotRecorded()
+    listening.write_results = lambda made, *_: results.extend(made)  # type: ignore[method-assign]
+    run([], explore(lambda: 0, within_loop(stages), Exploration()), listening, AtOnce(RecordedRobot(given)))
+    again = [one for one in results if isinstance(one, kinds)]
     for fresh in (one for one in explorer.failures if one not in failed):
         raise Different("the recorded numbers", failed_words(fresh), where=path)
     if len(recorded) > len(again) or (len(recorded) < len(again) and not recording.outcome.get("stopped")):

@@ -41,16 +41,6 @@ class Interruption(threading.Event):
     """Set once somebody asked to end. signal_number: with what; 0 before"""
 
     signal_number = 0
-    waiting = False
-
-    @contextlib.contextmanager
-    def at_once(self) -> Iterator[None]:
-        """Where somebody is waited for, already the first Ctrl-C raises KeyboardInterrupt."""
-        self.waiting = True
-        try:
-            yield
-        finally:
-            self.waiting = False
 
 
 @contextlib.contextmanager
@@ -63,8 +53,6 @@ def until_interrupted() -> Iterator[Interruption]:
             raise KeyboardInterrupt
         asked.signal_number = number
         asked.set()
-        if asked.waiting:
-            raise KeyboardInterrupt
         say("ending; Ctrl-C again to leave at once")
 
     kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}

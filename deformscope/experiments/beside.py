@@ -87,5 +87,8 @@ def _end_with_parent() -> None:
 
 def _compute(name: str, *inputs: object) -> Computed:
     assert _stages is not None
-    computed: Computed = getattr(_stages, name)(*inputs)
+    try:
+        computed: Computed = getattr(_stages, name)(*inputs)
+    except Exception as error:  # whatever it is made of travels as words
+        raise RuntimeError(f"{type(error).__name__}: {error}") from None
     return computed

@@ -18,10 +18,9 @@ from deformscope.errors import InputError
 from deformscope.experiments.explore import AtOnce, Exploration, ExplorationStopped, explore, within_loop
 from deformscope.experiments.explorer import AsMeasured, ExplorationStages, Explorer
 from deformscope.experiments.options import ExploreOptions
-from deformscope.frames import ColorFrame, Item
 from deformscope.lab.scenes import built_in
 from deformscope.plain import plain
-from deformscope.session import Step, run
+from deformscope.session import NotRecorded, run
 from deformscope.stages.map.exploration import PlannedTouch, TouchEstimate
 from deformscope.stages.map.map_score import MapScore, TrueMap, score_map
 from deformscope.stages.map.plan import Planner, PlanOptions
@@ -108,7 +107,7 @@ def run_table(job: TableJob) -> TableRun:
     return TableRun(job, scene.region_count, after, robot.most_force_n, stop_after, time.perf_counter() - began)
 
 
-class _Scores:
+class _Scores(NotRecorded):
     """Scores each map once the plan after it is there; the session's recorder.
 
     stop_after: touches after which the plan said enough, though it went on
@@ -130,15 +129,6 @@ class _Scores:
                 self.after.append(_after(spent_s, self._explorer, told, felt, self._truth))
                 if plan.stop_reason not in ("", "budget") and self.stop_after is None:
                     self.stop_after = len(self.after)
-
-    def write(self, step: Step) -> None:
-        pass
-
-    def write_frame(self, frame: ColorFrame) -> None:
-        pass
-
-    def write_items(self, items: Sequence[Item]) -> None:
-        pass
 
 
 def _after(compute_s: float, explorer: Explorer, measured: TouchEstimate, felt: float, truth: TrueMap) -> MapAfter:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
 import re
@@ -9,7 +10,7 @@ import shutil
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, cast
 
@@ -17,18 +18,22 @@ import numpy as np
 import pytest
 
 from deformscope.cli import main
+from deformscope.cli.replay_exploration import recorded_inputs
+from deformscope.errors import InputError
 from deformscope.experiments.touching_robot import TouchingRobot
-from deformscope.frames import DepthFrame
+from deformscope.frames import ArmFrame, DepthFrame, Item, WrenchFrame
 from deformscope.lab.faults import CAMERA, Injected
 from deformscope.recording.items import read_items
 from deformscope.recording.ledger import check_ledger
-from deformscope.recording.results import read_results
+from deformscope.recording.results import Recorded, read_results
 from deformscope.recording.rrd_file import RecordingFile
 from deformscope.rig.source import RigSource
 from deformscope.robot.supervisor import Supervisor
 from deformscope.robot.touch import Phase
 from deformscope.stages.map.exploration import ExplorationStop, PhaseStart
+from deformscope.stages.map.measured import LookFrames, TouchFrames
 from deformscope.studies.fault_study import ALLOWED_S
+from deformscope_drivers.clock import Stamp
 from tests.patience import PATIENCE_S
 
 
@@ -65,7 +70,42 @@ def test_a_simulated_table_is_explored_recorded_and_replayed(
     assert main(["verify", str(record)]) == 0, capsys.readouterr().err
     assert "tip/frames" in capsys.readouterr().out
     assert main(["replay", str(record)]) == 0
-    assert "identical" in capsys.readouterr().err
+    replayed = " ".join(capsys.readouterr().err.split())
+    assert "8 results from depth images, forces and states of the arm, identical" in replayed  # plans among them
+    for kind, words in ((DepthFrame, "of SurfaceEstimate"), (WrenchFrame, "of TouchEstimate")):
+        with pytest.MonkeyPatch.context() as monkeypatch:
+            alter_one(monkeypatch, kind, record)
+            assert main(["replay", str(record)]) == 2
+        assert words in capsys.readouterr().err
+
+
+def alter_one(monkeypatch: pytest.MonkeyPatch, kind: type, record: Path) -> None:
+    """From now on one frame that an exploration used is read as another: the first depth image, or the last force."""
+    used = [one.result for one in read_results(record, (LookFrames, TouchFrames), trust=True)]
+    look, touch = (next(one for one in used if isinstance(one, wanted)) for wanted in (LookFrames, TouchFrames))
+    whole = read_items
+
+    def altered(*arguments: Any, **options: Any) -> Iterator[Item]:
+        for item in whole(*arguments, **options):
+            if kind is DepthFrame and isinstance(item, DepthFrame) and item.stamp.host_ns == look.depth_ns[0]:
+                yield dataclasses.replace(item, depth=item.depth + (item.depth > 0).astype(item.depth.dtype))
+            elif kind is WrenchFrame and isinstance(item, WrenchFrame) and item.stamp.host_ns == touch.wrench_ns[-1]:
+                yield dataclasses.replace(item, force_n=item.force_n + 1e-9)
+            else:
+                yield item
+
+    monkeypatch.setattr("deformscope.recording.items.read_items", altered)
+
+
+def test_a_recording_without_a_frame_that_was_used_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    state = ArmFrame(Stamp(7), 0, *(np.zeros(6),) * 3, *(np.zeros(3),) * 5)
+    named = LookFrames("camera", np.array([5]), "arm", 7, "j2n6s300", (1.0, 1.0), (0.0, 0.0))
+    one = Recorded(0, 0, named)
+    monkeypatch.setattr("deformscope.recording.results.read_results", lambda *_, **options: iter([one]))
+    monkeypatch.setattr("deformscope.recording.items.read_items", lambda *_, **options: iter([state]))
+
+    with pytest.raises(InputError, match="without 1 depth images, 0 forces and 0 states"):
+        recorded_inputs(tmp_path / "e.rrd")
 
 
 def test_scenes_are_listed_without_a_rig(capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import io
 import json
 import sys
+import time
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -105,6 +106,33 @@ def test_a_rig_of_doubles_is_explored_on_the_hosts_clock(
     rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     explored_recorded_and_replayed(rig, tmp_path, capsys, monkeypatch)
+
+
+MOST_MS = 30.0
+"""Of the supervisor's gaps all but one in a thousand: half of what a fault of the force sensor may take to be noticed."""
+
+
+@pytest.mark.slow
+@pytest.mark.realtime
+def test_the_supervisor_looks_in_time_while_plans_and_maps_are_computed(
+    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = tmp_path / "r.json"
+    arguments = ["explore", str(rig), "--touches", "20", "--threshold", "0.001", "--json", str(found)]
+    assert main([*arguments, "--record", str(tmp_path / "r.rrd")]) in (0, 3), capsys.readouterr().err
+
+    gaps_ms = json.loads(found.read_text())["supervisor_gaps_ms"]
+    idle_ms, period_s, until = [], 0.01, time.monotonic() + 60.0
+    due = last = time.monotonic()
+    while last < until:
+        due = max(due + period_s, last + 0.5 * period_s)
+        time.sleep(max(0.0, due - time.monotonic()))
+        idle_ms.append(1e3 * (time.monotonic() - last))
+        last = time.monotonic()
+    with capsys.disabled():
+        print(f"\nsupervisor: {gaps_ms}; an idle loop: at most {max(idle_ms):.1f} ms")
+    assert gaps_ms["count"] > 10_000
+    assert gaps_ms["p99_9"] <= MOST_MS
 
 
 @pytest.mark.usefixtures("simulated_clock")
