@@ -50,7 +50,7 @@ def test_what_openni_sees_beside_them_is_told_by_its_own_name(devices: Path) -> 
     assert discover(devices, lambda: [xtion, astra]) == [
         XTION,
         KINECT,
-        FoundDevice("depth_camera", "2bc5/0401@1/7", "Orbbec Astra", note="told by OpenNI2"),
+        FoundDevice("depth_camera", "2bc5/0401@1/7", "Orbbec Astra", note="listed by OpenNI2"),
     ]
 
 
