@@ -174,7 +174,7 @@ STILL_S = 0.3
 STILL_FORCE, STILL_FORCE_N, STILL_M = 0.03, 0.03, 1.5e-4
 """What may vary meanwhile: share of the set force, force [N], place [m]. Chosen."""
 PAUSE_PERIODS = 3
-"""Control periods at rest between approach and pressing. Chosen."""
+"""Control periods at rest before the tip backs away from a force that is too high. Chosen."""
 NEAR_M = 2e-4
 """So near the greatest depth it counts as reached: the speed falls towards it."""
 PRESS_AT_MOST_S = 8.0
