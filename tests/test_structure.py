@@ -1,4 +1,4 @@
-"""Names mean one thing, functions stay short, and numbers that a robot moves by name their source."""
+"""Names mean one thing, functions stay short, and numbers that a robot moves by are documented with their source."""
 
 from __future__ import annotations
 
@@ -85,7 +85,11 @@ def test_constants_that_a_robot_moves_by_name_their_source() -> None:
 
 
 def _constant(node: ast.stmt) -> str:
-    """The name of a module's constant; empty for any other statement."""
+    """The first name of a module's constant that holds numbers; empty for any other statement."""
     targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
-    names = [target.id for target in targets if isinstance(target, ast.Name)]
-    return names[0] if names and names[0].lstrip("_").isupper() else ""
+    names = [one.id for target in targets for one in ast.walk(target) if isinstance(one, ast.Name)]
+    value = node.value if isinstance(node, ast.Assign | ast.AnnAssign) else None
+    numbers = value is not None and any(
+        isinstance(one, ast.Constant) and isinstance(one.value, int | float) for one in ast.walk(value)
+    )
+    return names[0] if numbers and names[0].lstrip("_").isupper() else ""

@@ -57,14 +57,14 @@ def surface(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
         facts: dict[str, object] = {"peak_bytes": meter.peak()}
         if "believed" in exact:
             mean, deviation = exact["believed"]
-            found = kept["surface"].at(asked)
-            facts["from_exact_m"] = float(np.abs(found.mean - mean).max())
-            facts["deviation_from_exact"] = float(np.abs(found.deviation / deviation - 1.0).max())
+            believed = kept["surface"].at(asked)
+            facts["from_exact_m"] = float(np.abs(believed.mean - mean).max())
+            facts["deviation_from_exact"] = float(np.abs(believed.deviation / deviation - 1.0).max())
         return facts
 
     sparse = Contestant(what, f"{OURS}, learned and mapped", partial(clock, ours), found=found)
-    note = "hyper-parameters given to it; places 2 cm apart"
-    dense = Contestant(what, "exact process (LAPACK)", partial(clock, whole), beside=sparse, note=note)
+    given = "hyper-parameters given to it; places 2 cm apart"
+    dense = Contestant(what, "exact process (LAPACK)", partial(clock, whole), beside=sparse, note=given)
     yield from compare("surface", [sparse, dense] if _fits(count) else [sparse], plan.rounds)
 
 

@@ -28,6 +28,7 @@ Tournassoud 1987)."""
 LEAST_SHARE = 0.05
 """A joint's margin that leaves less of a velocity than this is in its way."""
 NEGLIGIBLE_DEG_S = 0.01
+"""A velocity whose joints all turn slower than this is none. Chosen."""
 DAMPED_BELOW = 0.03
 """Smallest singular value of the Jacobian [m/rad; rad/rad] that is inverted in full. With 20 deg/s of the joints (the
 driver's standard limit) the arm's end then makes at least 0.03 * 0.35 rad/s = 10 mm/s, the speed of a touch, in every

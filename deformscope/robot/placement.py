@@ -34,6 +34,7 @@ PLAN_MARGIN_DEG = 8.0
 """Planned poses have every joint so far inside its range: there it may still turn at a third of its greatest rate
 towards the limit (`motion.SLOW_DEG`)."""
 WAY_M = 0.01
+"""Distance between the places of a route that are checked [m]. Chosen."""
 
 
 @dataclass(frozen=True)

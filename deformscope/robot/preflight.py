@@ -21,15 +21,25 @@ if TYPE_CHECKING:
     from deformscope.robot.touch import TouchPlan
 
 LOOK_PERIODS = 50
+"""Control periods that are observed: half a second. Chosen."""
 RATE_SHARE = 0.8
+"""Share of the configured rate that must arrive. Chosen."""
 ZERO_N = 0.6
+"""Greatest load in free air [N]. Chosen."""
 NOISE_N = 0.05
+"""Greatest deviation of a reading in free air [N]. Chosen."""
 STILL_DEG = 0.05
+"""Greatest motion of a joint that counts as at rest [deg]. Chosen."""
 LATE_MS = 20.0
+"""Lateness of the control cycle: two periods of 10 ms, within which the supervisor is to act. Chosen."""
 CLOCK_PPM = 1000.0
+"""Greatest drift between the clocks of device and host. Chosen."""
 FREE_M = 0.01
+"""Least height of the tip over the surface at the begin [m]. Chosen."""
 WAY_STEPS, WRIST_M = 60, 0.045
+"""Poses checked on the first route; radius taken for the wrist [m], as `shape.LINK_RADIUS_M`. Chosen."""
 FRESH_S = {"arm": 0.05, "force sensor": 0.02, "camera": 0.1}
+"""Greatest age of a reading by device [s], or two of its periods where these are longer. Chosen."""
 
 
 HINTS = {

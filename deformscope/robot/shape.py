@@ -12,6 +12,7 @@ from deformscope.robot.placement import Placement
 from deformscope_drivers.jaco.kinematics import Chain, FloatArray
 
 LINK_RADIUS_M = 0.045
+"""Radius of the capsules that stand for the arm's links [m]. Chosen."""
 
 
 def arm_shape(

@@ -134,6 +134,7 @@ class SafetyVerdict:
 
 
 SPEED_OVER_NS = 40_000_000
+"""Poses this far apart give the speed: four control periods. Chosen."""
 APPROACH_DEG_S = 0.5
 """A joint that moves slower than this towards its limit is at rest."""
 LATE_NS = 20_000_000
@@ -141,6 +142,7 @@ LATE_NS = 20_000_000
 silence is held against a device then, once and not twice in a row."""
 _GO_ON = SafetyVerdict()
 _SEVERITY = {Action.GO_ON: 0, Action.BACK_OFF: 1, Action.STOP: 2}
+"""Of several verdicts the highest counts. Chosen."""
 
 
 class Supervisor:

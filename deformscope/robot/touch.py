@@ -27,6 +27,7 @@ from deformscope.robot.travel import NotThere, to_above
 from deformscope_drivers.jaco.kinematics import FloatArray
 
 PERIOD_S = 0.01
+"""A control period: the Jaco takes one velocity in each (Kinova's library, `readings.PERIOD_NS`)."""
 
 
 class Phase(StrEnum):
@@ -170,14 +171,21 @@ class TouchRecord:
 
 
 HELD_GAIN_PER_S = 3.0
+"""Share of a distance that is made up in a second. Chosen."""
 FREE_M_S_N = 0.004
+"""Speed of yielding to a tangential force [m/s/N]. Chosen."""
 ACROSS_M_S = 0.01
+"""Greatest tangential speed in contact [m/s]: half of the 20 mm/s that are allowed near contact. Chosen."""
 STILL_S = 0.3
+"""Time over which force and place must hold [s]. Chosen."""
 STILL_FORCE, STILL_FORCE_N, STILL_M = 0.03, 0.03, 1.5e-4
+"""What may vary meanwhile: share of the set force, force [N], place [m]. Chosen."""
 PAUSE_PERIODS = 3
+"""Control periods at rest before the tip backs away from a force that is too high. Chosen."""
 NEAR_M = 2e-4
 """So near the greatest depth it counts as reached: the speed falls towards it."""
 PRESS_AT_MOST_S = 8.0
+"""After which a press ends without its force [s]. Chosen."""
 AVERAGED_NS = 3_000_000
 """Forces within so much of an arm's state are averaged for it: both ways alike, so that nothing lags."""
 
@@ -552,8 +560,11 @@ def forces_at(states_ns: Sequence[int], stamps: IntArray, forces_n: Sequence[Flo
 
 
 TARE_PERIODS = 30
+"""Control periods that a tare takes: 0.3 s. Chosen."""
 TARE_STILL_N = 0.05
+"""Variation in free air above which there is no tare [N], as `preflight.NOISE_N`. Chosen."""
 TARE_DRIFT_N = 0.6
+"""Change since the last tare that passes for drift [N], as `preflight.ZERO_N`. Chosen."""
 
 
 def take_tare(robot: Robot) -> FloatArray:

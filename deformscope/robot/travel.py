@@ -14,12 +14,17 @@ from deformscope.robot.supervisor import Action
 from deformscope_drivers.jaco.kinematics import FloatArray, pose_error
 
 ANGULAR_RAD_S = 0.3
+"""Greatest turn of the end while travelling. Chosen."""
 JOINT_DEG_S = 15.0
+"""Greatest rate while travelling joint by joint: below the driver's standard limit of 20 deg/s. Chosen."""
 PATIENCE = 200
 """Control periods without coming nearer, after which joints count as not coming where they are sent."""
 GAIN_PER_S = 4.0
+"""Share of the remaining distance that is commanded a second. Chosen."""
 REACHED_M, REACHED_RAD, REACHED_DEG = 3e-4, 3e-3, 0.1
+"""Within these a pose counts as reached. Chosen."""
 PASSED_M, PASSED_RAD = 3e-3, 0.05
+"""Within these a point in between counts as passed. Chosen."""
 SLACK = 3.0
 """A way may take so many times longer than its length says, and two seconds, before it counts as not possible."""
 

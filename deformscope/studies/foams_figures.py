@@ -131,12 +131,12 @@ def one_change(found: Sequence[Control], path: Path) -> None:
     labels = [f"{_change(one)}\n{one.moved_mm:.2f} mm, {one.force_n:.0f} N" for one in found]
     for axis, held in zip(axes.flat, HELD, strict=True):
         for size, marker, shift, colour in zip(sizes, "osD^v", (-0.2, 0.0, 0.2), SIZE_COLOURS, strict=False):
-            found = [
+            estimates = [
                 next(f.calibration.estimate for f in one.fits if (f.held, f.cluster_size) == (held, size))
                 for one in found
             ]
-            value = np.array([one.value for one in found])
-            ends = np.array([one.interval for one in found]).T
+            value = np.array([one.value for one in estimates])
+            ends = np.array([one.interval for one in estimates]).T
             axis.errorbar(
                 np.arange(len(found)) + shift, value, yerr=np.abs(ends - value), fmt=marker, color=colour, capsize=3,
                 label=f"clusters {size} x {size}",

@@ -246,12 +246,12 @@ def test_cables_pulled_and_put_back_leave_nothing_behind(wire: PtyWire) -> None:
     assert after == before
 
 
-def test_a_port_that_is_not_there_is_told() -> None:
+def test_a_port_that_is_not_there_is_reported() -> None:
     with pytest.raises(NotConnected, match=r"expected a port that is there; got none .* /dev/ttyNONE"):
         Toy(SerialTransport("/dev/ttyNONE", 115200)).open()
 
 
-def test_a_port_in_use_is_told(wire: PtyWire) -> None:
+def test_a_port_in_use_is_reported(wire: PtyWire) -> None:
     with toy(wire), pytest.raises(Busy, match="another program"):
         toy(wire).open()
 

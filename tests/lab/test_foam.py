@@ -1,4 +1,4 @@
-"""The five foams keep what their makers tell and what the text on them promises."""
+"""The five foams keep what their makers state and what the text on them promises."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The laboratory's scenes: what is where, drawn from a seed within what is told."""
+"""The laboratory's scenes: what is where, drawn from a seed within the stated ranges."""
 
 from __future__ import annotations
 

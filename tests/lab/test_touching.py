@@ -59,7 +59,7 @@ def test_it_comes_at_its_pace_from_above(soft: SlabWorld) -> None:
     assert slow.time_s[-1] == pytest.approx(2.0 * found.time_s[-1])
 
 
-def test_noise_is_as_told(soft: SlabWorld) -> None:
+def test_noise_is_as_reported(soft: SlabWorld) -> None:
     clean = touch(soft, dwell_s=5.0)
     noisy = touch(soft, Sensing(), dwell_s=5.0)
     assert (noisy.position_m - clean.position_m).std(axis=0) == pytest.approx([1e-4] * 3, rel=0.12)

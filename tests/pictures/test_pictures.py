@@ -105,7 +105,7 @@ def test_evidence_with_and_without_posterior_and_very_narrow() -> None:
     with_it = estimate()
     narrow = dataclasses.replace(with_it, interval=(0.6195, 0.6205), posterior=posterior(0.62, 3e-4))
     pictures = [evidence_png(one) for one in (with_it, narrow, dataclasses.replace(with_it, posterior=None))]
-    assert len({decoded(png).shape for png in pictures}) == 1  # one size: a viewer wants it
+    assert len({decoded(png).shape for png in pictures}) == 1  # one size, as a viewer needs
     assert len(set(pictures)) == 3
     unfinished = dataclasses.replace(with_it, converged=False)
     assert verdict_color(with_it) != verdict_color(unfinished)

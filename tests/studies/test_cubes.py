@@ -148,9 +148,9 @@ def test_a_pair_s_ratio_is_in_the_file_or_in_its_name() -> None:
     assert cube_from_pair(pair(nu=0.31), "a_nu0.10.npz").poisson == 0.31
     for name, ratio in (("cube_lin_n06_d3cm_nu0.25.npz", 0.25), ("b-nu_.4.npz", 0.4), ("nu0.npz", 0.0)):
         assert cube_from_pair(pair(), f"folder_nu0.9/{name}").poisson == ratio
-    told = cube_from_pair(pair(nu=0.31), "a.npz")
-    assert told.depth == pytest.approx(0.03)
-    assert told.resolution == "4^3"
+    reported = cube_from_pair(pair(nu=0.31), "a.npz")
+    assert reported.depth == pytest.approx(0.03)
+    assert reported.resolution == "4^3"
 
 
 def test_a_pair_without_a_possible_ratio_is_refused() -> None:
@@ -214,7 +214,7 @@ def test_a_theta_that_does_not_rise_is_noticed(
     """At one resolution alone, in any order; at the end of the range it need not rise if that is allowed."""
     fine = [one for one in found if one.cube.resolution == "5^3"]
     coarse = next(one for one in found if one.cube.resolution == "4^3")
-    told = [
+    reported = [
         dataclasses.replace(
             coarse,
             cube=dataclasses.replace(coarse.cube, poisson=0.1 * number),
@@ -223,8 +223,8 @@ def test_a_theta_that_does_not_rise_is_noticed(
         for number, value in enumerate(values)
     ]
 
-    assert rises([*told[::-1], *fine]) is strictly
-    assert rises([*told[::-1], *fine], to_bound=True) is to_bound
+    assert rises([*reported[::-1], *fine]) is strictly
+    assert rises([*reported[::-1], *fine], to_bound=True) is to_bound
 
 
 def test_overlapping_clusters_are_fitted_to_the_deepest_of_each_kind() -> None:

@@ -47,9 +47,9 @@ def test_every_way_of_fitting_holds_what_it_says(seen: FoamResult) -> None:
 
 def test_force_gives_the_models_stiffness(seen: FoamResult) -> None:
     for fit in seen.fits:
-        told = fit.calibration.estimate.stiffness
-        assert told is not None
-        assert told[1][0] <= told[0] <= told[1][1]
+        reported = fit.calibration.estimate.stiffness
+        assert reported is not None
+        assert reported[1][0] <= reported[0] <= reported[1][1]
     assert seen.stiffness == pytest.approx(seen.force_n[-1] / 0.008)
 
 
@@ -81,7 +81,7 @@ def made(seen: FoamResult, betas: list[tuple[float, float, float]]) -> list[Foam
 
 
 @pytest.mark.parametrize(
-    ("values", "half", "told", "correlation"),
+    ("values", "half", "reported", "correlation"),
     [
         ((0.9, 0.8, 0.7, 0.6, 0.5), 0.02, "falls with firmness", -1.0),
         ((0.5, 0.6, 0.7, 0.8, 0.9), 0.02, "rises with firmness", 1.0),
@@ -91,11 +91,11 @@ def made(seen: FoamResult, betas: list[tuple[float, float, float]]) -> list[Foam
     ],
 )
 def test_trend_says_no_more_than_the_intervals_allow(
-    seen: FoamResult, values: tuple[float, ...], half: float, told: str, correlation: float | None
+    seen: FoamResult, values: tuple[float, ...], half: float, reported: str, correlation: float | None
 ) -> None:
     found = trend(made(seen, [(v, v - half, v + half) for v in values]), "flow", "one", 2)
 
-    assert found.told == told
+    assert found.told == reported
     assert found.drop == pytest.approx(values[0] - values[-1])
     assert found.rank_correlation == (None if correlation is None else pytest.approx(correlation))
 

@@ -98,34 +98,34 @@ def test_first_passage_and_its_ratio() -> None:
 
     assert first_passage(slow[0], 0.75) == ({"touches": 8, "travel_m": pytest.approx(1.6), "robot_s": 64}, True)
     assert first_passage(run(0, 0.05), 0.75)[1] is False
-    told = compare(fast, slow, 0.75)
-    assert (told["touches"], told["touches_against"]) == (4.0, 8.0)
-    assert [told[f"touches_{what}"] for what in ("ratio", "low", "high")] == [0.5, 0.5, 0.5]
-    assert [told[f"travel_m_{what}"] for what in ("ratio", "low", "high")] == [0.5, 0.5, 0.5]
-    assert (told["reached"], told["reached_against"]) == (1.0, 1.0)
+    reported = compare(fast, slow, 0.75)
+    assert (reported["touches"], reported["touches_against"]) == (4.0, 8.0)
+    assert [reported[f"touches_{what}"] for what in ("ratio", "low", "high")] == [0.5, 0.5, 0.5]
+    assert [reported[f"travel_m_{what}"] for what in ("ratio", "low", "high")] == [0.5, 0.5, 0.5]
+    assert (reported["reached"], reported["reached_against"]) == (1.0, 1.0)
 
 
 def test_a_ratio_has_the_spread_of_its_layouts() -> None:
     slow = [run(seed, 0.1, "max-variance") for seed in range(6)]
     fast = [run(seed, 0.1 if seed % 2 else 0.5) for seed in range(6)]
-    told = compare(fast, slow, 0.75)
+    reported = compare(fast, slow, 0.75)
 
-    assert 0.25 <= told["touches_low"] < told["touches_ratio"] < told["touches_high"] <= 1.0
+    assert 0.25 <= reported["touches_low"] < reported["touches_ratio"] < reported["touches_high"] <= 1.0
 
 
 def test_a_summary_is_of_all_layouts_and_leaves_out_what_is_not_known() -> None:
     one, other = run(0, 0.1), run(1, 0.2)
     wrong = replace(SCORE, right=False, levels_covered=None, boundary_m=None, iou=0.4, least_iou=0.0)
     third = replace(run(2, 0.1), after=(replace(after(1, 0.4), score=wrong, touch_covered=False),), stop_after=1)
-    told = summarise([one, other, third], 8)
+    reported = summarise([one, other, third], 8)
 
-    assert told["iou"] == pytest.approx(0.8)
-    assert told["good"] == pytest.approx(1 / 3, abs=1e-3)
-    assert told["right"] == told["found"] == pytest.approx(2 / 3, abs=1e-3)
-    assert (told["levels_covered"], told["levels_runs"]) == (1.0, 2)
-    assert told["touches_covered"] == pytest.approx(16 / 17, abs=1e-3)
-    assert told["rigid_found"] is None
-    assert told["made"] == 8
+    assert reported["iou"] == pytest.approx(0.8)
+    assert reported["good"] == pytest.approx(1 / 3, abs=1e-3)
+    assert reported["right"] == reported["found"] == pytest.approx(2 / 3, abs=1e-3)
+    assert (reported["levels_covered"], reported["levels_runs"]) == (1.0, 2)
+    assert reported["touches_covered"] == pytest.approx(16 / 17, abs=1e-3)
+    assert reported["rigid_found"] is None
+    assert reported["made"] == 8
 
 
 def test_a_disc_that_no_touch_met_is_as_large_as_the_touches_leave_room() -> None:
@@ -136,10 +136,10 @@ def test_a_disc_that_no_touch_met_is_as_large_as_the_touches_leave_room() -> Non
 def test_a_scene_without_regions_has_no_iou() -> None:
     score = replace(SCORE, iou=None, least_iou=None, boundary_m=None, verdict="gradual")
     smooth = replace(run(0, 0.1), region_count=0, after=(replace(after(1, 0.0), score=score),))
-    told = summarise([smooth], 8)
+    reported = summarise([smooth], 8)
 
-    assert (told["iou"], told["good"], told["found"], told["boundary_m"]) == (None, None, None, None)
-    assert told["gradual"] == 1.0
+    assert (reported["iou"], reported["good"], reported["found"], reported["boundary_m"]) == (None, None, None, None)
+    assert reported["gradual"] == 1.0
 
 
 def test_curves_are_drawn(tmp_path: Path) -> None:

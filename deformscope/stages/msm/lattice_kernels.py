@@ -731,49 +731,41 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> L
         if running[group] != 0:
             functions.windows_fast(grid, fields, motion, u_in, 0, before_in, 0, group, item)
 
-    @kernel
-    def windows_middle(grid: functions.Grid, fields: functions.Fields, running: wp.array(dtype=int)):
-        group, item = wp.tid()
-        if running[group] != 0:
-            functions.windows_middle(grid, fields, group, item)
+    def pass_of(name: str) -> Any:
+        """The kernel of a pass over fields alone."""
+        function = getattr(functions, name)
 
-    @fitting
-    def fit_clusters(
-        grid: functions.Grid,
-        site: functions.Site,
-        rest: cluster.FitRest,
-        kept: cluster.Kept,
-        fields: functions.Fields,
-        running: wp.array(dtype=int),
-    ):
-        group, item = wp.tid()
-        if running[group] != 0:
-            functions.fit_clusters(grid, site, rest, kept, fields, group, item)
+        @kernel(name=name)
+        def one_pass(grid: functions.Grid, fields: functions.Fields, running: wp.array(dtype=int)):
+            group, item = wp.tid()
+            if running[group] != 0:
+                function(grid, fields, group, item)
 
-    @fitting
-    def fit_changes(
-        grid: functions.Grid,
-        site: functions.Site,
-        rest: cluster.FitRest,
-        kept: cluster.Kept,
-        fields: functions.Fields,
-        running: wp.array(dtype=int),
-    ):
-        group, item = wp.tid()
-        if running[group] != 0:
-            functions.fit_changes(grid, site, rest, kept, fields, group, item)
+        return one_pass
 
-    @kernel
-    def spread_slow(grid: functions.Grid, fields: functions.Fields, running: wp.array(dtype=int)):
-        group, item = wp.tid()
-        if running[group] != 0:
-            functions.spread_slow(grid, fields, group, item)
+    def fit_of(name: str) -> Any:
+        """The kernel of a fit, or of its derivative."""
+        function = getattr(functions, name)
 
-    @kernel
-    def spread_middle(grid: functions.Grid, fields: functions.Fields, running: wp.array(dtype=int)):
-        group, item = wp.tid()
-        if running[group] != 0:
-            functions.spread_middle(grid, fields, group, item)
+        @fitting(name=name)
+        def fits(
+            grid: functions.Grid,
+            site: functions.Site,
+            rest: cluster.FitRest,
+            kept: cluster.Kept,
+            fields: functions.Fields,
+            running: wp.array(dtype=int),
+        ):
+            group, item = wp.tid()
+            if running[group] != 0:
+                function(grid, site, rest, kept, fields, group, item)
+
+        return fits
+
+    windows_middle, spread_slow, spread_middle = (
+        pass_of(name) for name in ("windows_middle", "spread_slow", "spread_middle")
+    )
+    fit_clusters, fit_changes = fit_of("fit_clusters"), fit_of("fit_changes")
 
     @kernel
     def finish(

@@ -42,6 +42,7 @@ from deformscope_drivers.jaco.structures import (
 )
 
 CYCLE_NS = 10_000_000
+Floats = ctypes.Array[ctypes.c_float]
 
 _NO_DEVICE, _TIMEOUT, _INVALID, _NOT_INITIALIZED, _NACK = 1015, 1022, 2100, 2101, 9999
 _WITHOUT_INIT = frozenset({"GetAPIVersion", "InitAPI", "InitEthernetAPI", "CloseAPI"})
@@ -85,14 +86,15 @@ class JacoDouble:
 
     def function(self, name: str) -> Callable[..., int]:
         """The vendor's function of that name, as `Library.function` gives it."""
-        method: Callable[..., int] = getattr(self, name)
+        method: Callable[..., int | None] = getattr(self, name)
 
         def called(*arguments: Any) -> int:
             with self._lock:
                 self._live()
                 code = self._refusal(name)
                 if code == OK:
-                    return method(*arguments)
+                    found = method(*arguments)
+                    return OK if found is None else found  # most cannot fail
                 if name == "GetDevices":  # returns a count, and its code by pointer
                     arguments[1].value = code
                     return 0
@@ -193,9 +195,8 @@ class JacoDouble:
 
     # The vendor's functions: the library and its devices -------------------------------------------------------------
 
-    def GetAPIVersion(self, version: ctypes.Array[ctypes.c_int]) -> int:
+    def GetAPIVersion(self, version: ctypes.Array[ctypes.c_int]) -> None:
         version[0], version[1], version[2] = 5, 2, 0
-        return OK
 
     def InitAPI(self) -> int:
         self._initialized = self.RefresDevicesList() == OK
@@ -204,9 +205,8 @@ class JacoDouble:
     def InitEthernetAPI(self, config: EthernetCommConfig) -> int:
         return self.InitAPI() if config.robotIpAddress else _INVALID
 
-    def CloseAPI(self) -> int:
+    def CloseAPI(self) -> None:
         self._initialized = False
-        return OK
 
     def RefresDevicesList(self) -> int:
         return OK if self._serials and not self._unplugged else _NO_DEVICE
@@ -223,40 +223,33 @@ class JacoDouble:
     def SetActiveDevice(self, device: KinovaDevice) -> int:
         return OK if device.SerialNumber.decode() in self._serials else _NO_DEVICE
 
-    def GetGeneralInformations(self, response: GeneralInformations) -> int:
+    def GetGeneralInformations(self, response: GeneralInformations) -> None:
         response.TimeFromStartup = self._then_ns / 1e9
         response.SupplyVoltage, response.TotalCurrent = 24.0, self._supply_a()
         response.ConnectedActuatorCount = self.chain.joint_count
-        return OK
 
-    def GetSystemErrorCount(self, response: ctypes.c_uint) -> int:
+    def GetSystemErrorCount(self, response: ctypes.c_uint) -> None:
         response.value = 0
-        return OK
 
     def ClearErrorLog(self) -> int:
         return OK
 
     # Control and motion ----------------------------------------------------------------------------------------------
 
-    def StartControlAPI(self) -> int:
+    def StartControlAPI(self) -> None:
         self._arm.start_control()
-        return OK
 
-    def StopControlAPI(self) -> int:
+    def StopControlAPI(self) -> None:
         self._arm.stop_control()
-        return OK
 
-    def SetAngularControl(self) -> int:
+    def SetAngularControl(self) -> None:
         self._arm.angular_control = True
-        return OK
 
-    def SetCartesianControl(self) -> int:
+    def SetCartesianControl(self) -> None:
         self._arm.angular_control = False
-        return OK
 
-    def GetControlType(self, response: ctypes.c_int) -> int:
+    def GetControlType(self, response: ctypes.c_int) -> None:
         response.value = int(self._arm.angular_control)
-        return OK
 
     def SetFrameType(self, frame: int) -> int:
         if frame != 0:
@@ -278,20 +271,17 @@ class JacoDouble:
             return _INVALID
         return OK if self._arm.queue(point) else _NACK  # what the arm answers when it is full is not public
 
-    def EraseAllTrajectories(self) -> int:
+    def EraseAllTrajectories(self) -> None:
         self._arm.erase()
-        return OK
 
-    def GetGlobalTrajectoryInfo(self, response: TrajectoryFIFO) -> int:
+    def GetGlobalTrajectoryInfo(self, response: TrajectoryFIFO) -> None:
         response.TrajectoryCount = len(self._arm.fifo)
         response.UsedPercentage = 100.0 * len(self._arm.fifo) / FIFO_SIZE
         response.MaxSize = FIFO_SIZE
-        return OK
 
-    def GetActualTrajectoryInfo(self, response: TrajectoryPoint) -> int:
+    def GetActualTrajectoryInfo(self, response: TrajectoryPoint) -> None:
         point = self._arm.fifo[0] if self._arm.fifo else TrajectoryPoint()
         ctypes.memmove(ctypes.byref(response), ctypes.byref(point), ctypes.sizeof(response))
-        return OK
 
     def SendJoystickCommand(self, command: JoystickCommand) -> int:
         return OK  # a joystick moves nothing here
@@ -299,117 +289,98 @@ class JacoDouble:
     def GetJoystickValue(self, response: JoystickCommand) -> int:
         return OK
 
-    def MoveHome(self) -> int:
+    def MoveHome(self) -> None:
         """Returns at once; the arm is moving."""
         self._arm.go_home()
-        return OK
 
-    def InitFingers(self) -> int:
+    def InitFingers(self) -> None:
         self._arm.open_fingers()
-        return OK
 
     def SetEndEffectorOffset(self, status: int, x: float, y: float, z: float) -> int:
         return OK if not any((x, y, z)) else _INVALID  # tools beyond the hand are not modelled
 
     # Readings --------------------------------------------------------------------------------------------------------
 
-    def GetAngularPosition(self, response: AngularPosition) -> int:
+    def GetAngularPosition(self, response: AngularPosition) -> None:
         _write_joints(response, self._arm.joints_deg)
         self._write_fingers(response)
-        return OK
 
-    def GetAngularVelocity(self, response: AngularPosition) -> int:
+    def GetAngularVelocity(self, response: AngularPosition) -> None:
         _write_joints(response, self._arm.rates_deg_s)
-        return OK
 
-    def GetAngularCommand(self, response: AngularPosition) -> int:
-        return self.GetAngularPosition(response)
+    def GetAngularCommand(self, response: AngularPosition) -> None:
+        self.GetAngularPosition(response)
 
-    def GetAngularForce(self, response: AngularPosition) -> int:
+    def GetAngularForce(self, response: AngularPosition) -> None:
         _write_joints(response, self._arm.torque_nm())
-        return OK
 
-    def GetAngularForceGravityFree(self, response: AngularPosition) -> int:
+    def GetAngularForceGravityFree(self, response: AngularPosition) -> None:
         _write_joints(response, self._arm.external_torque_nm())
-        return OK
 
-    def GetAngularCurrent(self, response: AngularPosition) -> int:
+    def GetAngularCurrent(self, response: AngularPosition) -> None:
         _write_joints(response, self._arm.currents_a())
-        return OK
 
-    def GetCartesianPosition(self, response: CartesianPosition) -> int:
+    def GetCartesianPosition(self, response: CartesianPosition) -> None:
         pose = self._arm.links[-1]
         response.Coordinates = CartesianInfo(*pose[:3, 3], *kinematics.euler_xyz_from_rotation(pose[:3, :3]))
         self._write_fingers(response)
-        return OK
 
-    def GetCartesianCommand(self, response: CartesianPosition) -> int:
-        return self.GetCartesianPosition(response)
+    def GetCartesianCommand(self, response: CartesianPosition) -> None:
+        self.GetCartesianPosition(response)
 
-    def GetCartesianForce(self, response: CartesianPosition) -> int:
+    def GetCartesianForce(self, response: CartesianPosition) -> None:
         response.Coordinates = CartesianInfo(*self._arm.measured_wrench())
-        return OK
 
-    def GetCommandVelocity(self, cartesian: ctypes.Array[ctypes.c_float], angular: ctypes.Array[ctypes.c_float]) -> int:
+    def GetCommandVelocity(self, cartesian: Floats, angular: Floats) -> None:
         rates_deg_s = self._arm.rates_deg_s
         # in the base frame, both: what frame the arm's rotation is in here is not published
         cartesian[:] = (kinematics.jacobian_of(self._arm.links) @ np.radians(rates_deg_s)).tolist()
         angular[: len(rates_deg_s)] = rates_deg_s.tolist()
-        return OK
 
-    def GetForcesInfo(self, response: ForcesInfo) -> int:
+    def GetForcesInfo(self, response: ForcesInfo) -> None:
         for index, value in enumerate(self._arm.external_torque_nm(), 1):
             setattr(response, f"Actuator{index}", value)
         for name, value in zip(("X", "Y", "Z", "ThetaX", "ThetaY", "ThetaZ"), self._arm.measured_wrench(), strict=True):
             setattr(response, name, value)
-        return OK
 
-    def GetSensorsInfo(self, response: SensorsInfo) -> int:
+    def GetSensorsInfo(self, response: SensorsInfo) -> None:
         response.Voltage, response.Current = 24.0, self._supply_a()
         response.AccelerationX, response.AccelerationY, response.AccelerationZ = 0.0, 0.0, 1.0
         for index in range(1, self.chain.joint_count + 1):
             setattr(response, f"ActuatorTemp{index}", 30.0)
         for index in range(1, FINGER_COUNT + 1):
             setattr(response, f"FingerTemp{index}", 28.0)
-        return OK
 
-    def GetQuickStatus(self, response: QuickStatus) -> int:
+    def GetQuickStatus(self, response: QuickStatus) -> None:
         response.Finger1Status = response.Finger2Status = response.Finger3Status = int(self._arm.fingers_ready)
         response.ControlEnableStatus = int(not self._arm.control)
         response.ForceControlStatus = int(not self._arm.admittance.active)
         response.ControlFrameType = self._frame
         response.TorqueSensorsStatus = 1
-        return OK
 
     # Force -----------------------------------------------------------------------------------------------------------
 
-    def StartForceControl(self) -> int:
+    def StartForceControl(self) -> None:
         self._arm.admittance.start()
-        return OK
 
-    def StopForceControl(self) -> int:
+    def StopForceControl(self) -> None:
         self._arm.admittance.active = False
-        return OK
 
-    def SetCartesianForceMinMax(self, least: CartesianInfo, most: CartesianInfo) -> int:
+    def SetCartesianForceMinMax(self, least: CartesianInfo, most: CartesianInfo) -> None:
         admittance = self._arm.admittance
         admittance.force_min, admittance.force_max = _read_cartesian(least), _read_cartesian(most)
-        return OK
 
-    def SetCartesianInertiaDamping(self, inertia: CartesianInfo, damping: CartesianInfo) -> int:
+    def SetCartesianInertiaDamping(self, inertia: CartesianInfo, damping: CartesianInfo) -> None:
         admittance = self._arm.admittance
         admittance.inertia, admittance.damping = _read_cartesian(inertia), _read_cartesian(damping)
-        return OK
 
-    def SetAngularTorqueMinMax(self, least: AngularInfo, most: AngularInfo) -> int:
+    def SetAngularTorqueMinMax(self, least: AngularInfo, most: AngularInfo) -> None:
         admittance = self._arm.admittance
         admittance.torque_min, admittance.torque_max = self._read_joints(least), self._read_joints(most)
-        return OK
 
-    def SetAngularInertiaDamping(self, inertia: AngularInfo, damping: AngularInfo) -> int:
+    def SetAngularInertiaDamping(self, inertia: AngularInfo, damping: AngularInfo) -> None:
         admittance = self._arm.admittance
         admittance.joint_inertia, admittance.joint_damping = self._read_joints(inertia), self._read_joints(damping)
-        return OK
 
     def SetTorqueZero(self, address: int) -> int:
         """Addresses 16 and up are the joints: what their sensors show now, beside gravity, is zero from here on."""
@@ -425,7 +396,7 @@ class JacoDouble:
     def SetGravityType(self, kind: int) -> int:
         return OK if kind in (0, 1) else _INVALID
 
-    def SetGravityPayload(self, payload: ctypes.Array[ctypes.c_float]) -> int:
+    def SetGravityPayload(self, payload: Floats) -> int:
         return OK
 
     # Within ----------------------------------------------------------------------------------------------------------

@@ -99,12 +99,12 @@ def test_what_the_camera_does_not_do_is_refused(config: DepthCameraConfig, asked
 
 
 @pytest.mark.parametrize("port", ["nobody", ""])
-def test_a_camera_that_is_not_there_is_told(port: str) -> None:
+def test_a_camera_that_is_not_there_is_reported(port: str) -> None:
     with pytest.raises(NotConnected, match="expected a depth camera"):
         DepthCamera(DepthCameraConfig(port=port)).open()
 
 
-def test_a_library_that_is_not_there_is_told(tmp_path: Path) -> None:
+def test_a_library_that_is_not_there_is_reported(tmp_path: Path) -> None:
     with pytest.raises(LibraryMissing, match=r"expected OpenNI2; got none that loads \| try: .*libopenni2-0"):
         DepthCamera(DepthCameraConfig(port="Dummy", library=str(tmp_path))).open()
 
@@ -255,7 +255,7 @@ def test_a_recording_is_checked_against_what_was_asked(recording: Path) -> None:
         DepthCamera(DepthCameraConfig(port=str(recording), width=640, height=480)).open()
 
 
-def test_recordings_that_cannot_be_played_are_told(tmp_path: Path) -> None:
+def test_recordings_that_cannot_be_played_are_reported(tmp_path: Path) -> None:
     damaged = tmp_path / "damaged.oni"
     damaged.write_bytes(b"no recording")
     with pytest.raises(NotConnected, match="expected a recording that is there"):

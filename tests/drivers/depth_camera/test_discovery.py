@@ -1,4 +1,4 @@
-"""What is told of depth cameras that are plugged in, from a folder laid out as the kernel's /sys."""
+"""What is reported of depth cameras that are plugged in, from a folder laid out as the kernel's /sys."""
 
 from __future__ import annotations
 
@@ -39,18 +39,18 @@ KINECT = FoundDevice(
 )
 
 
-def test_cameras_are_told_by_their_sockets(devices: Path) -> None:
+def test_cameras_are_reported_by_their_sockets(devices: Path) -> None:
     assert discover(devices, list) == [XTION, KINECT]
 
 
-def test_what_openni_sees_beside_them_is_told_by_its_own_name(devices: Path) -> None:
+def test_what_openni_sees_beside_them_is_reported_by_its_own_name(devices: Path) -> None:
     xtion = ListedDevice("1d27/0601@1/14", "PrimeSense", "PS1080", 0x1D27, 0x0601)
     astra = ListedDevice("2bc5/0401@1/7", "Orbbec", "Astra", 0x2BC5, 0x0401)
 
     assert discover(devices, lambda: [xtion, astra]) == [
         XTION,
         KINECT,
-        FoundDevice("depth_camera", "2bc5/0401@1/7", "Orbbec Astra", note="told by OpenNI2"),
+        FoundDevice("depth_camera", "2bc5/0401@1/7", "Orbbec Astra", note="listed by OpenNI2"),
     ]
 
 
@@ -78,6 +78,6 @@ def test_a_socket_is_looked_up_and_other_names_stay(devices: Path) -> None:
     assert [resolve_port(port, devices) for port in ("", "Dummy", "walk.oni")] == ["", "Dummy", "walk.oni"]
 
 
-def test_an_empty_socket_is_told(devices: Path) -> None:
+def test_an_empty_socket_is_reported(devices: Path) -> None:
     with pytest.raises(NotConnected, match=r"expected a camera in that socket; got none .*usb:9-9"):
         DepthCamera(DepthCameraConfig(port="usb:9-9"), usb=devices).open()

@@ -155,7 +155,7 @@ def test_dropped_pictures_are_counted() -> None:
     assert camera.health().lost == 3
 
 
-def test_a_frozen_picture_is_told_in_simulated_time() -> None:
+def test_a_frozen_picture_is_reported_in_simulated_time() -> None:
     config = SyntheticDepthConfig(stuck_after_s=0.5)
     camera = on_simulated_clock(config, lambda time_s: flat(1.0)).open(own_thread=False)
     for _ in range(60):

@@ -60,7 +60,7 @@ class Desk:
 
 
 class Ears(DsaDouble):
-    """Writes down what it hears, and can be told to misbehave."""
+    """Writes down what it hears, and can be made to misbehave."""
 
     def __init__(self, **options) -> None:
         super().__init__(**options)

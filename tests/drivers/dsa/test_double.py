@@ -181,12 +181,12 @@ def test_a_single_frame(version: int, goes_on: bool) -> None:
     assert len(frames_of(double, 1)) == (30 if goes_on else 1)
 
 
-@pytest.mark.parametrize(("version", "told"), [(218, 0.5), (219, 0.75)])
-def test_sensitivity_read_back(version: int, told: float) -> None:
+@pytest.mark.parametrize(("version", "reported"), [(218, 0.5), (219, 0.75)])
+def test_sensitivity_read_back(version: int, reported: float) -> None:
     double = DsaDouble(software_version=version)
 
     assert said(double, SetSensitivity(0, 1, 0.75)) == [Ack(0x0F)]
-    assert said(double, QuerySensitivity(1), S) == [SensitivityInfo(0, 2, told, 0.5)]
+    assert said(double, QuerySensitivity(1), S) == [SensitivityInfo(0, 2, reported, 0.5)]
 
 
 def test_thresholds_need_firmware_268() -> None:

@@ -138,7 +138,7 @@ def test_flags_that_are_not_public_are_handed_on() -> None:
     assert fed(Decoder(), raw_frame(9, flags=0x80)) == [reading(1000, 0x80, 9)]
 
 
-def test_more_cells_than_the_sdh_has_can_be_told() -> None:
+def test_more_cells_than_the_sdh_has_can_be_reported() -> None:
     words = list(range(1000))
 
     assert fed(Decoder(1000), raw_frame(*words)) == [reading(1000, 0, *words)]

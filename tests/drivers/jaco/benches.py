@@ -71,7 +71,7 @@ class PythonBench:
                 (admittance.joint_inertia, admittance.joint_damping),
             ],
         }
-        # what was set by the tests is told from the defaults by its first value
+        # what was set by the tests is distinguished from the defaults by its first value
         for first, second in pairs[count]:
             if first[0] == 1.5:
                 return np.array([np.resize(first, count), np.resize(second, count)])

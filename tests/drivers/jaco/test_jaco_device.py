@@ -313,7 +313,7 @@ def test_an_arm_that_is_not_found_is_sought_again_with_longer_and_longer_pauses(
         assert lab.recorded.names.count("CloseAPI") == 2
 
 
-def test_an_arm_that_stays_away_is_told_with_what_to_try() -> None:
+def test_an_arm_that_stays_away_is_reported_with_what_to_try() -> None:
     lab = Simulated(serials=())
     with pytest.raises(NoDeviceFound, match="22cd") as caught:
         lab.arm.open(own_thread=False)
@@ -340,10 +340,10 @@ def test_the_arm_meant_is_chosen_by_its_serial_number() -> None:
         assert lab.arm.identity().firmware == "6.2.5 (library 5.2.0)"
 
 
-@pytest.mark.parametrize(("serial", "told"), [(None, "serial"), ("C", "C")])
-def test_another_arm_than_the_one_meant_is_not_taken(serial: str | None, told: str) -> None:
+@pytest.mark.parametrize(("serial", "reported"), [(None, "serial"), ("C", "C")])
+def test_another_arm_than_the_one_meant_is_not_taken(serial: str | None, reported: str) -> None:
     lab = Simulated(JacoConfig(serial=serial), serials=("A", "B"))
-    with pytest.raises(NotConnected, match=told):
+    with pytest.raises(NotConnected, match=reported):
         lab.arm.open(own_thread=False)
 
 
@@ -366,7 +366,7 @@ def test_what_fails_at_closing_keeps_nothing_else_from_being_done(lab: Simulated
     ]
 
 
-def test_a_moving_arm_that_cannot_be_told_to_stop_is_told_to_the_user(lab: Simulated) -> None:
+def test_a_moving_arm_that_cannot_be_reported_to_stop_is_reported_to_the_user(lab: Simulated) -> None:
     lab.arm.set_velocity(TURN, valid_for_s=10.0)
     lab.run(0.1)
     lab.double.unplug()
@@ -494,9 +494,9 @@ def test_however_a_program_ends_it_erases_before_it_closes(ending: str) -> None:
         if "Ctrl-C" in ending:
             time.sleep(0.1)
             process.send_signal(signal.SIGINT)
-        told = process.stdout.read()
+        reported = process.stdout.read()
     last_calls = ["EraseAllTrajectories", "StopForceControl", "StopControlAPI", "CloseAPI"]
-    assert told.splitlines()[0].split() == ["0", *last_calls], told
+    assert reported.splitlines()[0].split() == ["0", *last_calls], reported
 
 
 # The cycle ------------------------------------------------------------------------------------------------------------
@@ -880,27 +880,27 @@ def test_a_halt_holds_against_a_sender_that_goes_on() -> None:
 def test_a_halt_ends_a_move_to_a_target() -> None:
     double = JacoDouble()
     with Jaco(PATIENT, double) as arm:
-        told: list[BaseException] = []
+        reported: list[BaseException] = []
 
         def mover() -> None:
             try:
                 arm.move_to(JointTarget(tuple(J2N6S300.home_deg + 40.0)))
             except MotionStopped as error:
-                told.append(error)
+                reported.append(error)
 
         thread = threading.Thread(target=mover)
         thread.start()
         wait_until(lambda: double.joints_deg[0] > J2N6S300.home_deg[0] + 1.0)
         arm.halt("the force was too high")
         thread.join(5.0)
-        assert "force" in str(told[0])
+        assert "force" in str(reported[0])
         stopped = double.joints_deg
         time.sleep(0.05)
         np.testing.assert_array_equal(double.joints_deg, stopped)
         assert double.fifo_count == 0
 
 
-def test_stop_that_does_not_reach_the_arm_is_told(lab: Simulated) -> None:
+def test_stop_that_does_not_reach_the_arm_is_reported(lab: Simulated) -> None:
     lab.arm.set_velocity(TURN, valid_for_s=5.0)
     lab.double.unplug()
     with pytest.raises(LinkLost):
@@ -1005,23 +1005,23 @@ def test_a_link_lost_while_it_moves_comes_back_with_the_arm_stopped() -> None:
         wait_until(lambda: double.joints_deg[0] > stopped[0] + 0.2)
 
 
-def test_a_link_lost_on_the_way_to_a_target_is_told_at_once() -> None:
+def test_a_link_lost_on_the_way_to_a_target_is_reported_at_once() -> None:
     double = JacoDouble()
     with Jaco(PATIENT, double, reconnect=QUICK) as arm:
-        told: list[BaseException] = []
+        reported: list[BaseException] = []
 
         def mover() -> None:
             try:
                 arm.move_to(JointTarget(tuple(J2N6S300.home_deg + 40.0)), timeout_s=60.0)
             except MotionStopped as error:
-                told.append(error)
+                reported.append(error)
 
         thread = threading.Thread(target=mover)
         thread.start()
         wait_until(lambda: double.joints_deg[0] > J2N6S300.home_deg[0] + 1.0)
         double.unplug()
         thread.join(10.0)
-        assert "lost" in str(told[0])
+        assert "lost" in str(reported[0])
         assert double.fifo_count == 1  # the arm itself goes on: nothing can be erased without a cable
         double.plug()
         wait_until(lambda: arm.link is Link.CONNECTED)
@@ -1070,7 +1070,7 @@ def test_boxes_and_addresses_are_checked() -> None:
         EthernetAddresses(robot_ip="192.168.100.300")
 
 
-def test_the_fifo_is_told_in_the_state() -> None:
+def test_the_fifo_is_reported_in_the_state() -> None:
     lab = Simulated()
     with lab.arm.open(own_thread=False):
         lab.arm.set_velocity(TURN, valid_for_s=1.0)

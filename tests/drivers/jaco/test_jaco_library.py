@@ -185,12 +185,12 @@ def test_nothing_is_loaded_before_it_is_needed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("built", "asked"), [("usb", "ethernet"), ("ethernet", "usb")])
-def test_the_wrong_prefix_is_told(built: Connection, asked: Connection) -> None:
+def test_the_wrong_prefix_is_reported(built: Connection, asked: Connection) -> None:
     with pytest.raises(errors.SymbolMissing, match="usb or ethernet"):
         api_version(Library(build(built), asked))
 
 
-def test_a_function_that_this_library_lacks_is_told_when_it_is_called() -> None:
+def test_a_function_that_this_library_lacks_is_reported_when_it_is_called() -> None:
     library = Library(build("usb"))
     assert api_version(library) == (5, 2, 0)
     with pytest.raises(errors.SymbolMissing, match="InitEthernetAPI"):

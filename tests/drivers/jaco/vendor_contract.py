@@ -178,7 +178,7 @@ class VendorContract:
         turned = Rotation.from_matrix(pose(started)[:3, :3] @ before[:3, :3].T).as_rotvec()
         np.testing.assert_allclose(turned, (0.1, -0.2, 0.3), atol=0.4 * CYCLE_S)
 
-    def test_the_rates_are_told_while_it_moves(self, started: VendorBench) -> None:
+    def test_the_rates_are_reported_while_it_moves(self, started: VendorBench) -> None:
         stream(started, CartesianVelocity((0.03, 0.0, -0.02)), seconds=0.2)
         cartesian, angular = CartesianRates(), AngularRates()
         call(started.functions, "GetCommandVelocity", cartesian, angular)
@@ -292,7 +292,7 @@ class VendorContract:
         with pytest.raises(errors.InvalidParameter):
             call(started.functions, "SendBasicTrajectory", point)
 
-    def test_the_pose_told_is_that_of_the_joints(self, started: VendorBench) -> None:
+    def test_the_pose_reported_is_that_of_the_joints(self, started: VendorBench) -> None:
         stream(started, JointVelocity((15.0, -9.0, 11.0, 20.0, -25.0, 30.0, 7.0)[: started.chain.joint_count]), 1.0)
         np.testing.assert_allclose(pose(started), started.chain.end_effector(joints(started)), atol=1e-5)
 
@@ -367,8 +367,8 @@ class VendorContract:
         count = started.chain.joint_count
         torque_nm = started.chain.jacobian(joints(started)).T @ push
 
-        told = read(started.functions, "GetCartesianForce", CartesianPosition)
-        np.testing.assert_allclose(cartesian_values(told.Coordinates), push, atol=1e-5)
+        reported = read(started.functions, "GetCartesianForce", CartesianPosition)
+        np.testing.assert_allclose(cartesian_values(reported.Coordinates), push, atol=1e-5)
         free = read(started.functions, "GetAngularForceGravityFree", AngularPosition)
         np.testing.assert_allclose(actuator_values(free.Actuators, count), torque_nm, atol=1e-4)
         both = read(started.functions, "GetForcesInfo", ForcesInfo)
@@ -386,7 +386,7 @@ class VendorContract:
             call(started.functions, name, AngularInfo(*more), AngularInfo(*most))
             np.testing.assert_array_equal(started.last_pair(7)[:, :count], [more[:count], most[:count]])
 
-    def test_force_control_is_switched_and_told(self, started: VendorBench) -> None:
+    def test_force_control_is_switched_and_reported(self, started: VendorBench) -> None:
         assert read(started.functions, "GetQuickStatus", QuickStatus).ForceControlStatus == 1
         call(started.functions, "StartForceControl")
         assert read(started.functions, "GetQuickStatus", QuickStatus).ForceControlStatus == 0
@@ -437,8 +437,8 @@ def rates_deg_s(bench: VendorBench) -> FloatArray:
 
 
 def pose(bench: VendorBench) -> FloatArray:
-    told = read(bench.functions, "GetCartesianPosition", CartesianPosition).Coordinates
-    x, y, z, *theta = cartesian_values(told)
+    reported = read(bench.functions, "GetCartesianPosition", CartesianPosition).Coordinates
+    x, y, z, *theta = cartesian_values(reported)
     return kinematics.transform(Rotation.from_euler("XYZ", theta).as_matrix(), (x, y, z))
 
 

@@ -1,4 +1,4 @@
-"""The process that reads a camera starts quickly, and tells what it finds."""
+"""The process that reads a camera starts quickly, and reports what it finds."""
 
 from __future__ import annotations
 
@@ -29,6 +29,6 @@ def test_cameras_are_listed_in_json() -> None:
     shown = subprocess.run(
         process_command("list"), env=process_environment(), capture_output=True, timeout=PATIENCE_S, check=True
     )
-    told = json.loads(shown.stdout)
+    reported = json.loads(shown.stdout)
 
-    assert isinstance(told, list) or "libopenni2-0" in told["error"]
+    assert isinstance(reported, list) or "libopenni2-0" in reported["error"]

@@ -38,7 +38,7 @@ def test_the_step_is_learned_and_loss_counted_in_readings(step: int) -> None:
     assert track.follow((last + 5 * step) % 65536, now_ns + 4 * step * MS).verdict is CounterStep.NEXT
 
 
-def test_loss_while_the_step_is_learned_is_told_when_it_is() -> None:
+def test_loss_while_the_step_is_learned_is_reported_when_it_is() -> None:
     track = CounterTrack(MS)
     gaps = follow(track, [5, 6, 7, 9, 10, 13, 14, 15, 16])
 

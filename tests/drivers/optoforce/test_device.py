@@ -333,7 +333,7 @@ def test_on_a_bad_wire_every_whole_reading_comes_and_the_rest_is_counted(seed: i
     assert all(abs(one.counts[0][0]) < 200 for one in measured if not one.doubts)
 
 
-def test_overload_and_a_missing_sensor_are_told() -> None:
+def test_overload_and_a_missing_sensor_are_reported() -> None:
     force = [0.0]
     simulation = Simulation(Sensors(scene=lambda _: (0, 0, force[0])))
     with simulation as device:
@@ -538,8 +538,8 @@ def test_a_kilohertz_over_a_pty_loses_nothing(seconds: int, capsys) -> None:
         health = device.health()
     late_us = [(stamp.host_ns - double.left_ns[stamp.device_ticks]) / 1e3 for stamp in taken]
     with capsys.disabled():
-        told = ", ".join(f"{share:g} % {np.percentile(late_us, share):.0f} us" for share in (50, 90, 99, 99.9, 100))
-        print(f"\n{seconds} s at 1 kHz: {len(taken)} readings, lost {health.lost}; latency {told}; CPU {cpu:.1%}")
+        reported = ", ".join(f"{share:g} % {np.percentile(late_us, share):.0f} us" for share in (50, 90, 99, 99.9, 100))
+        print(f"\n{seconds} s at 1 kHz: {len(taken)} readings, lost {health.lost}; latency {reported}; CPU {cpu:.1%}")
     assert (health.lost, health.dropped, health.skipped_bytes) == (0, 0, 0)
     assert len(taken) == pytest.approx(1000 * seconds, rel=0.1)  # a double that is kept from running sends later
 

@@ -34,7 +34,7 @@ def heard(double: OptoforceDouble, until_ns: int) -> list:
     return list(Decoder().feed(double.due(until_ns)))
 
 
-def told(double: OptoforceDouble, now_ns: int, speed: int, filter_: int = 0, zero: int = 0) -> None:
+def configured(double: OptoforceDouble, now_ns: int, speed: int, filter_: int = 0, zero: int = 0) -> None:
     double.receive(encode(Configure(speed, filter_, zero)), now_ns)
 
 
@@ -53,7 +53,7 @@ def test_it_starts_at_its_defaults() -> None:
 @pytest.mark.parametrize(("speed", "rate"), [(1, 1000), (3, 333), (10, 100), (33, 30), (100, 10), (0, 0)])
 def test_it_sends_at_its_speed(speed: int, rate: int) -> None:
     double = OptoforceDouble()
-    told(double, 0, speed)
+    configured(double, 0, speed)
 
     assert len(readings(heard(double, SECOND))) == rate
     assert (double.next_ns(SECOND) is None) == (speed == 0)
@@ -73,7 +73,7 @@ def test_bytes_of_a_known_load() -> None:
 def test_its_pace_has_no_drift_and_its_clock_has_what_it_is_given() -> None:
     for ppm, count in [(0, 3_600_000), (100, 3_600_360), (-100, 3_599_640)]:
         double = OptoforceDouble(Sensors(clock_ppm=ppm))
-        told(double, 0, 100)
+        configured(double, 0, 100)
         double.due(0)
         double._next_sent = 3_599_000  # an hour is passed over
         times = []
@@ -86,12 +86,12 @@ def test_its_pace_has_no_drift_and_its_clock_has_what_it_is_given() -> None:
 
 def test_the_counter_wraps_and_may_count_samples() -> None:
     double = OptoforceDouble()
-    told(double, 0, 1)
+    configured(double, 0, 1)
     double._sent = 65534
     assert [reading.counter for reading in readings(heard(double, 4 * MS))] == [65534, 65535, 0, 1]
 
     double = OptoforceDouble(Sensors(counts_samples=True))
-    told(double, 0, 33)
+    configured(double, 0, 33)
     assert [reading.counter for reading in readings(heard(double, 100 * MS))] == [33, 66, 99]
 
 
@@ -99,7 +99,7 @@ def test_the_counter_wraps_and_may_count_samples() -> None:
 def test_its_filter_answers_a_step_as_a_first_order_one(cutoff: Filter) -> None:
     sensors = Sensors(scene=lambda time_s: (0, 0, 40.0 if time_s > 0.9995 else 0.0), noise_counts=0, offset_counts=0)
     double = OptoforceDouble(sensors)
-    told(double, 0, 1, cutoff)
+    configured(double, 0, 1, cutoff)
     fz = np.array([reading.counts[0][2] for reading in readings(heard(double, 2 * SECOND))])
     time_constant_s = 1 / (2 * math.pi * cutoff.cutoff_hz)
 
@@ -112,7 +112,7 @@ def test_its_filter_quietens_noise_and_no_filter_does_not() -> None:
     spread = []
     for filter_ in (Filter.NONE, Filter.HZ_15):
         double = OptoforceDouble(Sensors(noise_counts=20.0))
-        told(double, 0, 1, filter_)
+        configured(double, 0, 1, filter_)
         spread.append(np.std([reading.counts[0] for reading in readings(heard(double, 5 * SECOND))[100:]]))
 
     assert spread[0] == pytest.approx(20.0, rel=0.05)
@@ -122,42 +122,42 @@ def test_its_filter_quietens_noise_and_no_filter_does_not() -> None:
 
 def test_it_is_zeroed_only_some_time_after_it_was_cleared() -> None:
     double = OptoforceDouble(Sensors(scene=load(10.0), noise_counts=0.0))
-    told(double, 0, 1)
+    configured(double, 0, 1)
     assert readings(heard(double, 5 * MS))[-1].counts == ((4129, 4129, 4129),)
 
-    told(double, 5 * MS, 1, zero=Zero.SET)
+    configured(double, 5 * MS, 1, zero=Zero.SET)
     assert readings(heard(double, 6 * MS))[-1].counts == ((0, 0, 0),)
 
-    told(double, 10 * MS, 1, zero=Zero.CLEAR)
+    configured(double, 10 * MS, 1, zero=Zero.CLEAR)
     assert not double.zeroed
-    told(double, 11 * MS, 1, zero=Zero.SET)  # too early
+    configured(double, 11 * MS, 1, zero=Zero.SET)  # too early
     assert not double.zeroed
     assert readings(heard(double, 12 * MS))[-1].counts == ((4129, 4129, 4129),)
-    told(double, 12 * MS, 1, zero=Zero.SET)
+    configured(double, 12 * MS, 1, zero=Zero.SET)
     assert double.zeroed
 
 
 def test_zeroing_twice_in_a_row_does_not_work() -> None:
     force = [10.0]
     double = OptoforceDouble(Sensors(scene=lambda _: [force[0]] * 3, noise_counts=0.0))
-    told(double, 0, 1)
-    told(double, 5 * MS, 1, zero=Zero.SET)
+    configured(double, 0, 1)
+    configured(double, 5 * MS, 1, zero=Zero.SET)
     force[0] = 20.0
-    told(double, 1000 * MS, 1, zero=Zero.SET)
+    configured(double, 1000 * MS, 1, zero=Zero.SET)
 
     assert readings(heard(double, 1005 * MS))[-1].counts == ((4010, 4010, 4010),)  # 8018.5 + 120 - 4129, to even
 
 
 def test_it_acknowledges_or_not_and_refuses_settings_that_it_does_not_have() -> None:
     double = OptoforceDouble(QUIET)
-    told(double, 0, 7)
-    told(double, 0, 0, 9)
-    told(double, 0, 0, 4, 1)
-    told(double, 0, 0)
+    configured(double, 0, 7)
+    configured(double, 0, 0, 9)
+    configured(double, 0, 0, 4, 1)
+    configured(double, 0, 0)
     assert heard(double, 0) == [ConfigReply(1)] * 3 + [ConfigReply(0)]
 
     double = OptoforceDouble(Sensors(acknowledges=False))
-    told(double, 0, 0)
+    configured(double, 0, 0)
     assert heard(double, 0) == []
     assert double.speed is Speed.STOP
 
@@ -172,10 +172,10 @@ def test_commands_in_pieces_padded_and_among_junk() -> None:
     assert (double.speed, double.filter) == (Speed.HZ_1000, Filter.HZ_150)
 
 
-def test_overload_is_told_and_the_signal_ends() -> None:
+def test_overload_is_reported_and_the_signal_ends() -> None:
     force = [0.0]
     double = OptoforceDouble(Sensors(scene=lambda _: (0.0, 0.0, force[0]), noise_counts=0, offset_counts=0))
-    told(double, 0, 1)
+    configured(double, 0, 1)
     expected = [(39.0, 15636, 0), (49.0, 19645, 0x0080), (-49.0, -19645, 0x0080), (400.0, 28867, 0x0080)]
     for at, (newtons, counts, status) in enumerate(expected, start=1):
         force[0] = newtons
@@ -188,7 +188,7 @@ def test_overload_is_told_and_the_signal_ends() -> None:
 def test_every_kind_has_its_packet_and_its_scale(kind: Kind) -> None:
     report = Sensitivity((1000.0, 2000.0, 4000.0, 100.0, 200.0, 400.0)[: kind.axes], (10.0,) * kind.axes)
     double = OptoforceDouble(Sensors(kind, load(2.0, kind), report, noise_counts=0, offset_counts=0))
-    told(double, 0, 1)
+    configured(double, 0, 1)
     (reading,) = readings(heard(double, MS))
 
     assert reading.kind is kind
@@ -197,7 +197,7 @@ def test_every_kind_has_its_packet_and_its_scale(kind: Kind) -> None:
 
 def test_a_sensor_that_is_pulled_off_reads_nothing_and_says_so() -> None:
     double = OptoforceDouble(Sensors(Kind.FOUR_CHANNEL, load(2.0, Kind.FOUR_CHANNEL), noise_counts=0, offset_counts=0))
-    told(double, 0, 1)
+    configured(double, 0, 1)
     double.unplugged = {2}
     (reading,) = readings(heard(double, MS))
     assert [sum(channel) > 0 for channel in reading.counts] == [True, True, False, True]
@@ -210,7 +210,7 @@ def test_a_sensor_that_is_pulled_off_reads_nothing_and_says_so() -> None:
 
 def test_what_is_not_kept_is_gone_after_switching_off() -> None:
     double = OptoforceDouble(Sensors(scene=load(3.0), noise_counts=0.0))
-    told(double, 0, 1, zero=Zero.SET)
+    configured(double, 0, 1, zero=Zero.SET)
     double.due(500 * MS)
     double.power_up(SECOND)
 
@@ -222,7 +222,7 @@ def test_what_is_not_kept_is_gone_after_switching_off() -> None:
 
 def test_a_slow_line_delays_and_loses_nothing() -> None:
     double = OptoforceDouble(Sensors(bytes_per_s=11520.0))
-    told(double, 0, 10)
+    configured(double, 0, 10)
     events = heard(double, SECOND)
 
     assert isinstance(events[0], ConfigReply)
@@ -232,7 +232,7 @@ def test_a_slow_line_delays_and_loses_nothing() -> None:
 
 def test_a_serial_number_comes_among_readings() -> None:
     double = OptoforceDouble(Sensors(serial="ABC"))
-    told(double, 0, 1)
+    configured(double, 0, 1)
     double.receive(bytes.fromhex("ab 00 12 08 00 c5"), 3 * MS)
 
     assert SerialReply("ABC") in heard(double, 5 * MS)

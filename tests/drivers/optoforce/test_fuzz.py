@@ -43,7 +43,7 @@ def piece(luck: random.Random) -> tuple[bytes, int]:
 def test_nothing_escapes_and_the_way_is_always_found_back(total_bytes: int, capsys) -> None:
     luck = random.Random(total_bytes)
     decoder, seen, started = Decoder(), Counter[str](), time.process_time()
-    decoding_s, fed, told, good, heard = 0.0, 0, 0, 0, 0
+    decoding_s, fed, counted, good, heard = 0.0, 0, 0, 0, 0
     recorded = set(Decoder().feed(STREAM))
     memory_kib = 0
     while fed < total_bytes:
@@ -62,7 +62,7 @@ def test_nothing_escapes_and_the_way_is_always_found_back(total_bytes: int, caps
         assert next(event for event in reversed(events) if isinstance(event, Reading)) in recorded
         for event in events:
             seen[event.reason if isinstance(event, Skipped) else type(event).__name__] += 1
-            told += event.count if isinstance(event, Skipped) else len(encode(event))
+            counted += event.count if isinstance(event, Skipped) else len(encode(event))
             heard += isinstance(event, Reading) and event in recorded
         memory_kib = memory_kib or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     grown_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - memory_kib
@@ -74,6 +74,6 @@ def test_nothing_escapes_and_the_way_is_always_found_back(total_bytes: int, caps
             f"{dict(seen)}; good readings {good}, of which {swallowed} were taken for the rest of a torn packet "
             f"whose sum was right by chance; memory grew by {grown_kib} KiB"
         )
-    assert told + decoder.pending == fed
+    assert counted + decoder.pending == fed
     assert 0 <= swallowed < 2e-3 * good  # the sum of a torn packet is right once in about a thousand
     assert grown_kib < 8192

@@ -166,8 +166,8 @@ def test_every_bit_of_the_status_word() -> None:
     assert Status.of(DaqState.ERROR, SensorState.FAILURE, ("fz", "tz"), True, 4) == 0x289C
     for word in range(0, 0x10000, 7):
         status = Status(word)
-        told = (status.daq, status.sensor, status.overload, status.several_sensors, status.sensor_number)
-        assert Status.of(*told) == word
+        reported = (status.daq, status.sensor, status.overload, status.several_sensors, status.sensor_number)
+        assert Status.of(*reported) == word
 
 
 def test_settings_by_their_numbers() -> None:
@@ -274,8 +274,8 @@ def test_anything_may_be_fed_and_what_is_behind_comes_out(pieces: list[bytes], p
     events += decoder.feed(b"".join(tail))
 
     assert [event for event in events[before:] if event == FROM_DAQ[1][1]][-2:] == [FROM_DAQ[1][1]] * 2
-    told = sum(event.count if isinstance(event, Skipped) else len(encode(event)) for event in events)
-    assert told + decoder.pending == len(stream) + 16 * len(tail)
+    counted = sum(event.count if isinstance(event, Skipped) else len(encode(event)) for event in events)
+    assert counted + decoder.pending == len(stream) + 16 * len(tail)
 
 
 COUNTS = st.integers(-32768, 32767)

@@ -16,7 +16,7 @@ def measurement(kind: Kind, counts, per_count=None, offset=None) -> ForceMeasure
 
 @pytest.mark.parametrize(
     ("report", "counts", "force_n"),
-    [  # the sensors of which public drivers tell the report
+    [  # the sensors whose reports public drivers contain
         (Sensitivity((16037.0,) * 3, (40.0,) * 3), (401, -401, 8019), (1.000, -1.000, 20.001)),
         (Sensitivity((4000.0,) * 3, (10.0,) * 3), (400, 0, -4000), (1.0, 0.0, -10.0)),
         (Sensitivity((7925.0, 8641.0, 6049.0), (300.0, 300.0, 2000.0)), (7925, -8641, 6049), (300, -300, 2000)),

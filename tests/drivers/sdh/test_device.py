@@ -263,7 +263,7 @@ def test_a_ramp_and_speeds_by_axis(lab: Make) -> None:
 
 def test_some_axes_move_and_the_others_stay(lab: Make) -> None:
     double = SdhDouble()
-    double.place((0.0, 90.3, 0.0, -5.0, 0.0, 0.0, 0.0))  # angles are told up to half a degree beyond the range
+    double.place((0.0, 90.3, 0.0, -5.0, 0.0, 0.0, 0.0))  # angles are reported up to half a degree beyond the range
     made = lab(double)
     result = made.hand.move({2: 15.0, 6: -15.0})
 
@@ -271,7 +271,7 @@ def test_some_axes_move_and_the_others_stay(lab: Make) -> None:
     assert made.position_deg() == pytest.approx((0, 90.0, 15, -5, 0, 0, -15))
 
 
-def test_a_blocked_axis_is_told(lab: Make) -> None:
+def test_a_blocked_axis_is_reported(lab: Make) -> None:
     made = lab()
     made.double.obstruct(1, low_deg=-8.0)
     made.double.obstruct(2, high_deg=12.0)
@@ -365,7 +365,7 @@ def test_grips(lab: Make) -> None:
     assert made.hand.grip(0.0, 50.0).blocked == (3,)
 
 
-def test_a_grip_is_not_stopped_and_that_is_told(lab: Make) -> None:
+def test_a_grip_is_not_stopped_and_that_is_reported(lab: Make) -> None:
     made = lab()
     made.hand.select_grip(Grasp.PARALLEL)
     made.hand.grip(0.0, 50.0, wait=False)  # 75 deg: 3 s
@@ -633,7 +633,7 @@ def test_readings_over_a_bad_line_are_right_or_asked_again(lab: Make) -> None:
 
 
 def test_a_lost_link_ends_the_wait_and_the_motion() -> None:
-    """On a bus the hand goes on while the link is away; when it is back the hand is told to stop."""
+    """On a bus the hand goes on while the link is away; when it is back the hand is stopped."""
     double = SdhDouble(Port.CAN)
     ended: list[BaseException | None] = []
     with CanWire(double, "virtual:sdh-lost", receive_id=43, send_id=42), Sdh(config(bus="virtual:sdh-lost")) as hand:

@@ -1,4 +1,4 @@
-"""What is told of cameras that are plugged in, from a folder laid out as the kernel's /sys."""
+"""What is reported of cameras that are plugged in, from a folder laid out as the kernel's /sys."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def machine(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_cameras_are_told_by_their_stable_names(machine: Path) -> None:
+def test_cameras_are_reported_by_their_stable_names(machine: Path) -> None:
     link = machine / "dev/v4l/by-id/usb-046d_HD_Pro_Webcam_C920_9D5B0A6F-video-index0"
     name, note = "HD Pro Webcam C920", f"{machine}/dev/video0, usb 046d:082d"
 

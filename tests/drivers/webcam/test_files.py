@@ -138,7 +138,7 @@ def test_a_picture_that_cannot_be_read_is_counted(tmp_path: Path) -> None:
         assert device.health().refused == {"unreadable": 2}
 
 
-def test_what_is_no_video_is_told(tmp_path: Path, folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_what_is_no_video_is_reported(tmp_path: Path, folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     damaged = tmp_path / "video.avi"
     damaged.write_bytes(b"no video")
     empty = tmp_path / "empty"

@@ -1,4 +1,4 @@
-"""A webcam on a fake capture: settings read back, faults told. OpenCV's own V4L2 needs a camera (marker hardware)."""
+"""A webcam on a fake capture: settings read back, faults reported. OpenCV's V4L2 needs a camera (marker hardware)."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def test_a_format_has_four_letters(camera: FakeCamera) -> None:
         webcam(camera, dataclasses.replace(SMALL, fourcc="MJPEG")).open()
 
 
-def test_a_frozen_picture_is_told(camera: FakeCamera) -> None:
+def test_a_frozen_picture_is_reported(camera: FakeCamera) -> None:
     with webcam(camera, dataclasses.replace(SMALL, stuck_after_s=0.05)) as device:
         device.next(5.0)
         assert not device.health().stuck
@@ -211,13 +211,13 @@ def test_a_port_is_a_number_or_a_path(port: str | int, path: str) -> None:
     assert WebcamConfig(port=port).path == path
 
 
-def test_a_camera_that_is_not_there_is_told(tmp_path: Path) -> None:
+def test_a_camera_that_is_not_there_is_reported(tmp_path: Path) -> None:
     with pytest.raises(NotConnected, match=r"expected a camera that is there; got none .*deformscope devices"):
         Webcam(WebcamConfig(port=str(tmp_path / "video9"))).open()
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may open anything")
-def test_a_camera_that_may_not_be_opened_is_told(tmp_path: Path) -> None:
+def test_a_camera_that_may_not_be_opened_is_reported(tmp_path: Path) -> None:
     node = tmp_path / "video0"
     node.touch(mode=0o000)
     with pytest.raises(NotConnected, match=r"permission denied \| try: sudo usermod -aG video"):

@@ -105,7 +105,7 @@ def test_unseen_particles_do_not_count() -> None:
     assert np.isfinite(found.estimate.aee)
 
 
-def test_a_pose_that_is_not_held_is_told() -> None:
+def test_a_pose_that_is_not_held_is_reported() -> None:
     body = pushed((5, 6), np.random.default_rng(22))
     one = dataclasses.replace(observation(body, body.rest + 1e-3), held=np.array([0]))
     assert not one.pose_held
@@ -195,7 +195,7 @@ def test_motions_that_fit_every_value_tell_nothing(what: str) -> None:
 
 
 def test_residuals_decide_about_the_stated_noise_where_they_can() -> None:
-    """Of many particles the residuals tell the noise, whatever was stated; residuals that are no noise do not."""
+    """Of many particles the residuals show the noise, whatever was stated; residuals that are no noise do not."""
     body = pushed((8, 9), np.random.default_rng(20))
     clean = truth(body, 3, 0.6)
     noise = np.random.default_rng(3).normal(0, 1.0, clean.shape)
@@ -205,8 +205,8 @@ def test_residuals_decide_about_the_stated_noise_where_they_can() -> None:
             seen = observation(body, clean + real * noise, noise=np.full(len(clean), stated), held_measured=True)
             low, high = calibrate([seen], FitOptions(Model(), BETA_BOUNDS, candidates=40)).estimate.interval
             widths[real, stated] = high - low
-    told = [widths[2e-4, stated] for stated in (1e-4, 2e-4, 8e-4)]
-    assert max(told) < 1.25 * min(told)
+    reported = [widths[2e-4, stated] for stated in (1e-4, 2e-4, 8e-4)]
+    assert max(reported) < 1.25 * min(reported)
     assert widths[0.0, 8e-4] > 2.0 * widths[0.0, 2e-4] > 3.0 * widths[0.0, 1e-4]
 
 

@@ -58,7 +58,7 @@ def test_ranks_and_quantiles_are_inverse() -> None:
 
 
 @pytest.mark.parametrize(
-    ("ends", "told", "expected"),
+    ("ends", "reported", "expected"),
     [
         ((0.4, 0.5), Identifiability(9.0, 0.9, 0.03, 0.0), "identified"),
         ((0.4, 0.5), Identifiability(1.0, 0.9, 0.03, 0.0), "unidentified"),
@@ -67,8 +67,10 @@ def test_ranks_and_quantiles_are_inverse() -> None:
         ((0.0, 0.1), Identifiability(9.0, 0.9, 0.03, 0.0), "at-bound"),
     ],
 )
-def test_a_verdict_needs_data_that_tell(ends: tuple[float, float], told: Identifiability, expected: Verdict) -> None:
-    assert verdict(ends, (0.0, 0.99), told) == expected
+def test_a_verdict_needs_data_that_tell(
+    ends: tuple[float, float], reported: Identifiability, expected: Verdict
+) -> None:
+    assert verdict(ends, (0.0, 0.99), reported) == expected
 
 
 def test_a_quantity_without_bounds_needs_data_that_tell_too() -> None:
@@ -96,7 +98,7 @@ def test_little_that_is_explained_comes_with_a_warning() -> None:
     ],
 )
 def test_verdicts_in_words(ends: tuple[float, float], kind: Verdict, words: str) -> None:
-    told = Identifiability(9.0, 0.9, 0.03, 1e-5)
+    reported = Identifiability(9.0, 0.9, 0.03, 1e-5)
     one = Estimate(
         parameter="beta",
         value=ends[0],
@@ -113,7 +115,7 @@ def test_verdicts_in_words(ends: tuple[float, float], kind: Verdict, words: str)
         converged=True,
         settings={},
         posterior=gaussian(0.5, 0.1),
-        identifiability=told,
+        identifiability=reported,
     )
     assert one.verdict_text() == words
     shown = one.as_json()

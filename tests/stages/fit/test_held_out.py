@@ -45,7 +45,7 @@ def test_held_out_error_is_that_of_particles_left_out() -> None:
     assert np.isfinite(few.block).sum() == 1
 
 
-def test_ways_are_told_apart_beyond_their_scatter_only() -> None:
+def test_ways_are_reported_apart_beyond_their_scatter_only() -> None:
     rng = np.random.default_rng(2)
     base = rng.uniform(1.0, 2.0, 12)
 

@@ -1,4 +1,4 @@
-"""beta and theta together: known pairs are found, and what cannot be told apart is told so."""
+"""beta and theta together: known pairs are found, and what cannot be separated is reported so."""
 
 from __future__ import annotations
 

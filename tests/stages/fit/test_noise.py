@@ -1,4 +1,4 @@
-"""The error model: its likelihood is that of the covariance written out, and residuals tell which errors they hold."""
+"""The error model: its likelihood is that of the covariance written out, and residuals identify their errors."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ def test_noise_that_neighbours_share_is_recognised(field: int) -> None:
     assert share(model, value, np.zeros((64, 2, 0)), model.hypotheses.size > 0.0) > 0.99
 
 
-def test_held_noise_is_told_from_exact_held_positions() -> None:
+def test_held_noise_is_reported_from_exact_held_positions() -> None:
     """Noise of held positions moves all particles together: the residuals say whether it was there."""
     rng = np.random.default_rng(7)
     act = np.zeros((64, 2, 4))

@@ -1,4 +1,4 @@
-"""Frames of one motion: they count by what they tell anew, and the interval holds the truth however noise is shared."""
+"""Frames of one motion: they count by what is new, and the interval holds the truth however noise is shared."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ def evenly(rho: float, most: float | None = None) -> Shared:
 
 
 def test_independent_frames_count_in_full_and_shared_ones_as_the_best_of_them() -> None:
-    told, rows = np.array([1.0, 2.0, 3.0]), np.arange(3)
-    np.testing.assert_allclose(weights(told, rows, evenly(0.0)), 1.0)
-    np.testing.assert_allclose(weights(told, rows, FULLY), [0.0, 0.0, 1.0])
+    reported, rows = np.array([1.0, 2.0, 3.0]), np.arange(3)
+    np.testing.assert_allclose(weights(reported, rows, evenly(0.0)), 1.0)
+    np.testing.assert_allclose(weights(reported, rows, FULLY), [0.0, 0.0, 1.0])
 
 
 def test_of_a_drift_the_last_frame_counts_most() -> None:
@@ -56,16 +56,18 @@ def test_of_a_drift_the_last_frame_counts_most() -> None:
 def test_curvature_is_the_variance_of_the_score(far: float, near: float) -> None:
     """What makes a composite likelihood's interval right: sum w a^2 = (w a)' C (w a)."""
     rng = np.random.default_rng(1)
-    told, rows = rng.uniform(0.5, 3.0, 7), np.arange(7)
+    reported, rows = rng.uniform(0.5, 3.0, 7), np.arange(7)
     for more in (0.0, 0.2):
         shared = Shared(0.5, 0.5 + more, far, near)
-        score = weights(told, rows, shared) * told
+        score = weights(reported, rows, shared) * reported
         assert score.min() >= 0.0
-        assert score @ told == pytest.approx(score @ shared.bound(rows) @ score, rel=1e-9)
+        assert score @ reported == pytest.approx(score @ shared.bound(rows) @ score, rel=1e-9)
         for _ in range(200):  # no other weights do better
             other = rng.uniform(0.0, 1.0, 7)
             c = shared.matrix(rows)
-            assert (other @ told) ** 2 / (other @ c @ other) <= (score @ told) ** 2 / (score @ c @ score) * (1 + 1e-9)
+            assert (other @ reported) ** 2 / (other @ c @ other) <= (score @ reported) ** 2 / (score @ c @ score) * (
+                1 + 1e-9
+            )
 
 
 def test_frames_that_tell_nothing_are_left_out_unless_all_do() -> None:
@@ -83,7 +85,7 @@ def test_the_shared_part_is_found_from_scores(rho: float) -> None:
     assert found.near < 0.2 or rho > 0.9
 
 
-def test_a_drift_is_told_from_what_all_frames_share() -> None:
+def test_a_drift_is_reported_from_what_all_frames_share() -> None:
     rng = np.random.default_rng(8)
     found = shared_part(np.cumsum(rng.standard_normal((6, 400)), axis=0), rng)
     assert found.near > 0.4

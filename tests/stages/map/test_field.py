@@ -1,4 +1,4 @@
-"""Fields from a few touches: an exact process, sure of no more than its touches tell."""
+"""Fields from a few touches: an exact process, sure of no more than its touches allow."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ def halves(column: int) -> np.ndarray:
     return np.repeat((np.arange(10) >= column)[None], 4, axis=0).astype(int)
 
 
-def told(labels: np.ndarray, level: tuple[float, ...] = (0.0, 1.0)) -> RegionMap:
+def reported(labels: np.ndarray, level: tuple[float, ...] = (0.0, 1.0)) -> RegionMap:
     """A map that is sure of itself: intervals of +-0.1."""
     count = len(level)
     levels = np.array(level)
@@ -60,7 +60,7 @@ def test_boundaries_are_as_far_apart_as_they_are() -> None:
 
 
 def test_a_perfect_map_scores_so() -> None:
-    score = score_map(told(halves(7)), truth(halves(7)))
+    score = score_map(reported(halves(7)), truth(halves(7)))
 
     assert (score.iou, score.least_iou, score.boundary_m, score.levels_covered) == (1.0, 1.0, 0.0, 1.0)
     assert (score.field_rms, score.field_covered) == (0.0, 1.0)
@@ -69,9 +69,9 @@ def test_a_perfect_map_scores_so() -> None:
     assert score.rigid_found is None
 
 
-def test_what_is_off_is_told_apart() -> None:
+def test_what_is_off_is_reported_apart() -> None:
     # the right half of the truth is smaller, and its level 0.3 off
-    score = score_map(told(halves(6)), truth(halves(7), (0.0, 1.3)))
+    score = score_map(reported(halves(6)), truth(halves(7), (0.0, 1.3)))
 
     assert score.least_iou == pytest.approx(3 / 4)
     assert score.boundary_m == pytest.approx(0.01)
@@ -81,11 +81,11 @@ def test_what_is_off_is_told_apart() -> None:
 
 
 def test_levels_in_the_wrong_order_are_found_out() -> None:
-    assert not score_map(told(halves(5)), truth(halves(5), (1.0, 0.0))).ordered
+    assert not score_map(reported(halves(5)), truth(halves(5), (1.0, 0.0))).ordered
 
 
 def test_a_wrong_number_of_regions_is_not_right_and_tells_no_levels() -> None:
-    score = score_map(told(np.zeros((4, 10), dtype=int), (0.0,)), truth(halves(7)))
+    score = score_map(reported(np.zeros((4, 10), dtype=int), (0.0,)), truth(halves(7)))
 
     assert not score.right
     assert score.levels_covered is None
@@ -94,7 +94,7 @@ def test_a_wrong_number_of_regions_is_not_right_and_tells_no_levels() -> None:
 
 def test_rigid_is_found_by_its_flag_and_left_out_of_field_and_levels() -> None:
     known = truth(halves(7), (0.0, 5.0), rigid=(1,))
-    bound = told(halves(7), (0.0, 3.0))
+    bound = reported(halves(7), (0.0, 3.0))
 
     assert score_map(bound, known).rigid_found is False
     flagged = score_map(replace(bound, rigid=np.array([False, True])), known)
@@ -105,7 +105,7 @@ def test_rigid_is_found_by_its_flag_and_left_out_of_field_and_levels() -> None:
 
 def test_a_gradual_verdict_calls_no_regions() -> None:
     gradual = replace(
-        told(halves(5)),
+        reported(halves(5)),
         verdict="gradual",
         region_count=0,
         labels=np.full((4, 10), -1),
@@ -123,4 +123,4 @@ def test_a_gradual_verdict_calls_no_regions() -> None:
     assert score.region_count == 0
     assert score.iou is None
     assert score.field_rms == pytest.approx(0.05)
-    assert not score_map(told(halves(5)), smooth).right
+    assert not score_map(reported(halves(5)), smooth).right

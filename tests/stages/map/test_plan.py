@@ -119,7 +119,7 @@ def test_information_is_that_of_two_hypotheses_in_closed_form() -> None:
     np.testing.assert_allclose(found, expected, atol=0.02)  # bins lose a little
     assert expected.max() > 0.3
 
-    # where both maps say the same nothing is told; where they differ the right labels are, by about as much as is told
+    # where both maps agree nothing is gained; where they differ the right labels are, by about as much as is learned
     gain = label_gain(hypotheses, places, places, 0.012, 0.2)
     assert gain[expected < 1e-6].max(initial=0.0) < 0.01
     assert gain[np.argmax(expected)] > 0.8 * gain.max() > 0.0

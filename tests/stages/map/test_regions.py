@@ -168,9 +168,9 @@ def test_levels_come_with_the_scale_of_the_touches() -> None:
 
 def test_before_any_touch_every_hypothesis_has_its_prior() -> None:
     prior = RegionPrior()
-    told = RegionPosterior.before_touches(GRID, prior).probability
+    reported = RegionPosterior.before_touches(GRID, prior).probability
     assert RegionPosterior.before_touches(GRID, prior, particle_count=300).region_map().region_count == 1
-    assert told == pytest.approx({"1": prior.one, "2": prior.two, "3": prior.three, "gradual": prior.gradual})
+    assert reported == pytest.approx({"1": prior.one, "2": prior.two, "3": prior.three, "gradual": prior.gradual})
 
 
 def test_what_makes_no_sense_is_refused() -> None:

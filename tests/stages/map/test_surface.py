@@ -193,7 +193,7 @@ def test_constant_few_and_repeated_points_still_make_a_surface() -> None:
     assert fit_surface(on_a_line).at(np.array([[0.25, 0.0]])).mean[0] == pytest.approx(0.005, abs=1e-4)
 
 
-def test_a_length_at_its_bound_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_length_at_its_bound_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(marginal_likelihood, "MOST_SINES", 300)  # a small basis has its shortest length sooner
     rng = np.random.default_rng(8)
     places = rng.uniform(size=(1000, 2)) * SIZE

@@ -97,10 +97,10 @@ def test_on_linear_foam_beta_is_at_its_bound_for_soft_and_firm_alike() -> None:
         foam = slab.Slab((0.2, 0.2, THICKNESS), young, 0.3)
         dent = slab.press(foam, (0.1, 0.1), slab.RigidTip(radius=RADIUS), surface, force=3.0)
         after = seen(np.random.default_rng(2), places, dent.displaced[:, 2], 1e-4)
-        told = fit_touch(before, after, touch(dent.depth), thickness_m=THICKNESS).estimate
-        assert told.verdict == "at-bound"
-        assert told.interval[0] == 0.0
-        assert told.value < 0.2
+        reported = fit_touch(before, after, touch(dent.depth), thickness_m=THICKNESS).estimate
+        assert reported.verdict == "at-bound"
+        assert reported.interval[0] == 0.0
+        assert reported.value < 0.2
 
 
 def test_the_foams_edge_ends_the_lattice(level: HeightProcess) -> None:

@@ -105,7 +105,7 @@ def test_what_tells_nothing_is_not_identified() -> None:
 
 
 def test_an_isotropic_body_that_is_no_such_model_claims_nothing() -> None:
-    """A cube of finite elements (nu 0.25), pressed between plates: it has no betas, and sideways nothing tells any."""
+    """A cube of finite elements (nu 0.25), pressed between plates: it has no betas, and sideways none is identified."""
     axis = np.linspace(0.0, 0.1, 5)
     box = ElasticBox(axis, axis, axis, young=1e5, poisson=0.25)
     bottom, top = box.plane(2, 0.0), box.plane(2, 0.1)
@@ -131,10 +131,10 @@ def test_an_isotropic_body_that_is_no_such_model_claims_nothing() -> None:
 
 
 def test_the_public_form_lists_the_axes() -> None:
-    told = fit_axes([_observed((5, 5), np.array([0.3, 0.8]), None, 0.01, 5)], Model()).as_json()
-    axes = told["axes"]
+    reported = fit_axes([_observed((5, 5), np.array([0.3, 0.8]), None, 0.01, 5)], Model()).as_json()
+    axes = reported["axes"]
     assert isinstance(axes, list)
-    assert 0.9 < float(str(told["explained"])) <= 1.0
+    assert 0.9 < float(str(reported["explained"])) <= 1.0
     assert [each["axis"] for each in axes] == [[1.0, 0.0], [0.0, 1.0]]
     assert set(axes[0]) == {"axis", "value", "interval", "verdict"}
 

@@ -109,7 +109,7 @@ def test_creep_is_found_where_time_is_known() -> None:
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_where_nothing_yielded_only_a_lower_end_is_told(seed: int) -> None:
+def test_where_nothing_yielded_only_a_lower_end_is_reported(seed: int) -> None:
     found = fit_yield(pressed((6, 4), 5.0, seed=seed), YieldOptions(beta=BETA))
     assert found.verdict == "unidentified"
     low, high = found.yield_strain.interval
@@ -136,13 +136,13 @@ def test_particles_that_were_not_seen_do_not_count() -> None:
 
 
 def test_the_public_form() -> None:
-    told = fit_yield(pressed((6, 4), 5.0, frames=4), YieldOptions(beta=BETA)).as_json()
-    interval = told["interval"]
+    reported = fit_yield(pressed((6, 4), 5.0, frames=4), YieldOptions(beta=BETA)).as_json()
+    interval = reported["interval"]
     assert isinstance(interval, list)
     assert interval[1] is None
-    assert told["verdict"] == "unidentified"
-    assert told["beta"] == {"value": BETA, "interval": [BETA, BETA], "given": True}
-    assert told["creep_per_s"] is None
+    assert reported["verdict"] == "unidentified"
+    assert reported["beta"] == {"value": BETA, "interval": [BETA, BETA], "given": True}
+    assert reported["creep_per_s"] is None
 
 
 def _broken(**change: object) -> Motion:

@@ -189,7 +189,7 @@ def test_a_turned_body_with_turned_axes_has_a_turned_state(device: str, shape: t
 
 
 def test_a_sheet_in_space_takes_the_betas_of_its_plane(device: str) -> None:
-    """A flat body tells nothing of the third axis, and is what a body of the plane is."""
+    """A flat body has no information on the third axis, and is what a body of the plane is."""
     rng = np.random.default_rng(8)
     rest = lattice((5, 6))
     grouped = clusters.lattice(rest, (5, 6), np.arange(len(rest)), 3)

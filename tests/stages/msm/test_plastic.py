@@ -191,7 +191,7 @@ def test_a_stretched_bar_yields_by_what_is_above_its_yield_strain(device: str) -
     found = engine.load(held, 0.0, settled=1e-9)
     assert found.strain[0, 0] == pytest.approx(0.1, abs=1e-9)
     s = 1.1 / 1.06
-    # the middle row is free: it gives way to the plastic shape, and the fit across with it
+    # the middle row is free: it follows the plastic shape, and the fit across with it
     a = found.position[0]
     q, p = rest - rest.mean(axis=0), a - a.mean(axis=0)
     fit = (p.T @ q) @ np.linalg.inv(q.T @ q)

@@ -136,7 +136,7 @@ def test_a_poke_beside_the_body_and_a_force_without_a_stiffness_are_refused(scen
         press(scene, LAW, Poke(AT, Tip("flat", (0.02,)), force=1.0))
 
 
-def test_in_the_plane_a_tip_comes_from_the_side_it_is_told() -> None:
+def test_in_the_plane_a_tip_comes_from_the_side_it_is_reported() -> None:
     x, y = np.meshgrid(np.arange(9) * 0.01, np.arange(6) * 0.01, indexing="ij")
     rest = np.column_stack([x.ravel(), y.ravel()])
     grouped = clusters.lattice(rest, (9, 6), np.arange(54), 3)

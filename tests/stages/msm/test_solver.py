@@ -196,7 +196,7 @@ def test_a_free_body_follows_where_it_is_put(device: str) -> None:
 
 @pytest.mark.parametrize("basis", ["linear", "quadratic"])
 def test_sheets_that_are_not_quite_flat_agree_with_the_reference(device: str, basis: Basis) -> None:
-    """Their pseudo-inverse drops a direction that is there: what it cannot tell must turn with the cluster."""
+    """Their pseudo-inverse drops a direction that is there: what it leaves undetermined must turn with the cluster."""
     rng = np.random.default_rng(10)
     rest = np.column_stack([lattice((5, 5)), rng.normal(0, 4e-5, 25)])
     grouped = clusters.lattice(rest, (5, 5, 1), np.arange(25), 3)

@@ -41,7 +41,7 @@ def approach(
     time = np.arange(0.0, way[-1] / 0.01, 0.01)
     force = np.interp(0.01 * time, way, fine, left=0.0)
     out = NORMAL / np.linalg.norm(NORMAL)
-    side = np.array([0.02, -0.03, 0.01])  # tangential motion tells nothing
+    side = np.array([0.02, -0.03, 0.01])  # tangential motion adds nothing
     along = 0.01 * time - position_sd_m * rng.standard_normal(len(time))
     position = np.array([0.4, 0.1, 0.3]) - along[:, None] * out + np.cross(out, side) * time[:, None]
     noise = force_sd_n * rng.standard_normal((len(time), 3))
@@ -106,8 +106,8 @@ def test_the_arm_s_own_compliance_is_calibrated_on_a_rigid_block_and_taken_off()
     arm = calibrate_compliance(*slow)
     assert abs(arm.compliance_m_per_n - true) < 4.0 * arm.compliance_sd
 
-    told = ArmCompliance(true, 1e-5)
-    soft = [fit_approach(*approach(seed, 0.004, arm_m_per_n=true), arm=told) for seed in range(30)]
+    reported = ArmCompliance(true, 1e-5)
+    soft = [fit_approach(*approach(seed, 0.004, arm_m_per_n=true), arm=reported) for seed in range(30)]
     bare = [fit_approach(*approach(seed, 0.004, arm_m_per_n=true)) for seed in range(30)]
     assert np.mean([fit.depth_m for fit in soft]) == pytest.approx(0.004, rel=0.01)
     assert np.mean([fit.depth_m for fit in bare]) > 1.1 * 0.004  # without it the arm's share is taken for a dent
@@ -123,7 +123,7 @@ def test_a_rigid_place_is_stiffer_than_a_bound() -> None:
         assert fit.stiffness_n_per_mm == pytest.approx(1e-3 * fit.at_force_n / (3.0 * arm.depth_sd_m(fit.at_force_n)))
 
 
-def test_a_soft_place_that_ends_before_the_set_force_is_told_at_the_force_reached() -> None:
+def test_a_soft_place_that_ends_before_the_set_force_is_reported_at_the_force_reached() -> None:
     fit = fit_approach(*approach(7, 0.015, peak_n=2.0))
     assert fit.at_force_n == pytest.approx(2.0, abs=0.06)
     assert fit.depth_m == pytest.approx(0.015 * (fit.at_force_n / 3.0) ** (2.0 / 3.0), rel=0.02)

@@ -68,7 +68,7 @@ def test_a_surface_with_a_notch_has_no_material_there_only_where_its_hull_ends()
     assert len(layers.cell) == 4 * len(place) < np.prod(layers.shape)
 
 
-def test_values_between_columns_are_bilinear_and_beyond_them_are_told() -> None:
+def test_values_between_columns_are_bilinear_and_beyond_them_are_reported() -> None:
     layers = below(MeasuredSurface(surface_points(), 0.03), spacing=0.01)
     rng = np.random.default_rng(1)
     place = rng.uniform([0.0, 0.0], [0.2, 0.12], (50, 2))

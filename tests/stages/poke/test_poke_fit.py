@@ -29,11 +29,11 @@ def test_a_poke_is_read_from_what_was_touched() -> None:
     assert len(poke.touched) == 9
 
 
-def test_a_tip_that_sticks_is_seen_to_stick_and_a_tip_that_is_told_is_believed() -> None:
+def test_a_tip_that_sticks_is_seen_to_stick_and_a_tip_that_is_reported_is_believed() -> None:
     sticking = poked((0.09, 0.08), slips=False)
     assert not seen_poke(sticking).tip.slips
-    told = dataclasses.replace(sticking, tip=Tip("disc", (0.025,)))
-    assert seen_poke(told).tip == Tip("disc", (0.025,), slips=False)
+    reported = dataclasses.replace(sticking, tip=Tip("disc", (0.025,)))
+    assert seen_poke(reported).tip == Tip("disc", (0.025,), slips=False)
 
 
 def test_a_known_law_and_stiffness_come_back() -> None:
@@ -45,7 +45,7 @@ def test_a_known_law_and_stiffness_come_back() -> None:
     assert found.best.converged
 
 
-def test_the_true_cluster_size_is_chosen_and_theta_stays_where_it_is_told() -> None:
+def test_the_true_cluster_size_is_chosen_and_theta_stays_where_it_is_reported() -> None:
     found = fit(poked((0.09, 0.08), law=Law(0.45, 0.7, 4)), poked((0.06, 0.09), law=Law(0.45, 0.7, 4), side=0.04))
     assert found.best.law.cluster_size == 4
     assert np.isfinite(found.best.held_out).all()
@@ -58,12 +58,12 @@ def test_each_poke_has_its_stiffness_and_the_field_is_judged_by_pokes_left_out()
     at = [(0.05, 0.05), (0.06, 0.11), (0.13, 0.06), (0.12, 0.12), (0.04, 0.08), (0.14, 0.09)]
     seen = [poked(one, stiffness=40.0 if one[0] < 0.09 else 90.0) for one in at]
     found = fit(*seen, cluster_sizes=[3])
-    told = conclude(found, level=0.9, settings={}, provenance={})
-    np.testing.assert_allclose(told.model.stiffness, [40.0, 40.0, 90.0, 90.0, 40.0, 90.0], rtol=0.02)
-    assert told.model.field_kind == "materials"
-    assert told.model.stiffness_at(np.array([0.15, 0.05, 0.03]), SPACING) == pytest.approx(90.0, rel=0.02)
-    assert [row.stiffness_n_per_m for row in told.rows()] == pytest.approx(told.model.stiffness.tolist())
-    assert np.abs(told.model.left_out).max() < 0.05
+    reported = conclude(found, level=0.9, settings={}, provenance={})
+    np.testing.assert_allclose(reported.model.stiffness, [40.0, 40.0, 90.0, 90.0, 40.0, 90.0], rtol=0.02)
+    assert reported.model.field_kind == "materials"
+    assert reported.model.stiffness_at(np.array([0.15, 0.05, 0.03]), SPACING) == pytest.approx(90.0, rel=0.02)
+    assert [row.stiffness_n_per_m for row in reported.rows()] == pytest.approx(reported.model.stiffness.tolist())
+    assert np.abs(reported.model.left_out).max() < 0.05
 
 
 def test_the_interval_holds_the_truth_under_noise_and_shrinks_with_it() -> None:
@@ -71,22 +71,22 @@ def test_the_interval_holds_the_truth_under_noise_and_shrinks_with_it() -> None:
     for noise in (2e-5, 1e-4):
         seen = poked((0.09, 0.08), noise=noise, seed=3)
         found = fit(seen, cluster_sizes=[3])
-        told = conclude(found, level=0.9, settings={}, provenance={}).estimate
-        low, high = told.interval
+        reported = conclude(found, level=0.9, settings={}, provenance={}).estimate
+        low, high = reported.interval
         assert low <= LAW.beta <= high
-        assert low <= told.value <= high
-        assert told.stiffness is not None
-        assert told.stiffness[1][0] <= STIFFNESS <= told.stiffness[1][1]
+        assert low <= reported.value <= high
+        assert reported.stiffness is not None
+        assert reported.stiffness[1][0] <= STIFFNESS <= reported.stiffness[1][1]
         widths.append(high - low)
     assert widths[0] < widths[1]
 
 
 def test_without_a_force_there_is_no_stiffness() -> None:
     found = fit(poked((0.09, 0.08), stiffness=None), cluster_sizes=[3])
-    told = conclude(found, level=0.9, settings={}, provenance={})
-    assert told.estimate.stiffness is None
-    assert told.estimate.stiffness_verdict == "unidentified"
-    assert told.model.stiffness.size == 0
+    reported = conclude(found, level=0.9, settings={}, provenance={})
+    assert reported.estimate.stiffness is None
+    assert reported.estimate.stiffness_verdict == "unidentified"
+    assert reported.model.stiffness.size == 0
 
 
 def test_what_is_no_poke_of_a_surface_is_refused() -> None:
