@@ -1,4 +1,5 @@
-"""`deformscope replay` of a rig's recording: its bytes decoded again, and compared with its frames."""
+"""`deformscope replay` of a rig's recording: its bytes decoded again and compared with its frames, and what stages
+found beside them computed again."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def replay_rig(recording: Replay, settings: dict[str, Any], config: ReplayConfig) -> None:
-    """Raises `Different` where a frame is not what its bytes give."""
+    """Raises `Different` where a frame is not what its bytes give, or a stage's result not what its frames give."""
     from deformscope.pictures.words import failed_words
     from deformscope.recording.items import ITEMS, read_rows, read_streams
     from deformscope.rig.decoded import compare_with_bytes
@@ -31,21 +32,23 @@ def replay_rig(recording: Replay, settings: dict[str, Any], config: ReplayConfig
         result += f"; DIFFERENT: {one.difference}" if one.difference else ", identical" if one.compared else ""
         rows.append((one.device, result + (f"; not compared: {one.left_out}" if one.left_out else "")))
     stages = _replay_stages(config) if "stages" in settings else None
+    wrong = {} if stages is None else {name: share for name, share in stages.different.items() if share > 0.0}
     if stages is not None:
         rows += [(f"stage {name}", _in_words(share)) for name, share in stages.different.items()]
         rows += [("failed when recorded", failed_words(one)) for one in stages.failures]
     show_table(f"replay of {config.recording}", rows)
-    told: dict[str, object] = {"devices": [dataclasses.asdict(one) for one in found], "identical": not different}
+    report: dict[str, object] = {"devices": [dataclasses.asdict(one) for one in found]}
+    report["identical"] = not (different or wrong)
     if stages is not None:
-        told["stages"] = dataclasses.asdict(stages)
-    write_json(told, config.output.json)
+        report["stages"] = dataclasses.asdict(stages)
+    write_json(report, config.output.json)
     if different:
         more = f" (and of {len(different) - 1} more devices)" if len(different) > 1 else ""
         raise Different("frames as their bytes give them", different[0].difference + more, where=config.recording)
+    if wrong:
+        came = ", ".join(f"{name} that differs by {share:.2g}" for name, share in wrong.items())
+        raise Different("the recorded results of every stage, to the last bit", came, where=config.recording)
     if stages is not None:
-        if wrong := {name: share for name, share in stages.different.items() if share > 0.0}:
-            came = ", ".join(f"{name} that differs by {share:.2g}" for name, share in wrong.items())
-            raise Different("the recorded results of every stage, to the last bit", came, where=config.recording)
         say(f"replay: {stages.results} results of stages computed again, identical to the recorded ones")
     say(f"replay: {sum(one.compared for one in found)} frames decoded again, identical to the recorded ones")
 

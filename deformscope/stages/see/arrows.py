@@ -65,7 +65,7 @@ def region_of(image: Image, roi: Rect | None = None, longest_px: int = 160) -> R
         left, top = max(round(roi.x), 0), max(round(roi.y), 0)
         right, bottom = min(round(roi.x + roi.width), width), min(round(roi.y + roi.height), height)
     if min(right - left, bottom - top) < SMALLEST_PX:
-        came = "the whole image" if roi is None else roi.told()
+        came = "the whole image" if roi is None else roi.described()
         raise InputError(f"a region of {SMALLEST_PX} px or more in the image of {width} x {height} px", came)
     cut = image[top:bottom, left:right]
     scale = max(max(cut.shape[:2]) / longest_px, 1.0)
