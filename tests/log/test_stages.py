@@ -147,8 +147,10 @@ def test_the_table_keeps_the_newest_of_every_stage(tmp_path: Path) -> None:
     written(tmp_path / "one.rrd", given[:4], latest=latest)
     rows = written(tmp_path / "two.rrd", given[4:], latest=latest)
 
-    (text,) = rows["/display/stage/summary"][0]["TextDocument:text"]
+    (first,), (text,) = (rows["/display/stage/summary"][at]["TextDocument:text"] for at in (0, -1))
     assert text == summary(list(latest.values()))
+    assert "| tactile | **0.0068 N** on 0.068 cm2, 1 of 2 pads | pads 8 |" in first
+    assert "| flow | median motion 3.2 px, largest 3.2 px | camera 0 |" in first
     assert "| beta | unidentified: why; 14 of 15 particles seen | camera 4 | 2 | **200 ms** |" in text
     assert "| flow | **FAILED**: too dark | camera 14 | 7 | **700 ms** |" in text
     assert "| surface | median height 50 mm, deviation 1 mm, 5 points | depth 6 | 3 | **300 ms** |" in text

@@ -21,7 +21,7 @@ from deformscope.log.rig.columns import Batch, log_series, moments, scalars
 from deformscope.log.stages.over_image import log_flow_arrows, log_moments
 from deformscope.log.stages.pads import log_pads, log_pads_stream
 from deformscope.log.stages.recorded import log_recorded
-from deformscope.log.stages.views import PLOTS, stage_blueprint
+from deformscope.log.stages.views import PLOTS, WORDS, stage_blueprint
 from deformscope.log.stages.words import summary
 from deformscope.pictures.exploration import force_png, height_png
 from deformscope.pictures.palette import JOINTS
@@ -75,13 +75,23 @@ def prepare_stage_results(
             _log_pictures(batch, "surface", drawn, [height_png(one.result) for one in drawn], start_ns)
         elif kind is TouchEstimate:
             _log_pictures(batch, "contact", drawn, [force_png(one.result, "Approach") for one in drawn], start_ns)
-    if results:
-        latest = {} if latest is None else latest
-        latest |= {one.stage: one for one in results}
-        newest = max(results, key=lambda one: one.host_ns)
-        columns = rr.TextDocument.columns(text=[summary(list(latest.values()))], media_type=["text/markdown"])
-        batch.send_columns("display/stage/summary", moments([newest.host_ns], start_ns), columns)
+    _log_tables(batch, results, start_ns, {} if latest is None else latest, newest_alone=newest_pictures)
     return batch
+
+
+def _log_tables(
+    batch: Batch, results: Sequence[StageResult], start_ns: int, latest: dict[str, StageResult], *, newest_alone: bool
+) -> None:
+    """What was known with every result."""
+    ordered = sorted(results, key=lambda one: one.host_ns)
+    tables = []
+    for one in ordered:
+        latest[one.stage] = one
+        tables.append(summary(list(latest.values())))
+    kept = slice(-1, None) if newest_alone else slice(None)
+    if tables:
+        columns = rr.TextDocument.columns(text=tables[kept], media_type=["text/markdown"] * len(tables[kept]))
+        batch.send_columns(WORDS, moments([one.host_ns for one in ordered[kept]], start_ns), columns)
 
 
 def _log_pictures(
