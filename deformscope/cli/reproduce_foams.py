@@ -21,7 +21,7 @@ from deformscope.config import FoamsConfig
 if TYPE_CHECKING:
     from deformscope.frames import ColorFrame
     from deformscope.lab.foam import Foam
-    from deformscope.studies.foams import Control, FoamFit, FoamResult, Setup, Trend
+    from deformscope.studies.foams import Control, FoamFit, FoamResult, FoamSetup, Trend
 
 
 COLUMNS = (
@@ -38,11 +38,11 @@ def run(config: FoamsConfig) -> None:
     from threadpoolctl import threadpool_limits
 
     from deformscope.studies import foams_figures as figures
-    from deformscope.studies.foams import HELD, SOURCES, Setup, controls, measure, trend
+    from deformscope.studies.foams import HELD, SOURCES, FoamSetup, controls, measure, trend
 
-    setup = Setup()
+    setup = FoamSetup()
     if config.quick:
-        setup = Setup(foams=(setup.foams[0], setup.foams[-1]), images=4, element_m=0.007)
+        setup = FoamSetup(foams=(setup.foams[0], setup.foams[-1]), images=4, element_m=0.007)
     with fit_progress() as progress, threadpool_limits(1):  # small matrices: more threads cost time
         results = [
             measure(foam, setup, config.seed, progress, _keeper(config.out, foam) if config.keep_images else None)
@@ -131,7 +131,7 @@ def _signed(value: float | None) -> str:
 
 
 def as_json(
-    setup: Setup, results: Sequence[FoamResult], trends: Sequence[Trend], tried: Sequence[Control]
+    setup: FoamSetup, results: Sequence[FoamResult], trends: Sequence[Trend], tried: Sequence[Control]
 ) -> dict[str, Any]:
     """All of it but the images."""
     return {

@@ -38,11 +38,15 @@ from deformscope_drivers.subscription import Subscription
 DENT_PICTURES = 10
 """Of a dent's pictures, at most the last so many are taken together."""
 PREFLIGHT_CELL_M = 0.02
+"""The outermost places that can be reached are sought on a grid of this."""
 LOOKS = 3
+"""Pictures of the surface that are taken together before any touch."""
 LOOK_PERIODS = 1000
+"""Control periods in which they come, or the camera is silent."""
 KEEP_EVERY = 50
 """Control periods of a simulated clock between two portions of the recording: each costs bytes and seconds."""
 IDLE_S = 0.02
+"""A robot that may not move yet looks so often whether there is a command."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

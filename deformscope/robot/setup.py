@@ -27,7 +27,9 @@ from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.jaco.kinematics import FloatArray, transform
 
 ROLES = ("jaco", "optoforce", "depth_camera")
+"""Drivers of the arm, of the force sensor at its end, and of the camera."""
 CAMERA_HZ = 30.0
+"""What depth cameras do (OpenNI2, RealSense), where the rig file asks for no other rate."""
 FEWEST_PERIODS = 1.5
 """Of a device's own period: a limit on its silence is at least so long, as a reading that comes late is no fault."""
 T_BASE_SURFACE: FloatArray = transform(np.eye(3), (-0.30, -0.55, 0.0))

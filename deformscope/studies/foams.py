@@ -48,7 +48,7 @@ VIEW = View(width=810, height=430, middle_px=405.0, top_px=50.0, px_per_m=100.0 
 
 
 @dataclass(frozen=True, slots=True)
-class Setup:
+class FoamSetup:
     """The push and what is seen of it.
 
     depth_m: of the
@@ -125,7 +125,7 @@ class FoamResult:
 
 def measure(
     foam: Foam,
-    setup: Setup,
+    setup: FoamSetup,
     seed: int = 0,
     progress: Progress | None = None,
     keep: Callable[[ColorFrame], None] | None = None,
@@ -166,7 +166,7 @@ def measure(
     )
 
 
-def _push(foam: Foam, setup: Setup, steps: int, progress: Progress | None) -> list[PressedBlock]:
+def _push(foam: Foam, setup: FoamSetup, steps: int, progress: Progress | None) -> list[PressedBlock]:
     depths = [setup.depth_m * (index + 1) / steps for index in range(steps)]
     note = None if progress is None else lambda done, all_: progress(f"{foam.name}: finite elements", done, all_)
     return press(foam.law(), setup.block, setup.clamp_m, depths, setup.element_m, note)
@@ -190,7 +190,7 @@ def _observation(
 def _fits(
     foam: Foam,
     seen: Sequence[tuple[Source, Held, Observation]],
-    setup: Setup,
+    setup: FoamSetup,
     seed: int,
     progress: Progress | None,
 ) -> Iterator[FoamFit]:
@@ -283,7 +283,7 @@ class Control:
     fits: tuple[FoamFit, ...]
 
 
-def controls(setup: Setup, seed: int = 0, progress: Progress | None = None) -> list[Control]:
+def controls(setup: FoamSetup, seed: int = 0, progress: Progress | None = None) -> list[Control]:
     """One property at a time, no camera: the same push, the true positions, fitted in every combination."""
     tried = [("nothing", BASE)]
     tried += [(name, dataclasses.replace(BASE, **{name: value})) for name, ends in CHANGES.items() for value in ends]

@@ -109,7 +109,7 @@ def test_a_rig_of_doubles_is_explored_on_the_hosts_clock(
 
 
 MOST_MS = 30.0
-"""Of the supervisor's gaps all but one in a thousand: half of what a fault of the force sensor may take to be noticed."""
+"""Of the supervisor's gaps all but one in a thousand: half the time in which a fault of the force is noticed."""
 
 
 @pytest.mark.slow

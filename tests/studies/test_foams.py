@@ -13,9 +13,9 @@ pytest.importorskip("cv2")
 
 from deformscope.lab.foam import FOAMS
 from deformscope.studies import foams
-from deformscope.studies.foams import FoamResult, Setup, controls, measure, rank_correlation, trend
+from deformscope.studies.foams import FoamResult, FoamSetup, controls, measure, rank_correlation, trend
 
-COARSE = Setup(foams=FOAMS[:1], depth_m=0.008, images=2, element_m=0.014, cluster_sizes=(2,))
+COARSE = FoamSetup(foams=FOAMS[:1], depth_m=0.008, images=2, element_m=0.014, cluster_sizes=(2,))
 
 
 @pytest.fixture(scope="module")
