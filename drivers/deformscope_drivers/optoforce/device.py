@@ -69,6 +69,15 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     transport, clock: in place of the configuration's port and the host's clock (a simulated laboratory)
     """
 
+    _settings: DaqSettings
+    _kind: Kind | None
+    _offset: FloatArray | None
+    _before: Reading | None
+    _unusable: int
+    _overloaded: int
+    _doubted: int
+    _zero_in_doubt: bool
+
     def __init__(
         self, config: OptoforceConfig, *, transport: Transport | None = None, clock: Clock = monotonic_ns
     ) -> None:
@@ -227,15 +236,15 @@ class Optoforce(StreamDevice[ForceMeasurement]):
 
     def _begin_session(self) -> None:
         self._settings = DaqSettings(speed_of(self.config.rate_hz), filter_of(self.config.filter_hz))
-        self._offset: FloatArray | None = None
+        self._offset = None
         self._acknowledges: bool | None = None
         self._serial = ""
-        self._kind: Kind | None = None
+        self._kind = None
         self._per_count: FloatArray | None = None
         self._nominal_counts: list[tuple[float, ...]] | None = None
         self._restart = ""
         self._zero_in_doubt = False
-        self._before: Reading | None = None
+        self._before = None
         self._before_ns = 0
         self._track = CounterTrack()
         self._unwrap: Unwrap | None = None
