@@ -187,9 +187,6 @@ def _stiffness(
     share = share * np.gradient(parameter) if len(parameter) > 1 else share
     share = np.append(share, 1e-9 + 1e-3 * share.sum())  # the estimate counts wherever it lies
     inside = np.append(inside, best)
-    parameter, other = fit.tried.parameter[inside], np.ones(len(inside))
-    beta, theta = (
-        (parameter, fit.model.theta * other) if fit.model.parameter == "beta" else (fit.model.beta * other, parameter)
-    )
+    beta, theta = fit.values(fit.tried.parameter[inside])
     positions = [p[inside] for p in fit.tried.positions]
     return stiffness_interval(fit.seen, fit.model, positions, beta, theta, share, inferred.explanations, level)

@@ -88,7 +88,7 @@ class MovingSearch(Search):
         progress: Callable[[int, int], None] | None,
     ) -> list[Relaxed]:
         body = self.bodies[0]
-        beta, theta = self._values(parameter)
+        beta, theta = self.values(parameter)
         held = np.stack([one.deformed[one.held] for one in self.every])
         moved, diverged = step_through(body, held, beta, theta, self.pace, self.model.volume, progress)
         none = np.zeros(len(parameter))
@@ -109,9 +109,3 @@ class MovingSearch(Search):
         still = super().relax(body, start[body.held], parameter, None, tolerance=tolerance)
         moved = super().relax(body, held_position, parameter, still.position[0], progress, tolerance)
         return dataclasses.replace(moved, position=moved.position - still.position + start)
-
-    def _values(self, parameter: FloatArray) -> tuple[FloatArray, FloatArray]:
-        other = np.ones(len(parameter))
-        if self.model.parameter == "beta":
-            return parameter, self.model.theta * other
-        return self.model.beta * other, parameter

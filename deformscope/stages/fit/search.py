@@ -121,11 +121,18 @@ class Search:
         tolerance: float | None = None,
     ) -> Relaxed:
         """Static states of one body for held positions (n, d) or (B, n, d) and parameters, one or (B,)."""
-        beta, theta = (parameter, self.model.theta) if self.model.parameter == "beta" else (self.model.beta, parameter)
+        beta, theta = self.values(parameter)
         volume = self.model.volume
         return body.relax(
             held_position, beta, theta, volume=volume, start=start, progress=progress, tolerance=tolerance
         )
+
+    def values(self, parameter: FloatArray | float) -> tuple[FloatArray, FloatArray]:
+        """beta and theta of these parameters."""
+        given, other = np.asarray(parameter, np.float64), np.ones(np.shape(parameter))
+        if self.model.parameter == "beta":
+            return given, self.model.theta * other
+        return self.model.beta * other, given
 
     def error(self) -> FloatArray:
         """AEE of every candidate tried over all observed particles of all observations, each with its weight; NaN where

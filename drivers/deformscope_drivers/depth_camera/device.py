@@ -185,25 +185,12 @@ class DepthCamera(Device[DepthImage]):
     # Within ----------------------------------------------------------------------------------------------------------
 
     def _start_process(self, uri: str) -> None:
-        config = self.config
-        settings = OpenniSettings(
-            uri,
-            config.width,
-            config.height,
-            config.fps,
-            config.unit_m,
-            config.color,
-            config.registered,
-            config.mirror,
-            config.speed,
-            config.loop,
-            config.library,
-        )
+        asked = {field.name: getattr(self.config, field.name, uri) for field in dataclasses.fields(OpenniSettings)}
         ours, theirs = socket.socketpair()
         with theirs:
             self._connection = Connection(ours.detach())
             self._process = subprocess.Popen(
-                process_command(str(theirs.fileno()), json.dumps(dataclasses.asdict(settings))),
+                process_command(str(theirs.fileno()), json.dumps(asked)),
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,

@@ -38,6 +38,7 @@ from deformscope_drivers.jaco.startup import CONFIGURATION_GAP_S, JacoIdentity, 
 from deformscope_drivers.jaco.state import JacoState
 from deformscope_drivers.jaco.structures import AngularInfo, CartesianInfo, TrajectoryPoint
 from deformscope_drivers.memory import SimulatedClock
+from deformscope_drivers.pacing import Pacer
 
 PERIOD_NS = 10_000_000
 FIFO_AHEAD = 2  # points that may wait in the arm before a slot is left out: its clock is not this computer's
@@ -81,7 +82,7 @@ class Jaco(Device[JacoState]):
         self._functions = functions if functions is not None else Library(self.config.library, self.config.connection)
         super().__init__(self._functions.where, reconnect=reconnect, clock=clock)
         self._arm: JacoIdentity | None = None
-        self._woken = threading.Event()
+        self._waiting = Pacer(clock)
         self._commanded = threading.Lock()
         self._streamed: _Streamed | None = None
         self._position_until_ns: int | None = None
@@ -157,7 +158,7 @@ class Jaco(Device[JacoState]):
             self._not_erased = not_erased
 
     def _wake(self) -> None:
-        self._woken.set()
+        self._waiting.wake()
 
     def _extra_health(self) -> dict[str, float]:
         median_ms, high_ms, greatest_ms = self._pacer.lateness_ms()
@@ -176,7 +177,7 @@ class Jaco(Device[JacoState]):
 
     def _receive(self, timeout_s: float) -> Iterable[JacoState]:
         """One slot: first the commands for the arm, then the queries that fit before the next slot."""
-        if not self._wait_for_slot(timeout_s):
+        if not self._waiting.wait_until(self._pacer.due_ns, timeout_s):
             return ()
         now_ns = self._clock()
         late_ns = self._pacer.enter(now_ns)
@@ -194,18 +195,6 @@ class Jaco(Device[JacoState]):
         self._state = state
         self._crowded = state.fifo_count > FIFO_AHEAD
         return (state,)
-
-    def _wait_for_slot(self, timeout_s: float) -> bool:
-        """Wait for the slot; False when the time runs out, or when there is a job to do first."""
-        now_ns = self._clock()
-        until_ns = min(self._pacer.due_ns, now_ns + round(timeout_s * 1e9))
-        if until_ns > now_ns:
-            if isinstance(self._clock, SimulatedClock):
-                self._clock.advance_to(until_ns)
-            else:
-                self._woken.wait((until_ns - now_ns) / 1e9)
-                self._woken.clear()
-        return self._clock() >= self._pacer.due_ns
 
     def _command(self, now_ns: int, late_ns: int) -> None:
         """Send the point of this slot, if there is one; end what must not go on."""

@@ -248,10 +248,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         self._before_ns = 0
         self._track = CounterTrack()
         self._unwrap: Unwrap | None = None
-        self._unacknowledged = 0
-        self._unusable = 0
-        self._overloaded = 0
-        self._doubted = 0
+        self._unacknowledged = self._unusable = self._overloaded = self._doubted = 0
 
     def _change(self, wanted: DaqSettings) -> None:
         """Send speed and filter, and see that readings come.
