@@ -26,7 +26,7 @@ def run(config: ArmConfig) -> None:
     from deformscope.session import watching
 
     quiet_warp()
-    options = ExploreOptions(budget=config.touches, beta_model="none", seed=config.seed)
+    options = ExploreOptions(budget=config.touches, beta_model="none", seed=config.output.seed)
     bench, options, _ = bench_of(config.rig, options, config.set_force, trusted=config.trust_rig)
     xy_m = np.array(config.at) if config.at is not None else 0.5 * np.array(bench.size_m)
     if not ((xy_m > 0.0) & (xy_m < bench.size_m)).all():
@@ -65,4 +65,4 @@ def run(config: ArmConfig) -> None:
     if found.compliance_sd > SURE_SD * found.compliance_m_per_n:
         rows.append(("note", "the touches differ: more of them, or is it not rigid, or not firmly held?"))
     show_table(f"{config.rig} at ({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm", rows)
-    write_json(found, config.json)
+    write_json(found, config.output.json)

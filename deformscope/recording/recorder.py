@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 
     from deformscope.log.blueprint import Layout
 
-    RecordingLayout = Layout | Literal["rig", "exploration"]
+    RecordingLayout = Layout | Literal["rig", "exploration", "findings"]
     from deformscope.log.canvas import Canvas
     from deformscope.log.live_stream import LiveStream
     from deformscope.log.rig import Place
@@ -72,6 +72,7 @@ APPLICATIONS: dict[RecordingLayout, str] = {
     "pair-3d": "deformscope-pair-3d",
     "rig": "deformscope-rig",
     "exploration": "deformscope-exploration",
+    "findings": "deformscope-findings",
 }
 """rerun's application of each layout: a viewer keeps one set of views an application, and these differ."""
 SUFFIX = ".rrd"
@@ -503,8 +504,8 @@ class Recorder:
         self._arranged = True
         from deformscope.log.blueprint import blueprint
 
-        if self._layout == "rig" or self._layout == "exploration":
-            raise ValueError("the views of a rig come when it starts")
+        if self._layout == "rig" or self._layout == "exploration" or self._layout == "findings":
+            raise ValueError("these views come with what they show")
         views = blueprint(self._layout, self._canvas)
         self._emit(lambda rec: rec.send_blueprint(views), 0)
 

@@ -1,4 +1,4 @@
-"""What a calibration says, outside a recording: the numbers as rows, one picture, and one HTML page."""
+"""What a calibration says, outside a recording: the numbers as rows, and one HTML page."""
 
 from __future__ import annotations
 
@@ -6,54 +6,40 @@ import datetime
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import PurePath
-from typing import TYPE_CHECKING
 
-from deformscope.cli.common import console, replacing
+from deformscope.api.result import Rows
+from deformscope.pictures.evidence import (
+    Result,
+    errors_png,
+    evidence_png,
+    headline,
+    particles_png,
+    verdict_color,
+    where_wrong,
+)
+from deformscope.pictures.findings import cell_text
+from deformscope.pictures.report import Code, Figure, Part, ReportVerdict, Section, Table, html_report
 from deformscope.plain import plain
-
-if TYPE_CHECKING:
-    from deformscope.config import SummaryOptions
-    from deformscope.pictures.evidence import Result
-    from deformscope.pictures.report import Part, Section, Table
-    from deformscope.stages.fit.estimate import Estimate
-    from deformscope.stages.poke.poke_estimate import PokesFound
-
-Rows = list[tuple[str, str]]
+from deformscope.recording import provenance
+from deformscope.stages.fit.estimate import Estimate, explained_text
+from deformscope.stages.poke.poke_estimate import PokesFound
 
 MOST_SHOWN = 24
 """Comparisons whose pictures go into a report."""
 
 
-def write_summaries(
-    files: SummaryOptions,
-    results: Sequence[Result],
-    *,
-    seed: int,
-    settings: Mapping[str, object],
-    pokes: PokesFound | None = None,
-) -> None:
-    """Write the picture and the report that were asked for. settings: of the command, beside those of the estimates"""
-    if files.picture is not None:
-        from deformscope.pictures.evidence import results_png
-
-        with replacing(files.picture) as file:
-            file.write(results_png(results))
-        console().print(f"picture: {files.picture}", markup=False, soft_wrap=True)
-    if files.report is not None:
-        from deformscope.pictures.report import html_report
-
-        sections = calibration_sections(results, seed=seed, settings=settings, pokes=pokes)
-        with replacing(files.report) as file:
-            file.write(html_report(_title(results), sections).encode())
-        console().print(f"report: {files.report}", markup=False, soft_wrap=True)
+def calibration_page(
+    results: Sequence[Result], *, seed: int, settings: Mapping[str, object], pokes: PokesFound | None = None
+) -> str:
+    """All that was found, with pictures, settings and provenance, as one HTML page. settings: of the command, beside
+    those of the estimates"""
+    return html_report(_title(results), calibration_sections(results, seed=seed, settings=settings, pokes=pokes))
 
 
 def calibration_sections(
     results: Sequence[Result], *, seed: int, settings: Mapping[str, object], pokes: PokesFound | None = None
 ) -> list[Section]:
     """The parts of a report on calibrations: verdicts first, then numbers, pictures, and how it was done."""
-    from deformscope.pictures.report import Section, Table
-
     several = len(results) > 1
     sections = [Section("", [part for one in results for part in _verdict(one, named=several)])]
     if several:
@@ -68,17 +54,16 @@ def calibration_sections(
     if missing := sum(len(one.comparisons) for one in results) - (MOST_SHOWN - left):
         sections.append(Section("Left out", [f"Pictures of {missing} more, which would make this page too large."]))
     if pokes is not None:
-        sections.append(Section("Pokes", [_pokes(pokes), _sizes(pokes)]))
-    fitted = [(name, _cell(value)) for name, value in results[0].estimate.settings.items() if value is not None]
+        sections.append(Section("Pokes", list(poke_tables(pokes))))
+    fitted = [
+        (name, cell_text(plain(value))) for name, value in results[0].estimate.settings.items() if value is not None
+    ]
     sections.append(Section("Settings", [Table(fitted, caption="Of the fit")]))
     return [*sections, *provenance_sections(seed=seed, settings=settings)]
 
 
 def provenance_sections(*, seed: int, settings: Mapping[str, object]) -> list[Section]:
     """What made a result, and how to make it again."""
-    from deformscope.pictures.report import Code, Section, Table
-    from deformscope.recording import provenance
-
     rows: list[tuple[str, str]] = [
         ("made", datetime.datetime.now().astimezone().isoformat(sep=" ", timespec="seconds"))
     ]
@@ -97,8 +82,6 @@ def provenance_sections(*, seed: int, settings: Mapping[str, object]) -> list[Se
 
 def estimate_rows(estimate: Estimate) -> Rows:
     """An estimate as names and values."""
-    from deformscope.stages.fit.estimate import explained_text
-
     low, high = estimate.interval
     rows = [
         (estimate.parameter, f"{estimate.value:.4g}"),
@@ -147,9 +130,6 @@ def _length(estimate: Estimate, value: object) -> str:
 
 
 def _verdict(result: Result, *, named: bool) -> list[Part]:
-    from deformscope.pictures.evidence import headline, verdict_color
-    from deformscope.pictures.report import ReportVerdict
-
     found = result.estimate
     name = f"{_name(result)}: " if named else ""
     words = (f"Stiffness: {found.stiffness_text()}.", *([] if named else [_explained(found)]))
@@ -169,8 +149,6 @@ def _explained(found: Estimate) -> str:
 
 
 def _overview(results: Sequence[Result]) -> Table:
-    from deformscope.pictures.report import Table
-
     rows = []
     for one in results:
         found = one.estimate
@@ -182,9 +160,6 @@ def _overview(results: Sequence[Result]) -> Table:
 
 
 def _evidence(result: Result) -> list[Part]:
-    from deformscope.pictures.evidence import evidence_png
-    from deformscope.pictures.report import Figure, Table
-
     found = result.estimate
     rows = estimate_rows(found)
     rows.insert(-1, ("error, nearest particle", _length(found, found.nearest)))
@@ -196,9 +171,6 @@ def _evidence(result: Result) -> list[Part]:
 
 
 def _pictures(result: Result, count: int) -> list[Part]:
-    from deformscope.pictures.evidence import errors_png, particles_png, where_wrong
-    from deformscope.pictures.report import Figure
-
     parts: list[Part] = []
     for index in range(count):
         name = f"{PurePath(result.names[index]).name}: " if result.names[index] else ""
@@ -211,9 +183,8 @@ def _pictures(result: Result, count: int) -> list[Part]:
     return parts
 
 
-def _pokes(found: PokesFound) -> Table:
-    from deformscope.pictures.report import Table
-
+def poke_tables(found: PokesFound) -> tuple[Table, Table]:
+    """Each poke, and the cluster sizes that were tried."""
     rows = []
     for one in found.rows():
         size = " x ".join(f"{1e3 * side:.3g}" for side in one.tip.size)
@@ -242,30 +213,19 @@ def _pokes(found: PokesFound) -> Table:
         ),
         *("surface error [of the depth]", "the same, left out of the fit", "force predicted from the others"),
     )
-    return Table(rows, names, f"Stiffness over the surface: {found.model.field_kind}. E* is of a half-space: apparent.")
-
-
-def _sizes(found: PokesFound) -> Table:
-    from deformscope.pictures.report import Table
-
-    rows = [
+    caption = f"Pokes: stiffness over the surface is {found.model.field_kind}; E* is of a half-space: apparent"
+    sizes = [
         (str(one["cluster_size"]), f"{one['error']:.1%}", f"{one['beta']:.3g}", f"{one['theta']:.3g}")
         for one in found.tried_json()
     ]
-    return Table(rows, ("particles a side", "error [of the depth]", "beta", "theta"), "Cluster sizes tried, best first")
+    return (
+        Table(rows, names, caption),
+        Table(sizes, ("particles a side", "error [of the depth]", "beta", "theta"), "Cluster sizes tried, best first"),
+    )
 
 
 def _number(value: float | None, form: str) -> str:
     return "–" if value is None else form.format(value)
-
-
-def _cell(value: object) -> str:
-    shown = plain(value)
-    if isinstance(shown, float):
-        return f"{shown:.6g}"
-    if isinstance(shown, bool):
-        return "yes" if shown else "no"
-    return ", ".join(str(item) for item in shown) if isinstance(shown, list) else str(shown)
 
 
 def _title(results: Sequence[Result]) -> str:
