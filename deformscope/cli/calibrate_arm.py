@@ -7,23 +7,29 @@ deformscope calibrate arm lab:homogeneous-rigid --json -
 from __future__ import annotations
 
 import contextlib
+from typing import TYPE_CHECKING
 
 from deformscope.cli.benches import bench_of
-from deformscope.cli.common import quiet_warp, say, show_table, status_line, write_json
+from deformscope.cli.common import quiet_warp, resolve_viewer, say, settings_of, show, status_line, write_json
 from deformscope.cli.exploring import Companion, leave, let_move
 from deformscope.cli.rigs import until_interrupted
 from deformscope.config import ArmConfig
 from deformscope.errors import InputError
+
+if TYPE_CHECKING:
+    from deformscope.experiments.arm_compliance import ArmGive
+    from deformscope.pictures.findings import Findings
 
 
 def run(config: ArmConfig) -> None:
     """Touch a rigid block some times, and tell the lines for the rig file."""
     import numpy as np
 
-    from deformscope.experiments.arm_compliance import SURE_SD, arm_give, touch_rigid
+    from deformscope.experiments.arm_compliance import arm_give, touch_rigid
     from deformscope.experiments.explore import ExplorationStopped, ExploreOptions
+    from deformscope.log.findings import RigFindings
     from deformscope.recording.recorder import Recorder
-    from deformscope.session import watching
+    from deformscope.session import Step, watching
 
     quiet_warp()
     options = ExploreOptions(budget=config.touches, beta_model="none", seed=config.output.seed)
@@ -33,12 +39,24 @@ def run(config: ArmConfig) -> None:
         width, height = bench.size_m
         came = f"{xy_m[0]:g},{xy_m[1]:g}"
         raise InputError(f"--at on the surface: between 0,0 and {width:g},{height:g} m", came)
-    stop, made = None, []
-    with until_interrupted() as asked, bench.source() as source, status_line() as show:
-        nothing = Recorder(None)
-        companion = Companion(None if bench.runs_itself else source, nothing, asked, show)
+    stop, made, output = None, [], config.output
+    with (
+        until_interrupted() as asked,
+        Recorder(
+            output.record,
+            resolve_viewer(output.viewer),
+            settings_of(config),
+            layout="rig",
+            overwrite=output.overwrite,
+            real_time=bench.runs_itself,
+        ) as recorder,
+        bench.source() as source,
+        status_line() as show_line,
+    ):
+        recorder.start_rig(source.streams, source.start_ns)
+        companion = Companion(None if bench.runs_itself else source, recorder, asked, show_line)
         with (
-            watching(source, nothing) if bench.runs_itself else contextlib.nullcontext(),  # what waits is taken away
+            watching(source, recorder) if bench.runs_itself else contextlib.nullcontext(),
             bench.robot(companion) as robot,
         ):
             companion.follow(robot)
@@ -49,13 +67,29 @@ def run(config: ArmConfig) -> None:
                     for one in touch_rigid(robot, options, xy_m, config.touches):
                         made.append(one)
                         give = 1e3 * one.found.compliance_m_per_n
-                        show("")
+                        show_line("")
                         say(f"touch {len(made)}: gives {give:.3f} mm/N, pressed with {one.peak_force_n:.2f} N")
             except ExplorationStopped as error:
                 stop = companion.stopped(error, robot)
+        recorder.write_items(source.take(0.0))
+        if stop is None:
+            found = arm_give(made)
+            shown = _findings(found, f"{config.rig} at ({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm")
+            recorder.write(Step((RigFindings(shown, tuple(source.streams)),)))
     if stop is not None:
-        leave(stop, len(made), asked.signal_number, None, arm_told=companion.arm_told)
-    found = arm_give(made)
+        leave(stop, len(made), asked.signal_number, recorder.summary().path, arm_told=companion.arm_told)
+    show(shown)
+    if recorder.summary().path is not None:
+        say(f"recording: {recorder.summary().path}")
+    write_json(found, output.json)
+
+
+def _findings(found: ArmGive, where: str) -> Findings:
+    from deformscope.experiments.arm_compliance import SURE_SD
+    from deformscope.pictures.findings import Findings
+    from deformscope.pictures.report import Figure, Table
+    from deformscope.studies.arm_figure import compliance_png
+
     rows = [
         ("compliance", f"{1e3 * found.compliance_m_per_n:.3f} mm/N, give or take {1e3 * found.compliance_sd:.3f}"),
         ("camera", f"sees the surface {1e3 * found.off_m:+.1f} mm from where the arm meets it"),
@@ -64,5 +98,5 @@ def run(config: ArmConfig) -> None:
     ]
     if found.compliance_sd > SURE_SD * found.compliance_m_per_n:
         rows.append(("note", "the touches differ: more of them, or is it not rigid, or not firmly held?"))
-    show_table(f"{config.rig} at ({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm", rows)
-    write_json(found, config.output.json)
+    figure = Figure(compliance_png(found), "Compliance of the arm at each touch")
+    return Findings((Table(rows, caption=where),), (figure,))

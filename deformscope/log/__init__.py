@@ -10,7 +10,7 @@ import rerun as rr
 from deformscope.arrays import FloatArray
 from deformscope.log.canvas import Canvas
 from deformscope.log.estimate import log_comparison, log_estimate
-from deformscope.log.findings import log_evidence, log_findings
+from deformscope.log.findings import RigFindings, log_evidence, log_findings, log_rig_findings
 from deformscope.log.flow import log_flow
 from deformscope.log.particles import log_grid, log_tracked
 from deformscope.pictures.close_up import close_up
@@ -68,6 +68,11 @@ def _(result: Findings, rec: rr.RecordingStream, canvas: Canvas) -> None:
         log_findings(rec, result)
     else:
         log_evidence(rec, result, canvas)
+
+
+@_log.register
+def _(result: RigFindings, rec: rr.RecordingStream, canvas: Canvas) -> None:
+    log_rig_findings(rec, result)
 
 
 @canvas_with.register

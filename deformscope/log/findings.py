@@ -4,17 +4,29 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from deformscope.frames import Stream
 from deformscope.log.blueprint import blueprint, deep_view
 from deformscope.log.canvas import Canvas, log_deep_legend
+from deformscope.log.rig.blueprint import rig_blueprint
 from deformscope.pictures.findings import ColoredBody, Findings, table_markdown
 from deformscope.pictures.palette import colors, round_up
 from deformscope.plain import plain
 from deformscope.stages.see.triangulation import spacing_of
+
+
+@dataclass(frozen=True, slots=True)
+class RigFindings:
+    """What was found with devices that are recorded beside it. streams: of the devices, whose views stand below"""
+
+    found: Findings
+    streams: tuple[Stream, ...]
+
 
 ACROSS = 3
 """Pictures side by side, at most."""
@@ -22,14 +34,20 @@ MARKS = 21
 """Of a colour bar."""
 
 
-def log_findings(rec: rr.RecordingStream, found: Findings) -> None:
-    """Pictures, bodies, the tables as Markdown for reading and as JSON for programs, and the views of all."""
+def log_findings(rec: rr.RecordingStream, found: Findings, below: rrb.Blueprint | None = None) -> None:
+    """Pictures, bodies, the tables as Markdown for reading and as JSON for programs, and the views of all. below: views
+    that there are already"""
     for number, figure in enumerate(found.figures):
         rec.log(f"found/picture/{number}", rr.EncodedImage(contents=figure.png, media_type="image/png"))
     for number, body in enumerate(found.bodies):
         _log_body(rec, body, f"found/body/{number}")
     _log_tables(rec, found, "found/tables")
-    rec.send_blueprint(findings_blueprint(found))
+    rec.send_blueprint(findings_blueprint(found, below))
+
+
+def log_rig_findings(rec: rr.RecordingStream, result: RigFindings) -> None:
+    """The findings above the views of the devices."""
+    log_findings(rec, result.found, rig_blueprint(result.streams))
 
 
 def log_evidence(rec: rr.RecordingStream, found: Findings, canvas: Canvas) -> None:
@@ -68,7 +86,7 @@ def _around(body: ColoredBody) -> Canvas:
     return Canvas(low=(*map(float, low), *ground), high=(*map(float, high), *ground))
 
 
-def findings_blueprint(found: Findings) -> rrb.Blueprint:
+def findings_blueprint(found: Findings, below: rrb.Blueprint | None = None) -> rrb.Blueprint:
     """Bodies and pictures beside the tables."""
     bodies = [
         deep_view(body.caption, [f"+ /found/body/{number}/**"], _around(body))
@@ -83,5 +101,7 @@ def findings_blueprint(found: Findings) -> rrb.Blueprint:
     if views:
         grid = rrb.Grid(*views, grid_columns=min(ACROSS, math.ceil(math.sqrt(len(views)))))
         root = rrb.Horizontal(grid, root, column_shares=[3, 2])
-    time = rrb.TimePanel(timeline="frame", state="collapsed")
+    if below is not None:
+        root = rrb.Vertical(root, below.root_container)
+    time = rrb.TimePanel(timeline="frame" if below is None else "session", state="collapsed")
     return rrb.Blueprint(root, rrb.BlueprintPanel(state="hidden"), rrb.SelectionPanel(state="hidden"), time)
