@@ -99,7 +99,8 @@ def findings_blueprint(found: Findings, below: rrb.Blueprint | None = None) -> r
     views = [*bodies, *pictures]
     root: rrb.Container | rrb.View = rrb.TextDocumentView(origin="/found/tables", name="Numbers")
     if views:
-        grid = rrb.Grid(*views, grid_columns=min(ACROSS, math.ceil(math.sqrt(len(views)))))
+        across = 1 if len(views) < ACROSS else min(ACROSS, math.ceil(math.sqrt(len(views))))
+        grid = rrb.Grid(*views, grid_columns=across)
         root = rrb.Horizontal(grid, root, column_shares=[3, 2])
     if below is not None:
         root = rrb.Vertical(root, below.root_container)

@@ -121,19 +121,6 @@ def test_a_fitted_pair_can_be_poked(arrays: dict[str, np.ndarray], tmp_path: Pat
     assert "<img" in once._repr_html_()
 
 
-def test_exploring_gives_maps_and_the_json(capsys: pytest.CaptureFixture[str]) -> None:
-    found = ds.explore("lab:two-60-150", touches=2, beta_model="none", seed=3)
-
-    assert capsys.readouterr() == ("", "")
-    assert found.stiffness_n_per_mm.shape == found.labels.shape
-    assert found.verdict in ("regions", "gradual")
-    told = found.to_dict()
-    assert json.loads(json.dumps(told, allow_nan=False)) == told
-    assert len(told["touches"]) == 2
-    assert str(found).startswith("lab:two-60-150\n  verdict ")
-    assert found._repr_html_().count("<img") == 1
-
-
 @pytest.mark.parametrize(
     ("call", "says"),
     [
