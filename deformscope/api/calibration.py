@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, Unpack
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from deformscope.api.result import resolve_viewer as viewer_of
 from deformscope.arrays import FloatArray, ImageArray
 from deformscope.config import BetaConfig, ImageOptions, OutputOptions, SearchOptions, ThetaConfig
 from deformscope.config.calibrate import LayersFlags, MotionFlags
-from deformscope.config.flags import HeldPart, Selectable
+from deformscope.config.flags import GridShape, HeldPart, Rectangle, Selectable
 from deformscope.errors import InputError
 from deformscope.experiments.foam_video import ParticleOptions, foam_video
 from deformscope.experiments.pair_files import pair_files
@@ -31,13 +31,14 @@ from deformscope.files.pairs import parse_pair
 from deformscope.files.sources import DEFAULT_FPS, Source, open_source, sample_path
 from deformscope.frames import ColorFrame
 from deformscope.images import read_image
+from deformscope.pictures.estimate_words import estimate_tables
 from deformscope.pictures.evidence import Result, results_png
 from deformscope.pictures.report import Figure, Table
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder, RecordingSummary
 from deformscope.session import run
 from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation
-from deformscope.stages.fit.estimate import Choice, Comparison, Estimate, Verdict
+from deformscope.stages.fit.estimate import Comparison, Estimate, Verdict
 from deformscope.stages.fit.plausible import size_note
 from deformscope.stages.fit.search import Progress
 from deformscope.stages.msm.clusters import rank
@@ -132,34 +133,24 @@ class CalibrationResult(LibraryResult):
         return found | ({"source_problems": list(self.problems)} if self.problems else {})
 
     def tables(self) -> tuple[Table, ...]:
-        from deformscope.api.calibration_report import estimate_rows, poke_tables
+        from deformscope.api.calibration_report import poke_tables
 
-        rows = estimate_rows(self.estimate)
+        parameter, rows = self.estimate.parameter, []
         if self.problems:
             rows.append(("SOURCE DAMAGED", "; ".join(self.problems)))
         if self.recording is not None:
             rows += recording_rows(self.recording)
             if self.recording.path is not None:
                 rows.append(("to look at it", f"{rerun_command()} {self.recording.path}"))
-        parameter = self.estimate.parameter
         title = f"{parameter} of {self.name}" if self.name else f"Estimate of {parameter}"
-        tables = [Table(rows, caption=title)]
-        if self.estimate.selection:
-            ways = list(map(_choice_row, self.estimate.selection))
-            tables.append(Table(ways, caption="Error on particles left out, of each way of fitting"))
+        first, *others = estimate_tables(self.estimate, title)
+        tables = [Table([*first.rows, *rows], caption=first.caption), *others]
         if self.pokes is not None:
             tables += poke_tables(self.pokes)
         return tuple(tables)
 
     def figures(self) -> tuple[Figure, ...]:
         return (Figure(self.picture(), self.estimate.verdict_text()),)
-
-
-def _choice_row(one: Choice) -> tuple[str, str]:
-    pace = "static" if one.alpha is None else f"alpha {one.alpha:g}, dt {one.dt:g} s"
-    name = f"{one.cluster_size} a side, {','.join(one.held)}, {pace}"
-    value = f"{one.held_out:.3g} ± {one.scatter:.2g} (fitted {one.fit:.3g}, at {one.value:.3g})"
-    return name, value + (" <- used" if one.chosen else "")
 
 
 def rerun_command() -> str:
@@ -176,128 +167,103 @@ def rerun_command() -> str:
 # For scripts ---------------------------------------------------------------------------------------------------------
 
 
+class CalibrationOptions(TypedDict, total=False):
+    """What `calibrate_beta` and `calibrate_theta` share; each is the flag of that name of the command line.
+
+    roi, contact: x, y, width, height [px]; grid: rows and columns of particles; held: parts whose motion is prescribed
+    mode: how a cluster may deform; candidates: values that a sweep tries; level: of the interval
+    noise_px, noise_m: deviation of a measured position; volume: how theta conserves it
+    record: a recording to make (.rrd); viewer: default none
+    progress: called with what is done, how much of it, and of how much
+    """
+
+    roi: Rectangle
+    grid: GridShape
+    spacing_px: float
+    mask: Path | str
+    px_per_cm: float
+    stride: int
+    fps: float
+    flow: Literal["dis", "farneback"]
+    held: Sequence[HeldPart]
+    contact: Rectangle
+    mode: Literal["linear", "quadratic"]
+    alpha: float
+    method: Literal["sweep", "gradient"]
+    candidates: int
+    level: float
+    noise_px: float
+    noise_m: float
+    volume: Literal["scale", "project"]
+    device: Literal["auto", "cpu", "cuda"]
+    seed: int
+    record: Path | str
+    viewer: ViewerChoice
+    overwrite: bool
+    progress: Progress
+
+
 def calibrate_beta(
     source: CalibrationSource | Sequence[PairArrays],
     *,
-    roi: tuple[float, float, float, float] | None = None,
-    grid: tuple[int, int] | None = None,
-    spacing_px: float | None = None,
-    mask: Path | str | None = None,
-    px_per_cm: float | None = None,
-    stride: int = 1,
-    fps: float | None = None,
-    held: Sequence[HeldPart] | None = None,
-    contact: tuple[float, float, float, float] | None = None,
     cluster_size: int | None = None,
-    mode: Literal["linear", "quadratic"] = "linear",
     theta: float | None = None,
     bounds: tuple[float, float] = (0.0, 0.99),
-    candidates: int = 100,
-    level: float = 0.9,
-    noise_px: float | None = None,
-    noise_m: float | None = None,
     thickness_m: float | None = None,
     spacing_m: float | None = None,
     whole_motion: bool = False,
     select: Sequence[Selectable] = (),
-    device: Literal["auto", "cpu", "cuda"] = "auto",
-    seed: int = 0,
-    record: Path | str | None = None,
-    viewer: ViewerChoice = "none",
-    overwrite: bool = False,
-    progress: Progress | None = None,
+    **options: Unpack[CalibrationOptions],
 ) -> CalibrationResult:
     """Find beta, the share of linear deformation, with its interval and a verdict (Thesis eq. 3.13).
 
     source: see `CalibrationSource`; several pairs are fitted to one value, with thickness_m as pokes of one surface
-    roi, contact: x, y, width, height [px]; grid: rows and columns of particles; held: parts whose motion is prescribed
     cluster_size: particles along each side of a cluster, default 3; theta: fixed, default 0 (layers: fitted)
-    bounds: between which beta is searched; level: of the interval; noise: of a measured position
-    thickness_m: of the material below a surface that was poked; spacing_m: of its lattice
-    record: a recording to make (.rrd); progress: called with what is done, how much of it, and of how much
+    bounds: between which beta is searched; thickness_m: of the material below a surface that was poked, spacing_m: of
+    its lattice; whole_motion: fit all frames; options: see `CalibrationOptions`
     Raises InputError for what cannot be used.
     """
     with python_names():
-        layers = LayersFlags(thickness_m, spacing_m)
-        config = BetaConfig(
-            _names(source),
-            cluster_size=cluster_size,
-            mode=mode,
-            theta=theta,
-            beta_range=bounds,
-            search=SearchOptions("sweep", candidates, level, noise_px, noise_m, _together(source), device=device),
-            layers=layers,
-            motion=MotionFlags(whole_motion, tuple(select) or None),
-            images=_image_options(roi, grid, spacing_px, mask, px_per_cm, stride, fps, held, contact),
-            output=OutputOptions(None, _path(record), viewer, overwrite, seed),
-        )
-        return calibrate(config, _arrays(source), progress=progress)[0]
+        layers, motion = LayersFlags(thickness_m, spacing_m), MotionFlags(whole_motion, tuple(select) or None)
+        own = {"theta": theta, "beta_range": bounds, "layers": layers, "motion": motion}
+        return _calibrate(BetaConfig, source, {"cluster_size": cluster_size, **own}, options)
 
 
 def calibrate_theta(
     source: CalibrationSource | Sequence[PairArrays],
     *,
-    roi: tuple[float, float, float, float] | None = None,
-    grid: tuple[int, int] | None = None,
-    spacing_px: float | None = None,
-    mask: Path | str | None = None,
-    px_per_cm: float | None = None,
-    stride: int = 1,
-    fps: float | None = None,
-    held: Sequence[HeldPart] | None = None,
-    contact: tuple[float, float, float, float] | None = None,
     cluster_size: int | None = None,
-    mode: Literal["linear", "quadratic"] = "quadratic",
     beta: float = 0.99,
     bounds: tuple[float, float] = (0.0, 1.0),
-    candidates: int = 100,
-    level: float = 0.9,
-    noise_px: float | None = None,
-    noise_m: float | None = None,
-    volume: Literal["scale", "project"] = "scale",
-    device: Literal["auto", "cpu", "cuda"] = "auto",
-    seed: int = 0,
-    record: Path | str | None = None,
-    viewer: ViewerChoice = "none",
-    overwrite: bool = False,
-    progress: Progress | None = None,
+    **options: Unpack[CalibrationOptions],
 ) -> CalibrationResult:
     """Find theta, how strongly volume is conserved, with its interval and a verdict (Thesis eq. 3.17).
 
-    cluster_size: default None, one cluster of all particles; beta: fixed; volume: as eq. 3.17, or by a projection that
-    stays stable in overlapping clusters; the rest as for `calibrate_beta`. Raises InputError for what cannot be used.
+    source: see `CalibrationSource`; several pairs are fitted to one value
+    cluster_size: default None, one cluster of all particles; beta: fixed; bounds: between which theta is searched
+    options: see `CalibrationOptions`. Raises InputError for what cannot be used.
     """
     with python_names():
-        config = ThetaConfig(
-            _names(source),
-            cluster_size=cluster_size,
-            mode=mode,
-            beta=beta,
-            theta_range=bounds,
-            search=SearchOptions("sweep", candidates, level, noise_px, noise_m, _together(source), volume, device),
-            images=_image_options(roi, grid, spacing_px, mask, px_per_cm, stride, fps, held, contact),
-            output=OutputOptions(None, _path(record), viewer, overwrite, seed),
-        )
-        return calibrate(config, _arrays(source), progress=progress)[0]
+        own = {"cluster_size": cluster_size, "beta": beta, "theta_range": bounds}
+        return _calibrate(ThetaConfig, source, own, options)
 
 
-def _image_options(
-    roi: tuple[float, float, float, float] | None,
-    grid: tuple[int, int] | None,
-    spacing_px: float | None,
-    mask: Path | str | None,
-    px_per_cm: float | None,
-    stride: int,
-    fps: float | None,
-    held: Sequence[HeldPart] | None,
-    contact: tuple[float, float, float, float] | None,
-) -> ImageOptions:
-    parts = None if held is None else tuple(held)
-    return ImageOptions(roi, grid, spacing_px, _path(mask), px_per_cm, stride, fps, held=parts, contact=contact)
-
-
-def _path(path: Path | str | None) -> Path | None:
-    return None if path is None else Path(path)
+def _calibrate(
+    kind: type[BetaConfig | ThetaConfig], source: object, own: dict[str, Any], options: CalibrationOptions
+) -> CalibrationResult:
+    """The flags of the command line, each in its group; whatever is left belongs to the command itself."""
+    given: dict[str, Any] = {"viewer": "none", "joint": _together(source), **options}
+    progress = given.pop("progress", None)
+    for name, convert in (("mask", Path), ("record", Path), ("held", tuple)):
+        if given.get(name) is not None:
+            given[name] = convert(given[name])
+    groups = {"images": ImageOptions, "search": SearchOptions, "output": OutputOptions}
+    for name, group in groups.items():
+        mine = {field.name for field in dataclasses.fields(group)} & given.keys()
+        own[name] = group(**{key: given.pop(key) for key in mine})
+    if unknown := given.keys() - {field.name for field in dataclasses.fields(kind)}:
+        raise TypeError(f"unexpected options: {', '.join(sorted(unknown))}")
+    return calibrate(kind(_names(source), **own, **given), _arrays(source), progress=progress)[0]
 
 
 def _arrays(source: object) -> Sequence[Any]:

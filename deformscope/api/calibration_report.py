@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import PurePath
 
-from deformscope.api.result import Rows
+from deformscope.pictures.estimate_words import estimate_rows, length_words
 from deformscope.pictures.evidence import (
     Result,
     errors_png,
@@ -21,7 +21,7 @@ from deformscope.pictures.findings import cell_text
 from deformscope.pictures.report import Code, Figure, Part, ReportVerdict, Section, Table, html_report
 from deformscope.plain import plain
 from deformscope.recording import provenance
-from deformscope.stages.fit.estimate import Estimate, explained_text
+from deformscope.stages.fit.estimate import Estimate
 from deformscope.stages.poke.poke_estimate import PokesFound
 
 MOST_SHOWN = 24
@@ -80,55 +80,6 @@ def provenance_sections(*, seed: int, settings: Mapping[str, object]) -> list[Se
     return [Section("Provenance", [Table(rows)]), Section("To reproduce it", [Code(command), again])]
 
 
-def estimate_rows(estimate: Estimate) -> Rows:
-    """An estimate as names and values."""
-    low, high = estimate.interval
-    rows = [
-        (estimate.parameter, f"{estimate.value:.4g}"),
-        (f"{estimate.level:.0%} interval", f"{low:.4g} to {high:.4g}"),
-        ("verdict", estimate.verdict_text()),
-        ("stiffness", estimate.stiffness_text()),
-        ("error, all particles", _length(estimate, estimate.aee)),
-        ("error, free particles", _length(estimate, estimate.aee_free)),
-        ("noise of a position", _length(estimate, estimate.settings.get("noise"))),
-        ("converged", "yes" if estimate.converged else "NO: do not rely on the value"),
-    ]
-    if estimate.explained is not None:
-        rows.insert(-1, ("explained", explained_text(estimate.explained)))
-    if not estimate.settings.get("pose_held", True):
-        rows.insert(-1, ("pose", "the held particles leave the body free to turn: hold more for a value to rely on"))
-    if lost := estimate.settings.get("lost"):
-        every = int(str(estimate.settings["particles"]))
-        many = "; so many that the tracking may have failed: look at the picture" if int(str(lost)) * 3 > every else ""
-        rows.insert(-1, ("lost particles", f"{lost} of {every}: left out of the fit{many}"))
-    if moved := estimate.settings.get("held_moved"):
-        parts = ", ".join(moved) if isinstance(moved, list) else str(moved)
-        rows.insert(-1, ("held elsewhere", f"{parts}: lost there; the outermost row or column still seen is held"))
-    if estimate.settings.get("whole_motion"):
-        rows.insert(-1, ("frames fitted", _frames_text(estimate)))
-    if estimate.selection_text:
-        rows.insert(-1, ("chosen", estimate.selection_text))
-    return rows
-
-
-def _frames_text(estimate: Estimate) -> str:
-    found = estimate.settings
-    rho, worth = found["frames_correlation"], float(str(found["frames_worth"]))
-    if found["frames_fitted"] == 1 or not isinstance(rho, list):
-        return "1"
-    shared = f"errors shared: {float(rho[0]):.0%}, at most {float(rho[1]):.0%}"
-    return f"{found['frames_fitted']}, which tell as much as {worth:.2g} of the best one ({shared})"
-
-
-def _length(estimate: Estimate, value: object) -> str:
-    if not isinstance(value, float):
-        return "not known"
-    parts = [f"{value:.3g} px"] if estimate.unit == "px" else []
-    if estimate.metres_per_unit is not None:
-        parts.append(f"{1e3 * value * estimate.metres_per_unit:.3g} mm")
-    return ", ".join(parts)
-
-
 def _verdict(result: Result, *, named: bool) -> list[Part]:
     found = result.estimate
     name = f"{_name(result)}: " if named else ""
@@ -153,7 +104,7 @@ def _overview(results: Sequence[Result]) -> Table:
     for one in results:
         found = one.estimate
         low, high = found.interval
-        interval, error = f"{low:.4g} to {high:.4g}", _length(found, found.aee_free)
+        interval, error = f"{low:.4g} to {high:.4g}", length_words(found, found.aee_free)
         rows.append((_name(one), f"{found.value:.4g}", interval, found.verdict_text(), error))
     first = results[0].estimate
     return Table(rows, ("pair", first.parameter, f"{first.level:.0%} interval", "verdict", "error, free particles"))
@@ -162,7 +113,7 @@ def _overview(results: Sequence[Result]) -> Table:
 def _evidence(result: Result) -> list[Part]:
     found = result.estimate
     rows = estimate_rows(found)
-    rows.insert(-1, ("error, nearest particle", _length(found, found.nearest)))
+    rows.insert(-1, ("error, nearest particle", length_words(found, found.nearest)))
     caption = (
         f"Above: mean distance between observed and simulated particles over {found.parameter}, with the estimate. "
         f"Below: the posterior on the same axis; shaded the {found.level:.0%} interval."
