@@ -1,3 +1,74 @@
-"""How soft a thing is, and where."""
+"""How soft a thing is, and where.
+
+    import deformscope as ds
+
+    tension = ds.calibrate_beta("sample:tension")
+    table = ds.explore("lab:two-60-150", seed=3)
+    print(tension, table, sep="\\n")
+
+Every function raises `deformscope.InputError` for what cannot be used; every result prints as a table, has `to_dict()`
+(the JSON of the command line), and shows its pictures in a notebook. Nothing heavy is loaded before it is asked for.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from deformscope.api.calibration import CalibrationResult, calibrate_beta, calibrate_theta
+    from deformscope.api.exploration import ExplorationResult, explore
+    from deformscope.api.prediction import PredictionResult, predict
+    from deformscope.api.recordings import OpenRecording, RecordResult, open_recording, record
+    from deformscope.errors import InputError
+    from deformscope.stages.msm.solver import Msm
+    from deformscope.stages.see.flow import dense_flow
 
 __version__ = "0.1.0"
+
+_HOMES = {
+    "CalibrationResult": "api.calibration",
+    "ExplorationResult": "api.exploration",
+    "InputError": "errors",
+    "Msm": "stages.msm.solver",
+    "OpenRecording": "api.recordings",
+    "PredictionResult": "api.prediction",
+    "RecordResult": "api.recordings",
+    "calibrate_beta": "api.calibration",
+    "calibrate_theta": "api.calibration",
+    "dense_flow": "stages.see.flow",
+    "explore": "api.exploration",
+    "open_recording": "api.recordings",
+    "predict": "api.prediction",
+    "record": "api.recordings",
+}
+"""The module of each name, imported when the name is first asked for."""
+
+__all__ = [
+    "CalibrationResult",
+    "ExplorationResult",
+    "InputError",
+    "Msm",
+    "OpenRecording",
+    "PredictionResult",
+    "RecordResult",
+    "calibrate_beta",
+    "calibrate_theta",
+    "dense_flow",
+    "explore",
+    "open_recording",
+    "predict",
+    "record",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    found: object = getattr(importlib.import_module(f"deformscope.{_HOMES[name]}"), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

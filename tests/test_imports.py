@@ -54,6 +54,12 @@ LAYERS: dict[str, tuple[str, ...]] = {
     # A GPU machine that has numpy, scipy and warp alone runs it.
     "bench": ("arrays", "errors", "plain", *STAGES),
     "config": ("bench", "errors"),
+    "file_io": ("errors",),
+    # What the commands compute; exploring and recording still go through the commands themselves.
+    "api": (
+        *("arrays", "cli", "config", "errors", "experiments", "file_io", "files", "frames", "images", "log"),
+        *("pictures", "plain", "recording", "session", "studies", *STAGES),
+    ),
 }
 """What each folder may import of the others, also inside functions and for type checking. Nothing imports `cli`."""
 FORBIDDEN = {

@@ -45,12 +45,10 @@ class Command:
 
 COMMANDS: dict[str, Command] = {
     "demo": Command("the main job on what is built in", "DemoConfig", "deformscope.cli.demo"),
-    "calibrate beta": Command("find beta from images or pair files", "BetaConfig", "deformscope.cli.calibrate", "beta"),
-    "calibrate theta": Command(
-        "find theta from images or pair files", "ThetaConfig", "deformscope.cli.calibrate", "theta"
-    ),
+    "calibrate beta": Command("find beta from images or pair files", "BetaConfig", "deformscope.cli.calibrate"),
+    "calibrate theta": Command("find theta from images or pair files", "ThetaConfig", "deformscope.cli.calibrate"),
     "calibrate both": Command(
-        "find beta and theta together from pair files", "BothConfig", "deformscope.cli.calibrate_both"
+        "find beta and theta together from pair files", "BothConfig", "deformscope.cli.materials", "both"
     ),
     "calibrate axes": Command(
         "find a beta along each axis from pair files", "AxesConfig", "deformscope.cli.materials", "axes"

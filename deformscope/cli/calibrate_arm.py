@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from deformscope.cli.common import quiet_warp, say, show_table, status_line, write_json
+from deformscope.cli.common import quiet_warp, resolve_viewer, say, settings_of, show, status_line, write_json
 from deformscope.cli.exploring import Watch, leave, permitted
 from deformscope.cli.rigs import until_interrupted
 from deformscope.cli.setups import setup_of
@@ -16,8 +16,9 @@ from deformscope.config import ArmConfig
 from deformscope.errors import InputError
 
 if TYPE_CHECKING:
-    from deformscope.experiments.arm_compliance import GiveTouch
+    from deformscope.experiments.arm_compliance import ArmGive, GiveTouch
     from deformscope.experiments.touching_robot import TouchingRobot
+    from deformscope.pictures.findings import Findings
     from deformscope.session import RigExperiment
     from deformscope.stages.map.exploration import ExplorationStop
 
@@ -26,16 +27,18 @@ def run(config: ArmConfig) -> None:
     """Touch a rigid block some times, and tell the lines for the rig file."""
     import numpy as np
 
-    from deformscope.experiments.arm_compliance import SURE_SD, arm_give, touch_rigid
+    from deformscope.experiments.arm_compliance import arm_give, touch_rigid
     from deformscope.experiments.explore import ExplorationStopped
     from deformscope.experiments.explorer import FromFrames
     from deformscope.experiments.options import ExploreOptions
     from deformscope.experiments.touching_robot import touching_robot
+    from deformscope.log.findings import RigFindings
     from deformscope.recording.recorder import Recorder
+    from deformscope.session import Step, finish
     from deformscope.session import run as run_session
 
     quiet_warp()
-    options = ExploreOptions(budget=config.touches, beta_model="none", seed=config.seed)
+    options = ExploreOptions(budget=config.touches, beta_model="none", seed=config.output.seed)
     opening = setup_of(config.rig, options, config.set_force, trusted=config.trust_rig)
     setup, options = opening.setup, opening.options
     xy_m = np.array(config.at) if config.at is not None else 0.5 * np.array(setup.size_m)
@@ -45,12 +48,26 @@ def run(config: ArmConfig) -> None:
         raise InputError(f"--at on the surface: between 0,0 and {width:g},{height:g} m", came)
     made: list[GiveTouch] = []
     stop: ExplorationStop | None = None
-    with until_interrupted() as asked, setup.open_source() as source, status_line() as show:
-        watch = Watch(asked, show)
+    output = config.output
+    with (
+        until_interrupted() as asked,
+        Recorder(
+            output.record,
+            resolve_viewer(output.viewer),
+            settings_of(config),
+            layout="rig",
+            overwrite=output.overwrite,
+            real_time=setup.runs_itself,
+        ) as recorder,
+        setup.open_source() as source,
+        status_line() as show_line,
+    ):
+        recorder.start_rig(source.streams, source.start_ns)
+        watch = Watch(asked, show_line)
 
         def found_one(one: GiveTouch) -> None:
             made.append(one)
-            show("")
+            show_line("")
             give = 1e3 * one.found.compliance_m_per_n
             say(f"touch {len(made)}: gives {give:.3f} mm/N, pressed with {one.peak_force_n:.2f} N")
 
@@ -61,12 +78,29 @@ def run(config: ArmConfig) -> None:
 
         with touching_robot(setup, source, options, watch) as robot, watch.halts(robot):
             try:
-                run_session(source, touching(robot), Recorder(None), robot)
+                run_session(source, touching(robot), recorder, robot)
             except ExplorationStopped as error:
                 stop = error.stop
+                recorder.stopped_because(f"{stop.kind}: {stop.reason}")
+        found = None if stop is not None else arm_give(made)
+        if found is not None:
+            shown = _findings(found, f"{config.rig} at ({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm")
+            recorder.write(Step((RigFindings(shown, tuple(source.streams)),)))
+            show(shown)
+        finish(source, recorder)
     if stop is not None:
-        leave(stop, len(made), asked.signal_number, None, arm_told=watch.arm_told)
-    found = arm_give(made)
+        leave(stop, len(made), asked.signal_number, recorder.summary().path, arm_told=watch.arm_told)
+    if recorder.summary().path is not None:
+        say(f"recording: {recorder.summary().path}")
+    write_json(found, output.json)
+
+
+def _findings(found: ArmGive, where: str) -> Findings:
+    from deformscope.experiments.arm_compliance import SURE_SD
+    from deformscope.pictures.findings import Findings
+    from deformscope.pictures.report import Figure, Table
+    from deformscope.studies.arm_figure import compliance_png
+
     rows = [
         ("compliance", f"{1e3 * found.compliance_m_per_n:.3f} mm/N, give or take {1e3 * found.compliance_sd:.3f}"),
         ("camera", f"sees the surface {1e3 * found.off_m:+.1f} mm from where the arm meets it"),
@@ -75,5 +109,5 @@ def run(config: ArmConfig) -> None:
     ]
     if found.compliance_sd > SURE_SD * found.compliance_m_per_n:
         rows.append(("note", "the touches differ: more of them, or is it not rigid, or not firmly held?"))
-    show_table(f"{config.rig} at ({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm", rows)
-    write_json(found, config.json)
+    figure = Figure(compliance_png(found), "Compliance of the arm at each touch")
+    return Findings((Table(rows, caption=where),), (figure,))

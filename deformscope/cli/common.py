@@ -6,23 +6,27 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Literal, TextIO
+from typing import TYPE_CHECKING, TextIO, cast
 
+from deformscope.api.result import resolve_viewer as resolve_viewer
 from deformscope.errors import InputError
+from deformscope.file_io import read_file as read_file
+from deformscope.file_io import replacing as replacing
 from deformscope.plain import plain
+from deformscope.stages.msm.quiet import quiet_warp as quiet_warp
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import TaskID
 
-    from deformscope.arrays import FloatArray
+    from deformscope.config import RecordedOptions
+    from deformscope.pictures.report import Figure
+    from deformscope.recording.recorder import Recorder, RecordingLayout
     from deformscope.stages.fit.search import Progress
-
-Viewer = Literal["native", "page", "none"]
 
 EXIT_LOSSES = 3
 """The exit status of a command whose result is whole, but of which something was lost; it names what."""
@@ -54,13 +58,10 @@ def say(remark: str) -> None:
     print(remark, file=sys.stderr, flush=True)
 
 
-def note_sizes(rest: Iterable[FloatArray]) -> None:
-    """Remarks on bodies (K, d) that are unusually large, if their positions are metres."""
-    from deformscope.stages.fit.plausible import size_note
-
-    for note in dict.fromkeys(size_note(one) for one in rest):
-        if note is not None:
-            say(note)
+def show(*found: object) -> None:
+    """Print results as their tables, on stdout; on stderr where `--json -` has taken stdout."""
+    for one in found:
+        print(one, flush=True)
 
 
 def show_table(title: str, rows: Sequence[tuple[str, str]]) -> None:
@@ -70,6 +71,38 @@ def show_table(title: str, rows: Sequence[tuple[str, str]]) -> None:
     """
     width = max((len(name) for name, _ in rows), default=0)
     print("\n".join([title, *(f"  {name:<{width}}  {value}" for name, value in rows)]), flush=True)
+
+
+@contextmanager
+def recorder_of(config: RecordedOptions, layout: RecordingLayout = "findings") -> Iterator[Recorder]:
+    """What a command is recorded and shown with as its flags say; remarks where the recording is.
+
+    The flags are the recording's settings; a viewer keeps one set of views for each command.
+    """
+    from deformscope.recording.recorder import Recorder
+
+    output, settings = config.output, settings_of(config)
+    variant = str(settings["command"]) if layout == "findings" else ""
+    viewer = resolve_viewer(output.viewer)
+    with Recorder(
+        output.record, viewer, settings, layout=layout, variant=variant, overwrite=output.overwrite
+    ) as recorder:
+        yield recorder
+    if recorder.summary().path is not None:
+        say(f"recording: {recorder.summary().path}")
+
+
+def pictures_of(drawn: Mapping[str, Path]) -> tuple[Figure, ...]:
+    """PNG files that a study has drawn, by what they show."""
+    from deformscope.pictures.report import Figure
+
+    return tuple(Figure(path.read_bytes(), caption) for caption, path in drawn.items())
+
+
+def settings_of(config: RecordedOptions) -> dict[str, object]:
+    """All flags of a command, as its recording keeps them."""
+    command = type(config).__name__.removesuffix("Config").lower()
+    return {"command": command, **cast("dict[str, object]", plain(config))}
 
 
 @contextmanager
@@ -116,37 +149,14 @@ def fit_progress() -> Iterator[Progress]:
             if what not in tasks:
                 for earlier in tasks.values():
                     bars.update(earlier, visible=False)
-                tasks[what] = bars.add_task(what, total=total)
+                tasks[what] = bars.add_task(what, total=total or None)
                 said = time.monotonic()
             bars.update(tasks[what], completed=done, total=total)
             if not where.is_terminal and time.monotonic() - said > SAY_EVERY_S:
                 said = time.monotonic()
-                where.print(f"{what}: {done} of {total}", markup=False)
+                where.print(f"{what}: {done} of {total or 'an unknown number'}", markup=False)
 
         yield note
-
-
-def quiet_warp() -> None:
-    """Start warp without its greeting; below Python it complains of a missing GPU driver, which is no fault here."""
-    import warp as wp
-
-    wp.config.log_level = wp.LOG_WARNING
-    sys.stderr.flush()
-    kept = os.dup(2)
-    try:
-        with Path(os.devnull).open("wb") as nothing:
-            os.dup2(nothing.fileno(), 2)
-            wp.init()
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-
-
-def resolve_viewer(choice: Literal["auto", "native", "page", "none"]) -> Viewer:
-    """`auto` is rerun's own window where there is a display, else none."""
-    if choice != "auto":
-        return choice
-    return "native" if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") else "none"
 
 
 def keep_page() -> None:
@@ -220,33 +230,6 @@ def _redirected(stream: TextIO) -> Iterator[None]:
 
 
 # Files ---------------------------------------------------------------------------------------------------------------
-
-
-def read_file(path: str | Path, what: str) -> bytes:
-    """The bytes of a file that a user named. what: it should be. Raises InputError where it cannot be read."""
-    try:
-        return Path(path).read_bytes()
-    except OSError as error:
-        raise InputError(what, (error.strerror or str(error)).lower(), where=path) from error
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[BinaryIO]:
-    """A file that takes the place of `path` when it is complete; on an error `path` stays as it was."""
-    if path.exists() and not path.is_file():  # a device or a pipe cannot be replaced, only written to
-        with path.open("wb") as stream:
-            yield stream
-        return
-    path = Path(os.path.realpath(path))  # a link stays a link, to the new file
-    draft = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with draft.open("xb") as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        draft.replace(path)
-    finally:
-        draft.unlink(missing_ok=True)
 
 
 def make_folder(path: Path) -> None:

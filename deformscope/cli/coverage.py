@@ -6,31 +6,39 @@ deformscope coverage --objects 1000 --jobs 2 --out runs/coverage --json coverage
 
 from __future__ import annotations
 
-import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import fit_progress, make_folder, quiet_warp, write_json
+from deformscope.cli.common import (
+    fit_progress,
+    make_folder,
+    quiet_warp,
+    recorder_of,
+    replacing,
+    show,
+    write_json,
+)
 from deformscope.config import CoverageConfig
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
+    from deformscope.pictures.report import Table
     from deformscope.stages.fit.estimate import Verdict
     from deformscope.stages.fit.search import Progress
     from deformscope.studies.coverage import CoverageRow, Rate
     from deformscope.studies.unseen_pokes import UnseenPrediction
 
-WIDTH = 190
-"""Columns of the tables where there is no terminal to fit them to."""
-
 
 def run(config: CoverageConfig) -> None:
-    """Try all objects, tell the tables, draw the ranks."""
+    """Try all objects, print the tables, draw the ranks."""
     if config.out is not None:
         make_folder(config.out)
     quiet_warp()
+    from statistics import median
+
+    from deformscope.pictures.findings import Findings
+    from deformscope.pictures.report import Figure, Table
+    from deformscope.session import Step
     from deformscope.studies.coverage import (
         NOTHING,
         PART_APART,
@@ -42,78 +50,80 @@ def run(config: CoverageConfig) -> None:
         try_nothing,
         try_object,
     )
-    from deformscope.studies.rank_histogram import draw_ranks, rank_counts
+    from deformscope.studies.rank_histogram import rank_counts, ranks_png
     from deformscope.studies.unseen_pokes import PokeCase, try_unseen_poke
 
-    begun = time.monotonic()
-    cases, nothing = plan(config.objects, config.seed, config.level, quick=config.quick)
+    begun, seed, level = time.monotonic(), config.output.seed, config.level
+    cases, nothing = plan(config.objects, seed, level, quick=config.quick)
     bodies = -(-(QUICK_OBJECTS if config.quick else config.objects) // PART_APART)
-    pokes = [PokeCase(number, config.seed, config.level) for number in range(bodies)]
-    with fit_progress() as note:
-        done = counted(note, "random objects", len(cases))
-        outcomes = spread(try_object, cases, config.jobs, done, quiet_warp)
-        done = counted(note, "data without information", len(nothing))
-        verdicts = spread(try_nothing, nothing, config.jobs, done, quiet_warp)
-        done = counted(note, "unseen pokes", len(pokes))
-        predictions = spread(try_unseen_poke, pokes, config.jobs, done, quiet_warp)
+    pokes = [PokeCase(number, seed, level) for number in range(bodies)]
+    with recorder_of(config) as recorder:
+        with fit_progress() as note:
+            done = counted(note, "random objects", len(cases))
+            outcomes = spread(try_object, cases, config.jobs, done, quiet_warp)
+            done = counted(note, "data without information", len(nothing))
+            verdicts = spread(try_nothing, nothing, config.jobs, done, quiet_warp)
+            done = counted(note, "unseen pokes", len(pokes))
+            predictions = spread(try_unseen_poke, pokes, config.jobs, done, quiet_warp)
 
-    rows = coverage_rows(outcomes)
-    told = {
-        kind: [verdict for case, verdict in zip(nothing, verdicts, strict=True) if case.kind == kind]
-        for kind in NOTHING
-    }
-    unidentified = {kind: Rate(len(some), some.count("unidentified")) for kind, some in told.items()}
-    ranks = rank_counts([one for one, case in zip(outcomes, cases, strict=True) if case.truth == "prior"])
-    groups = prediction_groups(predictions)
-    seconds = time.monotonic() - begun
-    show(config, rows, told, unidentified, groups)
-    picture = None
-    if config.out is not None:
-        picture = config.out / "coverage.png"
-        draw_ranks(ranks, picture)
-    from statistics import median
-
-    fit_s = {f"{dim}D": median([one.seconds for one in outcomes if one.dim == dim]) for dim in (2, 3)}
-    print(f"a fit: {fit_s['2D']:.2g} s in the plane, {fit_s['3D']:.2g} s in space; all: {seconds:.0f} s")
+        rows = coverage_rows(outcomes)
+        said = {
+            kind: [verdict for case, verdict in zip(nothing, verdicts, strict=True) if case.kind == kind]
+            for kind in NOTHING
+        }
+        unidentified = {kind: Rate(len(some), some.count("unidentified")) for kind, some in said.items()}
+        ranks = rank_counts([one for one, case in zip(outcomes, cases, strict=True) if case.truth == "prior"])
+        groups = prediction_groups(predictions)
+        fit_s = {f"{dim}D": median([one.seconds for one in outcomes if one.dim == dim]) for dim in (2, 3)}
+        seconds, png = time.monotonic() - begun, ranks_png(ranks)
+        picture = None if config.out is None else config.out / "coverage.png"
+        took = [(f"a fit in {dim}", f"{one:.2g} s") for dim, one in fit_s.items()] + [("all", f"{seconds:.0f} s")]
+        found = Findings(
+            (
+                coverage_table(f"{level:.0%} intervals for beta: how many hold the truth", rows),
+                _nothing_table(said, unidentified),
+                _pokes_table(f"{level:.0%}", groups),
+                Table(took + ([] if picture is None else [("ranks", str(picture))]), caption="Time"),
+            ),
+            (Figure(png, "Ranks of the truths in their posteriors: level where the intervals are right"),),
+        )
+        show(found)
+        recorder.write(Step((found,)))
     if picture is not None:
-        print(f"ranks: {picture}")
+        with replacing(picture) as file:
+            file.write(png)
+    lengths = {"width_m": "width", "error_m": "error", "motion_m": "motion"}
     write_json(
         {
-            "level": config.level,
-            "seed": config.seed,
+            "level": level,
+            "seed": seed,
             "coverage": [
                 {
                     "condition": row.condition,
                     "group": row.group,
-                    **told_rate(row.covered),
+                    **rate_json(row.covered),
                     "width": row.width,
                     "confident_wrong": row.confident_wrong.hits,
                 }
                 for row in rows
             ],
             "ranks": ranks,
-            "no_information": [{"kind": kind, **told_rate(rate)} for kind, rate in unidentified.items()],
+            "no_information": [{"kind": kind, **rate_json(rate)} for kind, rate in unidentified.items()],
             "unseen_pokes": [
-                {
-                    "group": name,
-                    "pokes": len(some),
-                    **told_rate(pooled(some)),
-                    "width_m": middle(some, lambda one: one.width),
-                    "error_m": middle(some, lambda one: one.error),
-                    "motion_m": middle(some, lambda one: one.motion),
-                }
+                {"group": name, "pokes": len(some), **rate_json(pooled(some))}
+                | {key: middle(some, length) for key, length in lengths.items()}
                 for name, some in groups.items()
             ],
             "fit_seconds": fit_s,
             "seconds": seconds,
             "picture": picture,
         },
-        config.json,
+        config.output.json,
     )
 
 
 def counted(note: Progress, what: str, total: int) -> Callable[[int], None]:
-    """Tells how many there are by now, where it is called with how many more."""
+    """Notes how many there are by now, where it is called with how many more."""
     note(what, 0, total)
     count = 0
 
@@ -125,7 +135,7 @@ def counted(note: Progress, what: str, total: int) -> Callable[[int], None]:
     return done
 
 
-def told_rate(rate: Rate) -> dict[str, Any]:
+def rate_json(rate: Rate) -> dict[str, Any]:
     return {"cases": rate.cases, "hits": rate.hits, "rate": rate.rate, "band": list(rate.band)}
 
 
@@ -143,81 +153,56 @@ def pooled(some: Sequence[UnseenPrediction]) -> Rate:
     return Rate(sum(one.coordinates for one in some), sum(one.covered for one in some))
 
 
-def middle(some: Sequence[UnseenPrediction], of: Callable[[UnseenPrediction], float]) -> float:
+def middle(some: Sequence[UnseenPrediction], length: str) -> float:
+    """The median of a length [m]."""
     from statistics import median
 
-    return median(of(one) for one in some)
+    return float(median(getattr(one, length) for one in some))
 
 
-# Telling -------------------------------------------------------------------------------------------------------------
+# In tables -----------------------------------------------------------------------------------------------------------
 
 
-def show(
-    config: CoverageConfig,
-    rows: Sequence[CoverageRow],
-    told: dict[Any, list[Verdict]],
-    unidentified: dict[Any, Rate],
-    groups: dict[str, list[UnseenPrediction]],
-) -> None:
-    """Three tables; on stderr where `--json -` has taken stdout."""
-    from rich.console import Console
+def _nothing_table(said: Mapping[Any, list[Verdict]], unidentified: Mapping[Any, Rate]) -> Table:
+    from deformscope.pictures.report import Table
 
-    out = Console(file=sys.stdout, highlight=False, width=None if sys.stdout.isatty() else WIDTH)
-    level = f"{config.level:.0%}"
-    out.print(coverage_table(f"{level} intervals for beta: how many hold the truth", rows))
-    table = _table("Data that tell nothing: how many verdicts are unidentified")
-    for name in ("data", "cases", "unidentified", "95 % band", "other verdicts"):
-        table.add_column(name, justify="left" if name in ("data", "other verdicts") else "right")
+    rows = []
     for kind, rate in unidentified.items():
-        others = sorted(set(told[kind]) - {"unidentified"})
-        text = ", ".join(f"{told[kind].count(one)} {one}" for one in others)
-        table.add_row(kind, str(rate.cases), f"{rate.rate:.3f}", _band(rate), text)
-    out.print(table)
-    table = _table(f"Finite element bodies: coordinates of an unseen poke within their {level} predictive intervals")
-    for name in ("bodies", "pokes", "coordinates", "within", "width [mm]", "error [mm]", "motion [mm]"):
-        table.add_column(name, justify="left" if name == "bodies" else "right")
+        others = ", ".join(f"{said[kind].count(one)} {one}" for one in sorted(set(said[kind]) - {"unidentified"}))
+        rows.append((kind, rate.cases, f"{rate.rate:.3f}", _band(rate), others))
+    names = ("data", "cases", "unidentified", "95 % band", "other verdicts")
+    return Table(rows, names, "Data without information: how many verdicts are unidentified")
+
+
+def _pokes_table(level: str, groups: Mapping[str, list[UnseenPrediction]]) -> Table:
+    from deformscope.pictures.report import Table
+
+    rows = []
     for name, some in groups.items():
         rate = pooled(some)
-        lengths = [middle(some, of) for of in (lambda o: o.width, lambda o: o.error, lambda o: o.motion)]
-        numbers = (f"{1e3 * length:.2f}" for length in lengths)
-        table.add_row(name, str(len(some)), str(rate.cases), f"{rate.rate:.3f}", *numbers)
-    out.print(table)
+        lengths = (f"{1e3 * middle(some, one):.2f}" for one in ("width", "error", "motion"))
+        rows.append((name, len(some), rate.cases, f"{rate.rate:.3f}", *lengths))
+    names = ("bodies", "pokes", "coordinates", "within", "width [mm]", "error [mm]", "motion [mm]")
+    caption = f"Finite element bodies: coordinates of an unseen poke within their {level} predictive intervals"
+    return Table(rows, names, caption)
 
 
 def coverage_table(title: str, rows: Sequence[CoverageRow]) -> Table:
     """A line a condition: all truths in between, parts of them, and apart those where the range ends."""
+    from deformscope.pictures.report import Table
     from deformscope.studies.coverage import GROUPS
 
-    table = _table(title)
-    found = {row.group for row in rows}
-    groups = [group for group in GROUPS if group in found]
-    table.add_column("noise")
-    for name in ("cases", "held", "95 % band", "width"):
-        table.add_column(name, justify="right")
-    for group in groups[1:]:
-        table.add_column(group, justify="right")
-    table.add_column("confidently wrong", justify="right")
+    present = {row.group for row in rows}
+    groups = [group for group in GROUPS if group in present][1:]
+    lines = []
     for condition in dict.fromkeys(row.condition for row in rows):
         mine = {row.group: row for row in rows if row.condition == condition}
         every = mine["all"]
         wrong = sum(row.confident_wrong.hits for name, row in mine.items() if name == "all" or name.startswith("beta"))
-        table.add_row(
-            condition,
-            str(every.covered.cases),
-            f"{every.covered.rate:.3f}",
-            _band(every.covered),
-            f"{every.width:.3f}",
-            *(f"{mine[name].covered.rate:.3f}" if name in mine else "" for name in groups[1:]),
-            str(wrong),
-        )
-    return table
-
-
-def _table(title: str) -> Table:
-    from rich.box import SIMPLE
-    from rich.table import Table
-
-    return Table(title=title, box=SIMPLE, title_justify="left")
+        held = (f"{mine[name].covered.rate:.3f}" if name in mine else "" for name in groups)
+        whole = (every.covered.cases, f"{every.covered.rate:.3f}", _band(every.covered), f"{every.width:.3f}")
+        lines.append((condition, *whole, *held, wrong))
+    return Table(lines, ("noise", "cases", "held", "95 % band", "width", *groups, "confidently wrong"), title)
 
 
 def _band(rate: Rate) -> str:

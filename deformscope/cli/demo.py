@@ -14,7 +14,7 @@ from datetime import datetime
 from pathlib import Path
 
 from deformscope.cli.common import quiet_warp, say
-from deformscope.config import DemoConfig, ExploreConfig, SearchOptions
+from deformscope.config import BetaConfig, DemoConfig, ExploreConfig
 from deformscope.config.options import OutputOptions
 from deformscope.errors import InputError
 
@@ -49,17 +49,9 @@ def _say_how_to_open(recording: Path | None) -> None:
 
 
 def _fit_images(output: OutputOptions) -> None:
-    from deformscope.cli.calibrate import calibrate_images, particle_options, sample_images
-    from deformscope.stages.fit.calibrate import FitOptions, Model
+    from deformscope.cli.calibrate import run as calibrate
 
-    images = sample_images(SAMPLE)
-    calibrate_images(
-        [f"sample:{SAMPLE}"],
-        FitOptions(Model(), seed=output.seed),
-        particle_options(images, SearchOptions()),
-        images,
-        output,
-    )
+    calibrate(BetaConfig((f"sample:{SAMPLE}",), output=output))
 
 
 def _new_recording() -> Path:

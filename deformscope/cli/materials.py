@@ -1,6 +1,7 @@
-"""`deformscope calibrate axes|yield`: a beta along each axis of a material, and the strain at which it yields.
+"""`deformscope calibrate both|axes|yield`: beta with theta, a beta along each axis, the strain at which a thing yields.
 
-deformscope calibrate axes pair.npz --json -
+deformscope calibrate both pair.npz --picture both.png --json -
+deformscope calibrate both poke1.npz poke2.npz --joint --record both.rrd
 deformscope calibrate axes stretched.npz sheared.npz --turn-deg 30
 deformscope calibrate yield press.npz --picture press.png
 deformscope calibrate yield press.npz --beta 0.7 --creep fit --json -
@@ -8,106 +9,213 @@ deformscope calibrate yield press.npz --beta 0.7 --creep fit --json -
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from deformscope.cli.common import fit_progress, note_sizes, quiet_warp, read_file, replacing, show_table, write_json
-from deformscope.config import AxesConfig, YieldConfig
+from deformscope.cli.common import fit_progress, quiet_warp, read_file, replacing, say, settings_of, show, write_json
+from deformscope.config import AxesConfig, BothConfig, YieldConfig
 
 if TYPE_CHECKING:
-    from deformscope.arrays import FloatArray
-    from deformscope.stages.fit.motion import Motion
+    from deformscope.pictures.report import Table
+    from deformscope.stages.fit.joint import JointEstimate
+    from deformscope.stages.fit.model import Observation
     from deformscope.stages.materials.anisotropy import AxisEstimate
     from deformscope.stages.materials.yield_estimate import Parameter, YieldEstimate
+
+CONVERGED = {True: "yes", False: "NO: do not rely on the values"}
+
+
+def both(config: BothConfig) -> None:
+    """`calibrate both`: each pair by itself, or all together."""
+    from deformscope.api.calibration import pair_recorder
+    from deformscope.pictures.findings import Findings
+    from deformscope.pictures.material_figures import joint_png
+    from deformscope.pictures.report import Figure
+    from deformscope.session import Step
+    from deformscope.stages.fit.joint import JointOptions, calibrate_both
+    from deformscope.stages.fit.model import Model
+    from deformscope.stages.msm.solver import pick_device
+
+    quiet_warp()
+    device = pick_device(config.fit.device)
+    model = Model(basis=config.mode, cluster_size=config.cluster_size or None, volume="project", device=device)
+    options = JointOptions(model, config.beta_range, config.theta_range, config.fit.level, config.output.seed)
+    raws, seen = _pairs(config)
+    sets = [seen] if config.joint else [[one] for one in seen]
+    names = ["all pairs"] if config.joint else list(config.sources)
+    every: list[dict[str, object]] = []
+    with pair_recorder(seen, raws, settings_of(config), config.output) as recorder:
+        for number, (name, some) in enumerate(zip(names, sets, strict=True)):
+            with fit_progress() as fitting:
+                estimate, comparisons = calibrate_both(some, options, progress=fitting)
+            png = joint_png(estimate)
+            found = Findings((_both_table(estimate, name),), (Figure(png, "Joint posterior of beta and theta"),))
+            show(found)
+            for frame, comparison in enumerate(comparisons, start=number):
+                recorder.write(Step((comparison, found), frame=frame))
+            if config.picture is not None and not every:
+                with replacing(config.picture) as file:
+                    file.write(png)
+            every.append(estimate.as_json())
+    write_json(every[0] if len(every) == 1 else every, config.output.json)
 
 
 def axes(config: AxesConfig) -> None:
     """`calibrate axes`: one fit to all pairs."""
     import numpy as np
 
-    from deformscope.files.pairs import parse_pair
+    from deformscope.api.calibration import pair_recorder
+    from deformscope.pictures.findings import Findings
+    from deformscope.pictures.material_figures import axes_png
+    from deformscope.pictures.report import Figure
+    from deformscope.session import Step
     from deformscope.stages.fit.calibrate import Model
+    from deformscope.stages.fit.estimate import Comparison
     from deformscope.stages.materials.anisotropy import fit_axes
+    from deformscope.stages.msm.materials import AxisBeta
     from deformscope.stages.msm.solver import pick_device
 
     quiet_warp()
-    seen = [parse_pair(read_file(one, "a pair file (.npz)"), one, noise_m=config.noise_m) for one in config.sources]
-    note_sizes(one.rest for one in seen)
+    raws, seen = _pairs(config)
     d = seen[0].rest.shape[1]
     turn = np.deg2rad(config.turn_deg)
     directions = np.eye(d)
     directions[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
-    model = Model(cluster_size=config.cluster_size, device=pick_device(config.device))
-    with fit_progress() as fitting:
-        found = fit_axes(seen, model, axes=directions, level=config.level, seed=config.seed, progress=fitting)
-    _tell_axes(found, ", ".join(config.sources))
-    write_json(found.as_json(), config.json)
+    model = Model(cluster_size=config.cluster_size, device=pick_device(config.fit.device))
+    level, seed = config.fit.level, config.output.seed
+    with pair_recorder(seen, raws, settings_of(config), config.output) as recorder:
+        with fit_progress() as fitting:
+            estimate = fit_axes(seen, model, axes=directions, level=level, seed=seed, progress=fitting)
+        figure = Figure(axes_png(estimate), "beta along each axis")
+        found = Findings((_axes_table(estimate, ", ".join(config.sources)),), (figure,))
+        show(found)
+        for frame, one in enumerate(seen if recorder.active else ()):
+            law = AxisBeta(estimate.value, estimate.axes)
+            simulated = model.body(one).relax(one.deformed[one.held], law).position[0]
+            compared = Comparison(one.rest, one.deformed, simulated, one.observed, one.held, one.unit)
+            recorder.write(Step((compared, found), frame=frame))
+    write_json(estimate.as_json(), config.output.json)
 
 
 def yielding(config: YieldConfig) -> None:
     """`calibrate yield`: one motion."""
+    import numpy as np
+
+    from deformscope.api.calibration import size_notes
+    from deformscope.cli.common import recorder_of
     from deformscope.files.motions import parse_motion
+    from deformscope.pictures.findings import Findings
+    from deformscope.pictures.material_figures import yield_png
+    from deformscope.pictures.report import Figure
+    from deformscope.session import Step
+    from deformscope.stages.fit.estimate import Comparison
     from deformscope.stages.materials.plasticity import YieldOptions, fit_yield
     from deformscope.stages.msm.solver import pick_device
 
     quiet_warp()
-    motion = parse_motion(read_file(config.source, "a motion file (.npz)"), config.source, noise_m=config.noise_m)
-    note_sizes([motion.rest])
+    raw = read_file(config.source, "a motion file (.npz)")
+    motion = parse_motion(raw, config.source, noise_m=config.fit.noise_m)
+    for remark in size_notes([motion.rest]):
+        say(remark)
     options = YieldOptions(
         beta=config.beta,
         creep=config.creep,
         maximum=config.maximum or float("inf"),
         cluster_size=config.cluster_size,
         theta=config.theta,
-        level=config.level,
-        seed=config.seed,
-        device=pick_device(config.device),
+        level=config.fit.level,
+        seed=config.output.seed,
+        device=pick_device(config.fit.device),
     )
-    with fit_progress() as fitting:
-        found = fit_yield(motion, options, fitting)
+    with recorder_of(config, "pair" if motion.rest.shape[1] == 2 else "pair-3d") as recorder:
+        recorder.write_input("motion", raw)
+        with fit_progress() as fitting:
+            estimate = fit_yield(motion, options, fitting)
+        png = yield_png(estimate, motion)
+        figure = Figure(png, "Error over the yield strain; distance from observed to simulated in each frame")
+        found = Findings((_yield_table(estimate, config),), (figure,))
+        show(found)
+        for frame, (observed, simulated, held) in enumerate(
+            zip(motion.position, estimate.simulated, motion.held, strict=True)
+        ):
+            seen = np.isfinite(observed).all(axis=1)
+            compared = Comparison(motion.rest, observed, simulated, seen, np.flatnonzero(held), "m")
+            recorder.write(Step((compared, found) if frame == 0 else (compared,), frame=frame))
     if config.picture is not None:
-        draw(found, motion, config.picture)
-    _tell_yield(found, config)
-    write_json(found.as_json(), config.json)
+        with replacing(config.picture) as file:
+            file.write(png)
+    write_json(estimate.as_json(), config.output.json)
 
 
-# Telling -------------------------------------------------------------------------------------------------------------
+def _pairs(config: BothConfig | AxesConfig) -> tuple[list[tuple[str, bytes]], list[Observation]]:
+    """The files, by name and content, and what they hold."""
+    from deformscope.api.calibration import size_notes
+    from deformscope.files.pairs import parse_pair
+
+    raws = [(one, read_file(one, "a pair file (.npz)")) for one in config.sources]
+    seen = [parse_pair(raw, name, noise_m=config.fit.noise_m) for name, raw in raws]
+    for remark in size_notes([one.rest for one in seen]):
+        say(remark)
+    return raws, seen
 
 
-def _tell_axes(found: AxisEstimate, name: str) -> None:
+# In words ------------------------------------------------------------------------------------------------------------
+
+
+def _table(caption: str, rows: Sequence[tuple[str, str]]) -> Table:
+    from deformscope.pictures.report import Table
+
+    return Table(rows, caption=caption)
+
+
+def _both_table(found: JointEstimate, name: str) -> Table:
+    from deformscope.stages.fit.estimate import explained_text
+
+    rows: list[tuple[str, str]] = []
+    for one in (found.beta, found.theta):
+        low, high = one.interval
+        rows.append((one.parameter, f"{one.value:.4g}"))
+        rows.append((f"{one.level:.0%} interval", f"{low:.4g} to {high:.4g}"))
+        rows.append(("verdict", one.verdict_text()))
+    rows.append(("correlation", f"{found.correlation:+.2f}"))
+    rows.append(("stiffness", found.beta.stiffness_text()))
+    if found.beta.explained is not None:
+        rows.append(("explained", explained_text(found.beta.explained)))
+    rows.append(("converged", CONVERGED[found.beta.converged]))
+    return _table(f"beta and theta of {name}", rows)
+
+
+def _axes_table(found: AxisEstimate, name: str) -> Table:
     from deformscope.stages.fit.estimate import explained_text
 
     rows = []
     for k, (low, high) in enumerate(found.interval):
         axis = ", ".join(f"{x:.2g}" for x in found.axes[:, k])
         rows.append((f"beta along ({axis})", f"{found.value[k]:.4g} ({low:.4g} to {high:.4g}): {found.verdict[k]}"))
-    told = "the axes differ" if found.anisotropic else "one beta explains it as well"
+    differ = "the axes differ" if found.anisotropic else "one beta explains it as well"
     rows += [
-        ("anisotropy", f"{told} (one beta would leave so much error with probability {found.p_isotropic:.2g})"),
+        ("anisotropy", f"{differ} (one beta would leave so much error with probability {found.p_isotropic:.2g})"),
         ("one beta", f"{found.beta:.4g}"),
         ("error, axes / one beta", f"{1e3 * found.aee:.3g} mm / {1e3 * found.aee_isotropic:.3g} mm"),
         ("noise of a position", f"{1e3 * found.noise:.3g} mm"),
         ("explained", explained_text(found.explained)),
-        ("converged", "yes" if found.converged else "NO: do not rely on the values"),
+        ("converged", CONVERGED[found.converged]),
     ]
-    show_table(f"beta along the axes of {name} ({found.level:.0%} intervals)", rows)
+    return _table(f"beta along the axes of {name} ({found.level:.0%} intervals)", rows)
 
 
-def _tell_yield(found: YieldEstimate, config: YieldConfig) -> None:
+def _yield_table(found: YieldEstimate, config: YieldConfig) -> Table:
     from deformscope.stages.fit.estimate import EXPLAINED_LEAST, explained_text
 
     low, high = found.yield_strain.interval
     strain = f"{found.yield_strain.value:.4g} ({low:.4g} to {high:.4g})" if high is not None else f"above {low:.4g}"
+    unsure = "nothing that yielded is sure" if high is None else "it yielded, but where it began is not known"
     meaning = {
-        "identified": "the motion tells it well",
-        "weak": "the motion tells it roughly",
-        "at-bound": "it yields as early as can be told",
-        "unidentified": "nothing that yielded is sure"
-        if high is None
-        else "it yielded, but where it began is not told",
+        "identified": "the motion determines it well",
+        "weak": "the motion determines it roughly",
+        "at-bound": "it yields as early as can be seen",
+        "unidentified": "the model does not explain the motion" if found.explained < EXPLAINED_LEAST else unsure,
     }
-    if found.explained < EXPLAINED_LEAST:
-        meaning["unidentified"] = "the model does not explain the motion"
     rows = [
         ("yield strain", strain),
         ("verdict", f"{found.verdict}: {meaning[found.verdict]}"),
@@ -117,46 +225,12 @@ def _tell_yield(found: YieldEstimate, config: YieldConfig) -> None:
         ("permanent set (rms)", f"{1e3 * found.set:.3g} mm"),
         ("error, yielding / elastic", f"{1e3 * found.aee:.3g} mm / {1e3 * found.elastic_aee:.3g} mm"),
         ("explained", explained_text(found.explained)),
-        ("converged", "yes" if found.converged else "NO: do not rely on the value"),
+        ("converged", CONVERGED[found.converged]),
         *([] if config.picture is None else [("picture", str(config.picture))]),
     ]
-    show_table(f"Yielding of {config.source} ({found.level:.0%} intervals)", rows)
+    return _table(f"Yielding of {config.source} ({found.level:.0%} intervals)", rows)
 
 
 def _parameter(parameter: Parameter) -> str:
     low, high = parameter.interval
     return f"{parameter.value:.4g} (given)" if parameter.given else f"{parameter.value:.4g} ({low:.4g} to {high:.4g})"
-
-
-def draw(found: YieldEstimate, motion: Motion, path: Path) -> None:
-    """The error over the yield strain with the interval, and the set that grows from frame to frame."""
-    import numpy as np
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11, 4.2), layout="constrained")
-    FigureCanvasAgg(figure)
-    left, right = figure.subplots(1, 2)
-    strain, rms = found.curve
-    left.plot(strain, 1e3 * rms, "-", color="tab:blue", label="yielding at this strain")
-    left.axhline(1e3 * found.elastic_deviation, color="tab:gray", linestyle="--", label="elastic")
-    low, high = found.yield_strain.interval
-    left.axvspan(low, high or strain[-1], color="tab:orange", alpha=0.3, label=f"{found.level:.0%} interval")
-    if high is not None:
-        left.axvline(found.yield_strain.value, color="tab:orange", label=f"{found.yield_strain.value:.3g}")
-    left.set(xscale="log", yscale="log", xlabel="yield strain |S - I|", ylabel="residual of a coordinate, rms [mm]")
-    left.legend()
-    frames = np.flatnonzero(motion.judged.any(axis=1))
-
-    def apart(states: FloatArray) -> FloatArray:
-        square = np.where(motion.judged, np.sum((states - motion.position) ** 2, axis=2), np.nan)[frames]
-        return np.asarray(1e3 * np.sqrt(np.nanmean(square, axis=1)))
-
-    right.plot(frames, apart(motion.rest[None]), "o-", color="tab:blue", label="observed to rest")
-    right.plot(frames, apart(found.elastic), "^--", color="tab:gray", label="observed to elastic")
-    right.plot(frames, apart(found.simulated), "s-", color="tab:red", label="observed to yielding")
-    right.set(xlabel="frame", ylabel="distance of free particles, rms [mm]", ylim=(0.0, 1.3 * right.get_ylim()[1]))
-    right.legend()
-    figure.suptitle(f"Yield strain: {found.verdict}")
-    with replacing(path) as file:
-        figure.savefig(file, format="png", dpi=120)

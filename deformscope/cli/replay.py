@@ -12,8 +12,7 @@ import math
 import sys
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.calibrate import calibrate_pair_bytes, run_images
-from deformscope.cli.common import Different, console, quiet_warp
+from deformscope.cli.common import Different, console, fit_progress, quiet_warp, show, write_json
 from deformscope.cli.replay_rig import replay_rig
 from deformscope.config import ReplayConfig
 from deformscope.errors import InputError
@@ -30,6 +29,7 @@ def run(config: ReplayConfig) -> None:
     """Recompute a recording from its inputs; raises `Different` where the numbers do not come out as recorded."""
     import msgspec
 
+    from deformscope.api.calibration import calibrate_pair_bytes, run_images
     from deformscope.experiments.foam_video import ParticleOptions
     from deformscope.experiments.poke_files import LayersOptions
     from deformscope.experiments.whole_motion import MotionOptions
@@ -60,23 +60,28 @@ def run(config: ReplayConfig) -> None:
     if fit.model.device != "cpu":  # the recording's GPU may not be here
         fit = dataclasses.replace(fit, model=dataclasses.replace(fit.model, device=pick_device("auto")))
     pairs = recording.read_pair_bytes()
-    if pairs:
-        names = list(settings.get("sources", [])) or [f"pair {index}" for index in range(len(pairs))]
-        found = calibrate_pair_bytes(
-            list(zip(names, pairs, strict=True)),
-            fit,
-            config.output,
-            noise_m=settings.get("noise_m"),
-            joint=bool(settings.get("joint")),
-            layers=msgspec.convert(settings["layers"], LayersOptions) if "layers" in settings else None,
-        )
-        estimates = [one.as_json() for one in found]
-    else:
-        with Source(
-            str(config.recording), lambda: recording.frames(config.pace, _wait), recording.frame_count
-        ) as source:
-            found_here = run_images(source, recording.mask, fit, particles, settings, config.output, motion=motion)
-            estimates = [found_here.as_json()]
+    with fit_progress() as progress:
+        if pairs:
+            names = list(settings.get("sources", [])) or [f"pair {index}" for index in range(len(pairs))]
+            found = calibrate_pair_bytes(
+                list(zip(names, pairs, strict=True)),
+                fit,
+                config.output,
+                noise_m=settings.get("noise_m"),
+                joint=bool(settings.get("joint")),
+                layers=msgspec.convert(settings["layers"], LayersOptions) if "layers" in settings else None,
+                progress=progress,
+            )
+        else:
+            with Source(
+                str(config.recording), lambda: recording.frames(config.pace, _wait), recording.frame_count
+            ) as source:
+                mask, output = recording.mask, config.output
+                found = [run_images(source, mask, fit, particles, settings, output, motion, progress)]
+    show(*found)
+    every = [one.to_dict() for one in found]
+    write_json(every[0] if len(every) == 1 else every, config.output.json)
+    estimates = [one.estimate.as_json() for one in found]
     _compare(recording.read_results(), estimates, config)
 
 

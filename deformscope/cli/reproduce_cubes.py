@@ -13,7 +13,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import make_folder, progress, quiet_warp, read_file, show_table, write_json
+from deformscope.cli.common import (
+    make_folder,
+    pictures_of,
+    progress,
+    quiet_warp,
+    read_file,
+    recorder_of,
+    show,
+    write_json,
+)
 from deformscope.config import CubesConfig
 
 if TYPE_CHECKING:
@@ -21,25 +30,32 @@ if TYPE_CHECKING:
 
 
 def run(config: CubesConfig) -> None:
-    """Make or read the cubes, fit each in some process, then draw, write and tell."""
+    """Make or read the cubes, fit each in some process, then draw, write and print."""
     make_folder(config.out)
     quiet_warp()
+    from deformscope.pictures.findings import Findings, dict_table
+    from deformscope.pictures.report import Table
+    from deformscope.session import Step
     from deformscope.studies.cubes import Options, model_times
     from deformscope.studies.cubes_figures import sem_rows, time_rows
 
-    began = time.perf_counter()
-    cubes, elements = _read(config.pairs) if config.pairs else _make(config.quick)
-    made = time.perf_counter()
-    options = Options(config.method, config.level, config.seed, config.cluster_size, config.compare)
-    found = _examine(cubes, options, config.workers)
-    times = time_rows(model_times(found), elements)
-    sems = sem_rows(found)
-    _draw(config.out, found, options, sems, times)
-    seconds = {"cubes": made - began, "fits_and_figures": time.perf_counter() - made}
-    told = report(found, sems, times, seconds)
+    with recorder_of(config) as recorder:
+        began = time.perf_counter()
+        cubes, elements = _read(config.pairs) if config.pairs else _make(config.quick)
+        made = time.perf_counter()
+        options = Options(config.method, config.level, config.output.seed, config.cluster_size, config.compare)
+        found = _examine(cubes, options, config.workers)
+        times = time_rows(model_times(found), elements)
+        sems = sem_rows(found)
+        drawn = _draw(config.out, found, options, sems, times)
+        seconds = {"cubes": made - began, "fits_and_figures": time.perf_counter() - made}
+        told = report(found, sems, times, seconds)
+        summary = Table(_rows(told, found, options, config.out), caption=f"{len(found)} cubes")
+        tables = (summary, dict_table(sems, "Spread of theta"), dict_table(times, "Table 3.2"))
+        show(Findings((summary,)))
+        recorder.write(Step((Findings(tables, pictures_of(drawn)),)))
     write_json(told, str(config.out / "cubes.json"))
-    write_json(told, config.json)
-    _tell(told, found, options, config.out)
+    write_json(told, config.output.json)
 
 
 # Cubes ---------------------------------------------------------------------------------------------------------------
@@ -89,18 +105,26 @@ def _draw(
     options: Options,
     sems: Sequence[dict[str, object]],
     times: Sequence[dict[str, object]],
-) -> None:
+) -> dict[str, Path]:
+    """Draw and write; the pictures by what they show."""
     from deformscope.studies import cubes_figures as figures
 
-    figures.draw_theta(out / "figure-3.10.png", found)
-    figures.draw_errors(out / "figure-3.11.png", found)
+    theta, errors = out / "figure-3.10.png", out / "figure-3.11.png"
+    figures.draw_theta(theta, found)
+    figures.draw_errors(errors, found)
+    drawn = {"theta over Poisson's ratio (Thesis figure 3.10)": theta, "error (Thesis figure 3.11)": errors}
     if len({one.cube.resolution for one in found}) > 1:
-        figures.draw_resolution(out / "resolution.png", found)
+        name = "theta over the resolution, as it is and with held particles of equal mass"
+        drawn[name] = out / "resolution.png"
+        figures.draw_resolution(drawn[name], found)
     if options.compare != "none":
-        figures.draw_clusters(out / "clusters.png", found, options.cluster_size)
+        name = "overlapping clusters beside one cluster"
+        drawn[name] = out / "clusters.png"
+        figures.draw_clusters(drawn[name], found, options.cluster_size)
     figures.write_cubes(out / "cubes.csv", found)
     figures.write_rows(out / "sem.csv", sems)
     figures.write_rows(out / "table-3.2.csv", times)
+    return drawn
 
 
 def report(
@@ -148,7 +172,7 @@ def report(
     }
 
 
-def _tell(told: dict[str, Any], found: Sequence[Found], options: Options, out: Path) -> None:
+def _rows(told: dict[str, Any], found: Sequence[Found], options: Options, out: Path) -> list[tuple[str, str]]:
     rows = [
         (f"theta at nu {row['poisson']:g}", f"{row['theta']:.4f}{_spread(row)}")
         for row in told["sem"]
@@ -180,7 +204,7 @@ def _tell(told: dict[str, Any], found: Sequence[Found], options: Options, out: P
     seconds = told["seconds"]
     rows.append(("took", f"{seconds['cubes']:.1f} s for the cubes, {seconds['fits_and_figures']:.1f} s for the rest"))
     rows.append(("figures and tables", str(out)))
-    show_table(f"{len(found)} cubes", rows)
+    return rows
 
 
 def _spread(row: dict[str, Any]) -> str:

@@ -15,15 +15,26 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import fit_progress, make_folder, quiet_warp, replacing, show_table, write_json
+from deformscope.cli.common import (
+    fit_progress,
+    make_folder,
+    pictures_of,
+    quiet_warp,
+    recorder_of,
+    replacing,
+    show,
+    write_json,
+)
 from deformscope.config import FoamsConfig
 
 if TYPE_CHECKING:
     from deformscope.frames import ColorFrame
     from deformscope.lab.foam import Foam
+    from deformscope.pictures.report import Table
     from deformscope.studies.foams import Control, FoamFit, FoamResult, FoamSetup, Trend
 
 
+HELD_WORDS = {"one": "one particle held", "clamp": "clamp held"}
 COLUMNS = (
     *("density_kg_m3", "hardness_n", "plateau_exponent", "poisson", "force_n", "source", "held", "cluster_size"),
     *("converged", "verdict", "aee_mm", "beta", "beta_low", "beta_high", "k_n_per_m", "k_low", "k_high"),
@@ -31,44 +42,62 @@ COLUMNS = (
 
 
 def run(config: FoamsConfig) -> None:
-    """Push, film and fit the foams; draw, tell and write what was found."""
+    """Push, film and fit the foams; draw, print and write what was found."""
     began = time.monotonic()
     make_folder(config.out)
     quiet_warp()
     from threadpoolctl import threadpool_limits
 
-    from deformscope.studies import foams_figures as figures
+    from deformscope.pictures.findings import Findings
+    from deformscope.pictures.report import Table
+    from deformscope.session import Step
     from deformscope.studies.foams import HELD, SOURCES, FoamSetup, controls, measure, trend
 
-    setup = FoamSetup()
+    setup, seed = FoamSetup(), config.output.seed
     if config.quick:
         setup = FoamSetup(foams=(setup.foams[0], setup.foams[-1]), images=4, element_m=0.007)
-    with fit_progress() as progress, threadpool_limits(1):  # small matrices: more threads cost time
-        results = [
-            measure(foam, setup, config.seed, progress, _keeper(config.out, foam) if config.keep_images else None)
-            for foam in setup.foams
-        ]
-        tried = [] if config.quick else controls(setup, config.seed, progress)
-    trends = [trend(results, source, held, size) for held in HELD for source in SOURCES for size in setup.cluster_sizes]
-
-    drawn = []
-    for held in HELD:
-        drawn.append("figure-3.14.png" if held == "one" else f"figure-3.14-{held}-held.png")
-        figures.figure_3_14(results, trends, held, config.out / drawn[-1])
-    figures.stiffness(results, config.out / "stiffness.png")
-    figures.particles(results, "clamp", min(setup.cluster_sizes), config.out / "particles.png")
-    drawn += ["stiffness.png", "particles.png"]
-    if tried:
-        figures.one_change(tried, config.out / "one-change.png")
-        drawn.append("one-change.png")
-    table = config.out / "foams.csv"
-    with replacing(table) as file:
-        file.write(as_csv(results).encode())
-    seconds = time.monotonic() - began
-    tell(results, trends, seconds, [*(config.out / name for name in drawn), table])
+    results, tables = [], []
+    with recorder_of(config) as recorder:
+        with fit_progress() as progress, threadpool_limits(1):  # small matrices: more threads cost time
+            for foam in setup.foams:
+                keeper = _keeper(config.out, foam) if config.keep_images else None
+                results.append(measure(foam, setup, seed, progress, keeper))
+                tables.append(_foam_table(results[-1]))
+                recorder.write(Step((Findings(tuple(tables)),), frame=len(results) - 1))
+            tried = [] if config.quick else controls(setup, seed, progress)
+        sizes = setup.cluster_sizes
+        trends = [trend(results, source, held, size) for held in HELD for source in SOURCES for size in sizes]
+        drawn = _draw(config.out, results, trends, tried, min(sizes))
+        table = config.out / "foams.csv"
+        with replacing(table) as file:
+            file.write(as_csv(results).encode())
+        seconds = time.monotonic() - began
+        tables.append(_trend_table(trends))
+        written = [("", str(path)) for path in (*drawn.values(), table)]
+        show(Findings((*tables, Table(written, caption=f"Written in {seconds:.0f} s"))))
+        recorder.write(Step((Findings(tuple(tables[::-1]), pictures_of(drawn)),), frame=len(results)))
     told = as_json(setup, results, trends, tried)
-    told |= {"seed": config.seed, "quick": config.quick, "seconds": seconds}
-    write_json(told | {"figures": [config.out / name for name in drawn], "table": table}, config.json)
+    told |= {"seed": seed, "quick": config.quick, "seconds": seconds}
+    write_json(told | {"figures": list(drawn.values()), "table": table}, config.output.json)
+
+
+def _draw(
+    out: Path, results: Sequence[FoamResult], trends: Sequence[Trend], tried: Sequence[Control], size: int
+) -> dict[str, Path]:
+    """The pictures by what they show."""
+    from deformscope.studies import foams_figures as figures
+    from deformscope.studies.foams import HELD
+
+    drawn = {}
+    for held in HELD:
+        path = out / ("figure-3.14.png" if held == "one" else f"figure-3.14-{held}-held.png")
+        figures.figure_3_14(results, trends, held, path)
+        drawn[f"beta over hardness (Thesis figure 3.14), {HELD_WORDS[held]}"] = path
+    figures.stiffness(results, drawn.setdefault("stiffness and force", out / "stiffness.png"))
+    figures.particles(results, "clamp", size, drawn.setdefault("particles", out / "particles.png"))
+    if tried:
+        figures.one_change(tried, drawn.setdefault("one property changed alone", out / "one-change.png"))
+    return drawn
 
 
 def _keeper(out: Path, foam: Foam) -> Callable[[ColorFrame], None]:
@@ -86,23 +115,28 @@ def _keeper(out: Path, foam: Foam) -> Callable[[ColorFrame], None]:
     return keep
 
 
-def tell(results: Sequence[FoamResult], trends: Sequence[Trend], seconds: float, files: Sequence[Path]) -> None:
-    """The result as short tables."""
+def _foam_table(result: FoamResult) -> Table:
     import numpy as np
 
-    for result in results:
-        rows = [
-            ("law", _law(result.foam)),
-            ("force", f"{result.force_n[-1]:.1f} N at {1e3 * result.depth_m[-1]:g} mm: {result.stiffness:.0f} N/m"),
-            ("flow", f"rms error {np.sqrt(np.nanmean(result.error_px**2)):.2f} px; {result.lost} particles lost"),
-        ]
-        for fit in result.fits:
-            one = fit.calibration.estimate
-            k = "" if one.stiffness is None else f"; k {one.stiffness[0]:.0f} N/m"
-            low, high = one.interval
-            warning = "" if one.converged else "; NOT converged"
-            rows.append((name(fit), f"{one.value:.3f} ({low:.3f} to {high:.3f}), {one.verdict}{k}{warning}"))
-        show_table(f"Foam {result.foam.name}", rows)
+    from deformscope.pictures.report import Table
+
+    rows = [
+        ("law", _law(result.foam)),
+        ("force", f"{result.force_n[-1]:.1f} N at {1e3 * result.depth_m[-1]:g} mm: {result.stiffness:.0f} N/m"),
+        ("flow", f"rms error {np.sqrt(np.nanmean(result.error_px**2)):.2f} px; {result.lost} particles lost"),
+    ]
+    for fit in result.fits:
+        one = fit.calibration.estimate
+        k = "" if one.stiffness is None else f"; k {one.stiffness[0]:.0f} N/m"
+        low, high = one.interval
+        warning = "" if one.converged else "; NOT converged"
+        rows.append((name(fit), f"{one.value:.3f} ({low:.3f} to {high:.3f}), {one.verdict}{k}{warning}"))
+    return Table(rows, caption=f"Foam {result.foam.name}")
+
+
+def _trend_table(trends: Sequence[Trend]) -> Table:
+    from deformscope.pictures.report import Table
+
     rows = [
         (
             name(one),
@@ -110,15 +144,13 @@ def tell(results: Sequence[FoamResult], trends: Sequence[Trend], seconds: float,
         )
         for one in trends
     ]
-    show_table("Beta against hardness", rows)
-    show_table(f"Written in {seconds:.0f} s", [("", str(path)) for path in files])
+    return Table(rows, caption="Beta against hardness")
 
 
 def name(one: FoamFit | Trend) -> str:
     """How a fit was made."""
-    held = {"one": "one particle held", "clamp": "clamp held"}[one.held]
     source = {"flow": "flow", "true": "true positions"}[one.source]
-    return f"beta, {held}, {source}, {one.cluster_size}x{one.cluster_size}"
+    return f"beta, {HELD_WORDS[one.held]}, {source}, {one.cluster_size}x{one.cluster_size}"
 
 
 def _law(foam: Foam) -> str:

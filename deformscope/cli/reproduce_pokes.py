@@ -8,40 +8,47 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from deformscope.cli.common import console, fit_progress, make_folder, quiet_warp, replacing, show_table, write_json
+from deformscope.cli.common import fit_progress, make_folder, quiet_warp, recorder_of, replacing, say, show, write_json
 from deformscope.config import PokesConfig
 
 if TYPE_CHECKING:
+    from deformscope.pictures.report import Table
     from deformscope.studies.poke_study import Studied
 
 
 def run(config: PokesConfig) -> None:
-    """Make the slabs, fit, predict, draw, write and tell."""
+    """Make the slabs, fit, predict, draw, write and print."""
     make_folder(config.out)
     quiet_warp()
     from deformscope.pictures.figures import write_table
-    from deformscope.studies.dents_figure import draw_dents
+    from deformscope.pictures.findings import Findings
+    from deformscope.pictures.report import Figure
+    from deformscope.session import Step
+    from deformscope.studies.dents_figure import dents_png
     from deformscope.studies.poke_study import PLANS, rows, study
 
     studied = []
-    with fit_progress() as progress:
-        for plan in PLANS[: 1 if config.quick else None]:
-            studied.append(study(plan, progress=progress))
+    with recorder_of(config) as recorder, fit_progress() as progress:
+        for frame, plan in enumerate(PLANS[: 1 if config.quick else None]):
+            one = study(plan, progress=progress)
+            studied.append(one)
+            png = dents_png([each.prediction for each in one.unseen], one.unseen)
+            caption = f"Pokes of the slab of {plan.name}, predicted and measured: cuts along x"
+            found = Findings((_table(one),), (Figure(png, caption),))
+            show(found)
+            recorder.write(Step((found,), frame=frame))
     every = [one for found in studied for one in found.unseen]
     with replacing(config.out / "dents.png") as file:
-        draw_dents([one.prediction for one in every], every, file)
+        file.write(dents_png([one.prediction for one in every], every))
     names = ("slab", "at_m", "tip_mm", "force_n", "method", "surface_error", "force_error")
     table = rows(studied)
     write_table(config.out / "pokes.csv", names, table)
-    for one in studied:
-        _tell(one)
-    console().print(f"figures and table: {config.out}", markup=False, soft_wrap=True)
-    told = [dict(zip(names, row, strict=True)) for row in table]
+    say(f"figures and table: {config.out}")
     fits = [
         {"slab": one.plan.name, "field": one.found.model.field_kind, "pokes": one.found.rows()} | _law(one)
         for one in studied
     ]
-    write_json({"fits": fits, "unseen": told}, config.json)
+    write_json({"fits": fits, "unseen": [dict(zip(names, row, strict=True)) for row in table]}, config.output.json)
 
 
 def _law(one: Studied) -> dict[str, object]:
@@ -49,7 +56,9 @@ def _law(one: Studied) -> dict[str, object]:
     return {"cluster_size": law.cluster_size, "beta": law.beta, "theta": law.theta, "spacing_m": one.found.fit.spacing}
 
 
-def _tell(one: Studied) -> None:
+def _table(one: Studied) -> Table:
+    from deformscope.pictures.report import Table
+
     law = one.found.fit.best.law
     what = f"clusters of {law.cluster_size}, beta {law.beta:.3g}, theta {law.theta:.3g}"
     told = [(f"fitted to {len(one.plan.fitted)}", what)]
@@ -59,4 +68,4 @@ def _tell(one: Studied) -> None:
             force = "no force" if score.force_error is None else f"force {score.force_error:+.1%}"
             what = f"{tip} mm, {press.force:g} N, {score.method}"
             told.append((what, f"surface off by {score.surface_error:.1%} of the depth, {force}"))
-    show_table(f"Slab of {one.plan.name}", told)
+    return Table(told, caption=f"Slab of {one.plan.name}")

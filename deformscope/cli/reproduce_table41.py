@@ -13,12 +13,25 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any, get_args
 
-from deformscope.cli.common import SAY_EVERY_S, console, make_folder, progress, replacing, say, show_table, write_json
+from deformscope.cli.common import (
+    SAY_EVERY_S,
+    console,
+    make_folder,
+    pictures_of,
+    progress,
+    recorder_of,
+    replacing,
+    say,
+    show,
+    write_json,
+)
 from deformscope.cli.workers import in_processes
 from deformscope.config import Table41Config
 from deformscope.errors import InputError
 
 if TYPE_CHECKING:
+    from deformscope.pictures.findings import Findings
+    from deformscope.pictures.report import Table
     from deformscope.studies.table41 import TableJob, TableRun
 
 RUNS = "runs.jsonl"
@@ -26,6 +39,7 @@ RUNS = "runs.jsonl"
 
 def run(config: Table41Config) -> None:
     """Explore every scene with every planner over the seeds; write and tell the table."""
+    from deformscope.session import Step
     from deformscope.studies.table41 import TableJob
 
     make_folder(config.out)
@@ -36,8 +50,8 @@ def run(config: Table41Config) -> None:
         for scene in _scenes(config.scenes)
         for planner in planners
     ]
-    runs = _explored(jobs, config)
-    _write(runs, config)
+    with recorder_of(config) as recorder:
+        recorder.write(Step((_write(_explored(jobs, config), config),)))
 
 
 def _explored(jobs: Sequence[TableJob], config: Table41Config) -> list[TableRun]:
@@ -65,8 +79,9 @@ def _explored(jobs: Sequence[TableJob], config: Table41Config) -> list[TableRun]
     return [known[job] for job in jobs]
 
 
-def _write(runs: Sequence[TableRun], config: Table41Config) -> None:
+def _write(runs: Sequence[TableRun], config: Table41Config) -> Findings:
     from deformscope.pictures.figures import write_table
+    from deformscope.pictures.findings import Findings, dict_table
     from deformscope.studies.table41_figures import curves
     from deformscope.studies.table41_summary import LOOKED_AT, summarise
 
@@ -95,8 +110,11 @@ def _write(runs: Sequence[TableRun], config: Table41Config) -> None:
     curves(runs, config.out / "table41.png")
     told = {"rows": rows, "planners": compared, **cost, "runs": runs}
     write_json(told, str(config.out / "table41.json"))
-    write_json(told, config.json)
-    _tell(rows, looked_at, compared, cost, config.out)
+    write_json(told, config.output.json)
+    found = Findings(_tables(rows, looked_at, compared, cost, config.out))
+    show(found)
+    drawn = pictures_of({"IoU of regions after each touch": config.out / "table41.png"})
+    return Findings((*found.tables, dict_table(rows, "Every scene after some touches")), drawn)
 
 
 def _compared(by: dict[tuple[str, str], list[TableRun]], planners: Sequence[str]) -> list[dict[str, Any]]:
@@ -134,45 +152,41 @@ def _planners(named: str) -> Sequence[Any]:
 # In words ------------------------------------------------------------------------------------------------------------
 
 
-def _tell(
+def _tables(
     rows: Sequence[dict[str, Any]],
     looked_at: Sequence[int],
     compared: Sequence[dict[str, Any]],
     cost: dict[str, float],
     out: Path,
-) -> None:
-    layouts = rows[0]["layouts"]
+) -> tuple[Table, ...]:
+    from deformscope.pictures.report import Table
+
     keys = list(dict.fromkeys((row["scene"], row["planner"]) for row in rows))
     at = {(row["scene"], row["planner"], row["touches"]): row for row in rows}
     counts = ", ".join(map(str, looked_at))
-    show_table(
-        f"IoU of regions after {counts} touches, {layouts} layouts a scene: median [share at 0.85 or more]",
-        [(f"{scene} {planner}", _ious([at[scene, planner, count] for count in looked_at])) for scene, planner in keys],
-    )
+    every = [(f"{scene} {planner}", _ious([at[scene, planner, n] for n in looked_at])) for scene, planner in keys]
+    layouts = f"{rows[0]['layouts']} layouts a scene: median [share at 0.85 or more]"
+    tables = [Table(every, caption=f"IoU of regions after {counts} touches, {layouts}")]
     for count in [count for count in looked_at if count >= 8] or looked_at[-1:]:
-        show_table(
-            f"After {count} touches at most",
-            [(f"{scene} {planner}", _words(at[scene, planner, count])) for scene, planner in keys],
-        )
+        after = [(f"{scene} {planner}", _words(at[scene, planner, count])) for scene, planner in keys]
+        tables.append(Table(after, caption=f"After {count} touches at most"))
     if compared:
-        show_table(
-            "What it takes until the map is so good: ratios of the means (5 to 95 % of the bootstrap over layouts)",
-            [
-                (f"{row['scene']}, IoU {row['iou']:g}: {row['planner']} / {row['against']}", _ratios(row))
-                for row in compared
-            ],
+        ratios = [
+            (f"{row['scene']}, IoU {row['iou']:g}: {row['planner']} / {row['against']}", _ratios(row))
+            for row in compared
+        ]
+        caption = (
+            "What it takes until the map is so good: ratios of the means (5 to 95 % of the bootstrap over layouts)"
         )
-    show_table(
-        "All of it",
-        [
-            ("largest true contact force", f"{cost['max_force_n']:.2f} N"),
-            (
-                "computing between two touches",
-                f"{cost['compute_s']:.2f} s, {cost['slowest_s']:.2f} s at most, beside what else this machine did",
-            ),
-            ("written to", str(out)),
-        ],
-    )
+        tables.append(Table(ratios, caption=caption))
+    computing = f"{cost['compute_s']:.2f} s, {cost['slowest_s']:.2f} s at most, beside what else this machine did"
+    force = f"{cost['max_force_n']:.2f} N"
+    summary = [
+        ("largest true contact force", force),
+        ("computing between two touches", computing),
+        ("written to", str(out)),
+    ]
+    return (*tables, Table(summary, caption="All of it"))
 
 
 def _ious(rows: Sequence[dict[str, Any]]) -> str:

@@ -12,7 +12,6 @@ from deformscope.config.flags import (
     POKE_EXAMPLE,
     CountFlag,
     FileFlag,
-    JsonFlag,
     ModelFlag,
     PictureFlag,
     PokesFlag,
@@ -29,20 +28,18 @@ from deformscope.config.flags import (
 from deformscope.config.images import ImageOptions
 from deformscope.config.options import (
     BETA_LIMIT,
-    JsonOptions,
     OutputOptions,
     RecordedOptions,
+    ViewOptions,
     Written,
     check_alpha,
     check_cluster_size,
     check_level,
-    check_seed,
     check_sources,
     check_span,
     check_suffix,
     check_unit,
     written_files,
-    written_json,
 )
 from deformscope.errors import InputError
 
@@ -241,7 +238,22 @@ class ThetaConfig(CalibrateOptions):
 
 
 @dataclass(frozen=True, slots=True)
-class BothConfig(JsonOptions):
+class FitFlags:
+    """What every fit to pairs and motions shares."""
+
+    level: float = 0.9
+    """Confidence level of the intervals."""
+    noise_m: PositiveFlag = None
+    """Standard deviation of a measured position [m]; default: what the files say, else the residuals."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where the simulation runs; auto: on the GPU where there is one."""
+
+    def __post_init__(self) -> None:
+        check_level(self.level)
+
+
+@dataclass(frozen=True, slots=True)
+class BothConfig(RecordedOptions):
     """Find beta and theta together from pairs of rest and deformed positions: their joint posterior. Volume is
     conserved by projection, which stays stable in overlapping clusters."""
 
@@ -255,20 +267,12 @@ class BothConfig(JsonOptions):
     """Range in which beta is searched."""
     theta_range: SpanFlag = (0.0, 1.0)
     """Range in which theta is searched."""
-    level: float = 0.9
-    """Confidence level of the intervals."""
-    noise_m: PositiveFlag = None
-    """Standard deviation of a measured position [m]; default: what the pair file says."""
     joint: bool = False
     """Fit one beta and one theta to all pairs together."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where the simulation runs; auto: on the GPU where there is one."""
-    seed: int = 0
-    """Seed of every random number."""
     picture: PictureFlag = None
     """Draw the joint posterior (of several pairs, that of the first). An existing file is replaced."""
-    json: JsonFlag = None
-    """Write the result as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+    fit: OmitArgPrefixes[FitFlags] = field(default_factory=FitFlags)
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def __post_init__(self) -> None:
         check_sources(self.sources)
@@ -276,8 +280,6 @@ class BothConfig(JsonOptions):
             raise InputError("pair files (.npz)", repr(other), "calibrate beta or theta for images")
         if self.cluster_size not in (0, None) and (self.cluster_size or 0) < 2:
             raise InputError("a --cluster-size of 2 or more, or 0", str(self.cluster_size))
-        check_level(self.level)
-        check_seed(self.seed)
         check_suffix("--picture", self.picture, ".png")
         check_span("--beta-range", self.beta_range, BETA_LIMIT)
         check_span("--theta-range", self.theta_range)
@@ -285,15 +287,15 @@ class BothConfig(JsonOptions):
     def reads(self) -> tuple[str, ...]:
         return self.sources
 
-    def writes(self) -> tuple[Written, ...]:
-        return (*written_files(("--picture", self.picture)), *written_json(self.json))
+    def own_files(self) -> tuple[tuple[str, Path | None], ...]:
+        return (("--picture", self.picture),)
 
 
 # deformscope predict -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class PredictConfig(JsonOptions):
+class PredictConfig(RecordedOptions):
     """Poke a fitted model where, how hard and with what it was not poked: deformed particles, depth and force."""
 
     source: Annotated[Path, Positional, arg(metavar="MODEL.npz")]
@@ -312,8 +314,7 @@ class PredictConfig(JsonOptions):
     """Draw the dents and, with --against, measured beside predicted. An existing file is replaced."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where the simulation runs; auto: on the GPU where there is one."""
-    json: JsonFlag = None
-    """Write the predictions as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+    output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
 
     def __post_init__(self) -> None:
         if not self.poke and not self.against:
@@ -324,8 +325,8 @@ class PredictConfig(JsonOptions):
     def reads(self) -> tuple[str, ...]:
         return (str(self.source), *(str(path) for path in self.against))
 
-    def writes(self) -> tuple[Written, ...]:
-        return (*written_files(("--out", self.out), ("--picture", self.picture)), *written_json(self.json))
+    def own_files(self) -> tuple[tuple[str, Path | None], ...]:
+        return (("--out", self.out), ("--picture", self.picture))
 
 
 # deformscope calibrate axes and yield --------------------------------------------------------------------------------
@@ -345,7 +346,7 @@ CreepFlag = Annotated[float | str, one_word("none|fit|RATE", parse_creep)]
 
 
 @dataclass(frozen=True, slots=True)
-class AxesConfig(JsonOptions):
+class AxesConfig(RecordedOptions):
     """Find a beta along each axis of a material from pairs of rest and deformed positions: one fit to all of them."""
 
     sources: Annotated[tuple[str, ...], Positional, arg(metavar="PAIR.npz...", help_behavior_hint="")]
@@ -354,30 +355,20 @@ class AxesConfig(JsonOptions):
     """Angle of the material's first axis to x, in the plane of x and y [degrees]."""
     cluster_size: int = 3
     """Particles along each side of a cluster."""
-    level: float = 0.9
-    """Confidence level of the intervals."""
-    noise_m: PositiveFlag = None
-    """Standard deviation of a measured position [m]; default: what the pair files say."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where the simulation runs; auto: on the GPU where there is one."""
-    seed: int = 0
-    """Seed of every random number."""
-    json: JsonFlag = None
-    """Write the result as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+    fit: OmitArgPrefixes[FitFlags] = field(default_factory=FitFlags)
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def __post_init__(self) -> None:
         if not self.sources:
             raise InputError("at least one PAIR.npz", "none", "a pair file with rest, deformed and held")
         check_cluster_size(self.cluster_size)
-        check_level(self.level)
-        check_seed(self.seed)
 
     def reads(self) -> tuple[str, ...]:
         return self.sources
 
 
 @dataclass(frozen=True, slots=True)
-class YieldConfig(JsonOptions):
+class YieldConfig(RecordedOptions):
     """Find the strain at which a thing yields from its motion: loaded, and let go."""
 
     source: Annotated[Path, Positional, arg(metavar="MOTION.npz")]
@@ -392,18 +383,10 @@ class YieldConfig(JsonOptions):
     """Volume conservation (by projection), which stays as it is."""
     cluster_size: int = 3
     """Particles along each side of a cluster."""
-    level: float = 0.9
-    """Confidence level of the intervals."""
-    noise_m: PositiveFlag = None
-    """Standard deviation of a measured position [m]; default: what the file says, else the residuals."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where the simulation runs; auto: on the GPU where there is one."""
-    seed: int = 0
-    """Seed of every random number."""
     picture: PictureFlag = None
     """Draw the error over the yield strain, and the residuals of the frames. An existing file is replaced."""
-    json: JsonFlag = None
-    """Write the result as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+    fit: OmitArgPrefixes[FitFlags] = field(default_factory=FitFlags)
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def __post_init__(self) -> None:
         if self.beta is not None and self.beta > BETA_LIMIT:
@@ -411,11 +394,9 @@ class YieldConfig(JsonOptions):
         check_suffix("--picture", self.picture, ".png")
         check_unit("--theta", self.theta)
         check_cluster_size(self.cluster_size)
-        check_level(self.level)
-        check_seed(self.seed)
 
     def reads(self) -> tuple[str, ...]:
         return (str(self.source),)
 
-    def writes(self) -> tuple[Written, ...]:
-        return (*written_files(("--picture", self.picture)), *written_json(self.json))
+    def own_files(self) -> tuple[tuple[str, Path | None], ...]:
+        return (("--picture", self.picture),)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
-from tyro.conf import Positional, arg
+from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from deformscope.config.flags import (
     CameraFlag,
@@ -14,12 +14,11 @@ from deformscope.config.flags import (
     GridFlag,
     HeldFlag,
     HeldPart,
-    JsonFlag,
     PictureFlag,
     PositiveFlag,
     RectangleFlag,
 )
-from deformscope.config.options import JsonOptions, Written, check_suffix, written_files, written_json
+from deformscope.config.options import RecordedOptions, ViewOptions, check_suffix
 from deformscope.errors import InputError
 
 
@@ -74,7 +73,7 @@ class ImageOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class FlowConfig(JsonOptions):
+class FlowConfig(RecordedOptions):
     """Dense optical flow of two images: where each pixel of BEFORE has gone in AFTER."""
 
     before: Annotated[Path, Positional, arg(metavar="BEFORE")]
@@ -89,8 +88,7 @@ class FlowConfig(JsonOptions):
     """Write `backward_px`, the flow from AFTER to BEFORE, as well."""
     picture: PictureFlag = None
     """Draw the flow as arrows and colour. An existing file is replaced."""
-    json: JsonFlag = None
-    """Write the numbers of the table as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+    output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
 
     def __post_init__(self) -> None:
         check_suffix("--out", self.out, ".npz")
@@ -99,5 +97,5 @@ class FlowConfig(JsonOptions):
     def reads(self) -> tuple[str, ...]:
         return str(self.before), str(self.after)
 
-    def writes(self) -> tuple[Written, ...]:
-        return (*written_files(("--out", self.out), ("--picture", self.picture)), *written_json(self.json))
+    def own_files(self) -> tuple[tuple[str, Path | None], ...]:
+        return (("--out", self.out), ("--picture", self.picture))

@@ -93,7 +93,7 @@ class CommandOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class OutputOptions:
+class ViewOptions:
     """What is left behind and what is shown."""
 
     json: JsonFlag = None
@@ -107,16 +107,25 @@ class OutputOptions:
     can read all that is shown, and steer a window (open files, take pictures). On a shared machine: none."""
     overwrite: bool = False
     """Replace a recording that exists; without it an existing one is refused."""
-    seed: int = 0
-    """Seed of every random number."""
 
     def __post_init__(self) -> None:
         check_suffix("--record", self.record, ".rrd")
-        check_seed(self.seed)
 
     def writes(self) -> tuple[Written, ...]:
         record = () if self.record is None else (Written("--record", self.record, replace=self.overwrite),)
         return (*record, *written_json(self.json))
+
+
+@dataclass(frozen=True, slots=True)
+class OutputOptions(ViewOptions):
+    """The same of what draws random numbers."""
+
+    seed: int = 0
+    """Seed of every random number."""
+
+    def __post_init__(self) -> None:
+        ViewOptions.__post_init__(self)
+        check_seed(self.seed)
 
 
 class JsonOptions(CommandOptions):
@@ -133,13 +142,17 @@ class JsonOptions(CommandOptions):
 
 
 class RecordedOptions(CommandOptions):
-    """A command whose outputs are its `OutputOptions`."""
+    """A command that computes: it leaves JSON and a recording, and can be watched."""
 
     __slots__ = ()
-    output: OutputOptions
+    output: ViewOptions
+
+    def own_files(self) -> tuple[tuple[str, Path | None], ...]:
+        """Flag and path of what it writes besides; None where it is not wanted."""
+        return ()
 
     def writes(self) -> tuple[Written, ...]:
-        return self.output.writes()
+        return (*written_files(*self.own_files()), *self.output.writes())
 
     def json_target(self) -> str | None:
         return self.output.json

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
-from tyro.conf import arg
+from tyro.conf import OmitArgPrefixes, arg
 
-from deformscope.config.flags import CountFlag, JsonFlag, one_word, unset
-from deformscope.config.options import JsonOptions, check_cluster_size, check_level, check_seed
+from deformscope.config.flags import CountFlag, one_word, unset
+from deformscope.config.options import (
+    OutputOptions,
+    RecordedOptions,
+    ViewOptions,
+    check_cluster_size,
+    check_level,
+)
 from deformscope.errors import InputError
 
 
 @dataclass(frozen=True, slots=True)
-class CubesConfig(JsonOptions):
+class CubesConfig(RecordedOptions):
     """The thesis's experiment 3.A: theta of cubes of known Poisson's ratio, with figures 3.10 and 3.11, table 3.2, and
     overlapping clusters beside one cluster."""
 
@@ -34,10 +40,7 @@ class CubesConfig(JsonOptions):
     """Confidence level of the intervals."""
     workers: CountFlag = None
     """Processes; default: one a core."""
-    seed: int = 0
-    """Seed of every random number."""
-    json: JsonFlag = None
-    """Write cubes.json here too; with -, stdout is the JSON alone. An existing file is replaced."""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def __post_init__(self) -> None:
         if self.pairs and self.quick:
@@ -46,7 +49,6 @@ class CubesConfig(JsonOptions):
         check_level(self.level)
         if self.workers is not None and self.workers < 1:
             raise InputError("--workers of 1 or more", str(self.workers))
-        check_seed(self.seed)
 
     def reads(self) -> tuple[str, ...]:
         return tuple(str(path) for path in self.pairs)
@@ -56,7 +58,7 @@ class CubesConfig(JsonOptions):
 
 
 @dataclass(frozen=True, slots=True)
-class PokesConfig(JsonOptions):
+class PokesConfig(RecordedOptions):
     """Pokes of finite element slabs that were not fitted, predicted and compared with a rigid body, a half-space and
     linear finite elements."""
 
@@ -64,15 +66,14 @@ class PokesConfig(JsonOptions):
     """Folder of dents.png and pokes.csv; made where it is not there. What it holds of these is replaced."""
     quick: bool = False
     """The slab of one modulus alone."""
-    json: JsonFlag = None
-    """Write all of it as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+    output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
 
 
 # deformscope reproduce foams -----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class FoamsConfig(JsonOptions):
+class FoamsConfig(RecordedOptions):
     """Experiment 3.B: beta of five virtual foams from images of a push, with figure 3.14 and the force. Some 3 minutes
     on one core."""
 
@@ -82,20 +83,14 @@ class FoamsConfig(JsonOptions):
     """The softest and the firmest foam alone, fewer images, in some 30 s."""
     keep_images: bool = False
     """Keep the images in DIR/images, a folder a foam, as `calibrate beta` takes them."""
-    seed: int = 0
-    """Seed of the speckles, of the camera's noise and of the intervals."""
-    json: JsonFlag = None
-    """Write all of it as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
-
-    def __post_init__(self) -> None:
-        check_seed(self.seed)
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
 
 # deformscope coverage ------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class CoverageConfig(JsonOptions):
+class CoverageConfig(RecordedOptions):
     """Count how often the intervals hold the truth: random objects under each kind of noise, data that tell nothing,
     and unseen pokes of finite element bodies."""
 
@@ -107,12 +102,9 @@ class CoverageConfig(JsonOptions):
     """Confidence level of the intervals."""
     jobs: int = 2
     """Processes that share the work."""
-    seed: int = 0
-    """Seed of every random number."""
     out: Annotated[Path | None, one_word("DIR", Path), unset] = None
     """Folder for the rank histogram (coverage.png); made where there is none."""
-    json: JsonFlag = None
-    """Write the tables as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def __post_init__(self) -> None:
         if self.objects < 5:
@@ -120,13 +112,12 @@ class CoverageConfig(JsonOptions):
         check_level(self.level)
         if self.jobs < 1:
             raise InputError("--jobs of 1 or more", str(self.jobs))
-        check_seed(self.seed)
         if self.out is not None and self.out.exists() and not self.out.is_dir():
             raise InputError("a folder after --out", "a file", where=self.out)
 
 
 @dataclass(frozen=True, slots=True)
-class Table41Config(JsonOptions):
+class Table41Config(RecordedOptions):
     """Thesis table 4.1 and scenes beyond it: explore simulated tables over seeds, and tell how good the maps are after
     how many touches, planner beside planner. A touch takes about a second of a core: 20 seeds of all scenes take
     most of an hour."""
@@ -145,8 +136,7 @@ class Table41Config(JsonOptions):
     """Take what an earlier command left in runs.jsonl, and go on from there; it must have been this version."""
     workers: CountFlag = None
     """Processes at once; default: the cores of this machine."""
-    json: JsonFlag = None
-    """Write all figures as JSON too; with -, stdout is the JSON alone."""
+    output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
 
     def __post_init__(self) -> None:
         if self.seeds < 1 or self.touches < 1:

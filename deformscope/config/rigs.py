@@ -30,9 +30,7 @@ from deformscope.config.options import (
     RecordedOptions,
     Written,
     check_cluster_size,
-    check_seed,
     check_suffix,
-    written_files,
     written_json,
 )
 from deformscope.errors import InputError
@@ -273,8 +271,8 @@ class ExploreConfig(RecordedOptions):
     def reads(self) -> tuple[str, ...]:
         return (self.rig,) if self.rig else ()
 
-    def writes(self) -> tuple[Written, ...]:
-        return (*written_files(("--picture", self.picture), ("--map", self.map)), *self.output.writes())
+    def own_files(self) -> tuple[tuple[str, Path | None], ...]:
+        return ("--picture", self.picture), ("--map", self.map)
 
 
 def parse_place(text: str) -> tuple[float, float]:
@@ -287,7 +285,7 @@ def parse_place(text: str) -> tuple[float, float]:
 
 
 @dataclass(frozen=True, slots=True)
-class ArmConfig(JsonOptions):
+class ArmConfig(RecordedOptions):
     """Measure how the arm gives way under a push, by touching something rigid that stands firmly on the surface: what
     [tool] of the rig file wants. The arm moves, after a table of checks and a question."""
 
@@ -303,17 +301,13 @@ class ArmConfig(JsonOptions):
     yes: bool = False
     """Let a real arm move, once the checks have passed, without asking."""
     trust_rig: TrustFlag = False
-    seed: int = 0
-    """Seed of a simulated scene."""
-    json: JsonFlag = None
-    """Write what was found as JSON; with -, stdout is the JSON alone."""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def __post_init__(self) -> None:
         if self.touches < 1:
             raise InputError("--touches of 1 or more", str(self.touches))
         if self.set_force is not None and self.set_force > 5.0:
             raise InputError("--set-force up to 5 N", f"{self.set_force:g}")
-        check_seed(self.seed)
 
     def reads(self) -> tuple[str, ...]:
         return (self.rig,)

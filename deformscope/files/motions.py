@@ -34,7 +34,7 @@ def _motion(found: Arrays, noise_m: float | None) -> Motion:
     missing = [name for name in NEEDED if name not in found]
     if missing:
         keys = ", ".join(sorted(found)) or "nothing"
-        raise InputError(f"{' and '.join(missing)} in the motion file", keys, "see `Motion files` in the README")
+        raise InputError(f"{' and '.join(missing)} in the motion file", keys, "`Motion files` in docs/calibrating.md")
     rest, motion = numbers(found, "rest"), numbers(found, "motion")
     if rest.ndim != 2 or rest.shape[1] not in (2, 3):
         raise InputError("rest of shape (K, 2) or (K, 3)", str(rest.shape))

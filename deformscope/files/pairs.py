@@ -37,7 +37,7 @@ def _observation(found: Arrays, noise_m: float | None) -> Observation:
     missing = [name for name in ("rest", "deformed", "held") if name not in found]
     if missing:
         keys = ", ".join(sorted(found)) or "nothing"
-        raise InputError(f"{' and '.join(missing)} in the pair file", keys, "see `Pair files` in the README")
+        raise InputError(f"{' and '.join(missing)} in the pair file", keys, "`Pair files` in docs/calibrating.md")
     rest, deformed = numbers(found, "rest"), numbers(found, "deformed")
     if rest.ndim != 2 or rest.shape[1] not in (2, 3):
         raise InputError("rest of shape (K, 2) or (K, 3)", str(rest.shape))

@@ -10,9 +10,11 @@ import rerun as rr
 from deformscope.arrays import FloatArray
 from deformscope.log.canvas import Canvas
 from deformscope.log.estimate import log_comparison, log_estimate
+from deformscope.log.findings import RigFindings, log_evidence, log_findings, log_rig_findings
 from deformscope.log.flow import log_flow
 from deformscope.log.particles import log_grid, log_tracked
 from deformscope.pictures.close_up import close_up
+from deformscope.pictures.findings import Findings
 from deformscope.stages.fit.estimate import Comparison, Estimate
 from deformscope.stages.see.flow import FlowField
 from deformscope.stages.see.particles import ParticleGrid, Tracked
@@ -58,6 +60,19 @@ def _(result: Comparison, rec: rr.RecordingStream, canvas: Canvas) -> None:
 @_log.register
 def _(result: Estimate, rec: rr.RecordingStream, canvas: Canvas) -> None:
     log_estimate(rec, result, canvas)
+
+
+@_log.register
+def _(result: Findings, rec: rr.RecordingStream, canvas: Canvas) -> None:
+    if canvas == Canvas():
+        log_findings(rec, result)
+    else:
+        log_evidence(rec, result, canvas)
+
+
+@_log.register
+def _(result: RigFindings, rec: rr.RecordingStream, canvas: Canvas) -> None:
+    log_rig_findings(rec, result)
 
 
 @canvas_with.register

@@ -12,6 +12,7 @@ Layout = Literal["images", "flow", "pair", "pair-3d"]
 """A calibrated sequence of images; optical flow alone; pairs of particle sets in the plane; in space."""
 
 RESIDUALS = "Residuals: from simulated to observed"
+CHART = "Error and posterior over the parameter"
 HEAT = "Where the model is wrong: error over the body"
 
 PAPER = [232, 235, 240]
@@ -22,14 +23,14 @@ WIDE_FROM = 3.0
 """Width over height from which pictures are stacked rather than put side by side."""
 
 
-def blueprint(layout: Layout, canvas: Canvas) -> rrb.Blueprint:
-    """The views for a layout over this picture."""
+def blueprint(layout: Layout, canvas: Canvas, chart: str = CHART) -> rrb.Blueprint:
+    """The views for a layout over this picture. chart: what the picture beside the particles shows"""
     if layout == "flow":
-        root: rrb.Container | rrb.View = _flow_view(canvas)
+        root: rrb.Container | rrb.View = rrb.Horizontal(_flow_view(canvas), _summary_view(), column_shares=[3, 1])
     elif layout == "images":
         root = _images(canvas)
     else:
-        root = _pair(canvas)
+        root = _pair(canvas, chart)
     time = rrb.TimePanel(timeline="frame", state="collapsed", play_state="following", fps=8.0)
     return rrb.Blueprint(root, rrb.BlueprintPanel(state="hidden"), rrb.SelectionPanel(state="hidden"), time)
 
@@ -46,19 +47,19 @@ def _images(canvas: Canvas) -> rrb.Container:
     return rrb.Vertical(rrb.Horizontal(*pictures), rrb.Horizontal(*numbers, column_shares=[4, 4, 3]))
 
 
-def _pair(canvas: Canvas) -> rrb.Container:
+def _pair(canvas: Canvas, chart: str) -> rrb.Container:
     if canvas.flat:
         pictures = [_particles_view(canvas), _residual_view(canvas), _heat_view(canvas)]
     else:
         pictures = [
-            _deep_view("Particles: rest, observed, simulated", ["+ /particles/**", "+ /residual/lines"], canvas),
-            _deep_view(RESIDUALS, ["+ /residual/**"], canvas),
-            _deep_view(HEAT, ["+ /heat/**"], canvas),
+            deep_view("Particles: rest, observed, simulated", ["+ /particles/**", "+ /residual/lines"], canvas),
+            deep_view(RESIDUALS, ["+ /residual/**"], canvas),
+            deep_view(HEAT, ["+ /heat/**"], canvas),
         ]
-    numbers = rrb.Horizontal(_chart_view(), _summary_view(), column_shares=[4, 3])
+    numbers = rrb.Horizontal(_chart_view(chart), _summary_view(), column_shares=[4, 3])
     if canvas.flat and canvas.width > WIDE_FROM * canvas.height:
         return rrb.Horizontal(
-            rrb.Vertical(*pictures), rrb.Vertical(_chart_view(), _summary_view()), column_shares=[3, 2]
+            rrb.Vertical(*pictures), rrb.Vertical(_chart_view(chart), _summary_view()), column_shares=[3, 2]
         )
     return rrb.Vertical(rrb.Horizontal(*pictures), numbers)
 
@@ -85,10 +86,8 @@ def _flat_view(name: str, results: str, canvas: Canvas) -> rrb.View:
     return rrb.Spatial2DView(name=name, contents=contents, visual_bounds=_bounds(canvas), background=background)
 
 
-def _chart_view() -> rrb.View:
-    return rrb.Spatial2DView(
-        origin="/calibration/chart", name="Error and posterior over the parameter", background=[255, 255, 255]
-    )
+def _chart_view(name: str = CHART) -> rrb.View:
+    return rrb.Spatial2DView(origin="/calibration/chart", name=name, background=[255, 255, 255])
 
 
 def _error_view() -> rrb.View:
@@ -112,7 +111,7 @@ def _bounds(canvas: Canvas) -> rrb.VisualBounds2D:
     return rrb.VisualBounds2D(x_range=[x0 - margin, x1 + margin], y_range=[y0 - margin, y1 + margin])
 
 
-def _deep_view(name: str, contents: list[str], canvas: Canvas) -> rrb.View:
+def deep_view(name: str, contents: list[str], canvas: Canvas) -> rrb.View:
     """A view whose eye stands far enough away to have the whole in sight, above and to the side."""
     low, high = list(canvas.low), list(canvas.high)
     low[1] -= 0.32 * max(canvas.width, canvas.height)  # the legend

@@ -14,8 +14,11 @@ import rerun as rr
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.log.canvas import Canvas, log_color_bar, log_deep_legend, log_legend, log_place
 from deformscope.log.particles import REST_RADIUS, SIMULATED_RADIUS, log_observed, log_rest
+from deformscope.pictures.estimate_words import estimate_tables
 from deformscope.pictures.evidence import errors, evidence_png
+from deformscope.pictures.findings import cell_text, table_markdown
 from deformscope.pictures.palette import HELD, OBSERVED, REST, SIMULATED, Rgb, colors, readable, round_up
+from deformscope.pictures.report import Table
 from deformscope.plain import plain
 from deformscope.stages.fit.estimate import Comparison, Estimate
 from deformscope.stages.see.triangulation import raster, triangulate
@@ -261,60 +264,7 @@ def as_json(estimate: Estimate) -> dict[str, Any]:
 
 def summary(estimate: Estimate) -> str:
     """The estimate in a page of Markdown, the verdict in plain words first."""
-    low, high = estimate.interval
-    lines = [
-        f"# {estimate.parameter} = {estimate.value:.3g}",
-        "",
-        f"**{estimate.verdict_text()}**",
-        "",
-        f"{estimate.level:.0%} interval **{low:.3g} to {high:.3g}** (searched {estimate.bounds[0]:g} to "
-        f"{estimate.bounds[1]:g})",
-        "",
-        f"Stiffness: {estimate.stiffness_text()}",
-        "",
-        "| error at the best value | |",
-        "| --- | --- |",
-        f"| all particles (eq. 3.18) | {_length(estimate, estimate.aee)} |",
-        f"| free particles | {_length(estimate, estimate.aee_free)} |",
-        f"| to the nearest particle (eq. 4.6) | {_length(estimate, estimate.nearest)} |",
-        f"| converged | {'yes' if estimate.converged else '**NO**: do not rely on the value'} |",
-        "",
-        *_selection(estimate),
-        "| setting | |",
-        "| --- | --- |",
-    ]
-    lines += [f"| {name} | {_shown(value)} |" for name, value in estimate.settings.items() if value is not None]
-    return "\n".join(lines)
-
-
-def _shown(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    return ", ".join(str(one) for one in value) if isinstance(value, list | tuple) else str(value)
-
-
-def _selection(estimate: Estimate) -> list[str]:
-    """The ways of fitting that were tried, with the error on particles left out."""
-    if not estimate.selection:
-        return []
-    lines = [
-        f"Chosen by the error on particles left out: {estimate.selection_text}",
-        "",
-        f"| a side | held | alpha | dt [s] | left out | fitted | {estimate.parameter} |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
-    ]
-    for one in estimate.selection:
-        pace = ("static", "") if one.alpha is None else (f"{one.alpha:g}", f"{one.dt:g}")
-        error = _length(estimate, one.held_out)
-        told = [str(one.cluster_size), ", ".join(one.held), *pace, f"**{error}**" if one.chosen else error]
-        lines.append(f"| {' | '.join(told)} | {_length(estimate, one.fit)} | {one.value:.3g} |")
-    return [*lines, ""]
-
-
-def _length(estimate: Estimate, length: float) -> str:
-    """A length in its unit, and in metres too where an image's scale is known."""
-    factor, unit = readable(estimate.unit, estimate.aee)
-    said = f"{length * factor:.4g} {unit}"
-    if estimate.unit == "px" and estimate.metres_per_unit is not None:
-        said += f" = {length * estimate.metres_per_unit * 1e3:.3g} mm"
-    return said
+    used = [(name, cell_text(value)) for name, value in estimate.settings.items() if value is not None]
+    tables = [*estimate_tables(estimate, "Numbers"), Table(used, caption="Settings")]
+    head = f"# {estimate.parameter} = {estimate.value:.3g}\n\n**{estimate.verdict_text()}**"
+    return "\n\n".join([head, *map(table_markdown, tables)])

@@ -85,9 +85,14 @@ def html_report(title: str, sections: Sequence[Section]) -> str:
     )
 
 
+def html_parts(parts: Sequence[Part]) -> str:
+    """Parts of a page, without the page."""
+    return "\n".join(_part(one) for one in parts)
+
+
 def _section(section: Section) -> str:
     heading = f"<h2>{escape(section.title)}</h2>\n" if section.title else ""
-    return f"<section>\n{heading}" + "\n".join(_part(one) for one in section.parts) + "\n</section>"
+    return f"<section>\n{heading}{html_parts(section.parts)}\n</section>"
 
 
 def _part(part: Part) -> str:

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
     from deformscope.log.blueprint import Layout
 
-    RecordingLayout = Layout | Literal["rig", "exploration"]
+    RecordingLayout = Layout | Literal["rig", "exploration", "findings"]
     from deformscope.log.canvas import Canvas
     from deformscope.log.live_stream import LiveStream
     from deformscope.log.rig import Batch, Place
@@ -53,6 +53,7 @@ APPLICATIONS: dict[RecordingLayout, str] = {
     "pair-3d": "deformscope-pair-3d",
     "rig": "deformscope-rig",
     "exploration": "deformscope-exploration",
+    "findings": "deformscope-findings",
 }
 """rerun's application of each layout: a viewer keeps one set of views an application, and these differ."""
 BACKLOG_JOBS, BACKLOG_BYTES = 1 << 20, 512 << 20
@@ -344,12 +345,10 @@ class Recorder:
 
     def _take_step(self, step: Step) -> None:
         self._steps += 1
-        if self._layout == "rig":
-            results = tuple(one for one in step.results if isinstance(one, StageResult))
-            if self.active and results:
-                self._put(lambda: self._take_stage_results(results), sum(arrays_size(one.result) for one in results))
-            return
-        if self.active and step.results:
+        live = tuple(one for one in step.results if isinstance(one, StageResult))
+        if self.active and live:
+            self._put(lambda: self._take_stage_results(live), sum(arrays_size(one.result) for one in live))
+        if self.active and len(step.results) > len(live):
             times = self._times(self._last_frame if step.frame is None else step.frame)
             size = sum(map(arrays_size, step.results))
             self._put(lambda: self._write_step(step, times, size), size)
@@ -459,7 +458,9 @@ class Recorder:
         """Send the views, once, as soon as it is known what they show."""
         from deformscope.log.blueprint import blueprint
 
-        if not self._arranged and self._canvas is not None and self._layout != "rig" and self._layout != "exploration":
+        if self._layout == "rig" or self._layout == "exploration" or self._layout == "findings":
+            return  # these views come with what they show
+        if not self._arranged and self._canvas is not None:
             self._arranged = True
             views = blueprint(self._layout, self._canvas)
             self._emit(lambda rec: rec.send_blueprint(views), 0)

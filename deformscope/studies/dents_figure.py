@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,7 +20,7 @@ ACROSS = 3
 REACH_M = 0.08
 
 
-def draw_dents(predictions: Sequence[Prediction], compared: Sequence[PokeComparison], file: BinaryIO) -> None:
+def dents_png(predictions: Sequence[Prediction], compared: Sequence[PokeComparison]) -> bytes:
     """One panel a poke: height change along a line through the tip [mm], and what each method says of the force."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
@@ -34,7 +35,9 @@ def draw_dents(predictions: Sequence[Prediction], compared: Sequence[PokeCompari
             _draw(axes[place // columns][place % columns], one, measured.get(id(one)))
         for place in range(len(predictions), rows * columns):
             axes[place // columns][place % columns].set_axis_off()
+        file = io.BytesIO()
         figure.savefig(file, format="png", dpi=130)
+        return file.getvalue()
 
 
 def _draw(axes: Axes, found: Prediction, measured: PokeComparison | None) -> None:

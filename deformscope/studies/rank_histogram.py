@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -23,7 +23,7 @@ def rank_counts(outcomes: Sequence[Outcome]) -> dict[str, list[int]]:
     return found
 
 
-def draw_ranks(counts: dict[str, list[int]], path: Path) -> None:
+def ranks_png(counts: dict[str, list[int]]) -> bytes:
     """A histogram for each condition, with the band that holds 99 % of bins if the posterior is right."""
     columns = min(4, len(counts))
     rows = -(-len(counts) // columns)
@@ -46,4 +46,6 @@ def draw_ranks(counts: dict[str, list[int]], path: Path) -> None:
         if place >= len(counts) - columns:
             axis.set_xlabel("posterior mass below the truth")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=2, fontsize=8)
-    figure.savefig(path, dpi=130)
+    file = io.BytesIO()
+    figure.savefig(file, format="png", dpi=130)
+    return file.getvalue()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import os
@@ -9,6 +10,7 @@ import re
 import subprocess
 import sys
 import types
+import typing
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -85,6 +87,33 @@ def test_every_command_exists_and_has_help(capsys: pytest.CaptureFixture[str]) -
         assert capsys.readouterr().out.startswith(f"usage: deformscope {name} ")
         assert issubclass(getattr(config, command.config), config.CommandOptions)
         assert callable(getattr(__import__(command.module, fromlist=["_"]), command.function))
+
+
+ONLY_LOOK = {"devices", "doctor", "verify", "recover", "double", "bench", "export", "report"}
+"""Commands that compute nothing of a thing: they list, check, convert, or measure this machine."""
+
+
+def test_every_command_that_computes_records_and_shows() -> None:
+    for name in set(cli.COMMANDS) - ONLY_LOOK:
+        options = getattr(config, cli.COMMANDS[name].config)
+        assert issubclass(options, config.RecordedOptions), name
+        output = typing.get_type_hints(options)["output"]
+        assert {"record", "viewer", "json", "overwrite"} <= {field.name for field in dataclasses.fields(output)}, name
+
+
+@pytest.mark.parametrize("name", sorted(set(cli.COMMANDS) - ONLY_LOOK))
+def test_an_existing_recording_is_not_written_over(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept = tmp_path / "kept.rrd"
+    kept.write_bytes(b"kept")
+    needed = {"flow": ["a.png", "b.png", "--out", "f.npz"], "predict": ["m.npz", "--poke", "at=0,0 depth=0.001"]}
+    positional = [] if name.startswith(("reproduce", "demo", "coverage")) else ["x.npz"]
+    args = [*name.split(), *needed.get(name, positional)]
+
+    assert cli.main([*args, "--viewer", "none", "--record", str(kept)]) == 2
+    assert "a new file after --record; got one that exists" in one_line(capsys)
+    assert kept.read_bytes() == b"kept"
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
@@ -483,7 +512,7 @@ def talk(config_: config.FlowConfig) -> None:
     common.show_table("Result", [("beta", "[0.5]")])
     with common.progress("work", 2) as advance:
         advance(2)
-    common.write_json({"beta": 0.5}, config_.json)
+    common.write_json({"beta": 0.5}, config_.output.json)
 
 
 def test_stdout_is_the_json_alone(command: Callable[..., list[str]], capsys: pytest.CaptureFixture[str]) -> None:

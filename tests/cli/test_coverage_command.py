@@ -14,6 +14,7 @@ pytest.importorskip("tyro")
 from deformscope.cli import main
 from deformscope.stages.fit.calibrate import Model, Observation
 from deformscope.studies import coverage
+from tests.cli.recorded import assert_shows
 from tests.stages.bodies import pushed
 
 
@@ -24,15 +25,17 @@ def test_coverage_tells_three_tables(
     monkeypatch.setattr(coverage, "NOTHING_CASES", 2)
     target = tmp_path / "found.json"
     flags = ["--objects", "5", "--jobs", "1", "--json", str(target), "--out", str(tmp_path / "new")]
+    flags += ["--record", str(tmp_path / "r.rrd")]
     assert main(["coverage", *flags]) == 0
     said = capsys.readouterr().out
-    for words in ("hold the truth", "tell nothing", "unseen poke", "wrong noise level", "shuffled labels"):
+    for words in ("hold the truth", "without information", "unseen poke", "wrong noise level", "shuffled labels"):
         assert words in said
     found = json.loads(target.read_text())
     assert {row["group"] for row in found["coverage"]} >= {"all", "2D", "beta = 0", "beta > 0.97"}
     assert all(row["cases"] == 2 for row in found["no_information"])
     assert found["unseen_pokes"][0]["pokes"] == 1
     assert (tmp_path / "new" / "coverage.png").is_file()
+    assert_shows(tmp_path / "r.rrd", pictures=1, says="intervals for beta")
 
 
 @pytest.mark.parametrize("flags", [["--objects", "2"], ["--level", "1"], ["--jobs", "0"], ["--seed", "-1"]])
@@ -55,7 +58,8 @@ def pair(path: Path) -> Path:
 
 def test_both_tells_a_joint_posterior(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source = pair(tmp_path / "pair.npz")
-    assert main(["calibrate", "both", str(source), "--picture", str(tmp_path / "both.png"), "--json", "-"]) == 0
+    files = ["--picture", str(tmp_path / "both.png"), "--record", str(tmp_path / "r.rrd")]
+    assert main(["calibrate", "both", str(source), *files, "--json", "-"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert set(found["parameters"]) == {"beta", "theta"}
     for one in found["parameters"].values():
@@ -64,6 +68,7 @@ def test_both_tells_a_joint_posterior(tmp_path: Path, capsys: pytest.CaptureFixt
     assert np.shape(posterior["density"]) == (len(posterior["beta"]), len(posterior["theta"]))
     assert found["stiffness_n_per_m"]["interval"][0] > 0.0
     assert (tmp_path / "both.png").stat().st_size > 5_000
+    assert_shows(tmp_path / "r.rrd", says="beta and theta of", beside_particles=True)
 
 
 def test_both_takes_pair_files_alone(capsys: pytest.CaptureFixture[str]) -> None:

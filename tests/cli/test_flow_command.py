@@ -15,6 +15,8 @@ import pytest
 pytest.importorskip("tyro")
 
 from deformscope.cli import main
+from deformscope.files.sources import open_source
+from tests.cli.recorded import assert_shows
 from tests.patience import PATIENCE_S
 
 MOTION_PX = (2.5, -1.0)
@@ -61,13 +63,16 @@ def test_the_flow_is_written_in_x_y(method: str, capsys: pytest.CaptureFixture[s
 
 def test_the_way_back_the_picture_and_the_json(capsys: pytest.CaptureFixture[str]) -> None:
     Path("f.npz").write_text("replaced")
-    flags = ["--out", "f.npz", "--backward", "--picture", "f.png", "--json", "-"]
+    flags = ["--out", "f.npz", "--backward", "--picture", "f.png", "--json", "-", "--record", "f.rrd"]
     assert main(["flow", "before.png", "after.png", *flags]) == 0
     with np.load("f.npz") as written:
         assert written.files == ["flow_px", "backward_px"]
         there, back = np.median(inner(written["flow_px"]), (0, 1)), np.median(inner(written["backward_px"]), (0, 1))
     picture = cv2.imread("f.png")
     told = json.loads(capsys.readouterr().out)
+    assert_shows(Path("f.rrd"), says="median motion", beside_particles=True, chart=False)
+    with open_source(["f.rrd"]) as recorded:
+        np.testing.assert_array_equal([frame.image for frame in recorded][1], cv2.imread("after.png", 0))
 
     np.testing.assert_allclose(there, -back, atol=WITHIN_PX)
     assert picture is not None

@@ -15,6 +15,7 @@ pytest.importorskip("warp")
 from deformscope.cli import main
 from deformscope.stages.msm.materials import AxisBeta
 from deformscope.stages.msm.solver import Msm
+from tests.cli.recorded import assert_shows
 from tests.stages.bodies import pushed
 from tests.stages.materials.test_plasticity import BETA, pressed
 
@@ -53,8 +54,10 @@ def failure(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     return said
 
 
-def test_axes_tells_a_beta_for_each(pair: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    told = run_json(["calibrate", "axes", str(pair), "--turn-deg", "30"], capsys)
+def test_axes_tells_a_beta_for_each(pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    record = tmp_path / "r.rrd"
+    told = run_json(["calibrate", "axes", str(pair), "--turn-deg", "30", "--record", str(record)], capsys)
+    assert_shows(record, says="the axes differ", beside_particles=True)
     assert [each["value"] for each in told["axes"]] == pytest.approx([0.3, 0.85], abs=1e-3)
     assert told["axes"][0]["axis"] == pytest.approx([np.sqrt(0.75), 0.5])
     assert told["anisotropic"]
@@ -67,7 +70,9 @@ def test_axes_tells_a_beta_for_each(pair: Path, capsys: pytest.CaptureFixture[st
 
 def test_yield_tells_the_strain_and_draws(press: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture = tmp_path / "press.png"
-    told = run_json(["calibrate", "yield", str(press), "--beta", str(BETA), "--picture", str(picture)], capsys)
+    files = ["--picture", str(picture), "--record", str(tmp_path / "r.rrd")]
+    told = run_json(["calibrate", "yield", str(press), "--beta", str(BETA), *files], capsys)
+    assert_shows(tmp_path / "r.rrd", says="yield strain", beside_particles=True)
     assert told["value"] == pytest.approx(0.07, rel=0.06)
     assert told["interval"][0] < told["value"] < told["interval"][1]
     assert told["beta"] == {"value": BETA, "interval": [BETA, BETA], "given": True}

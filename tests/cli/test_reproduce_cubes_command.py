@@ -14,6 +14,7 @@ pytest.importorskip("warp")
 
 from deformscope.cli import EXIT_INPUT, main
 from deformscope.studies import cubes
+from tests.cli.recorded import assert_shows
 
 TOP = {
     *("cubes", "theta_rises", "theta_rises_to_bound", "aee_m_most", "over_grid_most", "ratio_most"),
@@ -39,10 +40,10 @@ def test_pairs_give_figures_tables_and_json(
     pairs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "new" / "out"
-    assert (
-        main(["reproduce", "cubes", "--pairs", *pairs[::-1], "--out", str(out), "--workers", "1", "--json", "-"]) == 0
-    )
+    flags = ["--out", str(out), "--workers", "1", "--record", str(tmp_path / "r.rrd"), "--json", "-"]
+    assert main(["reproduce", "cubes", "--pairs", *pairs[::-1], *flags]) == 0
     told = json.loads(capsys.readouterr().out)
+    assert_shows(tmp_path / "r.rrd", pictures=3, says="theta rises with nu")
 
     assert told.keys() == TOP
     assert told == json.loads((out / "cubes.json").read_text(encoding="utf-8"))

@@ -152,7 +152,7 @@ def test_chart_of_every_verdict() -> None:
         assert evidence_png(estimate).startswith(b"\x89PNG")
         assert estimate.verdict_text() in summary(estimate)
     scaled = dataclasses.replace(synthetic.estimate(), metres_per_unit=1e-4, stiffness=(12.0, (11.0, 13.5)))
-    assert "| 0.35 px = 0.035 mm |" in summary(scaled)
+    assert "| 0.35 px, 0.035 mm |" in summary(scaled)
     assert "12 N/m (11 to 13.5)" in summary(scaled)
     gaps = synthetic.estimate()
     gaps.curve.aee[[0, 1, 5]] = np.nan

@@ -1,4 +1,4 @@
-"""What a calibration says, outside a recording: the numbers as rows, one picture, and one HTML page."""
+"""What a calibration says, outside a recording: the numbers as rows, and one HTML page."""
 
 from __future__ import annotations
 
@@ -6,54 +6,40 @@ import datetime
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import PurePath
-from typing import TYPE_CHECKING
 
-from deformscope.cli.common import console, replacing
+from deformscope.pictures.estimate_words import estimate_rows, length_words
+from deformscope.pictures.evidence import (
+    Result,
+    errors_png,
+    evidence_png,
+    headline,
+    particles_png,
+    verdict_color,
+    where_wrong,
+)
+from deformscope.pictures.findings import cell_text
+from deformscope.pictures.report import Code, Figure, Part, ReportVerdict, Section, Table, html_report
 from deformscope.plain import plain
-
-if TYPE_CHECKING:
-    from deformscope.config import SummaryOptions
-    from deformscope.pictures.evidence import Result
-    from deformscope.pictures.report import Part, Section, Table
-    from deformscope.stages.fit.estimate import Estimate
-    from deformscope.stages.poke.poke_estimate import PokesFound
-
-Rows = list[tuple[str, str]]
+from deformscope.recording import provenance
+from deformscope.stages.fit.estimate import Estimate
+from deformscope.stages.poke.poke_estimate import PokesFound
 
 MOST_SHOWN = 24
 """Comparisons whose pictures go into a report."""
 
 
-def write_summaries(
-    files: SummaryOptions,
-    results: Sequence[Result],
-    *,
-    seed: int,
-    settings: Mapping[str, object],
-    pokes: PokesFound | None = None,
-) -> None:
-    """Write the picture and the report that were asked for. settings: of the command, beside those of the estimates"""
-    if files.picture is not None:
-        from deformscope.pictures.evidence import results_png
-
-        with replacing(files.picture) as file:
-            file.write(results_png(results))
-        console().print(f"picture: {files.picture}", markup=False, soft_wrap=True)
-    if files.report is not None:
-        from deformscope.pictures.report import html_report
-
-        sections = calibration_sections(results, seed=seed, settings=settings, pokes=pokes)
-        with replacing(files.report) as file:
-            file.write(html_report(_title(results), sections).encode())
-        console().print(f"report: {files.report}", markup=False, soft_wrap=True)
+def calibration_page(
+    results: Sequence[Result], *, seed: int, settings: Mapping[str, object], pokes: PokesFound | None = None
+) -> str:
+    """All that was found, with pictures, settings and provenance, as one HTML page. settings: of the command, beside
+    those of the estimates"""
+    return html_report(_title(results), calibration_sections(results, seed=seed, settings=settings, pokes=pokes))
 
 
 def calibration_sections(
     results: Sequence[Result], *, seed: int, settings: Mapping[str, object], pokes: PokesFound | None = None
 ) -> list[Section]:
     """The parts of a report on calibrations: verdicts first, then numbers, pictures, and how it was done."""
-    from deformscope.pictures.report import Section, Table
-
     several = len(results) > 1
     sections = [Section("", [part for one in results for part in _verdict(one, named=several)])]
     if several:
@@ -68,17 +54,16 @@ def calibration_sections(
     if missing := sum(len(one.comparisons) for one in results) - (MOST_SHOWN - left):
         sections.append(Section("Left out", [f"Pictures of {missing} more, which would make this page too large."]))
     if pokes is not None:
-        sections.append(Section("Pokes", [_pokes(pokes), _sizes(pokes)]))
-    fitted = [(name, _cell(value)) for name, value in results[0].estimate.settings.items() if value is not None]
+        sections.append(Section("Pokes", list(poke_tables(pokes))))
+    fitted = [
+        (name, cell_text(plain(value))) for name, value in results[0].estimate.settings.items() if value is not None
+    ]
     sections.append(Section("Settings", [Table(fitted, caption="Of the fit")]))
     return [*sections, *provenance_sections(seed=seed, settings=settings)]
 
 
 def provenance_sections(*, seed: int, settings: Mapping[str, object]) -> list[Section]:
     """What made a result, and how to make it again."""
-    from deformscope.pictures.report import Code, Section, Table
-    from deformscope.recording import provenance
-
     rows: list[tuple[str, str]] = [
         ("made", datetime.datetime.now().astimezone().isoformat(sep=" ", timespec="seconds"))
     ]
@@ -95,61 +80,7 @@ def provenance_sections(*, seed: int, settings: Mapping[str, object]) -> list[Se
     return [Section("Provenance", [Table(rows)]), Section("To reproduce it", [Code(command), again])]
 
 
-def estimate_rows(estimate: Estimate) -> Rows:
-    """An estimate as names and values."""
-    from deformscope.stages.fit.estimate import explained_text
-
-    low, high = estimate.interval
-    rows = [
-        (estimate.parameter, f"{estimate.value:.4g}"),
-        (f"{estimate.level:.0%} interval", f"{low:.4g} to {high:.4g}"),
-        ("verdict", estimate.verdict_text()),
-        ("stiffness", estimate.stiffness_text()),
-        ("error, all particles", _length(estimate, estimate.aee)),
-        ("error, free particles", _length(estimate, estimate.aee_free)),
-        ("noise of a position", _length(estimate, estimate.settings.get("noise"))),
-        ("converged", "yes" if estimate.converged else "NO: do not rely on the value"),
-    ]
-    if estimate.explained is not None:
-        rows.insert(-1, ("explained", explained_text(estimate.explained)))
-    if not estimate.settings.get("pose_held", True):
-        rows.insert(-1, ("pose", "the held particles leave the body free to turn: hold more for a value to rely on"))
-    if lost := estimate.settings.get("lost"):
-        every = int(str(estimate.settings["particles"]))
-        many = "; so many that the tracking may have failed: look at the picture" if int(str(lost)) * 3 > every else ""
-        rows.insert(-1, ("lost particles", f"{lost} of {every}: left out of the fit{many}"))
-    if moved := estimate.settings.get("held_moved"):
-        parts = ", ".join(moved) if isinstance(moved, list) else str(moved)
-        rows.insert(-1, ("held elsewhere", f"{parts}: lost there; the outermost row or column still seen is held"))
-    if estimate.settings.get("whole_motion"):
-        rows.insert(-1, ("frames fitted", _frames_text(estimate)))
-    if estimate.selection_text:
-        rows.insert(-1, ("chosen", estimate.selection_text))
-    return rows
-
-
-def _frames_text(estimate: Estimate) -> str:
-    found = estimate.settings
-    rho, worth = found["frames_correlation"], float(str(found["frames_worth"]))
-    if found["frames_fitted"] == 1 or not isinstance(rho, list):
-        return "1"
-    shared = f"errors shared: {float(rho[0]):.0%}, at most {float(rho[1]):.0%}"
-    return f"{found['frames_fitted']}, which tell as much as {worth:.2g} of the best one ({shared})"
-
-
-def _length(estimate: Estimate, value: object) -> str:
-    if not isinstance(value, float):
-        return "not known"
-    parts = [f"{value:.3g} px"] if estimate.unit == "px" else []
-    if estimate.metres_per_unit is not None:
-        parts.append(f"{1e3 * value * estimate.metres_per_unit:.3g} mm")
-    return ", ".join(parts)
-
-
 def _verdict(result: Result, *, named: bool) -> list[Part]:
-    from deformscope.pictures.evidence import headline, verdict_color
-    from deformscope.pictures.report import ReportVerdict
-
     found = result.estimate
     name = f"{_name(result)}: " if named else ""
     words = (f"Stiffness: {found.stiffness_text()}.", *([] if named else [_explained(found)]))
@@ -169,25 +100,20 @@ def _explained(found: Estimate) -> str:
 
 
 def _overview(results: Sequence[Result]) -> Table:
-    from deformscope.pictures.report import Table
-
     rows = []
     for one in results:
         found = one.estimate
         low, high = found.interval
-        interval, error = f"{low:.4g} to {high:.4g}", _length(found, found.aee_free)
+        interval, error = f"{low:.4g} to {high:.4g}", length_words(found, found.aee_free)
         rows.append((_name(one), f"{found.value:.4g}", interval, found.verdict_text(), error))
     first = results[0].estimate
     return Table(rows, ("pair", first.parameter, f"{first.level:.0%} interval", "verdict", "error, free particles"))
 
 
 def _evidence(result: Result) -> list[Part]:
-    from deformscope.pictures.evidence import evidence_png
-    from deformscope.pictures.report import Figure, Table
-
     found = result.estimate
     rows = estimate_rows(found)
-    rows.insert(-1, ("error, nearest particle", _length(found, found.nearest)))
+    rows.insert(-1, ("error, nearest particle", length_words(found, found.nearest)))
     caption = (
         f"Above: mean distance between observed and simulated particles over {found.parameter}, with the estimate. "
         f"Below: the posterior on the same axis; shaded the {found.level:.0%} interval."
@@ -196,9 +122,6 @@ def _evidence(result: Result) -> list[Part]:
 
 
 def _pictures(result: Result, count: int) -> list[Part]:
-    from deformscope.pictures.evidence import errors_png, particles_png, where_wrong
-    from deformscope.pictures.report import Figure
-
     parts: list[Part] = []
     for index in range(count):
         name = f"{PurePath(result.names[index]).name}: " if result.names[index] else ""
@@ -211,9 +134,8 @@ def _pictures(result: Result, count: int) -> list[Part]:
     return parts
 
 
-def _pokes(found: PokesFound) -> Table:
-    from deformscope.pictures.report import Table
-
+def poke_tables(found: PokesFound) -> tuple[Table, Table]:
+    """Each poke, and the cluster sizes that were tried."""
     rows = []
     for one in found.rows():
         size = " x ".join(f"{1e3 * side:.3g}" for side in one.tip.size)
@@ -242,30 +164,19 @@ def _pokes(found: PokesFound) -> Table:
         ),
         *("surface error [of the depth]", "the same, left out of the fit", "force predicted from the others"),
     )
-    return Table(rows, names, f"Stiffness over the surface: {found.model.field_kind}. E* is of a half-space: apparent.")
-
-
-def _sizes(found: PokesFound) -> Table:
-    from deformscope.pictures.report import Table
-
-    rows = [
+    caption = f"Pokes: stiffness over the surface is {found.model.field_kind}; E* is of a half-space: apparent"
+    sizes = [
         (str(one["cluster_size"]), f"{one['error']:.1%}", f"{one['beta']:.3g}", f"{one['theta']:.3g}")
         for one in found.tried_json()
     ]
-    return Table(rows, ("particles a side", "error [of the depth]", "beta", "theta"), "Cluster sizes tried, best first")
+    return (
+        Table(rows, names, caption),
+        Table(sizes, ("particles a side", "error [of the depth]", "beta", "theta"), "Cluster sizes tried, best first"),
+    )
 
 
 def _number(value: float | None, form: str) -> str:
     return "–" if value is None else form.format(value)
-
-
-def _cell(value: object) -> str:
-    shown = plain(value)
-    if isinstance(shown, float):
-        return f"{shown:.6g}"
-    if isinstance(shown, bool):
-        return "yes" if shown else "no"
-    return ", ".join(str(item) for item in shown) if isinstance(shown, list) else str(shown)
 
 
 def _title(results: Sequence[Result]) -> str:

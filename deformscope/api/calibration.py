@@ -1,0 +1,595 @@
+"""Beta or theta of images and of pairs of shapes: the same for files, recordings, samples and arrays."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import shutil
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, Unpack
+
+import numpy as np
+
+from deformscope import __version__
+from deformscope.api.result import LibraryResult, Note, ViewerChoice, log_note, python_names, recording_rows
+from deformscope.api.result import resolve_viewer as viewer_of
+from deformscope.arrays import FloatArray, ImageArray
+from deformscope.config import BetaConfig, ImageOptions, OutputOptions, SearchOptions, ThetaConfig
+from deformscope.config.calibrate import LayersFlags, MotionFlags
+from deformscope.config.flags import GridShape, HeldPart, Rectangle, Selectable
+from deformscope.errors import InputError
+from deformscope.experiments.foam_video import ParticleOptions, foam_video
+from deformscope.experiments.pair_files import pair_files
+from deformscope.experiments.poke_files import LayersOptions, poke_files
+from deformscope.experiments.whole_motion import MotionOptions, whole_motion
+from deformscope.file_io import read_file
+from deformscope.files.pairs import parse_pair
+from deformscope.files.sources import DEFAULT_FPS, Source, open_source, sample_path
+from deformscope.frames import ColorFrame
+from deformscope.images import read_image
+from deformscope.pictures.estimate_words import estimate_tables
+from deformscope.pictures.evidence import Result, results_png
+from deformscope.pictures.report import Figure, Table
+from deformscope.recording.reader import Replay
+from deformscope.recording.recorder import Recorder, RecordingSummary
+from deformscope.session import run
+from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation
+from deformscope.stages.fit.estimate import Comparison, Estimate, Verdict
+from deformscope.stages.fit.plausible import size_note
+from deformscope.stages.fit.search import Progress
+from deformscope.stages.msm.clusters import rank
+from deformscope.stages.msm.poke import Law
+from deformscope.stages.msm.quiet import quiet_warp
+from deformscope.stages.msm.solver import pick_device
+from deformscope.stages.poke.fitted import FittedModel, from_pair
+from deformscope.stages.poke.poke_estimate import PokesFound
+from deformscope.stages.see.particles import clean_mask
+from deformscope_drivers.clock import Stamp
+
+if TYPE_CHECKING:
+    from deformscope.log.blueprint import Layout
+
+PairArrays: TypeAlias = Mapping[str, Any]
+"""A pair by name, as in a pair file: `rest (K, d)`, `deformed (K, d)` [m], `held (n,)`, and what else one holds."""
+CalibrationSource: TypeAlias = str | Path | PairArrays | Sequence[str] | Sequence[Path] | Sequence[ImageArray]
+"""A video, a folder of frames, a recording, `sample:NAME` or a pair file; image files or images (H, W[, 3]) in their
+order; or a pair as arrays."""
+
+FLAT_SURFACE = "note: a flat surface by itself hardly feels beta; --thickness-m fits the material below it"
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationResult(LibraryResult):
+    """What `calibrate_beta` or `calibrate_theta` found.
+
+    estimate: value, interval, verdicts, error curve; shown: observed and simulated particles
+    name: of the source; pokes: of a surface, where layers below it were fitted
+    pair: the observation and the model's settings that `model` is made of, where it was one pair
+    recording: what was recorded; problems: what of the source is damaged
+    settings, seed: what decides the result
+    """
+
+    estimate: Estimate
+    shown: Result
+    name: str = ""
+    pokes: PokesFound | None = None
+    pair: tuple[Observation, Model] | None = None
+    recording: RecordingSummary | None = None
+    problems: tuple[str, ...] = ()
+    settings: Mapping[str, object] = dataclasses.field(default_factory=dict)
+    seed: int = 0
+
+    @property
+    def value(self) -> float:
+        """The parameter with the lowest error."""
+        return self.estimate.value
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Within which the parameter lies, at the estimate's level."""
+        return self.estimate.interval
+
+    @property
+    def verdict(self) -> Verdict:
+        """What the data allow to say of the parameter."""
+        return self.estimate.verdict
+
+    def __repr__(self) -> str:
+        low, high = self.interval
+        return f"<{self.estimate.parameter} {self.value:.4g}, {low:.4g} to {high:.4g}: {self.verdict}>"
+
+    def model(self) -> FittedModel:
+        """A model that `deformscope.predict` can poke. Raises InputError where the source has no scale in metres."""
+        if self.pokes is not None:
+            return self.pokes.model
+        if self.pair is None:
+            raise InputError("a result of one pair, or of pokes of a surface", "one of images or of several pairs")
+        (seen, model), found = self.pair, self.estimate
+        beta, theta = (found.value, model.theta) if model.parameter == "beta" else (model.beta, found.value)
+        law = Law(beta, theta, model.cluster_size, model.basis, model.volume)
+        stiffness = None if found.stiffness is None else found.stiffness[0]
+        error_m = found.aee_free * (found.metres_per_unit or 1.0)
+        return from_pair(seen, law, stiffness, error_m, {"deformscope": __version__, "sources": [self.name]})
+
+    def save(self, path: Path | str) -> None:
+        """Write `model()` as a file (.npz) that `deformscope predict` takes."""
+        from deformscope.files.model_file import save_model
+
+        save_model(self.model(), Path(path))
+
+    def picture(self) -> bytes:
+        """Particles, where the model is wrong, error curve and posterior, as PNG."""
+        return results_png([self.shown])
+
+    def as_json(self) -> dict[str, Any]:
+        found = self.estimate.as_json()
+        if self.pokes is not None:
+            found |= {"pokes": self.pokes.rows(), "tried": self.pokes.tried_json()}
+            found |= {"field": self.pokes.model.field_kind, "model": None}
+        return found | ({"source_problems": list(self.problems)} if self.problems else {})
+
+    def tables(self) -> tuple[Table, ...]:
+        from deformscope.api.calibration_report import poke_tables
+
+        parameter, rows = self.estimate.parameter, []
+        if self.problems:
+            rows.append(("SOURCE DAMAGED", "; ".join(self.problems)))
+        if self.recording is not None:
+            rows += recording_rows(self.recording)
+            if self.recording.path is not None:
+                rows.append(("to look at it", f"{rerun_command()} {self.recording.path}"))
+        title = f"{parameter} of {self.name}" if self.name else f"Estimate of {parameter}"
+        first, *others = estimate_tables(self.estimate, title)
+        tables = [Table([*first.rows, *rows], caption=first.caption), *others]
+        if self.pokes is not None:
+            tables += poke_tables(self.pokes)
+        return tuple(tables)
+
+    def figures(self) -> tuple[Figure, ...]:
+        return (Figure(self.picture(), self.estimate.verdict_text()),)
+
+
+def rerun_command() -> str:
+    """How this user starts rerun's viewer: by name where it is on the PATH, else beside this Python."""
+    beside = Path(sys.executable).with_name("rerun")
+    if shutil.which("rerun") is not None or not beside.exists():
+        return "rerun"
+    try:
+        return str(beside.relative_to(Path.cwd()))
+    except ValueError:
+        return str(beside)
+
+
+# For scripts ---------------------------------------------------------------------------------------------------------
+
+
+class CalibrationOptions(TypedDict, total=False):
+    """What `calibrate_beta` and `calibrate_theta` share; each is the flag of that name of the command line.
+
+    roi, contact: x, y, width, height [px]; grid: rows and columns of particles; held: parts whose motion is prescribed
+    mode: how a cluster may deform; candidates: values that a sweep tries; level: of the interval
+    noise_px, noise_m: deviation of a measured position; volume: how theta conserves it
+    record: a recording to make (.rrd); viewer: default none
+    progress: called with what is done, how much of it, and of how much
+    """
+
+    roi: Rectangle
+    grid: GridShape
+    spacing_px: float
+    mask: Path | str
+    px_per_cm: float
+    stride: int
+    fps: float
+    flow: Literal["dis", "farneback"]
+    held: Sequence[HeldPart]
+    contact: Rectangle
+    mode: Literal["linear", "quadratic"]
+    alpha: float
+    method: Literal["sweep", "gradient"]
+    candidates: int
+    level: float
+    noise_px: float
+    noise_m: float
+    volume: Literal["scale", "project"]
+    device: Literal["auto", "cpu", "cuda"]
+    seed: int
+    record: Path | str
+    viewer: ViewerChoice
+    overwrite: bool
+    progress: Progress
+
+
+def calibrate_beta(
+    source: CalibrationSource | Sequence[PairArrays],
+    *,
+    cluster_size: int | None = None,
+    theta: float | None = None,
+    bounds: tuple[float, float] = (0.0, 0.99),
+    thickness_m: float | None = None,
+    spacing_m: float | None = None,
+    whole_motion: bool = False,
+    select: Sequence[Selectable] = (),
+    **options: Unpack[CalibrationOptions],
+) -> CalibrationResult:
+    """Find beta, the share of linear deformation, with its interval and a verdict (Thesis eq. 3.13).
+
+    source: see `CalibrationSource`; several pairs are fitted to one value, with thickness_m as pokes of one surface
+    cluster_size: particles along each side of a cluster, default 3; theta: fixed, default 0 (layers: fitted)
+    bounds: between which beta is searched; thickness_m: of the material below a surface that was poked, spacing_m: of
+    its lattice; whole_motion: fit all frames; options: see `CalibrationOptions`
+    Raises InputError for what cannot be used.
+    """
+    with python_names():
+        layers, motion = LayersFlags(thickness_m, spacing_m), MotionFlags(whole_motion, tuple(select) or None)
+        own = {"theta": theta, "beta_range": bounds, "layers": layers, "motion": motion}
+        return _calibrate(BetaConfig, source, {"cluster_size": cluster_size, **own}, options)
+
+
+def calibrate_theta(
+    source: CalibrationSource | Sequence[PairArrays],
+    *,
+    cluster_size: int | None = None,
+    beta: float = 0.99,
+    bounds: tuple[float, float] = (0.0, 1.0),
+    **options: Unpack[CalibrationOptions],
+) -> CalibrationResult:
+    """Find theta, how strongly volume is conserved, with its interval and a verdict (Thesis eq. 3.17).
+
+    source: see `CalibrationSource`; several pairs are fitted to one value
+    cluster_size: default None, one cluster of all particles; beta: fixed; bounds: between which theta is searched
+    options: see `CalibrationOptions`. Raises InputError for what cannot be used.
+    """
+    with python_names():
+        own = {"cluster_size": cluster_size, "beta": beta, "theta_range": bounds}
+        return _calibrate(ThetaConfig, source, own, options)
+
+
+def _calibrate(
+    kind: type[BetaConfig | ThetaConfig], source: object, own: dict[str, Any], options: CalibrationOptions
+) -> CalibrationResult:
+    """The flags of the command line, each in its group; whatever is left belongs to the command itself."""
+    given: dict[str, Any] = {"viewer": "none", "joint": _together(source), **options}
+    progress = given.pop("progress", None)
+    for name, convert in (("mask", Path), ("record", Path), ("held", tuple)):
+        if given.get(name) is not None:
+            given[name] = convert(given[name])
+    groups = {"images": ImageOptions, "search": SearchOptions, "output": OutputOptions}
+    for name, group in groups.items():
+        mine = {field.name for field in dataclasses.fields(group)} & given.keys()
+        own[name] = group(**{key: given.pop(key) for key in mine})
+    if unknown := given.keys() - {field.name for field in dataclasses.fields(kind)}:
+        raise TypeError(f"unexpected options: {', '.join(sorted(unknown))}")
+    return calibrate(kind(_names(source), **own, **given), _arrays(source), progress=progress)[0]
+
+
+def _arrays(source: object) -> Sequence[Any]:
+    """What is given as arrays: images in order, or pairs; empty where files are named."""
+    if isinstance(source, Mapping):
+        return [source]
+    if isinstance(source, str | Path):
+        return []
+    given = list(source)  # type: ignore[call-overload]
+    return given if given and not isinstance(given[0], str | Path) else []
+
+
+def _names(source: object) -> tuple[str, ...]:
+    if given := _arrays(source):
+        return tuple(f"pair {number}" for number in range(1, len(given) + 1)) if _is_pair(given[0]) else ("images",)
+    return (str(source),) if isinstance(source, str | Path) else tuple(map(str, source))  # type: ignore[call-overload]
+
+
+def _is_pair(given: object) -> bool:
+    return isinstance(given, Mapping)
+
+
+def _together(source: object) -> bool:
+    """Whether several pairs share one value: a script that wants one of each calls again."""
+    names = _names(source)
+    pairs = names[0].endswith(".npz") if names and not _arrays(source) else _is_pair(next(iter(_arrays(source)), None))
+    return len(names) > 1 and pairs
+
+
+# For scripts and commands --------------------------------------------------------------------------------------------
+
+
+def calibrate(
+    config: BetaConfig | ThetaConfig,
+    given: Sequence[PairArrays] | Sequence[ImageArray] = (),
+    *,
+    note: Note = log_note,
+    progress: Progress | None = None,
+) -> list[CalibrationResult]:
+    """Fit what the options name, or what is given as arrays; one result, or one for each of several pairs."""
+    quiet_warp()
+    sources, search, output = config.sources, config.search, config.output
+    model, bounds = _model(config)
+    fit = FitOptions(model, bounds, search.method, search.candidates, search.level, output.seed)
+    layers, motion = _layers(config), _motion(config)
+    pairs = [source for source in sources if Path(source).suffix.lower() == ".npz"]
+    if pairs and len(pairs) != len(sources):
+        other = next(source for source in sources if source not in pairs)
+        raise InputError("either pair files or images", "both", "name them in two commands", other)
+    if given and _is_pair(given[0]):
+        raws = [(name, _pair_bytes(one)) for name, one in zip(sources, given, strict=True)]  # type: ignore[arg-type]
+    elif pairs:
+        raws = [(path, read_file(path, "a pair file (.npz)")) for path in pairs]
+    else:
+        raws = [] if given or len(sources) > 1 else _recorded_pairs(sources[0])
+    if raws and motion is not None:
+        raise InputError("images with --whole-motion", "pair files", "--joint fits one value to all pairs")
+    if raws:
+        if pairs and config.images != ImageOptions():
+            came = "some (--roi, --grid, --held...)"
+            raise InputError("no flags about images with pair files", came, "leave them out")
+        if pairs and search.noise_px is not None:
+            raise InputError("--noise-m for pair files", "--noise-px", "give the noise in metres")
+        save = config.model.save is not None
+        if save and layers is None and len(raws) > 1:
+            expected = "one pair file with --save, or --thickness-m with several pokes of a surface"
+            raise InputError(expected, str(len(raws)))
+        return calibrate_pair_bytes(
+            raws, fit, output, noise_m=search.noise_m, joint=search.joint, layers=layers, note=note, progress=progress
+        )
+    for flag, used in (
+        ("--thickness-m", layers is not None),
+        ("--save", config.model.save is not None),
+        ("--joint", search.joint),
+    ):
+        if used:
+            raise InputError(f"pair files with {flag}", "images", f"leave out {flag}")
+    if search.noise_m is not None:
+        raise InputError("--noise-px for images", "--noise-m", "give the noise in pixels")
+    images = config.images
+    if len(sources) == 1 and sources[0].startswith("sample:"):
+        images = for_sample(sources[0].removeprefix("sample:"), images)
+    rated = images.fps is not None or (len(sources) == 1 and not given and not Path(sources[0]).is_dir())
+    if motion is not None and {"alpha", "dt"} & set(motion.select) and not rated:
+        raise InputError("--fps with --select alpha or dt", "images that do not say their rate", "--fps 30")
+    particles = particle_options(images, search)
+    return [calibrate_images(sources, fit, particles, images, output, motion, given, progress)]  # type: ignore[arg-type]
+
+
+def _model(config: BetaConfig | ThetaConfig) -> tuple[Model, tuple[float, float]]:
+    device, volume = pick_device(config.search.device), config.search.volume
+    if isinstance(config, BetaConfig):
+        size, theta = config.fitted_cluster_size, config.fitted_theta
+        model = Model("beta", config.mode, size, config.alpha, theta=theta, volume=volume, device=device)
+        return model, config.beta_range
+    size_or_one = config.cluster_size
+    model = Model("theta", config.mode, size_or_one, config.alpha, beta=config.beta, volume=volume, device=device)
+    return model, config.theta_range
+
+
+def _motion(config: BetaConfig | ThetaConfig) -> MotionOptions | None:
+    if not isinstance(config, BetaConfig) or not config.motion.whole_motion:
+        return None
+    return MotionOptions(config.motion.select or ())
+
+
+def _layers(config: BetaConfig | ThetaConfig) -> LayersOptions | None:
+    if not isinstance(config, BetaConfig) or config.layers.thickness_m is None:
+        return None
+    return LayersOptions(config.layers.thickness_m, config.layers.spacing_m, config.cluster_size, config.theta)
+
+
+def _pair_bytes(pair: PairArrays) -> bytes:
+    """As in a pair file, so that what is recorded can be replayed."""
+    file = io.BytesIO()
+    np.savez(file, allow_pickle=False, **{name: np.asarray(value) for name, value in pair.items()})
+    return file.getvalue()
+
+
+def _recorded_pairs(source: str) -> list[tuple[str, bytes]]:
+    if Path(source).suffix.lower() != ".rrd":
+        return []
+    return [(f"{source}, pair {index}", raw) for index, raw in enumerate(Replay(Path(source)).read_pair_bytes())]
+
+
+# Images --------------------------------------------------------------------------------------------------------------
+
+
+def sample_images(name: str) -> ImageOptions:
+    """The options that suit a sample that ships, out of its `sample.toml`."""
+    import tomllib
+
+    folder = sample_path(name)
+    known = tomllib.loads((folder / "sample.toml").read_text(encoding="utf-8"))
+    return ImageOptions(
+        roi=tuple(known["roi"]) if "roi" in known else None,
+        grid=tuple(known["grid"]) if "grid" in known else None,
+        spacing_px=known.get("spacing_px"),
+        mask=folder / known["mask"] if "mask" in known else None,
+        held=tuple(known["held"]),
+        fps=known.get("fps"),
+    )
+
+
+def for_sample(name: str, asked: ImageOptions) -> ImageOptions:
+    """What was asked for, with the sample's own particles where nothing was said about them."""
+    known = sample_images(name)
+    if any(value is not None for value in (asked.roi, asked.grid, asked.spacing_px, asked.mask, asked.held)):
+        return dataclasses.replace(asked, fps=asked.fps or known.fps)
+    return dataclasses.replace(
+        known, fps=asked.fps or known.fps, stride=asked.stride, flow=asked.flow, px_per_cm=asked.px_per_cm
+    )
+
+
+def particle_options(images: ImageOptions, search: SearchOptions) -> ParticleOptions:
+    """What decides how images become particles, without where they come from."""
+    return ParticleOptions(
+        roi=images.roi,
+        grid=images.grid,
+        spacing_px=images.spacing_px,
+        held=images.held_parts(),
+        contact=images.contact,
+        flow=images.flow,
+        px_per_cm=images.px_per_cm,
+        noise_px=search.noise_px,
+    )
+
+
+def calibrate_images(
+    sources: Sequence[str],
+    fit: FitOptions,
+    particles: ParticleOptions,
+    images: ImageOptions,
+    output: OutputOptions,
+    motion: MotionOptions | None = None,
+    given: Sequence[ImageArray] = (),
+    progress: Progress | None = None,
+) -> CalibrationResult:
+    """Fit a sequence of files, or of the images given, and record it where asked. motion: all frames are fitted"""
+    mask: ImageArray | None = None
+    if images.mask is not None:
+        mask = read_image(images.mask)
+    elif len(sources) == 1 and Path(sources[0]).suffix.lower() == ".rrd":
+        mask = Replay(Path(sources[0]), trust=True).mask  # its ledger was compared when it was looked at for pairs
+    settings = {"sources": list(sources), "stride": images.stride, "fps": images.fps, "mask": images.mask is not None}
+    settings |= {"camera": images.camera} if images.camera is not None else {}
+    if given:
+        opened = _given_images(given, images)
+    else:
+        opened = open_source(sources, stride=images.stride, fps=images.fps, mask=images.mask, camera=images.camera)
+    with opened as source:
+        return run_images(source, mask, fit, particles, settings, output, motion, progress)
+
+
+def _given_images(given: Sequence[ImageArray], images: ImageOptions) -> Source:
+    kept = list(given)[:: images.stride]
+    if kept and any(one.shape != kept[0].shape or one.dtype != kept[0].dtype for one in kept):
+        raise InputError("images of one size and type", "several", "crop them alike")
+    if kept and (kept[0].dtype not in (np.uint8, np.uint16) or kept[0].ndim not in (2, 3)):
+        raise InputError("images (H, W) or (H, W, 3) of uint8 or uint16", f"{kept[0].dtype} {kept[0].shape}")
+    period_ns = 1e9 * images.stride / (images.fps or DEFAULT_FPS)
+    frames = [ColorFrame(Stamp(round(index * period_ns)), index, image) for index, image in enumerate(kept)]
+    return Source("images", lambda: iter(frames), len(frames))
+
+
+def run_images(
+    source: Source,
+    mask: ImageArray | None,
+    fit: FitOptions,
+    particles: ParticleOptions,
+    settings: dict[str, Any],
+    output: OutputOptions,
+    motion: MotionOptions | None = None,
+    progress: Progress | None = None,
+) -> CalibrationResult:
+    """One sequence through the loop: the same for files, samples and recordings. motion: all frames are fitted."""
+    used = settings | {"particles": dataclasses.asdict(particles), "fit": dataclasses.asdict(fit)}
+    if motion is not None:
+        used["motion"] = dataclasses.asdict(motion)
+    region = None if mask is None else clean_mask(mask)
+    last: list[ImageArray] = []
+
+    def frames() -> Iterator[ColorFrame]:
+        for done, frame in enumerate(source):
+            last[:] = [frame.image]
+            yield frame
+            if progress is not None:
+                progress("frames", done + 1, source.count or 0)
+
+    with Recorder(
+        output.record, viewer_of(output.viewer), used, layout="images", overwrite=output.overwrite
+    ) as recorder:
+        if mask is not None:
+            recorder.write_input("mask", mask)
+        experiment = (
+            foam_video(particles, fit, region, progress)
+            if motion is None
+            else whole_motion(particles, fit, motion, region, progress)
+        )
+        found = run(frames(), experiment, recorder)
+        if problems := source.problems():
+            recorder.stopped_because(f"with what could be read of {source.name}: {'; '.join(problems)}")
+    shown = Result(found.estimate, found.comparisons[-1:], ("",), last[0])
+    return CalibrationResult(
+        found.estimate,
+        shown,
+        recording=recorder.summary(),
+        problems=tuple(problems),
+        settings=used,
+        seed=output.seed,
+    )
+
+
+# Pairs ---------------------------------------------------------------------------------------------------------------
+
+
+def size_notes(rest: Sequence[FloatArray]) -> list[str]:
+    """Remarks on bodies (K, d) that are unusually large, if their positions are metres."""
+    return [one for one in dict.fromkeys(map(size_note, rest)) if one is not None]
+
+
+def calibrate_pair_bytes(
+    raws: Sequence[tuple[str, bytes]],
+    fit: FitOptions,
+    output: OutputOptions,
+    *,
+    noise_m: float | None = None,
+    joint: bool = False,
+    layers: LayersOptions | None = None,
+    note: Note = log_note,
+    progress: Progress | None = None,
+) -> list[CalibrationResult]:
+    """Fit pairs given by name and content: the same for files and recordings.
+
+    layers: all are pokes of one surface, fitted together with the material below it
+    """
+    seen = [parse_pair(raw, name, noise_m=noise_m) for name, raw in raws]
+    for remark in size_notes([one.rest for one in seen]):
+        note(remark)
+    if layers is None and any(one.rest.shape[1] == 3 and rank(one.rest) == 2 for one in seen):
+        note(FLAT_SURFACE)
+    names = [name for name, _ in raws]
+    settings: dict[str, Any] = {"sources": names, "noise_m": noise_m, "joint": joint, "fit": dataclasses.asdict(fit)}
+    if layers is not None:
+        settings["layers"] = dataclasses.asdict(layers)
+    with pair_recorder(seen, raws, settings, output) as recorder:
+        pokes: PokesFound | None = None
+        found: list[Calibration] = []
+        if layers is not None:
+            provenance = {"deformscope": __version__, "sources": names, "layers": settings["layers"]}
+            pokes = run((), poke_files(seen, fit, layers, provenance=provenance, progress=progress), recorder)
+        else:
+            found = run((), pair_files(seen, fit, joint=joint, progress=progress), recorder)
+
+    def result(
+        estimate: Estimate, comparisons: tuple[Comparison, ...], called: Sequence[str], name: str
+    ) -> CalibrationResult:
+        shown, recording = Result(estimate, comparisons, tuple(called)), recorder.summary()
+        return CalibrationResult(estimate, shown, name, pokes, None, recording, (), settings, output.seed)
+
+    if pokes is not None:
+        name = names[0] if len(names) == 1 else f"{len(names)} pokes"
+        return [result(pokes.estimate, pokes.comparisons, [names[index] for index in pokes.fit.shaped], name)]
+    if joint:
+        return [result(found[0].estimate, found[0].comparisons, names, "all pairs")]
+    return [
+        dataclasses.replace(result(one.estimate, one.comparisons, [name], name), pair=(pair, fit.model))
+        for name, pair, one in zip(names, seen, found, strict=True)
+    ]
+
+
+@contextmanager
+def pair_recorder(
+    seen: Sequence[Observation],
+    raws: Sequence[tuple[str, bytes]],
+    settings: Mapping[str, object],
+    output: OutputOptions,
+) -> Iterator[Recorder]:
+    """Records pairs, their files as they were among them."""
+    planes = {one.rest.shape[1] for one in seen}
+    layout: Layout = "pair" if planes == {2} else "pair-3d"
+    with Recorder(
+        output.record, viewer_of(output.viewer), settings, layout=layout, overwrite=output.overwrite
+    ) as recorder:
+        if recorder.active and len(planes) > 1:
+            raise InputError("pairs all in the plane, or all in space, in one recording", "both", "two commands")
+        for index, (_, raw) in enumerate(raws):
+            recorder.write_input(f"pair/{index}", raw)
+        yield recorder

@@ -1,0 +1,162 @@
+"""`deformscope.explore`: map how soft a surface is, and where, from a script."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from deformscope.api.result import LibraryResult, ViewerChoice, python_names
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.config import ExploreConfig, OutputOptions
+from deformscope.errors import InputError
+from deformscope.experiments.options import ExploreOptions
+from deformscope.pictures.report import Figure, Table
+from deformscope.pictures.words import counted, travel_words
+from deformscope.stages.msm.quiet import quiet_warp
+
+Planner = Literal["regions", "integrated-variance", "max-variance", "random-above"]
+
+
+@dataclass(frozen=True, slots=True)
+class ExplorationResult(LibraryResult):
+    """What `explore` found.
+
+    found: the JSON of `deformscope explore`; maps: its arrays by name, rows along y, columns along x, cells of
+    `cell_m`: `stiffness_n_per_mm`, `stiffness_log_sd`, `labels`, `label_probability`, `beta`... empty where no touch
+    gave a map; png: the maps drawn, empty without a map
+    """
+
+    found: Mapping[str, Any]
+    maps: Mapping[str, np.ndarray]
+    png: bytes = b""
+
+    @property
+    def verdict(self) -> str | None:
+        """`regions`, `gradual` (the stiffness changes smoothly), or None where no touch gave a map."""
+        verdict: str | None = self.found["verdict"]
+        return verdict
+
+    @property
+    def stiffness_n_per_mm(self) -> FloatArray:
+        """(rows, columns) at the force that was set [N/mm]; empty without a map."""
+        return np.asarray(self.maps.get("stiffness_n_per_mm", np.empty((0, 0))), dtype=np.float64)
+
+    @property
+    def labels(self) -> IntArray:
+        """(rows, columns) region of each cell, from 0 = the softest; -1 = no regions; empty without a map."""
+        return np.asarray(self.maps.get("labels", np.empty((0, 0))), dtype=np.int64)
+
+    def __repr__(self) -> str:
+        touches = counted(len(self.found["touches"]), "touch")
+        return f"<exploration of {self.found['scenario']}: {self._verdict_words()}, {touches}>"
+
+    def as_json(self) -> dict[str, Any]:
+        return dict(self.found)
+
+    def tables(self) -> tuple[Table, ...]:
+        found = self.found
+        rows = [("verdict", self._verdict_words())]
+        for number, region in enumerate(found["regions"], start=1):
+            value, (low, high) = math.exp(region["log_stiffness"]), map(math.exp, region["interval"])
+            words = f"> {value:.3g} N/mm" if region["rigid"] else f"{value:.3g} N/mm ({low:.3g} to {high:.3g})"
+            rows.append((f"region {number}", words))
+        truth = found["truth"]
+        if truth is not None:
+            parts = [counted(truth["region_count"], "region")]
+            parts += [] if truth["iou"] is None else [f"IoU {truth['iou']:.3f}"]
+            parts += [] if truth["boundary_m"] is None else [f"border {100 * truth['boundary_m']:.1f} cm off"]
+            rows.append(("truth", ", ".join(parts)))
+        ended = f"stopped: {found['stop_reason'].removeprefix('stopped: ') or 'before its plan said so'}"
+        rows.append(("touches", f"{len(found['touches'])}, {travel_words(found['travel_m'])}; {ended}"))
+        if found["max_force_n"] is not None:
+            rows.append(("largest contact force", f"{found['max_force_n']:.2f} N, true"))
+        rows += [("failed", f"{one['stage']}: {one['reason']}") for one in found["failures"]]
+        rows.append(("arm", "stands" if found["arm_stands"] else "COULD NOT BE STOPPED: use its emergency stop"))
+        if found["recording"] is not None:
+            rows.append(("recording", str(found["recording"])))
+        return (Table(rows, caption=str(found["scenario"])),)
+
+    def figures(self) -> tuple[Figure, ...]:
+        return (Figure(self.png, f"Maps of {self.found['scenario']}"),) if self.png else ()
+
+    def _verdict_words(self) -> str:
+        found = self.found
+        if found["verdict"] is None:
+            return "none: no touch gave a map"
+        kind = "gradual: no regions" if found["verdict"] == "gradual" else counted(found["region_count"], "region")
+        return f"{kind} (probability {found['verdict_probability']:.2f})"
+
+
+def explore(
+    rig: str | Path,
+    *,
+    touches: int = 8,
+    planner: Planner = "regions",
+    set_force_n: float | None = None,
+    beta_model: Literal["volume", "thesis", "none"] = "volume",
+    seed: int = 0,
+    record: Path | str | None = None,
+    viewer: ViewerChoice = "none",
+    overwrite: bool = False,
+    yes: bool = False,
+    trust_rig: bool = False,
+    verbose: bool = False,
+) -> ExplorationResult:
+    """Map how soft a surface is: look, touch where it says most about the map, map, and again.
+
+    rig: a rig file (.toml), or a simulated scene (`lab:NAME`); touches: at most; set_force_n: at most 5 N
+    record: a recording to make (.rrd); yes: let a real arm move, once the checks have passed, without asking
+    verbose: print each touch as it goes on; with a rig file that, the table of checks and the question always appear
+    Raises InputError for what cannot be used, and SystemExit where the exploration was stopped before its end.
+    """
+    simulated = str(rig).startswith("lab:")
+    with python_names(), tempfile.TemporaryDirectory() as folder:
+        config = ExploreConfig(
+            str(rig),
+            touches=touches,
+            planner=planner,
+            set_force=set_force_n,
+            beta_model=beta_model,
+            picture=Path(folder) / "maps.png",
+            map=Path(folder) / "maps.npz",
+            yes=yes,
+            trust_rig=trust_rig,
+            output=OutputOptions(None, None if record is None else Path(record), viewer, overwrite, seed),
+        )
+        return _explored(config, quiet=simulated and not verbose)
+
+
+def _explored(config: ExploreConfig, *, quiet: bool) -> ExplorationResult:
+    """The one place that knows how an exploration is run and where it leaves its maps."""
+    from deformscope.cli.explore import explore_on
+
+    quiet_warp()
+    options = ExploreOptions(
+        planner=config.planner,
+        budget=config.touches,
+        threshold=config.threshold,
+        beta_model=config.beta_model,
+        seed=config.output.seed,
+    )
+    assert config.picture is not None
+    assert config.map is not None
+    with contextlib.ExitStack() as silence:
+        if quiet:
+            silence.enter_context(contextlib.redirect_stdout(io.StringIO()))
+            silence.enter_context(contextlib.redirect_stderr(io.StringIO()))
+        found = explore_on(config, options)
+    if found is None:
+        raise InputError("an exploration", "none: it ended before the arm could move")
+    maps: dict[str, np.ndarray] = {}
+    if config.map.exists():
+        with np.load(config.map) as file:
+            maps = {name: file[name] for name in file.files}
+    return ExplorationResult(found, maps, config.picture.read_bytes() if config.picture.exists() else b"")

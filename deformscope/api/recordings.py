@@ -1,0 +1,145 @@
+"""Recordings, from a script: make one of a rig, and open one."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from deformscope.api.result import LibraryResult, ViewerChoice, python_names
+from deformscope.config import OutputOptions, RecordConfig
+from deformscope.frames import ColorFrame, Item
+from deformscope.pictures.findings import cell_text
+from deformscope.pictures.report import Table
+from deformscope.recording.items import read_items
+from deformscope.recording.reader import Replay
+
+
+class OpenRecording(LibraryResult):
+    """A recording of ours: settings, frames and results, read when they are asked for.
+
+    path: of the file; its bytes were compared with its ledger when it was opened
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Raises InputError where it is no recording of ours, or no longer what was recorded."""
+        self.path = path
+        self._replay = Replay(path)
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """Everything that decided the recorded results."""
+        return self._replay.settings
+
+    @property
+    def outcome(self) -> Mapping[str, Any]:
+        """How the recording ended; empty where the run was cut short."""
+        return self._replay.outcome
+
+    @cached_property
+    def kind(self) -> str:
+        """The layout of its views: `images`, `pair`, `rig`, `exploration`..."""
+        return self._replay.identity[0].removeprefix("deformscope").removeprefix("-") or "images"
+
+    def frames(self) -> Iterator[ColorFrame]:
+        """The images that were calibrated, in their order, bit for bit, with their stamps."""
+        return self._replay.frames()
+
+    def items(self) -> Iterator[Item]:
+        """Everything that the devices of a rig gave, in its order."""
+        return read_items(self.path, trust=True)
+
+    def estimates(self) -> list[dict[str, Any]]:
+        """The recorded estimates of a calibration, as the JSON of the command line has them."""
+        return self._replay.read_results()
+
+    def results(self) -> Iterator[object]:
+        """The recorded results of an exploration, in the order in which they came."""
+        from deformscope.recording.results import read_results
+
+        return (one.result for one in read_results(self.path, trust=True))
+
+    def __repr__(self) -> str:
+        return f"<recording {self.path}: {self.kind}>"
+
+    def as_json(self) -> dict[str, Any]:
+        return {"recording": self.path, "kind": self.kind, "settings": self.settings, "outcome": self.outcome}
+
+    def tables(self) -> tuple[Table, ...]:
+        rows = [("kind", self.kind), ("frames", str(self.outcome.get("frames", "unknown: its run was cut short")))]
+        rows += [(name, cell_text(value)) for name, value in self.outcome.items() if name in ("stopped", "complete")]
+        rows += [
+            (name, cell_text(value)) for name, value in self.settings.items() if isinstance(value, str | int | float)
+        ]
+        return (Table([row for row in rows if "\n" not in row[1]], caption=str(self.path)),)
+
+
+@dataclass(frozen=True, slots=True)
+class RecordResult(LibraryResult):
+    """What `record` left. found: the JSON of `deformscope record`"""
+
+    found: Mapping[str, Any]
+
+    @property
+    def path(self) -> Path:
+        """The recording."""
+        return Path(self.found["recording"])
+
+    def open(self) -> OpenRecording:
+        """What was recorded."""
+        return OpenRecording(self.path)
+
+    def __repr__(self) -> str:
+        return f"<recorded {self.path}: {self.found['frames']} frames>"
+
+    def as_json(self) -> dict[str, Any]:
+        return dict(self.found)
+
+    def tables(self) -> tuple[Table, ...]:
+        rows = [(name, f"{one['received']} readings") for name, one in self.found["devices"].items()]
+        rows += [(f"{name} lost", cell_text(list(lost.items()))) for name, lost in self.found["losses"].items()]
+        rows += [("ended", self.found["ended"]), ("recording", f"{self.path} ({self.found['bytes'] / 1e6:.1f} MB)")]
+        return (Table(rows, caption="Recorded"),)
+
+
+def open_recording(path: Path | str) -> OpenRecording:
+    """Open a recording of ours. Raises InputError where it is none, or no longer what was recorded."""
+    return OpenRecording(Path(path))
+
+
+def record(
+    rig: str | Path,
+    file: Path | str | None = None,
+    *,
+    seconds: float,
+    label: str = "",
+    viewer: ViewerChoice = "none",
+    overwrite: bool = False,
+    trust_rig: bool = False,
+) -> RecordResult:
+    """Record all devices of a rig for some seconds, with every byte of their wires and what was lost.
+
+    rig: a rig file (.toml) or `lab:NAME`; file: an `.rrd`, default `runs/NAME-<stamp>.rrd`
+    Raises InputError for what cannot be used.
+    """
+    with python_names():
+        output = OutputOptions(None, None if file is None else Path(file), viewer, overwrite)
+        return _recorded(RecordConfig(str(rig), seconds, label, trust_rig, output=output))
+
+
+def _recorded(config: RecordConfig) -> RecordResult:
+    """The one place that knows how a rig is recorded."""
+    import dataclasses
+
+    from deformscope.cli.record import record as run
+
+    with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
+        target = Path(folder) / "found.json"
+        run(dataclasses.replace(config, output=dataclasses.replace(config.output, json=str(target))))
+        return RecordResult(json.loads(target.read_text(encoding="utf-8")))

@@ -1,0 +1,90 @@
+"""What every result can do: print itself, become JSON, show itself in a notebook; and what every function shares."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Literal, cast
+
+from deformscope.errors import InputError
+from deformscope.plain import plain
+
+if TYPE_CHECKING:
+    from deformscope.pictures.findings import Findings
+    from deformscope.pictures.report import Figure, Table
+    from deformscope.recording.recorder import RecordingSummary
+
+ViewerChoice = Literal["auto", "native", "page", "none"]
+Viewer = Literal["native", "page", "none"]
+Note = Callable[[str], None]
+Rows = list[tuple[str, str]]
+
+log_note: Note = logging.getLogger("deformscope").warning
+"""Where remarks go that a result does not hold, such as on units that look wrong."""
+
+
+class LibraryResult(ABC):
+    """A result: `str()` is its tables, `to_dict()` the JSON of the command line, and a notebook shows its pictures."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def tables(self) -> tuple[Table, ...]:
+        """What was found, each table with its caption."""
+
+    @abstractmethod
+    def as_json(self) -> dict[str, Any]:
+        """The public form; dataclasses and arrays may stand in it."""
+
+    def figures(self) -> tuple[Figure, ...]:
+        """Pictures of it."""
+        return ()
+
+    def findings(self) -> Findings:
+        """Tables and pictures together."""
+        from deformscope.pictures.findings import Findings
+
+        return Findings(self.tables(), self.figures())
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON of the command line as a dict of plain Python values; what is not finite is None."""
+        return cast("dict[str, Any]", plain(self.as_json()))
+
+    def __str__(self) -> str:
+        from deformscope.pictures.findings import Findings
+
+        return str(Findings(self.tables()))
+
+    def _repr_html_(self) -> str:
+        return self.findings().html()
+
+
+def resolve_viewer(choice: ViewerChoice) -> Viewer:
+    """`auto` is rerun's own window where there is a display, else none."""
+    if choice != "auto":
+        return choice
+    return "native" if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") else "none"
+
+
+def recording_rows(recording: RecordingSummary) -> Rows:
+    """Where the recording is, and what of it a live view did not show."""
+    rows = []
+    if recording.path is not None:
+        rows.append(("recording", f"{recording.path} ({recording.bytes / 1e6:.1f} MB)"))
+    if recording.dropped:
+        rows.append(("live view", f"{recording.dropped} items dropped; the recording has them all"))
+    return rows
+
+
+@contextmanager
+def python_names() -> Iterator[None]:
+    """Errors name parameters as Python spells them: the checks are those of the command line's flags."""
+    try:
+        yield
+    except InputError as error:
+        words = re.sub(r"--([a-z][a-z-]*)", lambda flag: flag[1].replace("-", "_"), str(error))
+        raise type(error).about(Exception(words), "") from None

@@ -1,0 +1,108 @@
+"""What a study or a command found, as views: its pictures and bodies, and its tables as text."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from deformscope.frames import Stream
+from deformscope.log.blueprint import blueprint, deep_view
+from deformscope.log.canvas import Canvas, log_deep_legend
+from deformscope.log.rig.blueprint import rig_blueprint
+from deformscope.pictures.findings import ColoredBody, Findings, table_markdown
+from deformscope.pictures.palette import colors, round_up
+from deformscope.plain import plain
+from deformscope.stages.see.triangulation import spacing_of
+
+
+@dataclass(frozen=True, slots=True)
+class RigFindings:
+    """What was found with devices that are recorded beside it. streams: of the devices, whose views stand below"""
+
+    found: Findings
+    streams: tuple[Stream, ...]
+
+
+ACROSS = 3
+"""Pictures side by side, at most."""
+MARKS = 21
+"""Of a colour bar."""
+
+
+def log_findings(rec: rr.RecordingStream, found: Findings, below: rrb.Blueprint | None = None) -> None:
+    """Pictures, bodies, the tables as Markdown for reading and as JSON for programs, and the views of all. below: views
+    that there are already"""
+    for number, figure in enumerate(found.figures):
+        rec.log(f"found/picture/{number}", rr.EncodedImage(contents=figure.png, media_type="image/png"))
+    for number, body in enumerate(found.bodies):
+        _log_body(rec, body, f"found/body/{number}")
+    _log_tables(rec, found, "found/tables")
+    rec.send_blueprint(findings_blueprint(found, below))
+
+
+def log_rig_findings(rec: rr.RecordingStream, result: RigFindings) -> None:
+    """The findings above the views of the devices."""
+    log_findings(rec, result.found, rig_blueprint(result.streams))
+
+
+def log_evidence(rec: rr.RecordingStream, found: Findings, canvas: Canvas) -> None:
+    """The same beside particles: the first picture and the tables stand where an estimate's would."""
+    _log_tables(rec, found, "calibration/summary")
+    if not found.figures:
+        return
+    rec.log("calibration/chart", rr.EncodedImage(contents=found.figures[0].png, media_type="image/png"))
+    layout = "pair" if canvas.flat else "pair-3d"
+    rec.send_blueprint(blueprint(layout, canvas, chart=found.figures[0].caption))  # type: ignore[arg-type]
+
+
+def _log_tables(rec: rr.RecordingStream, found: Findings, path: str) -> None:
+    text = "\n\n".join(table_markdown(one) for one in found.tables)
+    rec.log(path, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
+    rec.log(path, rr.AnyValues(json=json.dumps(plain(found.tables))))
+
+
+def _log_body(rec: rr.RecordingStream, body: ColoredBody, path: str) -> None:
+    end = round_up(float(np.nanmax(body.value, initial=0.0)))
+    tints, radius = colors(body.value / end), 0.3 * spacing_of(body.points)
+    flat = body.points.shape[1] == 2
+    points = np.column_stack([body.points, np.zeros(len(body.points))]) if flat else body.points
+    rec.log(path, rr.Points3D(points, radii=radius, colors=tints))
+    rec.log(path, rr.AnyValues(value=body.value))
+    bar = [(place / (MARKS - 1), "", tint) for place, tint in enumerate(colors(np.linspace(0.0, 1.0, MARKS)))]
+    marks = [(share, name, (int(tint[0]), int(tint[1]), int(tint[2]))) for share, name, tint in bar]
+    for place in (0, MARKS // 2, MARKS - 1):
+        marks[place] = (marks[place][0], f"{end * marks[place][0]:g}", marks[place][2])
+    log_deep_legend(rec, f"{path}/legend", _around(body), marks)
+
+
+def _around(body: ColoredBody) -> Canvas:
+    low, high = body.points.min(axis=0), body.points.max(axis=0)
+    ground = (0.0,) * (3 - len(low))
+    return Canvas(low=(*map(float, low), *ground), high=(*map(float, high), *ground))
+
+
+def findings_blueprint(found: Findings, below: rrb.Blueprint | None = None) -> rrb.Blueprint:
+    """Bodies and pictures beside the tables."""
+    bodies = [
+        deep_view(body.caption, [f"+ /found/body/{number}/**"], _around(body))
+        for number, body in enumerate(found.bodies)
+    ]
+    pictures = [
+        rrb.Spatial2DView(origin=f"/found/picture/{number}", name=figure.caption, background=[255, 255, 255])
+        for number, figure in enumerate(found.figures)
+    ]
+    views = [*bodies, *pictures]
+    root: rrb.Container | rrb.View = rrb.TextDocumentView(origin="/found/tables", name="Numbers")
+    if views:
+        across = 1 if len(views) < ACROSS else min(ACROSS, math.ceil(math.sqrt(len(views))))
+        grid = rrb.Grid(*views, grid_columns=across)
+        root = rrb.Horizontal(grid, root, column_shares=[3, 2])
+    if below is not None:
+        root = rrb.Vertical(root, below.root_container)
+    time = rrb.TimePanel(timeline="frame" if below is None else "session", state="collapsed")
+    return rrb.Blueprint(root, rrb.BlueprintPanel(state="hidden"), rrb.SelectionPanel(state="hidden"), time)

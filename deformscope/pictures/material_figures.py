@@ -1,0 +1,96 @@
+"""Pictures of what pairs and motions say of a material: beta with theta, beta along axes, yielding; as PNG."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from deformscope.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from deformscope.stages.fit.joint import JointEstimate
+    from deformscope.stages.fit.motion import Motion
+    from deformscope.stages.materials.anisotropy import AxisEstimate
+    from deformscope.stages.materials.yield_estimate import YieldEstimate
+
+
+def joint_png(found: JointEstimate) -> bytes:
+    """The joint posterior of beta and theta as a map, with the values of lowest error."""
+    assert found.beta.posterior is not None
+    assert found.theta.posterior is not None
+    beta, theta = found.beta.posterior.parameter, found.theta.posterior.parameter
+    figure = _figure(5.2, 4.2)
+    axis = figure.subplots()
+    shown = axis.pcolormesh(beta, theta, found.density.T, cmap="Blues", shading="gouraud")
+    order = np.argsort(-found.density.ravel())
+    weight = (found.density * np.gradient(beta)[:, None] * np.gradient(theta)).ravel()[order]
+    last = order[min(int(np.searchsorted(np.cumsum(weight) / weight.sum(), found.beta.level)), order.size - 1)]
+    edge = float(found.density.ravel()[last])
+    axis.contour(beta, theta, found.density.T, levels=[edge], colors="tab:blue")
+    axis.plot(found.beta.value, found.theta.value, "x", color="tab:red", label="lowest error")
+    axis.plot([], [], color="tab:blue", label=f"{found.beta.level:.0%} set")
+    axis.set(xlabel="beta [-]", ylabel="theta [-]")
+    axis.legend()
+    figure.colorbar(shown, label="posterior density [-]")
+    return _png(figure)
+
+
+def axes_png(found: AxisEstimate) -> bytes:
+    """beta along each axis with its interval, beside the one beta for all."""
+    figure = _figure(5.2, 4.2)
+    axis = figure.subplots()
+    place, value = np.arange(len(found.value)), found.value
+    reach = np.abs(found.interval.T - value)
+    axis.errorbar(place, value, yerr=reach, fmt="o", capsize=6, color="tab:blue", label=f"{found.level:.0%} interval")
+    axis.axhline(found.beta, color="tab:gray", linestyle="--", label=f"one beta for all: {found.beta:.3g}")
+    names = ["along (" + ", ".join(f"{part:.2g}" for part in found.axes[:, k]) + ")" for k in place]
+    axis.set_xticks(place, names)
+    axis.set(ylabel="beta [-]", ylim=(-0.03, 1.03), xlim=(-0.5, len(place) - 0.5))
+    axis.set_title(f"probability of no anisotropy: {found.p_isotropic:.2g}", fontsize=10)
+    axis.grid(alpha=0.3)
+    axis.legend()
+    return _png(figure)
+
+
+def yield_png(found: YieldEstimate, motion: Motion) -> bytes:
+    """The error over the yield strain with the interval, and the set that grows from frame to frame."""
+    figure = _figure(11.0, 4.2)
+    left, right = figure.subplots(1, 2)
+    strain, rms = found.curve
+    left.plot(strain, 1e3 * rms, "-", color="tab:blue", label="yielding at this strain")
+    left.axhline(1e3 * found.elastic_deviation, color="tab:gray", linestyle="--", label="elastic")
+    low, high = found.yield_strain.interval
+    left.axvspan(low, high or strain[-1], color="tab:orange", alpha=0.3, label=f"{found.level:.0%} interval")
+    if high is not None:
+        left.axvline(found.yield_strain.value, color="tab:orange", label=f"{found.yield_strain.value:.3g}")
+    left.set(xscale="log", yscale="log", xlabel="yield strain |S - I|", ylabel="residual of a coordinate, rms [mm]")
+    left.legend()
+    frames = np.flatnonzero(motion.judged.any(axis=1))
+
+    def apart(states: FloatArray) -> FloatArray:
+        square = np.where(motion.judged, np.sum((states - motion.position) ** 2, axis=2), np.nan)[frames]
+        return np.asarray(1e3 * np.sqrt(np.nanmean(square, axis=1)))
+
+    right.plot(frames, apart(motion.rest[None]), "o-", color="tab:blue", label="observed to rest")
+    right.plot(frames, apart(found.elastic), "^--", color="tab:gray", label="observed to elastic")
+    right.plot(frames, apart(found.simulated), "s-", color="tab:red", label="observed to yielding")
+    right.set(xlabel="frame", ylabel="distance of free particles, rms [mm]", ylim=(0.0, 1.3 * right.get_ylim()[1]))
+    right.legend()
+    figure.suptitle(f"Yield strain: {found.verdict}")
+    return _png(figure)
+
+
+def _figure(width: float, height: float) -> Figure:
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _png(figure: Figure) -> bytes:
+    file = io.BytesIO()
+    figure.savefig(file, format="png", dpi=130)
+    return file.getvalue()

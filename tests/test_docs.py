@@ -1,0 +1,91 @@
+"""README and docs are true: short, linked, with the picture of the layers as it is, and Python that runs."""
+
+from __future__ import annotations
+
+import json
+import re
+import runpy
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deformscope.cli import COMMANDS
+
+ROOT = Path(__file__).resolve().parents[1]
+README = ROOT / "README.md"
+PAGES = [README, *sorted((ROOT / "docs").glob("*.md")), ROOT / "recordings" / "README.md"]
+BLOCK = re.compile(r"```(\w*)\n(.*?)```", re.DOTALL)
+
+
+def page_name(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def anchors(path: Path) -> set[str]:
+    """What a link can lead to within a page, as GitHub names headings."""
+    headings = re.findall(r"^#+ (.*)$", BLOCK.sub("", path.read_text(encoding="utf-8")), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", one.lower()).replace(" ", "-") for one in headings}
+
+
+def test_the_readme_is_short() -> None:
+    assert len(README.read_text(encoding="utf-8").split()) <= 1200
+
+
+@pytest.mark.parametrize("page", PAGES, ids=page_name)
+def test_links_lead_somewhere(page: Path) -> None:
+    text = BLOCK.sub("", page.read_text(encoding="utf-8"))
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        if target.startswith("http"):
+            continue
+        path, _, anchor = target.partition("#")
+        led = (page.parent / path).resolve() if path else page
+        assert led.exists(), f"{page_name(page)} links {target}"
+        assert not anchor or anchor in anchors(led), f"{page_name(page)} links {target}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=page_name)
+def test_commands_exist(page: Path) -> None:
+    groups = {name.split()[0] for name in COMMANDS if " " in name}
+    for kind, block in BLOCK.findall(page.read_text(encoding="utf-8")):
+        for line in block.splitlines() if not kind else ():
+            words = line.split()
+            if words[:1] == ["deformscope"]:
+                name = " ".join(words[1 : 3 if words[1] in groups else 2])
+                assert name in COMMANDS, f"{page_name(page)}: {line}"
+
+
+def test_every_page_is_reached_from_the_readme() -> None:
+    reached = set(re.findall(r"docs/\w+\.md", README.read_text(encoding="utf-8")))
+
+    assert reached == {page_name(page) for page in PAGES if page.parent.name == "docs"}
+
+
+def test_the_picture_of_the_layers_is_drawn_from_the_whitelist() -> None:
+    tool = runpy.run_path(str(ROOT / "tools" / "layers.py"))
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    shown = page.split(tool["BEGIN"])[1].split(tool["END"])[0]
+
+    assert shown == tool["drawing"](), "draw it again: python tools/layers.py --write"
+
+
+def test_the_readmes_python_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    """As it stands there but for fewer touches; and an exploration's result is what the library says it is."""
+    pytest.importorskip("warp")
+    (script,) = (block for kind, block in BLOCK.findall(README.read_text(encoding="utf-8")) if kind == "python")
+    assert len([line for line in script.splitlines() if line]) <= 12
+    few = script.replace("touches=8", 'touches=2, beta_model="none"')
+    assert few != script
+    names: dict[str, Any] = {}
+    exec(compile(few, "README.md", "exec"), names)
+    out, err = capsys.readouterr()
+
+    assert out.startswith("Estimate of beta\n")
+    assert "\nlab:two-60-150\n  verdict " in out
+    assert out.endswith(", 2 touches\n")
+    assert err == ""
+    table = names["table"]
+    assert table.stiffness_n_per_mm.shape == table.labels.shape
+    told = table.to_dict()
+    assert json.loads(json.dumps(told, allow_nan=False)) == told
+    assert table._repr_html_().count("<img") == 1

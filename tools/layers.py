@@ -1,0 +1,76 @@
+"""The picture of the layers, out of the whitelist of imports: python tools/layers.py [--write]
+
+Prints it, or puts it into docs/architecture.md. `tests/test_docs.py` holds the page to what this prints.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import textwrap
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs" / "architecture.md"
+BEGIN, END = "<!-- layers -->\n```\n", "```\n<!-- end of layers -->"
+WIDTH = 118
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--write", action="store_true", help="replace the picture in docs/architecture.md")
+    picture = drawing()
+    if not parser.parse_args().write:
+        print(picture, end="")
+        return 0
+    before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
+    PAGE.write_text(before + BEGIN + picture + END + rest.split(END)[1], encoding="utf-8")
+    return 0
+
+
+def drawing() -> str:
+    """A row for each level: what stands in it imports only what the whitelist allows of the rows below it."""
+    sys.path.insert(0, str(ROOT))
+    from tests.test_imports import LAYERS
+    from tests.test_imports import STAGES as stages
+
+    layers = LAYERS | {"cli": tuple(LAYERS)}
+    levels: dict[int, list[str]] = {}
+    for name in layers:
+        levels.setdefault(_level(name, layers), []).append(name)
+    rows = []
+    for level in sorted(levels, reverse=True):
+        names = "   ".join(f"[ {name} ]" for name in sorted(levels[level]))
+        rows.append(names.center(WIDTH).rstrip())
+    return (
+        "\n\n".join(rows) + "\n\n" + "\n".join(_imports(name, LAYERS[name], stages) for name in sorted(LAYERS)) + "\n"
+    )
+
+
+def _imports(name: str, imports: tuple[str, ...], stages: tuple[str, ...]) -> str:
+    """What a layer imports; all stages in one word."""
+    short = ["stages", *set(imports).difference(stages)] if set(stages) <= set(imports) else imports
+    listed = ", ".join(sorted(short)) or "nothing of ours"
+    return textwrap.fill(listed, WIDTH, initial_indent=f"{name:<16} <- ", subsequent_indent=" " * 20)
+
+
+def _level(name: str, layers: dict[str, tuple[str, ...]]) -> int:
+    """How many layers stand below it; layers that import each other stand in one row."""
+    below = [one for one in _below(name, layers) if name not in _below(one, layers)]
+    return 1 + max((_level(one, layers) for one in below), default=-1)
+
+
+def _below(name: str, layers: dict[str, tuple[str, ...]]) -> set[str]:
+    """Everything that a layer imports, directly or by others."""
+    found: set[str] = set()
+    left = [name]
+    while left:
+        for one in layers.get(left.pop(), ()):
+            if one not in found:
+                found.add(one)
+                left.append(one)
+    return found
+
+
+if __name__ == "__main__":
+    sys.exit(main())
