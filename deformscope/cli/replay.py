@@ -46,6 +46,8 @@ def run(config: ReplayConfig) -> None:
 
         replay_exploration(recording, config)
         return
+    if config.set:
+        raise InputError("--set with a recorded exploration", "a recording of another kind", where=config.recording)
     if "rig" in settings:
         replay_rig(recording, settings, config)
         return

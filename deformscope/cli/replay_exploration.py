@@ -3,10 +3,12 @@ all that was computed of them: surface, plans with their maps, touches, maps; ea
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_type_hints
 
-from deformscope.cli.common import Different, console, write_json
+from deformscope.cli.common import Different, console, show_table, write_json
 from deformscope.config import ReplayConfig
 from deformscope.errors import InputError
 
@@ -41,20 +43,25 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
     from deformscope.stages.map.measured import SurfaceMeasurement
 
     settings, path = recording.settings, config.recording
-    options = msgspec.convert(settings["explore"], ExploreOptions)
+    changes = _changes(config.set, ExploreOptions)
+    options = dataclasses.replace(msgspec.convert(settings["explore"], ExploreOptions), **changes)
     geometry = SetupGeometry.from_json(settings.get("setup", {}))
     kinds = (SurfaceEstimate, PlannedTouch, TouchEstimate, MapEstimate)
     recorded = [one.result for one in read_results(path, kinds, trust=True)]
     failed = [one.result for one in read_results(path, (StageFailure,), trust=True)]
     given = recorded_inputs(path)
     measured = bool(given) and isinstance(given[0], SurfaceMeasurement)
-    explorer = Explorer(geometry.size_m, options, geometry.arm, failed=failed)  # type: ignore[arg-type]
+    failed_before = [] if changes else failed
+    explorer = Explorer(geometry.size_m, options, geometry.arm, failed=failed_before)  # type: ignore[arg-type]
     stages = ExplorationStages(explorer, AsMeasured(geometry.size_m) if measured else FromFrames(geometry, options))
     results: list[object] = []
     listening = NotRecorded()
     listening.write_results = lambda made, *_: results.extend(made)  # type: ignore[method-assign]
     run([], explore(lambda: 0, within_loop(stages), Exploration()), listening, AtOnce(RecordedRobot(given)))
     again = [one for one in results if isinstance(one, kinds)]
+    if changes:
+        _show_beside(recorded, again, changes, config)
+        return
     for fresh in (one for one in explorer.failures if one not in failed):
         raise Different("the recorded numbers", failed_words(fresh), where=path)
     if len(recorded) > len(again) or (len(recorded) < len(again) and not recording.outcome.get("stopped")):
@@ -73,6 +80,46 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
     start = "measurements" if measured else "depth images, forces and states of the arm"
     console().print(f"replay: {len(recorded)} results from {start}, identical to the recorded numbers")
     write_json({"results": len(recorded), "identical": True, "failures": failed}, config.output.json)
+
+
+def _changes(words: Sequence[str], kind: type) -> dict[str, Any]:
+    """KEY=VALUE, each of a field of this dataclass. Raises InputError."""
+    import msgspec
+
+    known, found = get_type_hints(kind), {}
+    for word in words:
+        name, equals, text = word.partition("=")
+        if not equals or name not in known:
+            raise InputError(f"--set KEY=VALUE, KEY one of {', '.join(known)}", repr(word))
+        try:
+            found[name] = msgspec.convert(text, known[name], strict=False)
+        except msgspec.ValidationError as error:
+            raise InputError(f"a value of {name}", f"{text!r} ({error})") from error
+    return found
+
+
+def _show_beside(recorded: list[Any], again: list[Any], changes: dict[str, Any], config: ReplayConfig) -> None:
+    """What comes of other settings, beside what was recorded; the robot touched where the recorded ones sent it."""
+    from deformscope.pictures.words import interval_words, stiffness_words, verdict_words
+    from deformscope.stages.map.exploration import MapEstimate, TouchEstimate
+
+    def rows(results: list[Any]) -> dict[str, str]:
+        found = {}
+        for one in results:
+            if isinstance(one, TouchEstimate):
+                beta = "no beta" if one.beta is None else f"beta {one.beta:.2f}"
+                found[f"touch {one.number + 1}"] = f"{stiffness_words(one)} ({interval_words(one)}), {beta}"
+            elif isinstance(one, MapEstimate):
+                found["map"] = f"{verdict_words(one)} (probability {one.probability:.2f})"
+        return found
+
+    before, now = rows(recorded), rows(again)
+    show_table(
+        f"{config.recording} with {', '.join(f'{name} = {value}' for name, value in changes.items())}",
+        [(name, f"{now.get(name, 'not computed')}; recorded: {before.get(name, 'none')}") for name in before | now],
+    )
+    told = {"identical": None, "set": changes, "recorded": before, "computed": now}
+    write_json(told, config.output.json)
 
 
 def recorded_inputs(path: Path) -> list[Any]:

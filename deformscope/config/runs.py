@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
-from tyro.conf import OmitArgPrefixes, Positional, arg
+from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from deformscope.config.options import OutputOptions, RecordedOptions
 
@@ -30,6 +30,9 @@ class ReplayConfig(RecordedOptions):
     """The recording."""
     pace: Literal["fast", "real", "step"] = "fast"
     """As fast as possible, as it was recorded, or frame by frame at each Enter."""
+    set: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="KEY=VALUE", help_behavior_hint="(repeatable)")] = ()
+    """Another setting than the recorded one, of an exploration: what comes of it is printed beside what was recorded,
+    and not compared to the bit. Several: --set beta_model=none --set threshold=0.1"""
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def reads(self) -> tuple[str, ...]:

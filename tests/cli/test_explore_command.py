@@ -78,6 +78,15 @@ def test_a_simulated_table_is_explored_recorded_and_replayed(
             assert main(["replay", str(record)]) == 2
         assert words in capsys.readouterr().err
 
+    assert main(["replay", str(record), "--set", "set_force_n=2", "--json", "-"]) == 0
+    beside = json.loads(capsys.readouterr().out)
+    assert (beside["identical"], beside["set"]) == (None, {"set_force_n": 2.0})
+    assert beside["recorded"].keys() == beside["computed"].keys() == {"touch 1", "touch 2", "map"}
+    assert beside["recorded"]["touch 1"] != beside["computed"]["touch 1"]
+    for words, expected in (("force=2", "KEY one of planner"), ("budget=many", "a value of budget")):
+        assert main(["replay", str(record), "--set", words]) == 2
+        assert expected in capsys.readouterr().err
+
 
 def alter_one(monkeypatch: pytest.MonkeyPatch, kind: type, record: Path) -> None:
     """From now on one frame that an exploration used is read as another: the first depth image, or the last force."""
