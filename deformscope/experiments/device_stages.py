@@ -37,7 +37,7 @@ StageName = Literal["flow", "beta", "surface", "tactile", "contact"]
 
 PARTICLES_ALONG = 9
 """Particles along the longer side of the region where neither shape nor spacing is asked for: a fit takes 0.2 s."""
-CANDIDATES = 30
+CANDIDATES = 12
 """Values of beta that the sweep tries before it refines: a finer one finds the same."""
 NOISE_SHARE = 0.005
 """Of a tactile sensor's full scale, below which a texel is not in contact."""

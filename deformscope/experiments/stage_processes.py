@@ -35,7 +35,8 @@ from deformscope.stages.map.touches import MapGrid
 class StageProcesses:
     """A process for every stage; they have loaded what they need when the context begins, before any device is opened.
 
-    A process, no thread: a fit holds Python's lock for so long that a thread would keep devices from being read.
+    A process, no thread: both ask for Python's lock all the time. On two cores with `lab:bench` a fit of beta came
+    3.6 s after its frame from a thread, 0.6 s from a process.
     """
 
     def __init__(self, names: Sequence[StageName], start_engine: Callable[[], None]) -> None:
@@ -87,15 +88,10 @@ class StageProcess:
         self._pool.shutdown(wait=False, cancel_futures=True)
 
 
-LOWER_PRIORITY = 5
-"""What devices give and what is written comes first on a machine with few cores."""
-
-
 def _start_beside() -> None:
     """Ctrl-C is for the process that reads the devices; this one ends with it, however that ends."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    os.nice(LOWER_PRIORITY)
     parent = multiprocessing.parent_process()
 
     def follow() -> None:

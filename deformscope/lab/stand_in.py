@@ -125,8 +125,9 @@ def _webcam(config: Any) -> Iterator[Device[Any]]:
 def _depth_camera(config: Any) -> Iterator[Device[Any]]:
     from deformscope.lab.bench_scene import view
     from deformscope_drivers.depth_camera import SyntheticDepthCamera
+    from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
 
-    yield SyntheticDepthCamera(view)
+    yield SyntheticDepthCamera(view, SyntheticDepthConfig(rate_hz=config.fps or 30.0))
 
 
 WIRED: dict[str, Callable[[Any], Double]] = {"optoforce": _optoforce, "dsa": _dsa, "sdh": _sdh}
