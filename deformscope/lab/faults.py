@@ -39,19 +39,9 @@ class Injected(StrEnum):
         return self.name.lower().replace("_", "-")
 
 
-FORCE, ARM, CAMERA = (
-    (
-        Injected.FORCE_SILENT,
-        Injected.FORCE_CABLE,
-        Injected.FORCE_FROZEN,
-        Injected.FORCE_BROKEN,
-        Injected.STORM,
-        Injected.SPIKE,
-        Injected.PUSH,
-    ),
-    (Injected.ARM_CABLE, Injected.ARM_SILENT, Injected.ARM_INVALID, Injected.ARM_TURNS),
-    (Injected.CAMERA_SILENT, Injected.CAMERA_FROZEN, Injected.CAMERA_CABLE),
-)
+_EVERY = tuple(Injected)
+FORCE, ARM, CAMERA = _EVERY[:7], _EVERY[7:11], _EVERY[11:]
+"""By the device that they strike, in the order above."""
 
 WITHIN_S = {Phase.TRAVEL: 1.0, Phase.APPROACH: 2.0, Phase.PRESS: 0.3, Phase.DWELL: 0.4, Phase.RETREAT: 1.5}
 """A fault strikes so long after such a phase's begin at most; none of them is much shorter."""
