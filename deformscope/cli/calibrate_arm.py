@@ -1,4 +1,4 @@
-"""`deformscope calibrate arm`: how the arm gives way under a push, from touches of something rigid.
+"""`deformscope calibrate arm`: the compliance of the arm, from touches of something rigid.
 
 deformscope calibrate arm rig.toml --at 0.30,0.20
 deformscope calibrate arm lab:homogeneous-rigid --json -
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def run(config: ArmConfig) -> None:
-    """Touch a rigid block some times, and tell the lines for the rig file."""
+    """Touch a rigid block some times, and print the lines for the rig file."""
     import numpy as np
 
     from deformscope.experiments.arm_compliance import arm_give, touch_rigid
@@ -68,17 +68,17 @@ def run(config: ArmConfig) -> None:
                         made.append(one)
                         give = 1e3 * one.found.compliance_m_per_n
                         show_line("")
-                        say(f"touch {len(made)}: gives {give:.3f} mm/N, pressed with {one.peak_force_n:.2f} N")
+                        say(f"touch {len(made)}: {give:.3f} mm/N, pressed with {one.peak_force_n:.2f} N")
             except ExplorationStopped as error:
                 stop = companion.stopped(error, robot)
         recorder.write_items(source.take(0.0))
-        if stop is None:
-            found = arm_give(made)
+        found = arm_give(made) if stop is None else None
+        if found is not None:
             shown = _findings(found, f"{config.rig} at ({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm")
             recorder.write(Step((RigFindings(shown, tuple(source.streams)),)))
-    if stop is not None:
+            show(shown)
+    if found is None:
         leave(stop, len(made), asked.signal_number, recorder.summary().path, arm_told=companion.arm_told)
-    show(shown)
     if recorder.summary().path is not None:
         say(f"recording: {recorder.summary().path}")
     write_json(found, output.json)
