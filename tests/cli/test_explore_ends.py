@@ -378,3 +378,24 @@ def test_a_gradual_surface_has_no_regions_anywhere(
     assert "  map: gradual: no regions" in shown.err
     with np.load(arrays) as file:
         assert (file["labels"] == -1).all()
+
+
+@pytest.mark.parametrize("recorded", [True, False])
+def test_what_devices_lost_is_named_and_a_whole_recording_with_losses_ends_with_3(
+    recorded: bool,
+    bench: FakeBench,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    lost = {"tip": {"readings": 12, "reconnects": 1}}
+    monkeypatch.setattr("deformscope.recording.losses.losses_of", lambda report: lost)
+    record = ["--record", str(tmp_path / "e.rrd")] if recorded else []
+
+    assert main([*EXPLORE, *record, "--json", str(tmp_path / "e.json")]) == (3 if recorded else 0)
+
+    shown = capsys.readouterr()
+    assert "lost" in shown.out
+    assert "tip: 12 readings lost, 1 reconnects" in shown.out
+    assert ("the recording is whole, with losses: tip: 12 readings lost" in shown.err) == recorded
+    assert json.loads((tmp_path / "e.json").read_text())["losses"] == lost
