@@ -90,12 +90,12 @@ def _verdict(result: Result, *, named: bool) -> list[Part]:
 
 
 def _explained(found: Estimate) -> str:
-    told = found.identifiability
-    if told is None:
+    known = found.identifiability
+    if known is None:
         return ""
     return (
-        f"The model explains {max(told.explained, 0.0):.1%} of the motion (sums of squares), and the data tell the "
-        f"likeliest value from the least likely one by {told.rise:.3g} standard deviations."
+        f"The model explains {max(known.explained, 0.0):.1%} of the motion (sums of squares), and the data separate "
+        f"the likeliest value from the least likely one by {known.rise:.3g} standard deviations."
     )
 
 

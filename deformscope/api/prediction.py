@@ -62,7 +62,7 @@ class PredictionResult(LibraryResult):
 
     def as_json(self) -> dict[str, Any]:
         found = self.prediction
-        told: dict[str, Any] = {
+        public: dict[str, Any] = {
             "poke": {
                 "at_m": found.poke.at,
                 "tip": found.poke.tip.shape,
@@ -82,8 +82,8 @@ class PredictionResult(LibraryResult):
             "touched": found.touched,
         }
         if self.points is not None:
-            told["points"] = {"rest": self.points, "deformed": found.at(self.points)}
-        return told
+            public["points"] = {"rest": self.points, "deformed": found.at(self.points)}
+        return public
 
     def tables(self) -> tuple[Table, ...]:
         found = self.prediction

@@ -1,4 +1,4 @@
-"""The `deformscope` command: finds the command asked for, reads its flags, runs it, and tells errors in one line.
+"""The `deformscope` command: finds the command asked for, reads its flags, runs it, and reports errors in one line.
 
     deformscope --help
     deformscope flow before.png after.png --out flow.npz
@@ -43,55 +43,44 @@ class Command:
     function: str = "run"
 
 
+def _command(summary: str, config: str, module: str, function: str = "run") -> Command:
+    return Command(summary, config, f"deformscope.cli.{module}", function)
+
+
 COMMANDS: dict[str, Command] = {
-    "demo": Command("the main job on what is built in", "DemoConfig", "deformscope.cli.demo"),
-    "calibrate beta": Command("find beta from images or pair files", "BetaConfig", "deformscope.cli.calibrate"),
-    "calibrate theta": Command("find theta from images or pair files", "ThetaConfig", "deformscope.cli.calibrate"),
-    "calibrate both": Command(
-        "find beta and theta together from pair files", "BothConfig", "deformscope.cli.materials", "both"
+    "demo": _command("the main job on what is built in", "DemoConfig", "demo"),
+    "calibrate beta": _command("find beta from images or pair files", "BetaConfig", "calibrate"),
+    "calibrate theta": _command("find theta from images or pair files", "ThetaConfig", "calibrate"),
+    "calibrate both": _command("find beta and theta together from pair files", "BothConfig", "materials", "both"),
+    "calibrate axes": _command("find a beta along each axis from pair files", "AxesConfig", "materials", "axes"),
+    "calibrate arm": _command("measure the compliance of the arm, on something rigid", "ArmConfig", "calibrate_arm"),
+    "calibrate yield": _command(
+        "the strain at which a thing yields, from its motion", "YieldConfig", "materials", "yielding"
     ),
-    "calibrate axes": Command(
-        "find a beta along each axis from pair files", "AxesConfig", "deformscope.cli.materials", "axes"
+    "predict": _command("poke a fitted model where it was not poked", "PredictConfig", "predict"),
+    "replay": _command("the same stages on recorded inputs, compared", "ReplayConfig", "replay"),
+    "flow": _command("dense optical flow of two images", "FlowConfig", "flow"),
+    "reproduce cubes": _command(
+        "theta of cubes of known Poisson's ratio (Thesis 3.A)", "CubesConfig", "reproduce_cubes"
     ),
-    "calibrate arm": Command(
-        "measure how the arm gives way, on something rigid", "ArmConfig", "deformscope.cli.calibrate_arm"
+    "reproduce foams": _command("experiment 3.B: beta of five virtual foams", "FoamsConfig", "reproduce_foams"),
+    "reproduce pokes": _command(
+        "pokes that were not fitted, predicted, on slabs of known truth", "PokesConfig", "reproduce_pokes"
     ),
-    "calibrate yield": Command(
-        "find the strain at which a thing yields, from its motion",
-        "YieldConfig",
-        "deformscope.cli.materials",
-        "yielding",
+    "reproduce table41": _command(
+        "maps of simulated tables over seeds (Thesis table 4.1)", "Table41Config", "reproduce_table41"
     ),
-    "predict": Command("poke a fitted model where it was not poked", "PredictConfig", "deformscope.cli.predict"),
-    "replay": Command("the same stages on recorded inputs, compared", "ReplayConfig", "deformscope.cli.replay"),
-    "flow": Command("dense optical flow of two images", "FlowConfig", "deformscope.cli.flow"),
-    "reproduce cubes": Command(
-        "theta of cubes of known Poisson's ratio (Thesis 3.A)", "CubesConfig", "deformscope.cli.reproduce_cubes"
-    ),
-    "reproduce foams": Command(
-        "experiment 3.B: beta of five virtual foams", "FoamsConfig", "deformscope.cli.reproduce_foams"
-    ),
-    "reproduce pokes": Command(
-        "pokes that were not fitted, predicted, on slabs of known truth",
-        "PokesConfig",
-        "deformscope.cli.reproduce_pokes",
-    ),
-    "reproduce table41": Command(
-        "maps of simulated tables over seeds (Thesis table 4.1)",
-        "Table41Config",
-        "deformscope.cli.reproduce_table41",
-    ),
-    "coverage": Command("how often the intervals hold the truth", "CoverageConfig", "deformscope.cli.coverage"),
-    "explore": Command("map how soft a surface is, by touching it", "ExploreConfig", "deformscope.cli.explore"),
-    "devices": Command("what is plugged in, and how it does", "DevicesConfig", "deformscope.cli.devices"),
-    "doctor": Command("whether a rig would work, and what to do if not", "DoctorConfig", "deformscope.cli.doctor"),
-    "record": Command("record all devices of a rig", "RecordConfig", "deformscope.cli.record", "record"),
-    "live": Command("watch all devices of a rig", "LiveConfig", "deformscope.cli.record", "live"),
-    "verify": Command("whether a recording is whole", "VerifyConfig", "deformscope.cli.verify"),
-    "recover": Command("a whole recording out of one that was cut short", "RecoverConfig", "deformscope.cli.recover"),
-    "export": Command("the images of a recording as files", "ExportConfig", "deformscope.cli.export"),
-    "double": Command("run simulated devices on real transports", "DoubleConfig", "deformscope.cli.double"),
-    "bench": Command("what MSM costs on this machine", "BenchConfig", "deformscope.cli.bench"),
+    "coverage": _command("how often the intervals hold the truth", "CoverageConfig", "coverage"),
+    "explore": _command("map how soft a surface is, by touching it", "ExploreConfig", "explore"),
+    "devices": _command("what is plugged in, and its health", "DevicesConfig", "devices"),
+    "doctor": _command("whether a rig would work, and what to do if not", "DoctorConfig", "doctor"),
+    "record": _command("record all devices of a rig", "RecordConfig", "record", "record"),
+    "live": _command("watch all devices of a rig", "LiveConfig", "record", "live"),
+    "verify": _command("whether a recording is whole", "VerifyConfig", "verify"),
+    "recover": _command("a whole recording out of one that was cut short", "RecoverConfig", "recover"),
+    "export": _command("the images of a recording as files", "ExportConfig", "export"),
+    "double": _command("run simulated devices on real transports", "DoubleConfig", "double"),
+    "bench": _command("what MSM costs on this machine", "BenchConfig", "bench"),
 }
 """By name; a name of two words (`calibrate beta`) makes a group."""
 
@@ -315,7 +304,7 @@ def _check_files(options: CommandOptions) -> None:
         check_writable(file.path, file.flag, replace=file.replace)
 
 
-# Telling errors ------------------------------------------------------------------------------------------------------
+# Reporting errors -----------------------------------------------------------------------------------------------------
 
 
 def _fail(message: str, status: int) -> int:

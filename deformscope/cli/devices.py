@@ -1,4 +1,4 @@
-"""`deformscope devices`: what is plugged in, and how it does.
+"""`deformscope devices`: what is plugged in, and its health.
 
 deformscope devices
 deformscope devices --no-probe --json -
@@ -18,7 +18,7 @@ from deformscope.config import DevicesConfig
 PROBE_S = 1.0
 LISTEN_S = 0.5
 
-NOTHING = """No device was found on this machine. What to look at:
+NOTHING = """No device was found on this machine. What to check:
   cable and power; then: lsusb, ls -l /dev/serial/by-id /dev/video* , ip -details link show type can
   the SDH's hand and tactile controller sit behind plain serial adapters, which are listed once they are plugged in
   in a container or virtual machine, the device must be passed through
@@ -113,7 +113,7 @@ def _ask(found: Any) -> tuple[str, str, str]:
 
 
 def _asked_serial(device: Any) -> str:
-    """A serial number that is told only when asked for; empty where it is not told at all."""
+    """A serial number that is given only when asked for; empty where there is none."""
     from deformscope_drivers.errors import DeviceError
 
     try:

@@ -33,7 +33,7 @@ Verdict = Literal["ok", "look", "FAIL"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that was looked at. what: its name; verdict: `look` = works, but read it; told: in words"""
+    """One thing that was checked. what: its name; verdict: `look` = works, but read it; told: in words"""
 
     what: str
     verdict: Verdict
@@ -45,7 +45,7 @@ class Unfit(InputError):
 
 
 def run(config: DoctorConfig) -> None:
-    """Look at everything, tell all of it, and raise Unfit where something fails."""
+    """Check everything, report all of it, and raise Unfit where something fails."""
     from deformscope.rig.rig_file import load_rig
 
     if config.example:
@@ -113,9 +113,15 @@ def _exploring(rig: Rig) -> list[Finding]:
         setup = setup_of_rig(rig)
     except InputError as error:
         return [Finding("explore", "look", f"not with this file: {error}")]
+<<<<<<< HEAD
     lacks = [name for name, there in setup.calibrated.items() if not there]
     if lacks or rig.workspace.low_m is None:
         return [Finding("explore", "look", f"lacks {', '.join(lacks) or 'the box of [workspace]'}")]
+=======
+    missing = [name for name, there in bench.calibrated.items() if not there]
+    if missing or rig.workspace.low_m is None:
+        return [Finding("explore", "look", f"missing: {', '.join(missing) or 'the box of [workspace]'}")]
+>>>>>>> library
     return [
         Finding("explore", "ok", "the file has all that it wants; whether it can be reached is checked before a touch")
     ]

@@ -49,13 +49,13 @@ def run(config: CubesConfig) -> None:
         sems = sem_rows(found)
         drawn = _draw(config.out, found, options, sems, times)
         seconds = {"cubes": made - began, "fits_and_figures": time.perf_counter() - made}
-        told = report(found, sems, times, seconds)
-        summary = Table(_rows(told, found, options, config.out), caption=f"{len(found)} cubes")
-        tables = (summary, dict_table(sems, "Spread of theta"), dict_table(times, "Table 3.2"))
-        show(Findings((summary,)))
+        summary = report(found, sems, times, seconds)
+        overview = Table(_rows(summary, found, options, config.out), caption=f"{len(found)} cubes")
+        tables = (overview, dict_table(sems, "Spread of theta"), dict_table(times, "Table 3.2"))
+        show(Findings((overview,)))
         recorder.write(Step((Findings(tables, pictures_of(drawn)),)))
-    write_json(told, str(config.out / "cubes.json"))
-    write_json(told, config.output.json)
+    write_json(summary, str(config.out / "cubes.json"))
+    write_json(summary, config.output.json)
 
 
 # Cubes ---------------------------------------------------------------------------------------------------------------
@@ -172,26 +172,28 @@ def report(
     }
 
 
-def _rows(told: dict[str, Any], found: Sequence[Found], options: Options, out: Path) -> list[tuple[str, str]]:
+def _rows(summary: dict[str, Any], found: Sequence[Found], options: Options, out: Path) -> list[tuple[str, str]]:
     rows = [
         (f"theta at nu {row['poisson']:g}", f"{row['theta']:.4f}{_spread(row)}")
-        for row in told["sem"]
+        for row in summary["sem"]
         if row["by"] == "settings"
     ]
-    rows += _drift(told["sem"], found)
+    rows += _drift(summary["sem"], found)
     everywhere = "at every resolution and depth"
     to_bound = f"{everywhere}, up to the end of its range, where several are"
-    rises_to_bound = to_bound if told["theta_rises_to_bound"] else "NOT everywhere"
-    rows.append(("theta rises with nu", everywhere if told["theta_rises"] else rises_to_bound))
-    most = 100 * told["aee_m_most"]
+    rises_to_bound = to_bound if summary["theta_rises_to_bound"] else "NOT everywhere"
+    rows.append(("theta rises with nu", everywhere if summary["theta_rises"] else rises_to_bound))
+    most = 100 * summary["aee_m_most"]
     rows.append(("largest error, one cluster", f"{most:.3f} cm (thesis: at most 0.2 cm for its cubes)"))
-    rows.append(("error over a dense grid's lowest", f"{100 * told['over_grid_most']:+.1e} % at most"))
+    rows.append(("error over a dense grid's lowest", f"{100 * summary['over_grid_most']:+.1e} % at most"))
     verdicts = [one.theta.verdict for one in found]
     rows.append(("verdicts", ", ".join(f"{verdicts.count(name)} {name}" for name in dict.fromkeys(verdicts))))
-    if told["ratio_most"] is not None:
+    if summary["ratio_most"] is not None:
         name = f"clusters of {options.cluster_size} a side"
-        rows.append((name, f"at most {told['ratio_most']:.2f} of one cluster's error at nu >= 0.25, beta fitted too"))
-    for row in told["table_3_2"]:
+        rows.append(
+            (name, f"at most {summary['ratio_most']:.2f} of one cluster's error at nu >= 0.25, beta fitted too")
+        )
+    for row in summary["table_3_2"]:
         step = f"step {row['msm_step_ms']:.3g} ms{_beside(row['thesis_msm_frame_ms'], 'thesis')}"
         took = f"{step}, static state {row['msm_static_ms']:.2g} ms"
         if row["elements_ms"] is not None:
@@ -201,7 +203,7 @@ def _rows(told: dict[str, Any], found: Sequence[Found], options: Options, out: P
     unsettled = [one.cube.name for one in found if not one.theta.converged]
     if unsettled:
         rows.append(("NOT converged", ", ".join(unsettled)))
-    seconds = told["seconds"]
+    seconds = summary["seconds"]
     rows.append(("took", f"{seconds['cubes']:.1f} s for the cubes, {seconds['fits_and_figures']:.1f} s for the rest"))
     rows.append(("figures and tables", str(out)))
     return rows

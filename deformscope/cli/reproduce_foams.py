@@ -76,9 +76,9 @@ def run(config: FoamsConfig) -> None:
         written = [("", str(path)) for path in (*drawn.values(), table)]
         show(Findings((*tables, Table(written, caption=f"Written in {seconds:.0f} s"))))
         recorder.write(Step((Findings(tuple(tables[::-1]), pictures_of(drawn)),), frame=len(results)))
-    told = as_json(setup, results, trends, tried)
-    told |= {"seed": seed, "quick": config.quick, "seconds": seconds}
-    write_json(told | {"figures": list(drawn.values()), "table": table}, config.output.json)
+    summary = as_json(setup, results, trends, tried)
+    summary |= {"seed": seed, "quick": config.quick, "seconds": seconds}
+    write_json(summary | {"figures": list(drawn.values()), "table": table}, config.output.json)
 
 
 def _draw(

@@ -61,11 +61,11 @@ def _table(one: Studied) -> Table:
 
     law = one.found.fit.best.law
     what = f"clusters of {law.cluster_size}, beta {law.beta:.3g}, theta {law.theta:.3g}"
-    told = [(f"fitted to {len(one.plan.fitted)}", what)]
+    lines = [(f"fitted to {len(one.plan.fitted)}", what)]
     for press, unseen in zip(one.plan.unseen, one.unseen, strict=True):
         tip = " x ".join(f"{1e3 * side:g}" for side in press.sides)
         for score in unseen.scores:
             force = "no force" if score.force_error is None else f"force {score.force_error:+.1%}"
             what = f"{tip} mm, {press.force:g} N, {score.method}"
-            told.append((what, f"surface off by {score.surface_error:.1%} of the depth, {force}"))
-    return Table(told, caption=f"Slab of {one.plan.name}")
+            lines.append((what, f"surface off by {score.surface_error:.1%} of the depth, {force}"))
+    return Table(lines, caption=f"Slab of {one.plan.name}")

@@ -38,7 +38,7 @@ RUNS = "runs.jsonl"
 
 
 def run(config: Table41Config) -> None:
-    """Explore every scene with every planner over the seeds; write and tell the table."""
+    """Explore every scene with every planner over the seeds; write and print the table."""
     from deformscope.session import Step
     from deformscope.studies.table41 import TableJob
 
@@ -108,9 +108,9 @@ def _write(runs: Sequence[TableRun], config: Table41Config) -> Findings:
     if compared:
         write_table(config.out / "planners.csv", list(compared[0]), [list(row.values()) for row in compared])
     curves(runs, config.out / "table41.png")
-    told = {"rows": rows, "planners": compared, **cost, "runs": runs}
-    write_json(told, str(config.out / "table41.json"))
-    write_json(told, config.output.json)
+    summary = {"rows": rows, "planners": compared, **cost, "runs": runs}
+    write_json(summary, str(config.out / "table41.json"))
+    write_json(summary, config.output.json)
     found = Findings(_tables(rows, looked_at, compared, cost, config.out))
     show(found)
     drawn = pictures_of({"IoU of regions after each touch": config.out / "table41.png"})

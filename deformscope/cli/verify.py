@@ -112,13 +112,13 @@ def _tell_losses(facts: Facts, *, checked: bool, reached: str) -> int:
     """Name what is not as it should be of a recording that can be read whole."""
     from deformscope.recording.losses import named
 
-    told = []
+    remarks = []
     if facts.losses:
-        told.append(f"losses: {named(facts.losses)}")
+        remarks.append(f"losses: {named(facts.losses)}")
     if "recovered" in facts.outcome:
-        told.append(f"it was recovered{reached}: what came after is lost")
+        remarks.append(f"it was recovered{reached}: what came after is lost")
     if not checked:
-        told.append("it has no ledger: whether its bytes are as they were recorded is not known")
-    for line in told:
+        remarks.append("it has no ledger: whether its bytes are as they were recorded is not known")
+    for line in remarks:
         say(f"deformscope: {line}")
-    return EXIT_LOSSES if told else 0
+    return EXIT_LOSSES if remarks else 0

@@ -1,4 +1,4 @@
-"""What each command can be told: one frozen dataclass a command, whose fields are its flags.
+"""The options of each command: one frozen dataclass a command, whose fields are its flags.
 
 A field's docstring is the flag's help. What one value must look like is checked where it is parsed (`ValueError`, which
 the command line reports with the flag's name), what values must satisfy together where the dataclass is made

@@ -131,21 +131,30 @@ class MotionFlags:
     """Fit all frames together instead of the last one; the interval knows that frames share their errors."""
     select: SelectFlag = None
     """What to choose by the error on particles left out, of cluster-size, held, alpha and dt. alpha and dt leave static
-    states as they are: time stepping through the frames tells them, if the motion was fast."""
+    states as they are: time stepping through the frames determines them, if the motion was fast."""
 
     def __post_init__(self) -> None:
         if self.select is not None and not self.whole_motion:
             raise InputError("--whole-motion with --select", "no --whole-motion", "add --whole-motion")
 
 
+@dataclass(frozen=True, slots=True)
 class CalibrateOptions(RecordedOptions):
-    """What `calibrate beta` and `calibrate theta` read and write."""
+    """What `calibrate beta` and `calibrate theta` share."""
 
-    __slots__ = ()
-    sources: tuple[str, ...]
-    images: ImageOptions
-    model: ModelOptions
-    summary: SummaryOptions
+    sources: Sources
+    """A video, a folder of frames, images in the order given, pair files (.npz), or a recording (.rrd)."""
+    alpha: float = field(default=1.0, kw_only=True)
+    """Stiffness of the pull to the goal positions."""
+    search: OmitArgPrefixes[SearchOptions] = field(default_factory=SearchOptions, kw_only=True)
+    images: OmitArgPrefixes[ImageOptions] = field(default_factory=ImageOptions, kw_only=True)
+    model: OmitArgPrefixes[ModelOptions] = field(default_factory=ModelOptions, kw_only=True)
+    summary: OmitArgPrefixes[SummaryOptions] = field(default_factory=SummaryOptions, kw_only=True)
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions, kw_only=True)
+
+    def __post_init__(self) -> None:
+        check_sources(self.sources)
+        check_alpha(self.alpha)
 
     def writes(self) -> tuple[Written, ...]:
         save = self.model.save
@@ -160,31 +169,21 @@ class CalibrateOptions(RecordedOptions):
 class BetaConfig(CalibrateOptions):
     """Find beta, the share of linear deformation, from images or from pairs of rest and deformed positions."""
 
-    sources: Sources
-    """A video, a folder of frames, images in the order given, pair files (.npz), or a recording (.rrd)."""
     cluster_size: CountFlag = None
     """Particles along each side of a cluster; default: 3, and with --thickness-m the one with the least error on pokes
     left out."""
     mode: Literal["linear", "quadratic"] = "linear"
     """How a cluster may deform."""
-    alpha: float = 1.0
-    """Stiffness of the pull to the goal positions."""
     theta: ShareFlag = None
     """Volume conservation, which stays as it is; default: 0, and with --thickness-m it is fitted too."""
     beta_range: SpanFlag = (0.0, 0.99)
     """Range in which beta is searched."""
-    search: OmitArgPrefixes[SearchOptions] = field(default_factory=SearchOptions)
     layers: OmitArgPrefixes[LayersFlags] = field(default_factory=LayersFlags)
     motion: OmitArgPrefixes[MotionFlags] = field(default_factory=MotionFlags)
-    images: OmitArgPrefixes[ImageOptions] = field(default_factory=ImageOptions)
-    model: OmitArgPrefixes[ModelOptions] = field(default_factory=ModelOptions)
-    summary: OmitArgPrefixes[SummaryOptions] = field(default_factory=SummaryOptions)
-    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def __post_init__(self) -> None:
-        check_sources(self.sources)
+        CalibrateOptions.__post_init__(self)
         check_cluster_size(self.cluster_size)
-        check_alpha(self.alpha)
         if self.theta is not None:
             check_unit("--theta", self.theta)
         if self.layers.thickness_m is not None and self.mode != "linear":
@@ -206,28 +205,18 @@ class BetaConfig(CalibrateOptions):
 class ThetaConfig(CalibrateOptions):
     """Find theta, how strongly volume is conserved, from images or from pairs of rest and deformed positions."""
 
-    sources: Sources
-    """A video, a folder of frames, images in the order given, pair files (.npz), or a recording (.rrd)."""
     cluster_size: CountFlag = None
     """Particles along each side of a cluster; default: one cluster holds all particles (Thesis 5.1)."""
     mode: Literal["linear", "quadratic"] = "quadratic"
     """How a cluster may deform."""
-    alpha: float = 1.0
-    """Stiffness of the pull to the goal positions."""
     beta: float = 0.99
     """Share of deformation, which stays as it is."""
     theta_range: SpanFlag = (0.0, 1.0)
     """Range in which theta is searched."""
-    search: OmitArgPrefixes[SearchOptions] = field(default_factory=SearchOptions)
-    images: OmitArgPrefixes[ImageOptions] = field(default_factory=ImageOptions)
-    model: OmitArgPrefixes[ModelOptions] = field(default_factory=ModelOptions)
-    summary: OmitArgPrefixes[SummaryOptions] = field(default_factory=SummaryOptions)
-    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def __post_init__(self) -> None:
-        check_sources(self.sources)
+        CalibrateOptions.__post_init__(self)
         check_cluster_size(self.cluster_size)
-        check_alpha(self.alpha)
         check_unit("--beta", self.beta)
         check_span("--theta-range", self.theta_range)
 

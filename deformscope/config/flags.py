@@ -123,26 +123,26 @@ POKE_EXAMPLE = "'at=0.28,0.2 tip=flat size=0.03x0.03 force=5'"
 
 def parse_poke(text: str) -> PokeText:
     """`at=X,Y tip=flat|disc|sphere size=WIDTHxDEPTH depth=D` or `force=F`, in metres and newtons."""
-    told: dict[str, str] = {}
+    parts: dict[str, str] = {}
     for part in text.split():
         name, equals, value = part.partition("=")
-        if not equals or name not in ("at", "tip", "size", "depth", "force") or name in told:
+        if not equals or name not in ("at", "tip", "size", "depth", "force") or name in parts:
             raise ValueError(f"expected a poke such as {POKE_EXAMPLE} (metres, newtons); got {part!r} in {text!r}")
-        told[name] = value
-    if "at" not in told or ("depth" in told) == ("force" in told):
+        parts[name] = value
+    if "at" not in parts or ("depth" in parts) == ("force" in parts):
         raise ValueError(f"expected at=X,Y and one of depth= and force=, such as {POKE_EXAMPLE}; got {text!r}")
-    tip = told.get("tip")
+    tip = parts.get("tip")
     if tip not in (None, "flat", "disc", "sphere"):
         raise ValueError(f"expected tip=flat, tip=disc or tip=sphere; got {tip!r} in {text!r}")
-    if tip is not None and "size" not in told:
+    if tip is not None and "size" not in parts:
         raise ValueError(f"expected size= with tip={tip}, its sides or its diameter in metres; got {text!r}")
     try:
         return PokeText(
-            at=tuple(finite(value) for value in told["at"].split(",")),
+            at=tuple(finite(value) for value in parts["at"].split(",")),
             tip=cast("TipName | None", tip),
-            size=tuple(positive(value) for value in told["size"].split("x")) if "size" in told else (),
-            depth=positive(told["depth"]) if "depth" in told else None,
-            force=positive(told["force"]) if "force" in told else None,
+            size=tuple(positive(value) for value in parts["size"].split("x")) if "size" in parts else (),
+            depth=positive(parts["depth"]) if "depth" in parts else None,
+            force=positive(parts["force"]) if "force" in parts else None,
         )
     except ValueError as error:
         raise ValueError(f"{error} in {text!r}; for example {POKE_EXAMPLE}") from None

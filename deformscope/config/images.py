@@ -36,7 +36,7 @@ class ImageOptions:
     """Image that is not black where the thing is; particles stand there alone. It is left out of a sequence that holds
     it."""
     px_per_cm: PositiveFlag = None
-    """Scale of the image [px/cm]; with it lengths are told in metres too."""
+    """Scale of the image [px/cm]; with it lengths are reported in metres too."""
     stride: int = 1
     """Take every n-th frame."""
     camera: CameraFlag = None

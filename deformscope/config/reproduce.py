@@ -91,7 +91,7 @@ class FoamsConfig(RecordedOptions):
 
 @dataclass(frozen=True, slots=True)
 class CoverageConfig(RecordedOptions):
-    """Count how often the intervals hold the truth: random objects under each kind of noise, data that tell nothing,
+    """Count how often the intervals hold the truth: random objects under each kind of noise, data without information,
     and unseen pokes of finite element bodies."""
 
     objects: int = 1000
@@ -118,8 +118,8 @@ class CoverageConfig(RecordedOptions):
 
 @dataclass(frozen=True, slots=True)
 class Table41Config(RecordedOptions):
-    """Thesis table 4.1 and scenes beyond it: explore simulated tables over seeds, and tell how good the maps are after
-    how many touches, planner beside planner. A touch takes about a second of a core: 20 seeds of all scenes take
+    """Thesis table 4.1 and scenes beyond it: explore simulated tables over seeds, and report how good the maps are
+    after how many touches, planner beside planner. A touch takes about a second of a core: 20 seeds of all scenes take
     most of an hour."""
 
     out: Annotated[Path, arg(metavar="DIR")] = Path("runs/table41")

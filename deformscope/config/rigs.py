@@ -39,11 +39,11 @@ from deformscope.errors import InputError
 @dataclass(frozen=True, slots=True)
 class DevicesConfig(JsonOptions):
     """List what is plugged into this machine: port, serial number, firmware, health. Devices that are known by their
-    USB identity, and doubles that run, are opened for a moment and asked: nothing moves, but an OptoForce is told its
+    USB identity, and doubles that run, are opened for a moment and asked: nothing moves, but an OptoForce is set to its
     driver's default rate and filter, and forgets its zero."""
 
     probe: bool = True
-    """Open what is known and ask it; --no-probe tells only what the system knows."""
+    """Open what is known and ask it; --no-probe lists only what the system knows."""
     json: JsonFlag = None
     """Write the list as JSON; with -, stdout is the JSON alone."""
 
@@ -224,9 +224,9 @@ class DoubleConfig(CommandOptions):
 
 @dataclass(frozen=True, slots=True)
 class ExploreConfig(RecordedOptions):
-    """Map how soft a surface is, and where: look, touch where it tells most, map, again; regions in the end. RIG is a
-    rig file with an arm, a force sensor and a depth camera: the arm moves, after a table of checks and a question.
-    lab:NAME is a simulated table, explored through the real drivers on byte-exact doubles."""
+    """Map how soft a surface is, and where: look, touch where it adds most to the map, map, again; regions in the end.
+    RIG is a rig file with an arm, a force sensor and a depth camera: the arm moves, after a table of checks and a
+    question. lab:NAME is a simulated table, explored through the real drivers on byte-exact doubles."""
 
     rig: Annotated[str, Positional, arg(metavar="RIG|lab:NAME")] = ""
     """A rig file (.toml), or a simulated scene; --list-scenarios names these."""
@@ -235,7 +235,7 @@ class ExploreConfig(RecordedOptions):
     touches: int = 8
     """Touches at most."""
     planner: Literal["regions", "integrated-variance", "max-variance", "random-above"] = "regions"
-    """Where to touch next: what tells most about the map of regions per second (default), two rules by the field's
+    """Where to touch next: where the map of regions gains most a second (default), two rules by the field's
     variance, or the thesis's (any place above --threshold)."""
     threshold: float = 0.06
     """Variance, as a share of that before any touch, below which a place needs no touch (Th of the thesis)."""
@@ -286,7 +286,7 @@ def parse_place(text: str) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class ArmConfig(RecordedOptions):
-    """Measure how the arm gives way under a push, by touching something rigid that stands firmly on the surface: what
+    """Measure the compliance of the arm, by touching something rigid that stands firmly on the surface: what
     [tool] of the rig file wants. The arm moves, after a table of checks and a question."""
 
     rig: Annotated[str, Positional, arg(metavar="RIG|lab:NAME")]

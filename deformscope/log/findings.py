@@ -15,7 +15,7 @@ from deformscope.log.blueprint import blueprint, deep_view
 from deformscope.log.canvas import Canvas, log_deep_legend
 from deformscope.log.rig.blueprint import rig_blueprint
 from deformscope.pictures.findings import ColoredBody, Findings, table_markdown
-from deformscope.pictures.palette import colors, round_up
+from deformscope.pictures.palette import colors
 from deformscope.plain import plain
 from deformscope.stages.see.triangulation import spacing_of
 
@@ -67,7 +67,7 @@ def _log_tables(rec: rr.RecordingStream, found: Findings, path: str) -> None:
 
 
 def _log_body(rec: rr.RecordingStream, body: ColoredBody, path: str) -> None:
-    end = round_up(float(np.nanmax(body.value, initial=0.0)))
+    end = float(np.nanmax(body.value, initial=0.0)) or 1.0
     tints, radius = colors(body.value / end), 0.3 * spacing_of(body.points)
     flat = body.points.shape[1] == 2
     points = np.column_stack([body.points, np.zeros(len(body.points))]) if flat else body.points
@@ -76,7 +76,7 @@ def _log_body(rec: rr.RecordingStream, body: ColoredBody, path: str) -> None:
     bar = [(place / (MARKS - 1), "", tint) for place, tint in enumerate(colors(np.linspace(0.0, 1.0, MARKS)))]
     marks = [(share, name, (int(tint[0]), int(tint[1]), int(tint[2]))) for share, name, tint in bar]
     for place in (0, MARKS // 2, MARKS - 1):
-        marks[place] = (marks[place][0], f"{end * marks[place][0]:g}", marks[place][2])
+        marks[place] = (marks[place][0], f"{end * marks[place][0]:.2g}", marks[place][2])
     log_deep_legend(rec, f"{path}/legend", _around(body), marks)
 
 
