@@ -78,37 +78,18 @@ def run(config: ArmConfig) -> None:
 
         with touching_robot(setup, source, options, watch) as robot, watch.halts(robot):
             try:
-<<<<<<< HEAD
                 run_session(source, touching(robot), recorder, robot)
             except ExplorationStopped as error:
                 stop = error.stop
                 recorder.stopped_because(f"{stop.kind}: {stop.reason}")
         found = None if stop is not None else arm_give(made)
-=======
-                with companion.halts(robot):
-                    let_move(robot, bench, options, known, asked, yes=config.yes, places_m=xy_m[None])
-                    for one in touch_rigid(robot, options, xy_m, config.touches):
-                        made.append(one)
-                        give = 1e3 * one.found.compliance_m_per_n
-                        show_line("")
-                        say(f"touch {len(made)}: {give:.3f} mm/N, pressed with {one.peak_force_n:.2f} N")
-            except ExplorationStopped as error:
-                stop = companion.stopped(error, robot)
-        recorder.write_items(source.take(0.0))
-        found = arm_give(made) if stop is None else None
->>>>>>> library
         if found is not None:
             shown = _findings(found, f"{config.rig} at ({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm")
             recorder.write(Step((RigFindings(shown, tuple(source.streams)),)))
             show(shown)
-<<<<<<< HEAD
         finish(source, recorder)
     if stop is not None:
         leave(stop, len(made), asked.signal_number, recorder.summary().path, arm_told=watch.arm_told)
-=======
-    if found is None:
-        leave(stop, len(made), asked.signal_number, recorder.summary().path, arm_told=companion.arm_told)
->>>>>>> library
     if recorder.summary().path is not None:
         say(f"recording: {recorder.summary().path}")
     write_json(found, output.json)

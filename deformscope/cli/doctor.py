@@ -113,15 +113,9 @@ def _exploring(rig: Rig) -> list[Finding]:
         setup = setup_of_rig(rig)
     except InputError as error:
         return [Finding("explore", "look", f"not with this file: {error}")]
-<<<<<<< HEAD
     lacks = [name for name, there in setup.calibrated.items() if not there]
     if lacks or rig.workspace.low_m is None:
         return [Finding("explore", "look", f"lacks {', '.join(lacks) or 'the box of [workspace]'}")]
-=======
-    missing = [name for name, there in bench.calibrated.items() if not there]
-    if missing or rig.workspace.low_m is None:
-        return [Finding("explore", "look", f"missing: {', '.join(missing) or 'the box of [workspace]'}")]
->>>>>>> library
     return [
         Finding("explore", "ok", "the file has all that it wants; whether it can be reached is checked before a touch")
     ]
