@@ -23,7 +23,7 @@ from deformscope.rig.source import RigSource
 from deformscope.robot.advice import advice
 from deformscope.robot.preflight import Preflight, check
 from deformscope.robot.readings import ArmSample
-from deformscope.robot.robot import Robot, RobotStopped
+from deformscope.robot.robot import Robot, RobotStopped, Watch
 from deformscope.robot.setup import Setup
 from deformscope.robot.supervisor import Action, Fault
 from deformscope.robot.touch import Phase, PhaseSpan, TouchEnding, TouchPlan, TouchRecord, run_touch
@@ -67,15 +67,7 @@ def touching_robot(
 ) -> Iterator[TouchingRobot]:
     """The robot over the devices of an open source; it cycles by itself, where its devices do, until the end of the
     context. on_cycle: called in every control period"""
-    made: list[TouchingRobot] = []
-
-    def watch(*seen: object) -> None:
-        on_cycle()
-        for robot in made:
-            robot.cycled()
-
-    robot = TouchingRobot(setup.robot(source, watch), setup, options)
-    made.append(robot)
+    robot = TouchingRobot(lambda watch: setup.robot(source, watch), setup, options, on_cycle)
     if not setup.runs_itself:
         yield robot
         return
@@ -102,11 +94,19 @@ class TouchingRobot:
     stopped: fails with what stops the robot while it carries nothing out
     """
 
-    def __init__(self, robot: Robot, setup: Setup, options: ExploreOptions) -> None:
+    def __init__(
+        self,
+        make: Callable[[Watch], Robot],
+        setup: Setup,
+        options: ExploreOptions,
+        on_cycle: Callable[[], None] = lambda: None,
+    ) -> None:
+        """make: the robot, with the first command: its devices are recorded meanwhile"""
         self.on_phase: Callable[[Phase, int], None] = lambda phase, touch: None
         self.stopped: Future[None] = Future()
         self.geometry = SetupGeometry.of(setup)
-        self._robot = robot
+        self._make, self._on_cycle = make, on_cycle
+        self._made: Robot | None = None
         self._setup = setup
         self._options = options
         self._pictures: Subscription[DepthImage] | None = None
@@ -118,6 +118,12 @@ class TouchingRobot:
         self._keep: Callable[[], object] | None = None
         self._periods = 0
         self._commands: queue.SimpleQueue[tuple[object, Future[Any]]] | None = None
+
+    @property
+    def _robot(self) -> Robot:
+        if self._made is None:
+            self._made = self._make(lambda seen, verdict: self._cycled())
+        return self._made
 
     # Commands ---------------------------------------------------------------------------------------------------------
 
@@ -151,8 +157,9 @@ class TouchingRobot:
         taken, self._reports = self._reports, []
         return taken
 
-    def cycled(self) -> None:
+    def _cycled(self) -> None:
         """In each control period."""
+        self._on_cycle()
         self._periods += 1
         if self._keep is not None and self._periods % KEEP_EVERY == 0:
             self._keep()
@@ -168,7 +175,7 @@ class TouchingRobot:
         def work() -> None:
             failed = False
             while not over.is_set():
-                holding = self._robot.may_move and not failed
+                holding = self._made is not None and self._made.may_move and not failed
                 try:
                     command, future = commands.get(block=not holding, timeout=IDLE_S)
                 except queue.Empty:
@@ -202,9 +209,11 @@ class TouchingRobot:
 
     def preflight(self, calibrated: Mapping[str, bool], places_m: FloatArray | None = None) -> Preflight:
         """See `CheckFirst`. Raises InputError where nothing can be reached."""
+        self._robot.rest()  # finding what can be reached takes longer than queues hold
         corners = self._corners() if places_m is None else list(places_m)
         height_m = self._options.thickness_m
         plans = [self.geometry.plan(corner, height_m, UPRIGHT, None, self._options) for corner in corners]
+        self._robot.start()
         with self._stopping():
             found = check(self._robot, plans, calibrated=calibrated)
         self._robot.rest()
@@ -300,7 +309,7 @@ class TouchingRobot:
             seen_ns=max((round(span.end_s * 1e9) for span in dwells), default=0),
             end_ns=end.time_ns,
         )
-        poses = {sample.time_ns: sample for sample in (*record.poses, *(pose for _, pose in seen), end)}
+        poses = {sample.time_ns: sample for sample in (*arms, *record.poses, *(pose for _, pose in seen), end)}
         forces = {(sample.time_ns, sample.ticks): sample.sensor_n for sample, _ in record.forces}
         return Touched(used, FrameData(_depths_m(pictures), poses, forces))
 
@@ -320,15 +329,16 @@ class TouchingRobot:
     @property
     def gaps_s(self) -> FloatArray:
         """(n,) from each look of the supervisor to the next since the robot may move [s]."""
-        return self._robot.gaps_s
+        return np.zeros(0) if self._made is None else self._made.gaps_s
 
     def ask_to_stop(self, reason: str) -> None:
         """A person wants it to stop: the arm stands within a control period, and the exploration ends."""
-        self._robot.ask_to_stop(reason)
+        if self._made is not None:
+            self._made.ask_to_stop(reason)
 
     def halt(self, reason: str) -> bool:
-        """Erase what waits in the arm, which takes no further command; whether it was reached."""
-        return self._robot.halt(reason)
+        """Erase what waits in the arm, which takes no further command; whether it was reached, or never commanded."""
+        return self._made is None or self._made.halt(reason)
 
     def _begin(self, phase: Phase, time_ns: int) -> None:
         self._phase = phase

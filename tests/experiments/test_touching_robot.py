@@ -65,7 +65,7 @@ def test_it_never_plans_to_press_up_to_the_soft_stop(
 ) -> None:
     scene = make_scene(3, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
     workspace = Workspace(target_force_n=set_n, soft_stop_n=soft_n, hard_stop_n=15.0)
-    robot = TouchingRobot(scene.robot, setup(scene, workspace), ExploreOptions(set_force_n=set_n))
+    robot = TouchingRobot(lambda watch: scene.robot, setup(scene, workspace), ExploreOptions(set_force_n=set_n))
     plan = robot.geometry.plan(np.array([0.3, 0.2]), 0.05, UP, None, ExploreOptions(set_force_n=set_n))
     scene.lab.close()
 
