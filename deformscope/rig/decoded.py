@@ -40,9 +40,12 @@ class Redecoder(ABC):
     """Makes frames of one device's bytes, as its driver did.
 
     left_out: what of a frame its bytes do not decide; compares: the fields that they decide, beside the stamp
+    listening: what comes now is for the decoder; late_answers: what comes too late for its driver is no frame
     """
 
     left_out = ""
+    listening = True
+    late_answers = False
     compares: tuple[str, ...]
 
     def __init__(self, config: Any, stream: Stream) -> None:
@@ -153,13 +156,20 @@ class DsaAgain(Redecoder):
 class SdhAgain(Redecoder):
     """A hand: a reading is made of its answers about states, velocities and, last, angles."""
 
+    late_answers = True
     compares = ("position_deg", "velocity_deg_s", "temperature_c", "state")
 
     def begin(self) -> FrameDecoder[Any]:
         from deformscope_drivers.sdh.protocol import Decoder
 
         self._answers: dict[str, tuple[float, ...]] = {}
+        self.listening = False  # what the line holds at first is dropped
         return Decoder(checksummed=self.config.checksummed())
+
+    def send(self, data: bytes) -> None:
+        from deformscope_drivers.sdh.protocol import END_OF_COMMAND
+
+        self.listening |= data != END_OF_COMMAND
 
     def measure(self, event: Any, host_ns: int) -> Iterable[Any]:
         from deformscope_drivers.sdh.codes import AxisState
@@ -171,12 +181,12 @@ class SdhAgain(Redecoder):
         self._answers["vel" if event.quantity == "tvav" else event.quantity] = event.values
         if event.quantity != "pos" or not {"state", "vel"} <= set(self._answers):
             return []
-        states, temperature = self._answers.pop("state"), self._answers.get("temp")
+        states, temperature = self._answers["state"], self._answers.get("temp")
         return [
             HandReading(
                 Stamp(host_ns),
                 np.array(event.values),
-                np.array(self._answers.pop("vel")),
+                np.array(self._answers["vel"]),
                 tuple(AxisState(int(state)) for state in states),
                 None if temperature is None else np.array(temperature),
             )
@@ -241,7 +251,8 @@ class _Check:
             self._again.send(item.data)
         else:
             self._pieces += 1
-            self._decoded += self._decode(self._again, self._decoder.feed(item.data))
+            if self._again.listening:
+                self._decoded += self._decode(self._again, self._decoder.feed(item.data))
 
     def result(self) -> DeviceComparison:
         """Once all has come."""
@@ -254,9 +265,9 @@ class _Check:
             left_out = "its bytes were not recorded"
         elif self.health is not None:
             counted, dropped = self.health.skipped_bytes, self.health.dropped + self.health.extra.get(RAW_DROPPED, 0)
-            # what a lost link cuts off is counted or not, and the hand's line is drained past its decoder
-            countable = self._steady and stream.driver != "sdh"
-            if countable and self._skipped != counted and not self._difference:
+            # what a lost link cuts off is counted or not, and late answers are counted by another way
+            other = self._skipped > counted if self._again.late_answers else self._skipped != counted
+            if self._steady and other and not self._difference:
                 self._difference = f"{self._skipped} bytes of {stream.device} that fit no frame; {counted} were counted"
             if dropped and self._difference:
                 left_out = f"what follows {self._difference}: {dropped:g} readings or pieces of bytes were dropped"
@@ -285,7 +296,7 @@ class _Check:
                     return
         if len(recorded) > len(decoded):
             self._difference = f"frame {recorded[len(decoded)].index} of {at}, which its bytes do not give"
-        elif len(decoded) > len(recorded):
+        elif len(decoded) > len(recorded) and not self._again.late_answers:
             self._difference = f"a frame in the bytes of {at}, which was not recorded"
 
 

@@ -130,7 +130,7 @@ ALTERED = [
     *(("pads", kind, change) for kind, change in ((RawBytes, flipped), (TactileFrame, next_up("pressure_pa")))),
     *(("tip", kind, change) for kind, change in ((RawBytes, flipped), (WrenchFrame, next_up("force_n")))),
     ("tip", WrenchFrame, next_up("counts")),
-    ("hand", HandFrame, next_up("velocity_deg_s")),
+    *(("hand", kind, change) for kind, change in ((RawBytes, flipped), (HandFrame, next_up("velocity_deg_s")))),
 ]
 
 
