@@ -168,9 +168,9 @@ class Terminal(io.StringIO):
 @pytest.mark.parametrize(
     ("fault", "kind", "within_s", "words"),
     [
-        ("force-silent@1", "force sensor silent", 0.05, "deformscope doctor RIG"),
-        ("arm-cable@1", "link lost", 0.1, "THE ARM COULD NOT BE TOLD TO STOP"),
-        ("push@2", "force above the soft stop", 0.05, "it has backed away"),
+        pytest.param("force-silent@1", "force sensor silent", 0.05, "deformscope doctor RIG", marks=pytest.mark.slow),
+        pytest.param("arm-cable@1", "link lost", 0.1, "THE ARM COULD NOT BE TOLD TO STOP", marks=pytest.mark.slow),
+        ("push@1", "force above the soft stop", 0.05, "it has backed away"),
     ],
 )
 def test_a_fault_stops_it_and_the_recording_is_whole(

@@ -185,7 +185,7 @@ def test_a_stopped_window_costs_the_picture_alone(tmp_path: Path, monkeypatch: p
     assert made.summary().dropped >= 100
 
 
-@pytest.mark.parametrize(("touch", "truth"), [(0, True), (2, True), (2, False)])
+@pytest.mark.parametrize(("touch", "truth"), [(0, True), pytest.param(2, True, marks=pytest.mark.slow), (2, False)])
 def test_an_exploration(tmp_path: Path, viewer: ViewerClient, touch: int, truth: bool) -> None:
     """Every view shows something, before the first touch too, and arm and surface stand in one scene."""
     path = tmp_path / "run.rrd"

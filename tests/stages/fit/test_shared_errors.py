@@ -140,6 +140,7 @@ def test_known_beta_without_noise() -> None:
     assert len(found.settings["frame_values"]) == 3  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_noise_of_its_own_in_each_frame_averages_out() -> None:
     covered, whole, last, width = rate("own", 8)
     assert whole < last
