@@ -89,16 +89,17 @@ def test_a_simulated_table_is_explored_recorded_and_replayed(
 
 
 def alter_one(monkeypatch: pytest.MonkeyPatch, kind: type, record: Path) -> None:
-    """From now on one frame that an exploration used is read as another: the first depth image, or the last force."""
+    """From now on one frame that an exploration used is read as another: the first depth image, or a force before it
+    pressed."""
     used = [one.result for one in read_results(record, (LookFrames, TouchFrames), trust=True)]
     look, touch = (next(one for one in used if isinstance(one, wanted)) for wanted in (LookFrames, TouchFrames))
-    whole = read_items
+    whole, down_ns = read_items, touch.wrench_ns[np.searchsorted(touch.wrench_ns, touch.arm_ns[len(touch.arm_ns) // 3])]
 
     def altered(*arguments: Any, **options: Any) -> Iterator[Item]:
         for item in whole(*arguments, **options):
             if kind is DepthFrame and isinstance(item, DepthFrame) and item.stamp.host_ns == look.depth_ns[0]:
                 yield dataclasses.replace(item, depth=item.depth + (item.depth > 0).astype(item.depth.dtype))
-            elif kind is WrenchFrame and isinstance(item, WrenchFrame) and item.stamp.host_ns == touch.wrench_ns[-1]:
+            elif kind is WrenchFrame and isinstance(item, WrenchFrame) and item.stamp.host_ns == down_ns:
                 yield dataclasses.replace(item, force_n=item.force_n + 1e-9)
             else:
                 yield item

@@ -110,7 +110,7 @@ def test_left_mirrors_right() -> None:
 
 
 def test_a_push_that_cannot_be_followed_says_how_far_it_came() -> None:
-    with pytest.raises(InputError, match=r"no equilibrium found beyond [\d.]+ mm, on the way to 61\.00 mm"):
+    with pytest.raises(InputError, match=r"no equilibrium found beyond [\d.]+ mm, before 61\.00 mm"):
         press(FOAMS[0].law(), BLOCK, CLAMP_M, [BLOCK.height_m + 0.001], 0.03)
 
 
