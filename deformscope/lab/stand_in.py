@@ -5,9 +5,14 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import itertools
+import json
+import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from deformscope.errors import InputError
 from deformscope.rig.driver_table import DRIVERS
 from deformscope_drivers.clock import monotonic_ns
 from deformscope_drivers.device import Device
@@ -15,6 +20,15 @@ from deformscope_drivers.doubles import Double
 from deformscope_drivers.wires import CanWire, PtyWire, TcpWire, Wire
 
 _numbers = itertools.count(1)
+SERVE = """
+import json, sys
+given = json.loads(sys.stdin.buffer.readline())
+sys.path[:] = given["path"]
+from deformscope.lab.stand_in import serve
+serve(given["driver"], given["config"])
+"""
+END_S = 3.0
+"""A double's process ends by itself within this, or is ended."""
 
 
 @contextlib.contextmanager
@@ -24,9 +38,12 @@ def stand_in(driver: str, config: Any) -> Iterator[Device[Any]]:
     config: as for the real device; wherever it says that the device is, the double is reached alike, and no
     hardware or CAN of the kernel's is needed
     """
-    if driver in WIRED:
+    if driver in WIRED and config_bus(config):  # python-can's virtual buses are within a process
         with wire_of(driver, config, f"virtual:double-{next(_numbers)}") as wire:
-            yield DRIVERS[driver].make(reaching(config, wire))
+            yield DRIVERS[driver].make(reaching(config, wire.port, is_bus=wire.is_bus))
+    elif driver in WIRED:
+        with _wire_beside(driver, config) as port:
+            yield DRIVERS[driver].make(reaching(config, port))
     else:
         with _IN_PROCESS[driver](_of_any_serial(config)) as device:
             yield device
@@ -51,11 +68,48 @@ def wire_of(driver: str, config: Any, bus: str) -> Iterator[Wire]:
         yield wire
 
 
-def reaching(config: Any, wire: Wire) -> Any:
+@contextlib.contextmanager
+def _wire_beside(driver: str, config: Any) -> Iterator[str]:
+    """The same behind a pseudo terminal or a socket, in a process of its own, as a device does not take this one's time
+    either. Yields its port."""
+    # not multiprocessing, which imports the user's own script again
+    process = subprocess.Popen([sys.executable, "-c", SERVE], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert process.stdin is not None
+    assert process.stdout is not None
+    try:
+        given = {"path": sys.path, "driver": driver, "config": dataclasses.asdict(config)}
+        process.stdin.write(json.dumps(given).encode() + b"\n")
+        process.stdin.flush()
+        port = process.stdout.readline().decode().strip()
+        if not port:
+            raise InputError(f"a double of {driver} in a process of its own", "one that ended at once")
+        yield port
+    finally:
+        process.stdin.close()
+        try:
+            process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        process.stdout.close()
+
+
+def serve(driver: str, settings: dict[str, Any]) -> None:
+    """Print the port of a running double, and run it until the standard input ends. settings: its configuration"""
+    import msgspec
+
+    config = msgspec.convert(settings, DRIVERS[driver].config_class())
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all processes at a terminal; the other one ends this
+    with wire_of(driver, config, "") as wire:
+        print(wire.port, flush=True)
+        sys.stdin.buffer.read()
+
+
+def reaching(config: Any, port: str, *, is_bus: bool = False) -> Any:
     """The configuration, for the double at the other end of a wire."""
-    links = {"port": wire.port}
+    links = {"port": port}
     if hasattr(config, "bus"):
-        links = {"port": "", "bus": wire.port} if wire.is_bus else {"port": wire.port, "bus": ""}
+        links = {"port": "", "bus": port} if is_bus else {"port": port, "bus": ""}
     return dataclasses.replace(_of_any_serial(config), **links)
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import time
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -97,5 +99,10 @@ def arrays_size(result: object) -> int:
     """Bytes of the arrays in a dataclass."""
     if not dataclasses.is_dataclass(result):
         return 0
-    values = (getattr(result, field.name) for field in dataclasses.fields(result))
+    values = (getattr(result, name) for name in _field_names(type(result)))  # type: ignore[arg-type]
     return sum(value.nbytes for value in values if isinstance(value, np.ndarray))
+
+
+@functools.cache
+def _field_names(kind: Any) -> tuple[str, ...]:
+    return tuple(field.name for field in dataclasses.fields(kind))

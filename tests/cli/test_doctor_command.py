@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from importlib import resources
 from pathlib import Path
@@ -74,12 +75,16 @@ def test_devices_that_fail_are_rows_among_the_others(
 def test_whatever_a_device_raises_is_a_row(
     example: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(config: object) -> None:
-        raise ZeroDivisionError("by zero")
+    whole = stand_in._wire_beside
+
+    def fail(driver: str, config: object) -> contextlib.AbstractContextManager[str]:
+        if driver == "dsa":
+            raise ZeroDivisionError("by zero")
+        return whole(driver, config)
 
     path = tmp_path / "rig.toml"
     path.write_text(doubled(example))
-    monkeypatch.setitem(stand_in.WIRED, "dsa", fail)
+    monkeypatch.setattr(stand_in, "_wire_beside", fail)
 
     status, found = verdicts(path, capsys)
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import os
 from importlib import resources
+from pathlib import Path
 
 import pytest
 
 from deformscope.cli.rigs import member_of
+from deformscope.lab.stand_in import stand_in
+from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import parse_rig
+from tests.patience import PATIENCE_S
 
 ONE = "{ counts_at_nominal = [NUMBERS], nominal = [NUMBERS] }"
 THREE, SIX = (ONE.replace("NUMBERS", ", ".join(["1.0"] * count)) for count in (3, 6))
@@ -52,3 +57,17 @@ def test_the_example_is_for_every_device_that_can_be_doubled() -> None:
 
     assert {entry.driver.name for entry in devices} == set(WAYS)
     assert any(getattr(entry.config, "bus", "").startswith("socketcan:") for entry in devices)
+
+
+def test_a_double_on_a_port_has_a_process_of_its_own_that_ends_with_it() -> None:
+    driver = DRIVERS["optoforce"]
+    with stand_in("optoforce", driver.config_class()(rate_hz=333)) as device:
+        process = int(device.config.port.split("/")[2])
+        assert process != os.getpid()
+        assert "stand_in" in Path(f"/proc/{process}/cmdline").read_text()
+        with device.readings() as readings:
+            device.open()
+            assert readings.get(PATIENCE_S) is not None
+            device.close()
+
+    assert not Path(f"/proc/{process}").exists()

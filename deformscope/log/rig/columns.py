@@ -64,7 +64,6 @@ class Batch:
     """
 
     def __init__(self, place: Place | None = None) -> None:
-        self.bytes = 0
         self.parts: list[tuple[str, Chunk | Callable[[rr.RecordingStream], None]]] = []
         self._place = place
 
@@ -72,7 +71,6 @@ class Batch:
         """As that of a stream."""
         ready = list(columns)
         when = list(times) if self._place is None else self._place.moved(times)
-        self.bytes += sum(column.as_arrow_array().nbytes for column in ready)
         self.parts.append((path, Chunk.from_columns(path, when, ready)))
 
     def log(self, path: str, entity: rr.AsComponents, *, static: bool) -> None:
