@@ -23,6 +23,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "arrays": (),
     "errors": (),
     "plain": (),
+    "processes": (),
     "capsule": ("arrays",),
     "images": ("arrays", "errors"),
     "frames": ("arrays",),
@@ -38,14 +39,14 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "rig": ("errors", "frames"),
     "robot": ("arrays", "capsule", "errors", "rig"),
     # The simulated world must not share the model that is fitted to it.
-    "lab": ("arrays", "capsule", "errors", "rig", "robot"),
+    "lab": ("arrays", "capsule", "errors", "processes", "rig", "robot"),
     "session": ("frames",),
     "rows": ("arrays", "frames", "images", "stages.map"),
     "recording": ("arrays", "errors", "frames", "images", "log", "rows", "session", *STAGES),
     "files": ("arrays", "errors", "frames", "images", "recording", *STAGES),
     "experiments": (
-        *("arrays", "capsule", "errors", "files", "frames", "images", "recording", "rig", "robot", "rows", "session"),
-        *STAGES,
+        *("arrays", "capsule", "errors", "files", "frames", "images", "processes", "recording", "rig", "robot"),
+        *("rows", "session", *STAGES),
     ),
     "studies": (
         *("arrays", "capsule", "errors", "experiments", "files", "frames", "lab", "pictures", "plain", "recording"),

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import os
 import signal
-import threading
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 
@@ -14,12 +12,12 @@ from deformscope.experiments.explore import Stage, within_loop
 from deformscope.experiments.explorer import Computed, ExplorationStages, Explorer, FromFrames
 from deformscope.experiments.measured import SetupGeometry
 from deformscope.experiments.options import ExploreOptions
+from deformscope.processes import SPAWN, follow_parent, starting
 from deformscope.robot.setup import Setup, Truth
 from deformscope.session import Compute, Inline
 
 NICE = 10
 """The process that computes leaves the processor to what moves the robot."""
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 _stages: ExplorationStages | None = None
 
@@ -41,9 +39,8 @@ def stages_beside(setup: Setup, options: ExploreOptions) -> Iterator[tuple[Execu
     if not setup.runs_itself:
         yield Inline(), within_loop(exploration_stages(*given))
         return
-    context = multiprocessing.get_context("spawn")
-    with _one_thread():
-        executor = ProcessPoolExecutor(1, context, _begin, given)
+    with starting():
+        executor = ProcessPoolExecutor(1, SPAWN, _begin, given)
         process_id = executor.submit(os.getpid)
     try:
         yield executor, lambda name, *inputs: Compute(_compute, (name, *inputs))
@@ -53,36 +50,12 @@ def stages_beside(setup: Setup, options: ExploreOptions) -> Iterator[tuple[Execu
             os.kill(process_id.result(0.0), signal.SIGKILL)
 
 
-@contextlib.contextmanager
-def _one_thread() -> Iterator[None]:
-    """Processes that are spawned now have one thread of BLAS."""
-    kept = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update(dict.fromkeys(THREADS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in kept.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
 def _begin(geometry: SetupGeometry, options: ExploreOptions, truth: Truth | None) -> None:
-    """In the process, first of all: it ends with its parent, and leaves Ctrl-C to it."""
+    """In the process, first of all."""
     global _stages
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)
+    follow_parent()
     os.nice(NICE)
-    threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
     _stages = exploration_stages(geometry, options, truth)
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
 
 
 def _compute(name: str, *inputs: object) -> Computed:

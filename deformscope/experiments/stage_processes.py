@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
-import os
-import signal
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -28,6 +24,7 @@ from deformscope.experiments.device_stages import (
     compute,
 )
 from deformscope.experiments.live_stages import Beside
+from deformscope.processes import SPAWN, follow_parent, starting
 from deformscope.stages.map.surface import fit_surface
 from deformscope.stages.map.touches import MapGrid
 
@@ -67,9 +64,9 @@ class StageProcess:
         self._start()
 
     def _start(self) -> None:
-        context = multiprocessing.get_context("spawn")  # what other threads hold does not survive a fork
-        self._pool = ProcessPoolExecutor(1, mp_context=context, initializer=_start_beside)
-        self._warm = self._pool.submit(warm_up, self._name, self._start_engine)
+        with starting():
+            self._pool = ProcessPoolExecutor(1, mp_context=SPAWN, initializer=follow_parent)
+            self._warm = self._pool.submit(warm_up, self._name, self._start_engine)
 
     def wait(self) -> None:
         """Return once it has loaded what its stage needs."""
@@ -86,20 +83,6 @@ class StageProcess:
     def close(self) -> None:
         """End it after what it computes now, without waiting for that."""
         self._pool.shutdown(wait=False, cancel_futures=True)
-
-
-def _start_beside() -> None:
-    """Ctrl-C is for the process that reads the devices; this one ends with it, however that ends."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-
-    def follow() -> None:
-        if parent is not None:
-            parent.join()
-            os._exit(1)
-
-    threading.Thread(target=follow, name="parent", daemon=True).start()
 
 
 def warm_up(name: StageName, start_engine: Callable[[], None]) -> None:

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import multiprocessing
-import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -25,6 +23,7 @@ from deformscope.lab.arm_contact import ARM_CYCLE_NS, ArmContact
 from deformscope.lab.depth_view import DepthView, DepthViewConfig
 from deformscope.lab.layer_world import LayerWorld
 from deformscope.lab.scenes import Scene, built_in
+from deformscope.processes import SPAWN, follow_parent, starting
 from deformscope.rig.rig_file import RigDevice
 from deformscope.robot.placement import Placement, best_joints
 from deformscope.robot.robot import sleep_until
@@ -66,13 +65,13 @@ class _Shared:
     the dent; max_force_n
     """
 
-    def __init__(self, context: Any) -> None:
-        self.joints_deg = context.RawArray("d", 7)
-        self.wrench = context.RawArray("d", 6)
-        self.center_m = context.RawArray("d", 3)
-        self.pressed = context.RawArray("d", 3)
-        self.max_force_n = context.RawValue("d", 0.0)
-        self._over = context.RawValue("b", 0)
+    def __init__(self) -> None:
+        self.joints_deg = SPAWN.RawArray("d", 7)
+        self.wrench = SPAWN.RawArray("d", 6)
+        self.center_m = SPAWN.RawArray("d", 3)
+        self.pressed = SPAWN.RawArray("d", 3)
+        self.max_force_n = SPAWN.RawValue("d", 0.0)
+        self._over = SPAWN.RawValue("b", 0)
 
     @property
     def over(self) -> bool:
@@ -112,8 +111,7 @@ class LiveLab:
             raise InputError("a table within the arm's reach", "[surface] T_arm_surface that is not", "move it")
         self.arm = JacoDouble(chain.name, start_deg=start_deg)
         self.view = DepthView(scene, CAMERA, T_surface_camera)
-        self._context = multiprocessing.get_context("spawn")
-        self._shared = _Shared(self._context)
+        self._shared = _Shared()
 
     @property
     def T_surface_camera(self) -> FloatArray:
@@ -160,10 +158,11 @@ class LiveLab:
     @contextlib.contextmanager
     def _process(self, target: Callable[..., None], *arguments: Any) -> Iterator[Connection]:
         """A part of the table in a process of its own, until it is over; the end of a pipe from it."""
-        ours, theirs = self._context.Pipe(duplex=False)
+        ours, theirs = SPAWN.Pipe(duplex=False)
         told = (self._table, self._shared, theirs, *arguments)
-        process = self._context.Process(target=target, args=told, name="simulated table", daemon=True)
-        process.start()
+        process = SPAWN.Process(target=target, args=told, name="simulated table", daemon=True)
+        with starting():
+            process.start()
         theirs.close()
         try:
             yield ours
@@ -215,21 +214,14 @@ def _joints(shared: _Shared, chain: Chain) -> FloatArray:
 
 
 def _goes_on(shared: _Shared, due_s: float) -> bool:
-    """Wait until then; whether the table is still wanted, and who wanted it is still there."""
+    """Wait until then; whether the table is still wanted."""
     time.sleep(max(due_s - time.monotonic(), 0.0))
-    parent = multiprocessing.parent_process()
-    return not shared.over and parent is not None and parent.is_alive()
-
-
-def _outlive_signals() -> None:
-    """A Ctrl-C at the terminal reaches these processes too; they end when they are told to, after the devices."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)
+    return not shared.over
 
 
 def _feel(table: _Table, shared: _Shared, pipe: Connection, sensitivity: Sensitivity) -> None:
     """The process of the table that is touched, and of the force sensor."""
-    _outlive_signals()
+    follow_parent()
     scene = built_in(table.scene, table.seed)
     world = LayerWorld(scene, table.placement.tool.radius_m)
     contact = ArmContact(world, _RemoteArm(shared, CHAINS[table.model]), table.placement, monotonic_ns)
@@ -247,7 +239,7 @@ def _feel(table: _Table, shared: _Shared, pipe: Connection, sensitivity: Sensiti
 
 def _look(table: _Table, shared: _Shared, pipe: Connection, rate_hz: float) -> None:
     """The process of what the camera sees."""
-    _outlive_signals()
+    follow_parent()
     scene = built_in(table.scene, table.seed)
     view = DepthView(scene, CAMERA, table.T_surface_camera)
     world = LayerWorld(scene, table.placement.tool.radius_m)

@@ -1,0 +1,50 @@
+"""Processes that compute or simulate beside this one."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from types import ModuleType
+
+SPAWN = multiprocessing.get_context("spawn")
+"""How they are made: what other threads hold does not survive a fork."""
+BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@contextlib.contextmanager
+def starting() -> Iterator[None]:
+    """Processes that are made within have one thread of BLAS, and do not import the user's script: it would run again
+    in each, unless it guards itself by `if __name__ == "__main__"`."""
+    kept = {name: os.environ.get(name) for name in BLAS_THREADS}
+    main = sys.modules["__main__"]
+    os.environ.update(dict.fromkeys(BLAS_THREADS, "1"))
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
+        for name, value in kept.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def follow_parent() -> None:
+    """In such a process, first of all: it ends with its parent, however that ends, and leaves signals to it. A Ctrl-C
+    at a terminal reaches all of them."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
