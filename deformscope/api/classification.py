@@ -151,7 +151,10 @@ class ClassificationResult(LibraryResult):
         if len(table.modalities) > 1:
             rows.append(("fusion", fusion_words(found)))
         rows += [("note", one) for one in found.notes]
-        return (Table(rows, caption=f"Contents of {self.name}" if self.name else "Contents"), *score_tables(found))
+        return (
+            Table(rows, caption=f"Contents of {self.name}" if self.name else "Contents"),
+            *score_tables(found, every=False),
+        )
 
     def figures(self) -> tuple[Figure, ...]:
         found = self.evaluation
@@ -220,18 +223,26 @@ def _compared(one: Comparison, labels: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def score_tables(found: Evaluation) -> tuple[Table, ...]:
-    """Every method in every kind of split, and transfers."""
+def score_tables(found: Evaluation, *, every: bool = True) -> tuple[Table, ...]:
+    """Every method in every kind of split, and transfers; every: else the strictest splits alone, and of the others
+    what is recommended."""
     names = ("modality", "method", "accuracy", "interval", "balanced", "interval", "calibration error", "splits")
-    made = []
-    for protocol in dict.fromkeys(one.protocol for one in found.scores):
-        mine = [one for one in found.scores if one.protocol == protocol]
-        for pair in dict.fromkeys(one.pair for one in mine):
-            rows = [_row(one) for one in mine if one.pair == pair]
-            first = next(one for one in mine if one.pair == pair)
-            words = split_words(first)
-            caption = f"{words[0].upper()}{words[1:]}, chance {first.chance:.1%}"
-            made.append(Table(rows, names, caption))
+    made, others = [], []
+    for what in dict.fromkeys((one.protocol, one.pair) for one in found.scores):
+        mine = [one for one in found.scores if (one.protocol, one.pair) == what]
+        words = split_words(mine[0])
+        if every or what[0] == found.protocol:
+            caption = f"{words[0].upper()}{words[1:]}, chance {mine[0].chance:.1%}"
+            made.append(Table([_row(one) for one in mine], names, caption))
+        else:
+            best = found.best
+            others += [
+                (words, *_row(one))
+                for one in mine
+                if one.method == best.method and (one.modality == best.modality or one.pair is not None)
+            ]
+    if others:
+        made.append(Table(others, ("splits", *names), "Other splits (every method: --report, --json)"))
     return tuple(made)
 
 

@@ -16,7 +16,7 @@ from deformscope.stages.squeeze.trial_run import Method, joined_name
 THESIS_METHODS: tuple[Method, ...] = ("knn", "qda")
 FIGURES = {
     "mean": "mean features of each class, on one scale (as Thesis figures 2.6 and 2.7)",
-    "clusters": "trials on the two largest components: by content, and by k-means with centroids (as figures 2.9, 2.10)",
+    "clusters": "trials on the two largest components: contents, and clusters with centroids (as figures 2.9, 2.10)",
     "curve": "accuracy over the share of the training trials (as figure 2.11)",
     "confusion": "confusion matrices of single modalities (as figures 2.12 and 2.13)",
     "raw": "confusion matrices without principal components (as figure 2.14)",
@@ -83,10 +83,10 @@ def _sections(
             if name.split("-")[0] in starts
         ]
 
-    summary, *scores = result.tables()
+    summary = result.tables()[0]
     sections = [
         Section("", [_verdict(found), summary]),
-        Section("Accuracy", [*of("accuracies"), PROTOCOL_WORDS, *scores]),
+        Section("Accuracy", [*of("accuracies"), PROTOCOL_WORDS, *score_tables(found)]),
         Section("What was measured", of("mean")),
         Section("Natural groupings", [*of("clusters"), *_groupings(found)]),
         Section("Confusions", [CONFUSION_WORDS, *of("confusion", "raw")]),
@@ -107,8 +107,8 @@ def _sections(
 
 PROTOCOL_WORDS = (
     "Scaling, principal components, classifiers, calibration and fusion are learned inside the training side of each "
-    "split (70 %). Random splits are the thesis's; splits by group leave whole containers or sessions out, which is what "
-    "a new container asks for. Intervals allow for splits sharing their trials (Nadeau and Bengio 2003), and are no "
+    "split (70 %). Random splits are the thesis's; splits by group leave whole containers or sessions out, which is "
+    "what a new container asks for. Intervals allow for splits sharing their trials (Nadeau and Bengio 2003) and are no "
     "narrower than Wilson's for the number of trials, or groups. knn and qda use the components that hold 80 % of the "
     "variance; knn-raw, qda-raw and linear all of them. pooled weighs all of these, calibrated on training trials left "
     "out."
@@ -121,8 +121,8 @@ TRANSFER_WORDS = (
     "All trials of one kind train, all of the other test; the intervals are Wilson's for the groups tested."
 )
 CALIBRATION_WORDS = (
-    "Of the answers of a probability of 80 %, 80 % should be right. The band holds a perfectly calibrated classifier, for "
-    "as many trials as there are; the dots' areas are the numbers of answers."
+    "Of the answers of a probability of 80 %, 80 % should be right. The band holds a perfectly calibrated classifier, "
+    "for as many trials as there are; the dots' areas are the numbers of answers."
 )
 
 
@@ -154,9 +154,9 @@ def _groupings(found: Evaluation) -> list[Part]:
         rows.append((name, str(len(clusters.centroid)), rand, within, pooled))
     names = ("modality", "clusters", "adjusted Rand index", "normal within class", "normal over all")
     words = (
-        "The adjusted Rand index is 1 where clusters are the contents and 0 where they have nothing to do with them; mean "
-        f"and deviation of 10 runs. Normal: components whose Lilliefors p-value is above {ALPHA:g}; QDA assumes it within "
-        "each class, and of truly normal ones 95 % would pass."
+        "The adjusted Rand index is 1 where clusters are the contents and 0 where they have nothing to do with them; "
+        f"mean and deviation of 10 runs. Normal: components whose Lilliefors p-value is above {ALPHA:g}; QDA assumes "
+        "it within each class, and of truly normal ones 95 % would pass."
     )
     return [Table(rows, names), words]
 

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
-from scipy.linalg import solve_triangular
-from scipy.special import log_softmax
+from scipy.linalg.lapack import dtrtrs
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 
@@ -59,7 +58,7 @@ class Quadratic:
         """(m, C)"""
         density = np.full((len(test), len(self.mean)), -np.inf)
         for one in np.flatnonzero(self.present):
-            white = solve_triangular(self.factor[one], (test - self.mean[one]).T, lower=True, check_finite=False)
+            white, _ = dtrtrs(self.factor[one].T, (test - self.mean[one]).T, lower=0, trans=1)
             density[:, one] = -0.5 * (white**2).sum(axis=0) - np.log(np.diagonal(self.factor[one])).sum()
         return floored(density)
 
@@ -81,9 +80,15 @@ class Linear:
 Classifier: TypeAlias = Neighbours | Quadratic | Linear
 
 
+def log_softmax(score: FloatArray) -> FloatArray:
+    """(n, C) normalised logarithms; scipy's takes ten times as long for few numbers."""
+    shifted = score - score.max(axis=1, keepdims=True)
+    return np.asarray(shifted - np.log(np.exp(shifted).sum(axis=1, keepdims=True)))
+
+
 def floored(score: FloatArray) -> FloatArray:
     """Logarithms of posteriors from scores (m, C), none below `LEAST`."""
-    return log_softmax(np.maximum(log_softmax(score, axis=1), LEAST), axis=1)
+    return log_softmax(np.maximum(log_softmax(score), LEAST))
 
 
 # Neighbours ----------------------------------------------------------------------------------------------------------

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.special import log_softmax
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.squeeze.classifiers import (
@@ -22,6 +21,7 @@ from deformscope.stages.squeeze.classifiers import (
     columns_of,
     fit,
     left_out,
+    log_softmax,
     neighbour_count,
     usable,
     votes,
@@ -46,7 +46,7 @@ class Pool:
 
     def log_posterior(self, logs: FloatArray, present: BoolArray) -> FloatArray:
         """(n, C) from (M, n, C) logarithms of posteriors; present: (M, n), a missing modality says nothing."""
-        return np.asarray(log_softmax(self._score(logs, present), axis=1))
+        return log_softmax(self._score(logs, present))
 
     def _score(self, logs: FloatArray, present: BoolArray) -> FloatArray:
         score: FloatArray = np.einsum("mnc,mc->nc", np.where(present[..., None], logs, 0.0), self.weight)
@@ -64,7 +64,7 @@ def fit_pool(logs: FloatArray, present: BoolArray, target: IntArray, centre: flo
 
     def loss(parameters: FloatArray) -> tuple[float, FloatArray]:
         weight, offset = parameters[:-classes].reshape(modalities, classes), parameters[-classes:]
-        log_posterior = log_softmax(np.einsum("mnc,mc->nc", shown, weight) + offset, axis=1)
+        log_posterior = log_softmax(np.einsum("mnc,mc->nc", shown, weight) + offset)
         wrong = np.exp(log_posterior)
         wrong[row, target] -= 1.0
         mean = weight.mean(axis=1, keepdims=True)
@@ -80,7 +80,7 @@ def fit_pool(logs: FloatArray, present: BoolArray, target: IntArray, centre: flo
 
     start = np.concatenate([np.full(modalities * classes, centre), np.zeros(classes)])
     bounds = [(0.0, None)] * (modalities * classes) + [(None, None)] * classes
-    found = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 200}).x
+    found = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 100, "ftol": 1e-7}).x
     return Pool(found[:-classes].reshape(modalities, classes), found[-classes:])
 
 

@@ -40,7 +40,7 @@ def corrected_deviation(values: FloatArray, ratio: float) -> float:
     return float(np.sqrt((1.0 / len(values) + ratio) * np.var(values, ddof=1)))
 
 
-def over_splits(values: FloatArray, ratio: float, level: float, trials: int | None = None) -> Estimated:
+def over_splits(values: FloatArray, ratio: float, level: float, trials: float | None = None) -> Estimated:
     """The mean over splits with its corrected interval.
 
     trials: independent ones there are at all, of a share; the interval is then no narrower than Wilson's for so many,

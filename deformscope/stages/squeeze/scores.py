@@ -12,7 +12,7 @@ from scipy import stats
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.squeeze.intervals import Estimated, Interval, over_splits, wilson
 from deformscope.stages.squeeze.splits import Protocol, Split
-from deformscope.stages.squeeze.table import LabelledTable
+from deformscope.stages.squeeze.table import LabelledTable, TextArray
 from deformscope.stages.squeeze.trial_run import Key, Method, Outcome
 
 BINS = 10
@@ -95,6 +95,21 @@ def tested_ratio(splits: Sequence[Split]) -> float:
     return float(np.mean([len(one.test) / len(one.train) for one in splits]))
 
 
+def independent(share: FloatArray, group: TextArray | None) -> float:
+    """How many independent trials (n,) trials are worth whose answers are right in such a share of the splits: fewer
+    where the trials of a group, (n,), err together, down to the number of groups, which it is where all answers are
+    right (the design effect of Kish 1965, 5.4)."""
+    if group is None:
+        return float(len(share))
+    _, index, size = np.unique(group, return_inverse=True, return_counts=True)
+    mean = share.mean()
+    between = float((size * (np.bincount(index.reshape(-1), share) / size - mean) ** 2).sum() / max(len(size) - 1, 1))
+    single = mean * (1.0 - mean)
+    largest = len(share) / len(size)
+    effect = largest if single <= 0.0 or len(size) < 2 else min(max(between / single, 1.0), largest)
+    return float(len(share) / effect)
+
+
 def score_of(
     table: LabelledTable,
     key: Key,
@@ -112,13 +127,14 @@ def score_of(
     confusion = np.zeros((classes, classes), dtype=np.int64)
     for one in outcomes:
         np.add.at(confusion, (target[one.rows], one.answer), 1)
-    # Trials of a group err together: where groups are apart, a share is known no better than from so many groups.
     by_group = protocol in ("group", "transfer") and table.group is not None
-    units = np.unique(table.group[tested]) if by_group and table.group is not None else tested
     ratio = tested_ratio(splits)
     with np.errstate(invalid="ignore"):
         balanced = np.array([np.mean(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in recall])
+    rows = np.concatenate([one.rows for one in outcomes])
     right = np.concatenate([one.answer == target[one.rows] for one in outcomes])
+    share = np.bincount(rows, right, len(table))[tested] / np.bincount(rows, minlength=len(table))[tested]
+    units = independent(share, table.group[tested] if by_group and table.group is not None else None)
     sure = np.concatenate([one.sure for one in outcomes])
     log_truth = np.concatenate([one.log_truth for one in outcomes])
     over = np.array(
@@ -135,8 +151,8 @@ def score_of(
         method=method,
         protocol=protocol,
         fusion="late" if method == "late-fusion" else "none" if modality in table.modalities else "early",
-        accuracy=over_splits(accuracy, ratio, level, len(units)),
-        balanced=over_splits(balanced, ratio, level, len(units)),
+        accuracy=over_splits(accuracy, ratio, level, units),
+        balanced=over_splits(balanced, ratio, level, units),
         chance=float(trials.max() / max(int(trials.sum()), 1)),
         confusion=confusion,
         trials=trials,

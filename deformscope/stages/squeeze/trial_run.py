@@ -90,8 +90,11 @@ def _joined(
     if whole and width > len(split.train) and width > FEW_COLUMNS:
         gram = np.zeros((len(split.train) + len(split.test),) * 2)
         for name, (_, _, one, other) in scaled.items():
-            both = np.concatenate([one, other])
-            gram += grams[name] if name in grams else both @ both.T
+            if name in grams:
+                gram += grams[name]
+            else:
+                both = np.concatenate([one, other])
+                gram += both @ both.T
         # The joined columns themselves are not needed: whoever takes them would take the components instead.
         empty = np.zeros((0, 0))
         space = project(np.zeros((len(split.train), width)), np.zeros((len(split.test), width)), gram)
