@@ -108,7 +108,7 @@ def _sections(
 PROTOCOL_WORDS = (
     "Scaling, principal components, classifiers, calibration and fusion are learned inside the training side of each "
     "split (70 %). Random splits are the thesis's; splits by group leave whole containers or sessions out, which is "
-    "what a new container asks for. Intervals allow for splits sharing their trials (Nadeau and Bengio 2003) and are no "
+    "what a new container asks for. Intervals allow for trials that splits share (Nadeau and Bengio 2003) and are no "
     "narrower than Wilson's for the number of trials, or groups. knn and qda use the components that hold 80 % of the "
     "variance; knn-raw, qda-raw and linear all of them. pooled weighs all of these, calibrated on training trials left "
     "out."
