@@ -14,6 +14,7 @@ from deformscope.stages.squeeze.groupings import ALPHA
 from deformscope.stages.squeeze.trial_run import Method, joined_name
 
 THESIS_METHODS: tuple[Method, ...] = ("knn", "qda")
+RAW_METHODS: tuple[Method, ...] = ("knn-raw", "linear")
 FIGURES = {
     "mean": "mean features of each class, on one scale (as Thesis figures 2.6 and 2.7)",
     "clusters": "trials on the two largest components: contents, and clusters with centroids (as figures 2.9, 2.10)",
@@ -47,10 +48,10 @@ def _pictures(found: Evaluation) -> Iterator[tuple[str, bytes]]:
         yield f"clusters-{name}", pictures.clusters_png(table, clusters, name)
     if found.curve:
         yield "curve", pictures.curve_png(found)
-    for method in THESIS_METHODS:
-        yield f"confusion-{method}", pictures.confusion_png([found.score(name, method) for name in shown], labels)
-    for method in ("knn-raw", "linear"):
-        yield f"raw-{method}", pictures.confusion_png([found.score(name, method) for name in shown], labels)
+    for start, methods in (("confusion", THESIS_METHODS), ("raw", RAW_METHODS)):
+        for method in methods:
+            of_method = [one for one in strict if one.method == method and one.modality in shown]
+            yield f"{start}-{method}", pictures.confusion_png(of_method, labels)
     if len(names) > 1:
         yield "fusion", pictures.fusion_png(found)
         fused = [*(found.score(name, "pooled") for name in names), found.best]

@@ -19,7 +19,7 @@ from deformscope.errors import InputError
 from deformscope.stages.squeeze import groupings
 from deformscope.stages.squeeze.groupings import Clusters, Normality
 from deformscope.stages.squeeze.intervals import Estimated, difference, holm, over_splits
-from deformscope.stages.squeeze.scores import Score, accuracy_of, recalls, score_of, tested_ratio
+from deformscope.stages.squeeze.scores import Score, accuracy_of, recalls, score_of, split_ratio
 from deformscope.stages.squeeze.splits import PROTOCOLS, Protocol, Split, draw, splitting_notes
 from deformscope.stages.squeeze.table import LabelledTable, refuse_duplicates
 from deformscope.stages.squeeze.trial_run import COSTLY, NAMES, Key, Method, Outcome, joined_name, run_split
@@ -152,6 +152,7 @@ def evaluate(
     for protocol in protocols:
         splits = draw(protocol, table, options.splits, options.seed)
         found = runner.run(f"{protocol} splits", splits, fast, by_group=protocol == "group")
+        _check_trained(table, found)
         scores += [score_of(table, key, protocol, splits, one, options.level) for key, one in found.items()]
         if protocol == strictest:
             outcomes, drawn = found, splits
@@ -173,6 +174,13 @@ def evaluate(
         groupings.normality(table),
         (*splitting_notes(table), *_missing_notes(table), *notes),
     )
+
+
+def _check_trained(table: LabelledTable, found: Mapping[Key, Sequence[Outcome]]) -> None:
+    for name in table.modalities:
+        if (name, "pooled") not in found:
+            came = f"too few trials with {name}, or none that differ in it"
+            raise InputError("features that vary on the training side of every split", came, "leave that modality out")
 
 
 class _Runner:
@@ -232,6 +240,8 @@ def _costly_scores(
         f"boosting and Gaussian process on {len(fewer)} of the {len(splits)} {protocol} splits: they take long"
     )
     found = runner.run("boosting and Gaussian process", fewer, methods, by_group=protocol == "group")
+    if not found:
+        notes.append("boosting and Gaussian process left out: fewer than two training trials a class")
     return [score_of(table, key, protocol, fewer, one, options.level) for key, one in found.items()]
 
 
@@ -284,7 +294,7 @@ def _comparisons(
     pairs += [((joined, "late-fusion"), (joined, "knn"))] if len(names) > 1 else []
     pairs = [pair for pair in pairs if set(pair) <= set(outcomes)]
     target, classes = table.target, len(table.classes)
-    ratio = tested_ratio(splits)
+    ratio = split_ratio(splits)
     accuracy = {key: np.array([accuracy_of(one, target) for one in found]) for key, found in outcomes.items()}
     recall = {key: np.array([recalls(one, target, classes) for one in found]) for key, found in outcomes.items()}
     found = [difference(accuracy[one], accuracy[other], ratio, options.level) for one, other in pairs]
@@ -333,7 +343,7 @@ def _time_steps(
     """The posterior over the squeeze: at each step a classifier of that step, on the same splits."""
     found = {}
     splits = splits[: options.curve_splits]
-    ratio = tested_ratio(splits)
+    ratio = split_ratio(splits)
     for name, series in table.series.items():
         held = held_values(series)
         points = []

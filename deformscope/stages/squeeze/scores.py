@@ -38,7 +38,7 @@ class Score:
     """How a method does on a modality.
 
     fusion: none, early (columns joined) or late (posteriors pooled); chance: the no-information rate, of always naming
-    the most frequent class; confusion: (C, C) answers over all splits, row = truth; trials: (C,) different trials of
+    the most frequent of the classes that are tested; confusion: (C, C) answers over all splits, row = truth; trials: (C,) different trials of
     each class that were tested; calibration_error: mean distance of posterior and share right, over the bins;
     overconfidence: mean posterior less share right; log_loss: mean; components: mean number in use; pair: trained and
     tested kinds, of a transfer; split_accuracy: (J,)
@@ -90,7 +90,7 @@ def recalls(outcome: Outcome, target: IntArray, classes: int) -> FloatArray:
     return np.where(tested > 0, right / np.maximum(tested, 1), np.nan)
 
 
-def tested_ratio(splits: Sequence[Split]) -> float:
+def split_ratio(splits: Sequence[Split]) -> float:
     """Tested trials over training ones, on average."""
     return float(np.mean([len(one.test) / len(one.train) for one in splits]))
 
@@ -128,7 +128,7 @@ def score_of(
     for one in outcomes:
         np.add.at(confusion, (target[one.rows], one.answer), 1)
     by_group = protocol in ("group", "transfer") and table.group is not None
-    ratio = tested_ratio(splits)
+    ratio = split_ratio(splits)
     with np.errstate(invalid="ignore"):
         balanced = np.array([np.mean(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in recall])
     rows = np.concatenate([one.rows for one in outcomes])
@@ -146,6 +146,8 @@ def score_of(
     error = np.abs(reliability.sure - reliability.right)[filled] @ reliability.count[filled] / max(len(right), 1)
     modality, method = key
     trials = np.bincount(target[tested], minlength=classes)
+    every = trials if protocol == "transfer" else np.bincount(target, minlength=classes)
+    frequent = np.where(trials > 0, every, 0)
     return Score(
         modality=modality,
         method=method,
@@ -153,7 +155,7 @@ def score_of(
         fusion="late" if method == "late-fusion" else "none" if modality in table.modalities else "early",
         accuracy=over_splits(accuracy, ratio, level, units),
         balanced=over_splits(balanced, ratio, level, units),
-        chance=float(trials.max() / max(int(trials.sum()), 1)),
+        chance=float(frequent.max() / max(int(frequent.sum()), 1)),
         confusion=confusion,
         trials=trials,
         calibration_error=float(error),

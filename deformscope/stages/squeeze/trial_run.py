@@ -143,7 +143,7 @@ def run_split(
             count = min(columns or space.train.shape[1], space.train.shape[1])
             found[modality, name] = outcome_of(sides.test, logs, target[sides.test], count)
         for costly in COSTLY:
-            if costly in methods and space.train.size:
+            if costly in methods and len(truth) >= 2 * len(np.unique(truth)):
                 found[modality, costly] = _costly(costly, sides, target, classes, seed)
         if modality in features and space.train.size and {"pooled", "late-fusion"} & {*methods}:
             groups = None if apart is None else apart[sides.train]

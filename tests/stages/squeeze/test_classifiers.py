@@ -98,9 +98,9 @@ def test_of_many_points_the_gaussians_are_scikit_learns() -> None:
 
     ours = np.exp(fit_quadratic(points, target, 3).log_posterior(points))
     np.testing.assert_allclose(ours, quadratic.predict_proba(points), atol=0.01)
-    np.testing.assert_allclose(
-        np.exp(fit_linear(points, target, 3).log_posterior(points)), linear.predict_proba(points), atol=0.01
-    )
+    # The clouds' covariance is the unit matrix, to which ours is shrunk; theirs has the errors of the sample.
+    ours = np.exp(fit_linear(points, target, 3).log_posterior(points))
+    np.testing.assert_allclose(ours, linear.predict_proba(points), atol=0.04)
 
 
 @pytest.mark.parametrize("name", NAMES)
