@@ -148,7 +148,7 @@ class ClassificationResult(LibraryResult):
         if table.group is not None:
             rows.append(("groups", str(len(np.unique(table.group)))))
         rows += [(name, f"{values.shape[1]} features") for name, values in table.modalities.items()]
-        if len(table.modalities) > 1:
+        if len(table.fused[0]) > 1:
             rows.append(("fusion", fusion_words(found)))
         rows += [("note", one) for one in found.notes]
         return (
@@ -184,7 +184,7 @@ def split_words(score: Score) -> str:
 
 def fusion_words(found: Evaluation) -> str:
     """Whether late fusion is worth it, class by class: in words that the intervals allow."""
-    names = list(found.table.modalities)
+    names = found.table.fused[0]
     singles = {name: found.score(name, "pooled") for name in names}
     better = max(singles, key=lambda name: singles[name].accuracy.value)
     late = joined_name(names), "late-fusion"

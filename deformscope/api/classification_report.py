@@ -38,11 +38,12 @@ def classification_pictures(result: ClassificationResult) -> dict[str, bytes]:
 
 def _pictures(found: Evaluation) -> Iterator[tuple[str, bytes]]:
     table = found.table
-    labels, names = table.classes, list(table.modalities)
-    shown = [*names, joined_name(names)] if len(names) > 1 else names
+    labels, names = table.classes, table.fused[0]
+    single = list(table.modalities)
+    shown = [*single, *map(joined_name, table.fused)]
     strict = [one for one in found.scores if one.protocol == found.protocol]
     yield "accuracies", pictures.accuracies_png(strict)
-    for name in names:
+    for name in single:
         yield f"mean-{name}", pictures.mean_images_png(table, name)
     for name, clusters in found.clusters.items():
         yield f"clusters-{name}", pictures.clusters_png(table, clusters, name)
@@ -92,7 +93,7 @@ def _sections(
         Section("Natural groupings", [*of("clusters"), *_groupings(found)]),
         Section("Confusions", [CONFUSION_WORDS, *of("confusion", "raw")]),
     ]
-    if len(found.table.modalities) > 1:
+    if len(found.table.fused[0]) > 1:
         sections.append(Section("Fusion", [f"{_sentence(fusion_words(found))}.", *of("fusion", "fused")]))
     if found.comparisons:
         sections.append(Section("Comparisons", [_comparisons(found)]))

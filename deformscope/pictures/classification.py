@@ -64,8 +64,9 @@ def mean_images_png(table: LabelledTable, modality: str) -> bytes:
     columns = min(5, len(means))
     rows = math.ceil(len(means) / columns)
     wide = means[0].shape[1] / means[0].shape[0]
-    figure = canvas(1.3 + 1.75 * columns * min(wide, 2.2), 0.5 + 1.95 * rows, layout="constrained")
-    axes = figure.subplots(rows, columns, squeeze=False)
+    side = 1.75 if wide < 1.5 else 1.1
+    figure = canvas(1.3 + side * columns * (wide + 0.15), 0.5 + (side + 0.2) * rows, layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, gridspec_kw={"wspace": 0.12})
     shown = None
     for axis, one, mean in zip(axes.flat, classes, means, strict=False):
         shown = axis.imshow(mean, vmin=low, vmax=high, cmap="viridis", interpolation="nearest")
@@ -242,7 +243,7 @@ def accuracies_png(scores: Sequence[Score]) -> bytes:
 def fusion_png(found: Evaluation) -> bytes:
     """Of each class, what is named rightly from each modality, and from all fused late."""
     late = found.best
-    shown = [*(found.score(name, "pooled") for name in found.table.modalities), late]
+    shown = [*(found.score(name, "pooled") for name in found.table.fused[0]), late]
     count = len(found.table.classes)
     figure = canvas(max(6.5, 1.6 + 0.55 * count) if count <= NAMED else 15.0, 4.0, layout="constrained")
     axis = figure.subplots()
@@ -271,7 +272,7 @@ def transfer_png(found: Evaluation) -> bytes:
     figure = canvas(9.0, 1.2 + 0.22 * len(keys) * (len(pairs) + 1), layout="constrained")
     axis = figure.subplots()
     sets: list[tuple[str, list[Score]]] = [
-        ("all kinds, " + found.protocol, [found.score(modality, method) for modality, method in keys])
+        (f"all kinds, {found.protocol} splits", [found.score(modality, method) for modality, method in keys])
     ]
     for pair in pairs:
         mine = {(one.modality, one.method): one for one in transfers if one.pair == pair}

@@ -20,8 +20,8 @@ from tests.stages.squeeze.trials import two_modalities
 def model() -> ContentModel:
     table = two_modalities()
     series = np.stack([0.1 * table.modalities["touch"], table.modalities["touch"]], axis=1)
-    about: dict[str, Any] = {"settings": {"end": "tip"}, "promised": {"accuracy": 0.9}, "provenance": {"source": "a"}}
-    return fit_model(dataclasses.replace(table, series={"touch": series}), by_group=False, **about)
+    table = dataclasses.replace(table, series={"touch": series}, settings={"end": "tip"})
+    return fit_model(table, by_group=False, promised={"accuracy": 0.9}, provenance={"source": "a"})
 
 
 def test_a_loaded_model_answers_to_the_bit_as_the_trained_one(tmp_path: Path, model: ContentModel) -> None:

@@ -113,8 +113,8 @@ class Evaluation:
     @property
     def best(self) -> Score:
         """The one that is saved: late fusion of several modalities, else the pooled classifiers of the only one."""
-        names = list(self.table.modalities)
-        return self.score(joined_name(names), "late-fusion") if len(names) > 1 else self.score(names[0], "pooled")
+        names = self.table.fused[0]
+        return self.score(joined_name(names), "late-fusion" if len(names) > 1 else "pooled")
 
 
 def allowed_protocols(table: LabelledTable) -> tuple[tuple[Protocol, ...], list[str]]:
@@ -205,10 +205,19 @@ class _Runner:
         shown = self.table.modalities if features is None else features
         missing = self.missing if features is None else {k: np.isnan(v).all(axis=1) for k, v in shown.items()}
         apart = self.group if by_group else None
+        fused = self.table.fused if features is None else None
 
         def one(split: Split) -> dict[Key, Outcome]:
             return run_split(
-                shown, missing, self.target, self.classes, split, apart=apart, methods=methods, seed=self.options.seed
+                shown,
+                missing,
+                self.target,
+                self.classes,
+                split,
+                apart=apart,
+                methods=methods,
+                fused=fused,
+                seed=self.options.seed,
             )
 
         found: dict[Key, list[Outcome]] = {}
@@ -284,11 +293,11 @@ def _comparisons(
     protocol: Protocol,
 ) -> list[Comparison]:
     """Modalities with one another, each with the joined ones, and late fusion with each, on the same splits."""
-    names = list(table.modalities)
+    names = table.fused[0]
     joined = joined_name(names)
     pairs: list[tuple[Key, Key]] = []
     for method in ("knn", "pooled"):
-        shown = [*names, joined] if method == "knn" and len(names) > 1 else names
+        shown = [*table.modalities, joined] if method == "knn" and len(names) > 1 else list(table.modalities)
         pairs += [((one, method), (other, method)) for one, other in itertools.combinations(shown, 2)]
     pairs += [((joined, "late-fusion"), (one, "pooled")) for one in names if len(names) > 1]
     pairs += [((joined, "late-fusion"), (joined, "knn"))] if len(names) > 1 else []

@@ -67,11 +67,11 @@ def described(table: LabelledTable) -> dict[str, tuple[IntArray, FloatArray, Flo
     for name, values in table.modalities.items():
         rows = np.flatnonzero(~table.missing(name))
         found[name] = rows, fit_scaling(values[rows]).apply(values[rows])
-    if len(found) > 1:
-        rows = np.flatnonzero(~np.any([table.missing(name) for name in table.modalities], axis=0))
-        if len(rows) > 1:
-            joined = [fit_scaling(values[rows]).apply(values[rows]) for values in table.modalities.values()]
-            found[joined_name(list(table.modalities))] = rows, np.concatenate(joined, axis=1)
+    names = table.fused[0]
+    rows = np.flatnonzero(~np.any([table.missing(name) for name in names], axis=0))
+    if len(names) > 1 and len(rows) > 1:
+        joined = [fit_scaling(table.modalities[one][rows]).apply(table.modalities[one][rows]) for one in names]
+        found[joined_name(names)] = rows, np.concatenate(joined, axis=1)
     made = {}
     for name, (rows, scaled) in found.items():
         directions, variance = loadings(scaled)

@@ -38,10 +38,10 @@ class Score:
     """How a method does on a modality.
 
     fusion: none, early (columns joined) or late (posteriors pooled); chance: the no-information rate, of always naming
-    the most frequent of the classes that are tested; confusion: (C, C) answers over all splits, row = truth; trials: (C,) different trials of
-    each class that were tested; calibration_error: mean distance of posterior and share right, over the bins;
-    overconfidence: mean posterior less share right; log_loss: mean; components: mean number in use; pair: trained and
-    tested kinds, of a transfer; split_accuracy: (J,)
+    the most frequent of the classes that are tested; confusion: (C, C) answers over all splits, row = truth
+    trials: (C,) different trials of each class that were tested; calibration_error: mean distance of posterior and
+    share right, over the bins; overconfidence: mean posterior less share right; log_loss: mean
+    components: mean number in use; pair: trained and tested kinds, of a transfer; split_accuracy: (J,)
     """
 
     modality: str

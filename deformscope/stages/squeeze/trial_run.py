@@ -61,8 +61,13 @@ class Sides:
     space: Space
 
 
-def sides_of(features: Mapping[str, FloatArray], missing: Mapping[str, BoolArray], split: Split) -> dict[str, Sides]:
-    """Every modality by itself, and all of them joined: early fusion, standardised columns side by side."""
+def sides_of(
+    features: Mapping[str, FloatArray],
+    missing: Mapping[str, BoolArray],
+    split: Split,
+    fused: Sequence[tuple[str, ...]],
+) -> dict[str, Sides]:
+    """Every modality by itself, and joined ones: early fusion, standardised columns side by side."""
     scaled: dict[str, tuple[IntArray, IntArray, FloatArray, FloatArray]] = {}
     for name, values in features.items():
         train, test = split.train[~missing[name][split.train]], split.test[~missing[name][split.test]]
@@ -75,8 +80,9 @@ def sides_of(features: Mapping[str, FloatArray], missing: Mapping[str, BoolArray
             both = np.concatenate([one, other])
             grams[name] = both @ both.T
     found = {name: Sides(*four, project(four[2], four[3], grams.get(name))) for name, four in scaled.items()}
-    if len(features) > 1 and len(scaled) == len(features):
-        found[joined_name(list(features))] = _joined(scaled, grams, split)
+    for names in fused:
+        if len(names) > 1 and set(names) <= set(scaled):
+            found[joined_name(names)] = _joined({name: scaled[name] for name in names}, grams, split)
     return found
 
 
@@ -122,16 +128,19 @@ def run_split(
     *,
     apart: IntArray | None = None,
     methods: Sequence[Method] = (*NAMES, "pooled", "late-fusion"),
+    fused: Sequence[tuple[str, ...]] | None = None,
     seed: int = 0,
 ) -> dict[Key, Outcome]:
     """Train and test every method.
 
     features: by modality (N, p); missing: by modality (N,); target: (N,) classes; apart: (N,) groups, where splits are
-    by group: then what is learned inside the training side is, too
+    by group: then what is learned inside the training side is, too; fused: modalities that are joined, the first of
+    them fused late too, None = all
     """
+    fused = (tuple(features),) if fused is None else fused
     found: dict[Key, Outcome] = {}
     fitted: dict[str, tuple[Sides, Fitted]] = {}
-    for modality, sides in sides_of(features, missing, split).items():
+    for modality, sides in sides_of(features, missing, split, fused).items():
         space, truth = sides.space, target[sides.train]
         for name in NAMES:
             if name not in methods or not usable(name, space.raw) or not space.train.size:
@@ -151,9 +160,10 @@ def run_split(
             fitted[modality] = sides, one
             logs = one.expert.log_posterior(space.test)
             found[modality, "pooled"] = outcome_of(sides.test, logs, target[sides.test], space.train.shape[1])
-    if "late-fusion" in methods and len(fitted) > 1:
-        logs = late_fusion(fitted, target, classes, split)
-        found[joined_name(list(features)), "late-fusion"] = outcome_of(split.test, logs, target[split.test], 0)
+    late = {name: fitted[name] for name in fused[0] if name in fitted}
+    if "late-fusion" in methods and len(late) > 1:
+        logs = late_fusion(late, target, classes, split)
+        found[joined_name(fused[0]), "late-fusion"] = outcome_of(split.test, logs, target[split.test], 0)
     return found
 
 

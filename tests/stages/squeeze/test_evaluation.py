@@ -140,6 +140,25 @@ def test_late_fusion_knows_what_neither_modality_knows() -> None:
     assert all(one.interval[1] >= 0.0 for one in gain.by_class)
 
 
+def test_a_coarser_copy_of_a_modality_takes_its_place_and_is_not_fused_with_it() -> None:
+    table = two_modalities()
+    coarse = table.modalities["vision"][:, :2]
+    found = evaluate(
+        dataclasses.replace(table, modalities={**table.modalities, "vision_small": coarse}),
+        dataclasses.replace(FAST, splits=4),
+    )
+
+    assert found.best.modality == "touch+vision"
+    assert {one.modality for one in found.scores} == {
+        *("touch", "vision", "vision_small", "touch+vision", "touch+vision_small")
+    }
+    assert {one.modality for one in found.scores if one.method == "late-fusion"} == {"touch+vision"}
+    assert (
+        found.score("vision", "knn").accuracy.value
+        == evaluate(table, dataclasses.replace(FAST, splits=4)).score("vision", "knn").accuracy.value
+    )
+
+
 def test_where_a_modality_says_nothing_late_fusion_is_the_other_one() -> None:
     table = two_modalities()
     rng = np.random.default_rng(3)
