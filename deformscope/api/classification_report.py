@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
+import numpy as np
+
 from deformscope.api.calibration_report import provenance_sections
 from deformscope.api.classification import ClassificationResult, accuracy_words, fusion_words, score_tables
 from deformscope.pictures import classification as pictures
@@ -15,6 +17,8 @@ from deformscope.stages.squeeze.trial_run import Method, joined_name
 
 THESIS_METHODS: tuple[Method, ...] = ("knn", "qda")
 RAW_METHODS: tuple[Method, ...] = ("knn-raw", "linear")
+MOST_CONFUSED = 10
+"""Pairs of contents in a table."""
 FIGURES = {
     "mean": "mean features of each class, on one scale (as Thesis figures 2.6 and 2.7)",
     "clusters": "trials on the two largest components: contents, and clusters with centroids (as figures 2.9, 2.10)",
@@ -91,7 +95,7 @@ def _sections(
         Section("Accuracy", [*of("accuracies"), PROTOCOL_WORDS, *score_tables(found)]),
         Section("What was measured", of("mean")),
         Section("Natural groupings", [*of("clusters"), *_groupings(found)]),
-        Section("Confusions", [CONFUSION_WORDS, *of("confusion", "raw")]),
+        Section("Confusions", [_confused(found), CONFUSION_WORDS, *of("confusion", "raw")]),
     ]
     if len(found.table.fused[0]) > 1:
         sections.append(Section("Fusion", [f"{_sentence(fusion_words(found))}.", *of("fusion", "fused")]))
@@ -161,6 +165,20 @@ def _groupings(found: Evaluation) -> list[Part]:
         "it within each class, and of truly normal ones 95 % would pass."
     )
     return [Table(rows, names), words]
+
+
+def _confused(found: Evaluation) -> Table:
+    """The pairs of contents that are taken for each other most often."""
+    best, labels = found.best, found.table.classes
+    shares = np.nan_to_num(best.shares - np.diag(np.diagonal(best.shares)))
+    order = np.argsort(-shares, axis=None)[:MOST_CONFUSED]
+    pairs = [(int(one) // len(labels), int(one) % len(labels)) for one in order if shares.flat[one] > 0.0]
+    rows = [
+        (labels[truth], labels[answer], f"{shares[truth, answer]:.1%}", "{:.1%} to {:.1%}".format(*interval))
+        for truth, answer in pairs
+        if (interval := best.share_interval(truth, answer))
+    ]
+    return Table(rows, ("true", "named", "share", "interval"), f"Most often confused by {best.modality}, {best.method}")
 
 
 def _comparisons(found: Evaluation) -> Table:

@@ -23,7 +23,7 @@ MARKERS = "osD^vP*Xhp"
 NUMBERED = 12
 """Confusion matrices of so many classes have a number in each cell."""
 NAMED = 30
-"""So many classes are named along an axis or in a legend."""
+"""So many classes are named in a legend."""
 SHOWN_IMAGES = 15
 """Classes of which a mean image is shown."""
 PADS, PAD_SIDE = 36, 6
@@ -176,7 +176,7 @@ def confusion_png(scores: Sequence[Score], labels: Sequence[str]) -> bytes:
     """Confusion matrices side by side: rows are the true contents, each adding up to 100 %; with their intervals where
     classes are few."""
     count = len(labels)
-    side = 3.6 if count <= 6 else 4.8 if count <= NUMBERED else 5.6
+    side = 3.6 if count <= 6 else 4.8 if count <= NUMBERED else 5.6 if count <= NAMED else 7.5
     figure = canvas(side * len(scores) + 0.9, side + 0.7, layout="constrained")
     axes = figure.subplots(1, len(scores), squeeze=False)[0]
     shown = None
@@ -185,9 +185,9 @@ def confusion_png(scores: Sequence[Score], labels: Sequence[str]) -> bytes:
         low, high = score.accuracy.interval
         title = f"{score.modality}: {score.method}\n{score.accuracy.value:.1%} ({low:.1%} to {high:.1%})"
         axis.set_title(title, fontsize=10)
-        if count <= NAMED:
-            axis.set_xticks(range(count), labels, rotation=45 if count <= NUMBERED else 90, fontsize=8)
-            axis.set_yticks(range(count), labels if index == 0 else [""] * count, fontsize=8)
+        size = 8 if count <= NAMED else 360 / count * 0.75
+        axis.set_xticks(range(count), labels, rotation=45 if count <= NUMBERED else 90, fontsize=size)
+        axis.set_yticks(range(count), labels if index == 0 else [""] * count, fontsize=size)
         axis.set_xlabel("named")
         if count <= NUMBERED:
             _numbers(axis, score)
