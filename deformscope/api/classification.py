@@ -20,10 +20,10 @@ from deformscope.files.classifier_file import save_classifier
 from deformscope.files.table_file import read_table, table_of_arrays
 from deformscope.pictures import classification as pictures
 from deformscope.pictures.report import Figure, Table
-from deformscope.stages.squeeze.evaluation import Comparison, Evaluation, EvaluationOptions, Progress, evaluate
+from deformscope.stages.squeeze.evaluation import Evaluation, EvaluationOptions, ModalityComparison, Progress, evaluate
 from deformscope.stages.squeeze.intervals import Estimated
 from deformscope.stages.squeeze.model import ContentModel, fit_model
-from deformscope.stages.squeeze.scores import Score
+from deformscope.stages.squeeze.scores import ClassificationScore
 from deformscope.stages.squeeze.table import LabelledTable, refuse_duplicates, without_duplicates
 from deformscope.stages.squeeze.trial_run import joined_name
 
@@ -82,7 +82,7 @@ class ClassificationResult(LibraryResult):
     def as_json(self) -> dict[str, Any]:
         return {"classification": self.entries()}
 
-    def _entry(self, score: Score) -> dict[str, Any]:
+    def _entry(self, score: ClassificationScore) -> dict[str, Any]:
         found = self.evaluation
         labels = found.table.classes
         entry: dict[str, Any] = {
@@ -166,7 +166,7 @@ class ClassificationResult(LibraryResult):
         )
 
 
-def accuracy_words(score: Score) -> str:
+def accuracy_words(score: ClassificationScore) -> str:
     """Accuracy with its interval, and what naming the most frequent class would reach."""
     low, high = score.accuracy.interval
     return (
@@ -175,7 +175,7 @@ def accuracy_words(score: Score) -> str:
     )
 
 
-def split_words(score: Score) -> str:
+def split_words(score: ClassificationScore) -> str:
     """What was split."""
     if score.pair is not None:
         return f"transfer from {score.pair[0]} to {score.pair[1]}"
@@ -210,7 +210,7 @@ def _estimated(name: str, found: Estimated) -> dict[str, Any]:
     return {name: found.value, "interval": found.interval}
 
 
-def _compared(one: Comparison, labels: Sequence[str]) -> dict[str, Any]:
+def _compared(one: ModalityComparison, labels: Sequence[str]) -> dict[str, Any]:
     by_class = [
         {"label": label, **_estimated("difference", by)} for label, by in zip(labels, one.by_class, strict=True)
     ]
@@ -242,11 +242,11 @@ def score_tables(found: Evaluation, *, every: bool = True) -> tuple[Table, ...]:
                 if one.method == best.method and (one.modality == best.modality or one.pair is not None)
             ]
     if others:
-        made.append(Table(others, ("splits", *names), "Other splits (every method: --report, --json)"))
+        made.append(Table(others, ("splits", *names), "Other splits"))
     return tuple(made)
 
 
-def _row(one: Score) -> tuple[str, ...]:
+def _row(one: ClassificationScore) -> tuple[str, ...]:
     accuracy, balanced = one.accuracy, one.balanced
     return (
         one.modality,

@@ -92,7 +92,7 @@ def _sections(
     summary = result.tables()[0]
     sections = [
         Section("", [_verdict(found), summary]),
-        Section("Accuracy", [*of("accuracies"), PROTOCOL_WORDS, *score_tables(found)]),
+        Section("Accuracy", [*of("accuracies"), PROTOCOL_WORDS, *score_tables(found, every=False)]),
         Section("What was measured", of("mean")),
         Section("Natural groupings", [*of("clusters"), *_groupings(found)]),
         Section("Confusions", [_confused(found), CONFUSION_WORDS, *of("confusion", "raw")]),
@@ -108,6 +108,7 @@ def _sections(
     if transfer := of("transfer"):
         sections.append(Section("Transfer", [TRANSFER_WORDS, *transfer]))
     sections.append(Section("Calibration", [CALIBRATION_WORDS, *of("reliability")]))
+    sections.append(Section("Every method in all splits", score_tables(found)))
     return [*sections, *provenance_sections(seed=found.options.seed, settings=settings)]
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.pictures.figures import COLOURS, canvas, png_of
 from deformscope.stages.squeeze.evaluation import Evaluation
-from deformscope.stages.squeeze.groupings import Clusters
-from deformscope.stages.squeeze.scores import Score
+from deformscope.stages.squeeze.groupings import Grouping
+from deformscope.stages.squeeze.scores import ClassificationScore
 from deformscope.stages.squeeze.table import LabelledTable
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ def _legend(axis: Axes, count: int) -> None:
 # Natural groupings (Thesis fig. 2.9, 2.10) ---------------------------------------------------------------------------
 
 
-def clusters_png(table: LabelledTable, found: Clusters, modality: str) -> bytes:
+def clusters_png(table: LabelledTable, found: Grouping, modality: str) -> bytes:
     """Trials on the two largest components: by content, and by cluster with the centroids."""
     figure = canvas(11.4, 4.4, layout="constrained")
     left, right = figure.subplots(1, 2, sharex=True, sharey=True)
@@ -172,7 +172,7 @@ def _percent(axis: Axes, name: str = "accuracy") -> None:
 # Confusion (Thesis fig. 2.12 to 2.14) --------------------------------------------------------------------------------
 
 
-def confusion_png(scores: Sequence[Score], labels: Sequence[str]) -> bytes:
+def confusion_png(scores: Sequence[ClassificationScore], labels: Sequence[str]) -> bytes:
     """Confusion matrices side by side: rows are the true contents, each adding up to 100 %; with their intervals where
     classes are few."""
     count = len(labels)
@@ -196,7 +196,7 @@ def confusion_png(scores: Sequence[Score], labels: Sequence[str]) -> bytes:
     return png_of(figure, DPI)
 
 
-def _numbers(axis: Axes, score: Score) -> None:
+def _numbers(axis: Axes, score: ClassificationScore) -> None:
     count = len(score.shares)
     for row in range(count):
         for column in range(count):
@@ -216,7 +216,7 @@ def _numbers(axis: Axes, score: Score) -> None:
 # All methods, fusion, transfer ---------------------------------------------------------------------------------------
 
 
-def accuracies_png(scores: Sequence[Score]) -> bytes:
+def accuracies_png(scores: Sequence[ClassificationScore]) -> bytes:
     """Accuracy of every method and modality with its interval, beside the no-information rate."""
     modalities = list(dict.fromkeys(one.modality for one in scores))
     methods = list(dict.fromkeys(one.method for one in scores))
@@ -271,7 +271,7 @@ def transfer_png(found: Evaluation) -> bytes:
     keys = list(dict.fromkeys((one.modality, one.method) for one in transfers))
     figure = canvas(9.0, 1.2 + 0.22 * len(keys) * (len(pairs) + 1), layout="constrained")
     axis = figure.subplots()
-    sets: list[tuple[str, list[Score]]] = [
+    sets: list[tuple[str, list[ClassificationScore]]] = [
         (f"all kinds, {found.protocol} splits", [found.score(modality, method) for modality, method in keys])
     ]
     for pair in pairs:
@@ -296,7 +296,7 @@ def transfer_png(found: Evaluation) -> bytes:
 # Calibration and time ------------------------------------------------------------------------------------------------
 
 
-def reliability_png(scores: Sequence[Score]) -> bytes:
+def reliability_png(scores: Sequence[ClassificationScore]) -> bytes:
     """How often answers of a probability are right; shaded, where a perfectly calibrated classifier would lie."""
     figure = canvas(3.7 * len(scores) + 0.6, 4.2, layout="constrained")
     axes = figure.subplots(1, len(scores), squeeze=False, sharey=True)[0]

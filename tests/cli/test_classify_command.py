@@ -133,7 +133,7 @@ def test_what_cannot_be_used_is_refused_in_one_line(tmp_path: Path, capsys: pyte
         ([good, "--report", "r.pdf"], "ends in .html after --report"),
         ([str(tmp_path)], "got a folder"),
     ):
-        assert main(["classify", *arguments, *FAST]) == 2, arguments
+        assert main(["classify", *FAST, *arguments]) == 2, arguments
         refusal = capsys.readouterr().err
         assert said in refusal
         assert len(refusal.splitlines()) == 1

@@ -13,7 +13,7 @@ from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.squeeze.intervals import Estimated, Interval, over_splits, wilson
 from deformscope.stages.squeeze.splits import Protocol, Split
 from deformscope.stages.squeeze.table import LabelledTable, TextArray
-from deformscope.stages.squeeze.trial_run import Key, Method, Outcome
+from deformscope.stages.squeeze.trial_run import Answers, Key, Method
 
 BINS = 10
 """Of the reliability diagram."""
@@ -34,7 +34,7 @@ class Reliability:
 
 
 @dataclass(frozen=True, slots=True)
-class Score:
+class ClassificationScore:
     """How a method does on a modality.
 
     fusion: none, early (columns joined) or late (posteriors pooled); chance: the no-information rate, of always naming
@@ -77,12 +77,12 @@ class Score:
         return wilson(float(self.shares[truth, answer]), float(self.trials[truth]), self.level)
 
 
-def accuracy_of(outcome: Outcome, target: IntArray) -> float:
+def accuracy_of(outcome: Answers, target: IntArray) -> float:
     """Share of the tested trials whose class was named; NaN where none was tested."""
     return float((outcome.answer == target[outcome.rows]).mean()) if len(outcome.rows) else float("nan")
 
 
-def recalls(outcome: Outcome, target: IntArray, classes: int) -> FloatArray:
+def recalls(outcome: Answers, target: IntArray, classes: int) -> FloatArray:
     """(C,) share of each class that was named; NaN where none of it was tested."""
     truth = target[outcome.rows]
     tested = np.bincount(truth, minlength=classes)
@@ -115,10 +115,10 @@ def score_of(
     key: Key,
     protocol: Protocol | Literal["transfer"],
     splits: Sequence[Split],
-    outcomes: Sequence[Outcome],
+    outcomes: Sequence[Answers],
     level: float,
     pair: tuple[str, str] | None = None,
-) -> Score:
+) -> ClassificationScore:
     """From the outcomes of one method on one modality, split by split."""
     target, classes = table.target, len(table.classes)
     accuracy = np.array([accuracy_of(one, target) for one in outcomes])
@@ -148,7 +148,7 @@ def score_of(
     trials = np.bincount(target[tested], minlength=classes)
     every = trials if protocol == "transfer" else np.bincount(target, minlength=classes)
     frequent = np.where(trials > 0, every, 0)
-    return Score(
+    return ClassificationScore(
         modality=modality,
         method=method,
         protocol=protocol,
