@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import re
 import runpy
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+import deformscope
 from deformscope.cli import COMMANDS
 from tests.cli.fake_bench import use_fake_bench
 
@@ -74,8 +76,8 @@ def test_the_picture_of_the_layers_is_drawn_from_the_whitelist() -> None:
 def test_the_readmes_python_runs(
     scene: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As it stands there, on a bench that is explored in a moment; or on the scene itself, with fewer touches. And an
-    exploration's result is what the library says it is."""
+    """As it stands there, on few images and a bench that is explored in a moment; or on all of them and the scene
+    itself, with fewer touches. And an exploration's result is what the library says it is."""
     pytest.importorskip("warp")
     (script,) = (block for kind, block in BLOCK.findall(README.read_text(encoding="utf-8")) if kind == "python")
     assert len([line for line in script.splitlines() if line]) <= 12
@@ -87,6 +89,7 @@ def test_the_readmes_python_runs(
         script = few
     else:
         use_fake_bench(monkeypatch)
+        monkeypatch.setattr(deformscope, "calibrate_beta", partial(deformscope.calibrate_beta, stride=3))
     names: dict[str, Any] = {}
     exec(compile(script, "README.md", "exec"), names)
     out, err = capsys.readouterr()

@@ -49,7 +49,7 @@ def viewer() -> Iterator[ViewerClient]:
     if not Path("/usr/share/vulkan/icd.d").is_dir() and "VK_ICD_FILENAMES" not in os.environ:
         pytest.skip("no Vulkan driver; apt-get install mesa-vulkan-drivers libvulkan1")
     try:
-        with headless_viewer("900x600") as client:
+        with headless_viewer("1200x800") as client:
             client.get_state()
             yield client
     except (RuntimeError, ConnectionError) as error:
