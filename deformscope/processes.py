@@ -8,8 +8,13 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from types import ModuleType
+from typing import TypeVar
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 SPAWN = multiprocessing.get_context("spawn")
 """How they are made: what other threads hold does not survive a fork."""
@@ -33,6 +38,35 @@ def starting() -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = value
+
+
+def in_processes(
+    function: Callable[[T], R], items: Sequence[T], workers: int | None = None, begin: Callable[[], None] | None = None
+) -> Iterator[tuple[int, R]]:
+    """(index, result) of each item as it is ready; `function` is one of a module.
+
+    workers: processes, default the cores that this process may use; with one, all happens here
+    begin: of a module too, called first in each process
+    """
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    count = min(cores if workers is None else workers, len(items))
+    if count <= 1:
+        yield from enumerate(map(function, items))
+        return
+    with ProcessPoolExecutor(count, SPAWN, _begin, (begin,)) as pool:
+        with starting():
+            futures = {pool.submit(function, item): index for index, item in enumerate(items)}
+        try:
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _begin(also: Callable[[], None] | None) -> None:
+    follow_parent()
+    if also is not None:
+        also()
 
 
 def follow_parent() -> None:

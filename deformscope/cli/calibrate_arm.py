@@ -6,7 +6,7 @@ deformscope calibrate arm lab:homogeneous-rigid --json -
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import numpy as np
 
 from deformscope.cli.common import quiet_warp, resolve_viewer, say, settings_of, show, status_line, write_json
 from deformscope.cli.exploring import Watch, leave, permitted
@@ -14,29 +14,23 @@ from deformscope.cli.rigs import until_interrupted
 from deformscope.cli.setups import setup_of
 from deformscope.config import ArmConfig
 from deformscope.errors import InputError
-
-if TYPE_CHECKING:
-    from deformscope.experiments.arm_compliance import ArmGive, GiveTouch
-    from deformscope.experiments.touching_robot import TouchingRobot
-    from deformscope.pictures.findings import Findings
-    from deformscope.session import RigExperiment
-    from deformscope.stages.map.exploration import ExplorationStop
+from deformscope.experiments.arm_compliance import SURE_SD, ArmGive, GiveTouch, arm_give, touch_rigid
+from deformscope.experiments.explore import ExplorationStopped
+from deformscope.experiments.explorer import FromFrames
+from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.touching_robot import TouchingRobot, touching_robot
+from deformscope.log.findings import RigFindings
+from deformscope.pictures.findings import Findings
+from deformscope.pictures.report import Figure, Table
+from deformscope.recording.recorder import Recorder
+from deformscope.session import RigExperiment, Step, finish
+from deformscope.session import run as run_session
+from deformscope.stages.map.exploration import ExplorationStop
+from deformscope.studies.arm_figure import compliance_png
 
 
 def run(config: ArmConfig) -> None:
     """Touch a rigid block some times, and print the lines for the rig file."""
-    import numpy as np
-
-    from deformscope.experiments.arm_compliance import arm_give, touch_rigid
-    from deformscope.experiments.explore import ExplorationStopped
-    from deformscope.experiments.explorer import FromFrames
-    from deformscope.experiments.options import ExploreOptions
-    from deformscope.experiments.touching_robot import touching_robot
-    from deformscope.log.findings import RigFindings
-    from deformscope.recording.recorder import Recorder
-    from deformscope.session import Step, finish
-    from deformscope.session import run as run_session
-
     quiet_warp()
     options = ExploreOptions(budget=config.touches, beta_model="none", seed=config.output.seed)
     opening = setup_of(config.rig, options, config.set_force, trusted=config.trust_rig)
@@ -96,11 +90,6 @@ def run(config: ArmConfig) -> None:
 
 
 def _findings(found: ArmGive, where: str) -> Findings:
-    from deformscope.experiments.arm_compliance import SURE_SD
-    from deformscope.pictures.findings import Findings
-    from deformscope.pictures.report import Figure, Table
-    from deformscope.studies.arm_figure import compliance_png
-
     rows = [
         ("compliance", f"{1e3 * found.compliance_m_per_n:.3f} mm/N, give or take {1e3 * found.compliance_sd:.3f}"),
         ("camera", f"sees the surface {1e3 * found.off_m:+.1f} mm from where the arm meets it"),

@@ -13,7 +13,9 @@ import sys
 from datetime import datetime
 from pathlib import Path
 
+from deformscope.cli.calibrate import run as calibrate
 from deformscope.cli.common import quiet_warp, say
+from deformscope.cli.explore import run as explore
 from deformscope.config import BetaConfig, DemoConfig, ExploreConfig
 from deformscope.config.options import OutputOptions
 from deformscope.errors import InputError
@@ -34,7 +36,6 @@ def run(config: DemoConfig) -> None:
         _fit_images(output)
         _say_how_to_open(output.record)
         return
-    from deformscope.cli.explore import run as explore
 
     explore(ExploreConfig(SCENE, touches=TOUCHES, output=output))
     _say_how_to_open(output.record)
@@ -49,8 +50,6 @@ def _say_how_to_open(recording: Path | None) -> None:
 
 
 def _fit_images(output: OutputOptions) -> None:
-    from deformscope.cli.calibrate import run as calibrate
-
     calibrate(BetaConfig((f"sample:{SAMPLE}",), output=output))
 
 

@@ -14,6 +14,11 @@ from typing import Any
 
 from deformscope.cli.common import say, show_table, write_json
 from deformscope.config import DevicesConfig
+from deformscope.rig.driver_table import DRIVERS
+from deformscope_drivers.depth_camera import discover as find_depth_cameras
+from deformscope_drivers.errors import Busy, DeviceError
+from deformscope_drivers.ports import find_can, find_doubles, find_serial, find_usb_arms
+from deformscope_drivers.webcam import discover as find_webcams
 
 PROBE_S = 1.0
 LISTEN_S = 0.5
@@ -59,10 +64,6 @@ def run(config: DevicesConfig) -> None:
 
 def _found() -> list[Any]:
     """All that any search finds; a search that fails says so and does not hide the others."""
-    from deformscope_drivers.depth_camera import discover as find_depth_cameras
-    from deformscope_drivers.ports import find_can, find_doubles, find_serial, find_usb_arms
-    from deformscope_drivers.webcam import discover as find_webcams
-
     searches: list[Callable[[], list[Any]]] = [
         find_doubles,
         find_serial,
@@ -90,9 +91,6 @@ def _listed(found: Any, probe: bool) -> ListedDevice:
 
 def _ask(found: Any) -> tuple[str, str, str]:
     """Serial number, firmware and health of a device that is opened for a moment. Nothing moves."""
-    from deformscope.rig.driver_table import DRIVERS
-    from deformscope_drivers.errors import Busy, DeviceError
-
     driver = DRIVERS[found.driver]
     try:
         with driver.make(PROBES[found.driver](driver.config_class(), found.port)) as device:
@@ -114,8 +112,6 @@ def _ask(found: Any) -> tuple[str, str, str]:
 
 def _asked_serial(device: Any) -> str:
     """A serial number that is given only when asked for; empty where there is none."""
-    from deformscope_drivers.errors import DeviceError
-
     try:
         return str(device.serial_number())
     except (AttributeError, DeviceError):

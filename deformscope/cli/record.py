@@ -16,23 +16,24 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from deformscope.cli.common import EXIT_LOSSES, make_folder, quiet_warp, resolve_viewer, say, show_table, write_json
 from deformscope.cli.exploring import signal_word
 from deformscope.cli.rigs import Interruption, members_of, until_interrupted
 from deformscope.config import LiveConfig, RecordConfig, RigRunOptions
 from deformscope.errors import InputError
-
-if TYPE_CHECKING:
-    from deformscope.experiments.device_stages import LiveOptions, Stage, StageName
-    from deformscope.experiments.live_stages import Beside, StageCounts
-    from deformscope.frames import HealthReport, Item, Stream
-    from deformscope.recording.recorder import RecordingSummary
-    from deformscope.rig.rig_file import Rig
-    from deformscope.rig.source import RigSource
-    from deformscope.session import RigExperiment
-    from deformscope_drivers.health import Health
+from deformscope.experiments.device_stages import LiveOptions, Stage, StageName, for_rig, stages_of
+from deformscope.experiments.foam_video import ParticleOptions
+from deformscope.experiments.live_stages import Beside, StageCounts, live_stages
+from deformscope.experiments.stage_processes import StageProcesses
+from deformscope.frames import HealthReport, Item, LinkChange, Stream
+from deformscope.recording.losses import in_words, losses_of, lost_by, named
+from deformscope.recording.recorder import Recorder, RecordingSummary
+from deformscope.rig.rig_file import Rig, load_rig
+from deformscope.rig.source import RigSource
+from deformscope.session import RigExperiment, finish, passing_on
+from deformscope.session import run as run_session
+from deformscope_drivers.health import Health
 
 TELL_EVERY_S = 10.0
 
@@ -54,13 +55,6 @@ def live(config: LiveConfig) -> int:
 
 
 def _run(config: RigRunOptions, *, always_record: bool) -> int:
-    from deformscope.recording.losses import losses_of, named
-    from deformscope.recording.recorder import Recorder
-    from deformscope.rig.rig_file import load_rig
-    from deformscope.rig.source import RigSource
-    from deformscope.session import finish
-    from deformscope.session import run as run_session
-
     rig = load_rig(config.rig, trusted=config.trust_rig)
     file = config.output.record
     if file is None and always_record:
@@ -113,8 +107,6 @@ def _live_options(config: RigRunOptions, rig: Rig) -> LiveOptions | None:
     flags = config.stages
     if not flags.stage:
         return None
-    from deformscope.experiments.device_stages import LiveOptions, for_rig
-    from deformscope.experiments.foam_video import ParticleOptions
 
     particles = ParticleOptions(flags.roi, flags.grid, flags.spacing_px, flags.held_parts(), flags.contact)
     options = LiveOptions(
@@ -133,7 +125,6 @@ def _beside(names: Sequence[StageName]) -> Iterator[Mapping[str, Beside]]:
     if not names:
         yield {}
         return
-    from deformscope.experiments.stage_processes import StageProcesses
 
     with StageProcesses(names, quiet_warp) as beside:
         yield beside
@@ -146,19 +137,14 @@ class _Stages:
         self._options, self._beside = options, beside
         self._stages: tuple[Stage, ...] = ()
         if options is not None:
-            from deformscope.experiments.device_stages import stages_of
-
             self._stages = stages_of(options, streams)
         self.devices = tuple((stage.name, stage.device) for stage in self._stages)
 
     def experiment(self, ended: Callable[[Sequence[Item]], bool]) -> RigExperiment[dict[str, StageCounts]]:
         """What runs until `ended` says so; returns what became of every stage's frames."""
         if self._options is None:
-            from deformscope.session import passing_on
-
             yield from passing_on(ended)
             return {}
-        from deformscope.experiments.live_stages import live_stages
 
         return (yield from live_stages(self._stages, self._beside, ended, lossless=self._options.lossless))
 
@@ -181,8 +167,6 @@ class _Ending:
         return 0 if number == signal.SIGINT and self._seconds is None else number
 
     def __call__(self, items: Sequence[Item]) -> bool:
-        from deformscope.frames import HealthReport, LinkChange
-
         for item in items:
             if isinstance(item, HealthReport):
                 self._last = item
@@ -214,8 +198,6 @@ def _tell(
     stages: Mapping[str, StageCounts],
 ) -> None:
     """What was recorded, device by device, on the screen and as JSON."""
-    from deformscope.recording.losses import losses_of
-
     devices = dict(last.devices)
     rows = [(name, _in_words(health, failures.get(name))) for name, health in devices.items()]
     rows += [(f"stage {name}", counts.in_words()) for name, counts in stages.items()]
@@ -240,8 +222,6 @@ def _tell(
 
 def _in_words(health: Health, failure: str | None) -> str:
     """What came of a device, what it lost, and why where it is known."""
-    from deformscope.recording.losses import in_words, lost_by
-
     why = f"FAILED: {failure}" if failure else health.reason
     return ", ".join(part for part in (f"{health.received} readings", in_words(lost_by(health)), why) if part)
 

@@ -17,6 +17,8 @@ from deformscope.errors import InputError
 from deformscope.recording.facts import Facts, read_facts
 from deformscope.recording.ledger import ledger_path, read_counts, write_ledger
 from deformscope.recording.lock import is_being_written
+from deformscope.recording.losses import in_words
+from deformscope.recording.reader import RRD_MAGIC
 from deformscope.recording.rerun_tool import run_rrd
 from deformscope.recording.rrd_file import merged_path, write_outcome
 
@@ -48,8 +50,6 @@ def run(config: RecoverConfig) -> None:
 
 
 def _check(path: Path, out: Path) -> None:
-    from deformscope.recording.reader import RRD_MAGIC
-
     if not path.is_file():
         raise InputError("a recording (.rrd)", "a folder" if path.is_dir() else "nothing there", where=path)
     with path.open("rb") as file:
@@ -82,8 +82,6 @@ def _write_ending(ending: Path, facts: Facts, path: Path) -> None:
 
 def _tell(config: RecoverConfig, path: Path, out: Path, facts: Facts, damage: str) -> None:
     """damage: where reading ended before the end of the file; empty = nowhere"""
-    from deformscope.recording.losses import in_words
-
     missing: dict[str, int] = {}
     if ledger_path(path).exists():
         try:

@@ -4,23 +4,20 @@ found beside them computed again."""
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from deformscope.cli.common import Different, say, show_table, write_json
-
-if TYPE_CHECKING:
-    from deformscope.config import ReplayConfig
-    from deformscope.experiments.replay_stages import ReplayedStages
-    from deformscope.recording.reader import Replay
+from deformscope.config import ReplayConfig
+from deformscope.experiments.replay_stages import ReplayedStages, replay_stages
+from deformscope.pictures.words import failed_words
+from deformscope.recording.items import ITEMS, read_rows, read_streams
+from deformscope.recording.reader import Replay
+from deformscope.rig.decoded import compare_with_bytes
+from deformscope.rig.rig_file import parse_rig
 
 
 def replay_rig(recording: Replay, settings: dict[str, Any], config: ReplayConfig) -> None:
     """Raises `Different` where a frame is not what its bytes give, or a stage's result not what its frames give."""
-    from deformscope.pictures.words import failed_words
-    from deformscope.recording.items import ITEMS, read_rows, read_streams
-    from deformscope.rig.decoded import compare_with_bytes
-    from deformscope.rig.rig_file import parse_rig
-
     rig = parse_rig(settings["rig"], settings.get("rig_name", "rig"))
     streams = read_streams(config.recording, trust=True)
     items = (row.item for row in read_rows(recording, ITEMS, lambda encoded, which: encoded))
@@ -54,8 +51,6 @@ def replay_rig(recording: Replay, settings: dict[str, Any], config: ReplayConfig
 
 
 def _replay_stages(config: ReplayConfig) -> ReplayedStages:
-    from deformscope.experiments.replay_stages import replay_stages
-
     return replay_stages(config.recording, trust=True)
 
 

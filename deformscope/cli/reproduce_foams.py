@@ -13,7 +13,10 @@ import io
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
 
 from deformscope.cli.common import (
     fit_progress,
@@ -21,18 +24,30 @@ from deformscope.cli.common import (
     pictures_of,
     quiet_warp,
     recorder_of,
-    replacing,
     show,
+    write_file,
     write_json,
 )
 from deformscope.config import FoamsConfig
-
-if TYPE_CHECKING:
-    from deformscope.frames import ColorFrame
-    from deformscope.lab.foam import Foam
-    from deformscope.pictures.report import Table
-    from deformscope.studies.foams import Control, FoamFit, FoamResult, FoamSetup, Trend
-
+from deformscope.frames import ColorFrame
+from deformscope.images import encode_png
+from deformscope.lab.foam import Foam
+from deformscope.pictures.findings import Findings
+from deformscope.pictures.report import Table
+from deformscope.session import Step
+from deformscope.studies import foams_figures as figures
+from deformscope.studies.foams import (
+    HELD,
+    SOURCES,
+    Control,
+    FoamFit,
+    FoamResult,
+    FoamSetup,
+    Trend,
+    controls,
+    measure,
+    trend,
+)
 
 HELD_WORDS = {"one": "one particle held", "clamp": "clamp held"}
 COLUMNS = (
@@ -46,12 +61,6 @@ def run(config: FoamsConfig) -> None:
     began = time.monotonic()
     make_folder(config.out)
     quiet_warp()
-    from threadpoolctl import threadpool_limits
-
-    from deformscope.pictures.findings import Findings
-    from deformscope.pictures.report import Table
-    from deformscope.session import Step
-    from deformscope.studies.foams import HELD, SOURCES, FoamSetup, controls, measure, trend
 
     setup, seed = FoamSetup(), config.output.seed
     if config.quick:
@@ -69,8 +78,7 @@ def run(config: FoamsConfig) -> None:
         trends = [trend(results, source, held, size) for held in HELD for source in SOURCES for size in sizes]
         drawn = _draw(config.out, results, trends, tried, min(sizes))
         table = config.out / "foams.csv"
-        with replacing(table) as file:
-            file.write(as_csv(results).encode())
+        write_file(table, as_csv(results).encode())
         seconds = time.monotonic() - began
         tables.append(_trend_table(trends))
         written = [("", str(path)) for path in (*drawn.values(), table)]
@@ -85,9 +93,6 @@ def _draw(
     out: Path, results: Sequence[FoamResult], trends: Sequence[Trend], tried: Sequence[Control], size: int
 ) -> dict[str, Path]:
     """The pictures by what they show."""
-    from deformscope.studies import foams_figures as figures
-    from deformscope.studies.foams import HELD
-
     drawn = {}
     for held in HELD:
         path = out / ("figure-3.14.png" if held == "one" else f"figure-3.14-{held}-held.png")
@@ -102,8 +107,6 @@ def _draw(
 
 def _keeper(out: Path, foam: Foam) -> Callable[[ColorFrame], None]:
     """Writes a foam's images into a folder of its own, which holds nothing of an earlier run."""
-    from deformscope.images import encode_png
-
     folder = out / "images" / foam.name.replace("/", "-")
     folder.mkdir(parents=True, exist_ok=True)
     for earlier in folder.glob("frame-*.png"):
@@ -116,10 +119,6 @@ def _keeper(out: Path, foam: Foam) -> Callable[[ColorFrame], None]:
 
 
 def _foam_table(result: FoamResult) -> Table:
-    import numpy as np
-
-    from deformscope.pictures.report import Table
-
     rows = [
         ("law", _law(result.foam)),
         ("force", f"{result.force_n[-1]:.1f} N at {1e3 * result.depth_m[-1]:g} mm: {result.stiffness:.0f} N/m"),
@@ -135,8 +134,6 @@ def _foam_table(result: FoamResult) -> Table:
 
 
 def _trend_table(trends: Sequence[Trend]) -> Table:
-    from deformscope.pictures.report import Table
-
     rows = [
         (
             name(one),

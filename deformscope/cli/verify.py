@@ -14,6 +14,7 @@ from deformscope.errors import InputError
 from deformscope.recording.facts import Facts, read_facts
 from deformscope.recording.ledger import check_ledger, read_counts
 from deformscope.recording.lock import is_being_written
+from deformscope.recording.losses import in_words, named
 from deformscope.recording.rerun_tool import run_rrd
 
 WHOLE = "every byte is as it was recorded"
@@ -88,8 +89,6 @@ def _rows(
     *,
     unfinished: bool,
 ) -> list[tuple[str, str]]:
-    from deformscope.recording.losses import in_words
-
     ended = "unfinished: cut short" if unfinished else "complete" if facts.outcome.get("complete") else "NOT complete"
     if "recovered" in facts.outcome:
         ended = f"recovered from {facts.outcome['recovered']}, which was cut short"
@@ -110,8 +109,6 @@ def _recover(path: Path) -> str:
 
 def _tell_losses(facts: Facts, *, checked: bool, reached: str) -> int:
     """Name what is not as it should be of a recording that can be read whole."""
-    from deformscope.recording.losses import named
-
     remarks = []
     if facts.losses:
         remarks.append(f"losses: {named(facts.losses)}")

@@ -14,16 +14,20 @@ from deformscope.config.flags import (
     GridFlag,
     HeldFlag,
     HeldPart,
+    ManyFlag,
     PictureFlag,
     PositiveFlag,
+    Reads,
     RectangleFlag,
+    Writes,
+    ends,
 )
-from deformscope.config.options import RecordedOptions, ViewOptions, check_suffix
+from deformscope.config.options import Options, RecordedOptions, ViewOptions, either
 from deformscope.errors import InputError
 
 
 @dataclass(frozen=True, slots=True)
-class ImageOptions:
+class ImageOptions(Options):
     """How images become particles. Pair files need none of these."""
 
     roi: RectangleFlag = None
@@ -37,7 +41,7 @@ class ImageOptions:
     it."""
     px_per_cm: PositiveFlag = None
     """Scale of the image [px/cm]; with it lengths are reported in metres too."""
-    stride: int = 1
+    stride: ManyFlag = 1
     """Take every n-th frame."""
     camera: CameraFlag = None
     """Of a recording that holds the images of several cameras: the one to take."""
@@ -51,11 +55,8 @@ class ImageOptions:
     contact: RectangleFlag = None
     """Footprint of the tool in the first image [px]; the particles inside are `contact`."""
 
-    def __post_init__(self) -> None:
-        if self.grid is not None and self.spacing_px is not None:
-            raise InputError("--grid or --spacing-px", "both", "leave one out")
-        if self.stride < 1:
-            raise InputError("a --stride of 1 or more", str(self.stride))
+    def check(self) -> None:
+        either("--grid", "--spacing-px", self.grid, self.spacing_px)
         if self.held is not None and "contact" in self.held and self.contact is None:
             raise InputError("--contact X,Y,WIDTH,HEIGHT with --held contact", "no --contact")
         if self.held is not None and "contact" not in self.held and self.contact is not None:
@@ -76,11 +77,11 @@ class ImageOptions:
 class FlowConfig(RecordedOptions):
     """Dense optical flow of two images: where each pixel of BEFORE has gone in AFTER."""
 
-    before: Annotated[Path, Positional, arg(metavar="BEFORE")]
+    before: Annotated[Path, Positional, arg(metavar="BEFORE"), Reads()]
     """The first image."""
-    after: Annotated[Path, Positional, arg(metavar="AFTER")]
+    after: Annotated[Path, Positional, arg(metavar="AFTER"), Reads()]
     """The second image, of the same size."""
-    out: Annotated[Path, arg(metavar="FILE.npz")]
+    out: Annotated[Path, arg(metavar="FILE.npz"), ends(".npz"), Writes()]
     """Where `flow_px (height, width, 2)` in (x, y) [px] goes. An existing file is replaced."""
     method: Literal["dis", "farneback"] = "dis"
     """Dense inverse search, or Farneback's polynomials."""
@@ -89,13 +90,3 @@ class FlowConfig(RecordedOptions):
     picture: PictureFlag = None
     """Draw the flow as arrows and colour. An existing file is replaced."""
     output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
-
-    def __post_init__(self) -> None:
-        check_suffix("--out", self.out, ".npz")
-        check_suffix("--picture", self.picture, ".png")
-
-    def reads(self) -> tuple[str, ...]:
-        return str(self.before), str(self.after)
-
-    def own_files(self) -> tuple[tuple[str, Path | None], ...]:
-        return (("--out", self.out), ("--picture", self.picture))

@@ -10,22 +10,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
-from typing import Literal, TypeVar
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.distance import cdist
-from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
 from deformscope.stages.fit.estimate import Estimate, Verdict
 from deformscope.stages.msm.clusters import held_mask
-
-T = TypeVar("T")
-R = TypeVar("R")
 
 BOUNDS = (0.0, 0.99)
 SPACING_M = 0.01
@@ -331,36 +325,3 @@ def plan(objects: int, seed: int, level: float, *, quick: bool) -> tuple[list[Ca
     ]
     nothing = min(NOTHING_CASES, max(count // 2, 5))
     return cases, [NothingCase(kind, number, seed) for kind in NOTHING for number in range(nothing)]
-
-
-def spread(
-    work: Callable[[T], R],
-    cases: Sequence[T],
-    jobs: int,
-    done: Callable[[int], None] = lambda count: None,
-    begin: Callable[[], None] | None = None,
-) -> list[R]:
-    """Every case's result in order; `jobs` processes share them, each on one core.
-
-    done: called with how many more; begin: called first in each process
-    """
-    if jobs == 1:
-        results = []
-        with threadpool_limits(1):
-            for case in cases:
-                results.append(work(case))
-                done(1)
-        return results
-    # processes that begin anew: a fork would take warp's threads along as they are
-    with ProcessPoolExecutor(jobs, get_context("spawn"), _begin, (begin,)) as pool:
-        results = []
-        for result in pool.map(work, cases, chunksize=max(1, min(16, len(cases) // (8 * jobs)))):
-            results.append(result)
-            done(1)
-        return results
-
-
-def _begin(also: Callable[[], None] | None) -> None:
-    threadpool_limits(1)
-    if also is not None:
-        also()

@@ -213,14 +213,14 @@ def test_defaults_are_the_thesis() -> None:
 
     assert (beta.mode, beta.alpha, beta.beta_range) == ("linear", 1, (0, 0.99))
     assert (beta.fitted_cluster_size, beta.fitted_theta) == (3, 0.0)
-    assert (theta.mode, theta.single_cluster, theta.alpha, theta.beta, theta.theta_range) == (
+    assert (theta.mode, theta.cluster_size, theta.alpha, theta.beta, theta.theta_range) == (
         "quadratic",
-        True,
+        None,
         1,
         0.99,
         (0, 1),
     )
-    assert not cli.parse(config.ThetaConfig, ["v.mp4", "--cluster-size", "4"]).single_cluster
+    assert cli.parse(config.ThetaConfig, ["v.mp4", "--cluster-size", "4"]).cluster_size == 4
     assert (beta.search.candidates, beta.search.level) == (100, 0.9)
     assert beta.images.held_parts() == ("top", "bottom")
     assert cli.parse(config.BetaConfig, ["v.mp4", "--contact", "1,2,3,4"]).images.held_parts() == ("bottom", "contact")
@@ -230,7 +230,7 @@ def test_defaults_are_the_thesis() -> None:
     ("args", "says"),
     [
         ("", "expected at least one SOURCE; got none"),
-        ("v --beta-range 0.9,0.1", "expected a --beta-range that rises; got 0.9,0.1 | try: --beta-range 0.1,0.9"),
+        ("v --beta-range 0.9,0.1", "expected a --beta-range that rises; got 0.9,0.1 | try: the other way round"),
         ("v --beta-range 0.5,0.5", "that rises"),
         ("v --beta-range -0.1,0.5", "expected a --beta-range within 0,0.9999; got -0.1,0.5"),
         ("v --beta-range 0,1.5", "within 0,0.9999"),
@@ -242,7 +242,7 @@ def test_defaults_are_the_thesis() -> None:
         ("v --alpha much", "--alpha: expected a number; got 'much'"),
         ("v --level 1", "expected a --level between 0 and 1; got 1.0 | try: --level 0.9"),
         ("v --level 90", "between 0 and 1"),
-        ("v --candidates 2", "expected at least 3 --candidates; got 2"),
+        ("v --candidates 2", "expected a --candidates of 3 or more; got 2"),
         ("v --candidates few", "--candidates: expected a whole number; got 'few'"),
         ("v --cluster-size 1", "expected a --cluster-size of 2 or more; got 1"),
         ("v --grid 7x15 --spacing-px 50", "expected --grid or --spacing-px; got both"),

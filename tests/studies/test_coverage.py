@@ -81,12 +81,6 @@ def test_the_table_counts_ends_of_the_range_apart() -> None:
     assert found["beta = 0"].covered.rate == found["beta > 0.97"].covered.rate == 1.0
 
 
-def test_processes_share_the_work_in_order() -> None:
-    done: list[int] = []
-    assert coverage.spread(abs, [-1, 2, -3], 2, done.append) == [1, 2, 3]
-    assert sum(done) == 3
-
-
 def test_ranks_are_counted_and_drawn() -> None:
     rng = np.random.default_rng(3)
     outcomes = [
