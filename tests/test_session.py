@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deformscope.frames import ColorFrame, Frame, HealthReport, Item
+from deformscope.frames import ColorFrame, HealthReport, Item
 from deformscope.session import Compute, Experiment, Inline, Moment, RigExperiment, Step, ask, finish, passing_on, run
 from deformscope_drivers.clock import Stamp
 from tests.patience import PATIENCE_S
@@ -22,19 +22,16 @@ from tests.patience import PATIENCE_S
 class Notes:
     said: list[object] = field(default_factory=list)
 
-    def write_frame(self, frame: Frame) -> None:
-        self.said.append(frame.index)
-
-    def write(self, step: Step) -> None:
-        self.said.append(step)
-
-    def write_items(self, items: Sequence[Item]) -> None:
-        self.said += items
-
-    def write_results(
-        self, results: Sequence[object], now_ns: int, touch: int, cell_m: float, seen_ns: int | None = None
-    ) -> None:
-        self.said.append((results, now_ns, touch))
+    def write(self, items: Any) -> None:
+        match items:
+            case ColorFrame():
+                self.said.append(items.index)
+            case Step(moment=Moment() as moment):
+                self.said.append((items.results, moment.now_ns, moment.touch))
+            case Step():
+                self.said.append(items)
+            case _:
+                self.said += items
 
 
 def frames(count: int) -> list[ColorFrame]:
@@ -194,7 +191,7 @@ def test_a_robot_that_stops_by_itself_ends_what_is_computed() -> None:
 
 def test_what_keeps_a_rig_from_being_recorded_ends_the_session() -> None:
     class Full(Notes):
-        def write_items(self, items: Sequence[Item]) -> None:
+        def write(self, items: object) -> None:
             raise OSError("the disk is full")
 
     with pytest.raises(OSError, match="disk"):

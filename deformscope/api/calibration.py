@@ -29,8 +29,8 @@ from deformscope.experiments.whole_motion import MotionOptions, whole_motion
 from deformscope.file_io import read_file
 from deformscope.files.pairs import parse_pair
 from deformscope.files.sources import DEFAULT_FPS, Source, open_source, sample_path
-from deformscope.frames import ColorFrame
-from deformscope.images import read_image
+from deformscope.frames import ColorFrame, InputFile
+from deformscope.images import encode_png, read_image
 from deformscope.pictures.estimate_words import estimate_tables
 from deformscope.pictures.evidence import Result, results_png
 from deformscope.pictures.report import Figure, Table
@@ -497,7 +497,7 @@ def run_images(
         output.record, viewer_of(output.viewer), used, layout="images", overwrite=output.overwrite
     ) as recorder:
         if mask is not None:
-            recorder.write_input("mask", mask)
+            recorder.write(InputFile("mask", encode_png(mask)))
         experiment = (
             foam_video(particles, fit, region, progress)
             if motion is None
@@ -591,5 +591,5 @@ def pair_recorder(
         if recorder.active and len(planes) > 1:
             raise InputError("pairs all in the plane, or all in space, in one recording", "both", "two commands")
         for index, (_, raw) in enumerate(raws):
-            recorder.write_input(f"pair/{index}", raw)
+            recorder.write(InputFile(f"pair/{index}", raw))
         yield recorder

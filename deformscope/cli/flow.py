@@ -61,7 +61,7 @@ def run(config: FlowConfig) -> None:
     show(found)
     with recorder_of(config, "flow") as recorder:
         for index, image in enumerate((before, after)):
-            recorder.write_frame(ColorFrame(Stamp(round(index * 1e9 / DEFAULT_FPS)), index, image))
+            recorder.write(ColorFrame(Stamp(round(index * 1e9 / DEFAULT_FPS)), index, image))
         recorder.write(Step((forward, found)))
     settings = {"method": config.method, "width": width, "height": height, "out": config.out}
     write_json(settings | numbers, config.output.json)

@@ -28,6 +28,7 @@ from deformscope.cli.common import (
 from deformscope.config import AxesConfig, BothConfig, YieldConfig
 from deformscope.files.motions import parse_motion
 from deformscope.files.pairs import parse_pair
+from deformscope.frames import InputFile
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.material_figures import axes_png, joint_png, yield_png
 from deformscope.pictures.report import Figure, Table
@@ -111,7 +112,7 @@ def yielding(config: YieldConfig) -> None:
         device=pick_device(config.fit.device),
     )
     with recorder_of(config, "pair" if motion.rest.shape[1] == 2 else "pair-3d") as recorder:
-        recorder.write_input("motion", raw)
+        recorder.write(InputFile("motion", raw))
         with fit_progress() as fitting:
             estimate = fit_yield(motion, options, fitting)
         png = yield_png(estimate, motion)

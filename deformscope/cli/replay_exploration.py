@@ -32,7 +32,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
     from deformscope.pictures.words import failed_words
     from deformscope.recording.results import read_results
     from deformscope.rows import to_components
-    from deformscope.session import NotRecorded, run
+    from deformscope.session import run
     from deformscope.stages.map.exploration import (
         MapEstimate,
         PlannedTouch,
@@ -54,11 +54,9 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
     failed_before = [] if changes else failed
     explorer = Explorer(geometry.size_m, options, geometry.arm, failed=failed_before)  # type: ignore[arg-type]
     stages = ExplorationStages(explorer, AsMeasured(geometry.size_m) if measured else FromFrames(geometry, options))
-    results: list[object] = []
-    listening = NotRecorded()
-    listening.write_results = lambda made, *_: results.extend(made)  # type: ignore[method-assign]
-    run([], explore(lambda: 0, within_loop(stages), Exploration()), listening, AtOnce(RecordedRobot(given)))
-    again = [one for one in results if isinstance(one, kinds)]
+    computed = _Heard()
+    run([], explore(lambda: 0, within_loop(stages), Exploration()), computed, AtOnce(RecordedRobot(given)))
+    again = [one for one in computed.results if isinstance(one, kinds)]
     if changes:
         _show_beside(recorded, again, changes, config)
         return
@@ -80,6 +78,16 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
     start = "measurements" if measured else "depth images, forces and states of the arm"
     console().print(f"replay: {len(recorded)} results from {start}, identical to the recorded numbers")
     write_json({"results": len(recorded), "identical": True, "failures": failed}, config.output.json)
+
+
+class _Heard:
+    """A recorder that keeps the results."""
+
+    def __init__(self) -> None:
+        self.results: list[object] = []
+
+    def write(self, items: object) -> None:
+        self.results += getattr(items, "results", ())
 
 
 def _changes(words: Sequence[str], kind: type) -> dict[str, Any]:

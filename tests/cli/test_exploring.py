@@ -69,7 +69,7 @@ def ask(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
             answer(writing, len(portions))
             return []
 
-        recorder: Any = SimpleNamespace(write=portions.append, write_items=lambda items: None)
+        recorder: Any = SimpleNamespace(write=lambda one: portions.append(one) if isinstance(one, Step) else None)
         source: Any = SimpleNamespace(take=take)
         with until_interrupted() as asked:
             experiment = permitted(robot, setup, ExploreOptions(), {}, asked, yes=False)  # type: ignore[arg-type]

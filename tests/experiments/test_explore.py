@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from concurrent.futures import BrokenExecutor
-from typing import Any
 
 import numpy as np
 import pytest
@@ -43,13 +42,10 @@ class Results:
     def __init__(self) -> None:
         self.moments: list[tuple[Moment, tuple[object, ...]]] = []
 
-    def write_results(self, results: Any, now_ns: int, touch: int, cell_m: float, seen_ns: int | None = None) -> None:
-        self.moments.append((Moment(now_ns, touch, seen_ns, cell_m), tuple(results)))
-
-    def write(self, step: Step) -> None:
-        assert not step.results
-
-    write_frame = write_items = write
+    def write(self, items: object) -> None:
+        if isinstance(items, Step) and items.results:
+            assert items.moment is not None
+            self.moments.append((items.moment, items.results))
 
 
 def carried_out(

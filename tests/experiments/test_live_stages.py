@@ -392,7 +392,7 @@ def record(path: Path, given: list[list[Item]], results: Sequence[StageResult]) 
     with Recorder(path, settings=settings, layout="rig") as recorder:
         recorder.start_rig(STREAMS, 1_000_000_000, (), [("flow", "camera"), ("tactile", "pads")])
         for batch in given:
-            recorder.write_items(batch)
+            recorder.write(batch)
         recorder.write(Step(tuple(results)))
 
 

@@ -22,6 +22,7 @@ from deformscope.recording.items import read_items
 from deformscope.recording.recorder import Recorder
 from deformscope.recording.results import Recorded, read_results
 from deformscope.rows import FORMAT
+from deformscope.session import Moment, Step
 from deformscope.stages.map.exploration import (
     ExplorationStop,
     MapEstimate,
@@ -156,11 +157,11 @@ def test_everything_stands_at_the_cameras_picture_and_at_its_touch(tmp_path: Pat
     seen_ns = int(pictures_ns[2]) + 1
     with Recorder(tmp_path / "run.rrd", "none", {}, layout="exploration") as recorder:
         recorder.start_exploration(streams, rig.START_NS, (0.6, 0.4), BASE_FROM_SURFACE, truth=True)
-        recorder.write_results([synthetic.plan(0)], rig.START_NS, 0, 0.005)
+        recorder.write(Step((synthetic.plan(0),), moment=Moment(rig.START_NS, cell_m=0.005)))
         for at in range(0, len(items), 40):
-            recorder.write_items(items[at : at + 40])
+            recorder.write(items[at : at + 40])
         now_ns = int(pictures_ns[-1]) + 5
-        recorder.write_results([synthetic.touch(0)], now_ns, 1, 0.005, seen_ns)
+        recorder.write(Step((synthetic.touch(0),), moment=Moment(now_ns, 1, seen_ns, 0.005)))
     found_again = sorted(read_items(tmp_path / "run.rrd", trust=True), key=order)
     assert_same(found_again, sorted(items, key=order))
     where = [

@@ -152,8 +152,8 @@ class Keeper:
     def __init__(self) -> None:
         self.items: list[Item] = []
 
-    def write_items(self, items: Sequence[Item]) -> None:
-        self.items += items
+    def write(self, items: Any) -> None:
+        self.items += items if isinstance(items, Sequence) else ()
 
 
 def test_watching_leaves_nothing_behind() -> None:
