@@ -36,14 +36,14 @@ from deformscope.config.flags import (
     positive,
 )
 from deformscope.config.images import ImageOptions
-from deformscope.config.options import Options, OutputOptions, RecordedOptions, ViewOptions, either
+from deformscope.config.options import Flags, OutputOptions, RecordedOptions, ViewOptions, either
 from deformscope.errors import InputError
 
 AlphaFlag = Annotated[float, Rule(lambda alpha: 0 < alpha <= 1, "an {flag} above 0 and at most 1")]
 
 
 @dataclass(frozen=True, slots=True)
-class SearchOptions(Options):
+class SearchOptions(Flags):
     """How the parameter is searched, and how sure of it to be."""
 
     method: Literal["sweep", "gradient"] = "sweep"
@@ -68,7 +68,7 @@ class SearchOptions(Options):
 
 
 @dataclass(frozen=True, slots=True)
-class ModelOptions(Options):
+class ModelOptions(Flags):
     """What is left for predictions."""
 
     save: ModelFlag = None
@@ -76,7 +76,7 @@ class ModelOptions(Options):
 
 
 @dataclass(frozen=True, slots=True)
-class SummaryOptions(Options):
+class SummaryOptions(Flags):
     """The result to look at and to pass on, without a viewer."""
 
     picture: PictureFlag = None
@@ -88,7 +88,7 @@ class SummaryOptions(Options):
 
 
 @dataclass(frozen=True, slots=True)
-class LayersFlags(Options):
+class LayersFlags(Flags):
     """Pokes of a surface: pair files of surface points, z up, whose held points were pressed down."""
 
     thickness_m: PositiveFlag = None
@@ -103,7 +103,7 @@ class LayersFlags(Options):
 
 
 @dataclass(frozen=True, slots=True)
-class MotionFlags(Options):
+class MotionFlags(Flags):
     """All frames of a sequence in one fit."""
 
     whole_motion: bool = False
@@ -178,7 +178,7 @@ class ThetaConfig(CalibrateOptions):
 
 
 @dataclass(frozen=True, slots=True)
-class FitFlags(Options):
+class FitFlags(Flags):
     """What every fit to pairs and motions shares."""
 
     level: LevelFlag = 0.9

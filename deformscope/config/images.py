@@ -22,12 +22,12 @@ from deformscope.config.flags import (
     Writes,
     ends,
 )
-from deformscope.config.options import Options, RecordedOptions, ViewOptions, either
+from deformscope.config.options import Flags, RecordedOptions, ViewOptions, either
 from deformscope.errors import InputError
 
 
 @dataclass(frozen=True, slots=True)
-class ImageOptions(Options):
+class ImageOptions(Flags):
     """How images become particles. Pair files need none of these."""
 
     roi: RectangleFlag = None

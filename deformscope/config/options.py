@@ -34,7 +34,7 @@ def _marks(kind: type) -> dict[str, tuple[object, ...]]:
     return {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
 
 
-class Options:
+class Flags:
     """Flags: each value is checked as its annotation wants it, then together by `check`."""
 
     __slots__ = ()
@@ -62,14 +62,14 @@ class Options:
         """Flag, value and mark of each field with a value and a mark of this kind; inner: of groups of flags too"""
         for field in dataclasses.fields(self):  # type: ignore[arg-type]  # all that derive from it are dataclasses
             value = getattr(self, field.name)
-            if inner and isinstance(value, Options):
+            if inner and isinstance(value, Flags):
                 yield from value._marked(kind)
             for mark in _marks(type(self))[field.name] if value is not None else ():
                 if isinstance(mark, kind):
                     yield "--" + field.name.replace("_", "-"), value, mark
 
 
-class CommandOptions(Options):
+class CommandOptions(Flags):
     """What the command line asks of any command's options before it runs the command."""
 
     __slots__ = ()
@@ -81,7 +81,7 @@ class CommandOptions(Options):
 
 
 @dataclass(frozen=True, slots=True)
-class ViewOptions(Options):
+class ViewOptions(Flags):
     """What is left behind and what is shown."""
 
     json: JsonFlag = None

@@ -31,7 +31,7 @@ from deformscope.config.flags import (
     one_word,
     positive,
 )
-from deformscope.config.options import CommandOptions, Options, OutputOptions, RecordedOptions, either
+from deformscope.config.options import CommandOptions, Flags, OutputOptions, RecordedOptions, either
 from deformscope.errors import InputError
 
 
@@ -68,7 +68,7 @@ class DoctorConfig(CommandOptions):
 
 
 @dataclass(frozen=True, slots=True)
-class StageOptions(Options):
+class StageOptions(Flags):
     """Stages that are computed while the devices run, always on the newest frame: those passed over are counted. Images
     are as for `calibrate beta`."""
 

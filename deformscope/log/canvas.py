@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -131,6 +131,15 @@ def log_color_bar(rec: rr.RecordingStream, path: str, canvas: Canvas, end: float
         x, y = canvas.slot(4 * (1 - at if canvas.legend_beside else at))
         numbers.append((x, y, f"{end * at * factor:g} {shown}"))
     log_labels(rec, f"{path}/number", canvas, numbers)
+
+
+def deep_bar(name: Callable[[float], str]) -> list[tuple[float, str, Rgb]]:
+    """A colour bar for `log_deep_legend`. name: of the marks at 0, 0.5 and 1"""
+    share = np.linspace(0.0, 1.0, 21)
+    return [
+        (float(at), name(float(at)) if place % 10 == 0 else "", (int(r), int(g), int(b)))
+        for place, (at, (r, g, b)) in enumerate(zip(share, colors(share), strict=True))
+    ]
 
 
 def log_deep_legend(

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import rerun as rr
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
-from deformscope.log.canvas import Canvas, log_color_bar, log_deep_legend, log_legend, log_place
+from deformscope.log.canvas import Canvas, deep_bar, log_color_bar, log_deep_legend, log_legend, log_place
 from deformscope.log.particles import REST_RADIUS, SIMULATED_RADIUS, log_observed, log_rest
 from deformscope.pictures.estimate_words import estimate_tables
 from deformscope.pictures.evidence import errors, evidence_png
@@ -224,14 +224,8 @@ def _pin(comparison: Comparison, particle: int, canvas: Canvas) -> rr.LineStrips
 
 
 def _deep_bar(comparison: Comparison, end: float) -> list[tuple[float, str, Rgb]]:
-    """The scale's marks, of which three have numbers."""
     factor, unit = readable(comparison.unit, end)
-    share = np.linspace(0.0, 1.0, 21)
-    named = {0: "0", 10: f"{0.5 * end * factor:g}", 20: f"{end * factor:g}"}
-    return [
-        (float(at), f"{named[row]} {unit}" if row in named else "", (int(tint[0]), int(tint[1]), int(tint[2])))
-        for row, (at, tint) in enumerate(zip(share, colors(share), strict=True))
-    ]
+    return deep_bar(lambda share: f"{share * end * factor:g} {unit}")
 
 
 def _heights(canvas: Canvas) -> str:

@@ -14,8 +14,7 @@ from rerun.chunk import RrdReader
 
 from deformscope.arrays import FloatArray
 from deformscope.frames import ColorFrame, DepthFrame, Item, Stream
-from deformscope.log.exploration import exploration_blueprint, log_exploration_start, prepare_results, warm_up
-from deformscope.log.exploration.small import small_results
+from deformscope.log.exploration import exploration_blueprint, log_exploration_start, prepare_results
 from deformscope.log.exploration.summary import summary
 from deformscope.log.rig import Place, log_streams, prepare_items
 from deformscope.recording.items import read_items
@@ -27,7 +26,6 @@ from deformscope.stages.map.exploration import (
     ExplorationStop,
     MapEstimate,
     PhaseStart,
-    PlannedTouch,
     StageFailure,
     TouchEstimate,
 )
@@ -263,7 +261,7 @@ def _heights(touch: TouchEstimate, places: FloatArray) -> FloatArray:
 
 
 def test_nothing_that_moves_is_static(tmp_path: Path) -> None:
-    record(tmp_path / "run.rrd", [(1, 1, small_results())])
+    record(tmp_path / "run.rrd", [(1, 1, synthetic.small_results())])
     static = {
         chunk.entity_path
         for chunk in RrdReader(tmp_path / "run.rrd").stream()
@@ -346,9 +344,3 @@ def test_what_cannot_be_shown_is_recorded_with_where_it_failed(tmp_path: Path, m
 def test_what_is_no_result_is_refused() -> None:
     with pytest.raises(TypeError, match="shows a int"):
         prepare_results([3], 0, Place(0, PICTURES_NS))
-
-
-def test_warming_up_draws_every_kind() -> None:
-    kinds = {type(one) for one in small_results()}
-    assert {TouchEstimate, MapEstimate, PlannedTouch, PhaseStart, ExplorationStop} < kinds
-    warm_up()

@@ -73,6 +73,12 @@ class Batch:
         when = list(times) if self._place is None else self._place.moved(times)
         self.parts.append((path, Chunk.from_columns(path, when, ready)))
 
+    def show(self, path: str, times: Sequence[rr.TimeColumn], entity: rr.AsComponents) -> None:
+        """One row: an entity at one moment."""
+        parts = [(one.component_descriptor(), one) for one in entity.as_component_batches()]
+        columns = [rr.ComponentColumn(named, one, lengths=[len(one.as_arrow_array())]) for named, one in parts]
+        self.send_columns(path, times, columns)
+
     def log(self, path: str, entity: rr.AsComponents, *, static: bool) -> None:
         """As that of a stream."""
         self.parts.append((path, lambda rec: rec.log(path, entity, static=static)))
@@ -118,11 +124,11 @@ def frame_times(frames: Sequence[Frame], start_ns: int) -> list[rr.TimeColumn]:
     return [*moments([frame.stamp.host_ns for frame in frames], start_ns), rr.TimeColumn("frame", sequence=indices)]
 
 
-def recorded(items: Sequence[object]) -> list[rr.ComponentColumn]:
+def recorded(items: Sequence[object], leave_out: tuple[str, ...] = ()) -> list[rr.ComponentColumn]:
     """Every field of these but images, and what their entity and times say; all of one class and, if any, device."""
     kind, found = type(items[0]), list[rr.ComponentColumn]()
     elsewhere = ("device",) * (kind in OF_DEVICES) + ("index",) * (kind in FRAMES)
-    for name, column in to_columns(items, elsewhere).items():
+    for name, column in to_columns(items, elsewhere + leave_out).items():
         made = rr.DynamicArchetype.columns(archetype=kind.__name__, components={name: column.values})
         found += made.partition(column.lengths)
     return found

@@ -9,7 +9,7 @@ import rerun as rr
 
 from deformscope.frames import LinkChange, RawBytes, Stream
 from deformscope.log.rig.columns import Batch, moments, recorded, root, scalars
-from deformscope.log.rig.plotted import plotted
+from deformscope.log.rig.numbers import plotted
 from deformscope.pictures.palette import BAD, GOOD, IDLE, WARN
 from deformscope_drivers.health import Link
 
