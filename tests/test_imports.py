@@ -43,7 +43,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "session": ("frames",),
     "rows": ("arrays", "frames", "images", "stages.map"),
     "recording": ("arrays", "errors", "frames", "images", "log", "rows", "session", *STAGES),
-    "files": ("arrays", "errors", "frames", "images", "recording", *STAGES),
+    "files": ("arrays", "errors", "file_io", "frames", "images", "recording", *STAGES),
     "experiments": (
         *("arrays", "capsule", "errors", "files", "frames", "images", "processes", "recording", "rig", "robot"),
         *("rows", "session", *STAGES),

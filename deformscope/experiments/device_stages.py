@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import FloatArray, ImageArray, IntArray
 from deformscope.errors import InputError
+from deformscope.experiments.explorer import fitted_law
 from deformscope.experiments.foam_video import ParticleOptions, hold_what_is_seen, observe
 from deformscope.frames import ArmFrame, ColorFrame, DepthFrame, Frame, Item, Kind, Stream, TactileFrame, WrenchFrame
 from deformscope.rig.rig_file import Rig
@@ -53,7 +54,6 @@ BEFORE_S, LONGEST_S = 0.5, 8.0
 """What belongs to an approach before that, and how long it lasts at most."""
 FOLLOW = 0.01
 """Share by which the force without contact follows each reading."""
-LAW_STEPS = 400
 
 
 # What runs, and how --------------------------------------------------------------------------------------------------
@@ -434,16 +434,13 @@ def fit_contact(
     time_s = (approach.arm_ns - approach.arm_ns[0]) / 1e9
     fit = fit_approach(time_s, tip_m, force_n, normal, set_force_n=set_force_n, arm=arm)
     along, force_n, tip_m = -(tip_m @ normal)[: peak + 1], force_n[: peak + 1], tip_m[: peak + 1]
-    forces = np.linspace(0.0, 2.0 * max(fit.peak_force_n, fit.at_force_n), LAW_STEPS)
-    dent = max(fit.depth_m, 1e-9) * (forces / fit.at_force_n) ** (1.0 / fit.exponent)
-    law = np.interp(along, fit.contact_m + dent + arm.compliance_m_per_n * forces, forces)
     return TouchEstimate(
         number=0,
         xyz_m=tip_m[peak],
         normal=normal,
         approach_m=along - along[0],
         approach_n=force_n @ normal,
-        fitted_n=law,
+        fitted_n=fitted_law(fit, arm, along),
         contact_m=fit.contact_m - float(along[0]),
         stiffness_n_per_mm=fit.stiffness_n_per_mm,
         stiffness_interval=fit.interval_n_per_mm,

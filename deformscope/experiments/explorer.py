@@ -390,10 +390,7 @@ class Explorer:
             set_force_n=options.set_force_n,
             arm=self._arm,
         )
-        forces = np.linspace(0.0, 2.0 * max(fit.peak_force_n, fit.at_force_n), LAW_STEPS)
-        dent = max(fit.depth_m, 1e-9) * (forces / fit.at_force_n) ** (1.0 / fit.exponent)
-        along = fit.contact_m + dent + self._arm.compliance_m_per_n * forces
-        law = np.interp(_along(touched), along, forces)
+        law = fitted_law(fit, self._arm, _along(touched))
         modulus = None
         if not fit.rigid and fit.depth_m > 0.0:
             modulus = layer_modulus(
@@ -497,6 +494,13 @@ class _Beta:
     interval: tuple[float, float] | None = None
     sd: float = float("nan")
     simulated_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+
+
+def fitted_law(fit: ContactFit, arm: ArmCompliance, along_m: FloatArray) -> FloatArray:
+    """(n,) force of the fitted law where the arm says that the tip is, along its way into the surface (n,) [N]."""
+    forces = np.linspace(0.0, 2.0 * max(fit.peak_force_n, fit.at_force_n), LAW_STEPS)
+    dent = max(fit.depth_m, 1e-9) * (forces / fit.at_force_n) ** (1.0 / fit.exponent)
+    return np.asarray(np.interp(along_m, fit.contact_m + dent + arm.compliance_m_per_n * forces, forces))
 
 
 def _along(touched: TouchMeasurement) -> FloatArray:

@@ -8,8 +8,8 @@ from __future__ import annotations
 import io
 import math
 import zipfile
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,7 @@ import numpy.typing as npt
 from deformscope.errors import InputError
 from deformscope.stages.msm.clusters import find_lattice
 
+T = TypeVar("T")
 Arrays = Mapping[str, npt.NDArray[Any]]
 """What a file holds, by name."""
 
@@ -89,6 +90,42 @@ def indices(found: Arrays, name: str, count: int) -> npt.NDArray[np.int64]:
     if np.unique(value).size != value.size:
         raise InputError(f"each index once in {name}", "repeated ones")
     return value.astype(np.int64)
+
+
+def number(found: Arrays, name: str, hint: str = "") -> float | None:
+    """One finite number of 0 or more; None where there is none of this name."""
+    if name not in found:
+        return None
+    value = numbers(found, name).reshape(-1)
+    if value.size != 1 or not (np.isfinite(value[0]) and value[0] >= 0.0):
+        raise InputError(f"one {name} of 0 or more", "something else", hint)
+    return float(value[0])
+
+
+def rest_of(found: Arrays, needed: tuple[str, ...], kind: str) -> npt.NDArray[np.float64]:
+    """`rest` (K, d), d = 2 or 3, of a file that has what a file of this kind needs."""
+    if missing := [name for name in needed if name not in found]:
+        keys = ", ".join(sorted(found)) or "nothing"
+        where = f"`{kind.capitalize()} files` in docs/calibrating.md"
+        raise InputError(f"{' and '.join(missing)} in the {kind} file", keys, where)
+    rest = numbers(found, "rest")
+    if rest.ndim != 2 or rest.shape[1] not in (2, 3):
+        raise InputError("rest of shape (K, 2) or (K, 3)", str(rest.shape))
+    if not np.isfinite(rest).all():
+        raise InputError("finite positions", "NaN or infinity in rest", "drop those particles")
+    return rest
+
+
+def parsed(raw: bytes, kind: str, where: object, parse: Callable[[Arrays], T]) -> T:
+    """What `parse` makes of a file's arrays; what it refuses names the file."""
+    found = read_arrays(raw, f"a {kind} file (.npz of arrays)", where)
+    try:
+        return parse(found)
+    except InputError as error:
+        raise type(error).about(error, where) from error
+
+
+NOT_KNOWN = "leave it out if it is not known"
 
 
 def lattice(found: Arrays, rest: npt.NDArray[Any]) -> tuple[tuple[int, ...] | None, npt.NDArray[Any] | None]:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.figure import Figure
 from scipy.stats import binom
 
+from deformscope.pictures.figures import canvas, png_of
 from deformscope.studies.coverage import Outcome
 
 BINS = 10
@@ -27,7 +26,7 @@ def ranks_png(counts: dict[str, list[int]]) -> bytes:
     """A histogram for each condition, with the band that holds 99 % of bins if the posterior is right."""
     columns = min(4, len(counts))
     rows = -(-len(counts) // columns)
-    figure = Figure(figsize=(3.2 * columns, 2.5 * rows + 0.5), layout="constrained")
+    figure = canvas(3.2 * columns, 2.5 * rows + 0.5, layout="constrained")
     axes = np.atleast_1d(figure.subplots(rows, columns, sharex=True, squeeze=False).ravel())
     edges = np.linspace(0.0, 1.0, BINS + 1)
     for place, axis in enumerate(axes):
@@ -46,6 +45,4 @@ def ranks_png(counts: dict[str, list[int]]) -> bytes:
         if place >= len(counts) - columns:
             axis.set_xlabel("posterior mass below the truth")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=2, fontsize=8)
-    file = io.BytesIO()
-    figure.savefig(file, format="png", dpi=130)
-    return file.getvalue()
+    return png_of(figure, 130)
