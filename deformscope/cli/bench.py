@@ -62,10 +62,10 @@ def run(config: BenchConfig) -> None:
             rows.append(row)
         complete = True
     finally:
-        told = report(plan, rows, complete=complete)
+        found = report(plan, rows, complete=complete)
         if rows:
-            show(rows, told.machine, complete)
-        write_json(told, config.json)
+            show(rows, found.machine, complete)
+        write_json(found, config.json)
 
 
 def show(rows: Sequence[TimingRow], machine: Mapping[str, Any], complete: bool) -> None:
@@ -110,11 +110,11 @@ def number(value: float | None) -> str:
 
 def details(row: TimingRow) -> str:
     """What a reader must know of a row besides its figures."""
-    told = [text(row.facts[name]) for name, text in FACTS.items() if row.facts.get(name) is not None]
+    parts = [text(row.facts[name]) for name, text in FACTS.items() if row.facts.get(name) is not None]
     threads = row.facts.get("threads")
     if isinstance(threads, float) and abs(threads - 1) > 0.1:
-        told.append(f"{threads:.2g} threads")
+        parts.append(f"{threads:.2g} threads")
     candidates = row.facts.get("candidates")
     if candidates is not None:
-        told.append(f"{row.facts['converged']} of {candidates} converged")
-    return "; ".join([*told, *([row.note] if row.note else [])])
+        parts.append(f"{row.facts['converged']} of {candidates} converged")
+    return "; ".join([*parts, *([row.note] if row.note else [])])

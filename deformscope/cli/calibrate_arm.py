@@ -83,7 +83,7 @@ def run(config: ArmConfig) -> None:
             show(shown)
         finish(source, recorder)
     if stop is not None:
-        leave(stop, len(made), asked.signal_number, recorder.summary().path, arm_told=watch.arm_told)
+        leave(stop, len(made), asked.signal_number, recorder.summary().path, arm_stopped=watch.arm_stopped)
     if recorder.summary().path is not None:
         say(f"recording: {recorder.summary().path}")
     write_json(found, output.json)

@@ -59,7 +59,7 @@ def run(config: DevicesConfig) -> None:
             "health": one.health,
             "note": one.note,
         }
-        show_table(one.port, [(what, told) for what, told in rows.items() if told])
+        show_table(one.port, [(what, words) for what, words in rows.items() if words])
 
 
 def _found() -> list[Any]:
@@ -84,8 +84,8 @@ def _found() -> list[Any]:
 def _listed(found: Any, probe: bool) -> ListedDevice:
     serial, firmware, health = found.serial, found.firmware, ""
     if probe and found.driver in PROBES:
-        serial_told, firmware_told, health = _ask(found)
-        serial, firmware = serial_told or serial, firmware_told or firmware
+        serial_known, firmware_known, health = _ask(found)
+        serial, firmware = serial_known or serial, firmware_known or firmware
     return ListedDevice(found.driver, found.port, found.name, serial, firmware, health, found.note)
 
 
@@ -94,16 +94,16 @@ def _ask(found: Any) -> tuple[str, str, str]:
     driver = DRIVERS[found.driver]
     try:
         with driver.make(PROBES[found.driver](driver.config_class(), found.port)) as device:
-            told = device.identity()
-            serial = told.serial or _asked_serial(device)
+            known = device.identity()
+            serial = known.serial or _asked_serial(device)
             try:
                 device.next(PROBE_S)
             except DeviceError as error:
-                return serial, told.firmware, f"silent: {error}"
+                return serial, known.firmware, f"silent: {error}"
             time.sleep(LISTEN_S)
             health = device.health()
             bad = f", {health.skipped_bytes} bad bytes" if health.skipped_bytes else ""
-            return serial, told.firmware, f"ok, {health.rate_hz:.4g} readings a second{bad}"
+            return serial, known.firmware, f"ok, {health.rate_hz:.4g} readings a second{bad}"
     except Busy:
         return "", "", "in use by another program"
     except DeviceError as error:

@@ -84,8 +84,8 @@ def _sections(rig: Rig) -> list[Finding]:
     findings = []
     arms = [entry.name for entry in rig.devices if entry.driver.kind == "arm"]
     if arms and rig.workspace.low_m is None:
-        told = "no box: nothing will move by itself. Add low_m and high_m to [workspace]"
-        findings.append(Finding("workspace", "look", told))
+        words = "no box: nothing will move by itself. Add low_m and high_m to [workspace]"
+        findings.append(Finding("workspace", "look", words))
     if any(entry.driver.kind == "depth" for entry in rig.devices):
         if rig.camera.focal_px is None:
             findings.append(
@@ -97,8 +97,8 @@ def _sections(rig: Rig) -> list[Finding]:
         if rig.surface.T_arm_surface is None:
             findings.append(Finding("surface", "look", "no T_arm_surface: explore cannot know where the surface is"))
         if rig.tool.compliance_m_per_n is None:
-            told = "no compliance_m_per_n: explore wants it. deformscope calibrate arm measures it"
-            findings.append(Finding("tool", "look", told))
+            words = "no compliance_m_per_n: explore wants it. deformscope calibrate arm measures it"
+            findings.append(Finding("tool", "look", words))
     return findings
 
 
@@ -134,13 +134,13 @@ def _disk(rig: Rig) -> Finding:
 def _device(entry: RigDevice, name: str, seconds: float) -> list[Finding]:
     """Open one device and listen to it."""
     with member_of(entry) as member, member.device as device:
-        told = device.identity()
+        who_is = device.identity()
         device.next(max(seconds, FIRST_READING_S))
         time.sleep(seconds)
         health = device.health()
-    who = " ".join(part for part in (told.model, told.serial, told.firmware) if part)
+    who = " ".join(part for part in (who_is.model, who_is.serial, who_is.firmware) if part)
     findings = [Finding(name, "ok", f"{health.rate_hz:.4g} readings a second{', ' + who if who else ''}")]
-    return findings + [Finding(name, "look", told) for told in _doubts(health)]
+    return findings + [Finding(name, "look", doubt) for doubt in _doubts(health)]
 
 
 def _doubts(health: Health) -> list[str]:

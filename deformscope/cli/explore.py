@@ -88,16 +88,16 @@ def explore_on(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any]
         if found.stop is not None:
             recorder.stopped_because(f"{found.stop.kind}: {found.stop.reason}")
         worth = ending.began_s > 0.0 or found.stop is not None
-        told = report(config, setup, options, found, recorder, ending, to_come) if worth else None
+        reported = report(config, setup, options, found, recorder, ending, to_come) if worth else None
         if ending.error is not None:
             raise ending.error
     for fault in to_come.waiting if to_come is not None else ():
         say(f"--fault {fault.injected.word}@{fault.touch} did not strike: there was no such moment")
     if found.stop is not None or asked.is_set():
         recording = recorder.summary().path
-        leave(found.stop, len(found.touches), asked.signal_number, recording, arm_told=ending.arm_told)
+        leave(found.stop, len(found.touches), asked.signal_number, recording, arm_stopped=ending.arm_stopped)
     ending.raise_unwritten()
-    return told
+    return reported
 
 
 def _run(
@@ -132,7 +132,7 @@ def _run(
                     experiment = _said(explore(setup.clock, stage, found, permit), show)
                     run(source, experiment, recorder, robot, beside)
             finally:
-                ending.arm_told, ending.gaps_s = watch.arm_told, robot.gaps_s
+                ending.arm_stopped, ending.gaps_s = watch.arm_stopped, robot.gaps_s
                 ending.session_s = (setup.clock() - source.start_ns) / 1e9
         ending.losses = losses_of(finish(source, recorder))
     for name, reason in source.failures.items():

@@ -126,8 +126,8 @@ def _show_beside(recorded: list[Any], again: list[Any], changes: dict[str, Any],
         f"{config.recording} with {', '.join(f'{name} = {value}' for name, value in changes.items())}",
         [(name, f"{now.get(name, 'not computed')}; recorded: {before.get(name, 'none')}") for name in before | now],
     )
-    told = {"identical": None, "set": changes, "recorded": before, "computed": now}
-    write_json(told, config.output.json)
+    found = {"identical": None, "set": changes, "recorded": before, "computed": now}
+    write_json(found, config.output.json)
 
 
 def recorded_inputs(path: Path) -> list[Any]:

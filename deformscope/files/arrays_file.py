@@ -132,10 +132,10 @@ def lattice(found: Arrays, rest: npt.NDArray[Any]) -> tuple[tuple[int, ...] | No
     """`shape` and `cell` (K,) of rest positions (K, d); without `shape` those of a regular rest shape, else None."""
     if "shape" not in found:
         return find_lattice(rest) or (None, None)
-    told = found["shape"].reshape(-1)
-    sides = [float(side) for side in told] if told.dtype.kind in "fiu" and 0 < told.size <= 3 else []
+    given = found["shape"].reshape(-1)
+    sides = [float(side) for side in given] if given.dtype.kind in "fiu" and 0 < given.size <= 3 else []
     if not sides or not all(side.is_integer() and side >= 1.0 for side in sides):
-        raise InputError("a lattice shape of whole numbers", f"{told.dtype} {told[:4].tolist()}", "shape=(4, 3, 2)")
+        raise InputError("a lattice shape of whole numbers", f"{given.dtype} {given[:4].tolist()}", "shape=(4, 3, 2)")
     shape = tuple(int(side) for side in sides)
     size = math.prod(shape)
     if (size != len(rest) and "cell" not in found) or size < len(rest):

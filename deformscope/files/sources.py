@@ -34,7 +34,7 @@ RECORDING_SUFFIX = ".rrd"
 class Source:
     """A stream of frames, read once and lazily: `with open_source(...) as source: for frame in source: ...`.
 
-    name: what it is, for a progress line; count: how many frames it will give, None where only reading tells (the
+    name: what it is, for a progress line; count: how many frames it will give, None where only reading shows (the
     count of a video is what its container claims); problems: once all was read, what of it is missing or damaged
     """
 

@@ -59,7 +59,7 @@ def _frames_text(estimate: Estimate) -> str:
     if found["frames_fitted"] == 1 or not isinstance(rho, list):
         return "1"
     shared = f"errors shared: {float(rho[0]):.0%}, at most {float(rho[1]):.0%}"
-    return f"{found['frames_fitted']}, which tell as much as {worth:.2g} of the best one ({shared})"
+    return f"{found['frames_fitted']}, worth {worth:.2g} of the best one ({shared})"
 
 
 def length_words(estimate: Estimate, value: object) -> str:

@@ -200,9 +200,7 @@ class Replay:
         try:
             problems = check_ledger(self.path)
         except FileNotFoundError:
-            _logger.warning(
-                "%s has no ledger: it cannot be told whether its bytes are as they were recorded", self.path
-            )
+            _logger.warning("%s has no ledger: whether its bytes are as they were recorded is not known", self.path)
             return
         if problems:
             more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""

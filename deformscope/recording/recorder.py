@@ -87,7 +87,7 @@ class Recorder:
     file: an `.rrd` to make; None = none. viewer: a window, a page for a browser, or none. Without file and viewer
     it does nothing, and rerun is not even imported.
     settings: everything that decides the results, JSON-able; layout: which views a viewer opens with
-    variant: tells apart recordings of one layout whose views differ: a viewer keeps one set of views an application
+    variant: distinguishes recordings of one layout whose views differ: a viewer keeps one set of views an application
     deterministic: two runs of one input give recordings that `rerun rrd compare --unordered` finds equal; leaves
     out what differs between runs (start time, command line, versions, git state) and writes in larger portions
     real_time: what is recorded goes on by itself, as devices do: a disk that stays too slow for it ends the recording

@@ -24,5 +24,5 @@ def run_rrd(*arguments: str | Path) -> str:
     if done.returncode < 0:
         return f"its bytes end rerun's reader ({signal.Signals(-done.returncode).name})"
     said = [line for line in re.sub(r"\x1b\[\d*m", "", done.stderr + done.stdout).splitlines() if line.strip()]
-    telling = [line for line in said if "footer" in line] or said[-1:]
-    return " ".join(telling[0].split())[:300] if telling else "rerun refuses it without a word"
+    reason = [line for line in said if "footer" in line] or said[-1:]
+    return " ".join(reason[0].split())[:300] if reason else "rerun refuses it without a word"

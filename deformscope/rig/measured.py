@@ -34,8 +34,8 @@ def to_frame(kind: Kind, reading: Any, index: int, name: str, device: Any) -> Fr
 
 def describe(name: str, driver: Driver, device: Device[Any], *, simulated: bool) -> Stream:
     """What is known of an open device before its first frame."""
-    told = device.identity()
-    stream = Stream(name, driver.kind, driver.name, simulated, told.serial, told.firmware)
+    who = device.identity()
+    stream = Stream(name, driver.kind, driver.name, simulated, who.serial, who.firmware)
     known = _KNOWN.get(driver.kind)
     return stream if known is None else dataclasses.replace(stream, **known(device))
 
@@ -127,7 +127,7 @@ def _of_arm(device: Any) -> dict[str, Any]:
 
 
 _KNOWN: dict[Kind, Callable[[Any], dict[str, Any]]] = {"tactile": _of_tactile, "wrench": _of_wrench, "arm": _of_arm}
-"""What more a kind of device tells before its first frame."""
+"""What more a kind of device says before its first frame."""
 
 _FRAMES: dict[Kind, Callable[[Any, int, str, Any], Frame]] = {
     "color": _color,

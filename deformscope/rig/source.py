@@ -148,7 +148,7 @@ class RigSource:
         for opened in self._opened:
             try:
                 opened.member.device.close()
-            except Exception as error:  # an arm that was not told to stop must not pass in silence
+            except Exception as error:  # an arm that was not stopped must not pass in silence
                 opened.failure = " ".join(str(error).split()) or type(error).__name__
 
     def rest(self) -> list[Item]:

@@ -1,4 +1,4 @@
-"""How much an arm gives way, as a picture: each touch with its deviation, and what is concluded from all."""
+"""How much an arm yields, as a picture: each touch with its deviation, and what is concluded from all."""
 
 from __future__ import annotations
 

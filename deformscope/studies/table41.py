@@ -123,14 +123,14 @@ class _Scores:
         for plan in (one for one in getattr(items, "results", ()) if isinstance(one, PlannedTouch)):
             spent_s, self._computed_s = self._found.compute_s - self._computed_s, self._found.compute_s
             if self._found.touches:
-                told, felt = self._found.touches[-1], self._robot.felt[-1]
-                self.after.append(_after(spent_s, self._explorer, told, felt, self._truth))
+                newest, felt = self._found.touches[-1], self._robot.felt[-1]
+                self.after.append(_after(spent_s, self._explorer, newest, felt, self._truth))
                 if plan.stop_reason not in ("", "budget") and self.stop_after is None:
                     self.stop_after = len(self.after)
 
 
 def _after(compute_s: float, explorer: Explorer, measured: TouchEstimate, felt: float, truth: TrueMap) -> MapAfter:
-    count, plan, regions = len(explorer.told), PlanOptions(), explorer.region_map()
+    count, plan, regions = len(explorer.touches), PlanOptions(), explorer.region_map()
     touch = explorer.posterior.touches[-1]
     low, high = measured.stiffness_interval
     return MapAfter(

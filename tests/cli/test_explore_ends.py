@@ -268,7 +268,7 @@ def test_an_arm_that_was_not_reached_is_told_loudly(
     fail_once(monkeypatch, "tests.cli.fake_bench.FakeRobot.touch", 2, RuntimeError("a bug"))
 
     assert main(EXPLORE) == 1
-    assert "COULD NOT BE TOLD TO STOP" in capsys.readouterr().out
+    assert "COULD NOT BE STOPPED" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("flag", "name"), [("--picture", "e.png"), ("--map", "e.npz"), ("--json", "e.json")])

@@ -26,9 +26,9 @@ def log_link(
     batch: Batch, device: str, changes: Sequence[LinkChange], start_ns: int, streams: Sequence[Stream]
 ) -> None:
     events = [change.event for change in changes]
-    told = [f"{event.link}: {event.reason}" if event.reason else str(event.link) for event in events]
+    words = [f"{event.link}: {event.reason}" if event.reason else str(event.link) for event in events]
     columns = [
-        *rr.TextLog.columns(text=told, level=[LEVELS[event.link] for event in events]),
+        *rr.TextLog.columns(text=words, level=[LEVELS[event.link] for event in events]),
         *rr.StateChange.columns(state=[str(event.link) for event in events]),
         *recorded(changes),
     ]
