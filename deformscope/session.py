@@ -204,13 +204,6 @@ def ask(
     return given.value
 
 
-def passing_on(ended: Callable[[Sequence[Item]], bool]) -> RigExperiment[None]:
-    """The experiment that only records what comes, until `ended` says so; it sees every batch."""
-    given = yield Step()
-    while not isinstance(given, Sequence) or not ended(given):
-        given = yield Step()
-
-
 def finish(rig: SessionRig, recorder: SessionRecorder) -> HealthReport:
     """Close a rig's devices, and record all that came until then and a last look at them, whose counts are those of the
     whole session; nothing that came is left."""

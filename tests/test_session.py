@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from deformscope.experiments.live_stages import live_stages
 from deformscope.frames import ColorFrame, HealthReport, Item
-from deformscope.session import Compute, Experiment, Inline, Moment, RigExperiment, Step, ask, finish, passing_on, run
+from deformscope.session import Compute, Experiment, Inline, Moment, RigExperiment, Step, ask, finish, run
 from deformscope_drivers.clock import Stamp
 from tests.patience import PATIENCE_S
 
@@ -101,7 +102,7 @@ class Rig:
 def test_a_rig_is_recorded_until_it_is_enough_and_nothing_is_left() -> None:
     rig, notes = Rig(), Notes()
 
-    run(rig, passing_on(lambda items: rig.count == 3), notes)
+    run(rig, live_stages((), {}, lambda items: rig.count == 3), notes)
     last = finish(rig, notes)
 
     assert notes.said == [HealthReport(number, ()) for number in (1, 2, 3, 0, -1)]
@@ -195,4 +196,4 @@ def test_what_keeps_a_rig_from_being_recorded_ends_the_session() -> None:
             raise OSError("the disk is full")
 
     with pytest.raises(OSError, match="disk"):
-        run(Rig(), passing_on(lambda items: False), Full())
+        run(Rig(), live_stages((), {}, lambda items: False), Full())

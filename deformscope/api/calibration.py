@@ -10,13 +10,20 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, Unpack
+from typing import Any, Literal, TypeAlias, TypedDict, Unpack
 
 import numpy as np
 
 from deformscope import __version__
-from deformscope.api.result import LibraryResult, Note, ViewerChoice, log_note, python_names, recording_rows
-from deformscope.api.result import resolve_viewer as viewer_of
+from deformscope.api.result import (
+    LibraryResult,
+    Note,
+    ViewerChoice,
+    log_note,
+    open_recorder,
+    python_names,
+    recording_rows,
+)
 from deformscope.arrays import FloatArray, ImageArray
 from deformscope.config import BetaConfig, ImageOptions, OutputOptions, SearchOptions, ThetaConfig
 from deformscope.config.calibrate import LayersFlags, MotionFlags
@@ -49,9 +56,6 @@ from deformscope.stages.poke.fitted import FittedModel, from_pair
 from deformscope.stages.poke.poke_estimate import PokesFound
 from deformscope.stages.see.particles import clean_mask
 from deformscope_drivers.clock import Stamp
-
-if TYPE_CHECKING:
-    from deformscope.log.blueprint import Layout
 
 PairArrays: TypeAlias = Mapping[str, Any]
 """A pair by name, as in a pair file: `rest (K, d)`, `deformed (K, d)` [m], `held (n,)`, and what else one holds."""
@@ -493,9 +497,7 @@ def run_images(
             if progress is not None:
                 progress("frames", done + 1, source.count or 0)
 
-    with Recorder(
-        output.record, viewer_of(output.viewer), used, layout="images", overwrite=output.overwrite
-    ) as recorder:
+    with open_recorder(output, used, "images") as recorder:
         if mask is not None:
             recorder.write(InputFile("mask", encode_png(mask)))
         experiment = (
@@ -584,10 +586,7 @@ def pair_recorder(
 ) -> Iterator[Recorder]:
     """Records pairs, their files as they were among them."""
     planes = {one.rest.shape[1] for one in seen}
-    layout: Layout = "pair" if planes == {2} else "pair-3d"
-    with Recorder(
-        output.record, viewer_of(output.viewer), settings, layout=layout, overwrite=output.overwrite
-    ) as recorder:
+    with open_recorder(output, settings, "pair" if planes == {2} else "pair-3d") as recorder:
         if recorder.active and len(planes) > 1:
             raise InputError("pairs all in the plane, or all in space, in one recording", "both", "two commands")
         for index, (_, raw) in enumerate(raws):

@@ -17,12 +17,10 @@ from deformscope.api.result import LibraryResult, Rows, ViewerChoice, python_nam
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.config import ExploreConfig, OutputOptions
 from deformscope.errors import InputError
-from deformscope.experiments.options import ExploreOptions
 from deformscope.pictures.report import Figure, Table
 from deformscope.pictures.words import counted, failed_words, travel_words
 from deformscope.recording.losses import named
 from deformscope.stages.map.exploration import StageFailure
-from deformscope.stages.msm.quiet import quiet_warp
 
 Planner = Literal["regions", "integrated-variance", "max-variance", "random-above"]
 
@@ -161,21 +159,13 @@ def _explored(config: ExploreConfig, *, quiet: bool) -> ExplorationResult:
     """The one place that knows how an exploration is run and where it leaves its maps."""
     from deformscope.cli.explore import explore_on
 
-    quiet_warp()
-    options = ExploreOptions(
-        planner=config.planner,
-        budget=config.touches,
-        threshold=config.threshold,
-        beta_model=config.beta_model,
-        seed=config.output.seed,
-    )
     assert config.picture is not None
     assert config.map is not None
     with contextlib.ExitStack() as silence:
         if quiet:
             silence.enter_context(contextlib.redirect_stdout(io.StringIO()))
             silence.enter_context(contextlib.redirect_stderr(io.StringIO()))
-        found = explore_on(config, options)
+        found = explore_on(config)
     if found is None:
         raise InputError("an exploration", "none: it ended before the arm could move")
     maps: dict[str, np.ndarray] = {}

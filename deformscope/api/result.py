@@ -6,7 +6,7 @@ import logging
 import os
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Literal, cast
 
@@ -14,9 +14,10 @@ from deformscope.errors import InputError
 from deformscope.plain import plain
 
 if TYPE_CHECKING:
+    from deformscope.config.options import ViewOptions
     from deformscope.pictures.findings import Findings
     from deformscope.pictures.report import Figure, Table
-    from deformscope.recording.recorder import RecordingSummary
+    from deformscope.recording.recorder import Recorder, RecordingLayout, RecordingSummary
 
 ViewerChoice = Literal["auto", "native", "page", "none"]
 Viewer = Literal["native", "page", "none"]
@@ -68,6 +69,16 @@ def resolve_viewer(choice: ViewerChoice) -> Viewer:
     if choice != "auto":
         return choice
     return "native" if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") else "none"
+
+
+def open_recorder(
+    output: ViewOptions, settings: Mapping[str, object], layout: RecordingLayout, **more: Any
+) -> Recorder:
+    """What a recording goes to, and a viewer, as the options say. more: options of a `Recorder`"""
+    from deformscope.recording.recorder import Recorder
+
+    viewer = resolve_viewer(output.viewer)
+    return Recorder(output.record, viewer, settings, layout=layout, overwrite=output.overwrite, **more)
 
 
 def recording_rows(recording: RecordingSummary) -> Rows:

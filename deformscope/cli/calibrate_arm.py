@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deformscope.cli.common import quiet_warp, resolve_viewer, say, settings_of, show, status_line, write_json
+from deformscope.cli.common import quiet_warp, recorder_of, say, show, status_line, write_json
 from deformscope.cli.exploring import Watch, leave, permitted
 from deformscope.cli.rigs import until_interrupted
 from deformscope.cli.setups import setup_of
@@ -22,7 +22,6 @@ from deformscope.experiments.touching_robot import TouchingRobot, touching_robot
 from deformscope.log.findings import RigFindings
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Figure, Table
-from deformscope.recording.recorder import Recorder
 from deformscope.session import RigExperiment, Step, finish
 from deformscope.session import run as run_session
 from deformscope.stages.map.exploration import ExplorationStop
@@ -42,17 +41,9 @@ def run(config: ArmConfig) -> None:
         raise InputError(f"--at on the surface: between 0,0 and {width:g},{height:g} m", came)
     made: list[GiveTouch] = []
     stop: ExplorationStop | None = None
-    output = config.output
     with (
         until_interrupted() as asked,
-        Recorder(
-            output.record,
-            resolve_viewer(output.viewer),
-            settings_of(config),
-            layout="rig",
-            overwrite=output.overwrite,
-            real_time=setup.runs_itself,
-        ) as recorder,
+        recorder_of(config, "rig", real_time=setup.runs_itself) as recorder,
         setup.open_source() as source,
         status_line() as show_line,
     ):
@@ -84,9 +75,7 @@ def run(config: ArmConfig) -> None:
         finish(source, recorder)
     if stop is not None:
         leave(stop, len(made), asked.signal_number, recorder.summary().path, arm_stopped=watch.arm_stopped)
-    if recorder.summary().path is not None:
-        say(f"recording: {recorder.summary().path}")
-    write_json(found, output.json)
+    write_json(found, config.output.json)
 
 
 def _findings(found: ArmGive, where: str) -> Findings:

@@ -12,7 +12,7 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO, TypeVar, cast
 
-from deformscope.api.result import resolve_viewer as resolve_viewer
+from deformscope.api.result import open_recorder
 from deformscope.errors import InputError
 from deformscope.file_io import read_file as read_file
 from deformscope.file_io import replacing as replacing
@@ -75,17 +75,16 @@ def show_table(title: str, rows: Sequence[tuple[str, str]]) -> None:
 
 
 @contextmanager
-def recorder_of(config: RecordedOptions, layout: RecordingLayout = "findings") -> Iterator[Recorder]:
+def recorder_of(
+    config: RecordedOptions, layout: RecordingLayout = "findings", *, real_time: bool = False
+) -> Iterator[Recorder]:
     """What a command is recorded and shown with as its flags say; remarks where the recording is.
 
     The flags are the recording's settings; a viewer keeps one set of views for each command.
     """
-    from deformscope.recording.recorder import Recorder
-
-    output, settings = config.output, settings_of(config)
+    settings = settings_of(config)
     variant = str(settings["command"]) if layout == "findings" else ""
-    viewer, overwrite = resolve_viewer(output.viewer), output.overwrite
-    with Recorder(output.record, viewer, settings, layout=layout, variant=variant, overwrite=overwrite) as recorder:
+    with open_recorder(config.output, settings, layout, variant=variant, real_time=real_time) as recorder:
         yield recorder
     if recorder.summary().path is not None:
         say(f"recording: {recorder.summary().path}")

@@ -12,7 +12,8 @@ import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import EXIT_LOSSES, quiet_warp, resolve_viewer, say, status_line
+from deformscope.api.result import open_recorder
+from deformscope.cli.common import EXIT_LOSSES, quiet_warp, say, status_line
 from deformscope.cli.explored import ExplorationEnd, report
 from deformscope.cli.exploring import Watch, leave, permitted
 from deformscope.cli.rigs import until_interrupted
@@ -35,7 +36,22 @@ def run(config: ExploreConfig) -> int:
     if config.list_scenarios:
         _list()
         return 0
+    found = explore_on(config)
+    if found is None or not found["losses"] or config.output.record is None:
+        return 0
+    from deformscope.recording.losses import named
+
+    say(f"deformscope: the recording is whole, with losses: {named(found['losses'])}")
+    return EXIT_LOSSES
+
+
+def explore_on(config: ExploreConfig) -> dict[str, Any] | None:
+    """Explore a simulated scene, or with the devices of a rig file; what was found, as in the JSON, None where nothing
+    was begun. Whatever ends it, the arm is halted, and what is known is reported before the recording is closed."""
+    from deformscope.experiments.explore import Exploration
+    from deformscope.experiments.measured import SetupGeometry
     from deformscope.experiments.options import ExploreOptions
+    from deformscope.lab.faults import FaultAt, FaultsToCome
 
     quiet_warp()
     options = ExploreOptions(
@@ -45,41 +61,16 @@ def run(config: ExploreConfig) -> int:
         beta_model=config.beta_model,
         seed=config.output.seed,
     )
-    found = explore_on(config, options)
-    if found is None or not found["losses"] or config.output.record is None:
-        return 0
-    from deformscope.recording.losses import named
-
-    say(f"deformscope: the recording is whole, with losses: {named(found['losses'])}")
-    return EXIT_LOSSES
-
-
-def explore_on(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any] | None:
-    """Explore a simulated scene, or with the devices of a rig file; what was found, as in the JSON, None where nothing
-    was begun. Whatever ends it, the arm is halted, and what is known is reported before the recording is closed."""
-    from deformscope.experiments.explore import Exploration
-    from deformscope.experiments.measured import SetupGeometry
-    from deformscope.lab.faults import FaultAt, FaultsToCome
-    from deformscope.recording.recorder import Recorder
-
     faults = [FaultAt.parse(text, options.budget) for text in config.fault]
     opening = setup_of(config.rig, options, config.set_force, trusted=config.trust_rig)
     setup, options = opening.setup, opening.options
     to_come = FaultsToCome(opening.faulty_lab, faults, options.seed) if faults else None
     settings = {"explore": dataclasses.asdict(options), "seed": options.seed, "simulated": setup.simulated}
     settings |= {"setup": SetupGeometry.of(setup).as_json(), **opening.settings}
-    output = config.output
     found, ending = Exploration(), ExplorationEnd()
     with (
         until_interrupted() as asked,
-        Recorder(
-            output.record,
-            resolve_viewer(output.viewer),
-            settings,
-            layout="exploration",
-            overwrite=output.overwrite,
-            real_time=setup.runs_itself,
-        ) as recorder,
+        open_recorder(config.output, settings, "exploration", real_time=setup.runs_itself) as recorder,
     ):
         try:
             _run(config, setup, options, found, recorder, asked, to_come, ending)

@@ -46,7 +46,7 @@ def run(config: RecoverConfig) -> None:
         whole.replace(out)
     merged_path(path).unlink(missing_ok=True)  # what its run could not bring to an end either
     write_ledger(out, facts.counts, facts.losses)
-    _tell(config, path, out, facts, damage)
+    _report(config, path, out, facts, damage)
 
 
 def _check(path: Path, out: Path) -> None:
@@ -80,7 +80,7 @@ def _write_ending(ending: Path, facts: Facts, path: Path) -> None:
     )
 
 
-def _tell(config: RecoverConfig, path: Path, out: Path, facts: Facts, damage: str) -> None:
+def _report(config: RecoverConfig, path: Path, out: Path, facts: Facts, damage: str) -> None:
     """damage: where reading ended before the end of the file; empty = nowhere"""
     missing: dict[str, int] = {}
     if ledger_path(path).exists():

@@ -68,8 +68,10 @@ def run(config: VerifyConfig) -> int:
         raise Damaged("a whole recording", "; ".join(dict.fromkeys(problems)), hint, path)
     if unfinished:
         kept = f"everything{reached} is there" if reached else "its readable part is there"
-        raise Damaged("a recording that was finished", f"one of a run cut short; {kept}", _recover(path), path)
-    return _tell_losses(facts, checked=differs is not None, reached=reached)
+        raise Damaged(
+            "a recording that was finished", f"one of a run cut short; {kept}", f"deformscope recover {path}", path
+        )
+    return _name_losses(facts, checked=differs is not None, reached=reached)
 
 
 def _differs(path: Path) -> list[str] | None:
@@ -103,11 +105,7 @@ def _rows(
     ]
 
 
-def _recover(path: Path) -> str:
-    return f"deformscope recover {path}"
-
-
-def _tell_losses(facts: Facts, *, checked: bool, reached: str) -> int:
+def _name_losses(facts: Facts, *, checked: bool, reached: str) -> int:
     """Name what is not as it should be of a recording that can be read whole."""
     remarks = []
     if facts.losses:

@@ -341,7 +341,7 @@ def _said_of_pace(tried: Sequence[Trial], best: int, still: HeldOut, choices: Se
     if not separates(still, out):
         late = sum(not one.usable or separates(one, still) for _, one in tried)
         but = f" ({late} of {len(tried)} settings tried would lag behind)" if late else ""
-        return f"the motion was slow enough to be static; {names} are not determined{but}"
+        return f"the motion was slow enough to be static: it does not determine {names}{but}"
     good = [way.pace for way, one in tried if one.usable and way.pace is not None and not separates(one, out)]
     said = []
     if "alpha" in choices:

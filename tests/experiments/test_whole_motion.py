@@ -113,7 +113,7 @@ def test_dt_of_a_fast_motion_is_found() -> None:
 def test_a_slow_motion_cannot_tell_alpha() -> None:
     found = chosen(sheared(3, pace=Pace(0.5, 2e-3, ()), fps=0.5), ("alpha",))
     assert found.way.pace is None
-    assert found.text.startswith("the motion was slow enough to be static; alpha")
+    assert found.text.startswith("the motion was slow enough to be static: it does not determine alpha")
     assert sum(row.chosen for row in found.table) == 1
     assert next(row for row in found.table if row.chosen).alpha is None
 
