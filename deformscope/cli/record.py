@@ -8,6 +8,7 @@ deformscope live lab:bench --stage tactile --stage beta --viewer page
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import signal
@@ -15,7 +16,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from deformscope.api.result import open_recorder
 from deformscope.cli.common import EXIT_LOSSES, make_folder, quiet_warp, say, show_table, write_json
@@ -24,11 +25,8 @@ from deformscope.cli.rigs import Interruption, members_of, until_interrupted
 from deformscope.config import LiveConfig, RecordConfig, RigRunOptions
 from deformscope.config.rigs import StageOptions
 from deformscope.errors import InputError
-from deformscope.experiments.device_stages import LiveOptions, for_rig, stages_of
-from deformscope.experiments.foam_video import ParticleOptions
 from deformscope.experiments.live_stages import StageCounts, live_stages
-from deformscope.experiments.stage_processes import StageProcesses
-from deformscope.frames import HealthReport, Item, LinkChange
+from deformscope.frames import HealthReport, Item, LinkChange, Stream
 from deformscope.recording.losses import in_words, losses_of, lost_by, named
 from deformscope.recording.recorder import RecordingSummary
 from deformscope.rig.rig_file import Rig, load_rig
@@ -36,6 +34,10 @@ from deformscope.rig.source import RigSource
 from deformscope.session import finish
 from deformscope.session import run as run_session
 from deformscope_drivers.health import Health
+
+if TYPE_CHECKING:
+    from deformscope.experiments.device_stages import LiveOptions, Stage, StageName
+    from deformscope.experiments.stage_processes import StageProcesses
 
 REPORT_EVERY_S = 10.0
 
@@ -60,25 +62,26 @@ def _run(config: RigRunOptions, auto: Literal["none", "native"], *, always_recor
     output = dataclasses.replace(config.output, record=file, viewer=viewer)
     settings = {"rig": rig.text, "rig_name": rig.name, "label": config.label, "seed": config.output.seed}
     settings["simulated"] = [entry.name for entry in rig.devices if entry.double]
-    names, options = config.stages.names, _live_options(config.stages, rig)
-    if names:
+    names = config.stages.names
+    options = _live_options(config.stages, rig) if names else None
+    if options is not None:
         settings["stages"] = dataclasses.asdict(options)
     with (
         until_interrupted() as asked,
         open_recorder(output, settings, "rig", variant=_variant(rig, names), real_time=True) as recorder,
-        StageProcesses(names, quiet_warp) as beside,
+        _processes(names) if names else contextlib.nullcontext({}) as beside,
         members_of(rig) as members,
     ):
         say(f"opening {', '.join(member.name for member in members)}")
         with RigSource(members, raw=rig.record.raw) as source:
-            stages = stages_of(options, source.streams)
+            stages = () if options is None else _stages(options, source.streams)
             shown = [(stage.name, stage.device) for stage in stages]
             recorder.start_rig(source.streams, source.start_ns, rig.record.lossless, shown)
             where = "" if file is None else f" into {file}"
             say(f"recording{where}: Ctrl-C ends it" if file else "watching: Ctrl-C ends it")
             end = _Ending(asked, config.seconds, source)
-            experiment = live_stages(stages, beside, end, lossless=options.lossless)
-            counts = run_session(source, experiment, recorder)
+            lossless = options is not None and options.lossless
+            counts = run_session(source, live_stages(stages, beside, end, lossless=lossless), recorder)
             last = finish(source, recorder)
             failures = dict(source.failures)
             why = end.reason + "".join(f"; {name} failed: {reason}" for name, reason in failures.items())
@@ -96,6 +99,9 @@ def _run(config: RigRunOptions, auto: Literal["none", "native"], *, always_recor
 
 def _live_options(flags: StageOptions, rig: Rig) -> LiveOptions:
     """How the stages run that were asked for. Raises InputError where the rig lacks what one of them needs."""
+    from deformscope.experiments.device_stages import LiveOptions, for_rig
+    from deformscope.experiments.foam_video import ParticleOptions
+
     particles = ParticleOptions(flags.roi, flags.grid, flags.spacing_px, flags.held_parts(), flags.contact)
     options = LiveOptions(
         flags.names,
@@ -105,6 +111,21 @@ def _live_options(flags: StageOptions, rig: Rig) -> LiveOptions:
         longest_px=flags.longest_px,
     )
     return for_rig(options, rig)
+
+
+# What stages need takes seconds to load: only where there are some.
+
+
+def _processes(names: Sequence[StageName]) -> StageProcesses:
+    from deformscope.experiments.stage_processes import StageProcesses
+
+    return StageProcesses(names, quiet_warp)
+
+
+def _stages(options: LiveOptions, streams: Sequence[Stream]) -> tuple[Stage, ...]:
+    from deformscope.experiments.device_stages import stages_of
+
+    return stages_of(options, streams)
 
 
 class _Ending:

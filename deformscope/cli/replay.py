@@ -10,24 +10,15 @@ from __future__ import annotations
 import dataclasses
 import math
 import sys
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import msgspec
-
-from deformscope.api.calibration import calibrate_pair_bytes, run_images
 from deformscope.cli.common import Different, console, fit_progress, quiet_warp, show, write_json
-from deformscope.cli.replay_exploration import replay_exploration
 from deformscope.cli.replay_rig import replay_rig
 from deformscope.config import ReplayConfig
 from deformscope.errors import InputError
-from deformscope.experiments.foam_video import ParticleOptions
-from deformscope.experiments.poke_files import LayersOptions
-from deformscope.experiments.whole_motion import MotionOptions
-from deformscope.files.sources import Source
-from deformscope.frames import ColorFrame
-from deformscope.recording.reader import Replay
-from deformscope.stages.fit.calibrate import FitOptions
-from deformscope.stages.msm.solver import pick_device
+
+if TYPE_CHECKING:
+    from deformscope.frames import ColorFrame
 
 CLOSE = 0.01
 """Largest difference that another machine's arithmetic may make: of the value and its interval as a share of the
@@ -36,10 +27,23 @@ interval's width, of an error as a share of itself. On one machine there is none
 
 def run(config: ReplayConfig) -> None:
     """Recompute a recording from its inputs; raises `Different` where the numbers do not come out as recorded."""
+    import msgspec
+
+    from deformscope.api.calibration import calibrate_pair_bytes, run_images
+    from deformscope.experiments.foam_video import ParticleOptions
+    from deformscope.experiments.poke_files import LayersOptions
+    from deformscope.experiments.whole_motion import MotionOptions
+    from deformscope.files.sources import Source
+    from deformscope.recording.reader import Replay
+    from deformscope.stages.fit.calibrate import FitOptions
+    from deformscope.stages.msm.solver import pick_device
+
     quiet_warp()
     recording = Replay(config.recording)
     settings = dict(recording.settings)
     if "explore" in settings:
+        from deformscope.cli.replay_exploration import replay_exploration
+
         replay_exploration(recording, config)
         return
     if config.set:

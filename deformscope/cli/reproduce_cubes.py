@@ -24,6 +24,7 @@ from deformscope.cli.common import (
     write_json,
 )
 from deformscope.config import CubesConfig
+from deformscope.pictures.figures import write_rows
 from deformscope.pictures.findings import Findings, dict_table
 from deformscope.pictures.report import Table
 from deformscope.session import Step
@@ -118,9 +119,8 @@ def _draw(
         name = "overlapping clusters beside one cluster"
         drawn[name] = out / "clusters.png"
         figures.draw_clusters(drawn[name], found, options.cluster_size)
-    figures.write_cubes(out / "cubes.csv", found)
-    figures.write_rows(out / "sem.csv", sems)
-    figures.write_rows(out / "table-3.2.csv", times)
+    for name, rows in (("cubes.csv", figures.cube_rows(found)), ("sem.csv", sems), ("table-3.2.csv", times)):
+        write_rows(out / name, rows)
     return drawn
 
 

@@ -8,8 +8,6 @@ deformscope calibrate beta runs/foams/images/24-80 --roi 30,50,750,350 --grid 7x
 
 from __future__ import annotations
 
-import csv
-import io
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -25,13 +23,13 @@ from deformscope.cli.common import (
     quiet_warp,
     recorder_of,
     show,
-    write_file,
     write_json,
 )
 from deformscope.config import FoamsConfig
 from deformscope.frames import ColorFrame
 from deformscope.images import encode_png
 from deformscope.lab.foam import Foam
+from deformscope.pictures.figures import write_rows
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Table
 from deformscope.session import Step
@@ -50,10 +48,6 @@ from deformscope.studies.foams import (
 )
 
 HELD_WORDS = {"one": "one particle held", "clamp": "clamp held"}
-COLUMNS = (
-    *("density_kg_m3", "hardness_n", "plateau_exponent", "poisson", "force_n", "source", "held", "cluster_size"),
-    *("converged", "verdict", "aee_mm", "beta", "beta_low", "beta_high", "k_n_per_m", "k_low", "k_high"),
-)
 
 
 def run(config: FoamsConfig) -> None:
@@ -78,7 +72,7 @@ def run(config: FoamsConfig) -> None:
         trends = [trend(results, source, held, size) for held in HELD for source in SOURCES for size in sizes]
         drawn = _draw(config.out, results, trends, tried, min(sizes))
         table = config.out / "foams.csv"
-        write_file(table, as_csv(results).encode())
+        write_rows(table, csv_rows(results))
         seconds = time.monotonic() - began
         tables.append(_trend_table(trends))
         written = [("", str(path)) for path in (*drawn.values(), table)]
@@ -201,19 +195,16 @@ def fit_json(fit: FoamFit) -> dict[str, Any]:
     return how | fit.calibration.estimate.as_json()
 
 
-def as_csv(results: Sequence[FoamResult]) -> str:
-    """One line a fit."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for result in results:
-        foam = result.foam
-        for fit in result.fits:
-            one = fit.calibration.estimate
-            k = [] if one.stiffness is None else [one.stiffness[0], *one.stiffness[1]]
-            aee = 1e3 * one.aee * (one.metres_per_unit or float("nan"))
-            row = [foam.density, foam.hardness, foam.plateau, foam.poisson, f"{result.force_n[-1]:.4g}"]
-            row += [fit.source, fit.held, fit.cluster_size, one.converged, one.verdict, f"{aee:.4f}"]
-            row += [f"{beta:.5f}" for beta in (one.value, *one.interval)]
-            writer.writerow([*row, *(f"{value:.5g}" for value in k)])
-    return text.getvalue()
+def csv_rows(results: Sequence[FoamResult]) -> list[dict[str, object]]:
+    """One row a fit."""
+    rows = []
+    for result, fit in ((one, fit) for one in results for fit in one.fits):
+        foam, one = result.foam, fit.calibration.estimate
+        k = (None,) * 3 if one.stiffness is None else (one.stiffness[0], *one.stiffness[1])
+        row: dict[str, object] = {"density_kg_m3": foam.density, "hardness_n": foam.hardness}
+        row |= {"plateau_exponent": foam.plateau, "poisson": foam.poisson, "force_n": result.force_n[-1]}
+        row |= {"source": fit.source, "held": fit.held, "cluster_size": fit.cluster_size, "converged": one.converged}
+        row |= {"verdict": one.verdict, "aee_mm": 1e3 * one.aee * (one.metres_per_unit or float("nan"))}
+        row |= dict(zip(("beta", "beta_low", "beta_high"), (one.value, *one.interval), strict=True))
+        rows.append(row | dict(zip(("k_n_per_m", "k_low", "k_high"), k, strict=True)))
+    return rows

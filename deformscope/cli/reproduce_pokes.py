@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from deformscope.cli.common import fit_progress, make_folder, quiet_warp, recorder_of, say, show, write_file, write_json
 from deformscope.config import PokesConfig
-from deformscope.pictures.figures import write_table
+from deformscope.pictures.figures import write_rows
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Figure, Table
 from deformscope.session import Step
@@ -33,15 +33,14 @@ def run(config: PokesConfig) -> None:
             recorder.write(Step((found,), frame=frame))
     every = [one for found in studied for one in found.unseen]
     write_file(config.out / "dents.png", dents_png([one.prediction for one in every], every))
-    names = ("slab", "at_m", "tip_mm", "force_n", "method", "surface_error", "force_error")
     table = rows(studied)
-    write_table(config.out / "pokes.csv", names, table)
+    write_rows(config.out / "pokes.csv", table)
     say(f"figures and table: {config.out}")
     fits = [
         {"slab": one.plan.name, "field": one.found.model.field_kind, "pokes": one.found.rows()} | _law(one)
         for one in studied
     ]
-    write_json({"fits": fits, "unseen": [dict(zip(names, row, strict=True)) for row in table]}, config.output.json)
+    write_json({"fits": fits, "unseen": table}, config.output.json)
 
 
 def _law(one: Studied) -> dict[str, object]:

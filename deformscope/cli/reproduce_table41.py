@@ -25,7 +25,7 @@ from deformscope.cli.common import (
 from deformscope.config import Table41Config
 from deformscope.errors import InputError
 from deformscope.lab.scenes import BUILT_IN, built_in
-from deformscope.pictures.figures import write_table
+from deformscope.pictures.figures import write_rows
 from deformscope.pictures.findings import Findings, dict_table
 from deformscope.pictures.report import Table
 from deformscope.processes import in_processes
@@ -90,9 +90,8 @@ def _write(runs: Sequence[TableRun], config: Table41Config) -> Findings:
         "slowest_s": max(after.compute_s for one in runs for after in one.after),
     }
     compared = _compared(by, planners)
-    write_table(config.out / "table41.csv", list(rows[0]), [list(row.values()) for row in rows])
-    if compared:
-        write_table(config.out / "planners.csv", list(compared[0]), [list(row.values()) for row in compared])
+    write_rows(config.out / "table41.csv", rows)
+    write_rows(config.out / "planners.csv", compared)
     curves(runs, config.out / "table41.png")
     summary = {"rows": rows, "planners": compared, **cost, "runs": runs}
     write_json(summary, str(config.out / "table41.json"))
