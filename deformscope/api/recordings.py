@@ -17,7 +17,7 @@ from deformscope.config import OutputOptions, RecordConfig
 from deformscope.frames import ColorFrame, Item
 from deformscope.pictures.findings import cell_text
 from deformscope.pictures.report import Table
-from deformscope.recording.items import read_items
+from deformscope.recording.items import read_items, read_results
 from deformscope.recording.reader import Replay
 
 
@@ -61,9 +61,7 @@ class OpenRecording(LibraryResult):
 
     def results(self) -> Iterator[object]:
         """The recorded results of an exploration, in the order in which they came."""
-        from deformscope.recording.results import read_results
-
-        return (one.result for one in read_results(self.path, trust=True))
+        return (row.item for row in read_results(self.path, trust=True))
 
     def __repr__(self) -> str:
         return f"<recording {self.path}: {self.kind}>"

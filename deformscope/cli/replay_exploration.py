@@ -30,7 +30,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
     from deformscope.experiments.measured import SetupGeometry
     from deformscope.experiments.options import ExploreOptions
     from deformscope.pictures.words import failed_words
-    from deformscope.recording.results import read_results
+    from deformscope.recording.items import read_results
     from deformscope.rows import to_components
     from deformscope.session import run
     from deformscope.stages.map.exploration import (
@@ -47,8 +47,8 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
     options = dataclasses.replace(msgspec.convert(settings["explore"], ExploreOptions), **changes)
     geometry = SetupGeometry.from_json(settings.get("setup", {}))
     kinds = (SurfaceEstimate, PlannedTouch, TouchEstimate, MapEstimate)
-    recorded = [one.result for one in read_results(path, kinds, trust=True)]
-    failed = [one.result for one in read_results(path, (StageFailure,), trust=True)]
+    recorded = [row.item for row in read_results(path, kinds, trust=True)]
+    failed = [row.item for row in read_results(path, (StageFailure,), trust=True)]
     given = recorded_inputs(path)
     measured = bool(given) and isinstance(given[0], SurfaceMeasurement)
     failed_before = [] if changes else failed
@@ -136,11 +136,11 @@ def recorded_inputs(path: Path) -> list[Any]:
     Raises InputError where a frame that one of them names is not in the recording.
     """
     from deformscope.experiments.measured import Looked, Touched
-    from deformscope.recording.results import read_results
+    from deformscope.recording.items import read_results
     from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
 
     kinds = (LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement)
-    inputs: list[Any] = [one.result for one in read_results(path, kinds, trust=True)]
+    inputs: list[Any] = [row.item for row in read_results(path, kinds, trust=True)]
     named = [one for one in inputs if isinstance(one, LookFrames | TouchFrames)]
     if not named:
         return inputs

@@ -330,10 +330,6 @@ class Explorer:
         last = next(one for one in reversed(self.failures) if one.stage in ("contact", "regions", "maps"))
         return f"{self._without_map} touches in a row gave no map, the last for {last.stage}: {last.reason}"
 
-    def failed(self, touch: int) -> list[str]:
-        """What failed on a touch, from 1, in words."""
-        return [f"{one.stage}: {one.reason}" for one in self.failures if one.touch == touch]
-
     def _maps(self) -> MapEstimate:
         found = self.region_map()
         beta, beta_sd = self._stage("beta field", self._beta_field) or (None, None)

@@ -57,6 +57,12 @@ def read_items(path: Path, *, trust: bool = False, kinds: Sequence[type] = ITEMS
     return (row.item for row in read_rows(Replay(path, trust=trust), kinds))
 
 
+def read_results(path: Path, kinds: Sequence[type] = (), *, trust: bool = False) -> Iterator[Row]:
+    """The results of a recorded exploration, or those of some kinds, as they came: equal to the last bit."""
+    every = [kind for kind, entity in ENTITIES.items() if entity.startswith("exploration/")]
+    return read_rows(Replay(path, trust=trust), kinds or every)
+
+
 def read_rows(
     replay: Replay,
     kinds: Sequence[type],

@@ -237,16 +237,6 @@ def _ours(application: str) -> bool:
     return application.split("-")[0] == APPLICATION_PREFIX
 
 
-def read_results(path: Path) -> list[dict[str, Any]]:
-    """The estimates in a recording, as JSON objects."""
-    return Replay(path).read_results()
-
-
-def read_pair_bytes(path: Path) -> list[bytes]:
-    """The pair files in a recording, as they were."""
-    return Replay(path).read_pair_bytes()
-
-
 def _natural(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)]
 

@@ -14,8 +14,8 @@ import pytest
 
 from deformscope.cli import main
 from deformscope.errors import InputError
+from deformscope.recording.items import read_results
 from deformscope.recording.recorder import RecordingError
-from deformscope.recording.results import read_results
 from deformscope.stages.map.exploration import StageFailure
 from tests.cli.fake_bench import FakeBench, FakeRobot, use_fake_bench
 
@@ -117,7 +117,7 @@ def test_a_stage_that_fails_on_one_touch_does_not_end_it(
     assert files["png"].read_bytes().startswith(b"\x89PNG")
     assert files["npz"].exists()
 
-    (recorded,) = (one.result for one in read_results(files["rrd"], (StageFailure,)))
+    (recorded,) = (one.item for one in read_results(files["rrd"], (StageFailure,)))
     assert isinstance(recorded, StageFailure)
     assert (recorded.stage, recorded.touch) == (stage, 2)
     assert "in failing" in recorded.trace
@@ -336,7 +336,7 @@ def test_terminal_json_panel_and_map_file_give_the_same_numbers(
     outputs = ["--record", str(record), "--json", str(told), "--map", str(arrays)]
     assert main([*EXPLORE, *outputs, "--seed", "5"]) == 0
     shown, found = capsys.readouterr().out, json.loads(told.read_text())
-    *_, last = (one.result for one in read_results(record, (MapEstimate,)))
+    *_, last = (one.item for one in read_results(record, (MapEstimate,)))
     assert isinstance(last, MapEstimate)
     panel = summary(last)
 

@@ -17,7 +17,7 @@ from deformscope.frames import ColorFrame, InputFile
 from deformscope.images import encode_png
 from deformscope.log.estimate import as_json
 from deformscope.recording.ledger import ledger_path, write_ledger
-from deformscope.recording.reader import Replay, read_pair_bytes, read_results
+from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder
 from deformscope.session import Step, run
 from deformscope_drivers.clock import Stamp
@@ -89,10 +89,10 @@ def test_pairs_in_their_order(tmp_path: Path) -> None:
     with Recorder(tmp_path / "run.rrd", "none", {}, layout="pair") as made:
         for index, content in enumerate(files):
             made.write(InputFile(f"pair/{index}", content))
-    assert read_pair_bytes(tmp_path / "run.rrd") == files
+    assert Replay(tmp_path / "run.rrd").read_pair_bytes() == files
     with Recorder(tmp_path / "one.rrd", "none", {}, layout="pair") as made:
         made.write(InputFile("pair", files[0]))
-    assert read_pair_bytes(tmp_path / "one.rrd") == files[:1]
+    assert Replay(tmp_path / "one.rrd").read_pair_bytes() == files[:1]
 
 
 def test_results(tmp_path: Path) -> None:
@@ -100,7 +100,7 @@ def test_results(tmp_path: Path) -> None:
     with Recorder(tmp_path / "run.rrd", "none", {}, layout="pair") as made:
         for index, verdict in enumerate(verdicts):
             made.write(Step((synthetic.pair_in_plane(), synthetic.estimate(verdict, "m")), frame=index))
-    results = read_results(tmp_path / "run.rrd")
+    results = Replay(tmp_path / "run.rrd").read_results()
     assert [result["verdict"] for result in results] == verdicts
     assert results[0] == as_json(synthetic.estimate("weak", "m"))
     assert results[0]["settings"]["noise"] is None

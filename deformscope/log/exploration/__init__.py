@@ -2,7 +2,7 @@
 
 Every row is at `session`, the time since the recording's start; at `frame`, the depth camera's newest picture then; and
 at `touch`: 0 before the first touch, then the number of the touch that it belongs to, from 1, the way there among it.
-What a touch measured is at the frame of its dent. `deformscope.recording.results` reads the results back.
+What a touch measured is at the frame of its dent. `deformscope.recording.items` reads the results back.
 
     exploration/surface|touch|maps|plan   one row a result, every field of it a component of the same name
     exploration/input/...                 which frames they are computed from, or measurements where there are none
