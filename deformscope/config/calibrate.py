@@ -8,38 +8,12 @@ from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from deformscope.config.flags import (
-    BETA_LIMIT,
-    POKE_EXAMPLE,
-    SHARE,
-    ArraysFlag,
-    BetaSpanFlag,
-    ClusterFlag,
-    CountFlag,
-    Device,
-    FileFlag,
-    LevelFlag,
-    ModelFlag,
-    PairSources,
-    PictureFlag,
-    PokesFlag,
-    PositiveFlag,
-    Reads,
-    ReportFlag,
-    Rule,
-    SelectFlag,
-    ShareFlag,
-    Sources,
-    SpanFlag,
-    least,
-    one_word,
-    positive,
-)
+from deformscope.config import flags
 from deformscope.config.images import ImageOptions
 from deformscope.config.options import Flags, OutputOptions, RecordedOptions, ViewOptions, either
 from deformscope.errors import InputError
 
-AlphaFlag = Annotated[float, Rule(lambda alpha: 0 < alpha <= 1, "an {flag} above 0 and at most 1")]
+AlphaFlag = Annotated[float, flags.Rule(lambda alpha: 0 < alpha <= 1, "an {flag} above 0 and at most 1")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,19 +22,19 @@ class SearchOptions(Flags):
 
     method: Literal["sweep", "gradient"] = "sweep"
     """Try --candidates values over the range (Thesis Algorithm 3), or follow the error downhill (Algorithm 2)."""
-    candidates: Annotated[int, least(3)] = 100
+    candidates: Annotated[int, flags.least(3)] = 100
     """Values that the sweep tries."""
-    level: LevelFlag = 0.9
+    level: flags.LevelFlag = 0.9
     """Confidence level of the interval."""
-    noise_px: PositiveFlag = None
+    noise_px: flags.PositiveFlag = None
     """Standard deviation of a measured position [px]; default: measured in the images."""
-    noise_m: PositiveFlag = None
+    noise_m: flags.PositiveFlag = None
     """Standard deviation of a measured position [m]; default: what the pair file says."""
     joint: bool = False
     """Fit one value to all pairs together."""
     volume: Literal["scale", "project"] = "scale"
     """How theta conserves volume: as Thesis eq. 3.17, or by a projection that stays stable in overlapping clusters."""
-    device: Device = "auto"
+    device: flags.Device = "auto"
     """Where the simulation runs; auto: on the GPU where there is one."""
 
     def check(self) -> None:
@@ -71,7 +45,7 @@ class SearchOptions(Flags):
 class ModelOptions(Flags):
     """What is left for predictions."""
 
-    save: ModelFlag = None
+    save: flags.ModelFlag = None
     """Write the fitted model, which `deformscope predict` can poke (.npz, no pickle)."""
 
 
@@ -79,10 +53,10 @@ class ModelOptions(Flags):
 class SummaryOptions(Flags):
     """The result to look at and to pass on, without a viewer."""
 
-    picture: PictureFlag = None
+    picture: flags.PictureFlag = None
     """Draw particles, where the model is wrong, error curve and posterior in one picture. An existing file is
     replaced."""
-    report: ReportFlag = None
+    report: flags.ReportFlag = None
     """Write all that was found, with pictures, settings and provenance, as one HTML page that needs nothing else. An
     existing file is replaced."""
 
@@ -91,10 +65,10 @@ class SummaryOptions(Flags):
 class LayersFlags(Flags):
     """Pokes of a surface: pair files of surface points, z up, whose held points were pressed down."""
 
-    thickness_m: PositiveFlag = None
+    thickness_m: flags.PositiveFlag = None
     """Thickness of the material below the surface, which rests on the ground [m]. With it a lattice of layers is fitted
     to all pokes together; without, the points themselves are the particles."""
-    spacing_m: PositiveFlag = None
+    spacing_m: flags.PositiveFlag = None
     """Spacing of that lattice [m]; default: a quarter of the tip's width."""
 
     def check(self) -> None:
@@ -108,7 +82,7 @@ class MotionFlags(Flags):
 
     whole_motion: bool = False
     """Fit all frames together instead of the last one; the interval knows that frames share their errors."""
-    select: SelectFlag = None
+    select: flags.SelectFlag = None
     """What to choose by the error on particles left out, of cluster-size, held, alpha and dt. alpha and dt leave static
     states as they are: time stepping through the frames determines them, if the motion was fast."""
 
@@ -121,7 +95,7 @@ class MotionFlags(Flags):
 class CalibrateOptions(RecordedOptions):
     """What `calibrate beta` and `calibrate theta` share."""
 
-    sources: Sources
+    sources: flags.Sources
     """A video, a folder of frames, images in the order given, pair files (.npz), or a recording (.rrd)."""
     alpha: AlphaFlag = field(default=1.0, kw_only=True)
     """Stiffness of the pull to the goal positions."""
@@ -136,14 +110,14 @@ class CalibrateOptions(RecordedOptions):
 class BetaConfig(CalibrateOptions):
     """Find beta, the share of linear deformation, from images or from pairs of rest and deformed positions."""
 
-    cluster_size: Annotated[CountFlag, least(2)] = None
+    cluster_size: Annotated[flags.CountFlag, flags.least(2)] = None
     """Particles along each side of a cluster; default: 3, and with --thickness-m the one with the least error on pokes
     left out."""
     mode: Literal["linear", "quadratic"] = "linear"
     """How a cluster may deform."""
-    theta: ShareFlag = None
+    theta: flags.ShareFlag = None
     """Volume conservation, which stays as it is; default: 0, and with --thickness-m it is fitted too."""
-    beta_range: BetaSpanFlag = (0.0, 0.99)
+    beta_range: flags.BetaSpanFlag = (0.0, 0.99)
     """Range in which beta is searched."""
     layers: OmitArgPrefixes[LayersFlags] = field(default_factory=LayersFlags)
     motion: OmitArgPrefixes[MotionFlags] = field(default_factory=MotionFlags)
@@ -167,13 +141,13 @@ class BetaConfig(CalibrateOptions):
 class ThetaConfig(CalibrateOptions):
     """Find theta, how strongly volume is conserved, from images or from pairs of rest and deformed positions."""
 
-    cluster_size: Annotated[CountFlag, least(2)] = None
+    cluster_size: Annotated[flags.CountFlag, flags.least(2)] = None
     """Particles along each side of a cluster; default: one cluster holds all particles (Thesis 5.1)."""
     mode: Literal["linear", "quadratic"] = "quadratic"
     """How a cluster may deform."""
-    beta: Annotated[float, SHARE] = 0.99
+    beta: Annotated[float, flags.SHARE] = 0.99
     """Share of deformation, which stays as it is."""
-    theta_range: SpanFlag = (0.0, 1.0)
+    theta_range: flags.SpanFlag = (0.0, 1.0)
     """Range in which theta is searched."""
 
 
@@ -181,11 +155,11 @@ class ThetaConfig(CalibrateOptions):
 class FitFlags(Flags):
     """What every fit to pairs and motions shares."""
 
-    level: LevelFlag = 0.9
+    level: flags.LevelFlag = 0.9
     """Confidence level of the intervals."""
-    noise_m: PositiveFlag = None
+    noise_m: flags.PositiveFlag = None
     """Standard deviation of a measured position [m]; default: what the files say, else the residuals."""
-    device: Device = "auto"
+    device: flags.Device = "auto"
     """Where the simulation runs; auto: on the GPU where there is one."""
 
 
@@ -194,19 +168,21 @@ class BothConfig(RecordedOptions):
     """Find beta and theta together from pairs of rest and deformed positions: their joint posterior. Volume is
     conserved by projection, which stays stable in overlapping clusters."""
 
-    sources: PairSources
+    sources: flags.PairSources
     """Pair files."""
-    cluster_size: Annotated[CountFlag, Rule(lambda size: size == 0 or size >= 2, "a {flag} of 2 or more, or 0")] = 3
+    cluster_size: Annotated[
+        flags.CountFlag, flags.Rule(lambda size: size == 0 or size >= 2, "a {flag} of 2 or more, or 0")
+    ] = 3
     """Particles along each side of a cluster; 0: one cluster holds all particles."""
     mode: Literal["linear", "quadratic"] = "linear"
     """How a cluster may deform."""
-    beta_range: BetaSpanFlag = (0.0, 0.99)
+    beta_range: flags.BetaSpanFlag = (0.0, 0.99)
     """Range in which beta is searched."""
-    theta_range: SpanFlag = (0.0, 1.0)
+    theta_range: flags.SpanFlag = (0.0, 1.0)
     """Range in which theta is searched."""
     joint: bool = False
     """Fit one beta and one theta to all pairs together."""
-    picture: PictureFlag = None
+    picture: flags.PictureFlag = None
     """Draw the joint posterior (of several pairs, that of the first). An existing file is replaced."""
     fit: OmitArgPrefixes[FitFlags] = field(default_factory=FitFlags)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
@@ -223,27 +199,27 @@ class BothConfig(RecordedOptions):
 class PredictConfig(RecordedOptions):
     """Poke a fitted model where, how hard and with what it was not poked: deformed particles, depth and force."""
 
-    source: Annotated[Path, Positional, arg(metavar="MODEL.npz"), Reads()]
+    source: Annotated[Path, Positional, arg(metavar="MODEL.npz"), flags.Reads()]
     """A model that `deformscope calibrate ... --save` has written."""
-    poke: PokesFlag = ()
+    poke: flags.PokesFlag = ()
     """What to do, such as 'at=0.28,0.2 tip=flat size=0.03x0.03 force=5' in metres and newtons; several with ; between
     them. tip is flat (sides), disc or sphere (diameter), by default the one of the fit; give a depth or a force."""
-    against: Annotated[tuple[Path, ...], arg(metavar="PAIR.npz..."), Reads()] = ()
+    against: Annotated[tuple[Path, ...], arg(metavar="PAIR.npz..."), flags.Reads()] = ()
     """Pokes that were measured but not fitted: each is predicted from its place, tip and depth, and compared, beside a
     rigid body, a half-space in closed form and linear finite elements."""
-    points: FileFlag = None
+    points: flags.FileFlag = None
     """Points of the surface (.npz with `points (n, 3)`) whose deformed positions are wanted too."""
-    out: ArraysFlag = None
+    out: flags.ArraysFlag = None
     """Every particle of every poke: rest_0, deformed_0, rest_1... An existing file is replaced."""
-    picture: PictureFlag = None
+    picture: flags.PictureFlag = None
     """Draw the dents and, with --against, measured beside predicted. An existing file is replaced."""
-    device: Device = "auto"
+    device: flags.Device = "auto"
     """Where the simulation runs; auto: on the GPU where there is one."""
     output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
 
     def check(self) -> None:
         if not self.poke and not self.against:
-            raise InputError("a --poke or pokes to compare with --against", "neither", f"--poke {POKE_EXAMPLE}")
+            raise InputError("a --poke or pokes to compare with --against", "neither", f"--poke {flags.POKE_EXAMPLE}")
 
 
 # deformscope calibrate axes and yield --------------------------------------------------------------------------------
@@ -254,23 +230,23 @@ def parse_creep(text: str) -> float | str:
     if text in ("none", "fit"):
         return text
     try:
-        return positive(text)
+        return flags.positive(text)
     except ValueError:
         raise ValueError(f"expected none, fit or a rate above 0 in 1/s; got {text!r}") from None
 
 
-CreepFlag = Annotated[float | str, one_word("none|fit|RATE", parse_creep)]
+CreepFlag = Annotated[float | str, flags.one_word("none|fit|RATE", parse_creep)]
 
 
 @dataclass(frozen=True, slots=True)
 class AxesConfig(RecordedOptions):
     """Find a beta along each axis of a material from pairs of rest and deformed positions: one fit to all of them."""
 
-    sources: PairSources
+    sources: flags.PairSources
     """Pair files."""
     turn_deg: float = 0.0
     """Angle of the material's first axis to x, in the plane of x and y [degrees]."""
-    cluster_size: ClusterFlag = 3
+    cluster_size: flags.ClusterFlag = 3
     """Particles along each side of a cluster."""
     fit: OmitArgPrefixes[FitFlags] = field(default_factory=FitFlags)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
@@ -280,19 +256,22 @@ class AxesConfig(RecordedOptions):
 class YieldConfig(RecordedOptions):
     """Find the strain at which a thing yields from its motion: loaded, and let go."""
 
-    source: Annotated[Path, Positional, arg(metavar="MOTION.npz"), Reads()]
+    source: Annotated[Path, Positional, arg(metavar="MOTION.npz"), flags.Reads()]
     """rest (K, d), motion (T, K, d) [m], held (n,) or (T, K), and dt [s] for creep."""
-    beta: Annotated[PositiveFlag, Rule(lambda beta: beta <= BETA_LIMIT, f"a {{flag}} of at most {BETA_LIMIT:g}")] = None
+    beta: Annotated[
+        flags.PositiveFlag,
+        flags.Rule(lambda beta: beta <= flags.BETA_LIMIT, f"a {{flag}} of at most {flags.BETA_LIMIT:g}"),
+    ] = None
     """Share of linear deformation; default: found along with the yield strain."""
     creep: CreepFlag = "none"
     """How fast it flows [1/s]: none, as long as it takes in every frame; fit, found too; or a rate."""
-    maximum: PositiveFlag = None
+    maximum: flags.PositiveFlag = None
     """Largest plastic strain; default: no bound."""
-    theta: Annotated[float, SHARE] = 0.0
+    theta: Annotated[float, flags.SHARE] = 0.0
     """Volume conservation (by projection), which stays as it is."""
-    cluster_size: ClusterFlag = 3
+    cluster_size: flags.ClusterFlag = 3
     """Particles along each side of a cluster."""
-    picture: PictureFlag = None
+    picture: flags.PictureFlag = None
     """Draw the error over the yield strain, and the residuals of the frames. An existing file is replaced."""
     fit: OmitArgPrefixes[FitFlags] = field(default_factory=FitFlags)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)

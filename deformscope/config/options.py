@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_type_hints
 
-from deformscope.config.flags import FileKept, JsonFlag, Reads, Rule, SeedFlag, Writes
+from deformscope.config import flags
 from deformscope.errors import InputError
 
 MarkT = TypeVar("MarkT")
@@ -40,7 +40,7 @@ class Flags:
     __slots__ = ()
 
     def __post_init__(self) -> None:
-        for flag, value, rule in self._marked(Rule, inner=False):
+        for flag, value, rule in self._marked(flags.Rule, inner=False):
             rule.check(flag, value)
         self.check()
 
@@ -49,13 +49,13 @@ class Flags:
 
     def reads(self) -> tuple[str, ...]:
         """The sources, none of which may be written over."""
-        found = (value if isinstance(value, tuple) else (value,) for _, value, _ in self._marked(Reads))
+        found = (value if isinstance(value, tuple) else (value,) for _, value, _ in self._marked(flags.Reads))
         return tuple(str(one) for some in found for one in some if str(one))
 
     def writes(self) -> tuple[Written, ...]:
         """The files to come; all are checked before any heavy work."""
         overwrite = getattr(getattr(self, "output", self), "overwrite", False)
-        found = ((flag, value, mark) for flag, value, mark in self._marked(Writes) if value != "-")
+        found = ((flag, value, mark) for flag, value, mark in self._marked(flags.Writes) if value != "-")
         return tuple(Written(flag, Path(value), overwrite or not mark.kept) for flag, value, mark in found)
 
     def _marked(self, kind: type[MarkT], *, inner: bool = True) -> Iterator[tuple[str, Any, MarkT]]:
@@ -84,9 +84,9 @@ class CommandOptions(Flags):
 class ViewOptions(Flags):
     """What is left behind and what is shown."""
 
-    json: JsonFlag = None
+    json: flags.JsonFlag = None
     """Write the result as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
-    record: FileKept = None
+    record: flags.FileKept = None
     """Write a rerun recording (.rrd). Without it nothing is recorded."""
     viewer: Literal["auto", "native", "page", "none"] = "auto"
     """Show every stage live: in rerun's window (stays when the command has ended), on a web page (ends with it, at a
@@ -101,7 +101,7 @@ class ViewOptions(Flags):
 class OutputOptions(ViewOptions):
     """The same of what draws random numbers."""
 
-    seed: SeedFlag = 0
+    seed: flags.SeedFlag = 0
     """Seed of every random number."""
 
 

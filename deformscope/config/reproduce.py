@@ -8,21 +8,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, arg
 
-from deformscope.config.flags import (
-    CasesFlag,
-    ClusterFlag,
-    Device,
-    Folder,
-    JsonFlag,
-    LevelFlag,
-    ManyFlag,
-    Reads,
-    SizesFlag,
-    SomeFlag,
-    least,
-    one_word,
-    unset,
-)
+from deformscope.config import flags
 from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions, ViewOptions, either
 from deformscope.errors import InputError
 
@@ -32,21 +18,21 @@ class CubesConfig(RecordedOptions):
     """The thesis's experiment 3.A: theta of cubes of known Poisson's ratio, with figures 3.10 and 3.11, table 3.2, and
     overlapping clusters beside one cluster."""
 
-    pairs: Annotated[tuple[Path, ...], arg(metavar="FILE...", help_behavior_hint=""), Reads()] = ()
+    pairs: Annotated[tuple[Path, ...], arg(metavar="FILE...", help_behavior_hint=""), flags.Reads()] = ()
     """Cubes from pair files (.npz) with `nu`, instead of the thesis's 45 made with finite elements."""
-    out: Folder = Path("runs/cubes")
+    out: flags.Folder = Path("runs/cubes")
     """Folder for the figures (PNG), tables (CSV) and cubes.json; files there are replaced."""
     quick: bool = False
     """The 15 cubes of 6^3 particles alone."""
     method: Literal["sweep", "gradient"] = "sweep"
     """How theta is searched: all values at once (Thesis Algorithm 3), or downhill (Algorithm 2)."""
-    cluster_size: ClusterFlag = 2
+    cluster_size: flags.ClusterFlag = 2
     """Particles along each side of the overlapping clusters."""
     compare: Literal["deepest", "all", "none"] = "deepest"
     """Cubes that overlapping clusters are fitted to: the deepest pressed of each kind, all, or none."""
-    level: LevelFlag = 0.9
+    level: flags.LevelFlag = 0.9
     """Confidence level of the intervals."""
-    workers: SomeFlag = None
+    workers: flags.SomeFlag = None
     """Processes; default: one a core."""
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
@@ -59,7 +45,7 @@ class PokesConfig(RecordedOptions):
     """Pokes of finite element slabs that were not fitted, predicted and compared with a rigid body, a half-space and
     linear finite elements."""
 
-    out: Folder = Path("runs/pokes")
+    out: flags.Folder = Path("runs/pokes")
     """Folder of dents.png and pokes.csv; made where it is not there. What it holds of these is replaced."""
     quick: bool = False
     """The slab of one modulus alone."""
@@ -71,7 +57,7 @@ class FoamsConfig(RecordedOptions):
     """Experiment 3.B: beta of five virtual foams from images of a push, with figure 3.14 and the force. Some 3 minutes
     on one core."""
 
-    out: Folder = Path("runs/foams")
+    out: flags.Folder = Path("runs/foams")
     """Folder of the figures and of foams.csv; made where it is not there. What it holds of these is replaced."""
     quick: bool = False
     """The softest and the firmest foam alone, fewer images, in some 30 s."""
@@ -85,15 +71,15 @@ class CoverageConfig(RecordedOptions):
     """Count how often the intervals hold the truth: random objects under each kind of noise, data without information,
     and unseen pokes of finite element bodies."""
 
-    objects: Annotated[int, least(5)] = 1000
+    objects: Annotated[int, flags.least(5)] = 1000
     """Random objects for each kind of noise; a fifth as many with beta = 0, near 1, and of finite elements."""
     quick: bool = False
     """15 objects each: what it looks like, in a minute."""
-    level: LevelFlag = 0.9
+    level: flags.LevelFlag = 0.9
     """Confidence level of the intervals."""
-    jobs: ManyFlag = 2
+    jobs: flags.ManyFlag = 2
     """Processes that share the work."""
-    out: Annotated[Path | None, one_word("DIR", Path), unset] = None
+    out: Annotated[Path | None, flags.one_word("DIR", Path), flags.unset] = None
     """Folder for the rank histogram (coverage.png); made where there is none."""
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
@@ -108,19 +94,19 @@ class Table41Config(RecordedOptions):
     after how many touches, planner beside planner. A touch takes about a second of a core: 20 seeds of all scenes take
     most of an hour."""
 
-    out: Folder = Path("runs/table41")
+    out: flags.Folder = Path("runs/table41")
     """Folder for the table (CSV, JSON, PNG) and for each exploration (runs.jsonl); files there are replaced."""
     scenes: Annotated[str, arg(metavar="NAME,NAME...")] = ""
     """Scenes, as `deformscope explore --list-scenarios` names them; default: all."""
     planners: Annotated[str, arg(metavar="NAME,NAME...")] = "regions"
     """Planners: regions, integrated-variance, max-variance, random-above. The first is compared with the others."""
-    seeds: ManyFlag = 20
+    seeds: flags.ManyFlag = 20
     """Layouts of each scene, from seed 0 on."""
-    touches: ManyFlag = 12
+    touches: flags.ManyFlag = 12
     """Touches of each exploration."""
     resume: bool = False
     """Take what an earlier command left in runs.jsonl, and go on from there; it must have been this version."""
-    workers: SomeFlag = None
+    workers: flags.SomeFlag = None
     """Processes at once; default: the cores of this machine."""
     output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
 
@@ -133,13 +119,13 @@ class BenchConfig(CommandOptions):
     """Run other engines too: pypbd, and mujoco and newton where they are installed (deformscope[peers])."""
     quick: bool = False
     """Less of everything, in some 20 s."""
-    only: CasesFlag = None
+    only: flags.CasesFlag = None
     """Measure these alone, out of step, memory, relax, sweep, theta, gradient, fit and cold."""
-    sizes: SizesFlag = None
+    sizes: flags.SizesFlag = None
     """Particles of the cubes that are stepped and relaxed; default: 216 to a million, on a GPU to ten."""
-    repeats: SomeFlag = None
+    repeats: flags.SomeFlag = None
     """Rounds of every comparison; default: what fits into a few seconds, 9 at most."""
-    device: Device = "auto"
+    device: flags.Device = "auto"
     """Where the simulation runs; auto: on the GPU where there is one."""
-    json: JsonFlag = None
+    json: flags.JsonFlag = None
     """Write all of it as JSON; with -, stdout is the JSON alone. An existing file is replaced."""

@@ -8,29 +8,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from deformscope.config.flags import (
-    ArraysFlag,
-    CameraFlag,
-    ClusterFlag,
-    ForceFlag,
-    GridFlag,
-    HeldFlag,
-    HeldPart,
-    JsonFlag,
-    ManyFlag,
-    NewRecordingFlag,
-    PictureFlag,
-    PlaceFlag,
-    PositiveFlag,
-    RecordingFlag,
-    RectangleFlag,
-    RigFlag,
-    SceneFlag,
-    TrustFlag,
-    least,
-    one_word,
-    positive,
-)
+from deformscope.config import flags
 from deformscope.config.options import CommandOptions, Flags, OutputOptions, RecordedOptions, either
 from deformscope.errors import InputError
 
@@ -43,7 +21,7 @@ class DevicesConfig(CommandOptions):
 
     probe: bool = True
     """Open what is known and ask it; --no-probe lists only what the system knows."""
-    json: JsonFlag = None
+    json: flags.JsonFlag = None
     """Write the list as JSON; with -, stdout is the JSON alone."""
 
 
@@ -52,14 +30,14 @@ class DoctorConfig(CommandOptions):
     """Try a rig: its file, every device of it for a few seconds, the disk; say what is wrong and what to do. Nothing
     moves."""
 
-    rig: RigFlag = ""
+    rig: flags.RigFlag = ""
     """A rig file (.toml), or lab:NAME."""
     example: bool = False
     """Print a rig file to start from, and do nothing else."""
-    seconds: Annotated[float, one_word("NUMBER", positive)] = 2.0
+    seconds: Annotated[float, flags.one_word("NUMBER", flags.positive)] = 2.0
     """How long every device is listened to [s]."""
-    trust_rig: TrustFlag = False
-    json: JsonFlag = None
+    trust_rig: flags.TrustFlag = False
+    json: flags.JsonFlag = None
     """Write what was found as JSON; with -, stdout is the JSON alone."""
 
     def check(self) -> None:
@@ -82,20 +60,20 @@ class StageOptions(Flags):
     arm and force sensor, after each approach."""
     camera: str = ""
     """Colour camera of flow and beta; default: the rig's first."""
-    roi: RectangleFlag = None
+    roi: flags.RectangleFlag = None
     """Region of its image that holds the thing [px]; default: all of it."""
-    grid: GridFlag = None
+    grid: flags.GridFlag = None
     """Rows and columns of particles over the region; default: 9 along its longer side."""
-    spacing_px: PositiveFlag = None
+    spacing_px: flags.PositiveFlag = None
     """Distance of neighbouring particles [px], instead of --grid."""
-    held: HeldFlag = None
+    held: flags.HeldFlag = None
     """Particles whose motion is prescribed, out of top, bottom, left, right, border and contact. Default:
     bottom,contact where --contact is given, else top,bottom."""
-    contact: RectangleFlag = None
+    contact: flags.RectangleFlag = None
     """Footprint of the tool in the first image [px]; the particles inside are `contact`."""
-    cluster_size: ClusterFlag = 3
+    cluster_size: flags.ClusterFlag = 3
     """Particles a side of the overlapping clusters."""
-    longest_px: Annotated[int, least(32)] = 160
+    longest_px: Annotated[int, flags.least(32)] = 160
     """The region is reduced until its longer side has so many pixels: twice as many take four times as long [px]."""
 
     def check(self) -> None:
@@ -108,7 +86,7 @@ class StageOptions(Flags):
         """Each stage once, in the order asked for."""
         return tuple(dict.fromkeys(self.stage))
 
-    def held_parts(self) -> tuple[HeldPart, ...]:
+    def held_parts(self) -> tuple[flags.HeldPart, ...]:
         """The parts to hold: those asked for, else what stands still and what pushes."""
         return self.held or (("bottom", "contact") if self.contact is not None else ("top", "bottom"))
 
@@ -117,13 +95,13 @@ class StageOptions(Flags):
 class RigRunOptions(RecordedOptions):
     """A rig that is recorded or watched until its time is over, or until Ctrl-C."""
 
-    rig: RigFlag
+    rig: flags.RigFlag
     """A rig file (.toml), or lab:NAME."""
-    seconds: PositiveFlag = None
+    seconds: flags.PositiveFlag = None
     """How long [s]; default: until Ctrl-C."""
     label: str = ""
     """What is being recorded, in your words; kept in the recording."""
-    trust_rig: TrustFlag = False
+    trust_rig: flags.TrustFlag = False
     stages: OmitArgPrefixes[StageOptions] = field(default_factory=StageOptions)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
@@ -145,9 +123,9 @@ class LiveConfig(RigRunOptions):
 class VerifyConfig(CommandOptions):
     """Say whether a recording is whole: its bytes against its ledger, its structure, and what it counted as lost."""
 
-    recording: RecordingFlag
+    recording: flags.RecordingFlag
     """The recording."""
-    json: JsonFlag = None
+    json: flags.JsonFlag = None
     """Write the findings as JSON; with -, stdout is the JSON alone."""
 
 
@@ -156,11 +134,11 @@ class RecoverConfig(CommandOptions):
     """Make a whole recording, with its ledger, of one whose run was killed or that was cut off: all that can be read of
     it. The original is only read."""
 
-    recording: RecordingFlag
+    recording: flags.RecordingFlag
     """The unfinished recording (NAME.part.rrd), or one that was cut off."""
-    out: NewRecordingFlag = None
+    out: flags.NewRecordingFlag = None
     """The new recording; default: NAME.recovered.rrd beside it. An existing file is refused."""
-    json: JsonFlag = None
+    json: flags.JsonFlag = None
     """Write what there is as JSON; with -, stdout is the JSON alone."""
 
 
@@ -169,15 +147,15 @@ class ExportConfig(CommandOptions):
     """Write the images of a recording as files, byte for byte as they were recorded: JPEG or PNG, distances as 16 bit
     PNG in the camera's unit. Their names are their places in the camera's stream."""
 
-    recording: RecordingFlag
+    recording: flags.RecordingFlag
     """The recording."""
     images: Annotated[Path, arg(metavar="FOLDER")]
     """Where they go; several cameras get a folder each in it."""
-    camera: CameraFlag = None
+    camera: flags.CameraFlag = None
     """Those of this camera alone."""
     overwrite: bool = False
     """Replace the images of an earlier export. Without it, a folder that holds something is refused."""
-    json: JsonFlag = None
+    json: flags.JsonFlag = None
     """Write what was written as JSON; with -, stdout is the JSON alone."""
 
 
@@ -188,7 +166,7 @@ class DoubleConfig(CommandOptions):
 
     what: Annotated[tuple[str, ...], Positional, arg(metavar="DRIVER|RIG")]
     """Drivers (optoforce, dsa, sdh), or a rig file or lab:NAME whose byte-stream devices are to be doubled."""
-    seconds: PositiveFlag = None
+    seconds: flags.PositiveFlag = None
     """How long [s]; default: until Ctrl-C."""
 
 
@@ -198,18 +176,18 @@ class ExploreConfig(RecordedOptions):
     RIG is a rig file with an arm, a force sensor and a depth camera: the arm moves, after a table of checks and a
     question. lab:NAME is a simulated table, explored through the real drivers on byte-exact doubles."""
 
-    rig: SceneFlag = ""
+    rig: flags.SceneFlag = ""
     """A rig file (.toml), or a simulated scene; --list-scenarios names these."""
     list_scenarios: bool = False
     """Name the simulated scenes, what their seeds draw, and what can go wrong in them; do nothing else."""
-    touches: ManyFlag = 8
+    touches: flags.ManyFlag = 8
     """Touches at most."""
     planner: Literal["regions", "integrated-variance", "max-variance", "random-above"] = "regions"
     """Where to touch next: where the map of regions gains most a second (default), two rules by the field's
     variance, or the thesis's (any place above --threshold)."""
     threshold: float = 0.06
     """Variance, as a share of that before any touch, below which a place needs no touch (Th of the thesis)."""
-    set_force: ForceFlag = None
+    set_force: flags.ForceFlag = None
     """Force to press with [N], 5 N at most; default: the rig file's target_force_n, which is 3 N unless it says. Where
     it makes a dent below 2 mm, 5/3 of it (5 N at most) is pressed with."""
     beta_model: Literal["volume", "thesis", "none"] = "volume"
@@ -219,13 +197,13 @@ class ExploreConfig(RecordedOptions):
     ] = ()
     """Let something go wrong in a simulated touch, counted from 1, such as force-silent@2, at a moment drawn from the
     seed; --list-scenarios names the kinds."""
-    picture: PictureFlag = None
+    picture: flags.PictureFlag = None
     """Draw the maps to a PNG."""
-    map: ArraysFlag = None
+    map: flags.ArraysFlag = None
     """Write the maps as arrays: stiffness [N/mm], its deviation (of its log), regions, their probability, beta."""
     yes: bool = False
     """Let a real arm move, once the checks have passed, without asking."""
-    trust_rig: TrustFlag = False
+    trust_rig: flags.TrustFlag = False
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def check(self) -> None:
@@ -238,18 +216,18 @@ class ArmConfig(RecordedOptions):
     """Measure the compliance of the arm, by touching something rigid that stands firmly on the surface: what
     [tool] of the rig file wants. The arm moves, after a table of checks and a question."""
 
-    rig: SceneFlag
+    rig: flags.SceneFlag
     """A rig file (.toml), or a simulated scene (lab:homogeneous-rigid)."""
-    at: PlaceFlag = None
+    at: flags.PlaceFlag = None
     """Where to touch, in the surface frame [m]; default: the middle."""
-    touches: ManyFlag = 3
+    touches: flags.ManyFlag = 3
     """How often."""
-    set_force: ForceFlag = None
+    set_force: flags.ForceFlag = None
     """Force to press with [N], 5 N at most, and 5/3 of it (5 N at most) since nothing gives; default: the rig file's
     target_force_n."""
     yes: bool = False
     """Let a real arm move, once the checks have passed, without asking."""
-    trust_rig: TrustFlag = False
+    trust_rig: flags.TrustFlag = False
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
 
@@ -268,7 +246,7 @@ class DemoConfig(RecordedOptions):
 class ReplayConfig(RecordedOptions):
     """Run the same stages on a recording's inputs, and compare with the numbers that it holds."""
 
-    recording: RecordingFlag
+    recording: flags.RecordingFlag
     """The recording."""
     pace: Literal["fast", "real", "step"] = "fast"
     """As fast as possible, as it was recorded, or frame by frame at each Enter."""
