@@ -245,7 +245,7 @@ def make_folder(path: Path) -> None:
         probe.unlink()
     except OSError as error:
         came = (error.strerror or str(error)).lower()
-        raise InputError("a folder after --out that can be written to", came, where=path) from error
+        raise InputError("a folder that can be written to", came, where=path) from error
 
 
 def check_writable(path: Path, flag: str, *, replace: bool = True) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import rerun as rr
 
-from deformscope.arrays import FloatArray
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.pictures.palette import Rgb, colors, readable
 
 TEXT: Rgb = (225, 225, 225)
@@ -82,6 +82,12 @@ class Canvas:
     def mark(self) -> float:
         """The radius of a mark in the legend [unit of the picture]."""
         return 0.011 * max(self.width, self.height)
+
+
+def sides_of(triangles: IntArray) -> IntArray:
+    """(n, 2) the sides of triangles (m, 3), each once."""
+    every = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    return np.unique(np.sort(every, axis=1), axis=0)
 
 
 def log_place(rec: rr.RecordingStream, canvas: Canvas, *paths: str) -> None:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import rerun as rr
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
-from deformscope.log.canvas import Canvas, deep_bar, log_color_bar, log_deep_legend, log_legend, log_place
+from deformscope.log.canvas import Canvas, deep_bar, log_color_bar, log_deep_legend, log_legend, log_place, sides_of
 from deformscope.log.particles import REST_RADIUS, SIMULATED_RADIUS, log_observed, log_rest
 from deformscope.pictures.estimate_words import estimate_tables
 from deformscope.pictures.evidence import errors, evidence_png
@@ -181,11 +181,7 @@ def _inside(comparison: Comparison, canvas: Canvas) -> BoolArray:
 def _net(comparison: Comparison, inside: BoolArray, longest: float) -> IntArray:
     """(n, 2) neighbours on a surface, to be joined by lines."""
     rows = np.flatnonzero(inside & np.isfinite(comparison.simulated).all(axis=1))
-    triangles = triangulate(comparison.rest[rows])
-    pairs = np.unique(
-        np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])), axis=0
-    )
-    joined = rows[pairs]
+    joined = rows[sides_of(triangulate(comparison.rest[rows]))]
     apart = np.linalg.norm(comparison.rest[joined[:, 0]] - comparison.rest[joined[:, 1]], axis=1)
     return np.asarray(joined[apart <= longest])
 

@@ -429,22 +429,19 @@ class Recorder:
         """Send the views, once, as soon as it is known what they show."""
         from deformscope.log.blueprint import blueprint
 
-        if self._layout == "rig" or self._layout == "exploration" or self._layout == "findings":
+        layout = self._layout
+        if layout == "rig" or layout == "exploration" or layout == "findings":
             return  # these views come with what they show
         if not self._arranged and self._canvas is not None:
             self._arranged = True
-            views = blueprint(self._layout, self._canvas)
+            views = blueprint(layout, self._canvas)
             self._emit(lambda rec: rec.send_blueprint(views), 0)
 
     def _emit(self, job: Callable[[rr.RecordingStream], None], size: int) -> None:
         """To the file, and to the live view when it comes to it."""
-        self._keep(job)
-        self._show(lambda live: job(live.rec), size, lasting=True)
-
-    def _keep(self, job: Callable[[rr.RecordingStream], None]) -> None:
-        """To the file alone."""
         if self._file is not None:
             self._file.log(job)
+        self._show(lambda live: job(live.rec), size, lasting=True)
 
     def _show(self, job: Callable[[LiveStream], None], size: int, *, lasting: bool = False) -> None:
         """To the live view alone. lasting: dropped last where the viewer cannot follow"""

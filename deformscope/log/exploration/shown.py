@@ -6,7 +6,7 @@ import rerun as rr
 
 from deformscope.arrays import FloatArray
 from deformscope.log.exploration.moment import ResultBatch
-from deformscope.log.rig.columns import Sink
+from deformscope.log.rig.columns import Sink, states
 from deformscope.pictures import exploration as pictures
 from deformscope.pictures.palette import BAD, Rgb
 from deformscope.pictures.words import failed_words
@@ -67,17 +67,13 @@ def log_curves(now: ResultBatch, touch: TouchEstimate) -> None:
 
 
 def log_phase_colors(rec: Sink) -> None:
-    rec.log(ENTITIES[PhaseStart], _configured(PHASES), static=True)
+    rec.log(ENTITIES[PhaseStart], states(PHASES), static=True)
 
 
 def log_phase(now: ResultBatch, phase: PhaseStart) -> None:
     if phase.name.startswith("stopped"):  # its name says why, so that its colour is not among those known before
-        now.log_static(ENTITIES[PhaseStart], _configured(PHASES | {phase.name: BAD}))
+        now.log_static(ENTITIES[PhaseStart], states(PHASES | {phase.name: BAD}))
     now.show(ENTITIES[PhaseStart], rr.StateChange(phase.name))
-
-
-def _configured(colors: dict[str, Rgb]) -> rr.StateConfiguration:
-    return rr.StateConfiguration(values=list(colors), colors=list(colors.values()))
 
 
 def log_failed(now: ResultBatch, failed: StageFailure) -> None:

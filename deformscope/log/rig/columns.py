@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +14,7 @@ from rerun.chunk import Chunk
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.frames import Frame
+from deformscope.pictures.palette import Rgb
 from deformscope.rows import FRAMES, OF_DEVICES, to_columns
 
 Columns = Iterable[rr.ComponentColumn]
@@ -139,6 +141,11 @@ def scalars(rows: Sequence[FloatArray]) -> Columns:
     flat: npt.NDArray[np.float64] = np.concatenate(rows).astype(np.float64, copy=False)
     batch = rr.components.ScalarBatch(flat)
     return [rr.ComponentColumn(rr.Scalars.descriptor_scalars(), batch, lengths=[len(row) for row in rows])]
+
+
+def states(colors: Mapping[Any, Rgb]) -> rr.StateConfiguration:
+    """The colours of what a lane over time shows."""
+    return rr.StateConfiguration(values=list(map(str, colors)), colors=list(colors.values()))
 
 
 def log_series(rec: Sink, path: str, names: Sequence[str], colors: Sequence[tuple[int, ...]]) -> None:

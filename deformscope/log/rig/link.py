@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 
 from deformscope.frames import LinkChange, RawBytes, Stream
-from deformscope.log.rig.columns import Batch, moments, recorded, root, scalars
+from deformscope.log.rig.columns import Batch, moments, recorded, root, scalars, states
 from deformscope.log.rig.numbers import plotted
 from deformscope.pictures.palette import BAD, GOOD, IDLE, WARN
 from deformscope_drivers.health import Link
@@ -18,8 +18,7 @@ LEVELS = {Link.CONNECTED: "INFO", Link.LOST: "WARN", Link.FAILED: "ERROR", Link.
 
 
 def log_link_stream(rec: rr.RecordingStream, device: str) -> None:
-    colored = rr.StateConfiguration(values=[str(link) for link in COLORS], colors=list(COLORS.values()))
-    rec.log(root("link", device), colored, static=True)
+    rec.log(root("link", device), states(COLORS), static=True)
 
 
 def log_link(
