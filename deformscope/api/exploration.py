@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import math
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ from deformscope.api.result import LibraryResult, Rows, ViewerChoice, python_nam
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.config import ExploreConfig, OutputOptions
 from deformscope.errors import InputError
+from deformscope.pictures.exploration import result_png
 from deformscope.pictures.report import Figure, Table
 from deformscope.pictures.words import counted, failed_words, travel_words
 from deformscope.recording.losses import named
@@ -139,15 +139,13 @@ def explore(
     Raises InputError for what cannot be used, and SystemExit where the exploration was stopped before its end.
     """
     simulated = str(rig).startswith("lab:")
-    with python_names(), tempfile.TemporaryDirectory() as folder:
+    with python_names():
         config = ExploreConfig(
             str(rig),
             touches=touches,
             planner=planner,
             set_force=set_force_n,
             beta_model=beta_model,
-            picture=Path(folder) / "maps.png",
-            map=Path(folder) / "maps.npz",
             yes=yes,
             trust_rig=trust_rig,
             output=OutputOptions(None, None if record is None else Path(record), viewer, overwrite, seed),
@@ -156,20 +154,17 @@ def explore(
 
 
 def _explored(config: ExploreConfig, *, quiet: bool) -> ExplorationResult:
-    """The one place that knows how an exploration is run and where it leaves its maps."""
     from deformscope.cli.explore import explore_on
+    from deformscope.cli.explored import map_arrays
 
-    assert config.picture is not None
-    assert config.map is not None
     with contextlib.ExitStack() as silence:
         if quiet:
             silence.enter_context(contextlib.redirect_stdout(io.StringIO()))
             silence.enter_context(contextlib.redirect_stderr(io.StringIO()))
-        found = explore_on(config)
-    if found is None:
+        explored = explore_on(config)
+    if explored is None:
         raise InputError("an exploration", "none: it ended before the arm could move")
-    maps: dict[str, np.ndarray] = {}
-    if config.map.exists():
-        with np.load(config.map) as file:
-            maps = {name: file[name] for name in file.files}
-    return ExplorationResult(found, maps, config.picture.read_bytes() if config.picture.exists() else b"")
+    found, maps = explored
+    if maps is None:
+        return ExplorationResult(found, {})
+    return ExplorationResult(found, map_arrays(maps), result_png(maps, config.rig))

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from deformscope.recording.recorder import Recorder
     from deformscope.robot.setup import Setup
     from deformscope.session import RigExperiment, Step
+    from deformscope.stages.map.exploration import MapEstimate
 
 
 def run(config: ExploreConfig) -> int:
@@ -36,8 +37,8 @@ def run(config: ExploreConfig) -> int:
     if config.list_scenarios:
         _list()
         return 0
-    found = explore_on(config)
-    if found is None or not found["losses"] or config.output.record is None:
+    found, _ = explore_on(config) or ({}, None)
+    if not found.get("losses") or config.output.record is None:
         return 0
     from deformscope.recording.losses import named
 
@@ -45,9 +46,10 @@ def run(config: ExploreConfig) -> int:
     return EXIT_LOSSES
 
 
-def explore_on(config: ExploreConfig) -> dict[str, Any] | None:
-    """Explore a simulated scene, or with the devices of a rig file; what was found, as in the JSON, None where nothing
-    was begun. Whatever ends it, the arm is halted, and what is known is reported before the recording is closed."""
+def explore_on(config: ExploreConfig) -> tuple[dict[str, Any], MapEstimate | None] | None:
+    """Explore a simulated scene, or with the devices of a rig file; what was found, as in the JSON, and the maps; None
+    where nothing was begun. Whatever ends it, the arm is halted, and what is known is reported before the recording is
+    closed."""
     from deformscope.experiments.explore import Exploration
     from deformscope.experiments.measured import SetupGeometry
     from deformscope.experiments.options import ExploreOptions
@@ -88,7 +90,7 @@ def explore_on(config: ExploreConfig) -> dict[str, Any] | None:
         recording = recorder.summary().path
         leave(found.stop, len(found.touches), asked.signal_number, recording, arm_stopped=ending.arm_stopped)
     ending.raise_unwritten()
-    return reported
+    return None if reported is None else (reported, found.maps)
 
 
 def _run(

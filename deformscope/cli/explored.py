@@ -10,10 +10,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from deformscope import __version__
 from deformscope.api.exploration import exploration_rows
-from deformscope.cli.common import replacing, say, show_table, write_json
+from deformscope.cli.common import say, show_table, write_file, write_json
 from deformscope.errors import InputError
+from deformscope.pictures import exploration as pictures
 
 if TYPE_CHECKING:
     from deformscope.arrays import FloatArray
@@ -92,13 +95,16 @@ def report(
     exploration.failures += recorder.not_shown
     if ending.error is not None:
         exploration.stop_reason = f"error: {' '.join(str(ending.error).split()) or type(ending.error).__name__}"
-    found = _found(config, options, exploration, setup, ending, _recording(config, recorder, ending))
+    # after an error it keeps the name of an unfinished one
+    recording = config.output.record if ending.error is None else recorder.summary().path
+    found = _found(config, options, exploration, setup, ending, recording)
     found["fault"] = _fault(exploration, ending, faults)
-    maps, written = exploration.maps, []
-    if maps is not None and config.map is not None and _write(ending, config.map, lambda: _map_file(config, maps)):
-        written.append(("map", str(config.map)))
-    if maps is not None and config.picture is not None and _write(ending, config.picture, lambda: _png(config, maps)):
-        written.append(("picture", str(config.picture)))
+    written = []
+    if (maps := exploration.maps) is not None:
+        if config.map is not None and _write(ending, config.map, lambda: _map_file(config, maps)):
+            written.append(("map", str(config.map)))
+        if config.picture is not None and _write(ending, config.picture, lambda: pictures.result_png(maps, config.rig)):
+            written.append(("picture", str(config.picture)))
     try:
         write_json(found, config.output.json)
     except OSError as error:
@@ -110,15 +116,9 @@ def report(
     return found
 
 
-def _recording(config: ExploreConfig, recorder: Recorder, ending: ExplorationEnd) -> Path | None:
-    """Where the recording will be: after an error it keeps the name of an unfinished one."""
-    return config.output.record if ending.error is None else recorder.summary().path
-
-
 def _write(ending: ExplorationEnd, path: Path, make: Callable[[], bytes]) -> bool:
     try:
-        with replacing(path) as file:
-            file.write(make())
+        write_file(path, make())
     except Exception as error:
         ending.unwritten.append(_unwritten(path, error))
         return False
@@ -138,8 +138,6 @@ def _found(
     ending: ExplorationEnd,
     recording: Path | None,
 ) -> dict[str, Any]:
-    import numpy as np
-
     maps = exploration.maps
     truth = None
     if setup.truth is not None:  # a gradient has no regions, and none to compare with
@@ -215,26 +213,19 @@ def _fault(exploration: Exploration, ending: ExplorationEnd, faults: FaultsToCom
 
 def _gaps_ms(gaps_s: FloatArray | None) -> dict[str, float] | None:
     """From one look of the supervisor to the next, None where the arm never could move [ms]."""
-    import numpy as np
-
     if gaps_s is None or not len(gaps_s):
         return None
     shares = {"p50": 50.0, "p99": 99.0, "p99_9": 99.9, "max": 100.0}
     return {"count": len(gaps_s)} | {name: 1e3 * float(np.percentile(gaps_s, share)) for name, share in shares.items()}
 
 
-def _png(config: ExploreConfig, maps: MapEstimate) -> bytes:
-    from deformscope.pictures.exploration import result_png
-
-    return result_png(maps, config.rig)
+def map_arrays(maps: MapEstimate) -> dict[str, np.ndarray]:
+    """Those that are known: rows along y, columns along x, cells of cell_m with the surface's corner at (0, 0)."""
+    return {name: np.asarray(value) for name in UNITS if (value := getattr(maps, name)) is not None}
 
 
 def _map_file(config: ExploreConfig, maps: MapEstimate) -> bytes:
-    """The maps as arrays (.npz): rows along y, columns along x, cells of cell_m with the surface's corner at (0, 0)."""
-    import numpy as np
-
-    known = {name: np.asarray(value) for name in UNITS if (value := getattr(maps, name)) is not None}
     made_by: dict[str, Any] = {"scenario": config.rig, "seed": config.output.seed, "version": __version__}
     file = io.BytesIO()
-    np.savez_compressed(file, allow_pickle=False, units=json.dumps(UNITS), **known, **made_by)
+    np.savez_compressed(file, allow_pickle=False, units=json.dumps(UNITS), **map_arrays(maps), **made_by)
     return file.getvalue()

@@ -44,16 +44,18 @@ REPORT_EVERY_S = 10.0
 
 def record(config: RecordConfig) -> int:
     """Record a rig, headless unless a viewer is asked for. Returns the command's exit status."""
-    return _run(config, "none", always_record=True)
+    return run_rig(config, "none", always_record=True)[1]
 
 
 def live(config: LiveConfig) -> int:
     """Watch a rig in rerun's window, and record it if asked to. Returns the command's exit status."""
-    return _run(config, "native", always_record=False)
+    return run_rig(config, "native", always_record=False)[1]
 
 
-def _run(config: RigRunOptions, auto: Literal["none", "native"], *, always_record: bool) -> int:
-    """auto: the viewer where none is asked for"""
+def run_rig(
+    config: RigRunOptions, auto: Literal["none", "native"], *, always_record: bool
+) -> tuple[dict[str, object], int]:
+    """What was recorded, as in the JSON, and the command's exit status. auto: the viewer where none is asked for"""
     rig = load_rig(config.rig, trusted=config.trust_rig)
     file = config.output.record
     if file is None and always_record:
@@ -86,15 +88,15 @@ def _run(config: RigRunOptions, auto: Literal["none", "native"], *, always_recor
             failures = dict(source.failures)
             why = end.reason + "".join(f"; {name} failed: {reason}" for name, reason in failures.items())
             recorder.stopped_because(why)
-    _report(config, recorder.summary(), last, failures, why, counts)
+    found = _report(config, recorder.summary(), last, failures, why, counts)
     if (losses := losses_of(last)) and file is not None:
         say(f"deformscope: the recording is whole, with losses: {named(losses)}")
     for name, reason in failures.items():
         say(f"deformscope: device {name} failed: {reason}")
     if end.early_by:
         say(f"deformscope: ended {end.reason}")
-        return 128 + end.early_by
-    return EXIT_LOSSES if failures or (losses and file is not None) else 0
+        return found, 128 + end.early_by
+    return found, EXIT_LOSSES if failures or (losses and file is not None) else 0
 
 
 def _live_options(flags: StageOptions, rig: Rig) -> LiveOptions:
@@ -175,7 +177,7 @@ def _report(
     failures: Mapping[str, str],
     ended: str,
     stages: Mapping[str, StageCounts],
-) -> None:
+) -> dict[str, object]:
     """What was recorded, device by device, on the screen and as JSON."""
     devices = dict(last.devices)
     rows = [(name, _in_words(health, failures.get(name))) for name, health in devices.items()]
@@ -197,6 +199,7 @@ def _report(
     if stages:
         found["stages"] = {name: counts.as_json() for name, counts in stages.items()}
     write_json(found, config.output.json)
+    return found
 
 
 def _in_words(health: Health, failure: str | None) -> str:
