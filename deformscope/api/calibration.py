@@ -38,9 +38,9 @@ from deformscope.files.pairs import parse_pair
 from deformscope.files.sources import DEFAULT_FPS, Source, open_source, sample_path
 from deformscope.frames import ColorFrame, InputFile
 from deformscope.images import encode_png, read_image
-from deformscope.pictures.estimate_words import estimate_tables
 from deformscope.pictures.evidence import Result, results_png
 from deformscope.pictures.report import Figure, Table
+from deformscope.pictures.words import estimate_tables
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder, RecordingSummary
 from deformscope.session import run

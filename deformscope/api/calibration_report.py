@@ -7,7 +7,6 @@ import shlex
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import PurePath
 
-from deformscope.pictures.estimate_words import estimate_rows, length_words
 from deformscope.pictures.evidence import (
     Result,
     errors_png,
@@ -19,6 +18,7 @@ from deformscope.pictures.evidence import (
 )
 from deformscope.pictures.findings import cell_text
 from deformscope.pictures.report import Code, Figure, Part, ReportVerdict, Section, Table, html_report
+from deformscope.pictures.words import estimate_rows, length_words
 from deformscope.plain import plain
 from deformscope.recording import provenance
 from deformscope.stages.fit.estimate import Estimate

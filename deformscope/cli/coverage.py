@@ -35,10 +35,11 @@ from deformscope.studies.coverage import (
     Rate,
     coverage_rows,
     plan,
+    rank_counts,
+    ranks_png,
     try_nothing,
     try_object,
 )
-from deformscope.studies.rank_histogram import rank_counts, ranks_png
 from deformscope.studies.unseen_pokes import PokeCase, UnseenPrediction, try_unseen_poke
 
 

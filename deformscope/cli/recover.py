@@ -14,12 +14,11 @@ from pathlib import Path
 from deformscope.cli.common import show_table, write_json
 from deformscope.config import RecoverConfig
 from deformscope.errors import InputError
-from deformscope.recording.facts import Facts, read_facts
+from deformscope.recording.facts import Facts, read_facts, run_rrd
 from deformscope.recording.ledger import ledger_path, read_counts, write_ledger
 from deformscope.recording.lock import is_being_written
 from deformscope.recording.losses import in_words
 from deformscope.recording.reader import RRD_MAGIC
-from deformscope.recording.rerun_tool import run_rrd
 from deformscope.recording.rrd_file import merged_path, write_outcome
 
 

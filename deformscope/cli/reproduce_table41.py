@@ -32,8 +32,7 @@ from deformscope.processes import in_processes
 from deformscope.session import Step
 from deformscope.stages.map.plan import Planner
 from deformscope.studies.table41 import TableJob, TableRun, add_run, read_runs, run_table
-from deformscope.studies.table41_figures import curves
-from deformscope.studies.table41_summary import LOOKED_AT, PASSED_IOU, compare, summarise
+from deformscope.studies.table41_summary import LOOKED_AT, PASSED_IOU, compare, curves, summarise
 
 RUNS = "runs.jsonl"
 

@@ -11,11 +11,10 @@ from typing import Any
 from deformscope.cli.common import EXIT_LOSSES, say, show_table, write_json
 from deformscope.config import VerifyConfig
 from deformscope.errors import InputError
-from deformscope.recording.facts import Facts, read_facts
+from deformscope.recording.facts import Facts, read_facts, run_rrd
 from deformscope.recording.ledger import check_ledger, read_counts
 from deformscope.recording.lock import is_being_written
 from deformscope.recording.losses import in_words, named
-from deformscope.recording.rerun_tool import run_rrd
 
 WHOLE = "every byte is as it was recorded"
 UNCHECKED = "not checked, as there is no ledger: a flipped bit would go unnoticed"

@@ -13,9 +13,8 @@ import numpy as np
 from deformscope.errors import InputError
 from deformscope.experiments.device_stages import LiveOptions, Stage, compute, stages_of
 from deformscope.frames import Frame, StageResult
-from deformscope.recording.items import read_items, read_streams
+from deformscope.recording.items import read_items, read_stage_results, read_streams
 from deformscope.recording.reader import Replay
-from deformscope.recording.stage_results import read_stage_results
 from deformscope.rows import to_components
 from deformscope.stages.map.exploration import StageFailure
 

@@ -70,24 +70,11 @@ class Source:
     ) -> None:
         self.close()
 
-    @property
-    def first(self) -> ColorFrame:
-        """The first frame, without taking it out of the stream; only before the iteration starts."""
-        return self._ahead[0]
-
     def __iter__(self) -> Iterator[ColorFrame]:
         while self._ahead:
             yield self._ahead.pop(0)
         if self._frames is not None:
             yield from self._frames
-
-    def __len__(self) -> int:
-        if self.count is None:
-            raise TypeError(f"the frames of {self.name} are not counted before they are read")
-        return self.count
-
-    def __bool__(self) -> bool:
-        return True
 
     def close(self) -> None:
         frames, self._frames = self._frames, None

@@ -21,6 +21,7 @@ import pytest
 pytest.importorskip("tyro")
 
 from deformscope import cli, config
+from deformscope.api.result import resolve_viewer
 from deformscope.cli import common
 from deformscope.errors import InputError
 from tests.patience import PATIENCE_S
@@ -510,8 +511,8 @@ def test_json_is_plain(tmp_path: Path) -> None:
 def talk(config_: config.FlowConfig) -> None:
     print("a library talks")
     common.show_table("Result", [("beta", "[0.5]")])
-    with common.progress("work", 2) as advance:
-        advance(2)
+    with common.fit_progress() as note:
+        note("work", 2, 2)
     common.write_json({"beta": 0.5}, config_.output.json)
 
 
@@ -553,7 +554,7 @@ print("after")
 def test_the_viewer_goes_with_the_display(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    assert common.resolve_viewer("auto") == "none"
-    assert common.resolve_viewer("page") == "page"
+    assert resolve_viewer("auto") == "none"
+    assert resolve_viewer("page") == "page"
     monkeypatch.setenv("WAYLAND_DISPLAY", "wayland-0")
-    assert common.resolve_viewer("auto") == "native"
+    assert resolve_viewer("auto") == "native"

@@ -42,8 +42,8 @@ from deformscope.frames import (
     WrenchFrame,
 )
 from deformscope.images import decode_image, encode_jpeg
+from deformscope.recording.items import read_stage_results
 from deformscope.recording.recorder import Recorder
-from deformscope.recording.stage_results import read_stage_results
 from deformscope.rig.rig_file import load_rig
 from deformscope.session import Step
 from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, TouchEstimate

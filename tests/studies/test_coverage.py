@@ -9,8 +9,17 @@ pytest.importorskip("warp")
 
 from deformscope.stages.msm import clusters, reference
 from deformscope.studies import coverage
-from deformscope.studies.coverage import CONDITIONS, NOTHING, Case, NothingCase, Outcome, Rate, random_body
-from deformscope.studies.rank_histogram import rank_counts, ranks_png
+from deformscope.studies.coverage import (
+    CONDITIONS,
+    NOTHING,
+    Case,
+    NothingCase,
+    Outcome,
+    Rate,
+    random_body,
+    rank_counts,
+    ranks_png,
+)
 from deformscope.studies.unseen_pokes import FoamBody, PokeCase, try_unseen_poke
 
 FAST = 12

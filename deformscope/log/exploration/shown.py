@@ -73,7 +73,7 @@ def log_phase_colors(rec: Sink) -> None:
 def log_phase(now: ResultBatch, phase: PhaseStart) -> None:
     if phase.name.startswith("stopped"):  # its name says why, so that its colour is not among those known before
         now.log_static(ENTITIES[PhaseStart], states(PHASES | {phase.name: BAD}))
-    now.show(ENTITIES[PhaseStart], rr.StateChange(phase.name))
+    now.show(ENTITIES[PhaseStart], rr.StateChange(state=phase.name))
 
 
 def log_failed(now: ResultBatch, failed: StageFailure) -> None:
