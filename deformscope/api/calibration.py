@@ -353,7 +353,9 @@ def calibrate(
     rated = images.fps is not None or (len(sources) == 1 and not given and not Path(sources[0]).is_dir())
     if motion is not None and {"alpha", "dt"} & set(motion.select) and not rated:
         raise InputError("--fps with --select alpha or dt", "images that do not say their rate", "--fps 30")
-    particles = particle_options(images, search)
+    held, noise_px = images.held_parts(), search.noise_px
+    seeded = (images.roi, images.grid, images.spacing_px, held, images.contact)
+    particles = ParticleOptions(*seeded, images.flow, images.px_per_cm, noise_px)
     return [calibrate_images(sources, fit, particles, images, output, motion, given, progress)]  # type: ignore[arg-type]
 
 
@@ -401,15 +403,12 @@ def sample_images(name: str) -> ImageOptions:
     import tomllib
 
     folder = sample_path(name)
-    known = tomllib.loads((folder / "sample.toml").read_text(encoding="utf-8"))
-    return ImageOptions(
-        roi=tuple(known["roi"]) if "roi" in known else None,
-        grid=tuple(known["grid"]) if "grid" in known else None,
-        spacing_px=known.get("spacing_px"),
-        mask=folder / known["mask"] if "mask" in known else None,
-        held=tuple(known["held"]),
-        fps=known.get("fps"),
-    )
+    given = tomllib.loads((folder / "sample.toml").read_text(encoding="utf-8"))
+    names = ("roi", "grid", "spacing_px", "held", "fps")
+    known = {
+        name: tuple(given[name]) if isinstance(given[name], list) else given[name] for name in names if name in given
+    }
+    return ImageOptions(mask=folder / given["mask"] if "mask" in given else None, **known)
 
 
 def for_sample(name: str, asked: ImageOptions) -> ImageOptions:
@@ -419,20 +418,6 @@ def for_sample(name: str, asked: ImageOptions) -> ImageOptions:
         return dataclasses.replace(asked, fps=asked.fps or known.fps)
     return dataclasses.replace(
         known, fps=asked.fps or known.fps, stride=asked.stride, flow=asked.flow, px_per_cm=asked.px_per_cm
-    )
-
-
-def particle_options(images: ImageOptions, search: SearchOptions) -> ParticleOptions:
-    """What decides how images become particles, without where they come from."""
-    return ParticleOptions(
-        roi=images.roi,
-        grid=images.grid,
-        spacing_px=images.spacing_px,
-        held=images.held_parts(),
-        contact=images.contact,
-        flow=images.flow,
-        px_per_cm=images.px_per_cm,
-        noise_px=search.noise_px,
     )
 
 

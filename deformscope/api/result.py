@@ -11,12 +11,12 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from deformscope.errors import InputError
+from deformscope.pictures.findings import Findings
+from deformscope.pictures.report import Figure, Table
 from deformscope.plain import plain
 
 if TYPE_CHECKING:
     from deformscope.config.options import ViewOptions
-    from deformscope.pictures.findings import Findings
-    from deformscope.pictures.report import Figure, Table
     from deformscope.recording.recorder import Recorder, RecordingLayout, RecordingSummary
 
 ViewerChoice = Literal["auto", "native", "page", "none"]
@@ -47,8 +47,6 @@ class LibraryResult(ABC):
 
     def findings(self) -> Findings:
         """Tables and pictures together."""
-        from deformscope.pictures.findings import Findings
-
         return Findings(self.tables(), self.figures())
 
     def to_dict(self) -> dict[str, Any]:
@@ -56,8 +54,6 @@ class LibraryResult(ABC):
         return cast("dict[str, Any]", plain(self.as_json()))
 
     def __str__(self) -> str:
-        from deformscope.pictures.findings import Findings
-
         return str(Findings(self.tables()))
 
     def _repr_html_(self) -> str:

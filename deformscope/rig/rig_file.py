@@ -18,6 +18,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from deformscope.errors import InputError
 from deformscope.rig.driver_table import DRIVERS, Driver
 from deformscope.rig.vendor_library import system_library
@@ -355,7 +357,7 @@ def _words(error: Exception) -> str:
     return f"{place.rstrip('`')}: {what[0].lower()}{what[1:]}" if at else text
 
 
-def _check(right: bool, expected: str, came: object) -> None:
+def _check(right: object, expected: str, came: object) -> None:
     if not right:
         raise InputError(expected, str(came))
 
@@ -365,14 +367,11 @@ def _check_transform(name: str, rows: tuple[tuple[float, ...], ...]) -> None:
     _check(len(rows) == 4 and all(len(row) == 4 for row in rows), f"{name} of 4 rows of 4 numbers", rows)
     _check(all(math.isfinite(value) for row in rows for value in row), f"{name} of finite numbers", rows)
     _check(tuple(rows[3]) == (0, 0, 0, 1), f"{name} whose last row is 0 0 0 1", rows[3])
-    turn = [row[:3] for row in rows[:3]]
-    for first in range(3):
-        for second in range(3):
-            product = sum(a * b for a, b in zip(turn[first], turn[second], strict=True))
-            _check(abs(product - (first == second)) < 1e-3, f"{name} whose rotation is one", f"rows {turn}")
-    (a, b, c), (d, e, f), (g, h, i) = turn
-    turns_right = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) > 0
-    _check(turns_right, f"{name} that is no mirror image", f"rows {turn}")
+    turn = np.array(rows, np.float64)[:3, :3]
+    with np.errstate(over="ignore", invalid="ignore"):  # of numbers beyond all use
+        turned, mirrored = np.abs(turn @ turn.T - np.eye(3)).max() < 1e-3, np.linalg.det(turn) <= 0
+    _check(turned, f"{name} whose rotation is one", f"rows {turn.tolist()}")
+    _check(not mirrored, f"{name} that is no mirror image", f"rows {turn.tolist()}")
     _check(max(abs(row[3]) for row in rows[:3]) < 10, f"{name} in metres", [row[3] for row in rows[:3]])
 
 
