@@ -112,9 +112,9 @@ def _run(
 
     with setup.open_source() as source, status_line() as show:
         ending.start_ns = source.start_ns
-        recorder.start_exploration(
-            source.streams, source.start_ns, setup.size_m, setup.placement.T_base_surface, truth=_has_regions(setup)
-        )
+        truth = setup.truth is not None and setup.truth.labels is not None
+        place = setup.size_m, setup.placement.T_base_surface
+        recorder.start_exploration(source.streams, source.start_ns, *place, truth=truth)
         watch = Watch(asked, show)
         with touching_robot(setup, source, options, watch) as robot, stages_beside(setup, options) as (beside, stage):
             try:
@@ -162,10 +162,6 @@ def _said(experiment: RigExperiment[None], show: Callable[[str], None]) -> RigEx
             given, answer = (yield step), experiment.send
         except Exception as error:
             given, answer = error, experiment.throw
-
-
-def _has_regions(setup: Setup) -> bool:
-    return setup.truth is not None and setup.truth.labels is not None
 
 
 def _remarks(result: object) -> Iterator[str]:

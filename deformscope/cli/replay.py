@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from deformscope.cli.common import Different, console, fit_progress, quiet_warp, say, show, show_table, write_json
 from deformscope.config import ReplayConfig
 from deformscope.errors import InputError
-from deformscope.experiments.replay_stages import ReplayedStages, replay_stages
+from deformscope.experiments.replay_stages import replay_stages
 from deformscope.pictures.words import failed_words
 from deformscope.recording.items import ITEMS, read_rows, read_streams
 from deformscope.recording.reader import Replay
@@ -142,7 +142,7 @@ def replay_rig(recording: Replay, settings: dict[str, Any], config: ReplayConfig
         result = f"{one.compared} of {one.frames} frames decoded again" if one.compared else f"{one.frames} frames"
         result += f"; DIFFERENT: {one.difference}" if one.difference else ", identical" if one.compared else ""
         rows.append((one.device, result + (f"; not compared: {one.left_out}" if one.left_out else "")))
-    stages = _replay_stages(config) if "stages" in settings else None
+    stages = replay_stages(config.recording, trust=True) if "stages" in settings else None
     wrong = {} if stages is None else {name: share for name, share in stages.different.items() if share > 0.0}
     if stages is not None:
         rows += [(f"stage {name}", _in_words(share)) for name, share in stages.different.items()]
@@ -162,10 +162,6 @@ def replay_rig(recording: Replay, settings: dict[str, Any], config: ReplayConfig
     if stages is not None:
         say(f"replay: {stages.results} results of stages computed again, identical to the recorded ones")
     say(f"replay: {sum(one.compared for one in found)} frames decoded again, identical to the recorded ones")
-
-
-def _replay_stages(config: ReplayConfig) -> ReplayedStages:
-    return replay_stages(config.recording, trust=True)
 
 
 def _in_words(share: float) -> str:

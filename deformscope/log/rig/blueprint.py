@@ -31,7 +31,7 @@ def rig_views(streams: Sequence[Stream]) -> rrb.Container:
     pictures = [view for stream in streams for view in _pictures(stream)]
     plots = [view for stream in streams for view in _plots(stream)]
     health = [_health(streams)] if streams else []
-    if _few(pictures, plots):
+    if 1 <= len(pictures) <= FEW and len(plots) <= FEW:
         return _beside(pictures, plots, health)
     return _stacked(pictures, plots, health, len(streams))
 
@@ -46,10 +46,6 @@ def blueprint_of(
     """Views over a timeline, without rerun's panels. more: of the time panel"""
     time = rrb.TimePanel(timeline=timeline, state="collapsed", play_state=play, **more)
     return rrb.Blueprint(views, rrb.BlueprintPanel(state="hidden"), rrb.SelectionPanel(state="hidden"), time)
-
-
-def _few(pictures: Sequence[rrb.View], plots: Sequence[rrb.View]) -> bool:
-    return 1 <= len(pictures) <= FEW and len(plots) <= FEW
 
 
 def _beside(pictures: Sequence[rrb.View], plots: Sequence[rrb.View], health: Sequence[rrb.Container]) -> rrb.Container:
