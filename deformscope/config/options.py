@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_type_hints
 
@@ -27,7 +26,6 @@ class Written:
     replace: bool = True
 
 
-@cache
 def _marks(kind: type) -> dict[str, tuple[object, ...]]:
     """What the annotation of each field says beside its type."""
     hints = get_type_hints(kind, include_extras=True)
