@@ -405,7 +405,7 @@ def sample_images(name: str) -> ImageOptions:
     folder = sample_path(name)
     given = tomllib.loads((folder / "sample.toml").read_text(encoding="utf-8"))
     names = ("roi", "grid", "spacing_px", "held", "fps")
-    known = {
+    known: dict[str, Any] = {
         name: tuple(given[name]) if isinstance(given[name], list) else given[name] for name in names if name in given
     }
     return ImageOptions(mask=folder / given["mask"] if "mask" in given else None, **known)

@@ -143,7 +143,7 @@ def poke_tables(found: PokesFound) -> tuple[Table, Table]:
         "force [N]": lambda one: _number(one.force_n, "{:.3g}"),
         "k [N/m]": lambda one: _number(one.stiffness_n_per_m, "{:.4g}"),
         "apparent E* [kPa]": lambda one: _number(
-            one.apparent_modulus_pa and 1e-3 * one.apparent_modulus_pa.half_space, "{:.3g}"
+            None if one.apparent_modulus_pa is None else 1e-3 * one.apparent_modulus_pa.half_space, "{:.3g}"
         ),
         "surface error [of the depth]": lambda one: _number(one.surface_error, "{:.1%}"),
         "the same, left out of the fit": lambda one: _number(one.surface_error_held_out, "{:.1%}"),

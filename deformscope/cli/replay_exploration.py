@@ -52,7 +52,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
     given = recorded_inputs(path)
     measured = bool(given) and isinstance(given[0], SurfaceMeasurement)
     failed_before = [] if changes else failed
-    explorer = Explorer(geometry.size_m, options, geometry.arm, failed=failed_before)  # type: ignore[arg-type]
+    explorer = Explorer(geometry.size_m, options, geometry.arm, failed=failed_before)
     stages = ExplorationStages(explorer, AsMeasured(geometry.size_m) if measured else FromFrames(geometry, options))
     computed = _Heard()
     run([], explore(lambda: 0, within_loop(stages), Exploration()), computed, AtOnce(RecordedRobot(given)))
@@ -74,7 +74,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
                 came = f"another {name} of {type(before).__name__}"
                 raise Different("the recorded numbers, to the last bit", came, where=path)
     for one in failed:
-        console().print(f"failed when it was recorded: {failed_words(one)}", markup=False)  # type: ignore[arg-type]
+        console().print(f"failed when it was recorded: {failed_words(one)}", markup=False)
     start = "measurements" if measured else "depth images, forces and states of the arm"
     console().print(f"replay: {len(recorded)} results from {start}, identical to the recorded numbers")
     write_json({"results": len(recorded), "identical": True, "failures": failed}, config.output.json)

@@ -41,7 +41,7 @@ def replay_stages(path: Path, *, trust: bool = False) -> ReplayedStages:
     """
     replay = Replay(path, trust=trust)
     options = msgspec.convert(replay.settings["stages"], LiveOptions)
-    stages = {stage.name: stage for stage in stages_of(options, read_streams(path, trust=True))}
+    stages: dict[str, Stage] = {stage.name: stage for stage in stages_of(options, read_streams(path, trust=True))}
     recorded = read_stage_results(path, trust=True)
     again = [one for one in recorded if not isinstance(one.result, StageFailure)]
     different = dict.fromkeys((one.stage for one in again), 0.0)

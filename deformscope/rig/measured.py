@@ -64,10 +64,11 @@ def _wrench(reading: Any, index: int, name: str, device: Any) -> Frame:
 
 
 def _arm(reading: Any, index: int, name: str, device: Any) -> Frame:
-    joints = (np.array(one) for one in (reading.joints_deg, reading.rates_deg_s, reading.torques_nm))
-    pose = (np.array(one) for one in (reading.position_m, reading.theta_rad, reading.wrench[:3], reading.wrench[3:]))
+    joints = reading.joints_deg, reading.rates_deg_s, reading.torques_nm
+    pose = reading.position_m, reading.theta_rad, reading.wrench[:3], reading.wrench[3:]
+    measured: Any = [np.array(one) for one in (*joints, *pose)]
     fingers = np.array(reading.fingers) / FINGER_CLOSED
-    return ArmFrame(reading.stamp, index, *joints, *pose, fingers, reading.fifo_count, name)
+    return ArmFrame(reading.stamp, index, *measured, fingers, reading.fifo_count, name)
 
 
 def _hand(reading: Any, index: int, name: str, device: Any) -> Frame:

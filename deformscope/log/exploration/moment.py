@@ -35,7 +35,7 @@ class ResultBatch:
 
     def show_points(self, path: str, points: Any, colors: Any, radius: float, labels: list[str] | None = None) -> None:
         """points: (n, 3); colors: one, or (n, 3)"""
-        named = {} if labels is None else {"labels": labels, "show_labels": True}
+        named: dict[str, Any] = {} if labels is None else {"labels": labels, "show_labels": True}
         self.show(path, rr.Points3D(np.asarray(points, np.float32), colors=colors, radii=radius, **named))
 
     def show_lines(self, path: str, strips: Any, color: Any, radius: float) -> None:
