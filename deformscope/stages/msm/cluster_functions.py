@@ -7,13 +7,13 @@ Annotations here are read by warp while the closures are made, so they are not p
 """
 
 import functools
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
 from deformscope.stages.msm.functions import functions_for
-from deformscope.stages.msm.lanes import lanes_for, named, product_for, rows_for
+from deformscope.stages.msm.lanes import lanes_for, product_for, rows_for
 from deformscope.stages.msm.reference import NO_ROTATION
 
 GOAL, BY_BETA, BY_THETA = 0, 1, 2
@@ -25,30 +25,8 @@ NONE, SCALE, PROJECT = 0, 1, 2
 NEWTON_STEPS = 8
 
 
-@dataclass(frozen=True, slots=True)
-class ClusterFunctions:
-    """For one dimension, basis, precision and width.
-
-    FitRest, Kept: the struct types of what a cluster is at rest, and of what a fit leaves for its derivative
-    the others: the parts of a fit and of its derivative, for fits that are put together differently
-    """
-
-    FitRest: Any
-    Kept: Any
-    fit: Any
-    fit_change: Any
-    turn: Any
-    turned_part: Any
-    compliance_part: Any
-    turn_change: Any
-    mixed: Any
-    conserve: Any
-    conserve_change: Any
-    square_part: Any
-
-
 @functools.cache
-def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> ClusterFunctions:
+def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> SimpleNamespace:
     """The functions for `dim` = 2 or 3, `terms` = 2, 3 (linear) or 5, 9 (quadratic)."""
     lanes = lanes_for(width, scalar)
     lane, least = lanes.lane, lanes.least
@@ -458,4 +436,4 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Clus
             affine_t = conserve_change(rest, cluster, step, before, affine_t, theta, volume)
         return mixed(affine_t, beta, change, lane(one) - beta)
 
-    return named(ClusterFunctions, locals())
+    return SimpleNamespace(**locals())

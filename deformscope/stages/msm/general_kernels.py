@@ -4,33 +4,18 @@ Annotations here are read by warp while the closures are made, so they are not p
 """
 
 import functools
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
-from deformscope.stages.msm.lanes import Sized, lanes_for, module_options, named, rows_for
+from deformscope.stages.msm.lanes import Sized, lanes_for, module_options, rows_for
 from deformscope.stages.msm.lattice_kernels import FAR, motion_for
 
 
-@dataclass(frozen=True, slots=True)
-class GeneralKernels:
-    """The compiled set, its struct types, and functions of theirs that other fits share."""
-
-    Lists: Any
-    Motion: Any
-    fit_clusters: Any
-    fit_changes: Any
-    predict: Any
-    finish: Any
-    gathered: Any
-    parameter: Any
-    fit_kernel: Any
-
-
 @functools.cache
-def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> GeneralKernels:
+def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> SimpleNamespace:
     """The kernels for `dim` = 2 or 3, `terms` = 2, 3 (linear) or 5, 9 (quadratic), and lanes of `width`."""
     module = f"deformscope_general_{dim}d_{terms}_{scalar.__name__}_{width}"
     wp.get_module(module).options.update(module_options(scalar))
@@ -266,4 +251,4 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Genera
                             new[i, l] = u[i, l]
             store(out, at, lists.particle_stride, new, wp.static(width))
 
-    return named(GeneralKernels, locals())
+    return SimpleNamespace(**locals())

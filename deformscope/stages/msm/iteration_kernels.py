@@ -8,12 +8,12 @@ Annotations here are read by warp while the closures are made, so they are not p
 """
 
 import functools
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
-from deformscope.stages.msm.lanes import lanes_for, module_options, named, rows_for
+from deformscope.stages.msm.lanes import lanes_for, module_options, rows_for
 from deformscope.stages.msm.lattice_kernels import FAR
 
 MEMORY = 8
@@ -31,58 +31,8 @@ SHARP = 1e-2
 """To what share a solve reduces its residual before the smallest curvature that it met counts as the smallest."""
 
 
-@dataclass(frozen=True, slots=True)
-class NewtonFunctions:
-    """What one thread does in each part of a Newton step, and the struct types."""
-
-    Span: Any
-    NewtonState: Any
-    sums: Any
-    put: Any
-    inner_products: Any
-    move: Any
-    judge: Any
-    begin: Any
-    curvature: Any
-    descend: Any
-    conjugate: Any
-    direct: Any
-    aim: Any
-    reset: Any
-    put_at: Any
-    metric_of: Any
-    of_candidate: Any
-    add_product: Any
-    collected: Any
-
-
-@dataclass(frozen=True, slots=True)
-class IterationKernels:
-    """The compiled set and its struct types."""
-
-    Span: Any
-    NewtonState: Any
-    AndersonState: Any
-    inner_products: Any
-    move: Any
-    judge: Any
-    begin: Any
-    curvature: Any
-    descend: Any
-    conjugate: Any
-    direct: Any
-    aim: Any
-    reset: Any
-    remember: Any
-    history_products: Any
-    accelerate: Any
-    advance: Any
-    add_field: Any
-    put_at: Any
-
-
 @functools.cache
-def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
+def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
     """The functions for fields of `dim` rows and lanes of `width`."""
     lanes = lanes_for(width, scalar)
     lane, own = lanes.lane, lanes.own
@@ -513,11 +463,11 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
             first_out[places[i] + k * stride] = value
             second_out[places[i] + k * stride] = value
 
-    return named(NewtonFunctions, locals())
+    return SimpleNamespace(**locals())
 
 
 @functools.cache
-def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels:
+def iteration_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
     """A kernel for each part of an iteration, for fields of `dim` rows and lanes of `width`."""
     module = f"deformscope_iteration_{dim}d_{scalar.__name__}_{width}"
     wp.get_module(module).options.update(module_options(scalar))
@@ -880,4 +830,4 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
     ):
         functions.put_at(places, values, stride, first_out, second_out, wp.tid())
 
-    return named(IterationKernels, locals())
+    return SimpleNamespace(**locals())

@@ -9,10 +9,9 @@ not turned.
 Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
 """
 
-import dataclasses
 import functools
-from dataclasses import dataclass
-from typing import Any, TypeVar
+from types import SimpleNamespace
+from typing import Any
 
 import warp as wp
 
@@ -34,42 +33,8 @@ def module_options(scalar: Any) -> dict[str, Any]:
     }
 
 
-KindT = TypeVar("KindT")
-
-
-def named(kind: type[KindT], names: dict[str, Any]) -> KindT:
-    """The set of functions and types that a factory made, each field by its name among the factory's own."""
-    return kind(**{field.name: names[field.name] for field in dataclasses.fields(kind)})
-
-
-@dataclass(frozen=True, slots=True)
-class Lanes:
-    """The lane type of one width and precision, and its functions."""
-
-    lane: Any
-    own: Any
-    times: Any
-    least: Any
-    below: Any
-
-
-@dataclass(frozen=True, slots=True)
-class Rows:
-    """`count` rows of lanes (a vector of `count`, or a matrix by rows), and their functions."""
-
-    rows: Any
-    load: Any
-    store: Any
-    own: Any
-    row: Any
-    with_row: Any
-    add: Any
-    scale: Any
-    choose: Any
-
-
 @functools.cache
-def lanes_for(width: int, scalar: Any) -> Lanes:
+def lanes_for(width: int, scalar: Any) -> SimpleNamespace:
     """Lanes of `width` numbers of type `scalar` (wp.float32 or wp.float64)."""
     lane = wp.types.vector(length=width, dtype=scalar)
     vec = f"wp::vec_t<{width}, wp::{scalar.__name__}>"
@@ -93,11 +58,11 @@ def lanes_for(width: int, scalar: Any) -> Lanes:
         """1 if every lane is below the limit (a lane that is not a number is not)."""
         ...
 
-    return named(Lanes, locals())
+    return SimpleNamespace(**locals())
 
 
 @functools.cache
-def rows_for(count: int, width: int, scalar: Any) -> Rows:
+def rows_for(count: int, width: int, scalar: Any) -> SimpleNamespace:
     """`count` rows of `width` lanes. Arrays hold them `stride` numbers apart (structure of arrays)."""
     lanes = lanes_for(width, scalar)
     lane = lanes.lane
@@ -146,7 +111,7 @@ def rows_for(count: int, width: int, scalar: Any) -> Rows:
         """m where `when` is positive, else 0 (whatever m holds there)."""
         ...
 
-    return named(Rows, locals())
+    return SimpleNamespace(**locals())
 
 
 @functools.cache

@@ -13,49 +13,16 @@ Annotations here are read by warp while the closures are made, so they are not p
 """
 
 import functools
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
-from deformscope.stages.msm.lanes import lanes_for, module_options, named, product_for, rows_for
+from deformscope.stages.msm.lanes import lanes_for, module_options, product_for, rows_for
 
 FAR = 1e4
 """Spacings beyond which a particle has run away."""
-
-
-@dataclass(frozen=True, slots=True)
-class LatticeFunctions:
-    """What one thread does in each pass, and the struct types.
-
-    Passes follow each other; each has its count of items.
-    """
-
-    Grid: Any
-    Site: Any
-    Fields: Any
-    Motion: Any
-    windows_fast: Any
-    windows_middle: Any
-    fit_clusters: Any
-    fit_changes: Any
-    spread_slow: Any
-    spread_middle: Any
-    finish: Any
-
-
-@dataclass(frozen=True, slots=True)
-class LatticeKernels:
-    """A kernel for each pass, for lattices that fill a GPU."""
-
-    windows_fast: Any
-    windows_middle: Any
-    fit_clusters: Any
-    fit_changes: Any
-    spread_slow: Any
-    spread_middle: Any
-    finish: Any
 
 
 @functools.cache
@@ -75,7 +42,7 @@ def motion_for(scalar: Any) -> Any:
 
 
 @functools.cache
-def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) -> LatticeFunctions:
+def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) -> SimpleNamespace:
     """The functions for `dim` = 2 or 3, scalar = wp.float32 or wp.float64, and lanes of `width`.
 
     window: cells of a cluster along every axis, each summed up anew, two axes at once: a GPU then loads all its numbers
@@ -705,11 +672,11 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
     if window:
         windows_fast, finish = windows_both, finish_both
-    return named(LatticeFunctions, locals())
+    return SimpleNamespace(**locals())
 
 
 @functools.cache
-def lattice_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> LatticeKernels:
+def lattice_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> SimpleNamespace:
     """A kernel for each pass: a GPU's threads share the items of all groups."""
     module = f"deformscope_lattice_{dim}d_{scalar.__name__}_{width}_{window}"
     wp.get_module(module).options.update(module_options(scalar))
@@ -782,4 +749,4 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> L
         if running[group] != 0:
             functions.finish(grid, fields, motion, u_in, 0, before_in, 0, out, ran_away, group, item)
 
-    return named(LatticeKernels, locals())
+    return SimpleNamespace(**locals())

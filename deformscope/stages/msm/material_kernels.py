@@ -6,7 +6,7 @@ Annotations here are read by warp while the closures are made, so they are not p
 """
 
 import functools
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
@@ -14,7 +14,7 @@ import warp as wp
 from deformscope.stages.msm.cluster_functions import BY_BETA, BY_THETA, NONE, cluster_functions_for
 from deformscope.stages.msm.functions import functions_for
 from deformscope.stages.msm.general_kernels import general_kernels_for
-from deformscope.stages.msm.lanes import Sized, lanes_for, module_options, named, product_for, rows_for
+from deformscope.stages.msm.lanes import Sized, lanes_for, module_options, product_for, rows_for
 from deformscope.stages.msm.materials import LEAST_FACTOR
 
 HALVINGS = 60
@@ -24,18 +24,8 @@ SHRINKS = 60
 """Steps of S^p toward its bound; each leaves at most about a tenth of the distance."""
 
 
-@dataclass(frozen=True, slots=True)
-class MaterialKernels:
-    """The compiled set and its struct type."""
-
-    Material: Any
-    fit_clusters: Any
-    fit_changes: Any
-    flow: Any
-
-
 @functools.cache
-def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> MaterialKernels:
+def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> SimpleNamespace:
     """The kernels for `dim` = 2 or 3, `terms` = 2, 3 (linear) or 5, 9 (quadratic), and lanes of `width`."""
     module = f"deformscope_material_{dim}d_{terms}_{scalar.__name__}_{width}"
     wp.get_module(module).options.update(module_options(scalar))
@@ -361,4 +351,4 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Mater
             moved_out[at + l] = moved
             size_out[at + l] = size
 
-    return named(MaterialKernels, locals())
+    return SimpleNamespace(**locals())

@@ -9,13 +9,11 @@ Annotations here are read by warp while the closures are made, so they are not p
 
 import functools
 import math
-from dataclasses import dataclass
-from typing import Any
+from types import SimpleNamespace
 
 import warp as wp
 
 from deformscope.stages.msm.functions import functions_for
-from deformscope.stages.msm.lanes import named
 
 BETA, THETA, TOLERANCE, MOST_ITERATIONS, STARTED, HELD = range(6)
 """Places in a candidate's row: numbers first, then what is held, then the transform to start from."""
@@ -38,24 +36,8 @@ FINEST_PATH = 1.0 / 256.0
 """Where Newton's steps fail at theta, it is approached in parts; a part smaller than this share ends the search."""
 
 
-@dataclass(frozen=True, slots=True)
-class ReducedKernels:
-    """The compiled set, and its types. ReducedBody: the struct of rest data; row_width,
-    result_width: numbers that a candidate brings and takes
-    """
-
-    ReducedBody: Any
-    vec: Any
-    square: Any
-    basis_vec: Any
-    relax: Any
-    differentiate: Any
-    row_width: int
-    result_width: int
-
-
 @functools.cache
-def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
+def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
     """The kernels for `dim` = 2 or 3 and `terms` = 2, 3 (linear) or 5, 9 (quadratic)."""
     module = f"deformscope_msm_reduced_{dim}d_{terms}"
     # two modules: few need derivatives, and a GPU takes seconds to compile either
@@ -666,4 +648,4 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
                     place -= metres * body.held_mean[j]
                 result[wp.static(translation_at) + i] = place
 
-    return named(ReducedKernels, locals())
+    return SimpleNamespace(**locals())

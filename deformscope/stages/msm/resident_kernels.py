@@ -8,33 +8,22 @@ Annotations here are read by warp while the closures are made, so they are not p
 """
 
 import functools
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
 from deformscope.stages.msm.cluster_functions import cluster_functions_for
 from deformscope.stages.msm.iteration_kernels import newton_functions_for
-from deformscope.stages.msm.lanes import Sized, module_options, named
+from deformscope.stages.msm.lanes import Sized, module_options
 from deformscope.stages.msm.lattice_kernels import lattice_functions_for
 
 THREADS = {wp.float32: 512, wp.float64: 256}
 """Threads of a block on a GPU, for which the compiler saves registers."""
 
 
-@dataclass(frozen=True, slots=True)
-class ResidentKernels:
-    """The kernels: those of stepping and those of relaxing in a module each, since not all who step relax."""
-
-    steps: Any
-    put_at: Any
-    relax: Any
-    aim: Any
-    reset: Any
-
-
 @functools.cache
-def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> ResidentKernels:
+def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> SimpleNamespace:
     """The kernels for lattices of `dim` = 2 or 3, scalar = wp.float32 or wp.float64, and lanes of `width`."""
 
     def kernel_in(name: str) -> Any:
@@ -308,4 +297,4 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
     ):
         put_one(places, values, stride, first_out, second_out, wp.tid())
 
-    return named(ResidentKernels, locals())
+    return SimpleNamespace(**locals())
