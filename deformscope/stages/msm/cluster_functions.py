@@ -13,7 +13,7 @@ from typing import Any
 import warp as wp
 
 from deformscope.stages.msm.functions import functions_for
-from deformscope.stages.msm.lanes import lanes_for, product_for, rows_for
+from deformscope.stages.msm.lanes import Ints, lanes_for, product_for, rows_for
 from deformscope.stages.msm.reference import NO_ROTATION
 
 GOAL, BY_BETA, BY_THETA = 0, 1, 2
@@ -28,6 +28,7 @@ NEWTON_STEPS = 8
 @functools.cache
 def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> SimpleNamespace:
     """The functions for `dim` = 2 or 3, `terms` = 2, 3 (linear) or 5, 9 (quadratic)."""
+    numbers = wp.array(dtype=scalar)
     lanes = lanes_for(width, scalar)
     lane, least = lanes.lane, lanes.least
     moment_count = dim * (dim + 1) // 2
@@ -60,11 +61,11 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
     class FitRest:
         """What stays the same: `stride` between rows of a quantity, `step` 1 where each lane has its own, else 0."""
 
-        a_qq: wp.array(dtype=scalar)  # upper triangle of the normalised rest moments
-        null_t: wp.array(dtype=scalar)  # what of the basis a cluster leaves undetermined, transposed; empty if nothing
+        a_qq: numbers  # upper triangle of the normalised rest moments
+        null_t: numbers  # what of the basis a cluster leaves undetermined, transposed; empty if nothing
         has_null: int
         span_axes: wp.array(dtype=square)
-        span_count: wp.array(dtype=int)
+        span_count: Ints
         root: wp.array(dtype=square)  # see `reference.RestCluster`; one for each cluster that has its own rest
         lift: wp.array(dtype=transform)
         stride: int
@@ -73,9 +74,9 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
     class Kept:
         """What a fit leaves for its derivative: R - I and the compliance of the rotation, and A - I (transposed)."""
 
-        turned: wp.array(dtype=scalar)
-        compliance: wp.array(dtype=scalar)
-        affine: wp.array(dtype=scalar)
+        turned: numbers
+        compliance: numbers
+        affine: numbers
         stride: int
 
     @wp.func_native(
@@ -392,9 +393,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
         turned = turned_part(turns)
         if rest.has_null != 0:  # terms that the cluster leaves undetermined follow its rotation
             affine_t = add_transform(
-                affine_t,
-                one,
-                times_null(load_null(rest.null_t, cluster, rest.stride, step), turned),
+                affine_t, one, times_null(load_null(rest.null_t, cluster, rest.stride, step), turned)
             )
         if kept.stride > 0:
             store_square(kept.turned, position, kept.stride, turned, count)
@@ -427,9 +426,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
         change = turn_change(turned, load_compliance(kept.compliance, position, kept.stride), change_t)
         if rest.has_null != 0:
             affine_t = add_transform(
-                affine_t,
-                one,
-                times_null(load_null(rest.null_t, cluster, rest.stride, step), change),
+                affine_t, one, times_null(load_null(rest.null_t, cluster, rest.stride, step), change)
             )
         if volume != wp.static(NONE):
             before = load_square(kept.affine, position, kept.stride)

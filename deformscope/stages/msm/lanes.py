@@ -19,6 +19,9 @@ CPU_FLAGS = "-march=native -mllvm=-inline-threshold=9000 -mllvm=-inline-cold-cal
 """For modules of lanes. Warp's own flags also cap the recursion of the search for vector instructions, which leaves
 most of the lanes to plain ones; without the high threshold matrices of lanes go through memory at every call."""
 
+Ints, Doubles = wp.array(dtype=int), wp.array(dtype=wp.float64)
+"""Types of arrays that kernels take."""
+
 
 def module_options(scalar: Any) -> dict[str, Any]:
     """Options of a module of lanes.
@@ -36,6 +39,7 @@ def module_options(scalar: Any) -> dict[str, Any]:
 @functools.cache
 def lanes_for(width: int, scalar: Any) -> SimpleNamespace:
     """Lanes of `width` numbers of type `scalar` (wp.float32 or wp.float64)."""
+    numbers = wp.array(dtype=scalar)
     lane = wp.types.vector(length=width, dtype=scalar)
     vec = f"wp::vec_t<{width}, wp::{scalar.__name__}>"
     each = f"for (int l = 0; l < {width}; ++l)"
@@ -43,7 +47,7 @@ def lanes_for(width: int, scalar: Any) -> SimpleNamespace:
     @wp.func_native(
         f"{vec} r; if (step == 0) {{ {each} r.c[l] = a.data[i]; }} else {{ {each} r.c[l] = a.data[i + l]; }} return r;"
     )
-    def own(a: wp.array(dtype=scalar), i: int, step: int) -> lane:
+    def own(a: numbers, i: int, step: int) -> lane:
         """Each lane's own number, or with step 0 the one that all share."""
         ...
 
@@ -64,6 +68,7 @@ def lanes_for(width: int, scalar: Any) -> SimpleNamespace:
 @functools.cache
 def rows_for(count: int, width: int, scalar: Any) -> SimpleNamespace:
     """`count` rows of `width` lanes. Arrays hold them `stride` numbers apart (structure of arrays)."""
+    numbers = wp.array(dtype=scalar)
     lanes = lanes_for(width, scalar)
     lane = lanes.lane
     rows = wp.types.matrix(shape=(count, width), dtype=scalar)
@@ -73,20 +78,20 @@ def rows_for(count: int, width: int, scalar: Any) -> SimpleNamespace:
     each = f"for (int k = 0; k < {count}; ++k) for (int l = 0; l < {width}; ++l)"
 
     @sized.func_native(f"{mat} r; {each} r.data[k][l] = a.data[i + k * stride + l]; return r;")
-    def load(a: wp.array(dtype=scalar), i: int, stride: int) -> rows: ...
+    def load(a: numbers, i: int, stride: int) -> rows: ...
 
     @sized.func_native(
         f"if (count >= {width}) {{ {each} a.data[i + k * stride + l] = v.data[k][l]; }} else {{"
         f" for (int k = 0; k < {count}; ++k) for (int l = 0; l < count; ++l)"
         " a.data[i + k * stride + l] = v.data[k][l]; }"
     )
-    def store(a: wp.array(dtype=scalar), i: int, stride: int, v: rows, count: int): ...
+    def store(a: numbers, i: int, stride: int, v: rows, count: int): ...
 
     @sized.func_native(
         f"{mat} r; if (step == 0) {{ {each} r.data[k][l] = a.data[i + k * stride]; }}"
         f" else {{ {each} r.data[k][l] = a.data[i + k * stride + l]; }} return r;"
     )
-    def own(a: wp.array(dtype=scalar), i: int, stride: int, step: int) -> rows:
+    def own(a: numbers, i: int, stride: int, step: int) -> rows:
         """Each lane's own numbers, or with step 0 those that all share."""
         ...
 

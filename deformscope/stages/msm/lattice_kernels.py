@@ -19,7 +19,7 @@ from typing import Any
 import warp as wp
 
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
-from deformscope.stages.msm.lanes import lanes_for, module_options, product_for, rows_for
+from deformscope.stages.msm.lanes import Ints, lanes_for, module_options, product_for, rows_for
 
 FAR = 1e4
 """Spacings beyond which a particle has run away."""
@@ -29,6 +29,8 @@ FAR = 1e4
 def motion_for(scalar: Any) -> Any:
     """The struct type of what time stepping needs."""
 
+    numbers = wp.array(dtype=scalar)
+
     @wp.struct
     class StepMotion:
         """What time stepping adds: alpha, the share of the last motion that goes on, and a push each step."""
@@ -36,7 +38,7 @@ def motion_for(scalar: Any) -> Any:
         stepping: int
         alpha: scalar
         going_on: scalar
-        push: wp.array(dtype=scalar)
+        push: numbers
 
     return StepMotion
 
@@ -48,6 +50,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
     window: cells of a cluster along every axis, each summed up anew, two axes at once: a GPU then loads all its numbers
     at once, and waits for fewer passes; 0: any windows and runs, as the grid says
     """
+    numbers = wp.array(dtype=scalar)
     axes = dim
     Motion = motion_for(scalar)
     lanes = lanes_for(width, scalar)
@@ -113,12 +116,12 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
     class Site:
         """What a cluster is at rest: `stride` between rows, `step` 1 where each has its own, else 0 (all are alike)."""
 
-        valid: wp.array(dtype=scalar)  # 1 at a cell that has a cluster
-        share: wp.array(dtype=scalar)  # 1 / mass of the window
-        mean: wp.array(dtype=scalar)  # mean offset of the mass from the middle of the window, in cells
-        affine: wp.array(dtype=scalar)  # from first moments to A~ - I, transposed: (dim, axes)
-        moment: wp.array(dtype=scalar)  # from first moments to A_pq - A_qq, transposed: (dim, axes)
-        edge_t: wp.array(dtype=scalar)  # the lattice's edges: an offset in cells to particle spacings, (axes, dim)
+        valid: numbers  # 1 at a cell that has a cluster
+        share: numbers  # 1 / mass of the window
+        mean: numbers  # mean offset of the mass from the middle of the window, in cells
+        affine: numbers  # from first moments to A~ - I, transposed: (dim, axes)
+        moment: numbers  # from first moments to A_pq - A_qq, transposed: (dim, axes)
+        edge_t: numbers  # the lattice's edges: an offset in cells to particle spacings, (axes, dim)
         stride: int
         step: int
 
@@ -130,16 +133,16 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         what: GOAL, BY_BETA or BY_THETA; beta_stride: see `body.Parameters`
         """
 
-        mass: wp.array(dtype=scalar)
-        free: wp.array(dtype=scalar)
-        pull: wp.array(dtype=scalar)
-        sums_fast: wp.array(dtype=scalar)
-        sums_middle: wp.array(dtype=scalar)
-        maps: wp.array(dtype=scalar)
-        maps_slow: wp.array(dtype=scalar)
-        maps_middle: wp.array(dtype=scalar)
-        beta: wp.array(dtype=scalar)
-        theta: wp.array(dtype=scalar)
+        mass: numbers
+        free: numbers
+        pull: numbers
+        sums_fast: numbers
+        sums_middle: numbers
+        maps: numbers
+        maps_slow: numbers
+        maps_middle: numbers
+        beta: numbers
+        theta: numbers
         beta_stride: int
         volume: int
         what: int
@@ -170,14 +173,14 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
     @wp.func
     def slide_in(
-        source: wp.array(dtype=scalar),
+        source: numbers,
         row_in: int,
         first: int,
         step: int,
         window_here: int,
         run: int,
         stride: int,
-        target: wp.array(dtype=scalar),
+        target: numbers,
         row_sum: int,
         row_moment: int,
         count: int,
@@ -206,7 +209,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
     @wp.func
     def slide_out(
-        source: wp.array(dtype=scalar),
+        source: numbers,
         row_in: int,
         row_slope: int,
         first: int,
@@ -214,7 +217,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         window_here: int,
         run: int,
         stride: int,
-        target: wp.array(dtype=scalar),
+        target: numbers,
         row_sum: int,
         count: int,
     ):
@@ -248,9 +251,9 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         grid: Grid,
         fields: Fields,
         motion: Motion,
-        u_in: wp.array(dtype=scalar),
+        u_in: numbers,
         offset: int,
-        before_in: wp.array(dtype=scalar),
+        before_in: numbers,
         before_offset: int,
         group: int,
         item: int,
@@ -280,9 +283,9 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         grid: Grid,
         fields: Fields,
         motion: Motion,
-        u_in: wp.array(dtype=scalar),
+        u_in: numbers,
         offset: int,
-        before_in: wp.array(dtype=scalar),
+        before_in: numbers,
         before_offset: int,
         group: int,
         item: int,
@@ -315,7 +318,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         store(fields.sums_middle, at + 2 * d * grid.stride, grid.stride, fast, count)
 
     @wp.func
-    def particle_own(values: wp.array(dtype=scalar), cell: int, abreast: int):
+    def particle_own(values: numbers, cell: int, abreast: int):
         """What belongs to a particle, for the lanes at `cell` (of one group); one value if all are alike."""
         if values.shape[0] == 1:
             return own(values, 0, 0)
@@ -324,15 +327,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         return own(values, cell / abreast, 0)
 
     @wp.func
-    def ahead(
-        grid: Grid,
-        u: vecs.rows,
-        before_in: wp.array(dtype=scalar),
-        motion: Motion,
-        free: wp.array(dtype=scalar),
-        here: int,
-        cell: int,
-    ):
+    def ahead(grid: Grid, u: vecs.rows, before_in: numbers, motion: Motion, free: numbers, here: int, cell: int):
         """x* of eq. 3.1, 3.2: where the last motion and the push would take a free particle."""
         back = add(u, -one, load(before_in, here, grid.stride))
         moves = vecs.rows()
@@ -436,7 +431,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         return (cell / grid.abreast) * site.step, cell / grid.abreast, 0
 
     @wp.func
-    def parameter(grid: Grid, values: wp.array(dtype=scalar), stride: int, group: int, cell: int):
+    def parameter(grid: Grid, values: numbers, stride: int, group: int, cell: int):
         """A candidate's parameter, or (stride > 0) that of each cluster."""
         if stride > 0:
             return own(values, group * stride + cell, 1)
@@ -449,13 +444,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
         @wp.func(name=name)
         def windows(
-            grid: Grid,
-            site: Site,
-            rest: cluster.FitRest,
-            kept: cluster.Kept,
-            fields: Fields,
-            group: int,
-            item: int,
+            grid: Grid, site: Site, rest: cluster.FitRest, kept: cluster.Kept, fields: Fields, group: int, item: int
         ):
             """Windows along the slow axis, and with them each cluster's map."""
             segment = item / grid.blocks_clusters
@@ -548,7 +537,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         slide_out(source, 2 * d, -1, at, grid.line, grid.window_1, steps, grid.stride, target, d, count)
 
     @wp.func(inline=False)  # rare
-    def hold_back(new: vecs.rows, u: vecs.rows, ran_away: wp.array(dtype=int), first: int, step: int, count: int):
+    def hold_back(new: vecs.rows, u: vecs.rows, ran_away: Ints, first: int, step: int, count: int):
         """A particle that would run away stays, and marks its candidate."""
         for l in range(wp.static(width)):
             length2 = scalar(0.0)
@@ -566,12 +555,12 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         fields: Fields,
         motion: Motion,
         total: vecs.rows,
-        u_in: wp.array(dtype=scalar),
+        u_in: numbers,
         offset: int,
-        before_in: wp.array(dtype=scalar),
+        before_in: numbers,
         before_offset: int,
-        out: wp.array(dtype=scalar),
-        ran_away: wp.array(dtype=int),
+        out: numbers,
+        ran_away: Ints,
         group: int,
         at: int,
         cell: int,
@@ -606,12 +595,12 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         grid: Grid,
         fields: Fields,
         motion: Motion,
-        u_in: wp.array(dtype=scalar),
+        u_in: numbers,
         offset: int,
-        before_in: wp.array(dtype=scalar),
+        before_in: numbers,
         before_offset: int,
-        out: wp.array(dtype=scalar),
-        ran_away: wp.array(dtype=int),
+        out: numbers,
+        ran_away: Ints,
         group: int,
         item: int,
     ):
@@ -642,12 +631,12 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         grid: Grid,
         fields: Fields,
         motion: Motion,
-        u_in: wp.array(dtype=scalar),
+        u_in: numbers,
         offset: int,
-        before_in: wp.array(dtype=scalar),
+        before_in: numbers,
         before_offset: int,
-        out: wp.array(dtype=scalar),
-        ran_away: wp.array(dtype=int),
+        out: numbers,
+        ran_away: Ints,
         group: int,
         item: int,
     ):
@@ -678,6 +667,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 @functools.cache
 def lattice_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> SimpleNamespace:
     """A kernel for each pass: a GPU's threads share the items of all groups."""
+    numbers = wp.array(dtype=scalar)
     module = f"deformscope_lattice_{dim}d_{scalar.__name__}_{width}_{window}"
     wp.get_module(module).options.update(module_options(scalar))
     kernel = functools.partial(wp.kernel, module=module, enable_backward=False)
@@ -690,9 +680,9 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> S
         grid: functions.Grid,
         fields: functions.Fields,
         motion: functions.Motion,
-        running: wp.array(dtype=int),
-        u_in: wp.array(dtype=scalar),
-        before_in: wp.array(dtype=scalar),
+        running: Ints,
+        u_in: numbers,
+        before_in: numbers,
     ):
         group, item = wp.tid()
         if running[group] != 0:
@@ -703,7 +693,7 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> S
         function = getattr(functions, name)
 
         @kernel(name=name)
-        def one_pass(grid: functions.Grid, fields: functions.Fields, running: wp.array(dtype=int)):
+        def one_pass(grid: functions.Grid, fields: functions.Fields, running: Ints):
             group, item = wp.tid()
             if running[group] != 0:
                 function(grid, fields, group, item)
@@ -721,7 +711,7 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> S
             rest: cluster.FitRest,
             kept: cluster.Kept,
             fields: functions.Fields,
-            running: wp.array(dtype=int),
+            running: Ints,
         ):
             group, item = wp.tid()
             if running[group] != 0:
@@ -739,11 +729,11 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> S
         grid: functions.Grid,
         fields: functions.Fields,
         motion: functions.Motion,
-        running: wp.array(dtype=int),
-        u_in: wp.array(dtype=scalar),
-        before_in: wp.array(dtype=scalar),
-        out: wp.array(dtype=scalar),
-        ran_away: wp.array(dtype=int),
+        running: Ints,
+        u_in: numbers,
+        before_in: numbers,
+        out: numbers,
+        ran_away: Ints,
     ):
         group, item = wp.tid()
         if running[group] != 0:

@@ -14,7 +14,7 @@ import warp as wp
 from deformscope.stages.msm.cluster_functions import BY_BETA, BY_THETA, NONE, cluster_functions_for
 from deformscope.stages.msm.functions import functions_for
 from deformscope.stages.msm.general_kernels import general_kernels_for
-from deformscope.stages.msm.lanes import Sized, lanes_for, module_options, product_for, rows_for
+from deformscope.stages.msm.lanes import Ints, Sized, lanes_for, module_options, product_for, rows_for
 from deformscope.stages.msm.materials import LEAST_FACTOR
 
 HALVINGS = 60
@@ -27,6 +27,7 @@ SHRINKS = 60
 @functools.cache
 def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> SimpleNamespace:
     """The kernels for `dim` = 2 or 3, `terms` = 2, 3 (linear) or 5, 9 (quadratic), and lanes of `width`."""
+    numbers = wp.array(dtype=scalar)
     module = f"deformscope_material_{dim}d_{terms}_{scalar.__name__}_{width}"
     wp.get_module(module).options.update(module_options(scalar))
     kernel = functools.partial(wp.kernel, module=module, enable_backward=False)
@@ -66,7 +67,7 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Simpl
 
         plastic: int
         axes: int
-        strain: wp.array(dtype=scalar)
+        strain: numbers
 
     # Small matrices of lanes. t, x, c are transposed as in `cluster_functions`; s, w and m are not.
 
@@ -132,9 +133,9 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Simpl
         c: int,
         affine_t: transforms.rows,
         change_t: squares.rows,
-        beta: wp.array(dtype=scalar),
+        beta: numbers,
         beta_stride: int,
-        theta: wp.array(dtype=scalar),
+        theta: numbers,
         volume: int,
         what: int,
     ):
@@ -188,9 +189,9 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Simpl
         c: int,
         affine_t: transforms.rows,
         change_t: squares.rows,
-        beta: wp.array(dtype=scalar),
+        beta: numbers,
         beta_stride: int,
-        theta: wp.array(dtype=scalar),
+        theta: numbers,
         volume: int,
         what: int,
     ):
@@ -279,16 +280,16 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Simpl
         rest: cluster.FitRest,
         material: Material,
         # In:
-        u_in: wp.array(dtype=scalar),
-        yield_strain: wp.array(dtype=scalar),
-        share: wp.array(dtype=scalar),
-        maximum: wp.array(dtype=scalar),
+        u_in: numbers,
+        yield_strain: numbers,
+        share: numbers,
+        maximum: numbers,
         stop: int,
-        running: wp.array(dtype=int),
+        running: Ints,
         # Out:
-        strain: wp.array(dtype=scalar),
-        moved_out: wp.array(dtype=scalar),
-        size_out: wp.array(dtype=scalar),
+        strain: numbers,
+        moved_out: numbers,
+        size_out: numbers,
     ):
         """S^p of each cluster after a share of its S - I has flown (see `materials`), a candidate at a time.
 

@@ -14,12 +14,13 @@ from types import SimpleNamespace
 import warp as wp
 
 from deformscope.stages.msm.functions import functions_for
+from deformscope.stages.msm.lanes import Doubles
 
 BETA, THETA, TOLERANCE, MOST_ITERATIONS, STARTED, HELD = range(6)
-"""Places in a candidate's row: numbers first, then what is held, then the transform to start from."""
+"""Places in a candidate's row: Doubles first, then what is held, then the transform to start from."""
 
 RESIDUAL, ERROR, ITERATIONS, STATE, TRANSFORM = range(5)
-"""Places in a candidate's result: numbers first, then the transform [m] by rows, then the translation [m]."""
+"""Places in a candidate's result: Doubles first, then the transform [m] by rows, then the translation [m]."""
 
 NOT_CONVERGED, CONVERGED, DIVERGED = 0, 1, -1
 
@@ -82,7 +83,7 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
         mode: wp.array(dtype=basis_vec)
         free_mode: wp.array(dtype=basis_vec)
         held_mode: wp.array(dtype=vec)
-        share: wp.array(dtype=scalar)
+        share: Doubles
         free_q: wp.array(dtype=basis_vec)
         null: wp.array(dtype=basis_vec)
         gram: wp.array(dtype=basis_vec)
@@ -106,7 +107,7 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
         return out
 
     @wp.func
-    def held_moment(row: wp.array(dtype=scalar), mode: int):
+    def held_moment(row: Doubles, mode: int):
         """y_j: how the held particles stand along one mode."""
         out = vec()
         for i in range(wp.static(dim)):
@@ -184,7 +185,7 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
         return change * ((one - number) / number) - a * (d_den / (number * number))
 
     @wp.func
-    def sums(body: ReducedBody, row: wp.array(dtype=scalar), beta: scalar, slope: bool):
+    def sums(body: ReducedBody, row: Doubles, beta: scalar, slope: bool):
         """N, V, W, U, Y, K at beta, or their derivatives by beta: sums over the modes."""
         n = square()
         v = square()
@@ -239,14 +240,7 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
 
     @wp.func
     def assemble(
-        body: ReducedBody,
-        row: wp.array(dtype=scalar),
-        beta: scalar,
-        e: square,
-        r: square,
-        direct: scalar,
-        held: scalar,
-        slope: bool,
+        body: ReducedBody, row: Doubles, beta: scalar, e: square, r: square, direct: scalar, held: scalar, slope: bool
     ):
         """T = e L + R J + sum_j beta g_j (e L (G - C) b_j + y_j - R J C b_j) b_j^T.
 
@@ -267,7 +261,7 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
         return out
 
     @wp.func
-    def fit(body: ReducedBody, row: wp.array(dtype=scalar), t: transform):
+    def fit(body: ReducedBody, row: Doubles, t: transform):
         """R of the rotation and A~ of the fit (eq. 3.7, 3.9, 3.14) for the state T, held particles included."""
         a_pq = square()
         for i in range(wp.static(dim)):
@@ -296,7 +290,7 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
         return out
 
     @wp.func
-    def misfit(body: ReducedBody, row: wp.array(dtype=scalar), t: transform, beta: scalar, theta: scalar):
+    def misfit(body: ReducedBody, row: Doubles, t: transform, beta: scalar, theta: scalar):
         """Root mean square of goal - place over all particles of the state T (none taken as held): the equations anew,
         by themselves. And their rotation and linear fit."""
         r, a = fit(body, row, t)
