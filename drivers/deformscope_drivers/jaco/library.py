@@ -14,26 +14,8 @@ from pathlib import Path
 from typing import Any, Literal, Protocol, TypeVar
 
 from deformscope_drivers.errors import LibraryMissing
+from deformscope_drivers.jaco import structures
 from deformscope_drivers.jaco.errors import OK, SymbolMissing, error_of
-from deformscope_drivers.jaco.structures import (
-    AngularInfo,
-    AngularPosition,
-    AngularRates,
-    ApiVersion,
-    CartesianInfo,
-    CartesianPosition,
-    CartesianRates,
-    DeviceList,
-    EthernetCommConfig,
-    ForcesInfo,
-    GeneralInformations,
-    JoystickCommand,
-    KinovaDevice,
-    QuickStatus,
-    SensorsInfo,
-    TrajectoryFIFO,
-    TrajectoryPoint,
-)
 
 Connection = Literal["usb", "ethernet"]
 LIBRARY_NAMES: dict[Connection, str] = {"usb": "USBCommandLayerUbuntu.so", "ethernet": "EthCommandLayerUbuntu.so"}
@@ -44,14 +26,14 @@ S = TypeVar("S", bound=ctypes.Structure)
 # name: argument types; each returns an int, 1 for success (GetDevices: how many devices, its status by pointer)
 SIGNATURES: dict[str, tuple[Any, ...]] = {
     # the library and its devices
-    "GetAPIVersion": (ApiVersion,),
+    "GetAPIVersion": (structures.ApiVersion,),
     "InitAPI": (),
-    "InitEthernetAPI": (POINTER(EthernetCommConfig),),
+    "InitEthernetAPI": (POINTER(structures.EthernetCommConfig),),
     "CloseAPI": (),
     "RefresDevicesList": (),  # the vendor's spelling
-    "GetDevices": (DeviceList, POINTER(c_int)),
-    "SetActiveDevice": (KinovaDevice,),
-    "GetGeneralInformations": (POINTER(GeneralInformations),),
+    "GetDevices": (structures.DeviceList, POINTER(c_int)),
+    "SetActiveDevice": (structures.KinovaDevice,),
+    "GetGeneralInformations": (POINTER(structures.GeneralInformations),),
     "GetSystemErrorCount": (POINTER(c_uint),),
     "ClearErrorLog": (),
     # control and motion
@@ -61,35 +43,35 @@ SIGNATURES: dict[str, tuple[Any, ...]] = {
     "SetCartesianControl": (),
     "GetControlType": (POINTER(c_int),),
     "SetFrameType": (c_int,),
-    "SendBasicTrajectory": (TrajectoryPoint,),
-    "SendAdvanceTrajectory": (TrajectoryPoint,),
+    "SendBasicTrajectory": (structures.TrajectoryPoint,),
+    "SendAdvanceTrajectory": (structures.TrajectoryPoint,),
     "EraseAllTrajectories": (),
-    "GetGlobalTrajectoryInfo": (POINTER(TrajectoryFIFO),),
-    "GetActualTrajectoryInfo": (POINTER(TrajectoryPoint),),
-    "SendJoystickCommand": (JoystickCommand,),
-    "GetJoystickValue": (POINTER(JoystickCommand),),
+    "GetGlobalTrajectoryInfo": (POINTER(structures.TrajectoryFIFO),),
+    "GetActualTrajectoryInfo": (POINTER(structures.TrajectoryPoint),),
+    "SendJoystickCommand": (structures.JoystickCommand,),
+    "GetJoystickValue": (POINTER(structures.JoystickCommand),),
     "MoveHome": (),
     "InitFingers": (),
     "SetEndEffectorOffset": (c_uint, c_float, c_float, c_float),
     # readings
     **{
-        f"GetAngular{what}": (POINTER(AngularPosition),)
+        f"GetAngular{what}": (POINTER(structures.AngularPosition),)
         for what in ("Position", "Velocity", "Command", "Force", "ForceGravityFree", "Current")
     },
     **dict.fromkeys(
-        ("GetCartesianPosition", "GetCartesianCommand", "GetCartesianForce"), (POINTER(CartesianPosition),)
+        ("GetCartesianPosition", "GetCartesianCommand", "GetCartesianForce"), (POINTER(structures.CartesianPosition),)
     ),
-    "GetCommandVelocity": (CartesianRates, AngularRates),
-    "GetForcesInfo": (POINTER(ForcesInfo),),
-    "GetSensorsInfo": (POINTER(SensorsInfo),),
-    "GetQuickStatus": (POINTER(QuickStatus),),
+    "GetCommandVelocity": (structures.CartesianRates, structures.AngularRates),
+    "GetForcesInfo": (POINTER(structures.ForcesInfo),),
+    "GetSensorsInfo": (POINTER(structures.SensorsInfo),),
+    "GetQuickStatus": (POINTER(structures.QuickStatus),),
     # force
     "StartForceControl": (),
     "StopForceControl": (),
-    "SetCartesianForceMinMax": (CartesianInfo, CartesianInfo),
-    "SetCartesianInertiaDamping": (CartesianInfo, CartesianInfo),
-    "SetAngularTorqueMinMax": (AngularInfo, AngularInfo),
-    "SetAngularInertiaDamping": (AngularInfo, AngularInfo),
+    "SetCartesianForceMinMax": (structures.CartesianInfo, structures.CartesianInfo),
+    "SetCartesianInertiaDamping": (structures.CartesianInfo, structures.CartesianInfo),
+    "SetAngularTorqueMinMax": (structures.AngularInfo, structures.AngularInfo),
+    "SetAngularInertiaDamping": (structures.AngularInfo, structures.AngularInfo),
     "SetTorqueZero": (c_int,),
     "SetTorqueSafetyFactor": (c_float,),
     "SetGravityType": (c_int,),
@@ -183,9 +165,9 @@ def read(functions: Functions, name: str, kind: type[S]) -> S:
     return response
 
 
-def devices(functions: Functions) -> list[KinovaDevice]:
+def devices(functions: Functions) -> list[structures.KinovaDevice]:
     """The arms that the library lists."""
-    listed, status = DeviceList(), c_int(OK)
+    listed, status = structures.DeviceList(), c_int(OK)
     count = functions.function("GetDevices")(listed, status)
     if status.value != OK:
         raise error_of(status.value, "GetDevices", functions.where)
@@ -194,6 +176,6 @@ def devices(functions: Functions) -> list[KinovaDevice]:
 
 def api_version(functions: Functions) -> tuple[int, int, int]:
     """The library's own version."""
-    version = ApiVersion()
+    version = structures.ApiVersion()
     call(functions, "GetAPIVersion", version)
     return (version[0], version[1], version[2])
