@@ -8,11 +8,15 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from multiprocessing.connection import Connection
 from types import ModuleType
+from typing import Any
 
 SPAWN = multiprocessing.get_context("spawn")
 """How they are made: what other threads hold does not survive a fork."""
+END_S = 5.0
+"""A process ends by itself within this, or is ended."""
 BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -33,6 +37,29 @@ def starting() -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = value
+
+
+@contextlib.contextmanager
+def beside(name: str, target: Callable[..., None], *arguments: Any) -> Iterator[Connection]:
+    """Run `target(pipe, *arguments)` in such a process, which is to end when the pipe does; yields the other end."""
+    ours, theirs = SPAWN.Pipe()
+    process = SPAWN.Process(target=_followed, args=(target, theirs, *arguments), name=name, daemon=True)
+    with starting():
+        process.start()
+    theirs.close()
+    try:
+        yield ours
+    finally:
+        ours.close()
+        process.join(END_S)
+        if process.is_alive():
+            process.kill()
+            process.join()
+
+
+def _followed(target: Callable[..., None], *arguments: Any) -> None:
+    follow_parent()
+    target(*arguments)
 
 
 def follow_parent() -> None:

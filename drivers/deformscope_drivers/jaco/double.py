@@ -60,7 +60,6 @@ class JacoDouble:
         self._codes: dict[str, deque[int]] = {}
         self._initialized = False
         self._unplugged = False
-        self._frame = 0
 
     # For who runs the simulation -------------------------------------------------------------------------------------
 
@@ -208,12 +207,6 @@ class JacoDouble:
         response.SupplyVoltage, response.TotalCurrent = 24.0, self._supply_a()
         response.ConnectedActuatorCount = self.chain.joint_count
 
-    def GetSystemErrorCount(self, response: ctypes.c_uint) -> None:
-        response.value = 0
-
-    def ClearErrorLog(self) -> int:
-        return OK
-
     # Control and motion ----------------------------------------------------------------------------------------------
 
     def StartControlAPI(self) -> None:
@@ -227,15 +220,6 @@ class JacoDouble:
 
     def SetCartesianControl(self) -> None:
         self._arm.angular_control = False
-
-    def GetControlType(self, response: ctypes.c_int) -> None:
-        response.value = int(self._arm.angular_control)
-
-    def SetFrameType(self, frame: int) -> int:
-        if frame != 0:
-            return _INVALID  # only the fixed frame is modelled
-        self._frame = frame
-        return OK
 
     def SendBasicTrajectory(self, point: structures.TrajectoryPoint) -> int:
         """A basic point carries no limitations."""
@@ -263,21 +247,12 @@ class JacoDouble:
         point = self._arm.fifo[0] if self._arm.fifo else structures.TrajectoryPoint()
         ctypes.memmove(ctypes.byref(response), ctypes.byref(point), ctypes.sizeof(response))
 
-    def SendJoystickCommand(self, command: structures.JoystickCommand) -> int:
-        return OK  # a joystick moves nothing here
-
-    def GetJoystickValue(self, response: structures.JoystickCommand) -> int:
-        return OK
-
     def MoveHome(self) -> None:
         """Returns at once; the arm is moving."""
         self._arm.go_home()
 
     def InitFingers(self) -> None:
         self._arm.open_fingers()
-
-    def SetEndEffectorOffset(self, status: int, x: float, y: float, z: float) -> int:
-        return OK if not any((x, y, z)) else _INVALID  # tools beyond the hand are not modelled
 
     # Readings --------------------------------------------------------------------------------------------------------
 
@@ -287,9 +262,6 @@ class JacoDouble:
 
     def GetAngularVelocity(self, response: structures.AngularPosition) -> None:
         _write_joints(response, self._arm.rates_deg_s)
-
-    def GetAngularCommand(self, response: structures.AngularPosition) -> None:
-        self.GetAngularPosition(response)
 
     def GetAngularForce(self, response: structures.AngularPosition) -> None:
         _write_joints(response, self._arm.torque_nm())
@@ -304,9 +276,6 @@ class JacoDouble:
         pose = self._arm.links[-1]
         response.Coordinates = structures.CartesianInfo(*pose[:3, 3], *kinematics.euler_xyz_from_rotation(pose[:3, :3]))
         self._write_fingers(response)
-
-    def GetCartesianCommand(self, response: structures.CartesianPosition) -> None:
-        self.GetCartesianPosition(response)
 
     def GetCartesianForce(self, response: structures.CartesianPosition) -> None:
         response.Coordinates = structures.CartesianInfo(*self._arm.measured_wrench())
@@ -335,7 +304,6 @@ class JacoDouble:
         response.Finger1Status = response.Finger2Status = response.Finger3Status = int(self._arm.fingers_ready)
         response.ControlEnableStatus = int(not self._arm.control)
         response.ForceControlStatus = int(not self._arm.admittance.active)
-        response.ControlFrameType = self._frame
         response.TorqueSensorsStatus = 1
 
     # Force -----------------------------------------------------------------------------------------------------------
@@ -375,9 +343,6 @@ class JacoDouble:
 
     def SetGravityType(self, kind: int) -> int:
         return OK if kind in (0, 1) else _INVALID
-
-    def SetGravityPayload(self, payload: Floats) -> int:
-        return OK
 
     # Within ----------------------------------------------------------------------------------------------------------
 

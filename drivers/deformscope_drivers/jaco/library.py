@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from ctypes import POINTER, c_float, c_int, c_uint
+from ctypes import POINTER, c_float, c_int
 from pathlib import Path
 from typing import Any, Literal, Protocol, TypeVar
 
@@ -34,33 +34,24 @@ SIGNATURES: dict[str, tuple[Any, ...]] = {
     "GetDevices": (structures.DeviceList, POINTER(c_int)),
     "SetActiveDevice": (structures.KinovaDevice,),
     "GetGeneralInformations": (POINTER(structures.GeneralInformations),),
-    "GetSystemErrorCount": (POINTER(c_uint),),
-    "ClearErrorLog": (),
     # control and motion
     "StartControlAPI": (),
     "StopControlAPI": (),
     "SetAngularControl": (),
     "SetCartesianControl": (),
-    "GetControlType": (POINTER(c_int),),
-    "SetFrameType": (c_int,),
     "SendBasicTrajectory": (structures.TrajectoryPoint,),
     "SendAdvanceTrajectory": (structures.TrajectoryPoint,),
     "EraseAllTrajectories": (),
     "GetGlobalTrajectoryInfo": (POINTER(structures.TrajectoryFIFO),),
     "GetActualTrajectoryInfo": (POINTER(structures.TrajectoryPoint),),
-    "SendJoystickCommand": (structures.JoystickCommand,),
-    "GetJoystickValue": (POINTER(structures.JoystickCommand),),
     "MoveHome": (),
     "InitFingers": (),
-    "SetEndEffectorOffset": (c_uint, c_float, c_float, c_float),
     # readings
     **{
         f"GetAngular{what}": (POINTER(structures.AngularPosition),)
-        for what in ("Position", "Velocity", "Command", "Force", "ForceGravityFree", "Current")
+        for what in ("Position", "Velocity", "Force", "ForceGravityFree", "Current")
     },
-    **dict.fromkeys(
-        ("GetCartesianPosition", "GetCartesianCommand", "GetCartesianForce"), (POINTER(structures.CartesianPosition),)
-    ),
+    **dict.fromkeys(("GetCartesianPosition", "GetCartesianForce"), (POINTER(structures.CartesianPosition),)),
     "GetCommandVelocity": (structures.CartesianRates, structures.AngularRates),
     "GetForcesInfo": (POINTER(structures.ForcesInfo),),
     "GetSensorsInfo": (POINTER(structures.SensorsInfo),),
@@ -75,7 +66,6 @@ SIGNATURES: dict[str, tuple[Any, ...]] = {
     "SetTorqueZero": (c_int,),
     "SetTorqueSafetyFactor": (c_float,),
     "SetGravityType": (c_int,),
-    "SetGravityPayload": (c_float * 4,),
 }
 
 

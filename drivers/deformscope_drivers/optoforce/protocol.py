@@ -26,26 +26,8 @@ from enum import Enum, IntEnum
 from functools import lru_cache
 from typing import Generic, TypeVar
 
-from deformscope_drivers.framing import Found, FrameDecoder, Refused, Skipped
-
-__all__ = [
-    "CommandDecoder",
-    "ConfigReply",
-    "Configure",
-    "DaqState",
-    "Decoder",
-    "Filter",
-    "Kind",
-    "Reading",
-    "SensorState",
-    "SerialReply",
-    "SerialRequest",
-    "Skipped",
-    "Speed",
-    "Status",
-    "Zero",
-    "encode",
-]
+from deformscope_drivers.framing import Found, FrameDecoder, Refused
+from deformscope_drivers.framing import Skipped as Skipped
 
 HEADER_SIZE = 4
 CHECKSUM_SIZE = 2
