@@ -15,7 +15,6 @@ from collections.abc import Callable, Hashable, Iterable, Iterator
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeout
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 
 from deformscope_drivers.clock import Clock, ClockFit, Stamp, monotonic_ns
@@ -202,9 +201,7 @@ class Device(ABC, Generic[MeasurementT]):
     def __enter__(self) -> Self:
         return self if self.is_open else self.open()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property

@@ -106,7 +106,6 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
 
         a: rest moments A_qq (upper triangle), c: A_pq - A_qq (transposed)
         """
-        ...
 
     @wp.func_native(
         f"""
@@ -177,7 +176,6 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
         the wanted maximum exactly when the gradient vanishes and tr(S) I - S is positive definite, so never at a
         reflection. a: rest moments A_qq (upper triangle), c: A_pq - A_qq (transposed)
         """
-        ...
 
     @wp.func(inline=False)  # rare and long
     def settle(turned: turns.rows, a_qq: moments.rows, change_t: squares.rows):
@@ -248,7 +246,6 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
     )
     def turn_change_2d(t: squares.rows, k: compliances.rows, c: squares.rows) -> squares.rows:
         """dR (transposed) for dA_pq = c (transposed), where t is R - I (transposed) and k the compliance."""
-        ...
 
     @wp.func_native(
         f"""
@@ -276,7 +273,6 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
     )
     def turn_change_3d(t: squares.rows, k: compliances.rows, c: squares.rows) -> squares.rows:
         """dR (transposed) for dA_pq = c (transposed), where t is R - I (transposed) and k the compliance."""
-        ...
 
     turn_change = turn_change_2d if dim == 2 else turn_change_3d
 
@@ -286,7 +282,6 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
     )
     def mixed(a: transforms.rows, b: lane, t: squares.rows, s: lane) -> transforms.rows:
         """b a + s [t, 0]."""
-        ...
 
     @wp.func(inline=False)  # long, and not needed where theta = 0
     def conserve(

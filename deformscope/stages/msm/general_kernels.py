@@ -80,7 +80,6 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Simple
     )
     def add_map(m: vecs.rows, w: numbers, slot: int, a: numbers, at: int, stride: int) -> vecs.rows:
         """m plus what a cluster's map (kept at `at` of `a`) makes of the basis of one of its particles."""
-        ...
 
     @wp.func
     def parameter(lists: Lists, values: numbers, stride: int, group: int, cluster_index: int):

@@ -49,7 +49,6 @@ def lanes_for(width: int, scalar: Any) -> SimpleNamespace:
     )
     def own(a: numbers, i: int, step: int) -> lane:
         """Each lane's own number, or with step 0 the one that all share."""
-        ...
 
     @wp.func_native(f"{vec} r; {each} r.c[l] = a.c[l] * b.c[l]; return r;")
     def times(a: lane, b: lane) -> lane: ...
@@ -60,7 +59,6 @@ def lanes_for(width: int, scalar: Any) -> SimpleNamespace:
     @wp.func_native(f"int r = 1; {each} r &= a.c[l] < limit; return r;")
     def below(a: lane, limit: scalar) -> int:
         """1 if every lane is below the limit (a lane that is not a number is not)."""
-        ...
 
     return SimpleNamespace(**locals())
 
@@ -93,7 +91,6 @@ def rows_for(count: int, width: int, scalar: Any) -> SimpleNamespace:
     )
     def own(a: numbers, i: int, stride: int, step: int) -> rows:
         """Each lane's own numbers, or with step 0 those that all share."""
-        ...
 
     @sized.func_native(f"{vec} r; for (int l = 0; l < {width}; ++l) r.c[l] = m.data[k][l]; return r;")
     def row(m: rows, k: int) -> lane: ...
@@ -104,17 +101,14 @@ def rows_for(count: int, width: int, scalar: Any) -> SimpleNamespace:
     @sized.func_native(f"{mat} r; {each} r.data[k][l] = m.data[k][l] + f * n.data[k][l]; return r;")
     def add(m: rows, f: scalar, n: rows) -> rows:
         """m + f n."""
-        ...
 
     @sized.func_native(f"{mat} r; {each} r.data[k][l] = m.data[k][l] * v.c[l]; return r;")
     def scale(m: rows, v: lane) -> rows:
         """Each lane of m times that of v."""
-        ...
 
     @sized.func_native(f"{mat} r; {each} r.data[k][l] = when.c[l] > 0 ? m.data[k][l] : 0; return r;")
     def choose(when: lane, m: rows) -> rows:
         """m where `when` is positive, else 0 (whatever m holds there)."""
-        ...
 
     return SimpleNamespace(**locals())
 

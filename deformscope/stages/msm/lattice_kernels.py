@@ -364,7 +364,6 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
     )
     def centred(moments: maps.rows, mean: axis_vecs.rows, total: vecs.rows, valid: lane) -> maps.rows:
         """First moments about the centre of mass; 0 where there is no cluster."""
-        ...
 
     @wp.func_native(
         f"{matrix_c(dim)} r; for (int i = 0; i < {dim}; ++i) {each} r.data[i][l] = valid.c[l] > 0"
@@ -372,7 +371,6 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
     )
     def shift_of(total: vecs.rows, share: lane, mean: axis_vecs.rows, slopes: maps.rows, valid: lane) -> vecs.rows:
         """Goal displacement at the middle of the window."""
-        ...
 
     @wp.func_native(
         f"{matrix_c(axes * dim)} r; for (int i = 0; i < {dim}; ++i) {each} {{ r.data[i][l] = a.data[i][l];"

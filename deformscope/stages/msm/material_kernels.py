@@ -89,7 +89,6 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Simpl
     @sized.func_native(f"{squares_c} r; {entries} r.data[j * {dim} + i][l] = {terms_xw}; return r;")
     def weighted(x: transforms.rows, w: squares.rows) -> squares.rows:
         """X W, for the linear part X."""
-        ...
 
     terms_cs = " + ".join(
         f"(a.data[i * {dim} + {k}][l] + c.data[{k * dim} + i][l]) * s.data[j * {dim} + {k}][l]" for k in along
@@ -100,7 +99,6 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Simpl
     )
     def with_plastic(c: squares.rows, a: squares.rows, s: squares.rows) -> squares.rows:
         """(a + C) (I + s)^T - a: the moments over rest vectors that have yielded by s."""
-        ...
 
     terms_ts = " + ".join(f"t.data[{k * dim} + i][l] * s.data[{k * dim} + j][l]" for k in along)
 
@@ -110,7 +108,6 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Simpl
     )
     def on_plastic(t: squares.rows, s: squares.rows, first: scalar) -> squares.rows:
         """(I + T) (I + s) - I; with first = 0 its change with T."""
-        ...
 
     terms_xc = " + ".join(
         f"(x.data[{k * dim} + i][l] - t.data[{k * dim} + i][l]) * m.data[{k * dim} + j][l]" for k in along
@@ -121,7 +118,6 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Simpl
     )
     def blended(x: transforms.rows, t: squares.rows, m: squares.rows) -> transforms.rows:
         """T + (X - T) C."""
-        ...
 
     @wp.func
     def fit_one(

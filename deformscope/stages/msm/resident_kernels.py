@@ -54,7 +54,6 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
     )
     def meet():
         """All threads of the block have come here, and see what the others wrote."""
-        ...
 
     def together(name: str, join: str) -> Any:
         """Joins a number of every thread of a block; on a CPU the block is the thread."""

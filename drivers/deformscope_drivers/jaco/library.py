@@ -81,11 +81,9 @@ class Functions(Protocol):
     @property
     def where(self) -> str:
         """What to name in errors: the library's path."""
-        ...
 
     def function(self, name: str) -> Callable[..., int]:
         """The function of that name without prefix, taking the structures of `structures`."""
-        ...
 
 
 class Library:
