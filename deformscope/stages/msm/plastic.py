@@ -173,8 +173,8 @@ class PlasticMsm:
         if self._moving is None:
             self._moving = self.body.start(self.size, self._position)
         operator = self._moving.operator
-        operator.put_plastic(self._plastic)  # type: ignore[attr-defined]
-        operator.set_law(self._yield, dt * self._creep, self._maximum)  # type: ignore[attr-defined]
+        operator.put_plastic(self._plastic)
+        operator.set_law(self._yield, dt * self._creep, self._maximum)
         self._position = self.body.step(
             self._moving,
             held_position,
@@ -186,7 +186,7 @@ class PlasticMsm:
             acceleration=acceleration,
             steps=steps,
         )
-        self._plastic = operator.plastic()  # type: ignore[attr-defined]
+        self._plastic = operator.plastic()
         return self._position.copy()
 
     @property

@@ -17,10 +17,10 @@ from deformscope.stages.msm.functions import functions_for
 from deformscope.stages.msm.lanes import Doubles
 
 BETA, THETA, TOLERANCE, MOST_ITERATIONS, STARTED, HELD = range(6)
-"""Places in a candidate's row: Doubles first, then what is held, then the transform to start from."""
+"""Places in a candidate's row: numbers first, then what is held, then the transform to start from."""
 
 RESIDUAL, ERROR, ITERATIONS, STATE, TRANSFORM = range(5)
-"""Places in a candidate's result: Doubles first, then the transform [m] by rows, then the translation [m]."""
+"""Places in a candidate's result: numbers first, then the transform [m] by rows, then the translation [m]."""
 
 NOT_CONVERGED, CONVERGED, DIVERGED = 0, 1, -1
 
