@@ -2,8 +2,6 @@
 
 All matrices are transposed (rows are what the cluster is fitted over), so that the moments of a lattice multiply from
 the right. Displacements are in particle spacings.
-
-Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
 """
 
 import functools

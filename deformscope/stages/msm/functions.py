@@ -1,7 +1,4 @@
-"""Warp functions of one cluster: rotation, volume conservation, and their derivatives. The kernels are made of them.
-
-Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
-"""
+"""Warp functions of one cluster: rotation, volume conservation, and their derivatives. The kernels are made of them."""
 
 import functools
 from types import SimpleNamespace

@@ -1,7 +1,4 @@
-"""Warp kernels of clusters given as index lists, for points without a lattice; candidates abreast in the lanes.
-
-Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
-"""
+"""Warp kernels of clusters given as index lists, for points without a lattice; candidates abreast in the lanes."""
 
 import functools
 from types import SimpleNamespace

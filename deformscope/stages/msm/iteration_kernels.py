@@ -3,8 +3,6 @@
 They take fields of particles as they lie (see `layout.py`), whatever the clusters. Sums over particles are
 taken in a fixed order, so that runs repeat bit for bit. Candidates are independent: what has ended gets steps of
 0, and a group in which all have ended is skipped.
-
-Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
 """
 
 import functools

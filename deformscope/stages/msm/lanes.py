@@ -5,8 +5,6 @@ whose compiler finds none of this parallelism in scalar kernels; width 1 is a pl
 indices. `Rows` are small matrices of lanes, row by row. The loops of the native functions have no branches and run
 over the lanes innermost, which is what compilers turn into vector instructions; warp's own operators on matrices are
 not turned.
-
-Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
 """
 
 import functools

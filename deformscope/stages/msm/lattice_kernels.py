@@ -8,8 +8,6 @@ subtracting the one that leaves; with `run` = 1 it adds up one window only, whic
 A lattice has three axes (slow to fast: 0, 1, 2); in the plane the first has one cell. A cluster lives at the cell of
 its lowest corner. Fields are structures of arrays; a cell's place is the same in every field. Places that no cluster
 and no particle has stay 0 for ever, which is what lets every window run over the edges without asking.
-
-Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
 """
 
 import functools

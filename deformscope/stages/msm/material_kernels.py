@@ -1,8 +1,6 @@
 """Warp kernels of `materials`: the fits of clusters with a beta along each axis or with S^p, and the flow of S^p.
 
 They take the place of `general_kernels`' fits; gathering, spreading and what is fitted are the same.
-
-Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
 """
 
 import functools

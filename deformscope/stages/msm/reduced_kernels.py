@@ -3,8 +3,6 @@
 
 One thread solves one candidate from start to end, in float64. All that a candidate brings and takes is one row of
 numbers each, so that a call copies once in and once out.
-
-Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
 """
 
 import functools

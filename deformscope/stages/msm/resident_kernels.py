@@ -3,8 +3,6 @@
 A block of threads keeps to one group of candidates and goes through its passes, meeting at a barrier after each. On a
 GPU that saves the launches between passes, which cost more than a small body's work, and what a pass leaves is still
 near when the next reads it; on a CPU a block is one thread, and there are no launches left to pay for at any size.
-
-Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
 """
 
 import functools

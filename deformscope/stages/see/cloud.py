@@ -161,7 +161,7 @@ def tactile_points(
     *,
     normal: FloatArray | None = None,
 ) -> FloatArray:
-    """`TACTILE_POINTS` virtual points (n, 3) [m] where a ball touches: on its surface around its foremost one (Thesis 4.4).
+    """`TACTILE_POINTS` virtual points (n, 3) [m] where a ball touches, around its foremost one (Thesis 4.4).
 
     lowest_m: (3,) the ball's foremost point; depth_m: how far it is below where it first touched
     normal: (3,) unit normal of the surface at rest, away from it, default up

@@ -29,6 +29,19 @@ _WITHOUT_INIT = frozenset({"GetAPIVersion", "InitAPI", "InitEthernetAPI", "Close
 _FINDS_DEVICES = frozenset({"InitAPI", "InitEthernetAPI", "RefresDevicesList", "GetDevices"})
 _DEVICE_TYPES = {"j2n6s300": structures.DeviceType.JACO2_6DOF, "j2s7s300": structures.DeviceType.SPHERICAL_7DOF}
 
+_JOINT_READINGS: dict[str, Callable[[SimulatedArm], FloatArray]] = {
+    "GetAngularVelocity": lambda arm: arm.rates_deg_s,
+    "GetAngularForce": SimulatedArm.torque_nm,
+    "GetAngularForceGravityFree": SimulatedArm.external_torque_nm,
+    "GetAngularCurrent": SimulatedArm.currents_a,
+}
+_ADMITTANCE = {
+    "SetCartesianForceMinMax": ("force_min", "force_max"),
+    "SetCartesianInertiaDamping": ("inertia", "damping"),
+    "SetAngularTorqueMinMax": ("torque_min", "torque_max"),
+    "SetAngularInertiaDamping": ("joint_inertia", "joint_damping"),
+}
+
 
 class JacoDouble:
     """A simulated Jaco: its methods in capitals are the vendor's, the others are for who runs the simulation.
@@ -65,7 +78,7 @@ class JacoDouble:
 
     def function(self, name: str) -> Callable[..., int]:
         """The vendor's function of that name, as `Library.function` gives it."""
-        method: Callable[..., int | None] = getattr(self, name)
+        method: Callable[..., int | None] = self._function(name)
 
         def called(*arguments: Any) -> int:
             with self._lock:
@@ -80,6 +93,14 @@ class JacoDouble:
                 return code
 
         return called
+
+    def _function(self, name: str) -> Callable[..., int | None]:
+        if name in _JOINT_READINGS:
+            return lambda response: _write_joints(response, _JOINT_READINGS[name](self._arm))
+        if name in _ADMITTANCE:
+            return lambda *given: self._set_admittance(_ADMITTANCE[name], given)
+        found: Callable[..., int | None] = getattr(self, name)
+        return found
 
     def inject(self, name: str, code: int, times: int = 1) -> None:
         """Have the next calls of a function return a code instead of doing anything."""
@@ -260,18 +281,6 @@ class JacoDouble:
         _write_joints(response, self._arm.joints_deg)
         self._write_fingers(response)
 
-    def GetAngularVelocity(self, response: structures.AngularPosition) -> None:
-        _write_joints(response, self._arm.rates_deg_s)
-
-    def GetAngularForce(self, response: structures.AngularPosition) -> None:
-        _write_joints(response, self._arm.torque_nm())
-
-    def GetAngularForceGravityFree(self, response: structures.AngularPosition) -> None:
-        _write_joints(response, self._arm.external_torque_nm())
-
-    def GetAngularCurrent(self, response: structures.AngularPosition) -> None:
-        _write_joints(response, self._arm.currents_a())
-
     def GetCartesianPosition(self, response: structures.CartesianPosition) -> None:
         pose = self._arm.links[-1]
         response.Coordinates = structures.CartesianInfo(*pose[:3, 3], *kinematics.euler_xyz_from_rotation(pose[:3, :3]))
@@ -314,22 +323,6 @@ class JacoDouble:
     def StopForceControl(self) -> None:
         self._arm.admittance.active = False
 
-    def SetCartesianForceMinMax(self, least: structures.CartesianInfo, most: structures.CartesianInfo) -> None:
-        admittance = self._arm.admittance
-        admittance.force_min, admittance.force_max = _read_cartesian(least), _read_cartesian(most)
-
-    def SetCartesianInertiaDamping(self, inertia: structures.CartesianInfo, damping: structures.CartesianInfo) -> None:
-        admittance = self._arm.admittance
-        admittance.inertia, admittance.damping = _read_cartesian(inertia), _read_cartesian(damping)
-
-    def SetAngularTorqueMinMax(self, least: structures.AngularInfo, most: structures.AngularInfo) -> None:
-        admittance = self._arm.admittance
-        admittance.torque_min, admittance.torque_max = self._read_joints(least), self._read_joints(most)
-
-    def SetAngularInertiaDamping(self, inertia: structures.AngularInfo, damping: structures.AngularInfo) -> None:
-        admittance = self._arm.admittance
-        admittance.joint_inertia, admittance.joint_damping = self._read_joints(inertia), self._read_joints(damping)
-
     def SetTorqueZero(self, address: int) -> int:
         """Addresses 16 and up are the joints: what their sensors show now, beside gravity, is zero from here on."""
         joint = address - 16
@@ -344,20 +337,22 @@ class JacoDouble:
     def SetGravityType(self, kind: int) -> int:
         return OK if kind in (0, 1) else _INVALID
 
+    def _set_admittance(self, names: tuple[str, str], given: Sequence[Any]) -> None:
+        for name, values in zip(names, given, strict=True):
+            cartesian = isinstance(values, structures.CartesianInfo)
+            found = structures.cartesian_values(values) if cartesian else self._joints_of(values)
+            setattr(self._arm.admittance, name, np.array(found))
+
     # Within ----------------------------------------------------------------------------------------------------------
 
     def _supply_a(self) -> float:
         return float(0.7 + np.sum(self._arm.currents_a()))
 
-    def _read_joints(self, actuators: structures.AngularInfo) -> FloatArray:
-        return np.array(structures.actuator_values(actuators, self.chain.joint_count))
+    def _joints_of(self, actuators: structures.AngularInfo) -> tuple[float, ...]:
+        return structures.actuator_values(actuators, self.chain.joint_count)
 
     def _write_fingers(self, response: structures.AngularPosition | structures.CartesianPosition) -> None:
         response.Fingers.Finger1, response.Fingers.Finger2, response.Fingers.Finger3 = self._arm.fingers
-
-
-def _read_cartesian(info: structures.CartesianInfo) -> FloatArray:
-    return np.array(structures.cartesian_values(info))
 
 
 def _write_joints(response: structures.AngularPosition, values: FloatArray) -> None:

@@ -15,6 +15,17 @@ from deformscope_drivers.sdh.protocol import Command, DebugLine, Event, Reading,
 
 UNKNOWN, FORMAT, RANGE, INDEX, FAILED, FEW, NONE_EXPECTED = 13, 14, 24, 26, 17, 11, 12
 
+SETTINGS = {
+    **dict.fromkeys(("p", "tpap"), "target_deg"),
+    **dict.fromkeys(("v", "tvav"), "target_velocity_deg_s"),
+    "a": "target_acceleration_deg_s2",
+    "ilim": "move_current_a",
+    "igrip": "grip_current_a",
+    "ihold": "hold_current_a",
+    "power": "powered",
+}
+"""What of an `Axis` a command sets or reports."""
+
 
 class Refusal(Exception):
     """The command is answered with an error code."""
@@ -76,7 +87,7 @@ class Firmware:
                 raise Refusal(NONE_EXPECTED)
             return [self._measured(command, now_ns)]
         match name:
-            case "p" | "v" | "a" | "ilim" | "igrip" | "ihold" | "power" | "tpap" | "tvav":
+            case _ if name in SETTINGS:
                 return [self._setting(command, now_ns)]
             case "vlim" | "alim":
                 return [self._limit(command)]
@@ -153,7 +164,7 @@ class Firmware:
                 self.motion.follow_velocities()
         if name in codes.MEASURED_COUNT:
             return self._measured(command, now_ns)
-        return ValueReply(name, tuple(self._get(name, axis) for _, axis in axes), command.axis)
+        return ValueReply(name, tuple(float(getattr(axis, SETTINGS[name])) for _, axis in axes), command.axis)
 
     def _check_setting(self, name: str, axis: Axis, value: float) -> None:
         lowest = 0.0 if self.motion.controller is codes.Controller.POSE else -axis.velocity_max_deg_s
@@ -172,37 +183,10 @@ class Firmware:
             raise Refusal(RANGE)
 
     def _set(self, name: str, index: int, axis: Axis, value: float, now_ns: int) -> None:
-        match name:
-            case "p" | "tpap":
-                axis.target_deg = value
-            case "v" | "tvav":
-                axis.target_velocity_deg_s = value
-            case "a":
-                axis.target_acceleration_deg_s2 = value
-            case "ilim":
-                axis.move_current_a = value
-            case "igrip":
-                axis.grip_current_a = value
-            case "ihold":
-                axis.hold_current_a = value
-            case "power" if now_ns >= self._gripping_until_ns:  # a grip cannot be switched off either
-                self.motion.power(index, bool(value))
-
-    def _get(self, name: str, axis: Axis) -> float:
-        match name:
-            case "p":
-                return axis.target_deg
-            case "v":
-                return axis.target_velocity_deg_s
-            case "a":
-                return axis.target_acceleration_deg_s2
-            case "ilim":
-                return axis.move_current_a
-            case "igrip":
-                return axis.grip_current_a
-            case "ihold":
-                return axis.hold_current_a
-        return float(axis.powered)
+        if name != "power":
+            setattr(axis, SETTINGS[name], value)
+        elif now_ns >= self._gripping_until_ns:  # a grip cannot be switched off either
+            self.motion.power(index, bool(value))
 
     def _limit(self, command: Command) -> Event:
         if command.values:
