@@ -207,14 +207,7 @@ class CanWire(Wire):
     is_bus = True
 
     def __init__(
-        self,
-        double: Double,
-        bus: str,
-        *,
-        receive_id: int,
-        send_id: int,
-        bitrate: int = 1_000_000,
-        padded: bool = False,
+        self, double: Double, bus: str, *, receive_id: int, send_id: int, bitrate: int = 1_000_000, padded: bool = False
     ) -> None:
         super().__init__(double)
         self.port = bus

@@ -423,8 +423,7 @@ def _update(
         likelihoods = ((temper, _levels(shares, readings, prior, temper)[0]) for temper in left)
         # the first that leaves enough maps, or else the last
         temper, now = next(
-            (one for one in likelihoods if _effective(log_weight + one[1] - before) >= 0.25 * least),
-            (left[-1], None),
+            (one for one in likelihoods if _effective(log_weight + one[1] - before) >= 0.25 * least), (left[-1], None)
         )
         if now is None:
             now = _levels(shares, readings, prior, temper)[0]

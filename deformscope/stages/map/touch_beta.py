@@ -132,14 +132,7 @@ def fit_touch(
         average_over=touch.radius_m,
         misfit_over=2.0 * touch.radius_m,
     )
-    fit = fit_pokes(
-        surface,
-        [seen],
-        spacing=spacing,
-        cluster_sizes=[CLUSTER_SIZE],
-        beta_range=BOUNDS,
-        theta=0.0,
-    )
+    fit = fit_pokes(surface, [seen], spacing=spacing, cluster_sizes=[CLUSTER_SIZE], beta_range=BOUNDS, theta=0.0)
     found = conclude(fit, level=LEVEL, settings={"model": "volume"}, provenance={})
     posed = fit.posed[0]
     top = posed.settle([fit.best.law]).position[0, posed.scene.open]

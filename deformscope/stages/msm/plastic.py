@@ -213,8 +213,4 @@ class PlasticMsm:
         held_u, beta_b, theta_b = self.body._candidates(held_position, self._plain(beta, theta), theta)
         if len(beta_b) not in (1, self.size):
             raise ValueError(f"expected {self.size} candidates, or one for all; got {len(beta_b)}")
-        return (
-            held_u,
-            np.broadcast_to(beta_b, (self.size, *beta_b.shape[1:])),
-            np.broadcast_to(theta_b, (self.size,)),
-        )
+        return (held_u, np.broadcast_to(beta_b, (self.size, *beta_b.shape[1:])), np.broadcast_to(theta_b, (self.size,)))

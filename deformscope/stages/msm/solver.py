@@ -553,13 +553,7 @@ class Msm:
         """
         if isinstance(beta, AxisBeta):
             return self._along(beta, theta).step(
-                state,
-                held_position,
-                beta.value[:, None, :],
-                alpha=alpha,
-                dt=dt,
-                acceleration=acceleration,
-                steps=steps,
+                state, held_position, beta.value[:, None, :], alpha=alpha, dt=dt, acceleration=acceleration, steps=steps
             )
         if state.operator.body is not self._body:
             state.move_to(self._body.operator(self._body.layout(state.layout.candidates)))

@@ -155,11 +155,7 @@ def height_noise_m(points: FloatArray, T_world_camera: FloatArray) -> FloatArray
 
 
 def tactile_points(
-    lowest_m: FloatArray,
-    radius_m: float,
-    depth_m: float,
-    *,
-    normal: FloatArray | None = None,
+    lowest_m: FloatArray, radius_m: float, depth_m: float, *, normal: FloatArray | None = None
 ) -> FloatArray:
     """`TACTILE_POINTS` virtual points (n, 3) [m] where a ball touches, around its foremost one (Thesis 4.4).
 

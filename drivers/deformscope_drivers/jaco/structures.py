@@ -114,10 +114,7 @@ class TrajectoryFIFO(ctypes.Structure):
 class JoystickCommand(ctypes.Structure):
     _fields_ = [
         ("ButtonValue", c_short * 16),
-        *_alike(
-            c_float,
-            "InclineLeftRight InclineForwardBackward Rotate MoveLeftRight MoveForwardBackward PushPull",
-        ),
+        *_alike(c_float, "InclineLeftRight InclineForwardBackward Rotate MoveLeftRight MoveForwardBackward PushPull"),
     ]
 
 
