@@ -226,7 +226,10 @@ class LatticeOperator(Operator):
         limit, run = SLIDE["cpu" if layout.device.startswith("cpu") else "cuda"]
         grid.run_0 = 1 if w[0] <= limit else run
         grid.run_1 = 1 if w[1] <= limit else run
-        blocks = self._blocks
+
+        def blocks(numbers: int) -> int:
+            return -(-numbers // layout.width)
+
         grid.blocks_plane, grid.blocks_clusters = blocks(grid.plane), blocks(grid.cluster_end)
         grid.items_plane = n[0] * grid.blocks_plane
         grid.items_fit = -(-grid.clusters_0 // grid.run_0) * grid.blocks_clusters
@@ -346,9 +349,6 @@ class LatticeOperator(Operator):
             device=layout.device,
             record_cmd=True,
         )
-
-    def _blocks(self, numbers: int) -> int:
-        return -(-numbers // self.layout.width)
 
     def _windows(self, fields: Any, motion: Any, running: Any, u: Any, before: Any) -> None:
         kk, grid = self.arrays.kernels, self.grid

@@ -306,7 +306,9 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         if not rate_hz:
             raise SettingsRefused("a DAQ that sends", "one that is stopped", "set_speed(1000)", self.name)
         count = max(STILL_READINGS, math.ceil(STILL_S * rate_hz))
-        settle = math.ceil((ZERO_REST_S + self._settling_s()) * rate_hz)
+        cutoff_hz = self._settings.filter.cutoff_hz
+        settling_s = 0.0 if cutoff_hz is None else SETTLED / (2.0 * math.pi * cutoff_hz)
+        settle = math.ceil((ZERO_REST_S + settling_s) * rate_hz)
         self._still_mean(count, still_counts, "the zero point is as it was")
         self._offset = None
         self._send_settings(replace(self._settings, zeroed=False))
@@ -326,10 +328,6 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         self._offset = before - after
         self._offset.setflags(write=False)
         return self._offset
-
-    def _settling_s(self) -> float:
-        cutoff_hz = self._settings.filter.cutoff_hz
-        return 0.0 if cutoff_hz is None else SETTLED / (2.0 * math.pi * cutoff_hz)
 
     def _still_mean(self, count: int, still_counts: float, state: str) -> FloatArray:
         """(channels, axes) mean of so many readings; refused where they vary."""

@@ -50,12 +50,14 @@ class DamageCount:
 
 def count(packet: bytes, nominal_counts: float | None) -> dict[str, DamageCount]:
     """What each kind of damage to this packet comes to; with the nominal counts, its load is checked as well."""
+    pairs = combinations(range(SIZE), 2)
+    swaps = [{a: packet[b], b: packet[a]} for a, b in pairs if packet[a] != packet[b]]
     return {
         "1 bit flipped": _tally(packet, _flips(packet, 1), 8 * SIZE, nominal_counts),
         "2 bits flipped": _tally(packet, _flips(packet, 2), math.comb(8 * SIZE, 2), nominal_counts),
         "3 bits flipped": _tally(packet, _flips(packet, 3), math.comb(8 * SIZE, 3), nominal_counts),
         "2 bytes changed": _tally(packet, _changes(packet), math.comb(SIZE, 2) * 255**2, nominal_counts),
-        "2 bytes swapped": _tally(packet, _swaps(packet), _different_pairs(packet), nominal_counts),
+        "2 bytes swapped": _tally(packet, swaps, len(swaps), nominal_counts),
     }
 
 
@@ -135,16 +137,6 @@ def _changes(packet: bytes) -> Iterator[Patch]:
         if len(patch) == 1:
             for at in set(range(SIZE)) - set(patch):
                 yield from ({**patch, at: value} for value in range(256) if value != packet[at])
-
-
-def _swaps(packet: bytes) -> Iterator[Patch]:
-    for first, second in combinations(range(SIZE), 2):
-        if packet[first] != packet[second]:
-            yield {first: packet[second], second: packet[first]}
-
-
-def _different_pairs(packet: bytes) -> int:
-    return sum(1 for first, second in combinations(packet, 2) if first != second)
 
 
 def table(packets: list[bytes], nominal_counts: float | None) -> str:

@@ -194,7 +194,13 @@ class SdhConnection(StreamDevice[HandReading]):
         Runs in the device's thread. Raises CommandRefused with the hand's error code, NoReply, LinkLost.
         """
         timeout_s = self.config.reply_timeout_s if timeout_s is None else timeout_s
-        in_binary = command.name in codes.BINARY_COMMANDS and command.axis is None and self._speaks_binary()
+        in_binary = (
+            command.name in codes.BINARY_COMMANDS
+            and command.axis is None
+            and self._about is not None
+            and self._about.binary
+            and self._release >= codes.BINARY_SINCE
+        )
         data = protocol.encode(command, binary_checksum=self.config.checksummed() if in_binary else None)
         refusal: protocol.ErrorReply | None = None
         for attempt in range(tries):
@@ -249,9 +255,6 @@ class SdhConnection(StreamDevice[HandReading]):
         for event in self._decoder.finish():
             if isinstance(event, Skipped):
                 self._count_skipped(event)
-
-    def _speaks_binary(self) -> bool:
-        return self._about is not None and self._about.binary and self._release >= codes.BINARY_SINCE
 
 
 def _is_about(event: protocol.Event, command: protocol.Command) -> bool:
