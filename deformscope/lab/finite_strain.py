@@ -183,7 +183,7 @@ class _Half:
         stress, tangent = stress_and_tangent(self.law, f.reshape(-1, 2, 2))
         stress = np.moveaxis(stress.reshape(f.shape), (2, 3), (0, 1))
         tangent = np.moveaxis(tangent.reshape(*f.shape, 2, 2), (0, 1), (-2, -1))
-        return _inner_force.assemble(self.basis, stress=stress), _stiffness.assemble(self.basis, tangent=tangent)
+        return _INNER_FORCE.assemble(self.basis, stress=stress), _STIFFNESS.assemble(self.basis, tangent=tangent)
 
     def result(self, state: FloatArray, depth: float) -> PressedBlock:
         """What is reported of a state."""
@@ -205,14 +205,15 @@ class _Half:
         )
 
 
-@LinearForm
 def _inner_force(v: Any, w: Any) -> Any:
     return np.einsum("ij...,ij...->...", w["stress"], grad(v))
 
 
-@BilinearForm
 def _stiffness(u: Any, v: Any, w: Any) -> Any:
     return np.einsum("ij...,ijkl...,kl...->...", grad(v), w["tangent"], grad(u), optimize=True)
+
+
+_INNER_FORCE, _STIFFNESS = LinearForm(_inner_force), BilinearForm(_stiffness)
 
 
 def _graded(edge: float, end: float, size: float) -> FloatArray:
