@@ -19,7 +19,7 @@ from tests.patience import PATIENCE_S
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {"deformscope": ROOT / "deformscope", "deformscope_drivers": ROOT / "drivers" / "deformscope_drivers"}
 
-STAGES = ("stages.msm", "stages.see", "stages.fit", "stages.poke", "stages.materials", "stages.map")
+STAGES = tuple(f"stages.{name}" for name in ("msm", "see", "fit", "poke", "materials", "map", "squeeze"))
 LAYERS: dict[str, tuple[str, ...]] = {
     "arrays": (),
     "errors": (),
@@ -35,6 +35,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "stages.poke": ("arrays", "errors", "stages.msm", "stages.fit"),
     "stages.materials": ("arrays", "errors", "stages.msm", "stages.fit"),
     "stages.map": ("arrays", "errors", "stages.msm", "stages.see", "stages.fit", "stages.poke"),
+    "stages.squeeze": ("arrays", "capsule", "errors", "stages.see"),
     "pictures": ("arrays", "errors", "images", "plain", *STAGES),
     "log": ("arrays", "frames", "images", "pictures", "plain", "rows", *STAGES),
     "rig": ("errors", "frames"),
@@ -44,7 +45,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "session": ("frames",),
     "rows": ("arrays", "frames", "images", "stages.map"),
     "recording": ("arrays", "errors", "frames", "images", "log", "rows", "session", *STAGES),
-    "files": ("arrays", "errors", "frames", "images", "recording", *STAGES),
+    "files": ("arrays", "errors", "file_io", "frames", "images", "recording", *STAGES),
     "experiments": (
         *("arrays", "capsule", "errors", "files", "frames", "images", "processes", "recording", "rig", "robot"),
         *("rows", "session", *STAGES),

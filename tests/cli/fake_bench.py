@@ -37,7 +37,7 @@ PERIOD_NS = 10_000_000
 class FakeRobot:
     """Looks and touches at once. moving: what the arm does; halts: why it was told to stand"""
 
-    forces_told = "3 N"
+    forces_words = "3 N"
     doing = ""
     gaps_s = np.full(9, 0.01)
 

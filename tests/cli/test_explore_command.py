@@ -25,9 +25,8 @@ from deformscope.errors import InputError
 from deformscope.experiments.touching_robot import TouchingRobot
 from deformscope.frames import ArmFrame, DepthFrame, Item, WrenchFrame
 from deformscope.lab.faults import CAMERA, Injected
-from deformscope.recording.items import read_items
+from deformscope.recording.items import Row, read_items, read_results
 from deformscope.recording.ledger import check_ledger
-from deformscope.recording.results import Recorded, read_results
 from deformscope.recording.rrd_file import RecordingFile
 from deformscope.rig.source import RigSource
 from deformscope.robot.supervisor import Supervisor
@@ -132,7 +131,7 @@ def test_a_setting_that_is_none_is_refused(
 def alter_one(monkeypatch: pytest.MonkeyPatch, kind: type, record: Path) -> None:
     """From now on one frame that an exploration used is read as another: the first depth image, or a force before it
     pressed."""
-    used = [one.result for one in read_results(record, (LookFrames, TouchFrames), trust=True)]
+    used = [one.item for one in read_results(record, (LookFrames, TouchFrames), trust=True)]
     look, touch = (next(one for one in used if isinstance(one, wanted)) for wanted in (LookFrames, TouchFrames))
     whole, down_ns = read_items, touch.wrench_ns[np.searchsorted(touch.wrench_ns, touch.arm_ns[len(touch.arm_ns) // 3])]
 
@@ -151,8 +150,8 @@ def alter_one(monkeypatch: pytest.MonkeyPatch, kind: type, record: Path) -> None
 def test_a_recording_without_a_frame_that_was_used_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     state = ArmFrame(Stamp(7), 0, *(np.zeros(6),) * 3, *(np.zeros(3),) * 5)
     named = LookFrames("camera", np.array([5]), "arm", 7, "j2n6s300", (1.0, 1.0), (0.0, 0.0))
-    one = Recorded(0, 0, named)
-    monkeypatch.setattr("deformscope.recording.results.read_results", lambda *_, **options: iter([one]))
+    one = Row(0, 0, named)
+    monkeypatch.setattr("deformscope.recording.items.read_results", lambda *_, **options: iter([one]))
     monkeypatch.setattr("deformscope.recording.items.read_items", lambda *_, **options: iter([state]))
 
     with pytest.raises(InputError, match="without 1 depth images, 0 forces and 0 states"):
@@ -217,7 +216,7 @@ class Terminal(io.StringIO):
     ("fault", "kind", "within_s", "words"),
     [
         pytest.param("force-silent@1", "force sensor silent", 0.05, "deformscope doctor RIG", marks=pytest.mark.slow),
-        pytest.param("arm-cable@1", "link lost", 0.1, "THE ARM COULD NOT BE TOLD TO STOP", marks=pytest.mark.slow),
+        pytest.param("arm-cable@1", "link lost", 0.1, "THE ARM COULD NOT BE STOPPED", marks=pytest.mark.slow),
         ("push@1", "force above the soft stop", 0.05, "it has backed away"),
     ],
 )
@@ -244,10 +243,10 @@ def test_a_fault_stops_it_and_the_recording_is_whole(
     assert found["max_force_n"] < 15.0
 
     results = list(read_results(record, (PhaseStart, ExplorationStop)))
-    ((stop, at_ns),) = [(one.result, one.session_ns) for one in results if isinstance(one.result, ExplorationStop)]
+    ((stop, at_ns),) = [(one.item, one.session_ns) for one in results if isinstance(one.item, ExplorationStop)]
     assert (stop.kind, stop.reason) == (kind, found["fault"]["reason"])
     assert at_ns / 1e9 == pytest.approx(found["fault"]["time_s"])
-    names = [one.result.name for one in results if isinstance(one.result, PhaseStart)]
+    names = [one.item.name for one in results if isinstance(one.item, PhaseStart)]
     assert f"stopped: {kind}" in names
     assert names[:2] == ["look", "travel"]
     assert found["seconds"]["session"] > found["fault"]["time_s"] + 0.49
@@ -317,7 +316,7 @@ def test_ctrl_c_stops_the_arm_and_keeps_all(
     assert found["touches"] == []
     assert found["verdict"] is None
     assert check_ledger(record) == []
-    assert [one.result.action for one in read_results(record, (ExplorationStop,))] == ["stop"]  # type: ignore[union-attr]
+    assert [one.item.action for one in read_results(record, (ExplorationStop,))] == ["stop"]  # type: ignore[union-attr]
 
 
 @pytest.mark.slow

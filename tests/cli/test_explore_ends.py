@@ -14,8 +14,8 @@ import pytest
 
 from deformscope.cli import main
 from deformscope.errors import InputError
+from deformscope.recording.items import read_results
 from deformscope.recording.recorder import RecordingError
-from deformscope.recording.results import read_results
 from deformscope.stages.map.exploration import StageFailure
 from tests.cli.fake_bench import FakeBench, FakeRobot, use_fake_bench
 
@@ -117,7 +117,7 @@ def test_a_stage_that_fails_on_one_touch_does_not_end_it(
     assert files["png"].read_bytes().startswith(b"\x89PNG")
     assert files["npz"].exists()
 
-    (recorded,) = (one.result for one in read_results(files["rrd"], (StageFailure,)))
+    (recorded,) = (one.item for one in read_results(files["rrd"], (StageFailure,)))
     assert isinstance(recorded, StageFailure)
     assert (recorded.stage, recorded.touch) == (stage, 2)
     assert "in failing" in recorded.trace
@@ -161,7 +161,7 @@ def test_failures_without_end_end_it_in_order(
 # Any call fails once -------------------------------------------------------------------------------------------------
 
 ROBOT = [f"tests.cli.fake_bench.FakeRobot.{name}" for name in ("look", "touch", "let_move", "carry_out", "reports")]
-RECORDER = [f"deformscope.recording.recorder.Recorder.{name}" for name in ("write_results", "write_items")]
+RECORDER = [f"deformscope.recording.recorder.Recorder.{name}" for name in ("_take_results", "_take_items")]
 WATCH = ["deformscope.cli.exploring.Watch.__call__"]
 COMMAND = [
     "deformscope.cli.explore._remarks",
@@ -275,7 +275,7 @@ def test_an_arm_that_was_not_reached_is_told_loudly(
     fail_once(monkeypatch, "tests.cli.fake_bench.FakeRobot.touch", 2, RuntimeError("a bug"))
 
     assert main(EXPLORE) == 1
-    assert "COULD NOT BE TOLD TO STOP" in capsys.readouterr().out
+    assert "COULD NOT BE STOPPED" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("flag", "name"), [("--picture", "e.png"), ("--map", "e.npz"), ("--json", "e.json")])
@@ -360,7 +360,7 @@ def test_terminal_json_panel_and_map_file_give_the_same_numbers(
     outputs = ["--record", str(record), "--json", str(told), "--map", str(arrays)]
     assert main([*EXPLORE, *outputs, "--seed", "5"]) == 0
     shown, found = capsys.readouterr().out, json.loads(told.read_text())
-    *_, last = (one.result for one in read_results(record, (MapEstimate,)))
+    *_, last = (one.item for one in read_results(record, (MapEstimate,)))
     assert isinstance(last, MapEstimate)
     panel = summary(last)
 

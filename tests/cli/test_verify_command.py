@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from deformscope.cli import main
-from deformscope.frames import ColorFrame
+from deformscope.frames import ColorFrame, InputFile
 from deformscope.recording import facts as recording_facts
 from deformscope.recording.ledger import check_ledger, ledger_path, write_ledger
 from deformscope.recording.reader import Replay
@@ -38,7 +38,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     whole, killed = folder / "run.rrd", folder / "killed.part.rrd"
     with Recorder(whole, settings={"seed": 1}) as recorder:
         for frame in frames():
-            recorder.write_frame(frame)
+            recorder.write(frame)
             assert recorder._file is not None
             recorder._put(recorder._file.flush, 0)  # so that each is a message of its own
         written = threading.Event()
@@ -140,7 +140,7 @@ def test_recover_refuses_what_it_cannot_or_need_not_mend(
     text.write_text("no recording")
     noise.write_bytes(killed.read_bytes()[:16] + np.random.default_rng(0).bytes(5000))
     with Recorder(tmp_path / "now.rrd") as recorder:
-        recorder.write_input("a", b"1")
+        recorder.write(InputFile("a", b"1"))
         refused = {
             text: "a file that is none",
             noise: "of which something can be read",

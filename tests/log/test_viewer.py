@@ -182,7 +182,7 @@ def test_a_stopped_window_costs_the_picture_alone(tmp_path: Path, monkeypatch: p
         try:
             os.kill(viewer.pid, signal.SIGSTOP)
             for frame in synthetic.frames(100, (200, 300)):
-                made.write_frame(frame)
+                made.write(frame)
         except BaseException:
             os.kill(viewer.pid, signal.SIGKILL)
             raise

@@ -378,7 +378,7 @@ RECORDING = """
     from tests.log import synthetic
     with Recorder(Path(sys.argv[1]), "page", {}) as made:
         for frame in synthetic.frames(60):
-            made.write_frame(frame)
+            made.write(frame)
             if frame.index == 20:
                 feed = made._feed
                 while feed._unconfirmed or feed._jobs:
@@ -410,6 +410,6 @@ def test_a_page_that_follows_lacks_nothing(tmp_path: Path) -> None:
 
     with Recorder(tmp_path / "run.rrd", "page", {}) as made:
         for frame in synthetic.frames(20):
-            made.write_frame(frame)
+            made.write(frame)
     end_pages()
     assert made.summary().dropped == 0
