@@ -68,6 +68,7 @@ def test_a_cube_of_the_model_gives_its_theta(method: str, theta: float) -> None:
     assert one.theta.converged
 
 
+@pytest.mark.slow
 def test_theta_rises_with_poissons_ratio_from_nothing_to_all(found: list[Found]) -> None:
     assert rises(found)
     assert all(one.theta.value == 0.0 for one in found if one.cube.poisson == 0.0)
@@ -112,6 +113,7 @@ def test_overlapping_clusters_barrel_and_one_cluster_cannot(poisson: float) -> N
     assert clustered > 0.5 * observed
 
 
+@pytest.mark.slow
 def test_resolution_moves_theta_by_the_share_of_held_particles() -> None:
     """With the same share of mass held, theta of 5^3 and 9^3 agrees far better than with equal masses."""
     (coarse, fine), _ = thesis_cubes((0.25,), (5, 9), (0.03,))

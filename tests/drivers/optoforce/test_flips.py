@@ -13,6 +13,7 @@ from deformscope_drivers.optoforce import flips
 from deformscope_drivers.optoforce.flips import DamageCount, table
 from deformscope_drivers.optoforce.plausibility import doubts
 from deformscope_drivers.optoforce.protocol import Decoder, Kind, Reading, Skipped, Status, encode
+from tests.cases import slow_but
 from tests.drivers.optoforce.packets import FROM_DAQ
 
 EXAMPLES = [bytes.fromhex(text) for text, _ in FROM_DAQ[1:4]]
@@ -44,7 +45,7 @@ def test_flips_of_two_bits_are_counted_as_brute_force_counts_them() -> None:
     assert count(packet, None)["2 bits flipped"].passed == passed
 
 
-@pytest.mark.parametrize("packet", EXAMPLES)
+@pytest.mark.parametrize("packet", slow_but(EXAMPLES[:1], EXAMPLES))
 def test_flips_of_two_bits_by_hand(packet: bytes) -> None:
     """They pass at the same place in two bytes of the body, one set and one cleared, or in one of them and the low
     byte of the sum, both alike."""
@@ -85,6 +86,7 @@ def test_changes_of_two_bytes_are_counted_as_brute_force_counts_them() -> None:
     assert count(packet, None)["2 bytes changed"].passed == passed
 
 
+@pytest.mark.slow
 def test_the_published_counts_of_a_sensor_at_rest() -> None:
     found = count(bytes.fromhex(FROM_DAQ[3][0]), 16037)
 
@@ -97,6 +99,7 @@ def test_the_published_counts_of_a_sensor_at_rest() -> None:
     }
 
 
+@pytest.mark.slow
 def test_the_checks_catch_what_touches_status_counter_and_size_and_nothing_else() -> None:
     without, within = count(EXAMPLES[0], None), count(EXAMPLES[0], 16037)
     for damage, tally in within.items():

@@ -15,6 +15,7 @@ from deformscope.stages.msm.plastic import PlasticMsm
 from deformscope.stages.msm.reference import Basis, Volume
 from deformscope.stages.msm.reference_material import Yielding
 from deformscope.stages.msm.solver import Msm
+from tests.cases import slow
 from tests.stages.bodies import SPACING_M, Pushed, lattice, pushed
 
 
@@ -53,7 +54,7 @@ SHAPES = [(5, 5), (4, 3, 4)]
 
 
 @pytest.mark.parametrize(("volume", "theta"), [("scale", 0.0), ("scale", 0.4), ("project", 0.6)])
-@pytest.mark.parametrize("basis", ["linear", "quadratic"])
+@pytest.mark.parametrize("basis", ["linear", slow("quadratic")])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_goals_of_a_yielded_body_are_those_of_its_new_rest_vectors(
     device: str, shape: tuple[int, ...], basis: Basis, volume: Volume, theta: float
@@ -84,7 +85,7 @@ def test_betas_along_axes_yield_with_the_material(device: str, shape: tuple[int,
     assert np.abs(engine.residual(x, beta, plastic=plastic)[0] - expected).max() < 1e-9 * SPACING_M
 
 
-@pytest.mark.parametrize("shape", [(5, 4), (3, 3, 3)])
+@pytest.mark.parametrize("shape", [slow((5, 4)), (3, 3, 3)])
 def test_a_load_ends_where_the_reference_ends(device: str, shape: tuple[int, ...]) -> None:
     body = pushed(shape, np.random.default_rng(3))
     rest = reference.build_rest(body.rest, body.clusters(3), body.held)

@@ -14,6 +14,7 @@ from deformscope.stages.msm import clusters, reference
 from deformscope.stages.msm.reduced import Equilibrium, OneCluster
 from deformscope.stages.msm.reference import Basis, Volume
 from deformscope.stages.msm.solver import Msm
+from tests.cases import slow_but
 from tests.stages.bodies import lattice
 
 SAME = 1e-8
@@ -64,9 +65,13 @@ def turned(rng: np.random.Generator, d: int) -> FloatArray:
     return np.asarray(turn)
 
 
-@pytest.mark.parametrize("volume", VOLUMES)
-@pytest.mark.parametrize("basis", BASES)
-@pytest.mark.parametrize("shape", [(5, 6), (4, 3, 5)])
+@pytest.mark.parametrize(
+    ("shape", "basis", "volume"),
+    slow_but(
+        [((5, 6), "linear", "scale"), ((4, 3, 5), "quadratic", "project")],
+        list(itertools.product([(5, 6), (4, 3, 5)], BASES, VOLUMES)),
+    ),
+)
 def test_static_states_are_those_of_the_reference(
     device: str, shape: tuple[int, ...], basis: Basis, volume: Volume
 ) -> None:
