@@ -111,6 +111,7 @@ def test_left_mirrors_right() -> None:
     np.testing.assert_allclose(pressed.at(right * [-1, 1]), pressed.at(right) * [-1, 1], atol=1e-15)
 
 
+@pytest.mark.slow
 def test_a_push_that_cannot_be_followed_says_how_far_it_came() -> None:
     with pytest.raises(InputError, match=r"no equilibrium found beyond [\d.]+ mm, before 61\.00 mm"):
         press(FOAMS[0].law(), BLOCK, CLAMP_M, [BLOCK.height_m + 0.001], 0.03)

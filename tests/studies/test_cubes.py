@@ -68,7 +68,6 @@ def test_a_cube_of_the_model_gives_its_theta(method: str, theta: float) -> None:
     assert one.theta.converged
 
 
-@pytest.mark.slow
 def test_theta_rises_with_poissons_ratio_from_nothing_to_all(found: list[Found]) -> None:
     assert rises(found)
     assert all(one.theta.value == 0.0 for one in found if one.cube.poisson == 0.0)

@@ -438,6 +438,7 @@ def test_what_the_host_sends_and_hears_is_there_to_be_recorded() -> None:
         assert bytes.fromhex("aa 00 50 01 00 00 fb") in heard
 
 
+@pytest.mark.slow
 def test_a_simulated_session_repeats_bit_for_bit() -> None:
     def session() -> list:
         simulation = Simulation(Sensors(seed=3), Faults(flip=0.1, noise=0.1))

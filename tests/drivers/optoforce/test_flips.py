@@ -13,7 +13,6 @@ from deformscope_drivers.optoforce import flips
 from deformscope_drivers.optoforce.flips import DamageCount, table
 from deformscope_drivers.optoforce.plausibility import doubts
 from deformscope_drivers.optoforce.protocol import Decoder, Kind, Reading, Skipped, Status, encode
-from tests.cases import slow_but
 from tests.drivers.optoforce.packets import FROM_DAQ
 
 EXAMPLES = [bytes.fromhex(text) for text, _ in FROM_DAQ[1:4]]
@@ -32,6 +31,7 @@ def test_every_flip_of_one_bit_is_refused(text: str) -> None:
         assert [event for event in events if not isinstance(event, Skipped)] == [FROM_DAQ[1][1]] * 3
 
 
+@pytest.mark.slow
 def test_flips_of_two_bits_are_counted_as_brute_force_counts_them() -> None:
     packet = EXAMPLES[0]
     decoder, passed = Decoder(), 0
@@ -45,7 +45,8 @@ def test_flips_of_two_bits_are_counted_as_brute_force_counts_them() -> None:
     assert count(packet, None)["2 bits flipped"].passed == passed
 
 
-@pytest.mark.parametrize("packet", slow_but(EXAMPLES[:1], EXAMPLES))
+@pytest.mark.slow
+@pytest.mark.parametrize("packet", EXAMPLES)
 def test_flips_of_two_bits_by_hand(packet: bytes) -> None:
     """They pass at the same place in two bytes of the body, one set and one cleared, or in one of them and the low
     byte of the sum, both alike."""

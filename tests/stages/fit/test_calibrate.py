@@ -119,6 +119,7 @@ def test_a_pose_that_is_not_held_is_reported() -> None:
     assert found.settings["pose_held"] is False
 
 
+@pytest.mark.slow
 def test_joint_fit_is_narrower_than_each() -> None:
     rng = np.random.default_rng(16)
     bodies = [pushed((5, 6), rng) for _ in range(4)]

@@ -70,6 +70,7 @@ def test_least_contrast_cuts_the_prior_where_levels_are_alike() -> None:
     assert np.exp(found[0]) == pytest.approx(likelihood.mean(), rel=0.02)
 
 
+@pytest.mark.slow
 def test_evidence_of_the_particles_is_that_of_the_prior() -> None:
     """Sequential importance sampling with moves, against the plain mean over very many prior maps."""
     seen = halves(0.6)[:5]
@@ -159,6 +160,7 @@ def test_the_same_touches_give_the_same_map_bit_for_bit() -> None:
         np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
 
 
+@pytest.mark.slow
 def test_levels_come_with_the_scale_of_the_touches() -> None:
     """A shift of all log stiffness (another unit) shifts levels and changes nothing else."""
     seen = halves(0.9)

@@ -81,10 +81,7 @@ QUICK = [
     Case(PLANE, 3, "lists", "scale", 0.0, mass=True),
     Case(SPACE, 2, "lattice", "project", 0.6, mass=True),
 ]
-QUICK_SINGLE = [
-    Case(PLANE, 9, "single", "scale", 0.3, "linear", mass=True),
-    Case(SPACE, 9, "single", "project", 0.3, "quadratic"),
-]
+QUICK_SINGLE = [Case(SPACE, 9, "single", how, 0.3, "quadratic") for how in ("scale", "project")]
 """Of each kind of body and of conservation one."""
 
 

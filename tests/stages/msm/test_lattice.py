@@ -16,7 +16,7 @@ from deformscope.stages.msm.general import GeneralBody
 from deformscope.stages.msm.lattice import LatticeBody
 from deformscope.stages.msm.reference import Rest, Volume
 from deformscope.stages.msm.solver import Msm, Precision
-from tests.cases import slow_but
+from tests.cases import slow, slow_but
 from tests.stages.bodies import SPACING_M, lattice
 
 KERNEL_TOLERANCE: dict[Precision, float] = {"float64": 1e-11, "float32": 1e-5}
@@ -426,21 +426,21 @@ def test_runs_repeat_bit_for_bit(device: str, precision: Precision) -> None:
 # -- which bodies are lattices ----------------------------------------------------------------------------------------
 
 
-def test_uneven_and_quadratic_bodies_are_taken_as_lists_and_agree_with_the_reference(device: str) -> None:
+@pytest.mark.parametrize("kind", ["uneven", slow("quadratic")])
+def test_uneven_and_quadratic_bodies_are_taken_as_lists_and_agree_with_the_reference(device: str, kind: str) -> None:
     shape = (5, 6)
     rng = np.random.default_rng(1)
     even = lattice(shape)
-    uneven = even + rng.normal(0, 1e-3 * SPACING_M, even.shape)
+    rest = even + rng.normal(0, 1e-3 * SPACING_M, even.shape) if kind == "uneven" else even
+    basis: reference.Basis = "linear" if kind == "uneven" else "quadratic"
     held = np.array([0])
     x = even + rng.normal(0, 0.2 * SPACING_M, even.shape)
-    bases: tuple[tuple[FloatArray, reference.Basis], ...] = ((uneven, "linear"), (even, "quadratic"))
-    for rest, basis in bases:
-        grouped = clusters.lattice(rest, shape, np.arange(30), 3)
-        assert isinstance(grouped, LatticeClusters)
-        engine = Msm(rest, grouped, held, basis=basis, device=device)
-        assert isinstance(engine._body, GeneralBody)
-        expected = reference.goals(x, reference.build_rest(rest, grouped, held, basis=basis), 0.6) - x
-        np.testing.assert_allclose(engine.residual(x, 0.6)[0], expected, rtol=0.0, atol=1e-11 * SPACING_M)
+    grouped = clusters.lattice(rest, shape, np.arange(30), 3)
+    assert isinstance(grouped, LatticeClusters)
+    engine = Msm(rest, grouped, held, basis=basis, device=device)
+    assert isinstance(engine._body, GeneralBody)
+    expected = reference.goals(x, reference.build_rest(rest, grouped, held, basis=basis), 0.6) - x
+    np.testing.assert_allclose(engine.residual(x, 0.6)[0], expected, rtol=0.0, atol=1e-11 * SPACING_M)
 
 
 def test_a_particle_that_no_window_keeps_makes_a_body_of_lists(device: str) -> None:

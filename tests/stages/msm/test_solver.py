@@ -31,7 +31,7 @@ SHAPES = [((5, 7), 2), ((5, 7), 3), ((6, 6), 5), ((3, 4, 4), 2), ((4, 4, 5), 3),
 @pytest.mark.parametrize(
     ("shape", "size", "basis"),
     slow_but(
-        [((5, 7), 3, "linear"), ((3, 4, 4), 2, "linear"), ((4, 4, 5), 3, "quadratic")],
+        [((5, 7), 3, "linear"), ((3, 4, 4), 2, "linear")],  # quadratic: sheets, below
         [(*one, basis) for one in SHAPES for basis in ("linear", "quadratic")],
     ),
 )
