@@ -9,8 +9,17 @@ pytest.importorskip("warp")
 
 from deformscope.stages.msm import clusters, reference
 from deformscope.studies import coverage
-from deformscope.studies.coverage import CONDITIONS, NOTHING, Case, NothingCase, Outcome, Rate, random_body
-from deformscope.studies.rank_histogram import rank_counts, ranks_png
+from deformscope.studies.coverage import (
+    CONDITIONS,
+    NOTHING,
+    Case,
+    NothingCase,
+    Outcome,
+    Rate,
+    random_body,
+    rank_counts,
+    ranks_png,
+)
 from deformscope.studies.unseen_pokes import FoamBody, PokeCase, try_unseen_poke
 from tests.cases import slow_but
 
@@ -81,13 +90,6 @@ def test_the_table_counts_ends_of_the_range_apart() -> None:
     assert found["all"].confident_wrong.hits == 1
     assert found["3D"].covered.cases == 1
     assert found["beta = 0"].covered.rate == found["beta > 0.97"].covered.rate == 1.0
-
-
-@pytest.mark.slow
-def test_processes_share_the_work_in_order() -> None:
-    done: list[int] = []
-    assert coverage.spread(abs, [-1, 2, -3], 2, done.append) == [1, 2, 3]
-    assert sum(done) == 3
 
 
 def test_ranks_are_counted_and_drawn() -> None:
