@@ -112,6 +112,7 @@ def test_overlapping_clusters_barrel_and_one_cluster_cannot(poisson: float) -> N
     assert clustered > 0.5 * observed
 
 
+@pytest.mark.slow
 def test_resolution_moves_theta_by_the_share_of_held_particles() -> None:
     """With the same share of mass held, theta of 5^3 and 9^3 agrees far better than with equal masses."""
     (coarse, fine), _ = thesis_cubes((0.25,), (5, 9), (0.03,))

@@ -55,6 +55,7 @@ def test_the_truth_of_a_gradient_rises_with_its_modulus_and_rigid_is_known() -> 
     assert true_map(built_in("two-150-rigid", 1), ExploreOptions()).rigid.tolist() == [False, True]
 
 
+@pytest.mark.slow
 def test_a_row_of_the_table_and_its_file(tmp_path: Path) -> None:
     found = run_table(TableJob("two-150-rigid", 1, touches=3))
 

@@ -147,7 +147,7 @@ class _LatticeArrays:
         wide = set(body.window[3 - d :])
         window = 0 if device.startswith("cpu") or len(wide) > 1 or max(wide) > limit else max(wide)
         self.window = window  # passes along two axes at once
-        self.kernels = k.lattice_kernels_for(d, scalar, width, window)
+        self.kernels = k.lattice_kernels_for(d, scalar, width, window) if width == 1 else None
         self.functions = k.lattice_functions_for(d, scalar, width, window)
         self.resident = resident_kernels_for(d, scalar, width, window)
         functions = cluster_functions_for(d, d, scalar, width)
@@ -262,16 +262,25 @@ class LatticeOperator(Operator):
         self, u: Any, out: Any, parameters: Parameters, running: Any, kept: Any = None, what: int = GOAL
     ) -> None:
         kept = self.unkept() if kept is None else kept
-        fields = self.fields(parameters, what)
-        self._windows(fields, self.still, running, u, u)
-        self._fit(self.arrays.kernels.fit_clusters, fields, running, kept)
-        self._spread(fields, self.still, running, u, u, out, self._nothing)
+        self._goals(u, out, self.fields(parameters, what), running, kept, changing=False)
 
     def change(self, direction: Any, out: Any, parameters: Parameters, running: Any, kept: Any) -> None:
-        fields = self.fields(parameters)
-        self._windows(fields, self.still, running, direction, direction)
-        self._fit(self.arrays.kernels.fit_changes, fields, running, kept)
-        self._spread(fields, self.still, running, direction, direction, out, self._nothing)
+        self._goals(direction, out, self.fields(parameters), running, kept, changing=True)
+
+    def _goals(self, u: Any, out: Any, fields: Any, running: Any, kept: Any, *, changing: bool) -> None:
+        a, layout = self.arrays, self.layout
+        if a.kernels is None:
+            wp.launch(
+                a.resident.goals,
+                dim=layout.groups,
+                inputs=[self.grid, a.site, a.rest, kept, fields, self.still, running, int(changing), u],
+                outputs=[out, self._nothing],
+                device=layout.device,
+            )
+            return
+        self._windows(fields, self.still, running, u, u)
+        self._fit(a.kernels.fit_changes if changing else a.kernels.fit_clusters, fields, running, kept)
+        self._spread(fields, self.still, running, u, u, out, self._nothing)
 
     def step(self, u: Any, before: Any, motion: Any, parameters: Parameters, running: Any, ran_away: Any) -> None:
         fields = self.fields(parameters)

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from deformscope.stages.msm.functions import functions_for
-from deformscope.stages.msm.lanes import Doubles
+from deformscope.stages.msm.lanes import CPU_FLAGS, Doubles
 
 BETA, THETA, TOLERANCE, MOST_ITERATIONS, STARTED, HELD = range(6)
 """Places in a candidate's row: numbers first, then what is held, then the transform to start from."""
@@ -41,7 +41,9 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
     module = f"deformscope_msm_reduced_{dim}d_{terms}"
     # two modules: few need derivatives, and a GPU takes seconds to compile either
     for name in (module, f"{module}_slopes"):
-        wp.get_module(name).options.update({"enable_backward": False, "max_unroll": 1})
+        # flags as those of the lanes: compiled with others, warp's own headers would be taken through once more
+        options = {"enable_backward": False, "max_unroll": 1, "cpu_compiler_flags": CPU_FLAGS}
+        wp.get_module(name).options.update(options)
     scalar = wp.float64
     functions = functions_for(dim, scalar)
     vec, square, turn = functions.vec, functions.square, functions.turn

@@ -3,6 +3,8 @@
 A block of threads keeps to one group of candidates and goes through its passes, meeting at a barrier after each. On a
 GPU that saves the launches between passes, which cost more than a small body's work, and what a pass leaves is still
 near when the next reads it; on a CPU a block is one thread, and there are no launches left to pay for at any size.
+There every launch, a single evaluation too, goes through one copy of all passes in one module: compiling is what a
+first start waits for.
 """
 
 import functools
@@ -22,12 +24,15 @@ THREADS = {wp.float32: 512, wp.float64: 256}
 
 @functools.cache
 def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> SimpleNamespace:
-    """The kernels for lattices of `dim` = 2 or 3, scalar = wp.float32 or wp.float64, and lanes of `width`."""
+    """The kernels for lattices of `dim` = 2 or 3, scalar = wp.float32 or wp.float64; lanes of `width`, 1 on a GPU.
 
+    `goals`, a single evaluation, is on a CPU alone (else None): a GPU has `lattice_kernels` for it.
+    """
+    on_cpu = width > 1
     numbers = wp.array(dtype=scalar)
 
     def kernel_in(name: str) -> Any:
-        module = f"deformscope_{name}_{dim}d_{scalar.__name__}_{width}_{window}"
+        module = f"deformscope_{'lattice' if on_cpu else name}_{dim}d_{scalar.__name__}_{width}_{window}"
         wp.get_module(module).options.update(module_options(scalar))
         return functools.partial(wp.kernel, module=module, enable_backward=False, launch_bounds=THREADS[scalar])
 
@@ -82,7 +87,7 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
     total_of_threads = together("sum", "v + other")
     largest_of_threads = together("max", "v > other ? v : other")
 
-    @wp.func
+    @wp.func(inline=False if on_cpu else None)
     def operate(
         grid: Grid,
         site: Site,
@@ -130,6 +135,28 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         for item in range(thread, grid.items_plane, threads):
             finish(grid, fields, motion, u, offset, before, before_offset, out, ran_away, group, item)
         meet()
+
+    goals = None
+    if on_cpu:
+
+        @kernel_in("goals")
+        def goals(
+            grid: Grid,
+            site: Site,
+            rest: cluster.FitRest,
+            kept: cluster.Kept,
+            fields: Fields,
+            still: Motion,
+            running: Ints,
+            changing: int,
+            u_in: numbers,
+            out: numbers,
+            nothing: Ints,
+        ):
+            """goal - u of every free particle; with `changing` J u - u where goals were last evaluated."""
+            group = wp.tid()
+            if running[group] != 0:
+                operate(grid, site, rest, kept, fields, still, u_in, 0, u_in, 0, out, nothing, changing, group, 0, 1)
 
     steps_kernel = kernel_in("steps")
 
