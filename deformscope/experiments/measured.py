@@ -238,7 +238,9 @@ class SetupGeometry:
         """The same along the normal, or upright where the arm cannot be led along it: joint limits and singularities
         depend on the tilt."""
         plan = self.plan(xy_m, height_m, normal, over_m, options)
-        return plan if self._lead([plan], chain, joints_deg).all() else self.plan(xy_m, height_m, UPRIGHT, over_m, options)
+        return (
+            plan if self._lead([plan], chain, joints_deg).all() else self.plan(xy_m, height_m, UPRIGHT, over_m, options)
+        )
 
     def reachable(self, grid: MapGrid, options: ExploreOptions, chain: Chain, joints_deg: npt.ArrayLike) -> BoolArray:
         """(rows, columns) cells that the tip can be led down to with the stick upright, as deep as a touch goes, all

@@ -341,9 +341,9 @@ def rotation_vector(rotation: FloatArray) -> FloatArray:
     sine = 0.5 * np.sqrt(squared(twice_sine))
     cosine = 0.5 * (rotation[..., 0, 0] + rotation[..., 1, 1] + rotation[..., 2, 2] - 1.0)
     small = sine <= 1e-6
-    vector: FloatArray = twice_sine * np.where(small, 0.5, 0.5 * np.arctan2(sine, cosine) / np.where(small, 1.0, sine))[
-        ..., None
-    ]
+    vector: FloatArray = (
+        twice_sine * np.where(small, 0.5, 0.5 * np.arctan2(sine, cosine) / np.where(small, 1.0, sine))[..., None]
+    )
     if (half := small & (cosine <= 0)).any():
         vector[half] = [_half_turn(one) for one in rotation[half]]
     return vector
@@ -369,9 +369,7 @@ def squared(vector: FloatArray) -> FloatArray:
 
 def _within(error: FloatArray, position_m: float, rotation_rad: float) -> npt.NDArray[np.bool_]:
     """(...,) whether what is left of poses (..., 6) is within tolerances."""
-    return np.asarray(
-        (squared(error[..., :3]) <= position_m**2) & (squared(error[..., 3:]) <= rotation_rad**2)
-    )
+    return np.asarray((squared(error[..., :3]) <= position_m**2) & (squared(error[..., 3:]) <= rotation_rad**2))
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
