@@ -36,6 +36,7 @@ from deformscope.errors import InputError
 from deformscope.lab.elasticity import dissected, stiffness_of
 from deformscope.lab.scenes import Scene
 from deformscope.lab.slab import RigidTip
+from deformscope_drivers.jaco.kinematics import cross
 
 FINE = 0.15
 """Size of the elements under a tip, as a share of its half width."""
@@ -303,7 +304,7 @@ def _frame(normal: FloatArray) -> FloatArray:
     """(3, 3) rows: two tangents, the first along x as seen from above, and the normal."""
     first = np.array([normal[2], 0.0, -normal[0]])
     first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(normal, first), normal])
+    return np.stack([first, cross(normal, first), normal])
 
 
 def _spread(middle: float, half: float, fine: float, reach: float, side: float) -> FloatArray:

@@ -21,6 +21,7 @@ from deformscope.robot.motion import DAMPED_BELOW, OFF_COURSE, off_course
 from deformscope_drivers.jaco.kinematics import (
     Chain,
     FloatArray,
+    cross,
     damped_joint_rates,
     jacobian_of,
     least_singular,
@@ -110,7 +111,7 @@ class Placement:
         across /= size[..., None]
         center = np.asarray(center_m, dtype=float)
         T = np.zeros((*np.broadcast_shapes(center.shape, out.shape)[:-1], 4, 4))
-        T[..., :3, 0], T[..., :3, 1], T[..., :3, 2] = across, np.cross(-out, across), -out
+        T[..., :3, 0], T[..., :3, 1], T[..., :3, 2] = across, cross(-out, across), -out
         T[..., :3, 3], T[..., 3, 3] = center, 1.0
         return np.asarray(self.T_base_surface @ T @ self._T_center_ee)
 

@@ -50,6 +50,22 @@ def test_who_asks_to_stop_is_heard_in_the_same_period() -> None:
     scene.lab.close()
 
 
+def test_what_takes_long_is_interrupted_by_a_period_as_soon_as_one_is_due() -> None:
+    scene = make_scene(3, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
+    looks: list[int] = []
+    scene.robot.watch = lambda seen, verdict: looks.append(seen.now_ns)
+    scene.robot.cycle()
+    scene.robot.keep_up()  # no time has passed
+    assert len(looks) == 1
+
+    for _ in range(25):  # 0.1 s, in pieces of 4 ms
+        scene.lab.wait_until(scene.lab.clock() + 4_000_000)
+        scene.robot.keep_up()
+    scene.lab.close()
+
+    assert max(np.diff(looks)) <= 20_000_000
+
+
 def test_a_fault_is_not_covered_by_a_wish_to_stop() -> None:
     scene = moving()
     scene.lab.sensor_double.silent = True

@@ -259,7 +259,7 @@ def jacobian_of(T_base_links: FloatArray) -> FloatArray:
     """Geometric Jacobian (..., 6, n) [m/rad; rad/rad] in the base frame from the poses that `Chain.forward` gives."""
     axes, origins_m = T_base_links[..., :-1, :3, 2], T_base_links[..., :-1, :3, 3]
     jacobian = np.empty((*axes.shape[:-2], 6, axes.shape[-2]))
-    jacobian[..., :3, :] = _cross(axes, T_base_links[..., -1:, :3, 3] - origins_m).swapaxes(-1, -2)
+    jacobian[..., :3, :] = cross(axes, T_base_links[..., -1:, :3, 3] - origins_m).swapaxes(-1, -2)
     jacobian[..., 3:, :] = axes.swapaxes(-1, -2)
     return jacobian
 
@@ -372,9 +372,9 @@ def _within(error: FloatArray, position_m: float, rotation_rad: float) -> npt.ND
     return np.asarray((squared(error[..., :3]) <= position_m**2) & (squared(error[..., 3:]) <= rotation_rad**2))
 
 
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Cross products of (..., 3) with (..., 3); np.cross costs more than the whole Jacobian at this size."""
-    product = np.empty_like(a)
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Cross products of (..., 3) with (..., 3); np.cross costs more than a whole Jacobian at this size."""
+    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
     product[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
     product[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
     product[..., 2] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
