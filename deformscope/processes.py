@@ -10,14 +10,17 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing.connection import Connection
 from types import ModuleType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 T = TypeVar("T")
 R = TypeVar("R")
 
 SPAWN = multiprocessing.get_context("spawn")
 """How they are made: what other threads hold does not survive a fork."""
+END_S = 5.0
+"""A process ends by itself within this, or is ended."""
 BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -67,6 +70,29 @@ def _begin(also: Callable[[], None] | None) -> None:
     follow_parent()
     if also is not None:
         also()
+
+
+@contextlib.contextmanager
+def beside(name: str, target: Callable[..., None], *arguments: Any) -> Iterator[Connection]:
+    """Run `target(pipe, *arguments)` in such a process, which is to end when the pipe does; yields the other end."""
+    ours, theirs = SPAWN.Pipe()
+    process = SPAWN.Process(target=_followed, args=(target, theirs, *arguments), name=name, daemon=True)
+    with starting():
+        process.start()
+    theirs.close()
+    try:
+        yield ours
+    finally:
+        ours.close()
+        process.join(END_S)
+        if process.is_alive():
+            process.kill()
+            process.join()
+
+
+def _followed(target: Callable[..., None], *arguments: Any) -> None:
+    follow_parent()
+    target(*arguments)
 
 
 def follow_parent() -> None:

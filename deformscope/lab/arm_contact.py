@@ -25,7 +25,6 @@ class World(Protocol):
 
     def press(self, center_m: FloatArray) -> FloatArray:
         """Force (3,) [N] on a tip whose centre (3,) [m] is here, both in the surface frame; zero where it is free."""
-        ...
 
 
 class PushedArm(Protocol):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import io
 import json
@@ -11,6 +12,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -33,58 +35,97 @@ from deformscope.stages.map.exploration import ExplorationStop, PhaseStart
 from deformscope.stages.map.measured import LookFrames, TouchFrames
 from deformscope.studies.fault_study import ALLOWED_S
 from deformscope_drivers.clock import Stamp
+from tests.cli.quick_scene import use_quick_scene
 from tests.patience import PATIENCE_S
 
 
-def test_a_simulated_table_is_explored_recorded_and_replayed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    record, told, picture = tmp_path / "e.rrd", tmp_path / "e.json", tmp_path / "e.png"
-    arguments = ["explore", "lab:two-60-150", "--touches", "2", "--viewer", "none", "--beta-model", "none"]
-    arguments += ["--record", str(record), "--json", str(told), "--picture", str(picture)]
-    arguments += ["--map", str(tmp_path / "e.npz")]
+@dataclass(frozen=True, slots=True)
+class Explored:
+    """A recording of an exploration, and what the command said."""
 
-    assert main(arguments) == 0, capsys.readouterr().err
-    shown = capsys.readouterr()
-    found = json.loads(told.read_text())
+    touches: int
+    record: Path
+    out: str
+    err: str
+
+    @property
+    def found(self) -> Any:
+        return json.loads(self.record.with_suffix(".json").read_text())
+
+
+@pytest.fixture(scope="module", params=[1, pytest.param(2, marks=pytest.mark.slow)], ids="{}-touches".format)
+def explored(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Explored:
+    """Finite elements, maps and pictures as users get them."""
+    record = tmp_path_factory.mktemp("explored") / "e.rrd"
+    files = {"--record": "rrd", "--json": "json", "--picture": "png", "--map": "npz"}
+    arguments = ["explore", "lab:two-60-150", "--touches", str(request.param), "--viewer", "none"]
+    arguments += ["--beta-model", "none"]
+    arguments += [word for flag, kind in files.items() for word in (flag, str(record.with_suffix(f".{kind}")))]
+    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()) as err:
+        assert main(arguments) == 0
+    return Explored(request.param, record, out.getvalue(), err.getvalue())
+
+
+def test_a_simulated_table_is_explored(explored: Explored) -> None:
+    found = explored.found
     assert found["scenario"] == "lab:two-60-150"
-    assert len(found["touches"]) == 2
-    assert found["region_count"] == 2
+    assert len(found["touches"]) == explored.touches
+    assert found["region_count"] == explored.touches
     assert found["stop_reason"] == "budget"
     assert found["truth"]["region_count"] == 2
-    assert 0.5 < found["truth"]["iou"] <= 1.0
     assert 2.9 < found["max_force_n"] < 8.0
     assert found["seconds"]["session"] > 10.0
-    stiff, soft = (one["apparent_stiffness_n_per_mm"] for one in found["touches"])
-    assert stiff > 1.5 * soft
-    assert "ok  force sensor: tare" in shown.err
-    assert "2 regions" in shown.out
-    assert picture.read_bytes().startswith(b"\x89PNG")
-    with np.load(tmp_path / "e.npz", allow_pickle=False) as file:
+    if explored.touches == 2:
+        assert 0.5 < found["truth"]["iou"] <= 1.0
+        stiff, soft = (one["apparent_stiffness_n_per_mm"] for one in found["touches"])
+        assert stiff > 1.5 * soft
+    assert "ok  force sensor: tare" in explored.err
+    assert f"{explored.touches} region" in explored.out
+    assert explored.record.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+    with np.load(explored.record.with_suffix(".npz"), allow_pickle=False) as file:
         assert file["stiffness_n_per_mm"].shape == file["labels"].shape == file["truth_labels"].shape == (80, 120)
         assert file["cell_m"] == 0.005
-        assert set(np.unique(file["labels"])) == {0, 1}
+        assert set(np.unique(file["labels"])) == set(range(explored.touches))
 
-    assert check_ledger(record) == []
-    assert main(["verify", str(record)]) == 0, capsys.readouterr().err
+
+def test_its_recording_is_whole_and_replays(explored: Explored, capsys: pytest.CaptureFixture[str]) -> None:
+    assert check_ledger(explored.record) == []
+    assert main(["verify", str(explored.record)]) == 0, capsys.readouterr().err
     assert "tip/frames" in capsys.readouterr().out
-    assert main(["replay", str(record)]) == 0
+    assert main(["replay", str(explored.record)]) == 0
     replayed = " ".join(capsys.readouterr().err.split())
-    assert "8 results from depth images, forces and states of the arm, identical" in replayed  # plans among them
-    for kind, words in ((DepthFrame, "of SurfaceEstimate"), (WrenchFrame, "of TouchEstimate")):
-        with pytest.MonkeyPatch.context() as monkeypatch:
-            alter_one(monkeypatch, kind, record)
-            assert main(["replay", str(record)]) == 2
-        assert words in capsys.readouterr().err
+    results = 2 + 3 * explored.touches  # plans among them
+    assert f"{results} results from depth images, forces and states of the arm, identical" in replayed
 
-    assert main(["replay", str(record), "--set", "set_force_n=2", "--json", "-"]) == 0
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "words"), [(DepthFrame, "of SurfaceEstimate"), (WrenchFrame, "of TouchEstimate")])
+def test_a_replay_notices_one_altered_frame(
+    kind: type, words: str, explored: Explored, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    alter_one(monkeypatch, kind, explored.record)
+    assert main(["replay", str(explored.record)]) == 2
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_replay_with_another_setting_is_compared(explored: Explored, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["replay", str(explored.record), "--set", "set_force_n=2", "--json", "-"]) == 0
     beside = json.loads(capsys.readouterr().out)
     assert (beside["identical"], beside["set"]) == (None, {"set_force_n": 2.0})
-    assert beside["recorded"].keys() == beside["computed"].keys() == {"touch 1", "touch 2", "map"}
+    touches = {f"touch {number + 1}" for number in range(explored.touches)}
+    assert beside["recorded"].keys() == beside["computed"].keys() == touches | {"map"}
     assert beside["recorded"]["touch 1"] != beside["computed"]["touch 1"]
-    for words, expected in (("force=2", "KEY one of planner"), ("budget=many", "a value of budget")):
-        assert main(["replay", str(record), "--set", words]) == 2
-        assert expected in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"), [("force=2", "KEY one of planner"), ("budget=many", "a value of budget")]
+)
+def test_a_setting_that_is_none_is_refused(
+    words: str, expected: str, explored: Explored, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["replay", str(explored.record), "--set", words]) == 2
+    assert expected in capsys.readouterr().err
 
 
 def alter_one(monkeypatch: pytest.MonkeyPatch, kind: type, record: Path) -> None:
@@ -158,6 +199,11 @@ LAB_STARTS_NS = 1_000_000_000
 STOPPED = ["--touches", "2", "--viewer", "none", "--beta-model", "none"]
 
 
+@pytest.fixture
+def quick_scene(monkeypatch: pytest.MonkeyPatch) -> None:
+    use_quick_scene(monkeypatch)
+
+
 class Terminal(io.StringIO):
     """A stderr that is a terminal."""
 
@@ -165,6 +211,7 @@ class Terminal(io.StringIO):
         return True
 
 
+@pytest.mark.usefixtures("quick_scene")
 @pytest.mark.parametrize(
     ("fault", "kind", "within_s", "words"),
     [
@@ -246,6 +293,7 @@ def interrupted_at(phase: Phase, *numbers: int) -> Callable[..., None]:
     return phase_began
 
 
+@pytest.mark.usefixtures("quick_scene")
 @pytest.mark.parametrize(
     ("number", "status"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)]
 )
@@ -271,9 +319,12 @@ def test_ctrl_c_stops_the_arm_and_keeps_all(
     assert [one.item.action for one in read_results(record, (ExplorationStop,))] == ["stop"]  # type: ignore[union-attr]
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("quick_scene")
 def test_a_second_ctrl_c_leaves_at_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Slow: test_explore_ends.py has it without devices."""
     monkeypatch.setattr(TouchingRobot, "_begin", interrupted_at(Phase.APPROACH, signal.SIGINT, signal.SIGINT))
     record = tmp_path / "e.rrd"
 
@@ -283,6 +334,8 @@ def test_a_second_ctrl_c_leaves_at_once(
     assert list(tmp_path.glob("*.part.rrd"))
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("quick_scene")
 def test_a_full_disk_halts_the_arm_first(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -326,6 +379,8 @@ def test_a_full_disk_halts_the_arm_first(
     assert list(tmp_path.glob("*.part.rrd"))
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("quick_scene")
 def test_the_robot_is_watched_while_the_disk_blocks(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -337,7 +392,7 @@ def test_the_robot_is_watched_while_the_disk_blocks(
     def slow(self: RecordingFile) -> None:
         if Phase.APPROACH in begun and not free.is_set():
             blocks.set()
-            given_up.append(not free.wait(60.0))
+            given_up.append(not free.wait(PATIENCE_S))
         flush(self)
 
     def looked(self: Supervisor, *given: Any, **named: Any) -> Any:

@@ -37,6 +37,8 @@ ERRORS = [
     InputError("points near the touch", "none"),
     MemoryError(),
 ]
+QUICK = [("contact", 0), ("maps", 2), ("display", 1)]
+"""Stages and the numbers of the errors that are not slow together."""
 
 
 @pytest.fixture
@@ -82,12 +84,10 @@ def _owner(path: str) -> Any:
 
 @pytest.mark.parametrize(
     ("stage", "error"),
-    [(stage, ERRORS[number % len(ERRORS)]) for number, stage in enumerate(STAGES)]
-    + [
-        pytest.param(stage, error, marks=pytest.mark.slow)
-        for number, stage in enumerate(STAGES)
-        for other, error in enumerate(ERRORS)
-        if other != number % len(ERRORS)
+    [
+        pytest.param(stage, error, marks=() if (stage, number) in QUICK else pytest.mark.slow)
+        for stage in STAGES
+        for number, error in enumerate(ERRORS)
     ],
 )
 def test_a_stage_that_fails_on_one_touch_does_not_end_it(
@@ -125,7 +125,14 @@ def test_a_stage_that_fails_on_one_touch_does_not_end_it(
     assert f"touch 2: {stage} failed: " in capsys.readouterr().err.replace("\n", " ")
 
 
-@pytest.mark.parametrize(("stage", "touches"), [("contact", 3), ("regions", 3), ("maps", 3), ("plan", 1), ("look", 0)])
+@pytest.mark.parametrize(
+    ("stage", "touches"),
+    [
+        ("contact", 3),
+        ("look", 0),
+        *(pytest.param(*one, marks=pytest.mark.slow) for one in (("regions", 3), ("maps", 3), ("plan", 1))),
+    ],
+)
 def test_failures_without_end_end_it_in_order(
     stage: str,
     touches: int,
@@ -320,6 +327,23 @@ def test_a_signal_while_it_computes_is_no_loss(
     assert main([*EXPLORE, "--json", str(told)]) == 128 + number
     assert len(json.loads(told.read_text())["touches"]) == 4
     assert "the arm stands" in capsys.readouterr().err
+
+
+def test_a_second_ctrl_c_leaves_at_once(
+    bench: FakeBench, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(robot: FakeRobot, *arguments: Any) -> None:
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(FakeRobot, "touch", interrupted)
+    record = tmp_path / "e.rrd"
+
+    assert main([*EXPLORE, "--record", str(record)]) == 130
+    assert "interrupted" in capsys.readouterr().err
+    assert bench.robots[0].halts
+    assert not record.exists()
+    assert list(tmp_path.glob("*.part.rrd"))
 
 
 # One number, one value -----------------------------------------------------------------------------------------------

@@ -107,6 +107,7 @@ def test_an_unfinished_recording_is_no_damage_and_recover_makes_it_whole(
     assert "recovered until 1.1 s: what came after is lost" in said
 
 
+@pytest.mark.slow
 def test_a_file_cut_within_a_message_gives_what_came_before(killed: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cut = killed.with_name("cut.rrd")
     cut.write_bytes(killed.read_bytes()[: round(0.7 * killed.stat().st_size)])
@@ -122,6 +123,7 @@ def test_a_file_cut_within_a_message_gives_what_came_before(killed: Path, capsys
     assert kept == [frame.image.tolist() for frame in frames()][: len(kept)]
 
 
+@pytest.mark.slow
 def test_a_cut_recording_is_compared_with_its_ledger(killed: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_ledger(killed, {"frames": FRAMES})
     killed.write_bytes(killed.read_bytes()[: round(0.7 * killed.stat().st_size)])

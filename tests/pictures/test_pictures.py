@@ -61,7 +61,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", [pytest.param("plane", marks=pytest.mark.slow), *list(CASES)[1:]])
 def test_each_kind_of_body(name: str) -> None:
     comparison = CASES[name]
     image = np.tile(np.arange(400, dtype=np.uint8), (330, 1)) if name == "pixels" else None
@@ -114,6 +114,7 @@ def test_evidence_with_and_without_posterior_and_very_narrow() -> None:
 
 
 def test_several_pairs_are_rows_and_the_worst_of_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pictures, "DPI", 40)  # what is counted is rows
     pair = synthetic.pair_in_plane()
     better = dataclasses.replace(pair, simulated=pair.observed)
     one, good = Result(estimate(), (pair,), ("a.npz",)), Result(estimate(), (better,), ("b.npz",))

@@ -51,7 +51,7 @@ def strict() -> Iterator[None]:
 
 def rrd(*arguments: object) -> subprocess.CompletedProcess[str]:
     command = [str(live.viewer_executable()), "rrd", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
 
 
 def record(path: Path, count: int = 4, **options: object) -> recorder.RecordingSummary:
@@ -133,10 +133,10 @@ def test_the_views_are_in_the_file(tmp_path: Path) -> None:
 
 def test_two_deterministic_runs_compare_equal(tmp_path: Path) -> None:
     for name in ("a", "b"):
-        record(tmp_path / f"{name}.rrd", 40, deterministic=True)
+        record(tmp_path / f"{name}.rrd", 8, deterministic=True)
     assert rrd("compare", "--unordered", tmp_path / "a.rrd", tmp_path / "b.rrd").returncode == 0
     with Recorder(tmp_path / "c.rrd", "none", {"seed": 3, "roi": ROI, "spacing_px": None}, deterministic=True) as made:
-        run(synthetic.frames(40, seed=1), synthetic.calibration(ROI, SHAPE), made)
+        run(synthetic.frames(8, seed=1), synthetic.calibration(ROI, SHAPE), made)
     assert rrd("compare", "--unordered", tmp_path / "a.rrd", tmp_path / "c.rrd").returncode != 0
 
 
@@ -298,7 +298,7 @@ class SlowDisk:
 
         def slow(file: RecordingFile) -> None:
             self.asked.set()
-            self.given_up += not self.free.wait(20.0)
+            self.given_up += not self.free.wait(PATIENCE_S)
             flush(file)
 
         monkeypatch.setattr(RecordingFile, "flush", slow)
@@ -513,7 +513,7 @@ class Stream:
     def disconnect(self) -> None: ...
 
     def take(self) -> None:
-        self.free.wait(30)
+        self.free.wait(PATIENCE_S)
         self.jobs += 1
 
 

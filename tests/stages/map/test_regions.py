@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
@@ -10,7 +12,7 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.map import regions
 from deformscope.stages.map.partitions import draw
-from deformscope.stages.map.regions import RegionPosterior, RegionPrior, map_regions
+from deformscope.stages.map.regions import RegionPosterior, RegionPrior
 from deformscope.stages.map.touches import MapGrid, StiffnessSample
 
 GRID = MapGrid(cell_m=0.01)
@@ -33,7 +35,8 @@ def halves(contrast: float, seed: int = 0) -> list[StiffnessSample]:
 
 def posterior(seen: list[StiffnessSample], *, particle_count: int = 300, seed: int = 0) -> RegionPosterior:
     """With few particles: quick, and no less right on such plain surfaces."""
-    return map_regions(seen, GRID, particle_count=particle_count, seed=seed)
+    nothing = RegionPosterior.before_touches(GRID, particle_count=particle_count, seed=seed)
+    return functools.reduce(RegionPosterior.with_touch, seen, nothing)
 
 
 @pytest.mark.parametrize("k", [1, 2, 3])
