@@ -302,7 +302,7 @@ def _mean_modulus_pa(scene: Scene, corner_m: FloatArray) -> FloatArray:
 
 def _frame(normal: FloatArray) -> FloatArray:
     """(3, 3) rows: two tangents, the first along x as seen from above, and the normal."""
-    first = np.array([normal[2], 0.0, -normal[0]])
+    first: FloatArray = np.array([normal[2], 0.0, -normal[0]])
     first /= np.linalg.norm(first)
     return np.stack([first, cross(normal, first), normal])
 
