@@ -302,9 +302,9 @@ def _mean_modulus_pa(scene: Scene, corner_m: FloatArray) -> FloatArray:
 
 def _frame(normal: FloatArray) -> FloatArray:
     """(3, 3) rows: two tangents, the first along x as seen from above, and the normal."""
-    first = np.array([normal[2], 0.0, -normal[0]])
-    first /= np.linalg.norm(first)
-    return np.stack([first, cross(normal, first), normal])
+    first, up = np.array([normal[2], 0.0, -normal[0]], np.float64), np.asarray(normal, np.float64)
+    first = np.asarray(first / np.linalg.norm(first), np.float64)
+    return np.stack([first, cross(up, first), up])
 
 
 def _spread(middle: float, half: float, fine: float, reach: float, side: float) -> FloatArray:

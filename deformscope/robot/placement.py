@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -35,7 +36,11 @@ configurations if that is better."""
 PLAN_MARGIN_DEG = 8.0
 """Planned poses have every joint so far inside its range: there it may still turn at a third of its greatest rate
 towards the limit (`motion.SLOW_DEG`)."""
-TOLERANCES = {"position_tolerance_m": 1e-4, "rotation_tolerance_rad": 1e-3, "margin_deg": PLAN_MARGIN_DEG}
+TOLERANCES: dict[str, Any] = {
+    "position_tolerance_m": 1e-4,
+    "rotation_tolerance_rad": 1e-3,
+    "margin_deg": PLAN_MARGIN_DEG,
+}
 """Of planned poses. Chosen: a tenth of what a touch needs."""
 WAY_M = 0.01
 """Distance between the places of a route that are checked [m]. Chosen."""
@@ -155,7 +160,7 @@ def reach(
         found = None
         if float(np.linalg.norm(T_base_ee[:3, 3])) <= _longest_m(chain):  # else many searches for nothing
             found = chain.inverse(T_base_ee, start_deg, starts=starts, **TOLERANCES)
-        least.append(least_singular(chain.jacobian(found.joints_deg)) if found and found.converged else None)
+        least.append(float(least_singular(chain.jacobian(found.joints_deg))) if found and found.converged else None)
     return _reach(least)
 
 
@@ -208,8 +213,8 @@ def _led(
     good, joints_deg = np.ones(len(ways), dtype=bool), joints_deg.copy()
     for step in range(max(map(len, ways))):
         meanwhile()
-        on = np.array([one for one in np.flatnonzero(good) if step < len(ways[one])], dtype=int)
-        if not len(on):
+        on = [index for index, way in enumerate(ways) if good[index] and step < len(way)]
+        if not on:
             break
         places = np.array([ways[one][step] for one in on])
         T_base_ee = placement.T_base_ee(places[:, :3], places[:, 3:])

@@ -69,7 +69,6 @@ def test_the_record_is_the_foams_own_law() -> None:
     assert all(a.end_s == pytest.approx(b.start_s) for a, b in zip(record.phases[2:], record.phases[3:], strict=False))
 
 
-@pytest.mark.slow  # `test_explore` has an exploration of two touches repeated to the last bit
 def test_the_same_seed_gives_the_same_touch() -> None:
     (_, one), (_, other) = touched(7, 40e3, "sphere", 5.0), touched(7, 40e3, "sphere", 5.0)
 
@@ -146,7 +145,7 @@ AS_OTHERS = (
     Injected.CAMERA_SILENT,
     Injected.CAMERA_CABLE,
 )
-"""Noticed as others are (a cable, a silence, a repetition of another device; an invalid value in `test_supervisor`)."""
+"""Noticed as others are; what the supervisor says of each is in `test_supervisor`."""
 
 
 @pytest.mark.parametrize(
