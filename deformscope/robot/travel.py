@@ -136,7 +136,8 @@ def _require_clear(robot: Robot, centers_m: FloatArray, normal: FloatArray) -> N
 
 def step(robot: Robot, command: TipVelocity | JointRates) -> None:
     """One period on the way; a robot that has to back off is not to travel on."""
-    robot.cycle(command)
+    if robot.supervisor.verdict.action is Action.GO_ON:  # it may have changed while a way was checked
+        robot.cycle(command)
     verdict = robot.supervisor.verdict
     if verdict.action is not Action.GO_ON:
         robot.cycle()
