@@ -235,6 +235,10 @@ def parse_creep(text: str) -> float | str:
         raise ValueError(f"expected none, fit or a rate above 0 in 1/s; got {text!r}") from None
 
 
+ElasticFlag = Annotated[
+    flags.PositiveFlag,
+    flags.Rule(lambda beta: beta <= flags.BETA_LIMIT, f"a {{flag}} of at most {flags.BETA_LIMIT:g}"),
+]
 CreepFlag = Annotated[float | str, flags.one_word("none|fit|RATE", parse_creep)]
 
 
@@ -258,10 +262,7 @@ class YieldConfig(RecordedOptions):
 
     source: Annotated[Path, Positional, arg(metavar="MOTION.npz"), flags.Reads()]
     """rest (K, d), motion (T, K, d) [m], held (n,) or (T, K), and dt [s] for creep."""
-    beta: Annotated[
-        flags.PositiveFlag,
-        flags.Rule(lambda beta: beta <= flags.BETA_LIMIT, f"a {{flag}} of at most {flags.BETA_LIMIT:g}"),
-    ] = None
+    beta: ElasticFlag = None
     """Share of linear deformation; default: found along with the yield strain."""
     creep: CreepFlag = "none"
     """How fast it flows [1/s]: none, as long as it takes in every frame; fit, found too; or a rate."""

@@ -280,6 +280,13 @@ RigFlag = Annotated[str, Positional, arg(metavar="RIG"), Reads()]
 SceneFlag = Annotated[str, Positional, arg(metavar="RIG|lab:NAME"), Reads()]
 RecordingFlag = Annotated[Path, Positional, arg(metavar="FILE.rrd"), Reads()]
 Folder = Annotated[Path, arg(metavar="DIR")]
-_SOME = Rule(bool, "at least one SOURCE", "a video, a folder of frames, images, or pair files (.npz)", lambda _: "none")
-Sources = Annotated[tuple[str, ...], Positional, arg(metavar="SOURCE...", help_behavior_hint=""), Reads(), _SOME]
-PairSources = Annotated[tuple[str, ...], Positional, arg(metavar="PAIR.npz...", help_behavior_hint=""), Reads(), _SOME]
+
+
+def _some(name: str, hint: str) -> Rule:
+    return Rule(bool, f"at least one {name}", hint, lambda _: "none")
+
+
+_MIXED = _some("SOURCE", "a video, a folder of frames, images, or pair files (.npz)")
+_PAIRS = _some("PAIR.npz", "a pair file with rest, deformed and held")
+Sources = Annotated[tuple[str, ...], Positional, arg(metavar="SOURCE...", help_behavior_hint=""), Reads(), _MIXED]
+PairSources = Annotated[tuple[str, ...], Positional, arg(metavar="PAIR.npz...", help_behavior_hint=""), Reads(), _PAIRS]
