@@ -1,1 +1,1 @@
-"""What is in a container, from squeezing it (Thesis chapter 2): features in, classes with probabilities out."""
+"""From a squeezed container's images and pressures to features and the name of its content (Thesis ch. 2)."""
