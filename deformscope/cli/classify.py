@@ -41,9 +41,12 @@ def run(config: ClassifyConfig) -> None:
             result = classify_table(table, str(config.table), options, progress)
         show(result)
         recorder.write(Step((result.findings(),), frame=0))
+    if config.save is None and config.page is None:
+        write_json(result.entries(), config.output.json)
+        return
+    with fit_progress() as progress:
+        model = result.model(progress)
     if config.save is not None:
-        with fit_progress() as progress:
-            model = result.model(progress)
         save_classifier(model, config.save)
         say(f"classifier: {config.save}")
     if config.page is not None:
@@ -53,6 +56,6 @@ def run(config: ClassifyConfig) -> None:
         if config.report is not None and config.report.suffix != ".html":
             for name, png in drawn.items():
                 write_file(config.report / f"{name}.png", png)
-        write_file(config.page, classification_page(result, drawn, settings_of(config)).encode())
+        write_file(config.page, classification_page(result, model, drawn, settings_of(config)).encode())
         say(f"report: {config.page}")
     write_json(result.entries(), config.output.json)
