@@ -67,7 +67,7 @@ def mean_images_png(table: LabelledTable, modality: str) -> bytes:
     side = 1.75 if wide < 1.5 else 1.1
     figure = canvas(1.3 + side * columns * (wide + 0.15), 0.5 + (side + 0.2) * rows, layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False, gridspec_kw={"wspace": 0.12})
-    shown = None
+    shown: Any = None
     for axis, one, mean in zip(axes.flat, classes, means, strict=False):
         shown = axis.imshow(mean, vmin=low, vmax=high, cmap="viridis", interpolation="nearest")
         axis.set_title(one, fontsize=10)
@@ -114,8 +114,8 @@ def clusters_png(table: LabelledTable, found: Grouping, modality: str) -> bytes:
         left.scatter(*found.plane[inside].T, s=16, color=color, marker=marker, alpha=0.75, linewidths=0, label=one)
     left.set_title(f"{modality}: contents", fontsize=10)
     colors = class_colors(len(found.centroid))
-    for one, color in enumerate(colors):
-        inside = found.cluster == one
+    for cluster, color in enumerate(colors):
+        inside = found.cluster == cluster
         right.scatter(*found.plane[inside].T, s=16, color=color, alpha=0.6, linewidths=0)
     right.scatter(*found.centroid.T, s=150, marker="X", c=colors, edgecolors="black", linewidths=1.4, zorder=3)
     spread = f"{found.rand.mean():.2f} ± {found.rand.std():.2f}"
@@ -161,7 +161,7 @@ def _reach(found: Sequence[Any]) -> FloatArray:
     """(2, n) how far intervals reach below and above their values."""
     value = np.array([one.value for one in found])
     ends = np.array([one.interval for one in found])
-    return np.maximum(np.stack([value - ends[:, 0], ends[:, 1] - value]), 0.0)
+    return np.asarray(np.maximum(np.stack([value - ends[:, 0], ends[:, 1] - value]), 0.0))
 
 
 def _percent(axis: Axes, name: str = "accuracy") -> None:
@@ -179,7 +179,7 @@ def confusion_png(scores: Sequence[ClassificationScore], labels: Sequence[str]) 
     side = 3.6 if count <= 6 else 4.8 if count <= NUMBERED else 5.6 if count <= NAMED else 7.5
     figure = canvas(side * len(scores) + 0.9, side + 0.7, layout="constrained")
     axes = figure.subplots(1, len(scores), squeeze=False)[0]
-    shown = None
+    shown: Any = None
     for index, (axis, score) in enumerate(zip(axes, scores, strict=True)):
         shown = axis.imshow(score.shares, vmin=0.0, vmax=1.0, cmap="Blues")
         low, high = score.accuracy.interval

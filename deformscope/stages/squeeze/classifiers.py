@@ -102,7 +102,7 @@ def floored(score: FloatArray) -> FloatArray:
 def distances(test: FloatArray, points: FloatArray) -> FloatArray:
     """(m, n) squared distances."""
     squared = (test**2).sum(axis=1)[:, None] + (points**2).sum(axis=1) - 2.0 * (test @ points.T)
-    return np.maximum(squared, 0.0)
+    return np.asarray(np.maximum(squared, 0.0))
 
 
 def votes(squared: FloatArray, target: IntArray, k: int, classes: int) -> FloatArray:
@@ -117,7 +117,7 @@ def votes(squared: FloatArray, target: IntArray, k: int, classes: int) -> FloatA
     counted = np.zeros((len(squared), classes))
     np.add.at(counted, (np.broadcast_to(row, nearest.shape), target[nearest]), weight)
     counted += 1.0 / classes
-    return np.log(counted / counted.sum(axis=1, keepdims=True))
+    return np.asarray(np.log(counted / counted.sum(axis=1, keepdims=True)))
 
 
 def left_out(points: FloatArray, apart: IntArray | None = None) -> FloatArray:
@@ -167,7 +167,7 @@ def pooled_covariance(about: FloatArray, free: int) -> FloatArray:
     error = (float(((about**2).sum(axis=1) ** 2).sum()) / count - float((sample**2).sum())) / count
     share = 1.0 if spread <= 0.0 else min(max(error / spread, 0.0), 1.0)
     shrunk = (1.0 - share) * sample + (share + 1e-9) * level * np.eye(size)
-    return shrunk * (count / max(free, 1))
+    return np.asarray(shrunk * (count / max(free, 1)))
 
 
 def fit_quadratic(points: FloatArray, target: IntArray, classes: int) -> Quadratic:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deformscope.arrays import BoolArray, FloatArray
+from deformscope.arrays import BoolArray, FloatArray, IntArray
 
 EXPLAINED = 0.8
 """Share of the variance that the principal components keep (Thesis 2.4.2)."""
@@ -110,7 +110,7 @@ def project(train: FloatArray, test: FloatArray, gram: FloatArray | None = None)
     return Space(left * singular, (crossed @ left) / singular, kept_of(squared[keep]), raw)
 
 
-def _falling(variance: FloatArray) -> FloatArray:
+def _falling(variance: FloatArray) -> IntArray:
     """Indices of eigenvalues that are no rounding, the largest first."""
     order = np.argsort(variance)[::-1]
     return order[variance[order] > FLAT * max(float(variance[order[0]]), 1e-300)] if order.size else order

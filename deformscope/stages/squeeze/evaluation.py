@@ -17,12 +17,13 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.squeeze import groupings
+from deformscope.stages.squeeze.classifiers import NAMES
 from deformscope.stages.squeeze.groupings import Grouping, Normality
 from deformscope.stages.squeeze.intervals import Estimated, difference, holm, over_splits
 from deformscope.stages.squeeze.scores import ClassificationScore, accuracy_of, recalls, score_of, split_ratio
 from deformscope.stages.squeeze.splits import PROTOCOLS, Protocol, Split, draw, splitting_notes
-from deformscope.stages.squeeze.table import LabelledTable, refuse_duplicates
-from deformscope.stages.squeeze.trial_run import COSTLY, NAMES, Answers, Key, Method, joined_name, run_split
+from deformscope.stages.squeeze.table import LabelledTable, absent, refuse_duplicates
+from deformscope.stages.squeeze.trial_run import COSTLY, Answers, Key, Method, joined_name, run_split
 
 Progress = Callable[[str, int, int], None]
 """Called with what is done, how much of it, and of how much."""
@@ -210,7 +211,7 @@ class _Runner:
     ) -> dict[Key, list[Answers]]:
         """Outcomes of each method, split by split. features: instead of the table's"""
         shown = self.table.modalities if features is None else features
-        missing = self.missing if features is None else {k: np.isnan(v).all(axis=1) for k, v in shown.items()}
+        missing = self.missing if features is None else {k: absent(v) for k, v in shown.items()}
         apart = self.group if by_group else None
         fused = self.table.fused if features is None else None
 

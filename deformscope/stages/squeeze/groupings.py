@@ -68,11 +68,11 @@ def described(table: LabelledTable) -> dict[str, tuple[IntArray, FloatArray, Flo
         rows = np.flatnonzero(~table.missing(name))
         found[name] = rows, fit_scaling(values[rows]).apply(values[rows])
     names = table.fused[0]
-    rows = np.flatnonzero(~np.any([table.missing(name) for name in names], axis=0))
-    if len(names) > 1 and len(rows) > 1:
-        joined = [fit_scaling(table.modalities[one][rows]).apply(table.modalities[one][rows]) for one in names]
-        found[joined_name(names)] = rows, np.concatenate(joined, axis=1)
-    made = {}
+    shared: IntArray = np.flatnonzero(~np.any([table.missing(name) for name in names], axis=0))
+    if len(names) > 1 and len(shared) > 1:
+        joined = [fit_scaling(table.modalities[one][shared]).apply(table.modalities[one][shared]) for one in names]
+        found[joined_name(names)] = shared, np.concatenate(joined, axis=1)
+    made: dict[str, tuple[IntArray, FloatArray, FloatArray]] = {}
     for name, (rows, scaled) in found.items():
         directions, variance = loadings(scaled)
         kept = max(kept_of(variance), min(2, directions.shape[1]))

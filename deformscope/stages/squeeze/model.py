@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from deformscope.arrays import FloatArray, IntArray
+from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.squeeze.components import Scaling, fit_scaling, kept_of, loadings
 from deformscope.stages.squeeze.evaluation import Progress, held_values
@@ -148,7 +148,7 @@ def fit_model(
 
 def _fit_modality(
     values: FloatArray, rows: IntArray, target: IntArray, classes: int, group: IntArray | None, seed: int
-) -> tuple[ModalityModel, FloatArray, FloatArray]:
+) -> tuple[ModalityModel, FloatArray, BoolArray]:
     scaling = fit_scaling(values[rows])
     scaled = scaling.apply(values[rows])
     directions, variance = loadings(scaled)

@@ -92,7 +92,7 @@ class LabelledTable:
 
     def missing(self, modality: str) -> BoolArray:
         """(N,) whether nothing of a modality was measured."""
-        return np.isnan(self.modalities[modality]).all(axis=1)
+        return absent(self.modalities[modality])
 
     def rows(self, chosen: BoolArray | IntArray) -> LabelledTable:
         """Some of the trials."""
@@ -125,6 +125,11 @@ class LabelledTable:
                 raise InputError(f"labels out of {', '.join(self.classes)}", ", ".join(map(repr, unknown)))
             label[np.isin(self.label, members)] = name
         return replace(self, label=label.astype(np.str_))
+
+
+def absent(features: FloatArray) -> BoolArray:
+    """(n,) rows of (n, p) features in which nothing was measured."""
+    return np.asarray(np.isnan(features).all(axis=1))
 
 
 def duplicates(table: LabelledTable) -> list[tuple[int, ...]]:

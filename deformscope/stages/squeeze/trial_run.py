@@ -105,14 +105,15 @@ def _joined(
         empty = np.zeros((0, 0))
         space = project(np.zeros((len(split.train), width)), np.zeros((len(split.test), width)), gram)
         return Sides(split.train, split.test, empty, empty, space)
-    train, test = (np.sort(_common([four[side] for four in scaled.values()])) for side in (0, 1))
+    train = _common([rows for rows, *_ in scaled.values()])
+    test = _common([rows for _, rows, *_ in scaled.values()])
     one = np.concatenate([four[2][np.isin(four[0], train)] for four in scaled.values()], axis=1)
     other = np.concatenate([four[3][np.isin(four[1], test)] for four in scaled.values()], axis=1)
     return Sides(train, test, one, other, project(one, other))
 
 
 def _common(rows: Sequence[IntArray]) -> IntArray:
-    """Rows in all of them."""
+    """Rows in all of them, sorted, as each of them is."""
     found = rows[0]
     for more in rows[1:]:
         found = np.intersect1d(found, more)
