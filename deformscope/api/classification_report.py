@@ -193,9 +193,13 @@ def _confused(found: Evaluation) -> Table:
     order = np.argsort(-shares, axis=None)[:MOST_CONFUSED]
     pairs = [(int(one) // len(labels), int(one) % len(labels)) for one in order if shares.flat[one] > 0.0]
     rows = [
-        (labels[truth], labels[answer], f"{shares[truth, answer]:.1%}", "{:.1%} to {:.1%}".format(*interval))
+        (
+            labels[truth],
+            labels[answer],
+            f"{shares[truth, answer]:.1%}",
+            "{:.1%} to {:.1%}".format(*best.share_interval(truth, answer)),
+        )
         for truth, answer in pairs
-        if (interval := best.share_interval(truth, answer))
     ]
     return Table(rows, ("true", "named", "share", "interval"), f"Most often confused by {best.modality}, {best.method}")
 
