@@ -6,8 +6,10 @@ PY    := $(VENV)/bin/python
 READY := $(VENV)/.ready
 STEPS := not slow and not hardware and not realtime
 PYTEST := $(PY) -m pytest -q -rs
-# As many processes as processors, up to 4 for the memory, each with one thread: else their libraries share no core.
-PARALLEL := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(PYTEST) -n logical --maxprocesses 4 --dist worksteal
+# One process more than processors, up to 4 for the memory: some tests wait for doubles at real pace while others compute.
+# Each has one thread: else their libraries share no core.
+WORKERS := $(shell n=$$(getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2); echo $$(( n < 3 ? n + 1 : 4 )))
+PARALLEL := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(PYTEST) -n $(WORKERS) --dist worksteal
 
 # The first interpreter that fits; PYTHON=... names another.
 PYTHONS := $(PYTHON) python3 python3.13 python3.12 python3.11
@@ -17,7 +19,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONUNBUFFERED := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup system-libraries demo bench bench-suite test test-slow test-cores test-realtime lint format clean
+.PHONY: help setup system-libraries demo bench bench-suite test unit test-slow test-cores test-realtime lint format clean
 
 help:
 	@printf '%-20s%s\n' 'make demo' 'measure what is built in, and leave the recording in runs/'
@@ -63,7 +65,11 @@ system-libraries:
 demo: setup
 	@$(PY) -m deformscope demo
 
-test: lint
+# Types are checked by one processor, while the others begin with the tests.
+test: setup
+	@$(MAKE) --no-print-directory -j 2 lint unit
+
+unit: setup
 	$(PARALLEL) -m '$(STEPS)'
 
 # What a processor needs for the kernels that OpenBLAS has for a core type.

@@ -210,7 +210,7 @@ def test_demo_leaves_a_recording_each_time(
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.MonkeyPatch.context() as moment:
-        moment.setattr("deformscope.cli.calibrate.run", lambda config: config.output.record.touch())
+        moment.setattr("deformscope.cli.demo.calibrate", lambda config: config.output.record.touch())
         assert main(["demo", "--images"]) == 0
     (first,) = (tmp_path / "runs").glob("demo-*.rrd")
     monkeypatch.setattr("deformscope.cli.demo.BetaConfig", partial(BetaConfig, images=ImageOptions(stride=3)))

@@ -56,6 +56,7 @@ def pair(path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow  # stages/fit/test_joint proves the posterior
 def test_both_tells_a_joint_posterior(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source = pair(tmp_path / "pair.npz")
     files = ["--picture", str(tmp_path / "both.png"), "--record", str(tmp_path / "r.rrd")]

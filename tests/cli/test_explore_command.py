@@ -217,7 +217,7 @@ class Terminal(io.StringIO):
     [
         pytest.param("force-silent@1", "force sensor silent", 0.05, "deformscope doctor RIG", marks=pytest.mark.slow),
         pytest.param("arm-cable@1", "link lost", 0.1, "THE ARM COULD NOT BE STOPPED", marks=pytest.mark.slow),
-        ("push@1", "force above the soft stop", 0.05, "it has backed away"),
+        pytest.param("push@1", "force above the soft stop", 0.05, "it has backed away", marks=pytest.mark.slow),
     ],
 )
 def test_a_fault_stops_it_and_the_recording_is_whole(

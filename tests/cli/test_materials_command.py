@@ -54,6 +54,7 @@ def failure(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     return said
 
 
+@pytest.mark.slow  # kernels that nothing else needs; stages/materials proves the numbers
 def test_axes_tells_a_beta_for_each(pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     record = tmp_path / "r.rrd"
     told = run_json(["calibrate", "axes", str(pair), "--turn-deg", "30", "--record", str(record)], capsys)

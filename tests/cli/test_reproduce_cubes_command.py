@@ -36,6 +36,7 @@ def pairs(tmp_path: Path) -> list[str]:
     return paths
 
 
+@pytest.mark.slow  # kernels of quadratic clusters as lists; studies/test_cubes proves the numbers
 def test_pairs_give_figures_tables_and_json(
     pairs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -95,7 +96,7 @@ def test_none_to_compare_draws_no_clusters(pairs: list[str], tmp_path: Path) -> 
         (["--cluster-size", "1"], "--cluster-size of 2 or more"),
         (["--level", "1.5"], "--level between 0 and 1"),
         (["--workers", "0"], "--workers of 1 or more"),
-        (["--out", "{file}"], "folder after --out"),
+        (["--out", "{file}"], "a folder that can be written to; got file exists"),
     ],
 )
 def test_what_cannot_be_done_is_told_in_a_line(

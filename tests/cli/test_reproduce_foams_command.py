@@ -19,7 +19,7 @@ def test_what_it_cannot_use_is_refused_in_one_line(tmp_path: Path, capsys: pytes
     (tmp_path / "file").write_text("")
 
     assert main(["reproduce", "foams", "--out", str(tmp_path / "file")]) == 2
-    assert capsys.readouterr().err.startswith("deformscope: error: expected a folder after --out")
+    assert capsys.readouterr().err.startswith("deformscope: error: expected a folder that can be written to")
     assert main(["reproduce", "foams", "--seed", "-1"]) == 2
     assert "--seed of 0 or more" in capsys.readouterr().err
 

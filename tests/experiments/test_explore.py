@@ -172,6 +172,7 @@ def test_it_stops_for_a_reason_and_says_why_it_goes_where(two: Explored) -> None
         assert not plan.excluded[row, column]  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow  # twice what others do once; replay proves the same
 def test_the_same_seed_gives_the_same_map(two: Explored) -> None:
     _, again = explored("two-60-150", budget=4)
 

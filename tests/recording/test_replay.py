@@ -111,8 +111,9 @@ def test_a_recording_is_a_source(tmp_path: Path) -> None:
     with open_source(["sample:tension"], fps=2.0) as source, Recorder(tmp_path / "run.rrd") as made:
         run(source, synthetic.calibration(), made)
     with open_source(["sample:tension"], fps=2.0) as first, open_source([tmp_path / "run.rrd"]) as again:
-        assert len(again) == 7
-        for frame, replayed in zip(first, again, strict=True):
+        pairs = list(zip(first, again, strict=True))
+        assert len(pairs) == 7
+        for frame, replayed in pairs:
             assert frame.stamp == replayed.stamp
             np.testing.assert_array_equal(frame.image, replayed.image)
     with open_source([tmp_path / "run.rrd"], stride=4) as source:

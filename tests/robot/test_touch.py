@@ -76,6 +76,7 @@ def test_the_same_seed_gives_the_same_touch() -> None:
     assert np.array_equal(one.position_m, other.position_m)
 
 
+@pytest.mark.slow  # two whole touches
 def test_it_ends_at_the_greatest_depth_and_where_nothing_is() -> None:
     scene = make_scene(4, modulus_pa=2e3, tip="sphere", tilt_deg=0.0)
     deep = run_touch(scene.robot, scene.plan)

@@ -23,6 +23,7 @@ def seen() -> FoamResult:
     return measure(FOAMS[0], COARSE)
 
 
+@pytest.mark.slow  # images of five foams
 def test_flow_finds_the_true_positions(seen: FoamResult) -> None:
     assert seen.lost == 0
     assert np.sqrt(np.mean(seen.error_px**2)) < 0.2

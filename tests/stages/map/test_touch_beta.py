@@ -122,6 +122,7 @@ def test_too_few_points_and_touches_that_did_not_sink_in_are_refused(level: Heig
         fit_touch(level, of_our_own(0.5, 0.006) + np.array([0.8, 0.8, 0.0]), elsewhere, thickness_m=THICKNESS)
 
 
+@pytest.mark.slow  # kernels of lists in single precision
 def test_the_thesiss_model_holds_its_lowest_point_and_says_what_its_trend_is(level: HeightProcess) -> None:
     depth = 0.006
     after = of_our_own(0.0, depth, 1e-4)

@@ -141,6 +141,7 @@ def test_the_public_form_lists_the_axes() -> None:
     assert set(axes[0]) == {"axis", "value", "interval", "verdict"}
 
 
+@pytest.mark.slow  # kernels of many candidates on lists in space
 def test_what_it_does_not_fit_is_refused() -> None:
     seen = _observed((5, 5), np.array([0.3, 0.8]), None, 0.01, 5)
     with pytest.raises(InputError, match="linear clusters and theta 0"):
