@@ -10,7 +10,7 @@ Sources:
   KIBAR     Kibar, Ozturk and Esen 2010, Spanish J. Agricultural Research 8(3): rice at 10 to 14 % moisture
   LANZER    Lanzerstorfer 2020, J. Food Engineering 276: density of food powders = a (stress / 1 kPa)^b
   DST       Dairy Science and Technology 89 (2009), dst0909, table VI: low-fat yogurts, Herschel-Bulkley fits
-  DIMONTE   Dimonte, Nelson, Weaver, Schneider, Flower-Maudlin, Gore, Baumgardner and Sahota 1998, J. Rheology 42(4)
+  DIMONTE   Dimonte et al. 1998, J. Rheology 42(4): 727: yogurt is elastic below a finite yield stress
   XIA       Xia, Boyce and Parks 2002, Int. J. Solids and Structures 39: elastic constants of paperboard
   PODDAR    Poddar, Andreasson and Nygards 2024, Nordic Pulp and Paper Research J.: modulus against strain rate
   CRAWFORD  Crawford, Plastics Engineering, 3rd ed.: high-density polyethylene
@@ -66,7 +66,7 @@ WATER: Final = Content(
     solid_share=1.0,
     lateral_ratio=1.0,
     fluid=True,
-    shear_modulus_pa=2.2e9,  # none; what regularises its viscosity is of the size of its bulk modulus (CRC)
+    shear_modulus_pa=1e3,  # none: in series with the viscosity it relaxes within microseconds, and keeps equations solvable
     consistency_pa_sn=1.002e-3,  # CRC
 )
 
@@ -142,7 +142,7 @@ CARDBOARD: Final = Wall(
 )
 
 PLASTIC: Final = Wall(
-    thickness_m=0.7e-3,  # assumed: a blow-moulded bottle
+    thickness_m=0.45e-3,  # assumed: a light blow-moulded bottle
     young_pa=(0.9e9, 0.9e9),  # CRAWFORD
     poisson=0.42,  # CRAWFORD
     shear_pa=0.9e9 / (2.0 * 1.42),  # isotropic
