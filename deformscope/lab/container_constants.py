@@ -166,8 +166,10 @@ PAD_OFFSET_M: Final = 0.011
 """From the axis of the distal link to the surface of its pad; assumed: half of a link of 22 mm."""
 PAD_CURVATURE_M: Final = 0.060
 """Radius of the pad across the finger; assumed: nearly flat, with rounded edges."""
+PAD_LENGTH_CURVATURE_M: Final = 0.100
+"""Radius of the whole pad along the finger; assumed: slightly convex, so that it does not press by its ends."""
 TIP_CURVATURE_M: Final = 0.030
-"""Radius along the finger, of the rows towards the tip; assumed: a rounded tip."""
+"""Radius along the finger by which the rows towards the tip fall back besides; assumed: a rounded tip."""
 TIP_ROWS: Final = 5
 """How many rows towards the tip are curved; assumed."""
 TIP_MARGIN_M: Final = 0.006

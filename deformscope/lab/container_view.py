@@ -27,7 +27,7 @@ from deformscope.lab.ray_camera import (
 )
 from deformscope_drivers.sdh.kinematics import FINGERS, finger_points
 
-CAMERA = DepthViewConfig(distance_m=1.0, elevation_deg=20.0, azimuth_deg=20.0)
+CAMERA = DepthViewConfig(distance_m=1.0, elevation_deg=20.0, azimuth_deg=-20.0)
 """Around the container's own axes, as it stands unturned in the hand."""
 PALM_RADIUS_M, PALM_BACK_M = 0.045, 0.10
 TABLE_M = 0.8
@@ -37,7 +37,7 @@ AROUND_PX = 3.0
 class ContainerView(RayCamera):
     """A camera that looks at a container in the hand.
 
-    shape: of the container; table_m: along the hand's y, how far below its axis the container stands
+    shape: of the container
     """
 
     def __init__(

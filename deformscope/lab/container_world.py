@@ -32,6 +32,7 @@ from deformscope.lab.container_constants import (
     GRAVITY_M_S2,
     OFF_CENTRE_M,
     PAD_CURVATURE_M,
+    PAD_LENGTH_CURVATURE_M,
     PAD_OFFSET_M,
     PAD_STIFFNESS_PA_M,
     ROLL_DEG,
@@ -82,22 +83,21 @@ class Trial:
     gear_loss: FloatArray
 
     @classmethod
-    def draw(cls, shape: Shape, seed: int, instance: int, session: int = 0) -> Trial:
+    def draw(
+        cls, shape: Shape, seed: int, instance: int, session: int = 0, grasp: FloatArray | None = None
+    ) -> Trial:
         """One at random; the wall belongs to the instance, the temperature to the session, and none of it to what is
-        within."""
+        within. grasp: (4, 4) container to hand as it was meant to be; None = that is drawn too"""
         own = np.random.default_rng([seed, 0x15])
         wall = np.random.default_rng([instance, 0x16])
         room = np.random.default_rng([session, 0x17])
         thick = 1.0 + shape.wall.thickness_cv * wall.standard_normal()
-        young = 1.0 + shape.wall.young_cv * (wall.standard_normal() + room.standard_normal()) / np.sqrt(2.0)
+        young = 1.0 + shape.wall.young_cv * (wall.standard_normal() + room.standard_normal()) / math.sqrt(2.0)
+        along, roll, deep, off, yaw = own.uniform(-1.0, 1.0, 5)
+        if grasp is None:
+            grasp = hand_from_container(GRASP_ALONG_M * along, ROLL_DEG * roll)
         return cls(
-            T_hand_container=hand_from_container(
-                along_m=GRASP_ALONG_M * own.uniform(-1, 1),
-                deep_m=GRASP_DEEP_M * own.uniform(-1, 1),
-                off_m=OFF_CENTRE_M * own.uniform(-1, 1),
-                yaw_deg=YAW_DEG * own.uniform(-1, 1),
-                roll_deg=ROLL_DEG * own.uniform(-1, 1),
-            ),
+            T_hand_container=misplaced(grasp, GRASP_DEEP_M * deep, OFF_CENTRE_M * off, YAW_DEG * yaw),
             fill=min(FILL + FILL_SD * own.standard_normal(), 0.99),
             softness=1.0 / (young * thick**3),
             warming_k=TEMPERATURE_SD_K * own.standard_normal(),
@@ -106,27 +106,29 @@ class Trial:
         )
 
 
-PALM_M = 0.172
-"""Where fingertips are that stand straight up, along z of the hand [m]."""
-TIP_BEYOND_M = 0.016
-"""The tips reach so far beyond the container's middle, so that the first six rows of their pads press around it."""
+REACH_M = 0.1445
+"""Along z of the hand to the middle of the pads of upright fingertips, as they touch a container of 6 cm."""
 
 
-def hand_from_container(
-    along_m: float = 0.0, deep_m: float = 0.0, off_m: float = 0.0, yaw_deg: float = 0.0, roll_deg: float = 0.0
-) -> FloatArray:
-    """(4, 4) pose of a standing container in the hand, which reaches for it level, along the container's y.
-
-    along_m: grasped so far above its middle; deep_m: so far out of the hand; off_m: to the side of finger 0
-    yaw_deg: about the vertical; roll_deg: about the squeeze
-    """
-    yaw, roll = np.radians([yaw_deg, roll_deg])
-    level = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # container axes in the hand
-    about_z = np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(roll), -np.sin(roll)], [0.0, np.sin(roll), np.cos(roll)]])
+def hand_from_container(along_m: float = 0.0, roll_deg: float = 0.0) -> FloatArray:
+    """(4, 4) pose in the hand of a standing container that is reached for level: its middle between the pads, its z
+    along the hand's y. along_m: grasped so far above its middle; roll_deg: turned about the squeeze"""
+    roll = math.radians(roll_deg)
+    level = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # container axes in the hand
+    turn = np.array([[1, 0, 0], [0, math.cos(roll), -math.sin(roll)], [0, math.sin(roll), math.cos(roll)]])
     pose = np.eye(4)
-    pose[:3, :3] = level @ about_x @ about_z
-    pose[:3, 3] = (off_m, along_m, PALM_M - TIP_BEYOND_M + deep_m)
+    pose[:3, :3] = turn @ level
+    pose[:3, 3] = (0.0, 0.0, REACH_M)
+    pose[:3, 3] -= pose[:3, 2] * along_m
+    return pose
+
+
+def misplaced(T_hand_container: FloatArray, deep_m: float, off_m: float, yaw_deg: float) -> FloatArray:
+    """(4, 4) the same, so far out of the hand, to the side of finger 0, and turned about the container's own z."""
+    yaw = math.radians(yaw_deg)
+    pose = T_hand_container.copy()
+    pose[:3, :3] = pose[:3, :3] @ [[math.cos(yaw), -math.sin(yaw), 0], [math.sin(yaw), math.cos(yaw), 0], [0, 0, 1]]
+    pose[:3, 3] += (off_m, 0.0, deep_m)
     return pose
 
 
@@ -165,7 +167,9 @@ def _texels() -> tuple[FloatArray, FloatArray, FloatArray]:
     row, column = np.divmod(np.arange(TEXELS), COLUMNS)
     across = (column - (COLUMNS - 1) / 2) * pitch
     beyond = np.maximum(TIP_ROWS - row, 0) * pitch
-    recess = across**2 / (2 * PAD_CURVATURE_M) + beyond**2 / (2 * TIP_CURVATURE_M)
+    along = (row - (ROWS_DISTAL - 1) / 2) * pitch
+    recess = across**2 / (2 * PAD_CURVATURE_M) + along**2 / (2 * PAD_LENGTH_CURVATURE_M)
+    recess += beyond**2 / (2 * TIP_CURVATURE_M)
     return -(TIP_MARGIN_M + row * pitch), across, recess
 
 

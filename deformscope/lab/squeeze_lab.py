@@ -12,7 +12,7 @@ started with `wait=False`; a call that waits for one hand's reading would leave 
 `lab:containers` is this laboratory.
 
 Frames: the hand stands still, and its frame is the world's (`deformscope_drivers.sdh.kinematics`: z away from the
-wrist, x from finger 2 to finger 0; -y is upwards here). A container's frame: origin in the middle of its body, x along
+wrist, x from finger 2 to finger 0; y is upwards here). A container's frame: origin in the middle of its body, x along
 the squeeze, z upwards.
 """
 
@@ -56,9 +56,9 @@ from deformscope_drivers.sdh.double import Port, SdhDouble
 from deformscope_drivers.sdh.motion import AMBIENT_C, CYCLE_NS
 
 POLL_NS: Final = 5_000_000
-OPEN_DEG: Final = (90.0, -25.0, 12.0, -80.0, 0.0, -25.0, 12.0)
-"""Where the hand stands first: fingers 0 and 2 face each other, and touch with their tips leaning in a little when they
-close by their proximal joints alone; the thumb is out of the way."""
+OPEN_DEG: Final = (90.0, -17.3, 5.3, -70.0, 0.0, -17.3, 5.3)
+"""Where the hand stands first: fingers 0 and 2 face each other, upright when they touch a box by closing their proximal
+joints alone; the thumb is out of the way."""
 CLOSING_AXES: Final = (1, 5)
 CLOSED_DEG: Final = 10.0
 """Proximal angle that no container lets them reach."""
@@ -68,7 +68,7 @@ NAMES: Final = ("hand", "pads", "camera")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SqueezeTruth:
+class ContainerTruth:
     """What is simulated, up to now.
 
     content, container: their names; fill: share of the height; mass_kg: of all that is squeezed
@@ -109,6 +109,7 @@ class SqueezeLab:
         *,
         seed: int = 0,
         session: int = 0,
+        grasp: FloatArray | None = None,
         alike: bool = False,
         camera_hz: float = 30.0,
         hand_hz: float = 50.0,
@@ -117,6 +118,8 @@ class SqueezeLab:
         """container: its name begins with its kind, `box` or `cylinder`; others of a kind have other walls
 
         seed: of grasp, fill, temperatures and noise; session: of the room's temperature
+        grasp: (4, 4) container to hand as it was meant to stand, from which the true pose differs a little; None = a
+        random one
         alike: every content has the physics of water, whatever it is called
         """
         if content not in CONTENTS:
@@ -124,7 +127,7 @@ class SqueezeLab:
         self.content, self.container = content, container
         self.shape, instance = container_of(container)
         self.clock = SimulatedClock(1_000_000_000)
-        self.trial = Trial.draw(self.shape, seed, instance, session)
+        self.trial = Trial.draw(self.shape, seed, instance, session, grasp)
         self.world = ContainerWorld(self.shape, WATER if alike else CONTENTS[content], self.trial)
         self._contact_ns: int | None = None
         self._speeds: list[tuple[int, float]] = []
@@ -191,9 +194,9 @@ class SqueezeLab:
                     with contextlib.suppress(DeviceError):  # a link that is lost is reported by its device
                         device.poll(0.0)
 
-    def truth(self) -> SqueezeTruth:
+    def truth(self) -> ContainerTruth:
         """What is simulated, up to now."""
-        return SqueezeTruth(
+        return ContainerTruth(
             content=self.content,
             container=self.container,
             fill=self.trial.fill,
