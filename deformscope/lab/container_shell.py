@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -202,8 +203,8 @@ class Shell:
         z_edges = half_z + np.linspace(-PATCH_HALF_M, PATCH_HALF_M, PATCHES[1] + 1)
         rows, area, height = [], [], []
         for start in (0.0, self.shape.perimeter_m / 2):
-            for s_low, s_high in zip(start + s_edges[:-1], start + s_edges[1:], strict=True):
-                for z_low, z_high in zip(z_edges[:-1], z_edges[1:], strict=True):
+            for s_low, s_high in pairwise(start + s_edges):
+                for z_low, z_high in pairwise(z_edges):
                     along = self._along.weighted(s_low, s_high, np.ones_like)
                     rows.append(np.kron(along, self._up.weighted(z_low, z_high, np.ones_like)))
                     area.append((s_high - s_low) * (z_high - z_low))

@@ -41,7 +41,11 @@ class ContainerView(RayCamera):
     """
 
     def __init__(
-        self, shape: Shape, nodes_m: tuple[FloatArray, FloatArray], T_hand_upright: FloatArray, config: DepthViewConfig = CAMERA
+        self,
+        shape: Shape,
+        nodes_m: tuple[FloatArray, FloatArray],
+        T_hand_upright: FloatArray,
+        config: DepthViewConfig = CAMERA,
     ) -> None:
         """nodes_m: along s and z, at which `render` is given displacements; T_hand_upright: (4, 4) where a container
         stands that is not turned; its table is at its bottom"""
@@ -59,7 +63,12 @@ class ContainerView(RayCamera):
         whole = (slice(None), slice(None))
         depth, facing, _ = self.hits([(corners, np.array([[0, 1, 2], [0, 2, 3]], np.uint32))], whole)
         seen = np.where(np.isnan(depth), NOTHING, TABLE).astype(np.uint8)
-        self.cover(Capsule(np.array([0.0, 0.0, -PALM_BACK_M]), np.array([0.0, 0.0, -PALM_RADIUS_M]), PALM_RADIUS_M), depth, seen, facing)
+        self.cover(
+            Capsule(np.array([0.0, 0.0, -PALM_BACK_M]), np.array([0.0, 0.0, -PALM_RADIUS_M]), PALM_RADIUS_M),
+            depth,
+            seen,
+            facing,
+        )
         self._still = (depth, seen, facing)
 
     def mesh(self, inward_m: FloatArray) -> tuple[FloatArray, npt.NDArray[np.uint32]]:

@@ -7,8 +7,9 @@ follow from the forces by the shell's compliance (`container_shell`), and the fo
 - texel: its foam cover is pressed by as much as the pad stands deeper than the wall: pressure = stiffness x that, or 0;
 - patch and gas: as the filling resists (`container_filling`);
 - table: Coulomb's friction with the container's weight, whichever finger pushes more.
-A few Newton steps on some 100 active unknowns solve it. A joint of a finger goes on only as far as the contact's torque
-about it (virtual work: sum of forces x d depth / d angle) stays within what its motor gives; gears hold what is reached.
+A few Newton steps on some 60 active unknowns solve it. A joint of a finger goes on only as far as the contact's torque
+about it (virtual work: sum of forces x d depth / d angle) stays within what its motor gives; gears hold what they
+reached.
 
 Texels keep the place on the wall where they were when their finger came near. What is left out: friction of the pads,
 rotation of the container under the squeeze, the shape of the dent under a single texel.
@@ -83,9 +84,7 @@ class Trial:
     gear_loss: FloatArray
 
     @classmethod
-    def draw(
-        cls, shape: Shape, seed: int, instance: int, session: int = 0, grasp: FloatArray | None = None
-    ) -> Trial:
+    def draw(cls, shape: Shape, seed: int, instance: int, session: int = 0, grasp: FloatArray | None = None) -> Trial:
         """One at random; the wall belongs to the instance, the temperature to the session, and none of it to what is
         within. grasp: (4, 4) container to hand as it was meant to be; None = that is drawn too"""
         own = np.random.default_rng([seed, 0x15])
@@ -312,7 +311,9 @@ class ContainerWorld:
             room = {
                 axis: by
                 for axis, by in off.items()
-                if not math.isclose(goal[axis], (wanted_deg if by * step[axis] > 0.0 else position_deg)[axis], abs_tol=1e-9)
+                if not math.isclose(
+                    goal[axis], (wanted_deg if by * step[axis] > 0.0 else position_deg)[axis], abs_tol=1e-9
+                )
             }
             if not room or turn == CORRECTIONS:
                 break
