@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from deformscope.lab.container_constants import CONTENTS, EMPTY, PAD_STIFFNESS_PA_M, RICE, WATER, YOGURT, Content
-from deformscope.lab.container_shell import BOX, CYLINDER, Shape, shell_of
-from deformscope.lab.container_world import TEXEL_M2, ContainerWorld, Trial, hand_from_container, misplaced
+from deformscope.lab.container_constants import CONTENTS, EMPTY, PAD_STIFFNESS_PA_M, RICE, WATER, Content
+from deformscope.lab.container_shell import BOX, CYLINDER, ContainerShape, shell_of
+from deformscope.lab.container_world import TEXEL_M2, ContainerWorld, SqueezeDraw, hand_from_container, misplaced
 
 OPEN_DEG = np.array([90.0, -14.0, 5.3, -70.0, 0.0, -14.0, 5.3])
 TORQUE_NM = np.array([0.0, 0.5, 1.0, 0.5, 1.0, 0.5, 1.0])
@@ -17,9 +17,9 @@ STEP_S = 0.01
 SPEED_DEG_S = 10.0
 
 
-def nominal(**changes: object) -> Trial:
+def nominal(**changes: object) -> SqueezeDraw:
     """A trial without any chance in it."""
-    plain = Trial(hand_from_container(), 0.9, 1.0, 0.0, 0.0, np.zeros(7))
+    plain = SqueezeDraw(hand_from_container(), 0.9, 1.0, 0.0, 0.0, np.zeros(7))
     return dataclasses.replace(plain, **changes)  # type: ignore[arg-type]
 
 
@@ -29,8 +29,8 @@ class Squeezed:
     def __init__(
         self,
         content: Content,
-        trial: Trial | None = None,
-        shape: Shape = BOX,
+        trial: SqueezeDraw | None = None,
+        shape: ContainerShape = BOX,
         speed: float = SPEED_DEG_S,
         steps: int = 150,
     ) -> None:
@@ -50,7 +50,7 @@ class Squeezed:
 
 
 @pytest.mark.parametrize("shape", [BOX, CYLINDER], ids=["box", "cylinder"])
-def test_a_stalled_joint_has_the_torque_of_its_motor(shape: Shape) -> None:
+def test_a_stalled_joint_has_the_torque_of_its_motor(shape: ContainerShape) -> None:
     done = Squeezed(RICE, shape=shape, steps=200)
     assert done.world.torque_nm[[1, 5]] == pytest.approx([0.5, 0.5], rel=0.02)
     # force times its lever about the proximal joint, which is somewhere along the pad
@@ -70,12 +70,14 @@ def test_twice_the_current_presses_twice_as_hard() -> None:
 def test_the_table_takes_what_the_fingers_differ_by_and_no_more_than_friction() -> None:
     aside = nominal(T_hand_container=misplaced(hand_from_container(), 0.0, 0.0015, 0.0))
     for content in (EMPTY, RICE):
-        done = Squeezed(content, aside, steps=60)
+        done = Squeezed(content, aside, steps=110)
         difference = float(np.diff(done.world.force_n)[0])
         friction_n = 0.35 * done.world.mass_kg * 9.81
         assert abs(difference) <= friction_n * 1.01 + 1e-3
         slid_m = (done.world.T_hand_container - aside.T_hand_container)[0, 3]
-        assert slid_m < -5e-4  # finger 0 touched first, and pushed it away
+        assert slid_m < 0.0  # finger 0 touched first, and pushed
+        if content is EMPTY:
+            assert slid_m == pytest.approx(-0.0015, abs=3e-4)  # a light box comes to the middle between both
 
 
 def test_work_of_the_joints_is_stored_in_wall_pads_and_gas_where_nothing_is_lost() -> None:
@@ -116,18 +118,18 @@ def test_less_air_above_a_liquid_makes_it_harder() -> None:
 
 
 def test_yogurt_resists_a_fast_squeeze_more_and_relaxes_and_rice_does_not() -> None:
-    thick = dataclasses.replace(YOGURT, consistency_pa_sn=200.0)  # so that it stands out from the wall
     force, relaxed = {}, {}
-    for name, content in {"thick": thick, "rice": RICE}.items():
+    for name in ("yogurt", "rice"):
         for speed in (2.0, 20.0):
-            done = Squeezed(content, speed=speed, steps=round(11.0 / speed / STEP_S))
+            done = Squeezed(CONTENTS[name], speed=speed, steps=0)
+            done.goes_on(speed, round(11.0 / speed / STEP_S), 10 * TORQUE_NM)
             force[name, speed] = done.world.force_n.mean()
             done.goes_on(0.0, 100)
             relaxed[name, speed] = force[name, speed] - done.world.force_n.mean()
-    assert force["thick", 20.0] > 1.02 * force["thick", 2.0]
-    assert relaxed["thick", 20.0] > 0.02 * force["thick", 20.0]
-    assert force["rice", 20.0] == pytest.approx(force["rice", 2.0], rel=0.01)
-    assert relaxed["rice", 20.0] == pytest.approx(0.0, abs=1e-3)
+    assert force["yogurt", 20.0] > force["yogurt", 2.0] + 0.01
+    assert relaxed["yogurt", 20.0] > 0.015 > relaxed["yogurt", 2.0] > 0.002
+    assert force["rice", 20.0] == pytest.approx(force["rice", 2.0], abs=1e-4)
+    assert relaxed["rice", 20.0] == pytest.approx(0.0, abs=1e-4)
 
 
 def test_a_liquid_bulges_the_wall_most_near_the_bottom_before_it_is_touched() -> None:
@@ -147,14 +149,14 @@ def test_a_warm_container_stands_under_pressure_as_its_walls_allow() -> None:
 
 
 def test_draws_depend_on_seed_instance_and_session_and_repeat() -> None:
-    first, again = (Trial.draw(BOX, 3, instance=7, session=1) for _ in range(2))
+    first, again = (SqueezeDraw.draw(BOX, 3, instance=7, session=1) for _ in range(2))
     np.testing.assert_array_equal(first.T_hand_container, again.T_hand_container)
-    other = Trial.draw(BOX, 4, instance=7, session=1)
+    other = SqueezeDraw.draw(BOX, 4, instance=7, session=1)
     assert other.softness == first.softness
     assert other.fill != first.fill
-    assert Trial.draw(BOX, 3, instance=8, session=1).softness != first.softness
-    assert Trial.draw(BOX, 3, instance=7, session=2).room_k != first.room_k
+    assert SqueezeDraw.draw(BOX, 3, instance=8, session=1).softness != first.softness
+    assert SqueezeDraw.draw(BOX, 3, instance=7, session=2).room_k != first.room_k
     given = hand_from_container(along_m=0.02)
-    placed = Trial.draw(BOX, 3, instance=7, grasp=given).T_hand_container
+    placed = SqueezeDraw.draw(BOX, 3, instance=7, grasp=given).T_hand_container
     assert np.abs(placed[:3, 3] - given[:3, 3]).max() <= 0.004
     np.testing.assert_allclose(placed[:3, :3] @ placed[:3, :3].T, np.eye(3), atol=1e-12)
