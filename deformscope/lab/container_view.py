@@ -50,8 +50,8 @@ class ContainerView(RayCamera):
         T_hand_container: FloatArray,
         config: DepthViewConfig = CAMERA,
     ) -> None:
-        """nodes_m: along s and z, at which `render` is given displacements; T_hand_container: (4, 4) where the container
-        stands before, on its table; the camera is where it is seen well in a level hand, however it stands"""
+        """nodes_m: along s and z, at which `render` is given displacements; T_hand_container: (4, 4) where the
+        container stands before, on its table; the camera is where it is seen well in a level hand, however it stands"""
         looking = looking_at(np.zeros(3), config.distance_m, config.elevation_deg, config.azimuth_deg)
         super().__init__(config, hand_from_container() @ looking)
         self.shape = shape
