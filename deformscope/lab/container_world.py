@@ -68,7 +68,7 @@ TORQUE_CLOSE = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class SqueezeDraw:
+class ContainerDraw:
     """What varies from squeeze to squeeze and between instances.
 
     T_hand_container: (4, 4) where it stands before [m]; fill: share of the height; softness: of the wall over nominal
@@ -86,7 +86,7 @@ class SqueezeDraw:
     @classmethod
     def draw(
         cls, shape: ContainerShape, seed: int, instance: int, session: int = 0, grasp: FloatArray | None = None
-    ) -> SqueezeDraw:
+    ) -> ContainerDraw:
         """One at random; the wall belongs to the instance, the temperature to the session, and none of it to what is
         within. grasp: (4, 4) container to hand as it was meant to be; None = that is drawn too"""
         own = np.random.default_rng([seed, 0x15])
@@ -209,7 +209,7 @@ class ContainerWorld:
     shape, content, trial: as given; mass_kg: of all of it
     """
 
-    def __init__(self, shape: ContainerShape, content: Content, trial: SqueezeDraw) -> None:
+    def __init__(self, shape: ContainerShape, content: Content, trial: ContainerDraw) -> None:
         self.shape, self.content, self.trial = shape, content, trial
         self._shell = shell_of(shape)
         level = trial.fill * shape.height_m
