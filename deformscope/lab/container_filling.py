@@ -119,7 +119,9 @@ class Patches:
         rate = viscous / step_s**self.index
         harden = np.where(half > 0.0, most * half / np.maximum(plastic_m + half, 1e-12) ** 2, 0.0)
         x = over / (3.0 * np.maximum(k, harden))
-        x = np.where(rate > 0.0, np.minimum(x, (over / (3.0 * np.maximum(rate, 1e-300))) ** (1.0 / self.index)), x)
+        x = np.where(
+            rate > 0.0, np.minimum(x, (over / (3.0 * np.where(rate > 0.0, rate, 1.0))) ** (1.0 / self.index)), x
+        )
         for _ in range(ITERATIONS):
             yields = np.where(half > 0.0, most * (plastic_m + x) / np.maximum(plastic_m + x + half, 1e-12), most)
             hardens = np.where(half > 0.0, most * half / np.maximum(plastic_m + x + half, 1e-12) ** 2, 0.0)

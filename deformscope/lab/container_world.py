@@ -59,7 +59,7 @@ TEXELS = ROWS_DISTAL * COLUMNS
 NEAR_M = 0.004
 """A finger is near when a texel's surface is within this of where the wall bulges to at rest."""
 TABLE_STIFFNESS_N_M = 2e4
-NEWTON_STEPS = 25
+NEWTON_STEPS, DAMPED_FROM = 40, 8
 CLOSE_M = 1e-8
 CLOSE_N = 1e-4
 CORRECTIONS = 3
@@ -393,7 +393,8 @@ class ContainerWorld:
         y, slid = before.y.copy(), before.slid_m
         cover = PAD_STIFFNESS_PA_M * TEXEL_M2
         filled = count + np.arange(len(self._area) if patches.resist else 0)
-        for _ in range(NEWTON_STEPS):
+        slips = 0.0  # the direction in which the table rubs, once the container does not stick
+        for turn in range(NEWTON_STEPS):
             deep = depth + self._across * slid - y[:count]
             pressed = np.flatnonzero(deep > 0.0)
             aside, touched = self._across[pressed], len(pressed)
@@ -403,7 +404,9 @@ class ContainerWorld:
             traction, plastic, stiff = patches.moved(moved, before.traction_pa, before.plastic_m, step_s)
             gas, gas_slope = self._gas.pressure_pa(float(y[-1]))
             loads = np.concatenate([force, -traction * self._area, [-gas]])
-            rub, rub_slope = self._rub(slid - before.held_m)
+            rub, rub_slope = TABLE_STIFFNESS_N_M * (slid - before.held_m), TABLE_STIFFNESS_N_M
+            if slips:
+                rub, rub_slope = slips * self._friction_n, 1.0  # 1 N/m, so that there is one solution
             at = np.concatenate([pressed, filled, [len(y) - 1]])
             residual = np.append(y[at] - self._compliance[at] @ loads, -(force @ self._across) - rub)
             part = self._compliance[np.ix_(at, at)]
@@ -415,23 +418,23 @@ class ContainerWorld:
             matrix[-1, :touched] = cover * aside
             matrix[-1, -1] = -cover * float(aside @ aside) - rub_slope
             if np.abs(residual[:-1]).max() < CLOSE_M and abs(residual[-1]) < CLOSE_N:
-                break
+                if slips or abs(rub) <= self._friction_n:
+                    break
+                slips = math.copysign(1.0, rub)
+                continue
             change = np.linalg.solve(matrix, -residual)
-            slid += change[-1]
+            # damped where it jumps between texels that touch and do not
+            part_way = 1.0 if turn < DAMPED_FROM else 0.5
             grown = loads.copy()
             grown[at] += slopes * change[:-1]
             grown[pressed] += cover * aside * change[-1]
-            y = self._compliance @ grown
+            y = y + part_way * (self._compliance @ grown - y)
+            slid += part_way * change[-1]
+        else:
+            raise ArithmeticError(f"no balance of a squeezed container within {NEWTON_STEPS} steps")
         held = slid - rub / TABLE_STIFFNESS_N_M
         state = _Balance(y, slid, held, traction, plastic, force, loads, slope.T @ force)
         return state, _Tangent(matrix, part[:, :touched], pressed, aside)
-
-    def _rub(self, sheared_m: float) -> tuple[float, float]:
-        """The table's friction, and its slope."""
-        sticking = TABLE_STIFFNESS_N_M * sheared_m
-        if abs(sticking) <= self._friction_n:
-            return sticking, TABLE_STIFFNESS_N_M
-        return math.copysign(self._friction_n, sticking), 1.0  # 1 N/m, so that there is one solution
 
     @staticmethod
     def _torque_slope(tangent: _Tangent, slope: FloatArray) -> FloatArray:
