@@ -86,7 +86,9 @@ class ContainerView(RayCamera):
         high = wall[self._rows - 1 :: self._rows]
         return np.vstack([wall, high.mean(axis=0)]), self._triangles
 
-    def render(self, inward_m: FloatArray, T_hand_container: FloatArray, position_deg: FloatArray) -> Rendered:
+    def render(
+        self, inward_m: FloatArray, T_hand_container: FloatArray, position_deg: npt.NDArray[np.float64]
+    ) -> Rendered:
         """The exact picture.
 
         inward_m: (nodes along s, along z) displacement of the wall; position_deg: (7,) of the hand
@@ -114,7 +116,7 @@ def _colors(seen: npt.NDArray[np.uint8], facing: FloatArray) -> npt.NDArray[np.u
     return np.rint(COLOR[seen] * (0.35 + 0.65 * np.abs(facing))[..., None]).astype(np.uint8)
 
 
-def finger_capsules(position_deg: FloatArray) -> list[Capsule]:
+def finger_capsules(position_deg: npt.NDArray[np.float64]) -> list[Capsule]:
     """The links of the three fingers in the hand frame, as wide as their pads are far from their axes."""
     capsules = []
     for finger in range(len(FINGERS)):

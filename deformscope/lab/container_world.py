@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deformscope.arrays import FloatArray
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.lab.container_constants import (
     FILL,
     FILL_SD,
@@ -199,7 +199,7 @@ class _Tangent:
 
     matrix: FloatArray
     compliance: FloatArray
-    pressed: FloatArray
+    pressed: IntArray
     aside: FloatArray
 
 
@@ -309,20 +309,18 @@ class ContainerWorld:
         if not any(finger.normal is not None for finger in self._fingers):
             return goal
         before = self._state.y
-        for turn in range(CORRECTIONS + 1):
-            state, tangent = self._solved(depth, slope, step_s)
-            off = self._off(state, step, torque_nm)
-            room = {
-                axis: by
-                for axis, by in off.items()
-                if not math.isclose(
-                    goal[axis], (wanted_deg if by * step[axis] > 0.0 else position_deg)[axis], abs_tol=1e-9
-                )
-            }
-            if not room or turn == CORRECTIONS:
+        state, tangent = self._solved(depth, slope, step_s)
+        for _ in range(CORRECTIONS):
+            room = {}
+            for axis, by in self._off(state, step, torque_nm).items():
+                end_deg = wanted_deg[axis] if by * step[axis] > 0.0 else position_deg[axis]
+                if not math.isclose(goal[axis], end_deg, abs_tol=1e-9):
+                    room[axis] = by
+            if not room:
                 break
             goal = self._corrected(goal, room, self._torque_slope(tangent, slope), position_deg, wanted_deg)
             depth, slope = self._reached(goal)
+            state, tangent = self._solved(depth, slope, step_s)
         moves = np.abs(state.y - before).max() >= CLOSE_M or (goal - position_deg)[list(LOADED)].any()
         self._still = None if moves else asked
         self._state = state
@@ -419,7 +417,9 @@ class ContainerWorld:
             matrix[-1, -1] = -cover * float(aside @ aside) - rub_slope
             if np.abs(residual[:-1]).max() < CLOSE_M and abs(residual[-1]) < CLOSE_N:
                 if slips or abs(rub) <= self._friction_n:
-                    break
+                    held = slid - rub / TABLE_STIFFNESS_N_M
+                    found = _Balance(y, slid, held, traction, plastic, force, loads, slope.T @ force)
+                    return found, _Tangent(matrix, part[:, :touched], pressed, aside)
                 slips = math.copysign(1.0, rub)
                 continue
             change = np.linalg.solve(matrix, -residual)
@@ -430,11 +430,7 @@ class ContainerWorld:
             grown[pressed] += cover * aside * change[-1]
             y = y + part_way * (self._compliance @ grown - y)
             slid += part_way * change[-1]
-        else:
-            raise ArithmeticError(f"no balance of a squeezed container within {NEWTON_STEPS} steps")
-        held = slid - rub / TABLE_STIFFNESS_N_M
-        state = _Balance(y, slid, held, traction, plastic, force, loads, slope.T @ force)
-        return state, _Tangent(matrix, part[:, :touched], pressed, aside)
+        raise ArithmeticError(f"no balance of a squeezed container within {NEWTON_STEPS} steps")
 
     @staticmethod
     def _torque_slope(tangent: _Tangent, slope: FloatArray) -> FloatArray:

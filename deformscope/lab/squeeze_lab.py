@@ -25,6 +25,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
@@ -187,11 +188,13 @@ class SqueezedContainer:
             steady_ns = at_ns
         return steady_ns
 
-    def _felt(self, _: float) -> list[FloatArray]:
+    def _felt(self, _: float) -> list[npt.NDArray[np.float64]]:
         """Pressures on the six pads."""
-        pads = [np.zeros((matrix.cells_y, matrix.cells_x)) for matrix in self.pads.matrices]
+        pads: list[npt.NDArray[np.float64]] = [
+            np.zeros((matrix.cells_y, matrix.cells_x)) for matrix in self.pads.matrices
+        ]
         for finger, pressure, gain in zip(SQUEEZING, self.world.pressure_pa, self._gain, strict=True):
-            pads[Pad(finger, Part.DISTAL).matrix] = pressure * gain
+            pads[Pad(finger, Part.DISTAL).matrix] = np.asarray(pressure * gain, np.float64)
         return pads
 
 
