@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import tomllib
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from tests.patience import PATIENCE_S
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {"deformscope": ROOT / "deformscope", "deformscope_drivers": ROOT / "drivers" / "deformscope_drivers"}
 
-STAGES = ("stages.msm", "stages.see", "stages.fit", "stages.poke", "stages.materials", "stages.map")
+STAGES = tuple(f"stages.{name}" for name in ("msm", "see", "fit", "poke", "materials", "map", "squeeze"))
 LAYERS: dict[str, tuple[str, ...]] = {
     "arrays": (),
     "errors": (),
@@ -34,6 +35,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "stages.poke": ("arrays", "errors", "stages.msm", "stages.fit"),
     "stages.materials": ("arrays", "errors", "stages.msm", "stages.fit"),
     "stages.map": ("arrays", "errors", "stages.msm", "stages.see", "stages.fit", "stages.poke"),
+    "stages.squeeze": ("arrays", "capsule", "errors", "stages.see"),
     "pictures": ("arrays", "errors", "images", "plain", *STAGES),
     "log": ("arrays", "frames", "images", "pictures", "plain", "rows", *STAGES),
     "rig": ("errors", "frames"),
@@ -43,7 +45,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "session": ("frames",),
     "rows": ("arrays", "frames", "images", "stages.map"),
     "recording": ("arrays", "errors", "frames", "images", "log", "rows", "session", *STAGES),
-    "files": ("arrays", "errors", "frames", "images", "recording", *STAGES),
+    "files": ("arrays", "errors", "file_io", "frames", "images", "recording", *STAGES),
     "experiments": (
         *("arrays", "capsule", "errors", "files", "frames", "images", "processes", "recording", "rig", "robot"),
         *("rows", "session", *STAGES),
@@ -88,7 +90,8 @@ def modules() -> dict[str, Path]:
     return found
 
 
-def imported(path: Path) -> set[str]:
+@cache
+def imported(path: Path) -> frozenset[str]:
     """The modules that a file imports anywhere, inside functions and for type checking too."""
     names: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -97,7 +100,7 @@ def imported(path: Path) -> set[str]:
         elif isinstance(node, ast.ImportFrom) and node.module is not None:
             names.add(node.module)
             names.update(f"{node.module}.{alias.name}" for alias in node.names)
-    return names
+    return frozenset(names)
 
 
 def within(name: str, package: str) -> bool:

@@ -1,13 +1,12 @@
 """The options of each command: one frozen dataclass a command, whose fields are its flags.
 
 A field's docstring is the flag's help. What one value must look like is checked where it is parsed (`ValueError`, which
-the command line reports with the flag's name), what values must satisfy together where the dataclass is made
-(`InputError`). Nothing heavy is imported here: `--help` shows these classes.
+the command line reports with the flag's name); what it may be is a `Rule` in its annotation, what values must satisfy
+together the dataclass's `check` (`InputError`). Nothing heavy is imported here: `--help` shows these classes.
 """
 
 from __future__ import annotations
 
-from deformscope.config.bench import BenchConfig
 from deformscope.config.calibrate import (
     AxesConfig,
     BetaConfig,
@@ -20,10 +19,18 @@ from deformscope.config.calibrate import (
 )
 from deformscope.config.flags import PokeText, parse_poke, parse_pokes
 from deformscope.config.images import FlowConfig, ImageOptions
-from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions, Written
-from deformscope.config.reproduce import CoverageConfig, CubesConfig, FoamsConfig, PokesConfig, Table41Config
+from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions
+from deformscope.config.reproduce import (
+    BenchConfig,
+    CoverageConfig,
+    CubesConfig,
+    FoamsConfig,
+    PokesConfig,
+    Table41Config,
+)
 from deformscope.config.rigs import (
     ArmConfig,
+    DemoConfig,
     DevicesConfig,
     DoctorConfig,
     DoubleConfig,
@@ -32,46 +39,7 @@ from deformscope.config.rigs import (
     LiveConfig,
     RecordConfig,
     RecoverConfig,
+    ReplayConfig,
     RigRunOptions,
     VerifyConfig,
 )
-from deformscope.config.runs import DemoConfig, ReplayConfig
-
-__all__ = [
-    "ArmConfig",
-    "AxesConfig",
-    "BenchConfig",
-    "BetaConfig",
-    "BothConfig",
-    "CommandOptions",
-    "CoverageConfig",
-    "CubesConfig",
-    "DemoConfig",
-    "DevicesConfig",
-    "DoctorConfig",
-    "DoubleConfig",
-    "ExploreConfig",
-    "ExportConfig",
-    "FlowConfig",
-    "FoamsConfig",
-    "ImageOptions",
-    "LiveConfig",
-    "OutputOptions",
-    "PokeText",
-    "PokesConfig",
-    "PredictConfig",
-    "RecordConfig",
-    "RecordedOptions",
-    "RecoverConfig",
-    "ReplayConfig",
-    "RigRunOptions",
-    "SearchOptions",
-    "SummaryOptions",
-    "Table41Config",
-    "ThetaConfig",
-    "VerifyConfig",
-    "Written",
-    "YieldConfig",
-    "parse_poke",
-    "parse_pokes",
-]

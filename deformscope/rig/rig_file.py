@@ -18,6 +18,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from deformscope.errors import InputError
 from deformscope.rig.driver_table import DRIVERS, Driver
 from deformscope.rig.vendor_library import system_library
@@ -289,7 +291,7 @@ def _rig(content: dict[str, Any], text: str, where: str, trusted: bool) -> Rig:
         for name, kind in sections.items()
         if content.get(name) is not None
     }
-    rig = Rig(Path(where).stem, text, tuple(_device(name, told, trusted) for name, told in devices.items()), **read)
+    rig = Rig(Path(where).stem, text, tuple(_device(name, given, trusted) for name, given in devices.items()), **read)
     if rig.camera.device and rig.camera.device not in devices:
         raise InputError(f"[camera] device out of {', '.join(devices)}", repr(rig.camera.device))
     if unknown := [name for name in rig.record.lossless if name not in devices]:
@@ -297,16 +299,16 @@ def _rig(content: dict[str, Any], text: str, where: str, trusted: bool) -> Rig:
     return rig
 
 
-def _device(name: str, told: object, trusted: bool) -> RigDevice:
+def _device(name: str, given: object, trusted: bool) -> RigDevice:
     section = f"[devices.{name}]"
     if len(name) > NAME_CHARACTERS or not name.replace("-", "").replace("_", "").isalnum():
         raise InputError(f"a device's name of {NAME_HINT}", repr(name))
-    if not isinstance(told, dict):
-        raise InputError(f"a section {section}", type(told).__name__)
-    rest = dict(told)
+    if not isinstance(given, dict):
+        raise InputError(f"a section {section}", type(given).__name__)
+    rest = dict(given)
     driver = DRIVERS.get(str(rest.pop("driver", "")))
     if driver is None:
-        raise InputError(f"{section} driver out of {', '.join(DRIVERS)}", repr(told.get("driver", "nothing")))
+        raise InputError(f"{section} driver out of {', '.join(DRIVERS)}", repr(given.get("driver", "nothing")))
     double = rest.pop("double", False)
     if not isinstance(double, bool):
         raise InputError(f"{section} double = true or false", repr(double))
@@ -315,15 +317,15 @@ def _device(name: str, told: object, trusted: bool) -> RigDevice:
     return RigDevice(name, driver, _read(driver.config_class(), rest, section), double, trusted)
 
 
-def _read(kind: Any, told: object, section: str) -> Any:
+def _read(kind: Any, given: object, section: str) -> Any:
     """A section as its dataclass, strictly: known keys, right types, values that its checks accept."""
     import msgspec
 
-    if not isinstance(told, dict):
-        raise InputError(f"a section {section}", type(told).__name__)
-    _check_keys(told, [entry.name for entry in dataclasses.fields(kind) if entry.init], section)
+    if not isinstance(given, dict):
+        raise InputError(f"a section {section}", type(given).__name__)
+    _check_keys(given, [entry.name for entry in dataclasses.fields(kind) if entry.init], section)
     try:
-        return msgspec.convert(told, kind)
+        return msgspec.convert(given, kind)
     except msgspec.ValidationError as error:
         raise InputError(f"{section} as its keys want it", _words(error)) from error
     except InputError as error:
@@ -335,10 +337,10 @@ def _read(kind: Any, told: object, section: str) -> Any:
         raise InputError(f"{section} that its driver accepts", _line(error)) from error
 
 
-def _check_keys(told: Mapping[str, Any], known: Any, section: str) -> None:
+def _check_keys(given: Mapping[str, Any], known: Any, section: str) -> None:
     import difflib
 
-    if unknown := [key for key in told if key not in known]:
+    if unknown := [key for key in given if key not in known]:
         near = difflib.get_close_matches(unknown[0], known, n=1)
         hint = f"{near[0]}" if near else ", ".join(known)
         raise InputError(f"known keys in {section}", ", ".join(map(repr, unknown)), hint)
@@ -355,7 +357,7 @@ def _words(error: Exception) -> str:
     return f"{place.rstrip('`')}: {what[0].lower()}{what[1:]}" if at else text
 
 
-def _check(right: bool, expected: str, came: object) -> None:
+def _check(right: object, expected: str, came: object) -> None:
     if not right:
         raise InputError(expected, str(came))
 
@@ -365,14 +367,11 @@ def _check_transform(name: str, rows: tuple[tuple[float, ...], ...]) -> None:
     _check(len(rows) == 4 and all(len(row) == 4 for row in rows), f"{name} of 4 rows of 4 numbers", rows)
     _check(all(math.isfinite(value) for row in rows for value in row), f"{name} of finite numbers", rows)
     _check(tuple(rows[3]) == (0, 0, 0, 1), f"{name} whose last row is 0 0 0 1", rows[3])
-    turn = [row[:3] for row in rows[:3]]
-    for first in range(3):
-        for second in range(3):
-            product = sum(a * b for a, b in zip(turn[first], turn[second], strict=True))
-            _check(abs(product - (first == second)) < 1e-3, f"{name} whose rotation is one", f"rows {turn}")
-    (a, b, c), (d, e, f), (g, h, i) = turn
-    turns_right = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) > 0
-    _check(turns_right, f"{name} that is no mirror image", f"rows {turn}")
+    turn = np.array(rows, np.float64)[:3, :3]
+    with np.errstate(over="ignore", invalid="ignore"):  # of numbers beyond all use
+        turned, mirrored = np.abs(turn @ turn.T - np.eye(3)).max() < 1e-3, np.linalg.det(turn) <= 0
+    _check(turned, f"{name} whose rotation is one", f"rows {turn.tolist()}")
+    _check(not mirrored, f"{name} that is no mirror image", f"rows {turn.tolist()}")
     _check(max(abs(row[3]) for row in rows[:3]) < 10, f"{name} in metres", [row[3] for row in rows[:3]])
 
 
