@@ -38,7 +38,6 @@ class Content:
 
     density_kg_m3: in bulk; solid_share: of the filled volume that is no gas; lateral_ratio: horizontal over vertical
     stress at rest
-    fluid: whether it transmits pressure to every wall below its level, and flows
     friction_deg, cohesion_pa: of Coulomb's law, for what is granular
     load_modulus, unload_modulus: confined modulus over stress, on first loading and after, for what is granular
     shear_modulus_pa, yield_pa, consistency_pa_sn, flow_index: elasticity below yield, and stress = yield + consistency
@@ -48,7 +47,6 @@ class Content:
     density_kg_m3: float
     solid_share: float
     lateral_ratio: float
-    fluid: bool = False
     friction_deg: float = 0.0
     cohesion_pa: float = 0.0
     load_modulus: float = 0.0
@@ -65,7 +63,6 @@ WATER: Final = Content(
     density_kg_m3=998.2,  # CRC
     solid_share=1.0,
     lateral_ratio=1.0,
-    fluid=True,
     shear_modulus_pa=1e3,  # none: in series with the viscosity it relaxes within microseconds; for the solver
     consistency_pa_sn=1.002e-3,  # CRC
 )
@@ -74,7 +71,6 @@ YOGURT: Final = Content(
     density_kg_m3=1030.0,  # assumed: that of milk with a little more dry matter
     solid_share=1.0,
     lateral_ratio=1.0,
-    fluid=True,
     shear_modulus_pa=400.0,  # assumed, for stirred yogurt; DIMONTE finds an elastic range below yield
     yield_pa=15.28,  # DST, control after 14 days; 8 to 28 Pa over 28 days
     consistency_pa_sn=2.33,  # DST, the same

@@ -14,8 +14,9 @@ A box is four plates of it (1 / R = 0, where w alone is left), joined by slopes 
 does not move, as the plate around it would have to be stretched. A cylinder has all three fields. Bottom and lid keep
 their rim round or square, and hinge there.
 
-What is left out: stiffening by large dents (von Karman), buckling, creases of a carton, creep. Instances of a kind
-differ by one factor on the whole stiffness, so that one factorisation serves them all.
+What is left out: stiffening by large dents (von Karman), buckling, creases of a carton, creep; bottom and lid do not
+bend. Instances of a kind differ by one factor on the whole stiffness (modulus times thickness cubed), so that one
+factorisation serves them all.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 The world is the hand's frame. The wall is the mesh of the shell's nodes, displaced along its normals; links of the
 fingers are capsules whose surface is that of their pads. The camera sees the side at +x, with the finger that presses
-it, from a metre away (thesis 5.1), from above and from beyond the fingertips.
+it, from a metre away (thesis 5.1), from above and from beyond the fingertips. Not there: shadows of the camera's
+projector beside the fingers, a pixel wide on the wall.
 """
 
 from __future__ import annotations
