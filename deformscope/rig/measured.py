@@ -64,11 +64,21 @@ def _wrench(reading: Any, index: int, name: str, device: Any) -> Frame:
 
 
 def _arm(reading: Any, index: int, name: str, device: Any) -> Frame:
-    joints = reading.joints_deg, reading.rates_deg_s, reading.torques_nm
-    pose = reading.position_m, reading.theta_rad, reading.wrench[:3], reading.wrench[3:]
-    measured: Any = [np.array(one) for one in (*joints, *pose, reading.fingers)]
-    measured[-1] = measured[-1] / FINGER_CLOSED
-    return ArmFrame(reading.stamp, index, *measured, queued=reading.fifo_count, device=name)
+    force_n, torque_nm = np.array(reading.wrench[:3]), np.array(reading.wrench[3:])
+    return ArmFrame(
+        stamp=reading.stamp,
+        index=index,
+        joint_deg=np.array(reading.joints_deg),
+        joint_velocity_deg_s=np.array(reading.rates_deg_s),
+        joint_torque_nm=np.array(reading.torques_nm),
+        position_m=np.array(reading.position_m),
+        rotation_rad=np.array(reading.theta_rad),
+        force_n=force_n,
+        torque_nm=torque_nm,
+        finger=np.array(reading.fingers) / FINGER_CLOSED,
+        queued=reading.fifo_count,
+        device=name,
+    )
 
 
 def _hand(reading: Any, index: int, name: str, device: Any) -> Frame:
