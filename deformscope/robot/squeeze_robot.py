@@ -48,8 +48,9 @@ PRESHAPE_MARGIN_S = 4.0
 """Beyond what the hand itself plans, or 15 s where old firmware does not report it."""
 OLD_FIRMWARE_S = 15.0
 """The whole range of an axis at 12 deg/s."""
-STOP_TRIES = 3
-"""Attempts to stop the hand, each of which may be refused or interrupted."""
+STOP_TRIES, STOP_EVERY_S = 15, 0.1
+"""Attempts to stop the hand or to set its limits back, and from one to the next while its link is down: the driver looks
+for a lost one after 0.05 s, and then ever more rarely."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +94,7 @@ class SqueezeRobot:
         self.hand_readings: tuple[HandReading, ...] = ()
         self.tactile_frames: tuple[FingertipFrame, ...] = ()
         self._clock, self._wait_until, self._on_cycle = clock, wait_until, on_cycle
+        self._fingers = section.fingers
         self._matrices = [Pad(finger, Part.DISTAL).matrix for finger in section.fingers]
         self._hands: Any = hand.readings()
         self._frames: Any = tactile.readings()
@@ -150,19 +152,19 @@ class SqueezeRobot:
 
     def halt(self) -> bool:
         """Stop the hand; whether it confirmed that, or was never commanded."""
-        if not self._commanded:
-            return True
-        for _ in range(STOP_TRIES):
-            with contextlib.suppress(DeviceError):
-                self.hand.stop()
-                return True
-        return False
+        return not self._commanded or self._insist(self.hand.stop)
 
     # What it does ----------------------------------------------------------------------------------------------------
 
     def preshape(self) -> None:
         """Open the fingers, turn them towards each other, park the thumb. Raises SqueezeStopped."""
         self.command(lambda: self._move(self.shape.open_deg))
+
+    def release(self) -> None:
+        """Open the fingers after a stop: what they hold is not to be pressed any longer. Raises SqueezeStopped where
+        the hand does not."""
+        self.supervisor = SqueezeSupervisor(self.squeeze, self._fingers, self._clock(), closing=False)
+        self.preshape()
 
     @contextlib.contextmanager
     def low_current(self) -> Iterator[None]:
@@ -185,14 +187,11 @@ class SqueezeRobot:
 
     def restore(self) -> bool:
         """Set the limits of the currents again that were there before; whether they are as they were."""
-        if self._limits_a is None:
-            return True
-        for _ in range(STOP_TRIES):
-            with contextlib.suppress(DeviceError):
-                self.hand.set_current_limits(self._limits_a, CurrentMode.MOVE)
-                self._limits_a = None
-                return True
-        return False
+        limits_a = self._limits_a
+        if limits_a is None or not self._insist(lambda: self.hand.set_current_limits(limits_a, CurrentMode.MOVE)):
+            return limits_a is None
+        self._limits_a = None
+        return True
 
     def command(self, send: Callable[[], None]) -> None:
         """Have the hand do something. Raises SqueezeStopped where it refuses, or is not there."""
@@ -202,6 +201,16 @@ class SqueezeRobot:
         except DeviceError as error:
             lost = self.hand.link is not Link.CONNECTED
             self.fail(SqueezeFault.HAND_LOST if lost else SqueezeFault.REFUSED, " ".join(str(error).split()))
+
+    def _insist(self, send: Callable[[], object]) -> bool:
+        """Again and again, also while the link is sought; whether the hand took it."""
+        for _ in range(STOP_TRIES):
+            with contextlib.suppress(DeviceError):
+                send()
+                return True
+            if self.hand.link is not Link.CONNECTED:
+                self._wait_until(self._clock() + round(1e9 * STOP_EVERY_S))
+        return False
 
     def _move(self, target_deg: tuple[float, ...]) -> None:
         started_ns = self._clock()

@@ -94,9 +94,15 @@ class SqueezeVerdict:
 
 
 class SqueezeSupervisor:
-    """`judge` once in each control period; the first fault stays."""
+    """`judge` once in each control period; the first fault stays.
 
-    def __init__(self, squeeze: SqueezeSection, fingers: tuple[int, int], now_ns: int) -> None:
+    closing: False where the hand only opens: it then needs no tactile arrays, and may come from the end of its range
+    """
+
+    def __init__(
+        self, squeeze: SqueezeSection, fingers: tuple[int, int], now_ns: int, *, closing: bool = True
+    ) -> None:
+        self._closing = closing
         self.verdict = SqueezeVerdict()
         self._squeeze, self._fingers = squeeze, fingers
         self._contact_gap_m: float | None = None
@@ -122,7 +128,9 @@ class SqueezeSupervisor:
         late = seen.now_ns - self._judged_ns > LATE_S * 1e9
         self._excused = late and not self._excused
         self._judged_ns = seen.now_ns
-        for fault, reason in (*seen.lost, *self._hand(seen), *self._tactile(seen)):
+        tactile = self._tactile(seen) if self._closing else []
+        lost = [one for one in seen.lost if self._closing or one[0] is SqueezeFault.HAND_LOST]
+        for fault, reason in (*lost, *self._hand(seen), *tactile):
             self.stop(fault, reason, seen.now_ns)
         return self.verdict
 
@@ -138,7 +146,7 @@ class SqueezeSupervisor:
                     (SqueezeFault.OVER_SQUEEZED, f"{1e3 * closer_m:.1f} mm since contact, limit {most_mm:g} mm")
                 )
             for axis in CLOSING_AXES:
-                if angles[axis] > 90.0 - LIMIT_DEG:
+                if self._closing and angles[axis] > 90.0 - LIMIT_DEG:
                     found.append((SqueezeFault.JOINT_RANGE, f"axis {axis} at {angles[axis]:.1f} deg"))
         if seen.hottest_c is not None and seen.hottest_c > TOO_HOT_C:
             found.append((SqueezeFault.TOO_HOT, f"{seen.hottest_c:.0f} degC, limit {TOO_HOT_C:g} degC"))
