@@ -18,7 +18,7 @@ from tests.patience import PATIENCE_S
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {"deformscope": ROOT / "deformscope", "deformscope_drivers": ROOT / "drivers" / "deformscope_drivers"}
 
-STAGES = ("stages.msm", "stages.see", "stages.fit", "stages.poke", "stages.materials", "stages.map")
+STAGES = tuple(f"stages.{name}" for name in ("msm", "see", "fit", "poke", "materials", "map", "squeeze"))
 LAYERS: dict[str, tuple[str, ...]] = {
     "arrays": (),
     "errors": (),
@@ -34,6 +34,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "stages.poke": ("arrays", "errors", "stages.msm", "stages.fit"),
     "stages.materials": ("arrays", "errors", "stages.msm", "stages.fit"),
     "stages.map": ("arrays", "errors", "stages.msm", "stages.see", "stages.fit", "stages.poke"),
+    "stages.squeeze": ("arrays", "capsule", "errors", "stages.see"),
     "pictures": ("arrays", "errors", "images", "plain", *STAGES),
     "log": ("arrays", "frames", "images", "pictures", "plain", "rows", *STAGES),
     "rig": ("errors", "frames"),

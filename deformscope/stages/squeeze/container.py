@@ -1,0 +1,128 @@
+"""The rigid model of a container, and what a depth camera would see of it (Thesis ch. 2: the synthetic model)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+import open3d as o3d
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.stages.see.cloud import Intrinsics
+
+SIDES = 256
+"""Of the prism that stands for a cylinder: so many that its facets do not look like a grip on rotation."""
+
+
+@dataclass(frozen=True, slots=True)
+class ContainerModel:
+    """A rigid container. Its frame: origin in the middle of its bounding box, z up as it stands.
+
+    vertices_m: (n, 3) [m]; triangles: (m, 3) indices, counterclockwise as seen from outside
+    """
+
+    vertices_m: FloatArray
+    triangles: IntArray
+
+    @classmethod
+    def box(cls, size_m: tuple[float, float, float]) -> Self:
+        """size_m: along x, y, z [m]."""
+        if min(size_m) <= 0.0 or not np.isfinite(size_m).all():
+            raise InputError("a box's three sides above 0 m", str(size_m))
+        mesh = o3d.geometry.TriangleMesh.create_box(*size_m)
+        return cls._of(mesh.translate(-0.5 * np.asarray(size_m)))
+
+    @classmethod
+    def cylinder(cls, radius_m: float, height_m: float) -> Self:
+        """A cylinder about z."""
+        if min(radius_m, height_m) <= 0.0 or not np.isfinite([radius_m, height_m]).all():
+            raise InputError("a radius and a height above 0 m", f"{radius_m:g} m, {height_m:g} m")
+        return cls._of(o3d.geometry.TriangleMesh.create_cylinder(radius_m, height_m, SIDES, 1))
+
+    @classmethod
+    def mesh(cls, vertices_m: FloatArray, triangles: IntArray) -> Self:
+        """Any closed mesh [m]; it is moved so that the middle of its bounding box is the origin."""
+        vertices, faces = np.asarray(vertices_m, dtype=np.float64), np.asarray(triangles)
+        if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.isfinite(vertices).all() or not len(vertices):
+            raise InputError("vertices (n, 3) [m], finite", f"shape {vertices.shape}")
+        if faces.ndim != 2 or faces.shape[1] != 3 or not len(faces) or faces.min() < 0 or faces.max() >= len(vertices):
+            raise InputError("triangles (m, 3) of these vertices", f"shape {faces.shape}")
+        return cls(vertices - 0.5 * (vertices.min(axis=0) + vertices.max(axis=0)), faces.astype(np.int64))
+
+    @classmethod
+    def _of(cls, mesh: o3d.geometry.TriangleMesh) -> Self:
+        return cls.mesh(np.asarray(mesh.vertices), np.asarray(mesh.triangles))
+
+    @property
+    def size_m(self) -> FloatArray:
+        """(3,) of the bounding box [m]."""
+        return np.asarray(np.ptp(self.vertices_m, axis=0))
+
+    @property
+    def radius_m(self) -> float:
+        """Of the smallest ball about the origin that holds it [m]."""
+        return float(np.linalg.norm(self.vertices_m, axis=1).max())
+
+
+@dataclass(frozen=True, slots=True)
+class ModelView:
+    """What each of the pixels asked for sees of a container. depth_m: along the camera's axis [m], nan beside it
+    outward: (..., 3) unit normals of its surface in its own frame; rotation: (3, 3) from there to the camera's frame
+    """
+
+    depth_m: FloatArray
+    outward: FloatArray
+    rotation: FloatArray
+
+    def normal(self, pixels: BoolArray) -> FloatArray:
+        """(n, 3) unit normals at some of the pixels, camera frame."""
+        return np.asarray(self.outward[pixels] @ self.rotation.T)
+
+    def part(self, pixels: tuple[slice, slice]) -> ModelView:
+        """Some rows and columns of it."""
+        return ModelView(self.depth_m[pixels], self.outward[pixels], self.rotation)
+
+
+class ModelRenderer:
+    """Depth images of a rigid container, by casting rays (Open3D)."""
+
+    def __init__(self, model: ContainerModel, camera: Intrinsics) -> None:
+        """Raises InputError for a camera with distortion: undistort its images first."""
+        if any(camera.distortion):
+            raise InputError("a camera without distortion", f"coefficients {camera.distortion}", "undistort its images")
+        self.model, self.camera = model, camera
+        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+        vertices, triangles = model.vertices_m.astype(np.float32), model.triangles.astype(np.uint32)
+        self._scene.add_triangles(o3d.core.Tensor.from_numpy(vertices), o3d.core.Tensor.from_numpy(triangles))
+
+    def rays(self, pixels: FloatArray | IntArray) -> FloatArray:
+        """(..., 3) along pixels (..., 2) as (column, row), camera frame, with a length of 1 along the axis."""
+        aside = (np.asarray(pixels, dtype=np.float64) - self.camera.centre_px) / self.camera.focal_px
+        return np.concatenate([aside, np.ones((*aside.shape[:-1], 1))], axis=-1)
+
+    def render(self, T_camera_container: FloatArray, pixels: FloatArray | IntArray) -> ModelView:
+        """What pixels (..., 2) as (column, row) see of the container at a pose (4, 4)."""
+        pose = np.asarray(T_camera_container, dtype=np.float64)
+        ray = self.rays(pixels) @ pose[:3, :3]
+        cast = np.empty((*ray.shape[:-1], 6), dtype=np.float32)
+        cast[..., :3] = -pose[:3, 3] @ pose[:3, :3]  # the eye in the container's frame, which does not move
+        cast[..., 3:] = ray
+        hit = self._scene.cast_rays(o3d.core.Tensor.from_numpy(cast), nthreads=1)
+        depth = hit["t_hit"].numpy().astype(np.float64)
+        depth[~np.isfinite(depth)] = np.nan
+        return ModelView(depth, hit["primitive_normals"].numpy(), pose[:3, :3])
+
+    def window(self, T_camera_container: FloatArray, shape: tuple[int, int], margin_px: int = 0) -> tuple[int, ...]:
+        """(left, top, right, bottom) of the part of an image (H, W) that the container can be seen in, right and bottom
+        excluded; empty where it is behind the camera or beside the image."""
+        corner = self.model.vertices_m @ T_camera_container[:3, :3].T + T_camera_container[:3, 3]
+        if (corner[:, 2] <= 0.0).any():
+            return (0, 0, 0, 0)
+        at = corner[:, :2] / corner[:, 2:] * self.camera.focal_px + self.camera.centre_px
+        low = np.floor(at.min(axis=0)).astype(int) - margin_px
+        high = np.ceil(at.max(axis=0)).astype(int) + 1 + margin_px
+        left, top = np.clip(low, 0, (shape[1], shape[0]))
+        right, bottom = np.clip(high, 0, (shape[1], shape[0]))
+        return (int(left), int(top), int(right), int(bottom))

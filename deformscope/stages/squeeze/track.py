@@ -1,0 +1,403 @@
+"""The pose of a rigid container in depth images, also while a hand squeezes it (Thesis ch. 2, after its reference 120).
+
+    renderer = ModelRenderer(ContainerModel.box((0.12, 0.08, 0.2)), camera)
+    rest = locate(renderer, depth_m, guess)                     # before the squeeze
+    now = track(renderer, depth_m, rest.T_camera_container, rest=rest.T_camera_container, excluded=hand)
+    now.good, now.T_camera_container, now.observed
+
+Each pixel of the container's rendering is compared with the data's pixel, along the surface's normal (point-to-plane
+distances with projective data association: Blais and Levine 1995), and the rendering's outline with jumps of depth.
+Flat faces slide along themselves: directions of motion that the data do not observe keep the rest pose, and are
+reported. What stands before the container, or dents it, has little or no weight (Tukey).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.stages.see.cloud import axial_noise_m
+from deformscope.stages.squeeze.container import ModelRenderer, ModelView
+
+CORRELATED_PX = 3.0
+"""Over how many pixels a structured-light camera's depth noise is correlated: it matches windows of pixels."""
+EDGE_NOISE_PX = 1.5
+"""Deviation of where an outline is seen: such cameras fatten and fray edges by a pixel or two."""
+EDGE_EVERY_PX = 3
+"""Of the outline."""
+EDGE_REACH_PX = 12
+EDGE_RUN_PX = 3
+"""So many pixels in a row are the container's, then so many are not: a single missing pixel is no edge."""
+JUMP_M = 0.025
+"""Beyond the outline depth is larger by more than that; a table on which the container stands is not."""
+TABLE_NOISE_M = 0.0005
+COARSE_M = 0.0015
+"""After a smaller motion all pixels are looked at, and the outline."""
+SETTLED_M = 0.0002
+RESTLESS_M = 0.0005
+"""After a smaller motion there is no more to gain; pixels that come and go may keep a pose moving by so much."""
+OBSERVED_M = 0.001
+"""A direction of motion with a smaller deviation is observed."""
+FLATTEST = 0.2
+"""Least cosine between a ray and the normal where a pixel counts."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrackOptions:
+    """reach_m: from how far the surface is drawn to the data [m]; steps: at most so many
+    least_pixels: of the container seen; least_agreeing: least share of them within the noise for a good track
+    farthest_m, farthest_deg: from the rest pose
+    """
+
+    reach_m: float = 0.02
+    steps: int = 15
+    least_pixels: int = 150
+    least_agreeing: float = 0.6
+    farthest_m: float = 0.05
+    farthest_deg: float = 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class PoseEstimate:
+    """Where a container is. T_camera_container: (4, 4)
+
+    directions: (6, 6) a direction of motion each row, container frame: translation, then rotation times `lever_m`
+    deviation_m: (6,) standard deviation of the pose along each from image data [m]; observed: (6,) which are known so
+    pixels: of the container seen and compared; agreeing: share of them within the noise; rms_m: of these
+    edge_points: of the outline seen; good: whether features may be taken from it; reason: why not, or empty
+    """
+
+    T_camera_container: FloatArray
+    directions: FloatArray
+    deviation_m: FloatArray
+    observed: BoolArray
+    lever_m: float
+    pixels: int
+    agreeing: float
+    rms_m: float
+    edge_points: int
+    good: bool
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """Linearised equations. jacobian: (n, 6) of a motion in the camera frame, rotation about the container's origin;
+    residual: (n,) [m]; deviation: (n,) [m]; share: independent of one another, of all"""
+
+    jacobian: FloatArray
+    residual: FloatArray
+    deviation: FloatArray
+    share: float
+
+
+def track(
+    renderer: ModelRenderer,
+    depth_m: FloatArray,
+    start: FloatArray,
+    *,
+    rest: FloatArray | None = None,
+    excluded: BoolArray | None = None,
+    table: FloatArray | None = None,
+    options: TrackOptions | None = None,
+) -> PoseEstimate:
+    """The container's pose in a depth image (H, W) [m]; pixels of 0 or NaN saw nothing.
+
+    start: (4, 4) T_camera_container to begin at, as of the frame before; rest: (4, 4) for directions that the data do
+    not observe, default `start`; excluded: (H, W) pixels of the hand and of the dent
+    table: (4,) unit normal and offset of the plane n x + d = 0 that it stands on, camera frame
+    A bad track is a result (`good` False), never an exception. Raises InputError for shapes that do not fit.
+    """
+    options = options or TrackOptions()
+    depth = np.asarray(depth_m, dtype=np.float64)
+    if depth.ndim != 2 or (excluded is not None and excluded.shape != depth.shape):
+        raise InputError("a depth image (H, W) and a mask of its size", f"shape {depth.shape}")
+    depth = np.where(np.isfinite(depth) & (depth > 0.0), depth, np.nan)
+    usable = np.isfinite(depth) if excluded is None else np.isfinite(depth) & ~excluded
+    pose: FloatArray = np.array(start, dtype=np.float64)
+    rest = pose.copy() if rest is None else np.asarray(rest, dtype=np.float64)
+    lever = 0.5 * renderer.model.radius_m
+    settled, fine, gain = False, False, 1.0
+    for _ in range(options.steps):
+        rows = _equations(renderer, depth, usable, pose, table, options.reach_m, fine)
+        motion, _, _ = _solve(rows, pose, rest, lever, table is not None)
+        motion = gain * motion
+        pose = _moved(pose, motion)
+        length = float(np.hypot(np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:]) * lever))
+        settled = fine and length < RESTLESS_M
+        if fine and length < SETTLED_M:
+            break
+        if fine:  # ever less, so that outlines that jump from pixel to pixel do not swing it for ever
+            gain = 1.0 / (0.5 + 1.0 / gain)
+        fine = fine or length < COARSE_M
+    return _judged(renderer, depth, usable, pose, rest, lever, settled, table, options)
+
+
+def locate(
+    renderer: ModelRenderer,
+    depth_m: FloatArray,
+    guess: FloatArray,
+    *,
+    yaws_deg: tuple[float, ...] = (0.0, 30.0, -30.0, 60.0, -60.0, 90.0),
+    excluded: BoolArray | None = None,
+    table: FloatArray | None = None,
+    options: TrackOptions | None = None,
+) -> PoseEstimate:
+    """The pose of a container that stands about where it is guessed to, turned about its z axis by any of some angles.
+
+    guess: (4, 4) T_camera_container, right within a few centimetres. The best of the starts is the one that explains
+    the most pixels: those compared times the share that agree.
+    """
+    options = options or TrackOptions(reach_m=0.06, steps=40)
+    found = []
+    for yaw in yaws_deg:
+        start = np.array(guess, dtype=np.float64)
+        start[:3, :3] = start[:3, :3] @ Rotation.from_euler("z", yaw, degrees=True).as_matrix()
+        rough = track(renderer, depth_m, start, excluded=excluded, table=table, options=options)
+        found.append(track(renderer, depth_m, rough.T_camera_container, excluded=excluded, table=table))
+    return max(found, key=lambda one: (one.good, one.agreeing * one.pixels))
+
+
+def _equations(
+    renderer: ModelRenderer,
+    depth: FloatArray,
+    usable: BoolArray,
+    pose: FloatArray,
+    table: FloatArray | None,
+    reach_m: float,
+    fine: bool,
+) -> list[_Rows]:
+    """Of the surface, of the outline where it is fine, and of the table where there is one, in this order."""
+    margin = EDGE_REACH_PX if fine else 0
+    left, top, right, bottom = renderer.window(pose, (depth.shape[0], depth.shape[1]), margin)
+    every = 1 if fine else 4
+    pixels = np.stack(np.meshgrid(np.arange(left, right, every), np.arange(top, bottom, every)), axis=-1)
+    if not pixels.size:
+        return []
+    view = renderer.render(pose, pixels)
+    thin = (slice(None, None, 2), slice(None, None, 2)) if fine else (slice(None), slice(None))
+    rows = [_surface_rows(renderer, depth, usable, pose, pixels[thin], view.part(thin), reach_m, 2 if fine else 4)]
+    if fine:
+        rows.append(_edge_rows(renderer, depth, usable, pose, view.depth_m, (left, top)))
+    if table is not None:
+        rows.append(_table_rows(renderer, pose, table))
+    return rows
+
+
+def _surface_rows(
+    renderer: ModelRenderer,
+    depth: FloatArray,
+    usable: BoolArray,
+    pose: FloatArray,
+    pixels: IntArray,
+    view: ModelView,
+    reach_m: float,
+    every: int,
+) -> _Rows:
+    model_m = view.depth_m
+    data = depth[pixels[..., 1], pixels[..., 0]]
+    with np.errstate(invalid="ignore"):
+        near = np.isfinite(model_m) & usable[pixels[..., 1], pixels[..., 0]] & (np.abs(data - model_m) < reach_m)
+    ray, n, z = renderer.rays(pixels[near]), view.normal(near), model_m[near]
+    facing = np.einsum("ij,ij->i", n, ray) / np.linalg.norm(ray, axis=1)
+    flat = np.abs(facing) > FLATTEST
+    ray, n, z, facing, data = ray[flat], n[flat], z[flat], facing[flat], data[near][flat]
+    along = np.einsum("ij,ij->i", n, ray)
+    jacobian = np.column_stack([n, np.cross(z[:, None] * ray - pose[:3, 3], n)])
+    noise = axial_noise_m(z, np.arccos(np.clip(np.abs(facing), 0.0, 1.0)))
+    share = min((every / CORRELATED_PX) ** 2, 1.0)
+    return _Rows(jacobian, along * (data - z), np.abs(along) * noise, share)
+
+
+def _edge_rows(
+    renderer: ModelRenderer,
+    depth: FloatArray,
+    usable: BoolArray,
+    pose: FloatArray,
+    model_m: FloatArray,
+    corner: tuple[int, int],
+) -> _Rows:
+    """Where the data's depth jumps along the normals of the rendering's outline, against where the rendering ends."""
+    nothing = _Rows(np.zeros((0, 6)), np.zeros(0), np.zeros(0), 1.0)
+    inside = np.isfinite(model_m)
+    outlines, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    if not outlines or max(map(len, outlines)) < 8 * EDGE_RUN_PX:
+        return nothing
+    outline = max(outlines, key=len)[:, 0, :].astype(np.float64)
+    ahead, behind = np.roll(outline, -4, axis=0), np.roll(outline, 4, axis=0)
+    tangent = ahead - behind
+    length = np.linalg.norm(tangent, axis=1)
+    straight = length > 6.0  # not at corners, where a normal means little
+    at = outline[straight][::EDGE_EVERY_PX]
+    tangent = (tangent / np.maximum(length, 1.0)[:, None])[straight][::EDGE_EVERY_PX]
+    if not len(at):
+        return nothing
+    outward = np.column_stack([tangent[:, 1], -tangent[:, 0]])
+    outward *= np.sign(_area(outline))
+    offset = np.arange(-EDGE_REACH_PX, EDGE_REACH_PX + 1)
+    line = np.rint(at[:, None, :] + offset[None, :, None] * outward[:, None, :]).astype(int) + corner  # (m, k, 2)
+    high, wide = depth.shape
+    within = (line >= 0).all(axis=(1, 2)) & (line[..., 0] < wide).all(axis=1) & (line[..., 1] < high).all(axis=1)
+    at, outward, line = at[within], outward[within], line[within]
+    z = model_m[at[:, 1].astype(int), at[:, 0].astype(int)]
+    found, offset_px = _jumps(depth, usable, line, z, inside, corner)
+    at, outward, z = at[found] + corner, outward[found], z[found]
+    aside = (at - renderer.camera.centre_px) / renderer.camera.focal_px
+    metres = z / np.mean(renderer.camera.focal_px)
+    across = np.column_stack([outward, -np.einsum("ij,ij->i", outward, aside)])
+    point = np.column_stack([aside * z[:, None], z])
+    jacobian = np.column_stack([across, np.cross(point - pose[:3, 3], across)])
+    return _Rows(jacobian, metres * offset_px[found], metres * EDGE_NOISE_PX, min(EDGE_EVERY_PX / CORRELATED_PX, 1.0))
+
+
+def _jumps(
+    depth: FloatArray,
+    usable: BoolArray,
+    line: IntArray,
+    z: FloatArray,
+    inside: BoolArray,
+    corner: tuple[int, int],
+) -> tuple[BoolArray, FloatArray]:
+    """Which lines (m, k, 2) across the outline have one jump of depth, and how far outside the rendering it is [px]."""
+    data = depth[line[..., 1], line[..., 0]]
+    local = line - corner
+    held = (local >= 0).all(axis=2) & (local[..., 0] < inside.shape[1]) & (local[..., 1] < inside.shape[0])
+    local = np.where(held[..., None], local, 0)
+    model = held & inside[local[..., 1], local[..., 0]]
+    with np.errstate(invalid="ignore"):
+        ours = np.abs(data - z[:, None]) < JUMP_M
+        before = data < z[:, None] - JUMP_M
+    hidden = (before | (np.isfinite(data) & ~usable[line[..., 1], line[..., 0]])).any(axis=1)
+    run = np.lib.stride_tricks.sliding_window_view(ours, EDGE_RUN_PX, axis=1)
+    whole, none = np.asarray(run.all(axis=2)), np.asarray(~run.any(axis=2))
+    count = ours.shape[1] - 2 * EDGE_RUN_PX + 1
+    jump = whole[:, :count] & none[:, EDGE_RUN_PX : EDGE_RUN_PX + count]
+    one = (jump.sum(axis=1) == 1) & ~hidden
+    last_of_data = jump.argmax(axis=1) + EDGE_RUN_PX - 1
+    last_of_model = model.shape[1] - 1 - model[:, ::-1].argmax(axis=1)
+    return one & model.any(axis=1), (last_of_data - last_of_model).astype(np.float64)
+
+
+def _area(outline: FloatArray) -> float:
+    """Signed by the sense in which a closed outline (n, 2) is run through."""
+    x, y = outline.T
+    return float(0.5 * (x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
+
+
+def _table_rows(renderer: ModelRenderer, pose: FloatArray, table: FloatArray) -> _Rows:
+    vertices = renderer.model.vertices_m
+    foot = vertices[vertices[:, 2] < vertices[:, 2].min() + 1e-6] @ pose[:3, :3].T
+    normal = np.broadcast_to(np.asarray(table[:3], dtype=np.float64), foot.shape)
+    residual = -((foot + pose[:3, 3]) @ np.asarray(table[:3]) + float(table[3]))
+    deviation = np.full(len(foot), TABLE_NOISE_M * np.sqrt(len(foot)))
+    return _Rows(np.column_stack([normal, np.cross(foot, normal)]), residual, deviation, 1.0)
+
+
+def _solve(
+    rows: list[_Rows], pose: FloatArray, rest: FloatArray, lever: float, table: bool
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(6,) the motion in the camera frame: along observed directions to the data, along the others to the rest pose.
+
+    Also directions (6, 6) by row in the container frame, and the deviation along each (6,) [m], from images alone
+    """
+    turn = np.zeros((6, 6))
+    turn[:3, :3], turn[3:, 3:] = pose[:3, :3], pose[:3, :3] / lever  # from container frame with lever to camera frame
+    total, images, right = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros(6)
+    for number, part in enumerate(rows):
+        jacobian = part.jacobian @ turn / part.deviation[:, None]
+        residual = part.residual / part.deviation
+        weight = part.share * _tukey(residual)
+        square = jacobian.T @ (weight[:, None] * jacobian)
+        total += square
+        right += jacobian.T @ (weight * residual)
+        if not (table and number == len(rows) - 1):
+            images += square
+    strength, directions = np.linalg.eigh(total)
+    known = strength > OBSERVED_M**-2
+    to_rest = np.linalg.solve(turn, _between(pose, rest))
+    along = np.where(known, (directions.T @ right) / np.maximum(strength, 1e-12), directions.T @ to_rest)
+    strength_of_images, axes = np.linalg.eigh(images)
+    return turn @ (directions @ along), axes.T, 1.0 / np.sqrt(np.maximum(strength_of_images, 1e-12))
+
+
+def _tukey(residual: FloatArray, cut: float = 4.685) -> FloatArray:
+    """Weights of residuals in deviations (Tukey's biweight); the deviation is taken from them where it is larger than
+    assumed, so that a start beside the pose is drawn to it."""
+    if not len(residual):
+        return residual
+    scale = max(1.4826 * float(np.median(np.abs(residual))), 1.0)
+    return np.asarray(np.maximum(1.0 - (residual / (cut * scale)) ** 2, 0.0) ** 2)
+
+
+def _between(pose: FloatArray, other: FloatArray) -> FloatArray:
+    """(6,) the motion from one pose to another, camera frame, rotation about the container's origin."""
+    turn = Rotation.from_matrix(other[:3, :3] @ pose[:3, :3].T).as_rotvec()
+    return np.concatenate([other[:3, 3] - pose[:3, 3], turn])
+
+
+def _moved(pose: FloatArray, motion: FloatArray) -> FloatArray:
+    moved = pose.copy()
+    moved[:3, 3] += motion[:3]
+    moved[:3, :3] = Rotation.from_rotvec(motion[3:]).as_matrix() @ pose[:3, :3]
+    return moved
+
+
+def _judged(
+    renderer: ModelRenderer,
+    depth: FloatArray,
+    usable: BoolArray,
+    pose: FloatArray,
+    rest: FloatArray,
+    lever: float,
+    settled: bool,
+    table: FloatArray | None,
+    options: TrackOptions,
+) -> PoseEstimate:
+    rows = _equations(renderer, depth, usable, pose, table, options.reach_m, fine=True)
+    _, directions, deviation = _solve(rows, pose, rest, lever, table is not None)
+    shown = _compared(renderer, depth, usable, pose)
+    agreeing = float(np.mean(np.abs(shown) < 4.0)) if len(shown) else 0.0
+    rms = float(np.sqrt(np.mean(rows[0].residual ** 2))) if rows and len(rows[0].residual) else float("nan")
+    away = _between(rest, pose)
+    away_m, away_deg = float(np.linalg.norm(away[:3])), float(np.degrees(np.linalg.norm(away[3:])))
+    reason = ""
+    if len(shown) < options.least_pixels:
+        reason = f"{len(shown)} pixels of the container seen, {options.least_pixels} needed"
+    elif agreeing < options.least_agreeing:
+        reason = f"{agreeing:.0%} of the container's pixels agree with its model, {options.least_agreeing:.0%} needed"
+    elif away_m > options.farthest_m or away_deg > options.farthest_deg:
+        reason = f"{1e3 * away_m:.0f} mm and {away_deg:.0f} degrees from the rest pose"
+    elif not settled:
+        reason = f"the pose did not settle in {options.steps} steps"
+    return PoseEstimate(
+        T_camera_container=pose,
+        directions=directions,
+        deviation_m=deviation,
+        observed=deviation < OBSERVED_M,
+        lever_m=lever,
+        pixels=len(shown),
+        agreeing=agreeing,
+        rms_m=rms,
+        edge_points=len(rows[1].residual) if rows else 0,
+        good=not reason,
+        reason=reason,
+    )
+
+
+def _compared(renderer: ModelRenderer, depth: FloatArray, usable: BoolArray, pose: FloatArray) -> FloatArray:
+    """Differences of depth in deviations at the container's pixels, those of the background included: where the model
+    is and the container is not, the track is wrong. What stands before it, as a cable, is left out."""
+    left, top, right, bottom = renderer.window(pose, (depth.shape[0], depth.shape[1]))
+    column, row = np.meshgrid(np.arange(left, right, 2), np.arange(top, bottom, 2))
+    if not column.size:
+        return np.zeros(0)
+    view = renderer.render(pose, np.stack([column, row], axis=-1))
+    here = np.isfinite(view.depth_m) & usable[row, column]
+    difference, z = depth[row, column][here] - view.depth_m[here], view.depth_m[here]
+    scaled = difference / np.maximum(axial_noise_m(z), 0.001)
+    return np.asarray(scaled[difference > -JUMP_M])

@@ -1,0 +1,155 @@
+"""The tracker finds poses that are known, says which directions it does not see, and refuses what it cannot follow."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from deformscope.arrays import FloatArray
+from deformscope.errors import InputError
+from deformscope.stages.squeeze.container import ContainerModel, ModelRenderer
+from deformscope.stages.squeeze.patch import around
+from deformscope.stages.squeeze.track import PoseEstimate, TrackOptions, locate, track
+from tests.stages.squeeze.views import BOX, CAMERA, COLUMN, CYLINDER, PIXELS, SHAPE, looking, moved, squeezed
+
+
+def error(found: PoseEstimate, true: FloatArray) -> FloatArray:
+    """(6,) along the estimate's directions [m]; rotation times its lever."""
+    off = np.linalg.inv(found.T_camera_container) @ true
+    turn = Rotation.from_matrix(off[:3, :3]).as_rotvec() * found.lever_m
+    return np.asarray(found.directions @ np.concatenate([off[:3, 3], turn]))
+
+
+def exact(model: ContainerModel, pose: FloatArray) -> FloatArray:
+    return ModelRenderer(model, CAMERA).render(pose, PIXELS).depth_m
+
+
+@pytest.mark.parametrize("model", [BOX, CYLINDER], ids=["box", "cylinder"])
+@pytest.mark.parametrize("seed", range(6))
+def test_a_squeezed_containers_pose_is_found_where_it_is_observed(model: ContainerModel, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    rest = looking(random.uniform(0.7, 1.1), random.uniform(5.0, 50.0), random.uniform(0.0, 360.0))
+    true = moved(rest, random.normal(0.0, 0.004, 3), random.normal(0.0, 2.0, 3))
+    seen = squeezed(model, rest, true, random)
+    excluded = seen.finger | around(seen.tip_px, SHAPE, 35.0)
+
+    found = track(ModelRenderer(model, CAMERA), seen.depth_m, rest, excluded=excluded)
+
+    assert found.good, found.reason
+    assert np.count_nonzero(found.observed) >= 4
+    off = np.abs(error(found, true))[found.observed]
+    assert off.max() < 0.001  # of translation, and of rotation times its lever: below 1.1 degrees
+    assert (off < 5.0 * found.deviation_m[found.observed] + 1e-4).all()
+
+
+def test_a_cylinders_turn_about_its_axis_is_not_observed_and_stays_as_it_was() -> None:
+    rest = looking(0.9, 30.0, 40.0)
+    true = moved(rest, np.array([0.003, -0.002, 0.0]), np.array([0.0, 0.0, 20.0]))
+
+    found = track(ModelRenderer(CYLINDER, CAMERA), exact(CYLINDER, true), rest)
+
+    assert found.good, found.reason
+    assert np.count_nonzero(~found.observed) == 1
+    about_z = np.abs(found.directions[~found.observed][0])
+    assert about_z[5] > 0.98
+    turned = Rotation.from_matrix(rest[:3, :3].T @ found.T_camera_container[:3, :3]).as_euler("zyx", degrees=True)
+    assert abs(turned[0]) < 0.5
+
+
+def test_a_flat_face_alone_holds_three_directions_and_the_others_keep_the_rest_pose() -> None:
+    wall = ContainerModel.box((3.0, 0.02, 3.0))  # its edges are outside of the image
+    rest = looking(0.9, 0.0, 90.0)
+    true = moved(rest, np.array([0.02, 0.005, -0.03]), np.zeros(3))
+
+    found = track(ModelRenderer(wall, CAMERA), exact(wall, true), rest)
+
+    assert np.count_nonzero(found.observed) == 3
+    off = np.linalg.inv(rest) @ found.T_camera_container
+    np.testing.assert_allclose(off[:3, 3], [0.0, 0.005, 0.0], atol=2e-4)
+    np.testing.assert_allclose(off[:3, :3], np.eye(3), atol=1e-4)
+
+
+def test_a_table_holds_the_height_that_a_flat_face_does_not() -> None:
+    wall = ContainerModel.box((3.0, 0.02, 3.0))
+    rest = looking(0.9, 0.0, 90.0)
+    true = moved(rest, np.array([0.0, 0.004, 0.006]), np.zeros(3))
+    up = rest[:3, 2]
+    foot = true[:3, 3] - 1.5 * up
+    plane = np.append(up, -(up @ foot))
+
+    found = track(ModelRenderer(wall, CAMERA), exact(wall, true), rest, table=plane)
+
+    np.testing.assert_allclose((np.linalg.inv(rest) @ found.T_camera_container)[:3, 3], [0.0, 0.004, 0.006], atol=5e-4)
+    assert np.count_nonzero(found.observed) == 3  # by images; the table is no image
+
+
+def test_a_cable_before_the_container_moves_nothing() -> None:
+    rest = looking(0.9, 25.0, 60.0)
+    depth = exact(BOX, rest)
+    depth[:, 300:312] = np.where(np.isfinite(depth[:, 300:312]), 0.7, np.nan)
+
+    found = track(ModelRenderer(BOX, CAMERA), depth, rest)
+
+    assert found.good, found.reason
+    assert np.abs(error(found, rest)).max() < 2e-4
+
+
+@pytest.mark.parametrize(
+    ("depth", "reason"),
+    [
+        (np.zeros(SHAPE), "0 pixels of the container seen"),
+        (np.full(SHAPE, 2.0), "agree with its model"),
+        (np.full(SHAPE, np.nan), "0 pixels of the container seen"),
+        (np.where(COLUMN < 310, exact(BOX, looking(0.9, 25.0, 60.0)), 1.6), "agree with its model"),
+    ],
+    ids=["nothing", "a wall behind", "NaN", "half of it gone"],
+)
+def test_what_cannot_be_tracked_is_bad_and_says_why(depth: FloatArray, reason: str) -> None:
+    found = track(ModelRenderer(BOX, CAMERA), depth, looking(0.9, 25.0, 60.0))
+
+    assert not found.good
+    assert reason in found.reason
+    assert np.isfinite(found.T_camera_container).all()
+
+
+def test_a_container_far_from_where_it_rested_is_bad() -> None:
+    rest = looking(0.9, 25.0, 60.0)
+    true = moved(rest, np.array([0.03, 0.02, 0.02]), np.zeros(3))
+    start = moved(rest, np.array([0.028, 0.02, 0.02]), np.zeros(3))
+    options = TrackOptions(farthest_m=0.03)
+
+    found = track(ModelRenderer(BOX, CAMERA), exact(BOX, true), start, rest=rest, options=options)
+
+    assert not found.good
+    assert "from the rest pose" in found.reason
+
+
+def test_a_container_is_located_from_a_guess() -> None:
+    random = np.random.default_rng(5)
+    guess = looking(0.9, 35.0, 60.0)
+    true = moved(guess, np.array([0.02, -0.015, 0.0]), np.array([0.0, 0.0, 25.0]))
+    seen = squeezed(BOX, guess, true, random, dent_m=0.0)
+
+    found = locate(ModelRenderer(BOX, CAMERA), seen.depth_m, guess, excluded=seen.finger)
+
+    assert found.good, found.reason
+    assert np.abs(error(found, true)).max() < 0.001
+
+
+def test_a_rendering_is_where_geometry_says() -> None:
+    view = ModelRenderer(BOX, CAMERA).render(looking(1.0, 0.0, 90.0), np.array([[319.5, 239.5], [0.0, 0.0]]))
+
+    np.testing.assert_allclose(view.depth_m, [1.0 - 0.04, np.nan], atol=1e-6)
+    np.testing.assert_allclose(view.normal(np.array([True, False])), [[0.0, 0.0, -1.0]], atol=1e-6)
+    round_one = ModelRenderer(CYLINDER, CAMERA).render(looking(1.0, 0.0, 33.0), np.array([[319.5, 239.5]]))
+    np.testing.assert_allclose(round_one.depth_m, [1.0 - 0.045], atol=1e-5)
+
+
+def test_words_of_what_is_wrong() -> None:
+    with pytest.raises(InputError, match="three sides above 0 m"):
+        ContainerModel.box((0.1, 0.0, 0.1))
+    with pytest.raises(InputError, match="a radius and a height above 0 m"):
+        ContainerModel.cylinder(0.1, float("nan"))
+    with pytest.raises(InputError, match="a mask of its size"):
+        track(ModelRenderer(BOX, CAMERA), np.ones(SHAPE), np.eye(4), excluded=np.zeros((3, 3), dtype=bool))
