@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from deformscope.arrays import FloatArray, ImageArray, IntArray
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.frames import DepthFrame, HandFrame, Item, Pad, Stream, TactileFrame
+from deformscope.frames import ArmFrame, DepthFrame, Frame, HandFrame, Item, Pad, Stream, TactileFrame
 from deformscope.robot.squeeze_plan import CLOSING_AXES
 from deformscope.session import Moment, Step
 from deformscope.stages.see.tactile import tactile_contact
@@ -75,6 +75,7 @@ class SqueezeFrames:
     tactile: list[TactileFrame] = field(default_factory=list)
     hands: list[HandFrame] = field(default_factory=list)
     depth: list[DepthFrame] = field(default_factory=list)
+    arm: ArmFrame | None = None
 
     def add(self, item: Item, first_ns: int) -> None:
         """Keep what belongs to it. first_ns: of the first contact, 0 = not yet"""
@@ -82,6 +83,8 @@ class SqueezeFrames:
             self.tactile.append(item)
         elif isinstance(item, HandFrame) and item.device == self.hand:
             self.hands.append(item)
+        elif isinstance(item, ArmFrame) and (not self.air_ns or item.stamp.host_ns < self.air_ns):
+            self.arm = item
         elif isinstance(item, DepthFrame) and item.device == self.camera:
             self.depth.append(item)
             oldest_ns = (first_ns or item.stamp.host_ns) - BEFORE_S * 1e9
@@ -90,19 +93,20 @@ class SqueezeFrames:
 
     def events(self) -> SqueezeEvents:
         """First contact and steady state, from all frames since the fingers were to close, in order of time."""
-        tactile = sorted((one for one in self.tactile if one.stamp.host_ns >= self.air_ns), key=_when)
-        hands = sorted((one for one in self.hands if one.stamp.host_ns >= self.air_ns), key=_when)
+        tactile = sorted((one for one in self.tactile if one.stamp.host_ns >= self.air_ns), key=frame_ns)
+        hands = sorted((one for one in self.hands if one.stamp.host_ns >= self.air_ns), key=frame_ns)
         sums = [[float(pad.sum(dtype=np.int64)) for pad in self.tactile_source.counts(one)] for one in tactile]
         return squeeze_events(
-            np.array([_when(one) for one in tactile], np.int64),
+            np.array([frame_ns(one) for one in tactile], np.int64),
             np.array(sums).reshape(len(tactile), -1),
-            np.array([_when(one) for one in hands], np.int64),
+            np.array([frame_ns(one) for one in hands], np.int64),
             np.array([one.position_deg[list(CLOSING_AXES)] for one in hands]).reshape(len(hands), -1),
             self.rule,
         )
 
 
-def _when(frame: TactileFrame | HandFrame | DepthFrame) -> int:
+def frame_ns(frame: Frame) -> int:
+    """When it came, on the host's clock [ns]."""
     return frame.stamp.host_ns
 
 

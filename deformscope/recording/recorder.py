@@ -41,10 +41,11 @@ if TYPE_CHECKING:
 
     from deformscope.log.blueprint import Layout
 
-    RecordingLayout = Layout | Literal["rig", "exploration", "findings"]
+    RecordingLayout = Layout | Literal["rig", "exploration", "squeeze", "findings"]
     from deformscope.log.canvas import Canvas
     from deformscope.log.live_stream import LiveStream
     from deformscope.log.rig import Batch, Place
+    from deformscope.log.squeeze import Fingertips
 
 APPLICATIONS: dict[RecordingLayout, str] = {
     "images": "deformscope",
@@ -53,6 +54,7 @@ APPLICATIONS: dict[RecordingLayout, str] = {
     "pair-3d": "deformscope-pair-3d",
     "rig": "deformscope-rig",
     "exploration": "deformscope-exploration",
+    "squeeze": "deformscope-squeeze",
     "findings": "deformscope-findings",
 }
 """rerun's application of each layout: a viewer keeps one set of views an application, and these differ."""
@@ -127,6 +129,7 @@ class Recorder:
         self._counts: dict[str, int] = {}
         self._losses: dict[str, dict[str, float]] = {}
         self._streams: tuple[Stream, ...] = ()
+        self._fingertips: Fingertips | None = None
         self._lossless: frozenset[str] = frozenset()
         # what the writer's thread alone touches, until it has ended
         self._writer: Writer | None = None
@@ -230,6 +233,20 @@ class Recorder:
             given = self._streams
             self._put(lambda: self._emit(lambda rec: log_exploration_start(rec, given, base_from_surface), 0), 0)
 
+    def start_squeeze(
+        self, streams: Sequence[Stream], start_ns: int, tactile: str, pads: Sequence[int], camera: str
+    ) -> None:
+        """From here on it is a squeeze that is recorded, and its devices.
+
+        tactile, pads: the device and the pads of the fingertips that squeeze; camera: the depth camera, or empty
+        """
+        if self.active:
+            from deformscope.log.squeeze import fingertips_of, log_squeeze_start, squeeze_blueprint
+
+            self._start(streams, start_ns, squeeze_blueprint(streams, tactile, camera))
+            self._fingertips = fingertips = fingertips_of(streams, tactile, pads)
+            self._put(lambda: self._emit(lambda rec: log_squeeze_start(rec, fingertips), 0), 0)
+
     def write(
         self,
         items: object,
@@ -267,7 +284,7 @@ class Recorder:
     def write_results(
         self, results: Sequence[object], now_ns: int, touch: int, cell_m: float, seen_ns: int | None = None
     ) -> None:
-        """Record results of an exploration; `write` says more."""
+        """Record results of an exploration, or of a squeeze; `write` says more."""
         # what the devices give from the plan of a touch on belongs to that touch
         self._touch = touch + any(
             isinstance(result, PlannedTouch) and result.target_m is not None for result in results
@@ -279,10 +296,15 @@ class Recorder:
         size = sum(map(arrays_size, given))
 
         def write() -> None:
-            from deformscope.log.exploration import prepare_results
+            if self._layout == "squeeze":
+                from deformscope.log.squeeze import prepare_squeeze_results
 
-            place = self._place(touch, seen_ns)
-            batch = prepare_results(given, session_ns, place, cell_m=cell_m, failed=self._not_shown)
+                batch = prepare_squeeze_results(given, session_ns, self._fingertips)
+            else:
+                from deformscope.log.exploration import prepare_results
+
+                place = self._place(touch, seen_ns)
+                batch = prepare_results(given, session_ns, place, cell_m=cell_m, failed=self._not_shown)
             if self._file is not None:
                 self._file.send(batch)
             self._show(lambda live: live.send(batch), size, lasting=True)
@@ -316,7 +338,7 @@ class Recorder:
 
     @property
     def _of_devices(self) -> bool:
-        return self._layout in ("rig", "exploration")
+        return self._layout in ("rig", "exploration", "squeeze")
 
     def _start(self, streams: Sequence[Stream], start_ns: int, views: rr.blueprint.Blueprint) -> None:
         from deformscope.log.rig import log_streams
@@ -458,7 +480,7 @@ class Recorder:
         """Send the views, once, as soon as it is known what they show."""
         from deformscope.log.blueprint import blueprint
 
-        if self._layout == "rig" or self._layout == "exploration" or self._layout == "findings":
+        if self._layout in ("rig", "exploration", "squeeze", "findings"):
             return  # these views come with what they show
         if not self._arranged and self._canvas is not None:
             self._arranged = True
