@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from deformscope.errors import InputError
 from deformscope.experiments.squeeze_features import SqueezeGeometry, TrialFeatures, trial_features
 from deformscope.experiments.squeeze_frames import SqueezeFrames, SqueezeObserver
 from deformscope.experiments.squeezing_hand import AFTER_S, HandWait, PreShape, SqueezeEnded, SqueezeOnce
@@ -70,7 +71,8 @@ def _squeeze(
     try:
         computed: TrialFeatures = yield from ask(Compute(trial_features, (frames, geometry)))
     except Exception as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
+        words = " ".join(str(error).split())
+        reason = words if isinstance(error, InputError) else f"{type(error).__name__}: {words}"
         found.stop = SqueezeStop(FEATURES_FAILED, reason, "the recording: deformscope replay", True, True)
         found.stop_ns = clock()
         yield Step((found.stop,), moment=Moment(found.stop_ns))

@@ -38,8 +38,8 @@ SQUEEZE_PERIOD_NS = 20_000_000
 """A control period: as often as the hand's angles can be read and its velocity set on RS-232, with room to spare."""
 KEEP_S = 0.1
 """The hand's driver sets a velocity back to 0 unless it is set again within this: five control periods."""
-PRESHAPE_DEG_S = 25.0
-"""Of the fastest axis; nothing is between the fingers. Chosen: half of the library's default and less."""
+PRESHAPE_DEG_S = 40.0
+"""Of the fastest axis; nothing is between the fingers. Schunk's library moves so by default."""
 MISSED_DEG = 2.0
 """An axis that ends so far from its pre-shape met something: four times the precision of its angles."""
 SETTLE_READINGS = 13

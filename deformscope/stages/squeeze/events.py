@@ -1,7 +1,7 @@
 """When the fingers first touch the container, and when they stand still (Thesis ch. 2: F_first and F_steady).
 
     rule = EventRule()
-    found = squeeze_events(tactile_ns, sums, hand_ns, closing_deg, began_ns, rule)
+    found = squeeze_events(tactile_ns, sums, hand_ns, closing_deg, rule)
 
 Both rules work on one reading after the other, so that the squeeze itself ends by them; `squeeze_events` applies them
 once more to all that was recorded, in order of time.
@@ -126,13 +126,12 @@ def squeeze_events(
     sums: FloatArray,
     hand_ns: IntArray,
     closing_deg: FloatArray,
-    began_ns: int,
     rule: EventRule,
 ) -> SqueezeEvents:
     """The events of a recorded squeeze.
 
     tactile_ns: (n,) times of frames from before the fingers closed; sums: (n, fingers) [counts]
-    hand_ns: (m,) times of readings; closing_deg: (m, axes) of the axes that close; began_ns: when they began to close
+    hand_ns: (m,) times of readings; closing_deg: (m, axes) of the axes that close
     Raises InputError where there are too few frames for a baseline.
     """
     if len(tactile_ns) <= BASELINE_FRAMES or len(hand_ns) < 2:
