@@ -5,30 +5,32 @@
     depth = view.observe(exact, random)                      # (H, W) uint16 [mm], 0 where the camera measured nothing
     exact.depth_m, exact.color, exact.seen                   # without noise; what each pixel fell on
 
-The camera is a PrimeSense by its figures: 640x480 pixels, 570 px of focal length. It looks at the slab's middle from
-0.8 m, at 45 degrees, across the long edge at y = 0.4 m unless set otherwise: an arm had better stand opposite.
+The camera looks at the slab's middle from 0.8 m, at 45 degrees, across the long edge at y = 0.4 m unless set otherwise:
+an arm had better stand opposite.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import open3d as o3d
 
-from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.capsule import Capsule
 from deformscope.errors import InputError
+from deformscope.lab.ray_camera import (
+    COLOR,
+    FOAM,
+    NOTHING,
+    TABLE,
+    DepthViewConfig,
+    RayCamera,
+    Rendered,
+    grid_triangles,
+    looking_at,
+)
 from deformscope.lab.scenes import Scene
-from deformscope_drivers.depth_camera.image import Intrinsics
-
-NOTHING, TABLE, FOAM, ROBOT = 0, 1, 2, 3
-"""What a pixel fell on."""
-
-COLOR = np.array([[0, 0, 0], [92, 84, 76], [206, 196, 150], [70, 74, 82]], dtype=np.float64)
-"""Of each of them, lit along the view; all foams look alike."""
 
 SPACING_M = 0.003
 """Between the vertices of the foam's surface."""
@@ -43,48 +45,9 @@ TABLE_M = 0.6
 """How far the table goes beyond the slab."""
 
 
-@dataclass(frozen=True, slots=True)
-class DepthViewConfig:
-    """The camera, where it stands, and what it gets wrong.
-
-    width, height: [px]; focal_px: at 640 pixels of width; smaller images see as much
-    distance_m: from the slab's middle; elevation_deg: of the camera above the table, as seen from there
-    azimuth_deg: where it stands around the slab's middle, from the x axis towards y
-    noise_m, noise_per_m: deviation of depth z is noise_m + noise_per_m z^2 [m]; the default is a first Kinect's,
-    which has the same sensor (1.4 mm at 1 m: Khoshelham and Oude Elberink 2012)
-    missing: share of pixels without depth; grazing_deg: surfaces seen flatter than that have none
-    unit_m: step of depth; far_m: farthest depth that is measured
-    """
-
-    width: int = 640
-    height: int = 480
-    focal_px: float = 570.0
-    distance_m: float = 0.8
-    elevation_deg: float = 45.0
-    azimuth_deg: float = 90.0
-    noise_m: float = 0.0
-    noise_per_m: float = 1.425e-3
-    missing: float = 0.01
-    grazing_deg: float = 12.0
-    unit_m: float = 0.001
-    far_m: float = 3.5
-
-
-@dataclass(frozen=True, slots=True)
-class Rendered:
-    """One exact picture. depth_m: (H, W) distance along the view [m], nan where there is nothing; color: (H, W, 3) RGB
-    uint8; seen: (H, W) uint8, NOTHING, TABLE, FOAM or ROBOT; facing: (H, W) cosine between ray and surface normal"""
-
-    depth_m: FloatArray
-    color: npt.NDArray[np.uint8]
-    seen: npt.NDArray[np.uint8]
-    facing: FloatArray
-
-
-class DepthView:
+class DepthView(RayCamera):
     """A camera that looks at a scene.
 
-    intrinsics: its projection; surface_from_camera: (4, 4) its pose: x right, y down, z along the view
     places_m: (n, 2) vertices of the slab's surface at rest, for which `render` takes displacements [m]
     """
 
@@ -92,26 +55,22 @@ class DepthView:
         self, scene: Scene, config: DepthViewConfig | None = None, surface_from_camera: FloatArray | None = None
     ) -> None:
         """surface_from_camera: (4, 4) where it stands, instead of where its configuration says"""
-        self.scene, self.config = scene, config or DepthViewConfig()
-        config = self.config
-        focal = config.focal_px * config.width / 640.0
-        self.intrinsics = Intrinsics(focal, focal, 0.5 * (config.width - 1), 0.5 * (config.height - 1))
+        config = config or DepthViewConfig()
+        self.scene = scene
         middle = np.array([scene.size_m[0] / 2, scene.size_m[1] / 2, scene.thickness_m])
-        looking = _looking(middle, config.distance_m, config.elevation_deg, config.azimuth_deg)
-        self.surface_from_camera = looking if surface_from_camera is None else np.asarray(surface_from_camera)
-        column, row = np.meshgrid(np.arange(config.width), np.arange(config.height))
-        across = (column - self.intrinsics.cx_px) / focal, (row - self.intrinsics.cy_px) / focal
-        ray = np.stack([*across, np.ones(column.shape)], axis=-1) @ self.surface_from_camera[:3, :3].T
-        self._ray = ray  # (H, W, 3), a length of 1 along the view, so that hits come as depth
-        self._length = np.linalg.norm(ray, axis=-1)
-        eye = np.broadcast_to(self.surface_from_camera[:3, 3], ray.shape)
-        self._cast = np.concatenate([eye, ray], axis=-1).astype(np.float32)
+        looking = looking_at(middle, config.distance_m, config.elevation_deg, config.azimuth_deg)
+        super().__init__(config, looking if surface_from_camera is None else surface_from_camera)
         axes = [np.linspace(0.0, side, round(side / SPACING_M) + 1) for side in scene.size_m]
         self.places_m: FloatArray = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
         self._rest = np.column_stack([self.places_m, scene.foam_height_m(self.places_m)])
         self._grid = (len(axes[0]), len(axes[1]))
         self._still = self._all(self._rest)
         self._still_m = self.points_m(self._still.depth_m)
+
+    @property
+    def surface_from_camera(self) -> FloatArray:
+        """(4, 4) its pose: x right, y down, z along the view."""
+        return self.T_world_camera
 
     def render(self, displaced_m: FloatArray | None = None, capsules: Sequence[Capsule] = ()) -> Rendered:
         """The exact picture.
@@ -124,30 +83,9 @@ class DepthView:
         picture = self._still if displaced_m is None else self._dented(displaced_m)
         depth, seen, facing = picture.depth_m.copy(), picture.seen.copy(), picture.facing.copy()
         for capsule in capsules:
-            self._cover(capsule, depth, seen, facing)
+            self.cover(capsule, depth, seen, facing)
         color = COLOR[seen] * (0.35 + 0.65 * np.abs(facing))[..., None]
         return Rendered(depth, np.rint(color).astype(np.uint8), seen, facing)
-
-    def observe(self, exact: Rendered, random: np.random.Generator) -> npt.NDArray[np.uint16]:
-        """(H, W) the depth that the camera reports, in units of `unit_m`, 0 where it could not: noise along the view,
-        steps, and points missing at random and where a surface is seen too flat."""
-        config = self.config
-        depth = np.nan_to_num(exact.depth_m, nan=0.0)
-        measured = (depth > 0.0) & (np.abs(exact.facing) >= np.sin(np.deg2rad(config.grazing_deg)))
-        measured &= random.random(depth.shape) >= config.missing
-        depth = depth + random.standard_normal(depth.shape) * (config.noise_m + config.noise_per_m * depth**2)
-        measured &= depth <= config.far_m
-        return np.where(measured, np.clip(np.rint(depth / config.unit_m), 1, 65535), 0).astype(np.uint16)
-
-    def points_m(self, depth_m: FloatArray) -> FloatArray:
-        """(H, W, 3) places in the surface frame of depths (H, W) along the view [m]."""
-        return np.asarray(self.surface_from_camera[:3, 3] + depth_m[..., None] * self._ray)
-
-    def pixels(self, points_m: FloatArray) -> FloatArray:
-        """(n, 2) columns and rows where places (n, 3) in the surface frame appear."""
-        inside = (points_m - self.surface_from_camera[:3, 3]) @ self.surface_from_camera[:3, :3]
-        focal = np.array([self.intrinsics.fx_px, self.intrinsics.fy_px])
-        return np.asarray(focal * inside[:, :2] / inside[:, 2:] + (self.intrinsics.cx_px, self.intrinsics.cy_px))
 
     def _all(self, vertex: FloatArray) -> Rendered:
         """Foam and table, without the robot."""
@@ -155,7 +93,7 @@ class DepthView:
         low, high = -TABLE_M, np.asarray(self.scene.size_m) + TABLE_M
         corners = np.array([[low, low, 0.0], [high[0], low, 0.0], [high[0], high[1], 0.0], [low, high[1], 0.0]])
         meshes = [(np.concatenate([vertex, vertex[edge] * (1.0, 1.0, 0.0)]), foam), (corners, CORNERS)]
-        depth, facing, mesh = self._hits(meshes, (slice(None), slice(None)))
+        depth, facing, mesh = self.hits(meshes, (slice(None), slice(None)))
         seen = np.where(np.isnan(depth), NOTHING, np.where(mesh == 0, FOAM, TABLE)).astype(np.uint8)
         return Rendered(depth, np.zeros((*depth.shape, 3), np.uint8), seen, facing)
 
@@ -171,8 +109,8 @@ class DepthView:
         number = np.arange(len(self._rest)).reshape(self._grid)[low[0] - 1 : high[0] + 2, low[1] - 1 : high[1] + 2]
         corner_m = self._rest[number[[0, -1], [0, -1]], :2]
         vertex = (self._rest + displaced)[number.ravel()]
-        part = self._part(self.pixels(np.concatenate([vertex, self._rest[number.ravel()]])), 2.0)
-        depth, facing, _ = self._hits([(vertex, _upper(*number.shape))], part)
+        part = self.part(self.pixels(np.concatenate([vertex, self._rest[number.ravel()]])), 2.0)
+        depth, facing, _ = self.hits([(vertex, grid_triangles(*number.shape))], part)
         still, place = self._still.depth_m[part], self._still_m[part][..., :2]
         inside = (self._still.seen[part] == FOAM) & ((place > corner_m[0]) & (place < corner_m[1])).all(axis=-1)
         new = ~np.isnan(depth) & (inside | (depth < still))
@@ -181,100 +119,6 @@ class DepthView:
             whole[part] = np.where(new, value, whole[part])
         return Rendered(found[0], self._still.color, found[1], found[2])
 
-    def _hits(
-        self, meshes: list[tuple[FloatArray, npt.NDArray[np.uint32]]], part: tuple[slice, slice]
-    ) -> tuple[FloatArray, FloatArray, IntArray]:
-        """What the rays of a part of the picture meet first: depth [m], nan where nothing; cosine; which mesh."""
-        world = o3d.t.geometry.RaycastingScene()
-        for vertex, triangle in meshes:
-            points = o3d.core.Tensor.from_numpy(vertex.astype(np.float32))
-            world.add_triangles(points, o3d.core.Tensor.from_numpy(triangle))
-        hit = world.cast_rays(o3d.core.Tensor.from_numpy(np.ascontiguousarray(self._cast[part])), nthreads=1)
-        depth = hit["t_hit"].numpy().astype(np.float64)
-        depth[~np.isfinite(depth)] = np.nan
-        normal = hit["primitive_normals"].numpy().astype(np.float64)
-        facing = np.where(np.isnan(depth), 0.0, (normal * self._ray[part]).sum(axis=-1) / self._length[part])
-        return depth, facing, hit["geometry_ids"].numpy().astype(np.int64)
-
-    def _cover(self, capsule: Capsule, depth: FloatArray, seen: npt.NDArray[np.uint8], facing: FloatArray) -> None:
-        """Put a capsule into a picture wherever it is nearer."""
-        part = self._window(capsule)
-        ray, length = self._ray[part], self._length[part]
-        entered, normal = _enter(capsule, self.surface_from_camera[:3, 3], ray, length)
-        nearer = entered < np.where(np.isnan(depth[part]), np.inf, depth[part])
-        depth[part][nearer] = entered[nearer]
-        seen[part][nearer] = ROBOT
-        facing[part][nearer] = ((normal * ray).sum(axis=-1) / length)[nearer]
-
-    def _window(self, capsule: Capsule) -> tuple[slice, slice]:
-        """Rows and columns that hold every pixel of a capsule."""
-        ends = np.stack([capsule.start_m, capsule.end_m])
-        inside = (ends - self.surface_from_camera[:3, 3]) @ self.surface_from_camera[:3, :3]
-        away = inside[:, 2]
-        if (away < 4.0 * capsule.radius_m).any():
-            return slice(None), slice(None)
-        # a ball of radius r at depth z appears within f r / (z - r) (1 + tan^2) of its middle
-        tangent = (inside[:, :2] ** 2).sum(axis=1) / away**2
-        reach = self.intrinsics.fx_px * capsule.radius_m / (away - capsule.radius_m) * (1.0 + tangent) * 1.2 + 2.0
-        return self._part(self.pixels(ends), reach[:, None])
-
-    def _part(self, pixel: FloatArray, around: float | FloatArray) -> tuple[slice, slice]:
-        """Rows and columns that hold all of some pixels (n, 2), and what is around them."""
-        low = np.clip(np.floor((pixel - around).min(axis=0)), 0, None).astype(int)
-        high = np.clip(np.ceil((pixel + around).max(axis=0)) + 1, 0, None).astype(int)
-        return slice(low[1], high[1]), slice(low[0], high[0])
-
-
-def _enter(capsule: Capsule, eye: FloatArray, ray: FloatArray, length: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Where rays (..., 3) from `eye` first meet a capsule: (...,) multiples of the ray, inf where they do not, and
-    (..., 3) its outward normal there."""
-    axis = capsule.end_m - capsule.start_m
-    along = float(np.linalg.norm(axis))
-    direction = axis / along if along > 1e-9 else np.zeros(3)
-    best = np.full(length.shape, np.inf)
-    if along > 1e-9:
-        slope, start = ray @ direction, (eye - capsule.start_m) @ direction
-        aside = ray - slope[..., None] * direction
-        apart = (eye - capsule.start_m) - start * direction
-        reach = _nearest_root((aside**2).sum(axis=-1), aside @ apart, float(apart @ apart) - capsule.radius_m**2)
-        meets = np.isfinite(reach)
-        place = start + np.where(meets, reach, 0.0) * slope
-        best = np.where(meets & (place >= 0.0) & (place <= along), reach, np.inf)
-    for end in (capsule.start_m, capsule.end_m):
-        apart = eye - end
-        best = np.minimum(best, _nearest_root(length**2, ray @ apart, float(apart @ apart) - capsule.radius_m**2))
-    point = eye + np.where(np.isfinite(best), best, 0.0)[..., None] * ray
-    middle = capsule.start_m + np.clip((point - capsule.start_m) @ direction, 0.0, along)[..., None] * direction
-    return best, (point - middle) / capsule.radius_m
-
-
-def _nearest_root(a: FloatArray, half_b: FloatArray, c: float) -> FloatArray:
-    """The smaller root above 0 of a t^2 + 2 b t + c, inf where there is none; the eye is outside: c > 0."""
-    inside = half_b**2 - a * c
-    meets: BoolArray = (inside >= 0.0) & (half_b < 0.0) & (a > 0.0)
-    # c / q, the form without cancellation
-    return np.where(meets, c / np.where(meets, -half_b + np.sqrt(np.maximum(inside, 0.0)), 1.0), np.inf)
-
-
-def _looking(middle: FloatArray, distance: float, elevation_deg: float, azimuth_deg: float) -> FloatArray:
-    """(4, 4) pose of a camera that looks at a place from above, its x axis level."""
-    up, around = np.deg2rad([elevation_deg, azimuth_deg])
-    view = -np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
-    right = np.array([-np.sin(around), np.cos(around), 0.0])
-    pose = np.eye(4)
-    pose[:3, :3] = np.column_stack([right, np.cross(view, right), view])
-    pose[:3, 3] = middle - distance * view
-    return pose
-
-
-def _upper(columns: int, rows: int) -> npt.NDArray[np.uint32]:
-    """(m, 3) triangles between the vertices of a grid, last axis fastest."""
-    number = np.arange(columns * rows).reshape(columns, rows)
-    a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
-    both = [np.stack(three, axis=-1).reshape(-1, 3) for three in ((a, b, c), (a, c, d))]
-    return np.concatenate(both).astype(np.uint32)
-
-
 def _triangles(columns: int, rows: int) -> tuple[npt.NDArray[np.uint32], IntArray]:
     """Those of a grid and of its sides, down to as many feet as its edge has vertices; those vertices, in a ring."""
     number = np.arange(columns * rows).reshape(columns, rows)
@@ -282,4 +126,4 @@ def _triangles(columns: int, rows: int) -> tuple[npt.NDArray[np.uint32], IntArra
     foot = number.size + np.arange(len(edge))
     after, foot_after = np.roll(edge, -1), np.roll(foot, -1)
     sides = np.concatenate([np.stack([edge, foot, foot_after], axis=-1), np.stack([edge, foot_after, after], axis=-1)])
-    return np.concatenate([_upper(columns, rows), sides.astype(np.uint32)]), edge
+    return np.concatenate([grid_triangles(columns, rows), sides.astype(np.uint32)]), edge

@@ -20,8 +20,9 @@ import numpy.typing as npt
 
 from deformscope.errors import InputError
 from deformscope.lab.arm_contact import ARM_CYCLE_NS, ArmContact
-from deformscope.lab.depth_view import DepthView, DepthViewConfig
+from deformscope.lab.depth_view import DepthView
 from deformscope.lab.layer_world import LayerWorld
+from deformscope.lab.ray_camera import DepthViewConfig
 from deformscope.lab.scenes import Scene, built_in
 from deformscope.processes import SPAWN, follow_parent, starting
 from deformscope.rig.rig_file import RigDevice

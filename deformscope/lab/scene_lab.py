@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
-from deformscope.lab.depth_view import DepthView, DepthViewConfig
+from deformscope.lab.depth_view import DepthView
+from deformscope.lab.ray_camera import DepthViewConfig
 from deformscope.lab.scenes import Scene
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import Contact, SlabWorld

@@ -11,7 +11,7 @@ from deformscope.errors import InputError
 from deformscope.experiments.measured import SetupGeometry, highest_m
 from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.touching_robot import TouchingRobot
-from deformscope.lab.depth_view import FOAM
+from deformscope.lab.ray_camera import FOAM
 from deformscope.lab.scene_lab import SceneLab
 from deformscope.lab.scenes import built_in
 from deformscope.rig.rig_file import Workspace

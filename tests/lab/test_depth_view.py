@@ -10,7 +10,8 @@ import pytest
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.capsule import Capsule
 from deformscope.errors import InputError
-from deformscope.lab.depth_view import FOAM, NOTHING, ROBOT, TABLE, DepthView, DepthViewConfig
+from deformscope.lab.depth_view import DepthView
+from deformscope.lab.ray_camera import FOAM, NOTHING, ROBOT, TABLE, DepthViewConfig
 from deformscope.lab.scenes import built_in
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld

@@ -15,7 +15,7 @@ from typing import Final
 from deformscope_drivers.doubles import Line
 from deformscope_drivers.sdh.codes import BINARY_COMMANDS, BINARY_SINCE
 from deformscope_drivers.sdh.firmware import FORMAT, INDEX, UNKNOWN, Firmware, Refusal
-from deformscope_drivers.sdh.motion import Motion
+from deformscope_drivers.sdh.motion import Compliance, Motion
 from deformscope_drivers.sdh.protocol import CommandDecoder, ErrorReply, Event, Received, Skipped, encode_reply
 
 RS232_BYTES_PER_S: Final = 11_520.0
@@ -84,6 +84,10 @@ class SdhDouble:
         """Something blocks an axis, beyond these angles; without any, it is taken away."""
         self.motion.axes[axis].obstacle_low_deg = low_deg
         self.motion.axes[axis].obstacle_high_deg = high_deg
+
+    def press(self, compliance: Compliance | None) -> None:
+        """The fingers press something soft from now on; None = nothing."""
+        self.motion.compliance = compliance
 
     def refuse_next(self, code: int) -> None:
         """Answer the next command with this error code."""

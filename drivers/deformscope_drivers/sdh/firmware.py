@@ -56,8 +56,9 @@ class Firmware:
         self.power_up(0)
 
     def power_up(self, now_ns: int) -> None:
-        """At the angles it had, among the same obstacles, as warm; axes off, settings at their defaults."""
+        """At the angles it had, among the same things, as warm; axes off, settings at their defaults."""
         before, self.motion = self.motion, Motion(now_ns)
+        self.motion.compliance = before.compliance
         for axis, old in zip(self.motion.axes, before.axes, strict=True):
             axis.position_deg, axis.temperature_c = old.position_deg, old.temperature_c
             axis.obstacle_low_deg, axis.obstacle_high_deg = old.obstacle_low_deg, old.obstacle_high_deg

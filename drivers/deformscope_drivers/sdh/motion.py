@@ -3,16 +3,18 @@
 Known from Schunk's library and its trace of old firmware: all axes of a pose move start and end together; the sin²
 profile takes twice the distance over the set velocity (8.31 deg at 40 deg/s have T=0.42s, 42 points: the hand's
 cycle is 10 ms); the grasps' angles. Assumed: the ramp profile is a trapezoid; `stop` slows down by the set
-acceleration; "CW" is the direction of growing angles; the temperatures' time and size.
+acceleration; "CW" is the direction of growing angles; the temperatures' time and size; that an axis which meets
+something soft goes on at its set speed as far as the limit of its current lets it, and reports to be blocked while it
+hardly moves; that gears hold an axis which does not move.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Final
+from typing import Final, Protocol
 
 from deformscope_drivers.sdh.codes import (
     ACCELERATION_MAX_DEG_S2,
@@ -46,6 +48,18 @@ AMBIENT_C: Final = 24.0
 _WARMING_K_PER_A2: Final = 30.0
 _WARMING_TIME_S: Final = 600.0
 _ELECTRONICS_K: Final = (14.0, 8.0)  # FPGA and board above the air
+_HARDLY_DEG_S: Final = 0.2
+_SHORT_DEG: Final = 1e-9
+
+
+class Compliance(Protocol):
+    """Something soft that the fingers press, in contrast to an obstacle."""
+
+    def reach_deg(
+        self, position_deg: Sequence[float], wanted_deg: Sequence[float], current_a: Sequence[float], step_s: float
+    ) -> Sequence[float]:
+        """(7,) angles that the axes reach within a cycle, between where they are and where they want to be, with motor
+        currents of at most `current_a`. Called in each cycle, also when no axis moves."""
 
 
 def grasp_angles_deg(grasp: Grasp, close: float) -> tuple[float, ...]:
@@ -86,6 +100,7 @@ class _Mode(Enum):
     POSE = "pose"
     SPEED = "speed"
     STOPPING = "stopping"
+    PRESSING = "pressing"
 
 
 @dataclass(slots=True)
@@ -161,6 +176,7 @@ class Motion:
         self.controller = Controller.POSE
         self.profile = VelocityProfile.SIN_SQUARE
         self.temperatures_electronics_c = tuple(AMBIENT_C + above for above in _ELECTRONICS_K)
+        self.compliance: Compliance | None = None
         self._now_ns = now_ns
         self._start_ns = now_ns
         self._duration_s = 0.0
@@ -173,14 +189,17 @@ class Motion:
     def advance(self, now_ns: int) -> None:
         """Everything that happens until then, in cycles of 10 ms."""
         while self._now_ns + CYCLE_NS <= now_ns:
-            if not self.moving:
+            if not self.moving and self.compliance is None:
                 cycles = (now_ns - self._now_ns) // CYCLE_NS
                 self._warm(cycles * _CYCLE_S)
                 self._now_ns += cycles * CYCLE_NS
                 return
             self._now_ns += CYCLE_NS
+            before = [(axis.position_deg, axis.mode) for axis in self.axes]
             for axis in self.axes:
                 self._step(axis)
+            if self.compliance is not None:
+                self._press(self.compliance, before)
             self._warm(_CYCLE_S)
 
     def duration_s(self, targets_deg: Iterable[float | None], velocities_deg_s: Iterable[float]) -> float:
@@ -270,6 +289,12 @@ class Motion:
                 ended = part >= 1.0
                 met = axis.advance_to(axis.to_deg if ended else axis.from_deg + share * (axis.to_deg - axis.from_deg))
                 axis.velocity_deg_s = (axis.position_deg - before) / _CYCLE_S
+            case _Mode.PRESSING:
+                most = axis.target_velocity_deg_s * _CYCLE_S
+                left = axis.to_deg - axis.position_deg
+                ended = abs(left) <= most
+                met = axis.advance_to(axis.position_deg + max(-most, min(most, left)))
+                axis.velocity_deg_s = (axis.position_deg - before) / _CYCLE_S
             case _Mode.SPEED:
                 met = self._step_speed(axis)
             case _Mode.STOPPING:
@@ -279,6 +304,22 @@ class Motion:
             axis.halt(met)
         elif ended:
             axis.halt(AxisState.IDLE)
+
+    def _press(self, compliance: Compliance, before: list[tuple[float, _Mode]]) -> None:
+        """Take the axes back to where what they press, and their currents, let them come to."""
+        wanted = [axis.position_deg for axis in self.axes]
+        currents = [axis.move_current_a for axis in self.axes]
+        reached = compliance.reach_deg([position for position, _ in before], wanted, currents, _CYCLE_S)
+        for axis, (position, mode), want, reach in zip(self.axes, before, wanted, reached, strict=True):
+            if abs(want - reach) <= _SHORT_DEG or mode is _Mode.HOLD:
+                continue
+            axis.position_deg, axis.velocity_deg_s = float(reach), (float(reach) - position) / _CYCLE_S
+            axis.reference_deg_s = axis.velocity_deg_s
+            blocked = AxisState.CW_BLOCKED if want > reach else AxisState.CCW_BLOCKED
+            free = AxisState.SPEED_MODE if mode is _Mode.SPEED else AxisState.POSITIONING
+            axis.state = blocked if abs(axis.velocity_deg_s) < _HARDLY_DEG_S else free
+            if mode in (_Mode.POSE, _Mode.PRESSING):
+                axis.mode = _Mode.PRESSING
 
     def _step_speed(self, axis: Axis) -> AxisState | None:
         target = axis.target_velocity_deg_s

@@ -1,0 +1,106 @@
+"""What a depth camera sees of a container on its table, with its dent, and of the hand that squeezes it.
+
+The world is the hand's frame. The wall is the mesh of the shell's nodes, displaced along its normals; links of the
+fingers are capsules whose surface is that of their pads. The camera sees the side at +x, with the finger that presses
+it, from a metre away (thesis 5.1), from above and from beyond the fingertips.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from deformscope.arrays import FloatArray
+from deformscope.capsule import Capsule
+from deformscope.lab.container_constants import PAD_OFFSET_M
+from deformscope.lab.container_shell import Shape
+from deformscope.lab.ray_camera import (
+    COLOR,
+    CONTAINER,
+    NOTHING,
+    TABLE,
+    DepthViewConfig,
+    RayCamera,
+    Rendered,
+    grid_triangles,
+    looking_at,
+)
+from deformscope_drivers.sdh.kinematics import FINGERS, finger_points
+
+CAMERA = DepthViewConfig(distance_m=1.0, elevation_deg=20.0, azimuth_deg=-20.0)
+"""Around the container's own axes, as it stands unturned in the hand."""
+PALM_RADIUS_M, PALM_BACK_M = 0.045, 0.10
+TABLE_M = 0.8
+AROUND_PX = 3.0
+
+
+class ContainerView(RayCamera):
+    """A camera that looks at a container in the hand.
+
+    shape: of the container
+    """
+
+    def __init__(
+        self, shape: Shape, nodes_m: tuple[FloatArray, FloatArray], T_hand_upright: FloatArray, config: DepthViewConfig = CAMERA
+    ) -> None:
+        """nodes_m: along s and z, at which `render` is given displacements; T_hand_upright: (4, 4) where a container
+        stands that is not turned; its table is at its bottom"""
+        looking = looking_at(np.zeros(3), config.distance_m, config.elevation_deg, config.azimuth_deg)
+        super().__init__(config, T_hand_upright @ looking)
+        self.shape = shape
+        s_m, z_m = np.meshgrid(*nodes_m, indexing="ij")
+        self._points, self._normals = (array.reshape(-1, 3) for array in shape.place(s_m, z_m))
+        around = np.arange(s_m.size).reshape(s_m.shape)
+        self._triangles = _closed(around, len(self._points))
+        self._T_hand_upright = T_hand_upright
+        corner = TABLE_M * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float64)
+        corner[:, 2] = -shape.half_m[2]
+        corners = corner @ T_hand_upright[:3, :3].T + T_hand_upright[:3, 3]
+        whole = (slice(None), slice(None))
+        depth, facing, _ = self.hits([(corners, np.array([[0, 1, 2], [0, 2, 3]], np.uint32))], whole)
+        seen = np.where(np.isnan(depth), NOTHING, TABLE).astype(np.uint8)
+        self.cover(Capsule(np.array([0.0, 0.0, -PALM_BACK_M]), np.array([0.0, 0.0, -PALM_RADIUS_M]), PALM_RADIUS_M), depth, seen, facing)
+        self._still = (depth, seen, facing)
+
+    def mesh(self, inward_m: FloatArray) -> tuple[FloatArray, npt.NDArray[np.uint32]]:
+        """Vertices (n, 3) of the container in its own frame, and its triangles. inward_m: (nodes along s, along z)"""
+        wall = self._points - inward_m.reshape(-1, 1) * self._normals
+        high = wall[inward_m.shape[1] - 1 :: inward_m.shape[1]]
+        return np.vstack([wall, high.mean(axis=0)]), self._triangles
+
+    def render(self, inward_m: FloatArray, T_hand_container: FloatArray, position_deg: FloatArray) -> Rendered:
+        """The exact picture.
+
+        inward_m: (nodes along s, along z) displacement of the wall; position_deg: (7,) of the hand
+        """
+        depth, seen, facing = (array.copy() for array in self._still)
+        vertex, triangle = self.mesh(inward_m)
+        placed = vertex @ T_hand_container[:3, :3].T + T_hand_container[:3, 3]
+        part = self.part(self.pixels(placed), AROUND_PX)
+        own, cosine, _ = self.hits([(placed, triangle)], part)
+        nearer = own < np.where(np.isnan(depth[part]), np.inf, depth[part])
+        for whole, value in ((depth, own), (seen, np.full(own.shape, CONTAINER, np.uint8)), (facing, cosine)):
+            whole[part] = np.where(nearer, value, whole[part])
+        for capsule in finger_capsules(position_deg):
+            self.cover(capsule, depth, seen, facing)
+        color = COLOR[seen] * (0.35 + 0.65 * np.abs(facing))[..., None]
+        return Rendered(depth, np.rint(color).astype(np.uint8), seen, facing)
+
+
+def finger_capsules(position_deg: FloatArray) -> list[Capsule]:
+    """The links of the three fingers in the hand frame, as wide as their pads are far from their axes."""
+    capsules = []
+    for finger in range(len(FINGERS)):
+        base, middle, tip = finger_points(position_deg, finger)
+        end = tip + (middle - tip) * (PAD_OFFSET_M / np.linalg.norm(tip - middle))  # the rounded tip ends where it does
+        capsules += [Capsule(base, middle, PAD_OFFSET_M), Capsule(middle, end, PAD_OFFSET_M)]
+    return capsules
+
+
+def _closed(around: npt.NDArray[np.int64], top: int) -> npt.NDArray[np.uint32]:
+    """Triangles of a wall that is closed around, (nodes along s, along z), and of its lid, whose middle is `top`."""
+    wall = np.vstack([around, around[:1]])
+    number = wall.ravel()[grid_triangles(*wall.shape)]
+    high = around[:, -1]
+    lid = np.column_stack([high, np.roll(high, -1), np.full(len(high), top)])
+    return np.concatenate([number, lid]).astype(np.uint32)

@@ -1,0 +1,437 @@
+"""A container between two fingertips: wall, filling and pads in balance, step by step.
+
+Unknown in a step are the inward displacements of the wall under each texel, their means over the patches that the
+filling acts on, the volume that the walls take from the gas, and how far the container has slid on its table. They
+follow from the forces by the shell's compliance (`container_shell`), and the forces from them:
+
+- texel: its foam cover is pressed by as much as the pad stands deeper than the wall: pressure = stiffness x that, or 0;
+- patch and gas: as the filling resists (`container_filling`);
+- table: Coulomb's friction with the container's weight, whichever finger pushes more.
+A few Newton steps on some 100 active unknowns solve it. A joint of a finger goes on only as far as the contact's torque
+about it (virtual work: sum of forces x d depth / d angle) stays within what its motor gives; gears hold what is reached.
+
+Texels keep the place on the wall where they were when their finger came near. What is left out: friction of the pads,
+rotation of the container under the squeeze, the shape of the dent under a single texel.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.lab.container_constants import (
+    FILL,
+    FILL_SD,
+    GEAR_LOSS,
+    GEAR_LOSS_SD,
+    GRASP_ALONG_M,
+    GRASP_DEEP_M,
+    GRAVITY_M_S2,
+    OFF_CENTRE_M,
+    PAD_CURVATURE_M,
+    PAD_LENGTH_CURVATURE_M,
+    PAD_OFFSET_M,
+    PAD_STIFFNESS_PA_M,
+    ROLL_DEG,
+    TABLE_FRICTION,
+    TEMPERATURE_SD_K,
+    TIP_CURVATURE_M,
+    TIP_MARGIN_M,
+    TIP_ROWS,
+    YAW_DEG,
+    Content,
+)
+from deformscope.lab.container_filling import Gas, Patches
+from deformscope.lab.container_shell import Shape, shell_of
+from deformscope_drivers.dsa.scene import COLUMNS, ROWS_DISTAL, TEXEL_PITCH_MM
+from deformscope_drivers.sdh.kinematics import DISTAL_LINK_M, FINGERS, PROXIMAL_LINK_M
+
+SQUEEZING = (0, 2)
+"""The two fingers that face each other when the base axis is at 90 degrees: finger 0 comes from +x of the hand."""
+AXES = tuple((FINGERS[finger].proximal_axis, FINGERS[finger].distal_axis) for finger in SQUEEZING)
+LOADED = tuple(axis for pair in AXES for axis in pair)
+TEXEL_M2 = (TEXEL_PITCH_MM * 1e-3) ** 2
+TEXELS = ROWS_DISTAL * COLUMNS
+NEAR_M = 0.004
+"""A finger is near when a texel's surface is within this of where the wall bulges to at rest."""
+TABLE_STIFFNESS_N_M = 2e4
+NEWTON_STEPS = 25
+CLOSE_M = 1e-8
+CLOSE_N = 1e-4
+CORRECTIONS = 3
+TORQUE_CLOSE = 0.01
+"""A stalled axis has the torque of its motor within this share."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """What varies from squeeze to squeeze and between instances.
+
+    T_hand_container: (4, 4) where it stands before [m]; fill: share of the height; softness: of the wall over nominal
+    warming_k: since it was closed; room_k: of hand and pads over their calibration
+    gear_loss: (7,) share of each axis's torque
+    """
+
+    T_hand_container: FloatArray
+    fill: float
+    softness: float
+    warming_k: float
+    room_k: float
+    gear_loss: FloatArray
+
+    @classmethod
+    def draw(
+        cls, shape: Shape, seed: int, instance: int, session: int = 0, grasp: FloatArray | None = None
+    ) -> Trial:
+        """One at random; the wall belongs to the instance, the temperature to the session, and none of it to what is
+        within. grasp: (4, 4) container to hand as it was meant to be; None = that is drawn too"""
+        own = np.random.default_rng([seed, 0x15])
+        wall = np.random.default_rng([instance, 0x16])
+        room = np.random.default_rng([session, 0x17])
+        thick = 1.0 + shape.wall.thickness_cv * wall.standard_normal()
+        young = 1.0 + shape.wall.young_cv * (wall.standard_normal() + room.standard_normal()) / math.sqrt(2.0)
+        along, roll, deep, off, yaw = own.uniform(-1.0, 1.0, 5)
+        if grasp is None:
+            grasp = hand_from_container(GRASP_ALONG_M * along, ROLL_DEG * roll)
+        return cls(
+            T_hand_container=misplaced(grasp, GRASP_DEEP_M * deep, OFF_CENTRE_M * off, YAW_DEG * yaw),
+            fill=min(FILL + FILL_SD * own.standard_normal(), 0.99),
+            softness=1.0 / (young * thick**3),
+            warming_k=TEMPERATURE_SD_K * own.standard_normal(),
+            room_k=TEMPERATURE_SD_K * room.standard_normal(),
+            gear_loss=GEAR_LOSS + GEAR_LOSS_SD * own.standard_normal(7),
+        )
+
+
+REACH_M = 0.1445
+"""Along z of the hand to the middle of the pads of upright fingertips, as they touch a container of 6 cm."""
+
+
+def hand_from_container(along_m: float = 0.0, roll_deg: float = 0.0) -> FloatArray:
+    """(4, 4) pose in the hand of a standing container that is reached for level: its middle between the pads, its z
+    along the hand's y. along_m: grasped so far above its middle; roll_deg: turned about the squeeze"""
+    roll = math.radians(roll_deg)
+    level = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # container axes in the hand
+    turn = np.array([[1, 0, 0], [0, math.cos(roll), -math.sin(roll)], [0, math.sin(roll), math.cos(roll)]])
+    pose = np.eye(4)
+    pose[:3, :3] = turn @ level
+    pose[:3, 3] = (0.0, 0.0, REACH_M)
+    pose[:3, 3] -= pose[:3, 2] * along_m
+    return pose
+
+
+def misplaced(T_hand_container: FloatArray, deep_m: float, off_m: float, yaw_deg: float) -> FloatArray:
+    """(4, 4) the same, so far out of the hand, to the side of finger 0, and turned about the container's own z."""
+    yaw = math.radians(yaw_deg)
+    pose = T_hand_container.copy()
+    pose[:3, :3] = pose[:3, :3] @ [[math.cos(yaw), -math.sin(yaw), 0], [math.sin(yaw), math.cos(yaw), 0], [0, 0, 1]]
+    pose[:3, 3] += (off_m, 0.0, deep_m)
+    return pose
+
+
+class _Finger:
+    """The distal pad of one finger, texel by texel, row 0 at its tip: where it is in the frame of a container that
+    stands still, and how far within the wall."""
+
+    def __init__(self, number: int, T_container_hand: FloatArray) -> None:
+        """number: 0 or 1, of `SQUEEZING`"""
+        self.kind = FINGERS[SQUEEZING[number]]
+        self.side = (1, -1)[number]
+        self.axes = AXES[number]
+        self.own = slice(number * TEXELS, (number + 1) * TEXELS)
+        self._rotation = T_container_hand[:3, :3]
+        self._base = T_container_hand[:3, :3] @ np.array(self.kind.base_m) + T_container_hand[:3, 3]
+        self.normal: FloatArray | None = None  # (78, 3) of the wall under each texel, once the finger is near
+
+    def points_m(self, position_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(78, 3) texels' surfaces, and (2, 78, 3) how they move with the proximal and the distal joint [m/rad]."""
+        turn = 0.0 if self.kind.base_axis is None else math.radians(position_deg[self.kind.base_axis])
+        lean = np.array([self.kind.bend_sign[0] * math.sin(turn), self.kind.bend_sign[1] * math.cos(turn), 0.0])
+        across = self._rotation @ np.array([lean[1], -lean[0], 0.0])
+        plane = np.stack([self._rotation @ lean, self._rotation[:, 2]])  # leaning in, and up
+        proximal, distal = (math.radians(position_deg[axis]) for axis in self.axes)
+        middle = PROXIMAL_LINK_M * np.array([math.sin(proximal), math.cos(proximal)])
+        sine, cosine = math.sin(proximal + distal), math.cos(proximal + distal)
+        along, inward = DISTAL_LINK_M + _TEXEL_ALONG, PAD_OFFSET_M - _TEXEL_RECESS
+        in_plane = middle + np.stack([along * sine + inward * cosine, along * cosine - inward * sine], axis=-1)
+        moved = np.stack([in_plane, in_plane - middle])[..., ::-1] * (1.0, -1.0)
+        points = self._base + in_plane @ plane + _TEXEL_ACROSS[:, None] * across
+        return points, moved @ plane
+
+
+def _texels() -> tuple[FloatArray, FloatArray, FloatArray]:
+    pitch = TEXEL_PITCH_MM * 1e-3
+    row, column = np.divmod(np.arange(TEXELS), COLUMNS)
+    across = (column - (COLUMNS - 1) / 2) * pitch
+    beyond = np.maximum(TIP_ROWS - row, 0) * pitch
+    along = (row - (ROWS_DISTAL - 1) / 2) * pitch
+    recess = across**2 / (2 * PAD_CURVATURE_M) + along**2 / (2 * PAD_LENGTH_CURVATURE_M)
+    recess += beyond**2 / (2 * TIP_CURVATURE_M)
+    return -(TIP_MARGIN_M + row * pitch), across, recess
+
+
+_TEXEL_ALONG, _TEXEL_ACROSS, _TEXEL_RECESS = _texels()
+
+
+@dataclass(slots=True)
+class _State:
+    """What a step leaves. y: displacements; slid_m, held_m: of the container, and where friction holds it"""
+
+    y: FloatArray
+    slid_m: float
+    held_m: float
+    traction_pa: FloatArray
+    plastic_m: FloatArray
+    force_n: FloatArray
+    loads: FloatArray
+    torque_nm: FloatArray
+
+
+@dataclass(slots=True)
+class _Tangent:
+    """How the balance gives way: the matrix of the last Newton step, its compliance between pressed texels and all its
+    unknowns, which texels are pressed, and their normals along the slide."""
+
+    matrix: FloatArray
+    compliance: FloatArray
+    pressed: FloatArray
+    aside: FloatArray
+
+
+class ContainerWorld:
+    """A container with a content, and what the fingers do to it.
+
+    shape, content, trial: as given; mass_kg: of all of it
+    """
+
+    def __init__(self, shape: Shape, content: Content, trial: Trial) -> None:
+        self.shape, self.content, self.trial = shape, content, trial
+        self._shell = shell_of(shape)
+        level = trial.fill * shape.height_m
+        self._patches = Patches.of(content, level - self._shell.patch_z_m, shape.half_m[0])
+        self._gas = Gas(shape.volume_m3 - content.solid_share * shape.area_m2 * level, trial.warming_k)
+        self.mass_kg = shape.wall_mass_kg + content.density_kg_m3 * shape.area_m2 * level
+        self._friction_n = TABLE_FRICTION * self.mass_kg * GRAVITY_M_S2
+        leaning = -content.lateral_ratio * content.density_kg_m3 * GRAVITY_M_S2
+        weight = leaning * self._shell.pressure_row(0.0, level, slope=True)
+        self._bulge = trial.softness * self._shell.solve(weight[:, None])[:, 0]
+        self._near_m = NEAR_M - float(self._shell.at_nodes(self._bulge).min())
+        T_container_hand = np.linalg.inv(trial.T_hand_container)
+        self._fingers = [_Finger(number, T_container_hand) for number in range(2)]
+        self._area = self._shell.patch_area_m2
+        fields, across = self._shell.filling_compliance
+        scale = np.append(1.0 / self._area, 1.0)  # a patch's displacement is its mean
+        count, size = 2 * TEXELS, 2 * TEXELS + len(scale)
+        self._compliance = np.zeros((size, size))
+        self._compliance[count:, count:] = trial.softness * across * np.outer(scale, scale)
+        self._fields = np.zeros((len(self._bulge), size))
+        self._fields[:, count:] = trial.softness * fields * scale
+        self._offset = np.full(count, np.inf)  # of the wall at rest, inwards; inf: no wall under this texel
+        self._across = np.zeros(count)
+        patch = np.zeros(len(self._area))
+        nothing = np.zeros(count)
+        self._state = _State(np.zeros(size), 0.0, 0.0, patch, patch, nothing, np.zeros(size), np.zeros(4))
+        self._still = False
+        self._stalled: set[int] = set()
+        self._state, _ = self._solved(np.full(count, -np.inf), np.zeros((count, 4)), 1.0)
+
+    # What can be seen of it ------------------------------------------------------------------------------------------
+
+    @property
+    def T_hand_container(self) -> FloatArray:
+        """(4, 4) where it is now [m]."""
+        pose = self.trial.T_hand_container.copy()
+        pose[:3, 3] += pose[:3, 0] * self._state.slid_m
+        return pose
+
+    @property
+    def force_n(self) -> FloatArray:
+        """(2,) of the fingers of `SQUEEZING` on the wall."""
+        return np.asarray(self._state.force_n.reshape(2, TEXELS).sum(axis=1))
+
+    @property
+    def pressure_pa(self) -> FloatArray:
+        """(2, 13, 6) on the texels of their distal pads."""
+        return self._state.force_n.reshape(2, ROWS_DISTAL, COLUMNS) / TEXEL_M2
+
+    @property
+    def gas_pa(self) -> float:
+        """Pressure of the air within, over the outside."""
+        return self._gas.pressure_pa(float(self._state.y[-1]))[0]
+
+    @property
+    def squeezed_m3(self) -> float:
+        """Volume that the walls took away since rest."""
+        return float(self._state.y[-1])
+
+    @property
+    def torque_nm(self) -> FloatArray:
+        """(7,) of the contact about each axis, against growing angles."""
+        torque = np.zeros(7)
+        torque[list(LOADED)] = self._state.torque_nm
+        return torque
+
+    @property
+    def nodes_m(self) -> tuple[FloatArray, FloatArray]:
+        """Along s and z, of `inward_m`."""
+        return self._shell.s_m, self._shell.z_m
+
+    def inward_m(self) -> FloatArray:
+        """(nodes along s, nodes along z) how far the wall stands within the undeformed container now."""
+        return self._shell.at_nodes(self._bulge + self._fields @ self._state.loads)
+
+    @property
+    def dent_m(self) -> FloatArray:
+        """(2,) the most that the wall has moved inwards since rest under a pressed texel of each finger."""
+        moved = np.where(self._state.force_n > 0.0, self._state.y[: 2 * TEXELS], 0.0)
+        return np.asarray(moved.reshape(2, TEXELS).max(axis=1))
+
+    # How it goes on --------------------------------------------------------------------------------------------------
+
+    def reach_deg(
+        self, position_deg: FloatArray, wanted_deg: FloatArray, torque_nm: FloatArray, step_s: float
+    ) -> FloatArray:
+        """(7,) angles that the axes reach in a step, from `position_deg` towards `wanted_deg`, with motors of at most
+        `torque_nm` against the contact."""
+        step = wanted_deg - position_deg
+        self._stalled &= {axis for axis in LOADED if step[axis]}
+        goal = wanted_deg.copy()
+        goal[list(self._stalled)] = position_deg[list(self._stalled)]  # most likely they stay where they are
+        if self._still and not (goal - position_deg)[list(LOADED)].any():
+            return goal
+        depth, slope = self._reached(goal)
+        if not any(finger.normal is not None for finger in self._fingers):
+            return goal
+        before = self._state.y
+        for turn in range(CORRECTIONS + 1):
+            state, tangent = self._solved(depth, slope, step_s)
+            off = self._off(state, step, torque_nm)
+            room = {
+                axis: by
+                for axis, by in off.items()
+                if not math.isclose(goal[axis], (wanted_deg if by * step[axis] > 0.0 else position_deg)[axis], abs_tol=1e-9)
+            }
+            if not room or turn == CORRECTIONS:
+                break
+            goal = self._corrected(goal, room, self._torque_slope(tangent, slope), position_deg, wanted_deg)
+            depth, slope = self._reached(goal)
+        self._still = bool(np.abs(state.y - before).max() < CLOSE_M) and not (goal - position_deg)[list(LOADED)].any()
+        self._state = state
+        return goal
+
+    def _off(self, state: _State, step: FloatArray, torque_nm: FloatArray) -> dict[int, float]:
+        """By stalled axis: how much its torque has to grow to be its motor's; only where that is much."""
+        off = {}
+        for axis, torque in zip(LOADED, state.torque_nm, strict=True):
+            most = torque_nm[axis]
+            against = step[axis] * torque > 0.0
+            if against and abs(torque) > most * (1.0 + TORQUE_CLOSE):
+                self._stalled.add(axis)
+            elif axis in self._stalled and not against:
+                self._stalled.discard(axis)
+            by = math.copysign(most, step[axis]) - torque
+            if axis in self._stalled and abs(by) > TORQUE_CLOSE * most:
+                off[axis] = by
+        return off
+
+    @staticmethod
+    def _corrected(
+        goal: FloatArray, off: dict[int, float], slope: FloatArray, position_deg: FloatArray, wanted_deg: FloatArray
+    ) -> FloatArray:
+        """Goals with which the stalled axes have their motors' torques, to first order, no farther than wanted."""
+        index = [LOADED.index(axis) for axis in off]
+        part = slope[np.ix_(index, index)] + 1e-6 * np.eye(len(index))
+        corrected = goal.copy()
+        for axis, by in zip(off, np.degrees(np.linalg.solve(part, list(off.values()))), strict=True):
+            low, high = sorted((position_deg[axis], wanted_deg[axis]))
+            corrected[axis] = min(max(goal[axis] + by, low), high)
+        return corrected
+
+    def _reached(self, position_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(156,) depths of the texels' surfaces within the wall at rest, -inf where none; (156, 4) their slopes by the
+        loaded axes [m/rad]; both without the slide."""
+        depth, slope = np.full(2 * TEXELS, -np.inf), np.zeros((2 * TEXELS, 4))
+        for number, finger in enumerate(self._fingers):
+            points, moved = finger.points_m(position_deg)
+            own_m = self.shape.depth_m(points, finger.side)
+            if finger.normal is None and own_m.max() + finger.side * self._state.slid_m > -self._near_m:
+                self._approach(number, points)
+            if finger.normal is not None:
+                depth[finger.own] = own_m - self._offset[finger.own]
+                slope[finger.own, 2 * number : 2 * number + 2] = -(moved * finger.normal).sum(axis=-1).T
+        return depth, slope
+
+    def _approach(self, number: int, points: FloatArray) -> None:
+        """A finger comes near: its texels get their places on the wall."""
+        finger = self._fingers[number]
+        s_m, z_m, normal, on_wall = self.shape.under(points - (self._state.slid_m, 0.0, 0.0), finger.side)
+        if not on_wall.any():
+            return
+        finger.normal, own, count = normal, finger.own, 2 * TEXELS
+        rows = self._shell.rows(s_m, z_m)
+        self._across[own] = normal[:, 0]
+        self._offset[own] = np.where(on_wall, rows @ self._bulge, np.inf)
+        self._fields[:, own] = self.trial.softness * self._shell.solve(rows.T.toarray())
+        others = np.vstack([self._shell.patch_rows / self._area[:, None], self._shell.volume_row])
+        self._compliance[count:, own] = others @ self._fields[:, own]
+        self._compliance[own, :] = rows @ self._fields
+        self._compliance[:, own] = self._compliance[own, :].T
+        self._state.y[own] = rows @ (self._fields @ self._state.loads)
+
+    def _solved(self, depth: FloatArray, slope: FloatArray, step_s: float) -> tuple[_State, _Tangent]:
+        """The balance at the end of a step, for texels at these depths."""
+        before, count, patches = self._state, 2 * TEXELS, self._patches
+        y, slid = before.y.copy(), before.slid_m
+        cover = PAD_STIFFNESS_PA_M * TEXEL_M2
+        filled = count + np.arange(len(self._area) if patches.resist else 0)
+        for _ in range(NEWTON_STEPS):
+            deep = depth + self._across * slid - y[:count]
+            pressed = np.flatnonzero(deep > 0.0)
+            aside, touched = self._across[pressed], len(pressed)
+            force = np.zeros(count)
+            force[pressed] = cover * deep[pressed]
+            moved = y[count:-1] - before.y[count:-1]
+            traction, plastic, stiff = patches.moved(moved, before.traction_pa, before.plastic_m, step_s)
+            gas, gas_slope = self._gas.pressure_pa(float(y[-1]))
+            loads = np.concatenate([force, -traction * self._area, [-gas]])
+            rub, rub_slope = self._rub(slid - before.held_m)
+            at = np.concatenate([pressed, filled, [len(y) - 1]])
+            residual = np.append(y[at] - self._compliance[at] @ loads, -(force @ self._across) - rub)
+            part = self._compliance[np.ix_(at, at)]
+            slopes = np.concatenate([np.full(touched, -cover), -(stiff * self._area)[filled - count], [-gas_slope]])
+            matrix = np.empty((len(at) + 1, len(at) + 1))
+            matrix[:-1, :-1] = np.eye(len(at)) - part * slopes
+            matrix[:-1, -1] = -part[:, :touched] @ (cover * aside)
+            matrix[-1] = 0.0
+            matrix[-1, :touched] = cover * aside
+            matrix[-1, -1] = -cover * float(aside @ aside) - rub_slope
+            if np.abs(residual[:-1]).max() < CLOSE_M and abs(residual[-1]) < CLOSE_N:
+                break
+            change = np.linalg.solve(matrix, -residual)
+            slid += change[-1]
+            grown = loads.copy()
+            grown[at] += slopes * change[:-1]
+            grown[pressed] += cover * aside * change[-1]
+            y = self._compliance @ grown
+        held = slid - rub / TABLE_STIFFNESS_N_M
+        state = _State(y, slid, held, traction, plastic, force, loads, slope.T @ force)
+        return state, _Tangent(matrix, part[:, :touched], pressed, aside)
+
+    def _rub(self, sheared_m: float) -> tuple[float, float]:
+        """The table's friction, and its slope."""
+        sticking = TABLE_STIFFNESS_N_M * sheared_m
+        if abs(sticking) <= self._friction_n:
+            return sticking, TABLE_STIFFNESS_N_M
+        return math.copysign(self._friction_n, sticking), 1.0  # 1 N/m, so that there is one solution
+
+    @staticmethod
+    def _torque_slope(tangent: _Tangent, slope: FloatArray) -> FloatArray:
+        """(4, 4) how the torques grow with the angles of the loaded axes [Nm/rad]."""
+        cover, own = PAD_STIFFNESS_PA_M * TEXEL_M2, slope[tangent.pressed]
+        right = np.vstack([tangent.compliance @ (cover * own), cover * tangent.aside @ own])
+        moved = np.linalg.solve(tangent.matrix, right)
+        deeper = own + tangent.aside[:, None] * moved[-1] - moved[: len(own)]
+        return np.asarray(own.T @ (cover * deeper))

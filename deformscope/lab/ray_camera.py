@@ -1,0 +1,194 @@
+"""A simulated depth camera: rays cast into triangles and capsules, and what such a camera gets wrong.
+
+It is a PrimeSense by its figures: 640x480 pixels, 570 px of focal length.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import open3d as o3d
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.capsule import Capsule
+from deformscope_drivers.depth_camera.image import Intrinsics
+
+NOTHING, TABLE, FOAM, ROBOT, CONTAINER = 0, 1, 2, 3, 4
+"""What a pixel fell on."""
+
+COLOR = np.array([[0, 0, 0], [92, 84, 76], [206, 196, 150], [70, 74, 82], [186, 152, 110]], dtype=np.float64)
+"""Of each of them, lit along the view; all foams look alike."""
+
+
+@dataclass(frozen=True, slots=True)
+class DepthViewConfig:
+    """A camera, where it stands, and what it gets wrong.
+
+    width, height: [px]; focal_px: at 640 pixels of width; smaller images see as much
+    distance_m: from the middle of what it looks at; elevation_deg: of the camera above the table, as seen from there
+    azimuth_deg: where it stands around that, from the x axis towards y
+    noise_m, noise_per_m: deviation of depth z is noise_m + noise_per_m z^2 [m]; the default is a first Kinect's,
+    which has the same sensor (1.4 mm at 1 m: Khoshelham and Oude Elberink 2012)
+    missing: share of pixels without depth; grazing_deg: surfaces seen flatter than that have none
+    unit_m: step of depth; far_m: farthest depth that is measured
+    """
+
+    width: int = 640
+    height: int = 480
+    focal_px: float = 570.0
+    distance_m: float = 0.8
+    elevation_deg: float = 45.0
+    azimuth_deg: float = 90.0
+    noise_m: float = 0.0
+    noise_per_m: float = 1.425e-3
+    missing: float = 0.01
+    grazing_deg: float = 12.0
+    unit_m: float = 0.001
+    far_m: float = 3.5
+
+
+@dataclass(frozen=True, slots=True)
+class Rendered:
+    """One exact picture. depth_m: (H, W) distance along the view [m], nan where there is nothing; color: (H, W, 3) RGB
+    uint8; seen: (H, W) uint8, NOTHING, TABLE, FOAM or ROBOT; facing: (H, W) cosine between ray and surface normal"""
+
+    depth_m: FloatArray
+    color: npt.NDArray[np.uint8]
+    seen: npt.NDArray[np.uint8]
+    facing: FloatArray
+
+
+class RayCamera:
+    """A camera somewhere in a world.
+
+    config; intrinsics: its projection; T_world_camera: (4, 4) its pose: x right, y down, z along the view
+    """
+
+    def __init__(self, config: DepthViewConfig, T_world_camera: FloatArray) -> None:
+        self.config = config
+        focal = config.focal_px * config.width / 640.0
+        self.intrinsics = Intrinsics(focal, focal, 0.5 * (config.width - 1), 0.5 * (config.height - 1))
+        self.T_world_camera = np.asarray(T_world_camera)
+        column, row = np.meshgrid(np.arange(config.width), np.arange(config.height))
+        across = (column - self.intrinsics.cx_px) / focal, (row - self.intrinsics.cy_px) / focal
+        ray = np.stack([*across, np.ones(column.shape)], axis=-1) @ self.T_world_camera[:3, :3].T
+        self.ray = ray  # (H, W, 3), a length of 1 along the view, so that hits come as depth
+        self._length = np.linalg.norm(ray, axis=-1)
+        eye = np.broadcast_to(self.T_world_camera[:3, 3], ray.shape)
+        self._cast = np.concatenate([eye, ray], axis=-1).astype(np.float32)
+
+    def observe(self, exact: Rendered, random: np.random.Generator) -> npt.NDArray[np.uint16]:
+        """(H, W) the depth that the camera reports, in units of `unit_m`, 0 where it could not: noise along the view,
+        steps, and points missing at random and where a surface is seen too flat."""
+        config = self.config
+        depth = np.nan_to_num(exact.depth_m, nan=0.0)
+        measured = (depth > 0.0) & (np.abs(exact.facing) >= np.sin(np.deg2rad(config.grazing_deg)))
+        measured &= random.random(depth.shape) >= config.missing
+        depth = depth + random.standard_normal(depth.shape) * (config.noise_m + config.noise_per_m * depth**2)
+        measured &= depth <= config.far_m
+        return np.where(measured, np.clip(np.rint(depth / config.unit_m), 1, 65535), 0).astype(np.uint16)
+
+    def points_m(self, depth_m: FloatArray) -> FloatArray:
+        """(H, W, 3) places in the world of depths (H, W) along the view [m]."""
+        return np.asarray(self.T_world_camera[:3, 3] + depth_m[..., None] * self.ray)
+
+    def pixels(self, points_m: FloatArray) -> FloatArray:
+        """(n, 2) columns and rows where places (n, 3) in the world appear."""
+        inside = (points_m - self.T_world_camera[:3, 3]) @ self.T_world_camera[:3, :3]
+        focal = np.array([self.intrinsics.fx_px, self.intrinsics.fy_px])
+        return np.asarray(focal * inside[:, :2] / inside[:, 2:] + (self.intrinsics.cx_px, self.intrinsics.cy_px))
+
+    def hits(
+        self, meshes: list[tuple[FloatArray, npt.NDArray[np.uint32]]], part: tuple[slice, slice]
+    ) -> tuple[FloatArray, FloatArray, IntArray]:
+        """What the rays of a part of the picture meet first: depth [m], nan where nothing; cosine; which mesh."""
+        world = o3d.t.geometry.RaycastingScene()
+        for vertex, triangle in meshes:
+            points = o3d.core.Tensor.from_numpy(vertex.astype(np.float32))
+            world.add_triangles(points, o3d.core.Tensor.from_numpy(triangle))
+        hit = world.cast_rays(o3d.core.Tensor.from_numpy(np.ascontiguousarray(self._cast[part])), nthreads=1)
+        depth = hit["t_hit"].numpy().astype(np.float64)
+        depth[~np.isfinite(depth)] = np.nan
+        normal = hit["primitive_normals"].numpy().astype(np.float64)
+        facing = np.where(np.isnan(depth), 0.0, (normal * self.ray[part]).sum(axis=-1) / self._length[part])
+        return depth, facing, hit["geometry_ids"].numpy().astype(np.int64)
+
+    def cover(self, capsule: Capsule, depth: FloatArray, seen: npt.NDArray[np.uint8], facing: FloatArray) -> None:
+        """Put a capsule of the robot into a picture wherever it is nearer."""
+        part = self.window(capsule)
+        ray, length = self.ray[part], self._length[part]
+        entered, normal = _enter(capsule, self.T_world_camera[:3, 3], ray, length)
+        nearer = entered < np.where(np.isnan(depth[part]), np.inf, depth[part])
+        depth[part][nearer] = entered[nearer]
+        seen[part][nearer] = ROBOT
+        facing[part][nearer] = ((normal * ray).sum(axis=-1) / length)[nearer]
+
+    def window(self, capsule: Capsule) -> tuple[slice, slice]:
+        """Rows and columns that hold every pixel of a capsule."""
+        ends = np.stack([capsule.start_m, capsule.end_m])
+        inside = (ends - self.T_world_camera[:3, 3]) @ self.T_world_camera[:3, :3]
+        away = inside[:, 2]
+        if (away < 4.0 * capsule.radius_m).any():
+            return slice(None), slice(None)
+        # a ball of radius r at depth z appears within f r / (z - r) (1 + tan^2) of its middle
+        tangent = (inside[:, :2] ** 2).sum(axis=1) / away**2
+        reach = self.intrinsics.fx_px * capsule.radius_m / (away - capsule.radius_m) * (1.0 + tangent) * 1.2 + 2.0
+        return self.part(self.pixels(ends), reach[:, None])
+
+    def part(self, pixel: FloatArray, around: float | FloatArray) -> tuple[slice, slice]:
+        """Rows and columns that hold all of some pixels (n, 2), and what is around them."""
+        low = np.clip(np.floor((pixel - around).min(axis=0)), 0, None).astype(int)
+        high = np.clip(np.ceil((pixel + around).max(axis=0)) + 1, 0, None).astype(int)
+        return slice(low[1], high[1]), slice(low[0], high[0])
+
+
+def _enter(capsule: Capsule, eye: FloatArray, ray: FloatArray, length: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Where rays (..., 3) from `eye` first meet a capsule: (...,) multiples of the ray, inf where they do not, and
+    (..., 3) its outward normal there."""
+    axis = capsule.end_m - capsule.start_m
+    along = float(np.linalg.norm(axis))
+    direction = axis / along if along > 1e-9 else np.zeros(3)
+    best = np.full(length.shape, np.inf)
+    if along > 1e-9:
+        slope, start = ray @ direction, (eye - capsule.start_m) @ direction
+        aside = ray - slope[..., None] * direction
+        apart = (eye - capsule.start_m) - start * direction
+        reach = _nearest_root((aside**2).sum(axis=-1), aside @ apart, float(apart @ apart) - capsule.radius_m**2)
+        meets = np.isfinite(reach)
+        place = start + np.where(meets, reach, 0.0) * slope
+        best = np.where(meets & (place >= 0.0) & (place <= along), reach, np.inf)
+    for end in (capsule.start_m, capsule.end_m):
+        apart = eye - end
+        best = np.minimum(best, _nearest_root(length**2, ray @ apart, float(apart @ apart) - capsule.radius_m**2))
+    point = eye + np.where(np.isfinite(best), best, 0.0)[..., None] * ray
+    middle = capsule.start_m + np.clip((point - capsule.start_m) @ direction, 0.0, along)[..., None] * direction
+    return best, (point - middle) / capsule.radius_m
+
+
+def _nearest_root(a: FloatArray, half_b: FloatArray, c: float) -> FloatArray:
+    """The smaller root above 0 of a t^2 + 2 b t + c, inf where there is none; the eye is outside: c > 0."""
+    inside = half_b**2 - a * c
+    meets: BoolArray = (inside >= 0.0) & (half_b < 0.0) & (a > 0.0)
+    # c / q, the form without cancellation
+    return np.where(meets, c / np.where(meets, -half_b + np.sqrt(np.maximum(inside, 0.0)), 1.0), np.inf)
+
+
+def looking_at(middle: FloatArray, distance: float, elevation_deg: float, azimuth_deg: float) -> FloatArray:
+    """(4, 4) pose of a camera that looks at a place from above, its x axis level."""
+    up, around = np.deg2rad([elevation_deg, azimuth_deg])
+    view = -np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
+    right = np.array([-np.sin(around), np.cos(around), 0.0])
+    pose = np.eye(4)
+    pose[:3, :3] = np.column_stack([right, np.cross(view, right), view])
+    pose[:3, 3] = middle - distance * view
+    return pose
+
+
+def grid_triangles(columns: int, rows: int) -> npt.NDArray[np.uint32]:
+    """(m, 3) triangles between the vertices of a grid, last axis fastest."""
+    number = np.arange(columns * rows).reshape(columns, rows)
+    a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
+    both = [np.stack(three, axis=-1).reshape(-1, 3) for three in ((a, b, c), (a, c, d))]
+    return np.concatenate(both).astype(np.uint32)

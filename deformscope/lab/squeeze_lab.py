@@ -1,0 +1,268 @@
+"""A laboratory of squeezes: a hand with tactile pads around a filled container, and a depth camera, on one clock.
+
+    with SqueezeLab("rice", "box-07", seed=3) as lab:
+        lab.hand.set_current_limits(0.3)
+        lab.hand.move(dict.fromkeys(CLOSING_AXES, CLOSED_DEG), velocity_deg_s=10.0, wait=False)
+        lab.wait_until(lab.clock() + 2_000_000_000)
+        print(lab.truth())
+
+Hand, pads and camera are the real drivers' devices over doubles in memory that speak the real bytes. Nothing runs by
+itself: `wait_until` lets time pass, so that the same run comes every time, and many times faster than real. A motion is
+started with `wait=False`; a call that waits for one hand's reading would leave the other devices unread meanwhile.
+`lab:containers` is this laboratory.
+
+Frames: the hand stands still, and its frame is the world's (`deformscope_drivers.sdh.kinematics`: z away from the
+wrist, x from finger 2 to finger 0; y is upwards here). A container's frame: origin in the middle of its body, x along
+the squeeze, z upwards.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.errors import InputError
+from deformscope.lab.container_constants import (
+    CONTENTS,
+    GEAR_LOSS_PER_K,
+    NOISE_COUNTS,
+    PA_PER_COUNT,
+    PAD_DRIFT_PER_K,
+    TEXEL_GAIN_SD,
+    TORQUE_NM_PER_A,
+    WATER,
+)
+from deformscope.lab.container_shell import BOX, CYLINDER, Shape
+from deformscope.lab.container_view import CAMERA, ContainerView
+from deformscope.lab.container_world import LOADED, SQUEEZING, ContainerWorld, Trial, hand_from_container
+from deformscope.lab.ray_camera import DepthViewConfig
+from deformscope.rig.driver_table import DRIVERS
+from deformscope.rig.source import RigMember, RigSource
+from deformscope_drivers.depth_camera import SyntheticDepthCamera, View
+from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
+from deformscope_drivers.device import Device
+from deformscope_drivers.dsa import Dsa, DsaConfig, DsaDouble
+from deformscope_drivers.dsa.pads import Pad, Part
+from deformscope_drivers.errors import DeviceError
+from deformscope_drivers.memory import MemoryTransport, SimulatedClock
+from deformscope_drivers.sdh import Sdh, SdhConfig
+from deformscope_drivers.sdh.double import Port, SdhDouble
+from deformscope_drivers.sdh.motion import AMBIENT_C, CYCLE_NS
+
+POLL_NS: Final = 5_000_000
+OPEN_DEG: Final = (90.0, -17.3, 5.3, -70.0, 0.0, -17.3, 5.3)
+"""Where the hand stands first: fingers 0 and 2 face each other, upright when they touch a box by closing their proximal
+joints alone; the thumb is out of the way."""
+CLOSING_AXES: Final = (1, 5)
+CLOSED_DEG: Final = 10.0
+"""Proximal angle that no container lets them reach."""
+STILL_DEG_S: Final = 0.2
+"""A finger's joints are still while they turn less fast."""
+NAMES: Final = ("hand", "pads", "camera")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ContainerTruth:
+    """What is simulated, up to now.
+
+    content, container: their names; fill: share of the height; mass_kg: of all that is squeezed
+    contact_ns: when a finger first pressed the wall; steady_ns: from when on the pressing joints turned less than
+    `STILL_DEG_S` until they were opened again, or until now; None where there was none (yet)
+    T_hand_container_rest, T_hand_container: (4, 4) before, and now; T_hand_camera: (4, 4)
+    force_n, dent_m: (2,) of finger 0 and finger 2: how hard they press, and the most that the wall moved inwards
+    inward_m: (nodes along s, along z) how far the wall stands within the undeformed container, at nodes_m; a content
+    bulges it also before it is touched
+    """
+
+    content: str
+    container: str
+    fill: float
+    mass_kg: float
+    contact_ns: int | None
+    steady_ns: int | None
+    T_hand_container_rest: FloatArray
+    T_hand_container: FloatArray
+    T_hand_camera: FloatArray
+    force_n: FloatArray
+    dent_m: FloatArray
+    inward_m: FloatArray
+    nodes_m: tuple[FloatArray, FloatArray]
+
+
+class SqueezeLab:
+    """The laboratory with one container in it, closed.
+
+    hand, pads, camera: the real drivers' devices, to be opened by `open`; hand_double, pads_double: behind them
+    shape: the container's outer form; world: what the fingers press; view: the camera
+    """
+
+    def __init__(
+        self,
+        content: str,
+        container: str = "box-01",
+        *,
+        seed: int = 0,
+        session: int = 0,
+        grasp: FloatArray | None = None,
+        alike: bool = False,
+        camera_hz: float = 30.0,
+        hand_hz: float = 50.0,
+        camera: DepthViewConfig = CAMERA,
+    ) -> None:
+        """container: its name begins with its kind, `box` or `cylinder`; others of a kind have other walls
+
+        seed: of grasp, fill, temperatures and noise; session: of the room's temperature
+        grasp: (4, 4) container to hand as it was meant to stand, from which the true pose differs a little; None = a
+        random one
+        alike: every content has the physics of water, whatever it is called
+        """
+        if content not in CONTENTS:
+            raise InputError(f"a content of {', '.join(CONTENTS)}", repr(content))
+        self.content, self.container = content, container
+        self.shape, instance = container_of(container)
+        self.clock = SimulatedClock(1_000_000_000)
+        self.trial = Trial.draw(self.shape, seed, instance, session, grasp)
+        self.world = ContainerWorld(self.shape, WATER if alike else CONTENTS[content], self.trial)
+        self._contact_ns: int | None = None
+        self._speeds: list[tuple[int, float]] = []
+        self._noise = np.random.default_rng([seed, 0x18])
+        self.hand_double = SdhDouble(Port.TCP)
+        self.hand_double.place(OPEN_DEG)
+        self.hand_double.press(self)
+        drift = 1.0 + PAD_DRIFT_PER_K * self.trial.room_k
+        own = np.random.default_rng(0x19)  # the hand is always the same
+        self._gain = drift * (1.0 + TEXEL_GAIN_SD * own.standard_normal(self.world.pressure_pa.shape))
+        self.pads_double = DsaDouble(scene=self._felt, pa_per_count=PA_PER_COUNT, noise_counts=NOISE_COUNTS, seed=seed)
+        self.hand = Sdh(
+            SdhConfig(port="socket://simulated-hand:23", rate_hz=hand_hz),
+            transport=MemoryTransport(self.hand_double, self.clock, "simulated hand"),
+            clock=self.clock,
+        )
+        self.pads = Dsa(
+            DsaConfig(port="simulated-pads", calibration=(PA_PER_COUNT,)),
+            transport=MemoryTransport(self.pads_double, self.clock, "simulated pads"),
+            clock=self.clock,
+        )
+        upright = hand_from_container()
+        upright[:3, 3] = self.trial.T_hand_container[:3, 3]
+        self.view = ContainerView(self.shape, self.world.nodes_m, upright, camera)
+        synthetic = SyntheticDepthConfig(
+            name="simulated camera", rate_hz=camera_hz, missing=0.02, seed=seed, intrinsics=self.view.intrinsics
+        )
+        self.camera = SyntheticDepthCamera(self._seen, synthetic, clock=self.clock)
+
+    def open(self) -> None:
+        """Open the devices on the laboratory's clock."""
+        for device in self._devices:
+            device.open(own_thread=False)
+
+    def close(self) -> None:
+        """Close them, all."""
+        with contextlib.ExitStack() as stack:
+            for device in self._devices:
+                stack.callback(device.close)
+
+    def __enter__(self) -> SqueezeLab:
+        self.open()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def source(self) -> RigSource:
+        """The devices as a source, named as in `NAMES`; entering it opens them."""
+        drivers = ("sdh", "dsa", "depth_camera")
+        members = [
+            RigMember(name, DRIVERS[driver], device, simulated=True)
+            for name, driver, device in zip(NAMES, drivers, self._devices, strict=True)
+        ]
+        return RigSource(members, clock=self.clock, opener=self.open)
+
+    def wait_until(self, until_ns: int) -> None:
+        """Let time pass: the hand goes on in each of its cycles, and every device is polled at its moments."""
+        while (now_ns := self.clock()) < until_ns:
+            self.clock.advance_to(min((now_ns // POLL_NS + 1) * POLL_NS, until_ns))
+            self.hand_double.position_deg(self.clock())
+            for device in self._devices:
+                if device.is_open:
+                    with contextlib.suppress(DeviceError):  # a link that is lost is reported by its device
+                        device.poll(0.0)
+
+    def truth(self) -> ContainerTruth:
+        """What is simulated, up to now."""
+        return ContainerTruth(
+            content=self.content,
+            container=self.container,
+            fill=self.trial.fill,
+            mass_kg=self.world.mass_kg,
+            contact_ns=self._contact_ns,
+            steady_ns=self._steady_ns(),
+            T_hand_container_rest=self.trial.T_hand_container,
+            T_hand_container=self.world.T_hand_container,
+            T_hand_camera=self.view.T_world_camera,
+            force_n=self.world.force_n,
+            dent_m=self.world.dent_m,
+            inward_m=self.world.inward_m(),
+            nodes_m=self.world.nodes_m,
+        )
+
+    @property
+    def _devices(self) -> tuple[Device[Any], ...]:
+        return self.hand, self.pads, self.camera
+
+    # What the doubles ask --------------------------------------------------------------------------------------------
+
+    def reach_deg(
+        self, position_deg: Sequence[float], wanted_deg: Sequence[float], current_a: Sequence[float], step_s: float
+    ) -> Sequence[float]:
+        """The hand's double presses the container (`deformscope_drivers.sdh.motion.Compliance`)."""
+        warm_k = np.array([axis.temperature_c for axis in self.hand_double.motion.axes]) - AMBIENT_C
+        loss = self.trial.gear_loss + GEAR_LOSS_PER_K * (warm_k + self.trial.room_k)
+        torque_nm = np.array(TORQUE_NM_PER_A) * current_a * (1.0 - loss)
+        before = np.array(position_deg)
+        reached = self.world.reach_deg(before, np.array(wanted_deg), torque_nm, step_s)
+        now_ns = self.clock() // CYCLE_NS * CYCLE_NS
+        if self._contact_ns is None and self.world.force_n.any():
+            self._contact_ns = now_ns
+        if self._contact_ns is not None:
+            turned = (reached - before)[list(LOADED)] / step_s
+            self._speeds.append((now_ns, float(turned[np.argmax(np.abs(turned))])))
+        return [float(angle) for angle in reached]
+
+    def _steady_ns(self) -> int | None:
+        """From the end of the pressing backwards, the first cycle of those in which the joints are still."""
+        steady_ns: int | None = None
+        pressed = self._speeds
+        opened = next((i for i, (_, speed) in enumerate(pressed) if speed < -STILL_DEG_S), len(pressed))
+        for at_ns, speed in reversed(pressed[:opened]):
+            if abs(speed) >= STILL_DEG_S:
+                break
+            steady_ns = at_ns
+        return steady_ns
+
+    def _felt(self, _: float) -> list[FloatArray]:
+        """Pressures on the six pads."""
+        pads = [np.zeros((matrix.cells_y, matrix.cells_x)) for matrix in self.pads_double.matrices]
+        for finger, pressure, gain in zip(SQUEEZING, self.world.pressure_pa, self._gain, strict=True):
+            pads[Pad(finger, Part.DISTAL).matrix] = pressure * gain
+        return pads
+
+    def _seen(self, _: float) -> View:
+        position = np.array([axis.position_deg for axis in self.hand_double.motion.axes])
+        exact = self.view.render(self.world.inward_m(), self.world.T_hand_container, position)
+        flat = np.abs(exact.facing) < np.sin(np.radians(self.view.config.grazing_deg))
+        return View(np.where(flat, np.nan, exact.depth_m), exact.color)  # the camera adds its own noise
+
+
+def container_of(name: str) -> tuple[Shape, int]:
+    """The form of a container by its name, and the number of its instance. Raises InputError."""
+    for kind, shape in (("box", BOX), ("cylinder", CYLINDER)):
+        if name.startswith(kind):
+            return shape, zlib.crc32(name.encode())
+    raise InputError("a container named after its kind, as box-07 or cylinder-02", repr(name))
