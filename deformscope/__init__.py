@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from deformscope.api.calibration import CalibrationResult, calibrate_beta, calibrate_theta
+    from deformscope.api.classification import ClassificationResult, classify, load_classifier
     from deformscope.api.exploration import ExplorationResult, explore
     from deformscope.api.prediction import PredictionResult, predict
     from deformscope.api.recordings import OpenRecording, RecordResult, open_recording, record
@@ -28,6 +29,7 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "CalibrationResult": "api.calibration",
+    "ClassificationResult": "api.classification",
     "ExplorationResult": "api.exploration",
     "InputError": "errors",
     "Msm": "stages.msm.solver",
@@ -36,8 +38,10 @@ _HOMES = {
     "RecordResult": "api.recordings",
     "calibrate_beta": "api.calibration",
     "calibrate_theta": "api.calibration",
+    "classify": "api.classification",
     "dense_flow": "stages.see.flow",
     "explore": "api.exploration",
+    "load_classifier": "api.classification",
     "open_recording": "api.recordings",
     "predict": "api.prediction",
     "record": "api.recordings",
@@ -46,6 +50,7 @@ _HOMES = {
 
 __all__ = [
     "CalibrationResult",
+    "ClassificationResult",
     "ExplorationResult",
     "InputError",
     "Msm",
@@ -54,8 +59,10 @@ __all__ = [
     "RecordResult",
     "calibrate_beta",
     "calibrate_theta",
+    "classify",
     "dense_flow",
     "explore",
+    "load_classifier",
     "open_recording",
     "predict",
     "record",

@@ -42,9 +42,9 @@ LAYERS: dict[str, tuple[str, ...]] = {
     # The simulated world must not share the model that is fitted to it.
     "lab": ("arrays", "capsule", "errors", "processes", "rig", "robot"),
     "session": ("frames",),
-    "rows": ("arrays", "frames", "images", "stages.map"),
+    "rows": ("arrays", "frames", "images", "stages.map", "stages.squeeze"),
     "recording": ("arrays", "errors", "frames", "images", "log", "rows", "session", *STAGES),
-    "files": ("arrays", "errors", "frames", "images", "recording", *STAGES),
+    "files": ("arrays", "errors", "file_io", "frames", "images", "recording", *STAGES),
     "experiments": (
         *("arrays", "capsule", "errors", "files", "frames", "images", "processes", "recording", "rig", "robot"),
         *("rows", "session", *STAGES),

@@ -72,6 +72,9 @@ COMMANDS: dict[str, Command] = {
     ),
     "coverage": _command("how often the intervals hold the truth", "CoverageConfig", "coverage"),
     "explore": _command("map how soft a surface is, by touching it", "ExploreConfig", "explore"),
+    "classify": _command(
+        "what is in a container, from squeezing it: how well it is known", "ClassifyConfig", "classify"
+    ),
     "devices": _command("what is plugged in, and its health", "DevicesConfig", "devices"),
     "doctor": _command("whether a rig would work, and what to do if not", "DoctorConfig", "doctor"),
     "record": _command("record all devices of a rig", "RecordConfig", "record", "record"),

@@ -18,6 +18,7 @@ from deformscope.config.calibrate import (
     ThetaConfig,
     YieldConfig,
 )
+from deformscope.config.classify import ClassifyConfig
 from deformscope.config.flags import PokeText, parse_poke, parse_pokes
 from deformscope.config.images import FlowConfig, ImageOptions
 from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions, Written
@@ -43,6 +44,7 @@ __all__ = [
     "BenchConfig",
     "BetaConfig",
     "BothConfig",
+    "ClassifyConfig",
     "CommandOptions",
     "CoverageConfig",
     "CubesConfig",

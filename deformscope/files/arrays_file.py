@@ -40,7 +40,7 @@ def read_arrays(raw: bytes, expected: str, where: object = "") -> dict[str, npt.
         with zipfile.ZipFile(io.BytesIO(raw)) as archive:
             entries = [entry for entry in archive.infolist() if entry.filename.endswith(".npy")]
             return {entry.filename.removesuffix(".npy"): _array(archive, entry) for entry in entries}
-    except MemoryError:
+    except (MemoryError, InputError):
         raise
     except Exception as error:  # damaged bytes make zipfile, zlib and NumPy raise what they like
         raise InputError(expected, came, where=where) from error
@@ -54,6 +54,9 @@ def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> npt.NDArray[Any]
         version = np.lib.format.read_magic(file)
         read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, _, dtype = read_header(file)
+    if dtype.hasobject:
+        name = entry.filename.removesuffix(".npy")
+        raise InputError(f"numbers or texts in {name}", "Python objects (pickle)", f"numpy.asarray({name}, dtype=str)")
     if math.prod(shape) * dtype.itemsize > entry.file_size:
         raise ValueError("an array larger than its file")
     content = archive.read(entry)  # to its end, where its checksum is compared

@@ -1,0 +1,119 @@
+"""`deformscope classify`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
+
+from deformscope.config.flags import ModelFlag, one_word, unset
+from deformscope.config.options import (
+    OutputOptions,
+    RecordedOptions,
+    Written,
+    check_level,
+    check_suffix,
+    written_files,
+)
+from deformscope.errors import InputError
+
+NamesFlag = Annotated[
+    tuple[str, ...] | None,
+    one_word("NAME,NAME...", lambda text: tuple(part for part in text.split(",") if part), ",".join),
+    unset,
+]
+ReportPlaceFlag = Annotated[Path | None, one_word("FOLDER|FILE.html", Path), unset]
+
+
+@dataclass(frozen=True, slots=True)
+class ClassifyConfig(RecordedOptions):
+    """Find out how well the content of containers is known from what was measured when they were squeezed: from each
+    modality, and from all of them fused. Everything is learned inside the training side of each split."""
+
+    table: Annotated[Path, Positional, arg(metavar="DATASET|TABLE")]
+    """A table (.npz, .csv or .parquet) with a label for each trial, and features by modality."""
+    modalities: NamesFlag = None
+    """Take these alone, in that order; default: all."""
+    merge: Annotated[
+        UseAppendAction[tuple[str, ...]], arg(metavar="NAME=A,B...", help_behavior_hint="(repeatable)")
+    ] = ()
+    """Classes that become one, such as liquid=water,yogurt."""
+    transfer: Annotated[
+        UseAppendAction[tuple[str, ...]], arg(metavar="TRAINED:TESTED", help_behavior_hint="(repeatable)")
+    ] = ()
+    """Train on one kind of container and test on another (groups, where the table has no `kind`), * = any letters, as
+    in 'box-*:cylinder-*'; default: from each kind to each other one."""
+    splits: int = 200
+    """Random, stratified and, where the table has `group`, group-wise splits, 70 % to train and 30 % to test."""
+    costly_splits: int = 10
+    """Splits of gradient boosting and the Gaussian process, which take long; 0 = without them."""
+    curve_splits: int = 40
+    """Splits of the learning curve, and of each step of a squeeze; 0 = without them."""
+    quick: bool = False
+    """At most 30 splits, and neither costly classifiers nor a learning curve."""
+    duplicates: Literal["refuse", "drop"] = "refuse"
+    """What happens to trials with the same features: they would be recognised across a split."""
+    level: float = 0.9
+    """Confidence level of the intervals."""
+    save: ModelFlag = None
+    """Write the classifier, trained on all trials (.npz, no pickle): late fusion of the modalities."""
+    report: ReportPlaceFlag = None
+    """Write all that was found with pictures: one HTML page, or a folder that has the pictures as PNG beside it. What
+    stands there is replaced."""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def __post_init__(self) -> None:
+        if self.splits < 2:
+            raise InputError("2 --splits or more", str(self.splits))
+        if self.costly_splits < 0 or self.curve_splits < 0:
+            raise InputError(
+                "--costly-splits and --curve-splits of 0 or more", f"{self.costly_splits} and {self.curve_splits}"
+            )
+        check_level(self.level)
+        check_suffix("--save", self.save, ".npz")
+        if self.report is not None and self.report.suffix not in ("", ".html"):
+            raise InputError("a folder or a file that ends in .html after --report", repr(str(self.report)))
+        parse_merges(self.merge)
+        parse_transfers(self.transfer)
+
+    @property
+    def page(self) -> Path | None:
+        """The HTML page of the report."""
+        if self.report is None or self.report.suffix == ".html":
+            return self.report
+        return self.report / "classification.html"
+
+    def reads(self) -> tuple[str, ...]:
+        return (str(self.table),)
+
+    def writes(self) -> tuple[Written, ...]:
+        save = () if self.save is None else (Written("--save", self.save, replace=self.output.overwrite),)
+        report = self.report if self.report is not None and self.report.suffix == ".html" else None
+        return (*save, *written_files(("--report", report)), *self.output.writes())
+
+
+def parse_merges(texts: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+    """New class -> classes that become it."""
+    found: dict[str, tuple[str, ...]] = {}
+    for text in texts:
+        name, equals, members = text.partition("=")
+        if not (name and equals and members) or name in found:
+            raise InputError("--merge NAME=A,B, each NAME once", repr(text), "--merge liquid=water,yogurt")
+        found[name] = tuple(part for part in members.split(",") if part)
+    named = [one for members in found.values() for one in members]
+    if len(set(named)) < len(named):
+        raise InputError("each class in one --merge", "one in several")
+    return found
+
+
+def parse_transfers(texts: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
+    """Pairs of patterns."""
+    found = []
+    for text in texts:
+        train, colon, test = text.partition(":")
+        if not (train and colon and test):
+            raise InputError("--transfer TRAINED:TESTED", repr(text), "--transfer 'box-*:cylinder-*'")
+        found.append((train, test))
+    return tuple(found)

@@ -1,0 +1,195 @@
+"""Classifier files: what `deformscope classify --save` leaves, as one `.npz` of plain arrays and a line of JSON.
+
+    format      "deformscope classifier 1"
+    told        JSON text: labels, modalities with their columns and classifiers, steps, settings of the features,
+                the accuracy that the evaluation found, provenance
+    fusion.weight (M, C), fusion.offset (C,): how reliable each modality is for each class
+    m0.used (p,), m0.mean, m0.scale, m0.centre (q,), m0.directions (q, d), m0.weight (K, C), m0.offset (C,), and of its
+    classifiers m0.c0.points..., in the order of `told`; s0.3.used...: the same for step 3 of the first modality with
+    steps
+
+Nothing in it is executed when it is read (no pickle).
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from deformscope.errors import InputError
+from deformscope.files.arrays_file import Arrays, read_arrays
+from deformscope.stages.squeeze.classifiers import NAMES, Classifier, Linear, Neighbours, Quadratic
+from deformscope.stages.squeeze.components import Scaling
+from deformscope.stages.squeeze.fusion import Expert, Member, Pool
+from deformscope.stages.squeeze.model import ContentModel, ModalityModel
+
+FORMAT = "deformscope classifier 1"
+HOW = "deformscope classify TABLE --save FILE.npz"
+KINDS: dict[str, type[Classifier]] = {
+    **dict.fromkeys(("knn", "knn-raw"), Neighbours),
+    **dict.fromkeys(("qda", "qda-raw"), Quadratic),
+    "linear": Linear,
+}
+
+
+def classifier_arrays(model: ContentModel) -> dict[str, npt.NDArray[Any]]:
+    """A model as the arrays of its file."""
+    arrays: dict[str, npt.NDArray[Any]] = {"fusion.weight": model.fusion.weight, "fusion.offset": model.fusion.offset}
+    told: dict[str, Any] = {
+        "labels": model.labels,
+        "modalities": [
+            _put(arrays, f"m{index}", name, one) for index, (name, one) in enumerate(model.modalities.items())
+        ],
+        "steps": [
+            {
+                "modality": name,
+                "models": [_put(arrays, f"s{index}.{step}", name, one) for step, one in enumerate(models)],
+            }
+            for index, (name, models) in enumerate(model.steps.items())
+        ],
+        "step_s": model.step_s,
+        "settings": dict(model.settings),
+        "promised": dict(model.promised),
+        "provenance": dict(model.provenance),
+    }
+    return {"format": np.array(FORMAT), "told": np.array(json.dumps(told, allow_nan=False)), **arrays}
+
+
+def _put(arrays: dict[str, npt.NDArray[Any]], prefix: str, name: str, model: ModalityModel) -> dict[str, Any]:
+    """Adds a modality's arrays; returns what is told of it."""
+    own = {"used": model.scaling.used, "mean": model.scaling.mean, "scale": model.scaling.scale}
+    own |= {"centre": model.centre, "directions": model.directions}
+    own |= {"weight": model.expert.pool.weight, "offset": model.expert.pool.offset}
+    arrays.update({f"{prefix}.{key}": value for key, value in own.items()})
+    members = []
+    for index, one in enumerate(model.expert.members):
+        told: dict[str, Any] = {"name": one.name, "columns": one.columns}
+        for field in fields(one.classifier):
+            value = getattr(one.classifier, field.name)
+            if isinstance(value, np.ndarray):
+                arrays[f"{prefix}.c{index}.{field.name}"] = value
+            else:
+                told[field.name] = value
+        members.append(told)
+    return {"name": name, "columns": model.columns, "classifiers": members}
+
+
+def save_classifier(model: ContentModel, path: Path) -> None:
+    """Write a model; a file that stands there is replaced when the new one is complete."""
+    from deformscope.file_io import replacing
+
+    with replacing(path) as file:
+        np.savez_compressed(file, **classifier_arrays(model))  # type: ignore[arg-type]  # numpy's stub
+
+
+def load_classifier(path: Path) -> ContentModel:
+    """Read a model. Raises InputError, in one line, for what is none, damaged, or of another format."""
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        came = "no file" if isinstance(error, FileNotFoundError) else (error.strerror or str(error)).lower()
+        raise InputError("a classifier file", came, HOW, path) from error
+    found = read_arrays(raw, "a classifier file (.npz)", path)
+    shown = str(found["format"]) if "format" in found and found["format"].dtype.kind == "U" else ""
+    if "told" not in found or not shown.startswith("deformscope classifier "):
+        came = f"{shown!r}" if shown else f"an .npz of {', '.join(sorted(found)[:4]) or 'nothing'}"
+        raise InputError("a classifier file", came, HOW, path)
+    if shown != FORMAT:
+        newer = re.fullmatch(r"deformscope classifier (\d+)", shown) is not None
+        hint = "a newer deformscope" if newer else HOW
+        raise InputError(f"a classifier file of format {FORMAT!r}", repr(shown), hint, path)
+    try:
+        return _model(found)
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError, RecursionError) as error:
+        came = f"one without or with a wrong {' '.join(str(error).split())[:120]}"
+        raise InputError("a whole classifier file", came, HOW, path) from error
+
+
+def _model(found: Arrays) -> ContentModel:
+    told = json.loads(str(found["told"]))
+    labels = tuple(told["labels"])
+    if len(labels) < 2 or len(set(labels)) < len(labels) or not all(isinstance(one, str) for one in labels):
+        raise ValueError("list of labels")
+    classes = len(labels)
+    modalities = {one["name"]: _take(found, f"m{i}", one, classes) for i, one in enumerate(told["modalities"])}
+    if not modalities or len(modalities) < len(told["modalities"]):
+        raise ValueError("list of modalities")
+    steps = {}
+    for index, one in enumerate(told["steps"]):
+        if one["modality"] not in modalities or not one["models"]:
+            raise ValueError("list of steps")
+        models = [_take(found, f"s{index}.{step}", each, classes) for step, each in enumerate(one["models"])]
+        steps[one["modality"]] = tuple(models)
+    fusion = _pool(found, "fusion", len(modalities), classes)
+    step_s = float(told["step_s"])
+    if not (np.isfinite(step_s) and step_s > 0.0):
+        raise ValueError("step_s")
+    about: list[Mapping[str, object]] = [told["settings"], told["promised"], told["provenance"]]
+    if not all(isinstance(one, dict) for one in about):
+        raise ValueError("settings, promised or provenance")
+    return ContentModel(labels, modalities, fusion, steps, step_s, *about)
+
+
+def _take(found: Arrays, prefix: str, told: Mapping[str, Any], classes: int) -> ModalityModel:
+    used = _array(found, f"{prefix}.used", "b", (int(told["columns"]),))
+    width = int(used.sum())
+    mean, scale, centre = (_array(found, f"{prefix}.{one}", "f", (width,)) for one in ("mean", "scale", "centre"))
+    if not (scale > 0.0).all():
+        raise ValueError(f"{prefix}.scale")
+    directions = _array(found, f"{prefix}.directions", "f", (width, None))
+    members = tuple(
+        _member(found, f"{prefix}.c{index}", one, directions.shape[1], classes)
+        for index, one in enumerate(told["classifiers"])
+    )
+    if not members:
+        raise ValueError(f"{prefix} classifiers")
+    pool = _pool(found, prefix, len(members), classes)
+    return ModalityModel(Scaling(used, mean, scale), centre, directions, Expert(members, pool))
+
+
+def _member(found: Arrays, prefix: str, told: Mapping[str, Any], size: int, classes: int) -> Member:
+    name, columns = told["name"], told["columns"]
+    if name not in NAMES or not (columns is None or (isinstance(columns, int) and columns >= 0)):
+        raise ValueError(f"classifier {name!r} of {columns!r} columns")
+    size = size if columns is None else min(size, columns)
+    kind = KINDS[name]
+    if kind is Quadratic:
+        mean = _array(found, f"{prefix}.mean", "f", (classes, size))
+        factor = _array(found, f"{prefix}.factor", "f", (classes, size, size))
+        return Member(name, columns, Quadratic(mean, factor, _array(found, f"{prefix}.present", "b", (classes,))))
+    if kind is Linear:
+        slope = _array(found, f"{prefix}.slope", "f", (size, classes))
+        offset = _array(found, f"{prefix}.offset", "f", (classes,))
+        return Member(name, columns, Linear(slope, offset, _array(found, f"{prefix}.present", "b", (classes,))))
+    points = _array(found, f"{prefix}.points", "f", (None, size))
+    target = _array(found, f"{prefix}.target", "iu", (len(points),))
+    k = told["k"]
+    if not len(points) or target.min() < 0 or target.max() >= classes or not isinstance(k, int) or k < 1:
+        raise ValueError(f"{prefix}.target or k")
+    if told["classes"] != classes:
+        raise ValueError(f"{prefix} classes")
+    return Member(name, columns, Neighbours(points, target, k, classes))
+
+
+def _pool(found: Arrays, prefix: str, members: int, classes: int) -> Pool:
+    weight = _array(found, f"{prefix}.weight", "f", (members, classes))
+    if (weight < 0.0).any():
+        raise ValueError(f"{prefix}.weight")
+    return Pool(weight, _array(found, f"{prefix}.offset", "f", (classes,)))
+
+
+def _array(found: Arrays, name: str, kinds: str, shape: tuple[int | None, ...]) -> npt.NDArray[Any]:
+    value = found[name]
+    fits = value.ndim == len(shape) and all(
+        want is None or want == got for want, got in zip(shape, value.shape, strict=True)
+    )
+    if not fits or value.dtype.kind not in kinds or not np.isfinite(value).all():
+        raise ValueError(f"{name}: {value.dtype} of shape {value.shape}")
+    return value

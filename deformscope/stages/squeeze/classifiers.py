@@ -1,0 +1,213 @@
+"""Classifiers with probabilities: nearest neighbours and quadratic discriminant analysis (Thesis 2.4.3), and a linear
+one beside them.
+
+Each is fitted to (n, d) points and (n,) indices of classes, is a frozen set of arrays, and gives (m, C) logarithms of
+posteriors. A class without any training point is never the answer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+from scipy.linalg.lapack import dtrtrs
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+
+LEAST = float(np.log(1e-9))
+"""The logarithm of the smallest posterior."""
+NEIGHBOURS = {3: 3, 5: 5}
+"""Neighbours for so many classes (Thesis 2.5.3)."""
+NEIGHBOURS_TRIED: tuple[int, ...] = (1, 3, 5, 7, 9)
+"""For any other number of classes: the one that is right most often on training points, each left out in turn."""
+LINEAR_COMPONENTS = 200
+"""Largest components that the linear classifier and the raw quadratic one take."""
+
+Name = Literal["knn", "qda", "knn-raw", "qda-raw", "linear"]
+NAMES: tuple[Name, ...] = ("knn", "qda", "knn-raw", "qda-raw", "linear")
+"""knn, qda: on the components that hold 80 % of the variance; the others on all of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Neighbours:
+    """k nearest neighbours (eq. 2.2, 2.3). points: (n, d); target: (n,); k; classes: C"""
+
+    points: FloatArray
+    target: IntArray
+    k: int
+    classes: int
+
+    def log_posterior(self, test: FloatArray) -> FloatArray:
+        """(m, C): votes of the k nearest, the nearer ones ahead where votes are equal."""
+        return votes(distances(test, self.points), self.target, self.k, self.classes)
+
+
+@dataclass(frozen=True, slots=True)
+class Quadratic:
+    """One Gaussian a class (eq. 2.4, 2.5, with a covariance of each class), all classes equally likely before.
+
+    mean: (C, d); factor: (C, d, d) lower Cholesky factors of the covariances; present: (C,) whether there were points
+    """
+
+    mean: FloatArray
+    factor: FloatArray
+    present: BoolArray
+
+    def log_posterior(self, test: FloatArray) -> FloatArray:
+        """(m, C)"""
+        density = np.full((len(test), len(self.mean)), -np.inf)
+        for one in np.flatnonzero(self.present):
+            white, _ = dtrtrs(self.factor[one].T, (test - self.mean[one]).T, lower=0, trans=1)
+            density[:, one] = -0.5 * (white**2).sum(axis=0) - np.log(np.diagonal(self.factor[one])).sum()
+        return floored(density)
+
+
+@dataclass(frozen=True, slots=True)
+class Linear:
+    """Gaussians with one shrunk covariance. slope: (d, C), offset: (C,); present: (C,) whether there were points"""
+
+    slope: FloatArray
+    offset: FloatArray
+    present: BoolArray
+
+    def log_posterior(self, test: FloatArray) -> FloatArray:
+        """(m, C)"""
+        score = test[:, : len(self.slope)] @ self.slope + self.offset
+        return floored(np.where(self.present, score, -np.inf))
+
+
+Classifier: TypeAlias = Neighbours | Quadratic | Linear
+
+
+def log_softmax(score: FloatArray) -> FloatArray:
+    """(n, C) normalised logarithms; scipy's takes ten times as long for few numbers."""
+    shifted = score - score.max(axis=1, keepdims=True)
+    return np.asarray(shifted - np.log(np.exp(shifted).sum(axis=1, keepdims=True)))
+
+
+def floored(score: FloatArray) -> FloatArray:
+    """Logarithms of posteriors from scores (m, C), none below `LEAST`."""
+    return log_softmax(np.maximum(log_softmax(score), LEAST))
+
+
+# Neighbours ----------------------------------------------------------------------------------------------------------
+
+
+def distances(test: FloatArray, points: FloatArray) -> FloatArray:
+    """(m, n) squared distances."""
+    squared = (test**2).sum(axis=1)[:, None] + (points**2).sum(axis=1) - 2.0 * (test @ points.T)
+    return np.maximum(squared, 0.0)
+
+
+def votes(squared: FloatArray, target: IntArray, k: int, classes: int) -> FloatArray:
+    """(m, C) logarithms of (votes + 1 / C) / (k + 1), from (m, n) squared distances; infinite ones do not vote."""
+    k = min(k, squared.shape[1])
+    nearest = np.argpartition(squared, k - 1, axis=1)[:, :k]
+    row = np.arange(len(squared))[:, None]
+    order = np.lexsort((nearest, squared[row, nearest]), axis=1)
+    nearest = nearest[row, order]
+    # A vote less than one more for those that are nearer: it decides between equal numbers of votes alone.
+    weight = np.where(np.isfinite(squared[row, nearest]), 1.0 + 1e-3 * 0.5 ** np.arange(k), 0.0)
+    counted = np.zeros((len(squared), classes))
+    np.add.at(counted, (np.broadcast_to(row, nearest.shape), target[nearest]), weight)
+    counted += 1.0 / classes
+    return np.log(counted / counted.sum(axis=1, keepdims=True))
+
+
+def left_out(points: FloatArray, apart: IntArray | None = None) -> FloatArray:
+    """(n, n) squared distances in which no point is its own neighbour, nor those of its group, (n,)."""
+    squared = distances(points, points)
+    groups = np.arange(len(points)) if apart is None else apart
+    squared[groups[:, None] == groups] = np.inf
+    return squared
+
+
+def neighbour_count(squared: FloatArray, target: IntArray, classes: int) -> int:
+    """How many neighbours to ask: as the thesis for three and five classes, else by points left out, (n, n)."""
+    if classes in NEIGHBOURS:
+        return NEIGHBOURS[classes]
+    right = {
+        k: int((votes(squared, target, k, classes).argmax(axis=1) == target).sum())
+        for k in NEIGHBOURS_TRIED
+        if k <= max(1, len(target) - 1)
+    }
+    return max(right, key=lambda k: (right[k], -k))
+
+
+# Gaussians -----------------------------------------------------------------------------------------------------------
+
+
+def _moments(points: FloatArray, target: IntArray, classes: int) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Points in each class (C,), their means (C, d), and all points about the mean of their class (n, d)."""
+    one_hot = (target[:, None] == np.arange(classes)).astype(np.float64)
+    count = one_hot.sum(axis=0)
+    mean = one_hot.T @ points / np.maximum(count, 1.0)[:, None]
+    return count.astype(np.int64), mean, points - mean[target]
+
+
+def pooled_covariance(about: FloatArray, free: int) -> FloatArray:
+    """(d, d) within classes, shrunk to a multiple of the unit matrix as in Ledoit and Wolf 2004, lemma 3.1 to 3.4.
+
+    about: (n, d) points about the mean of their class; free: n less the number of classes
+    """
+    count, size = about.shape
+    if not size:
+        return np.zeros((0, 0))
+    sample = about.T @ about / count
+    level = float(np.trace(sample)) / size
+    if level <= 0.0:
+        return np.eye(size)
+    spread = float((sample**2).sum()) - size * level**2
+    error = (float(((about**2).sum(axis=1) ** 2).sum()) / count - float((sample**2).sum())) / count
+    share = 1.0 if spread <= 0.0 else min(max(error / spread, 0.0), 1.0)
+    shrunk = (1.0 - share) * sample + (share + 1e-9) * level * np.eye(size)
+    return shrunk * (count / max(free, 1))
+
+
+def fit_quadratic(points: FloatArray, target: IntArray, classes: int) -> Quadratic:
+    """Each class's covariance is weighed with the pooled one as if d + 2 more points had been seen of that: the mean of
+    an inverse Wishart posterior. A class of few points rests on the pooled one."""
+    count, mean, about = _moments(points, target, classes)
+    size = points.shape[1]
+    pooled = pooled_covariance(about, len(points) - int((count > 0).sum()))
+    prior = size + 2.0
+    factor = np.tile(np.eye(size), (classes, 1, 1))
+    for one in np.flatnonzero(count):
+        mine = about[target == one]
+        factor[one] = np.linalg.cholesky((mine.T @ mine + prior * pooled) / (count[one] - 1 + prior))
+    return Quadratic(mean, factor, count > 0)
+
+
+def fit_linear(points: FloatArray, target: IntArray, classes: int) -> Linear:
+    """Linear discriminant analysis with the shrunk pooled covariance, all classes equally likely before; on the largest
+    `LINEAR_COMPONENTS`."""
+    points = points[:, :LINEAR_COMPONENTS]
+    count, mean, about = _moments(points, target, classes)
+    pooled = pooled_covariance(about, len(points) - int((count > 0).sum()))
+    slope = np.linalg.solve(pooled, mean.T)
+    return Linear(slope, -0.5 * (mean.T * slope).sum(axis=0), count > 0)
+
+
+# By name -------------------------------------------------------------------------------------------------------------
+
+
+def columns_of(name: Name, kept: int) -> int | None:
+    """So many components a classifier of that name takes; None = all."""
+    return {"knn": kept, "qda": kept, "knn-raw": None, "qda-raw": None, "linear": LINEAR_COMPONENTS}[name]
+
+
+def usable(name: Name, raw: int) -> bool:
+    """Whether a classifier of that name is for so many columns: a raw covariance is no estimate of thousands."""
+    return name != "qda-raw" or raw <= LINEAR_COMPONENTS
+
+
+def fit(name: Name, points: FloatArray, target: IntArray, classes: int, apart: IntArray | None = None) -> Classifier:
+    """A classifier by its name, on the (n, d) points that `columns_of` says. apart: (n,) groups that may not vote for
+    each other when the number of neighbours is chosen"""
+    if name in ("qda", "qda-raw"):
+        return fit_quadratic(points, target, classes)
+    if name == "linear":
+        return fit_linear(points, target, classes)
+    k = NEIGHBOURS.get(classes) or neighbour_count(left_out(points, apart), target, classes)
+    return Neighbours(points, target, k, classes)

@@ -1,0 +1,391 @@
+"""How well the content is known from each modality, and how sure that is (Thesis 2.5).
+
+Everything that is learned is learned inside the training side of each split: scaling, components, classifiers,
+calibration and fusion.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.errors import InputError
+from deformscope.stages.squeeze import groupings
+from deformscope.stages.squeeze.groupings import Clusters, Normality
+from deformscope.stages.squeeze.intervals import Estimated, difference, holm, over_splits
+from deformscope.stages.squeeze.scores import Score, accuracy_of, recalls, score_of, tested_ratio
+from deformscope.stages.squeeze.splits import PROTOCOLS, Protocol, Split, draw, splitting_notes
+from deformscope.stages.squeeze.table import LabelledTable, refuse_duplicates
+from deformscope.stages.squeeze.trial_run import COSTLY, NAMES, Key, Method, Outcome, joined_name, run_split
+
+Progress = Callable[[str, int, int], None]
+"""Called with what is done, how much of it, and of how much."""
+
+CURVE_SHARES = (0.2, 0.4, 0.6, 0.8, 1.0)
+"""Of the training side (Thesis fig. 2.11)."""
+GAUSSIAN_PROCESS_TRIALS = 1500
+"""The Gaussian process inverts a matrix of that size for each class: not for more trials."""
+SURE = 0.9
+"""A squeeze could stop when one content is so probable."""
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationOptions:
+    """splits: of the fast methods; costly_splits: of boosting and Gaussian process, 0 = none; curve_splits: of the
+    learning curve and the time steps, 0 = none; protocols: None = those that the table allows; level: of intervals;
+    transfer: (training, tested) patterns of kinds or groups; workers: threads"""
+
+    splits: int = 200
+    costly_splits: int = 10
+    curve_splits: int = 40
+    protocols: tuple[Protocol, ...] | None = None
+    level: float = 0.9
+    seed: int = 0
+    transfer: tuple[tuple[str, str], ...] = ()
+    workers: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Two modalities, or ways to fuse them, on the same splits. difference: of the first less the second; p_value:
+    corrected for splits that share trials, and for the number of comparisons (Holm); by_class: (C,) of the recalls"""
+
+    first: Key
+    second: Key
+    protocol: Protocol
+    difference: Estimated
+    p_value: float
+    by_class: tuple[Estimated, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class CurvePoint:
+    """Accuracy of a method trained on a share of the training trials."""
+
+    modality: str
+    method: Method
+    share: float
+    trials: float
+    accuracy: Estimated
+
+
+@dataclass(frozen=True, slots=True)
+class TimePoint:
+    """What is known after so much of the squeeze. accuracy: of all trials; stopped: share of trials in which one class
+    has reached `SURE` by then; right: of these, the share in which that class is the true one (NaN = none stopped)"""
+
+    time_s: float
+    accuracy: Estimated
+    stopped: float
+    right: float
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """All that was found. table: what was evaluated; protocol: the strictest one, to which comparisons, curve and steps
+    belong; skipped: what was left out, and why"""
+
+    table: LabelledTable
+    options: EvaluationOptions
+    protocol: Protocol
+    scores: tuple[Score, ...]
+    comparisons: tuple[Comparison, ...] = ()
+    curve: tuple[CurvePoint, ...] = ()
+    steps: Mapping[str, tuple[TimePoint, ...]] = field(default_factory=dict)
+    clusters: Mapping[str, Clusters] = field(default_factory=dict)
+    normality: Mapping[str, Normality] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def score(self, modality: str, method: Method, protocol: Protocol | None = None) -> Score:
+        """One of them. Raises KeyError where there is none."""
+        wanted = (modality, method, protocol or self.protocol)
+        for one in self.scores:
+            if (one.modality, one.method, one.protocol) == wanted:
+                return one
+        raise KeyError(wanted)
+
+    @property
+    def best(self) -> Score:
+        """The one that is saved: late fusion of several modalities, else the pooled classifiers of the only one."""
+        names = list(self.table.modalities)
+        return self.score(joined_name(names), "late-fusion") if len(names) > 1 else self.score(names[0], "pooled")
+
+
+def allowed_protocols(table: LabelledTable) -> tuple[tuple[Protocol, ...], list[str]]:
+    """The splits that a table can be split by, and why others are left out."""
+    found: list[Protocol] = []
+    notes = []
+    for one in PROTOCOLS:
+        try:
+            draw(one, table, 1, 0)
+            found.append(one)
+        except InputError as error:
+            if table.group is not None:
+                notes.append(f"no splits by {one}: {error}")
+    return tuple(found), notes
+
+
+def evaluate(
+    table: LabelledTable, options: EvaluationOptions | None = None, progress: Progress | None = None
+) -> Evaluation:
+    """Evaluate every modality by itself, all of them fused early and late.
+
+    Raises InputError for trials that stand there twice and for a table that cannot be split as asked.
+    """
+    options = options or EvaluationOptions()
+    progress = progress or (lambda what, done, total: None)
+    refuse_duplicates(table)
+    allowed, notes = allowed_protocols(table)
+    protocols = options.protocols or allowed
+    strictest = max(protocols, key=PROTOCOLS.index)
+    runner = _Runner(table, options, progress)
+    fast: tuple[Method, ...] = (*NAMES, "pooled", "late-fusion")
+    scores: list[Score] = []
+    outcomes: dict[Key, list[Outcome]] = {}
+    drawn: list[Split] = []
+    for protocol in protocols:
+        splits = draw(protocol, table, options.splits, options.seed)
+        found = runner.run(f"{protocol} splits", splits, fast, by_group=protocol == "group")
+        scores += [score_of(table, key, protocol, splits, one, options.level) for key, one in found.items()]
+        if protocol == strictest:
+            outcomes, drawn = found, splits
+    scores += _costly_scores(table, options, runner, strictest, drawn, notes)
+    for pair in options.transfer or _kinds(table):
+        scores += _transfer(table, options, runner, pair)
+    steps = {} if not options.curve_splits else _time_steps(table, options, runner, strictest, drawn)
+    curve = () if not options.curve_splits else _curve(table, options, runner, strictest, drawn)
+    progress("natural groupings", 0, 0)
+    return Evaluation(
+        table,
+        options,
+        strictest,
+        tuple(scores),
+        tuple(_comparisons(table, options, outcomes, drawn, strictest)),
+        curve,
+        steps,
+        groupings.clusters(table, options.seed),
+        groupings.normality(table),
+        (*splitting_notes(table), *_missing_notes(table), *notes),
+    )
+
+
+class _Runner:
+    """Runs splits of a table in threads: what takes time is linear algebra, which lets other threads run."""
+
+    def __init__(self, table: LabelledTable, options: EvaluationOptions, progress: Progress) -> None:
+        self.table, self.options, self.progress = table, options, progress
+        self.missing = {name: table.missing(name) for name in table.modalities}
+        self.target, self.classes = table.target, len(table.classes)
+        self.group = None if table.group is None else np.unique(table.group, return_inverse=True)[1].reshape(-1)
+
+    def run(
+        self,
+        what: str,
+        splits: Sequence[Split],
+        methods: Sequence[Method],
+        *,
+        by_group: bool,
+        features: Mapping[str, FloatArray] | None = None,
+    ) -> dict[Key, list[Outcome]]:
+        """Outcomes of each method, split by split. features: instead of the table's"""
+        shown = self.table.modalities if features is None else features
+        missing = self.missing if features is None else {k: np.isnan(v).all(axis=1) for k, v in shown.items()}
+        apart = self.group if by_group else None
+
+        def one(split: Split) -> dict[Key, Outcome]:
+            return run_split(
+                shown, missing, self.target, self.classes, split, apart=apart, methods=methods, seed=self.options.seed
+            )
+
+        found: dict[Key, list[Outcome]] = {}
+        with ThreadPoolExecutor(self.options.workers) as pool:
+            for done, outcomes in enumerate(pool.map(one, splits)):
+                self.progress(what, done, len(splits))
+                for key, outcome in outcomes.items():
+                    found.setdefault(key, []).append(outcome)
+        # A modality that a training side lacked altogether has fewer splits than others: it is not evaluated.
+        return {key: outcomes for key, outcomes in found.items() if len(outcomes) == len(splits)}
+
+
+def _costly_scores(
+    table: LabelledTable,
+    options: EvaluationOptions,
+    runner: _Runner,
+    protocol: Protocol,
+    splits: Sequence[Split],
+    notes: list[str],
+) -> list[Score]:
+    fewer = splits[: options.costly_splits]
+    methods = [one for one in COSTLY if one == "boosting" or len(table) <= GAUSSIAN_PROCESS_TRIALS]
+    if not fewer:
+        notes.append("boosting and Gaussian process left out, as asked")
+        return []
+    if len(methods) < len(COSTLY):
+        notes.append(f"no Gaussian process: more than {GAUSSIAN_PROCESS_TRIALS} trials")
+    notes.append(
+        f"boosting and Gaussian process on {len(fewer)} of the {len(splits)} {protocol} splits: they take long"
+    )
+    found = runner.run("boosting and Gaussian process", fewer, methods, by_group=protocol == "group")
+    return [score_of(table, key, protocol, fewer, one, options.level) for key, one in found.items()]
+
+
+# Transfer ------------------------------------------------------------------------------------------------------------
+
+
+def _kinds(table: LabelledTable) -> list[tuple[str, str]]:
+    """From each kind of container to each other one."""
+    return [] if table.kind is None else list(itertools.permutations(map(str, np.unique(table.kind)), 2))
+
+
+def _transfer(table: LabelledTable, options: EvaluationOptions, runner: _Runner, pair: tuple[str, str]) -> list[Score]:
+    """Trained on all trials of one kind of container, tested on all of another."""
+    where = table.kind if table.kind is not None else table.group
+    if where is None:
+        raise InputError("`kind` or `group` in the table, for a transfer", "neither")
+    train, test = (np.array([fnmatchcase(str(one), pattern) for one in where]) for pattern in pair)
+    known = np.isin(table.label, table.label[train])
+    for side, pattern in ((train, pair[0]), (test, pair[1])):
+        if not side.any():
+            raise InputError(f"a pattern of {', '.join(sorted(set(map(str, where))))}", repr(pattern))
+    if (train & test).any():
+        raise InputError("different trials to train and to test", f"{pair[0]!r} and {pair[1]!r} share some")
+    if len(np.unique(table.label[train])) < 2 or not (test & known).any():
+        return []
+    split = Split(np.flatnonzero(train), np.flatnonzero(test))
+    name = f"transfer {pair[0]} to {pair[1]}"
+    found = runner.run(name, [split], (*NAMES, "pooled", "late-fusion"), by_group=table.group is not None)
+    return [score_of(table, key, "transfer", [split], one, options.level, pair) for key, one in found.items()]
+
+
+# Comparisons ---------------------------------------------------------------------------------------------------------
+
+
+def _comparisons(
+    table: LabelledTable,
+    options: EvaluationOptions,
+    outcomes: Mapping[Key, Sequence[Outcome]],
+    splits: Sequence[Split],
+    protocol: Protocol,
+) -> list[Comparison]:
+    """Modalities with one another, each with the joined ones, and late fusion with each, on the same splits."""
+    names = list(table.modalities)
+    joined = joined_name(names)
+    pairs: list[tuple[Key, Key]] = []
+    for method in ("knn", "pooled"):
+        shown = [*names, joined] if method == "knn" and len(names) > 1 else names
+        pairs += [((one, method), (other, method)) for one, other in itertools.combinations(shown, 2)]
+    pairs += [((joined, "late-fusion"), (one, "pooled")) for one in names if len(names) > 1]
+    pairs += [((joined, "late-fusion"), (joined, "knn"))] if len(names) > 1 else []
+    pairs = [pair for pair in pairs if set(pair) <= set(outcomes)]
+    target, classes = table.target, len(table.classes)
+    ratio = tested_ratio(splits)
+    accuracy = {key: np.array([accuracy_of(one, target) for one in found]) for key, found in outcomes.items()}
+    recall = {key: np.array([recalls(one, target, classes) for one in found]) for key, found in outcomes.items()}
+    found = [difference(accuracy[one], accuracy[other], ratio, options.level) for one, other in pairs]
+    corrected = holm([p_value for _, p_value in found])
+    return [
+        Comparison(
+            *pair,
+            protocol,
+            estimated,
+            p_value,
+            tuple(
+                over_splits(recall[pair[0]][:, c] - recall[pair[1]][:, c], ratio, options.level) for c in range(classes)
+            ),
+        )
+        for pair, (estimated, _), p_value in zip(pairs, found, corrected, strict=True)
+    ]
+
+
+# Learning curve and time steps ---------------------------------------------------------------------------------------
+
+
+def _curve(
+    table: LabelledTable, options: EvaluationOptions, runner: _Runner, protocol: Protocol, splits: Sequence[Split]
+) -> tuple[CurvePoint, ...]:
+    """Thesis fig. 2.11: the test side stays, the training side is thinned out."""
+    points = []
+    splits = splits[: options.curve_splits]
+    for share in CURVE_SHARES:
+        thinned = []
+        for index, split in enumerate(splits):
+            rng = np.random.default_rng([options.seed, index, 11])
+            count = max(2, round(share * len(split.train)))
+            thinned.append(Split(np.sort(rng.permutation(split.train)[:count]), split.test))
+        what = f"learning curve, {share:.0%}"
+        found = runner.run(what, thinned, ("knn", "linear"), by_group=protocol == "group")
+        for (modality, method), outcomes in found.items():
+            score = score_of(table, (modality, method), protocol, thinned, outcomes, options.level)
+            trials = float(np.mean([len(one.train) for one in thinned]))
+            points.append(CurvePoint(modality, method, share, trials, score.accuracy))
+    return tuple(points)
+
+
+def _time_steps(
+    table: LabelledTable, options: EvaluationOptions, runner: _Runner, protocol: Protocol, splits: Sequence[Split]
+) -> dict[str, tuple[TimePoint, ...]]:
+    """The posterior over the squeeze: at each step a classifier of that step, on the same splits."""
+    found = {}
+    splits = splits[: options.curve_splits]
+    ratio = tested_ratio(splits)
+    for name, series in table.series.items():
+        held = held_values(series)
+        points = []
+        ended = [np.zeros(len(split.test), dtype=bool) for split in splits]
+        named = [np.full(len(split.test), -1) for split in splits]
+        for step in range(series.shape[1]):
+            what = f"{name} at {step * table.step_s:.1f} s"
+            outcomes = runner.run(
+                what, splits, ("pooled",), by_group=protocol == "group", features={name: held[:, step]}
+            ).get((name, "pooled"))
+            if outcomes is None:
+                continue
+            for index, one in enumerate(outcomes):
+                at = np.searchsorted(splits[index].test, one.rows)
+                fresh = at[(one.sure >= SURE) & ~ended[index][at]]
+                ended[index][fresh] = True
+                named[index][fresh] = one.answer[np.searchsorted(at, fresh)]
+            stopped = np.concatenate(ended)
+            truth = np.concatenate([table.target[split.test] for split in splits])
+            right = np.concatenate(named)[stopped] == truth[stopped]
+            accuracy = np.array([accuracy_of(one, table.target) for one in outcomes])
+            points.append(
+                TimePoint(
+                    step * table.step_s,
+                    over_splits(accuracy, ratio, options.level, len(table)),
+                    float(stopped.mean()),
+                    float(right.mean()) if right.size else float("nan"),
+                )
+            )
+        found[name] = tuple(points)
+    return found
+
+
+def held_values(series: FloatArray) -> FloatArray:
+    """(N, T, p) in which a trial that has ended keeps its last values."""
+    held = series.copy()
+    for step in range(1, held.shape[1]):
+        ended = np.isnan(held[:, step]).all(axis=1)
+        held[ended, step] = held[ended, step - 1]
+    return held
+
+
+def _missing_notes(table: LabelledTable) -> list[str]:
+    notes = []
+    for name, values in table.modalities.items():
+        whole = table.missing(name)
+        if whole.any():
+            notes.append(f"{name} is missing in {whole.sum()} of {len(table)} trials: they neither train nor test it")
+        share = float(np.isnan(values[~whole]).mean())
+        if share:
+            notes.append(f"{share:.1%} of {name} was not measured: taken as the mean of the training side")
+        flat = int((~np.isfinite(values) | (values == values[:1])).all(axis=0).sum())
+        if flat:
+            notes.append(f"{flat} of {values.shape[1]} columns of {name} are constant, and dropped")
+    return notes

@@ -1,0 +1,205 @@
+"""Posteriors that mean what they say, and several modalities together: late fusion (Thesis 2.6, future work).
+
+Everything is learned on the training side alone: which classifier serves a modality, how its posteriors are calibrated,
+and how reliable each modality is for each class. The posteriors that this is learned from are of points left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.stages.squeeze.classifiers import (
+    NAMES,
+    Classifier,
+    Name,
+    Neighbours,
+    columns_of,
+    fit,
+    left_out,
+    log_softmax,
+    neighbour_count,
+    usable,
+    votes,
+)
+
+FOLDS = 5
+"""Of the training side, to find out how a classifier does on points left out."""
+MODALITY_DEVIATION, CLASS_DEVIATION, OFFSET_DEVIATION = 1.0, 0.3, 1.0
+"""Before any data: weights of modalities are normal about 1 (which is Bayes' rule for modalities that err
+independently), those of classes about their modality's, offsets of classes about 0. With few trials they stay there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pool:
+    """Weighed logarithms of posteriors: log p(c) = sum_m weight[m, c] log p_m(c) + offset[c] + constant.
+
+    weight: (M, C) how reliable modality m is about class c, 0 or more; offset: (C,)
+    """
+
+    weight: FloatArray
+    offset: FloatArray
+
+    def log_posterior(self, logs: FloatArray, present: BoolArray) -> FloatArray:
+        """(n, C) from (M, n, C) logarithms of posteriors; present: (M, n), a missing modality says nothing."""
+        return log_softmax(self._score(logs, present))
+
+    def _score(self, logs: FloatArray, present: BoolArray) -> FloatArray:
+        score: FloatArray = np.einsum("mnc,mc->nc", np.where(present[..., None], logs, 0.0), self.weight)
+        return score + self.offset
+
+
+def fit_pool(logs: FloatArray, present: BoolArray, target: IntArray, centre: float = 1.0) -> Pool:
+    """The most probable weights and offsets for (M, n, C) logarithms of posteriors of points left out, (n,) classes.
+
+    centre: of the weights before any data
+    """
+    modalities, count, classes = logs.shape
+    shown = np.where(present[..., None], logs, 0.0)
+    row = np.arange(count)
+
+    def loss(parameters: FloatArray) -> tuple[float, FloatArray]:
+        weight, offset = parameters[:-classes].reshape(modalities, classes), parameters[-classes:]
+        log_posterior = log_softmax(np.einsum("mnc,mc->nc", shown, weight) + offset)
+        wrong = np.exp(log_posterior)
+        wrong[row, target] -= 1.0
+        mean = weight.mean(axis=1, keepdims=True)
+        penalty = (
+            ((weight - mean) ** 2).sum() / CLASS_DEVIATION**2
+            + ((mean - centre) ** 2).sum() / MODALITY_DEVIATION**2
+            + (offset**2).sum() / OFFSET_DEVIATION**2
+        )
+        by_weight = np.einsum("mnc,nc->mc", shown, wrong)
+        by_weight += (weight - mean) / CLASS_DEVIATION**2 + (mean - centre) / (MODALITY_DEVIATION**2 * classes)
+        gradient = np.concatenate([by_weight.ravel(), wrong.sum(axis=0) + offset / OFFSET_DEVIATION**2])
+        return float(0.5 * penalty - log_posterior[row, target].sum()), gradient
+
+    start = np.concatenate([np.full(modalities * classes, centre), np.zeros(classes)])
+    bounds = [(0.0, None)] * (modalities * classes) + [(None, None)] * classes
+    found = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 100, "ftol": 1e-7}).x
+    return Pool(found[:-classes].reshape(modalities, classes), found[-classes:])
+
+
+# One modality --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """A classifier of a modality. name: which; columns: so many components it takes, None = all"""
+
+    name: Name
+    columns: int | None
+    classifier: Classifier
+
+    def log_posterior(self, test: FloatArray) -> FloatArray:
+        """(m, C) of (m, d) components."""
+        return self.classifier.log_posterior(test[:, : self.columns])
+
+
+@dataclass(frozen=True, slots=True)
+class Expert:
+    """A modality's classifiers on its components, pooled into one calibrated posterior."""
+
+    members: tuple[Member, ...]
+    pool: Pool
+
+    def log_posterior(self, test: FloatArray) -> FloatArray:
+        """(m, C) calibrated, of (m, d) components."""
+        return everywhere(self.pool, np.stack([one.log_posterior(test) for one in self.members]))
+
+
+def everywhere(pool: Pool, logs: FloatArray) -> FloatArray:
+    """(n, C) pooled of (M, n, C), none of which is missing."""
+    return pool.log_posterior(logs, np.ones(logs.shape[:2], dtype=bool))
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """An expert, with what it says of its training points when they are left out.
+
+    logs: (n, C) calibrated; known: (n,) whether there was another point, or group, of the class to learn it from
+    """
+
+    expert: Expert
+    logs: FloatArray
+    known: BoolArray
+
+
+def folds_of(target: IntArray, apart: IntArray | None, seed: int) -> IntArray:
+    """(n,) fold of each point: every class, or every class's groups, spread over `FOLDS`."""
+    rng = np.random.default_rng(seed)
+    group = np.arange(len(target)) if apart is None else np.unique(apart, return_inverse=True)[1].reshape(-1)
+    fold = np.full(int(group.max()) + 1, -1)
+    following = 0
+    for one in rng.permutation(int(target.max()) + 1):
+        members = rng.permutation(np.unique(group[target == one]))
+        free = members[fold[members] < 0]
+        fold[free] = (following + np.arange(len(free))) % FOLDS
+        following += len(free)
+    return np.asarray(fold[group])
+
+
+def fit_expert(
+    points: FloatArray,
+    kept: int,
+    raw: int,
+    target: IntArray,
+    classes: int,
+    apart: IntArray | None,
+    *,
+    seed: int = 0,
+    names: Sequence[Name] = NAMES,
+) -> Fitted:
+    """All classifiers that a modality can have, pooled by what they say of points left out.
+
+    points: (n, d) components of the training side, the first `kept` of which hold 80 % of the variance; raw: columns
+    before the rotation; apart: (n,) groups that are left out together, or None
+    """
+    fold = folds_of(target, apart, seed)
+    known = np.zeros(len(target), dtype=bool)
+    for one in range(FOLDS):
+        inside = fold == one
+        known[inside] = np.isin(target[inside], target[~inside])
+    members, said = [], []
+    for name in names:
+        if not usable(name, raw):
+            continue
+        columns = columns_of(name, kept)
+        chosen = points[:, :columns]
+        if name in ("knn", "knn-raw"):
+            squared = left_out(chosen, apart)
+            k = neighbour_count(squared, target, classes)
+            logs = votes(squared, target, k, classes)
+            members.append(Member(name, columns, Neighbours(chosen, target, k, classes)))
+        else:
+            logs = np.full((len(target), classes), -np.log(classes))
+            for one in np.unique(fold):
+                inside = fold == one
+                if not inside.all():
+                    logs[inside] = fit(name, chosen[~inside], target[~inside], classes).log_posterior(chosen[inside])
+            members.append(Member(name, columns, fit(name, chosen, target, classes)))
+        said.append(logs)
+    stacked = np.stack(said)
+    rows = np.ones((len(said), int(known.sum())), dtype=bool)
+    pool = fit_pool(stacked[:, known], rows, target[known], 1.0 / len(said))
+    return Fitted(Expert(tuple(members), pool), everywhere(pool, stacked), known)
+
+
+# Several modalities --------------------------------------------------------------------------------------------------
+
+
+def fuse(pool: Pool, logs: FloatArray, present: BoolArray) -> FloatArray:
+    """(n, C) fused of (M, n, C) calibrated ones. Where one modality is there, it is that modality's own posterior;
+    where none is, nothing is known but the offsets.
+
+    present: (M, n) which modalities there are
+    """
+    fused = pool.log_posterior(logs, present)
+    alone = present.sum(axis=0) == 1
+    if alone.any():
+        fused[alone] = logs[present[:, alone].argmax(axis=0), np.flatnonzero(alone)]
+    return fused

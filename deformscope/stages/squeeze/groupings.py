@@ -1,0 +1,116 @@
+"""Natural groupings of the features, and how normal they are (Thesis 2.4.3.1, 2.4.3.4, 2.5.2).
+
+They describe the table as a whole; nothing that is said of a classifier rests on them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.stages.squeeze.components import fit_scaling, kept_of, loadings
+from deformscope.stages.squeeze.intervals import lilliefors
+from deformscope.stages.squeeze.table import LabelledTable
+from deformscope.stages.squeeze.trial_run import joined_name
+
+RUNS = 10
+"""Of k-means, each from other starting points (Thesis 2.5.2)."""
+ALPHA = 0.05
+"""Significance level of the test for a normal distribution (Thesis 2.4.3.4)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Clusters:
+    """k-means in the components that hold 80 % of the variance, with as many clusters as classes.
+
+    rand: (RUNS,) adjusted Rand index of each run; plane: (n, 2) trials on the two largest components; rows: (n,) which
+    trials; cluster: (n,) of the tightest run; centroid: (k, 2) of that run; explained: of the variance, by the two
+    """
+
+    rand: FloatArray
+    plane: FloatArray
+    rows: IntArray
+    cluster: IntArray
+    centroid: FloatArray
+    explained: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Normality:
+    """Lilliefors' test of each component, at `ALPHA`.
+
+    pooled: p-values over all trials; within: (C, d) within each class, which is what QDA assumes, NaN where a class has
+    fewer than four trials
+    """
+
+    pooled: FloatArray
+    within: FloatArray
+
+    @property
+    def normal_pooled(self) -> tuple[int, int]:
+        """Components that pass, and components tested."""
+        return int((self.pooled > ALPHA).sum()), int(np.isfinite(self.pooled).sum())
+
+    @property
+    def normal_within(self) -> tuple[int, int]:
+        """Components of classes that pass, and those tested."""
+        return int((self.within > ALPHA).sum()), int(np.isfinite(self.within).sum())
+
+
+def described(table: LabelledTable) -> dict[str, tuple[IntArray, FloatArray, FloatArray]]:
+    """By modality, and of all of them joined: trials that have it, components (n, d) of these that hold 80 % of the
+    variance, and the variances of all components."""
+    found: dict[str, tuple[IntArray, FloatArray]] = {}
+    for name, values in table.modalities.items():
+        rows = np.flatnonzero(~table.missing(name))
+        found[name] = rows, fit_scaling(values[rows]).apply(values[rows])
+    if len(found) > 1:
+        rows = np.flatnonzero(~np.any([table.missing(name) for name in table.modalities], axis=0))
+        if len(rows) > 1:
+            joined = [fit_scaling(values[rows]).apply(values[rows]) for values in table.modalities.values()]
+            found[joined_name(list(table.modalities))] = rows, np.concatenate(joined, axis=1)
+    made = {}
+    for name, (rows, scaled) in found.items():
+        directions, variance = loadings(scaled)
+        kept = max(kept_of(variance), min(2, directions.shape[1]))
+        made[name] = rows, (scaled - scaled.mean(axis=0)) @ directions[:, :kept], variance
+    return made
+
+
+def clusters(table: LabelledTable, seed: int) -> Mapping[str, Clusters]:
+    """Of each modality, and of all joined."""
+    from sklearn.cluster import KMeans
+    from sklearn.metrics import adjusted_rand_score
+
+    found = {}
+    for name, (rows, points, variance) in described(table).items():
+        wanted = len(np.unique(table.label[rows]))
+        if not points.shape[1] or len(np.unique(points, axis=0)) < wanted:
+            continue
+        runs = [KMeans(wanted, n_init=1, random_state=seed * RUNS + run).fit(points) for run in range(RUNS)]
+        rand = np.array([adjusted_rand_score(table.target[rows], run.labels_) for run in runs])
+        tightest = min(runs, key=lambda run: float(run.inertia_))
+        plane, centre = (_two(one) for one in (points, tightest.cluster_centers_))
+        found[name] = Clusters(rand, plane, rows, tightest.labels_, centre, variance[:2] / variance.sum())
+    return found
+
+
+def _two(points: FloatArray) -> FloatArray:
+    """The first two columns, a column of zeros where there is one alone."""
+    return np.pad(points, ((0, 0), (0, max(0, 2 - points.shape[1]))))[:, :2]
+
+
+def normality(table: LabelledTable) -> Mapping[str, Normality]:
+    """Of each modality, and of all joined."""
+    found = {}
+    for name, (rows, points, _) in described(table).items():
+        target = table.target[rows]
+        pooled = np.array([lilliefors(column)[1] for column in points.T])
+        within = np.array(
+            [[lilliefors(column[target == one])[1] for column in points.T] for one in range(len(table.classes))]
+        )
+        found[name] = Normality(pooled, within)
+    return found

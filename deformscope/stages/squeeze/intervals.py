@@ -1,0 +1,116 @@
+"""How sure an evaluation is: intervals and comparisons over splits that share their trials."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from scipy import stats
+
+from deformscope.arrays import FloatArray
+
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Estimated:
+    """A number with its interval."""
+
+    value: float
+    interval: Interval
+
+
+def wilson(share: float, count: float, level: float) -> Interval:
+    """Interval of a share that was seen in so many independent trials (Wilson 1927)."""
+    if count <= 0:
+        return 0.0, 1.0
+    z2 = float(stats.norm.ppf(0.5 + level / 2)) ** 2
+    middle = (share + z2 / (2 * count)) / (1 + z2 / count)
+    half = np.sqrt(z2 * share * (1 - share) / count + (z2 / (2 * count)) ** 2) / (1 + z2 / count)
+    return max(0.0, float(middle - half)), min(1.0, float(middle + half))
+
+
+def corrected_deviation(values: FloatArray, ratio: float) -> float:
+    """Standard deviation of the mean of (J,) values over splits: splits share trials, so that the variance is that of
+    one split times 1 / J + test / train (Nadeau and Bengio 2003, 4). ratio: tested trials over training ones"""
+    if len(values) < 2:
+        return float("nan")
+    return float(np.sqrt((1.0 / len(values) + ratio) * np.var(values, ddof=1)))
+
+
+def over_splits(values: FloatArray, ratio: float, level: float, trials: float | None = None) -> Estimated:
+    """The mean over splits with its corrected interval.
+
+    trials: independent ones there are at all, of a share; the interval is then no narrower than Wilson's for so many,
+    since splits that are all perfect say no more than that
+    """
+    found = values[np.isfinite(values)]
+    if not found.size:
+        return Estimated(float("nan"), (float("nan"), float("nan")))
+    mean, deviation = float(found.mean()), corrected_deviation(found, ratio)
+    half = float(stats.t.ppf(0.5 + level / 2, len(found) - 1)) * deviation if len(found) > 1 else np.nan
+    low, high = (mean - half, mean + half) if np.isfinite(half) else (mean, mean)
+    if trials is not None:
+        least = wilson(mean, trials, level)
+        low, high = max(0.0, min(low, least[0])), min(1.0, max(high, least[1]))
+    return Estimated(mean, (low, high))
+
+
+def difference(one: FloatArray, other: FloatArray, ratio: float, level: float) -> tuple[Estimated, float]:
+    """Mean of one - other over the same splits with its interval, and the two-sided p-value of the corrected resampled
+    t-test (Nadeau and Bengio 2003)."""
+    apart = one - other
+    apart = apart[np.isfinite(apart)]
+    found = over_splits(apart, ratio, level)
+    deviation = corrected_deviation(apart, ratio)
+    if not np.isfinite(deviation) or deviation == 0.0:
+        return found, 1.0 if found.value == 0.0 or not np.isfinite(deviation) else 0.0
+    return found, float(2 * stats.t.sf(abs(found.value) / deviation, len(apart) - 1))
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """p-values corrected for their number (Holm 1979)."""
+    order = np.argsort(p_values)
+    corrected = np.empty(len(order))
+    highest = 0.0
+    for rank, index in enumerate(order):
+        highest = max(highest, min(1.0, (len(order) - rank) * p_values[index]))
+        corrected[index] = highest
+    return [float(one) for one in corrected]
+
+
+# Normality -----------------------------------------------------------------------------------------------------------
+
+LILLIEFORS_DRAWS = 4000
+"""Normal samples that a p-value is counted among: 0.05 is then known within 0.004."""
+
+
+def lilliefors(values: FloatArray) -> tuple[float, float]:
+    """Distance of (n,) values from the normal distribution of their mean and deviation, and its p-value: the
+    Kolmogorov-Smirnov test where mean and deviation come from the same sample (Lilliefors 1967).
+
+    NaN for fewer than four values or equal ones.
+    """
+    if len(values) < 4 or not np.ptp(values) > 0.0:
+        return float("nan"), float("nan")
+    found = float(_distance(values[None])[0])
+    null = _null_distances(len(values))
+    return found, float((1 + (null >= found).sum()) / (1 + len(null)))
+
+
+@cache
+def _null_distances(count: int) -> FloatArray:
+    rng = np.random.default_rng(count)
+    return np.concatenate([_distance(rng.normal(size=(500, count))) for _ in range(LILLIEFORS_DRAWS // 500)])
+
+
+def _distance(samples: FloatArray) -> FloatArray:
+    """(s,) Kolmogorov-Smirnov distances of (s, n) samples."""
+    count = samples.shape[1]
+    ordered = np.sort(samples, axis=1)
+    mean, deviation = ordered.mean(axis=1, keepdims=True), ordered.std(axis=1, ddof=1, keepdims=True)
+    share = stats.norm.cdf((ordered - mean) / deviation)
+    step = np.arange(1, count + 1) / count
+    return np.asarray(np.maximum((step - share).max(axis=1), (share - step + 1.0 / count).max(axis=1)))

@@ -1,0 +1,157 @@
+"""A trained classifier of contents: everything a new squeeze needs, as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.stages.squeeze.components import Scaling, fit_scaling, kept_of, loadings
+from deformscope.stages.squeeze.evaluation import Progress, held_values
+from deformscope.stages.squeeze.fusion import Expert, Pool, fit_expert, fit_pool, fuse
+from deformscope.stages.squeeze.table import LabelledTable
+
+
+@dataclass(frozen=True, slots=True)
+class ModalityModel:
+    """One modality, from features to a calibrated posterior.
+
+    scaling: of its p columns, q of which are used; centre: (q,), directions: (q, d) of the components; expert: on these
+    """
+
+    scaling: Scaling
+    centre: FloatArray
+    directions: FloatArray
+    expert: Expert
+
+    @property
+    def columns(self) -> int:
+        """p"""
+        return len(self.scaling.used)
+
+    def log_posterior(self, features: FloatArray) -> FloatArray:
+        """(n, C) of (n, p) features."""
+        return self.expert.log_posterior((self.scaling.apply(features) - self.centre) @ self.directions)
+
+
+@dataclass(frozen=True, slots=True)
+class ContentModel:
+    """What is in a container, from any of its modalities.
+
+    labels: C contents; modalities: by name; fusion: of these, in their order; steps: by modality one model for each
+    step of the squeeze, `step_s` apart; settings: of the features, as whoever computed them wrote them down: a squeeze
+    must have the same; promised: accuracy with its interval, as evaluated; provenance: versions and source
+    """
+
+    labels: tuple[str, ...]
+    modalities: Mapping[str, ModalityModel]
+    fusion: Pool
+    steps: Mapping[str, tuple[ModalityModel, ...]] = field(default_factory=dict)
+    step_s: float = 0.1
+    settings: Mapping[str, object] = field(default_factory=dict)
+    promised: Mapping[str, object] = field(default_factory=dict)
+    provenance: Mapping[str, object] = field(default_factory=dict)
+
+    def predict_proba(self, features: Mapping[str, FloatArray]) -> FloatArray:
+        """(n, C) posterior of (n, p) features by modality, C as in `labels`.
+
+        A modality may be left out, or its row be all NaN: then the others decide. Raises InputError for one that the
+        model does not know, other numbers of columns, and a trial of which nothing is known.
+        """
+        if unknown := [name for name in features if name not in self.modalities]:
+            raise InputError(f"modalities out of {', '.join(self.modalities)}", ", ".join(unknown))
+        if not features:
+            raise InputError(f"features of {' or '.join(self.modalities)}", "none")
+        counts = {len(values) for values in features.values()}
+        if len(counts) > 1:
+            raise InputError("as many rows in every modality", ", ".join(map(str, sorted(counts))))
+        count = counts.pop()
+        logs = np.zeros((len(self.modalities), count, len(self.labels)))
+        present = np.zeros(logs.shape[:2], dtype=bool)
+        for index, (name, model) in enumerate(self.modalities.items()):
+            if name in features:
+                values = features[name]
+                present[index] = ~np.isnan(checked(name, values, model)).all(axis=1)
+                logs[index, present[index]] = model.log_posterior(values[present[index]])
+        if not present.any(axis=0).all():
+            row = int(np.flatnonzero(~present.any(axis=0))[0])
+            raise InputError("features of each trial", f"none at all in row {row + 1}")
+        return np.exp(fuse(self.fusion, logs, present))
+
+    def predict_step(self, modality: str, step: int, features: FloatArray) -> FloatArray:
+        """(n, C) posterior from (n, p) features so many steps after the first contact; later ones than any in training
+        are taken as the last. Raises InputError for a modality without steps."""
+        if modality not in self.steps:
+            raise InputError(f"a modality with steps: {', '.join(self.steps) or 'none'}", modality)
+        models = self.steps[modality]
+        model = models[min(step, len(models) - 1)]
+        return np.exp(model.log_posterior(checked(modality, features, model)))
+
+
+def checked(name: str, features: FloatArray, model: ModalityModel) -> FloatArray:
+    """The same features. Raises InputError for what does not fit the model."""
+    if features.ndim != 2 or features.shape[1] != model.columns:
+        raise InputError(f"(n, {model.columns}) features in {name}, as in training", f"shape {features.shape}")
+    if np.isinf(features).any():
+        raise InputError(f"finite numbers in {name}", "infinity")
+    return features
+
+
+def fit_model(
+    table: LabelledTable,
+    *,
+    by_group: bool,
+    seed: int = 0,
+    settings: Mapping[str, object] | None = None,
+    promised: Mapping[str, object] | None = None,
+    provenance: Mapping[str, object] | None = None,
+    progress: Progress | None = None,
+) -> ContentModel:
+    """Trained on all trials, as the evaluation trains on a training side. by_group: groups are left out together when
+    posteriors are calibrated and modalities weighed"""
+    group = np.unique(table.group, return_inverse=True)[1].reshape(-1) if by_group and table.group is not None else None
+    target, classes = table.target, len(table.classes)
+    models = {}
+    shape = len(table.modalities), len(table)
+    logs, known = np.zeros((*shape, classes)), np.zeros(shape, dtype=bool)
+    for index, (name, values) in enumerate(table.modalities.items()):
+        rows = np.flatnonzero(~table.missing(name))
+        models[name], logs[index, rows], known[index, rows] = _fit_modality(values, rows, target, classes, group, seed)
+    usable = known.any(axis=0)
+    steps: dict[str, tuple[ModalityModel, ...]] = {}
+    for name, series in table.series.items():
+        held = held_values(series)
+        found = []
+        for step in range(held.shape[1]):
+            if progress is not None:
+                progress(f"training the steps of {name}", step, held.shape[1])
+            rows = np.flatnonzero(~np.isnan(held[:, step]).all(axis=1))
+            if len(np.unique(target[rows])) > 1:
+                found.append(_fit_modality(held[:, step], rows, target, classes, group, seed)[0])
+        steps[name] = tuple(found)
+    return ContentModel(
+        labels=table.classes,
+        modalities=models,
+        fusion=fit_pool(logs[:, usable], known[:, usable], target[usable]),
+        steps=steps,
+        step_s=table.step_s,
+        settings=settings or {},
+        promised=promised or {},
+        provenance=provenance or {},
+    )
+
+
+def _fit_modality(
+    values: FloatArray, rows: IntArray, target: IntArray, classes: int, group: IntArray | None, seed: int
+) -> tuple[ModalityModel, FloatArray, FloatArray]:
+    scaling = fit_scaling(values[rows])
+    scaled = scaling.apply(values[rows])
+    directions, variance = loadings(scaled)
+    centre = scaled.mean(axis=0)
+    apart = None if group is None else group[rows]
+    points = (scaled - centre) @ directions
+    fitted = fit_expert(points, kept_of(variance), scaled.shape[1], target[rows], classes, apart, seed=seed)
+    return ModalityModel(scaling, centre, directions, fitted.expert), fitted.logs, fitted.known

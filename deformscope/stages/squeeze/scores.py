@@ -1,0 +1,181 @@
+"""What the answers over all splits come to: accuracy, confusion and calibration, each with its interval."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy import stats
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.stages.squeeze.intervals import Estimated, Interval, over_splits, wilson
+from deformscope.stages.squeeze.splits import Protocol, Split
+from deformscope.stages.squeeze.table import LabelledTable, TextArray
+from deformscope.stages.squeeze.trial_run import Key, Method, Outcome
+
+BINS = 10
+"""Of the reliability diagram."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reliability:
+    """How often answers of a probability are right.
+
+    sure: (B,) mean posterior of the answers in each bin; right: (B,) share that was right; count: (B,) answers over all
+    splits; band: (B, 2) within which `right` lies for a perfectly calibrated classifier, at the evaluation's level
+    """
+
+    sure: FloatArray
+    right: FloatArray
+    count: IntArray
+    band: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """How a method does on a modality.
+
+    fusion: none, early (columns joined) or late (posteriors pooled); chance: the no-information rate, of always naming
+    the most frequent class; confusion: (C, C) answers over all splits, row = truth; trials: (C,) different trials of
+    each class that were tested; calibration_error: mean distance of posterior and share right, over the bins;
+    overconfidence: mean posterior less share right; log_loss: mean; components: mean number in use; pair: trained and
+    tested kinds, of a transfer; split_accuracy: (J,)
+    """
+
+    modality: str
+    method: Method
+    protocol: Protocol | Literal["transfer"]
+    fusion: Literal["none", "early", "late"]
+    accuracy: Estimated
+    balanced: Estimated
+    chance: float
+    confusion: IntArray
+    trials: IntArray
+    calibration_error: float
+    overconfidence: Estimated
+    log_loss: float
+    reliability: Reliability
+    components: float
+    level: float
+    pair: tuple[str, str] | None
+    split_accuracy: FloatArray
+
+    @property
+    def splits(self) -> int:
+        return len(self.split_accuracy)
+
+    @property
+    def shares(self) -> FloatArray:
+        """(C, C) rows of the confusion as shares; NaN for a class that was never tested."""
+        total = self.confusion.sum(axis=1, keepdims=True)
+        return np.where(total > 0, self.confusion / np.maximum(total, 1), np.nan)
+
+    def share_interval(self, truth: int, answer: int) -> Interval:
+        """Wilson's interval of an entry of `shares`, from `trials`: splits test the same ones again."""
+        return wilson(float(self.shares[truth, answer]), float(self.trials[truth]), self.level)
+
+
+def accuracy_of(outcome: Outcome, target: IntArray) -> float:
+    """Share of the tested trials whose class was named; NaN where none was tested."""
+    return float((outcome.answer == target[outcome.rows]).mean()) if len(outcome.rows) else float("nan")
+
+
+def recalls(outcome: Outcome, target: IntArray, classes: int) -> FloatArray:
+    """(C,) share of each class that was named; NaN where none of it was tested."""
+    truth = target[outcome.rows]
+    tested = np.bincount(truth, minlength=classes)
+    right = np.bincount(truth[outcome.answer == truth], minlength=classes)
+    return np.where(tested > 0, right / np.maximum(tested, 1), np.nan)
+
+
+def tested_ratio(splits: Sequence[Split]) -> float:
+    """Tested trials over training ones, on average."""
+    return float(np.mean([len(one.test) / len(one.train) for one in splits]))
+
+
+def independent(share: FloatArray, group: TextArray | None) -> float:
+    """How many independent trials (n,) trials are worth whose answers are right in such a share of the splits: fewer
+    where the trials of a group, (n,), err together, down to the number of groups, which it is where all answers are
+    right (the design effect of Kish 1965, 5.4)."""
+    if group is None:
+        return float(len(share))
+    _, index, size = np.unique(group, return_inverse=True, return_counts=True)
+    mean = share.mean()
+    between = float((size * (np.bincount(index.reshape(-1), share) / size - mean) ** 2).sum() / max(len(size) - 1, 1))
+    single = mean * (1.0 - mean)
+    largest = len(share) / len(size)
+    effect = largest if single <= 0.0 or len(size) < 2 else min(max(between / single, 1.0), largest)
+    return float(len(share) / effect)
+
+
+def score_of(
+    table: LabelledTable,
+    key: Key,
+    protocol: Protocol | Literal["transfer"],
+    splits: Sequence[Split],
+    outcomes: Sequence[Outcome],
+    level: float,
+    pair: tuple[str, str] | None = None,
+) -> Score:
+    """From the outcomes of one method on one modality, split by split."""
+    target, classes = table.target, len(table.classes)
+    accuracy = np.array([accuracy_of(one, target) for one in outcomes])
+    recall = np.array([recalls(one, target, classes) for one in outcomes])
+    tested = np.unique(np.concatenate([one.rows for one in outcomes]))
+    confusion = np.zeros((classes, classes), dtype=np.int64)
+    for one in outcomes:
+        np.add.at(confusion, (target[one.rows], one.answer), 1)
+    by_group = protocol in ("group", "transfer") and table.group is not None
+    ratio = tested_ratio(splits)
+    with np.errstate(invalid="ignore"):
+        balanced = np.array([np.mean(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in recall])
+    rows = np.concatenate([one.rows for one in outcomes])
+    right = np.concatenate([one.answer == target[one.rows] for one in outcomes])
+    share = np.bincount(rows, right, len(table))[tested] / np.bincount(rows, minlength=len(table))[tested]
+    units = independent(share, table.group[tested] if by_group and table.group is not None else None)
+    sure = np.concatenate([one.sure for one in outcomes])
+    log_truth = np.concatenate([one.log_truth for one in outcomes])
+    over = np.array(
+        [float(np.mean(one.sure) - accuracy_of(one, target)) if len(one.rows) else np.nan for one in outcomes]
+    )
+    repeats = len(right) / max(len(tested), 1)
+    reliability = reliability_of(sure, right, repeats, level)
+    filled = reliability.count > 0
+    error = np.abs(reliability.sure - reliability.right)[filled] @ reliability.count[filled] / max(len(right), 1)
+    modality, method = key
+    trials = np.bincount(target[tested], minlength=classes)
+    return Score(
+        modality=modality,
+        method=method,
+        protocol=protocol,
+        fusion="late" if method == "late-fusion" else "none" if modality in table.modalities else "early",
+        accuracy=over_splits(accuracy, ratio, level, units),
+        balanced=over_splits(balanced, ratio, level, units),
+        chance=float(trials.max() / max(int(trials.sum()), 1)),
+        confusion=confusion,
+        trials=trials,
+        calibration_error=float(error),
+        overconfidence=over_splits(over, ratio, level),
+        log_loss=float(-log_truth.mean()) if len(log_truth) else float("nan"),
+        reliability=reliability,
+        components=float(np.mean([one.components for one in outcomes])),
+        level=level,
+        pair=pair,
+        split_accuracy=accuracy,
+    )
+
+
+def reliability_of(sure: FloatArray, right: IntArray, repeats: float, level: float) -> Reliability:
+    """sure, right: (n,) of every answer; repeats: how often each trial was answered on average."""
+    bins = np.minimum((sure * BINS).astype(int), BINS - 1)
+    count = np.bincount(bins, minlength=BINS)
+    many = np.maximum(count, 1)
+    mean = np.where(count > 0, np.bincount(bins, sure, BINS) / many, np.nan)
+    share = np.where(count > 0, np.bincount(bins, right.astype(float), BINS) / many, np.nan)
+    trials = np.maximum(np.round(count / max(repeats, 1.0)), 1.0)
+    low, high = (
+        stats.binom.ppf(tail, trials, np.nan_to_num(mean)) / trials for tail in (0.5 - level / 2, 0.5 + level / 2)
+    )
+    return Reliability(mean, share, count, np.stack([low, high], axis=1))

@@ -1,0 +1,143 @@
+"""Trials with their labels and features: what every classifier is trained on, whoever measured it."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.errors import InputError
+
+TextArray = npt.NDArray[np.str_]
+
+LISTED = 4
+"""So many names are listed in a message; of the others there is the number."""
+
+
+@dataclass(frozen=True, slots=True)
+class LabelledTable:
+    """N trials of known content.
+
+    label: (N,) content; group: (N,) what may not stand on both sides of a split, such as the container or the session,
+    or None; modalities: by name (N, p) features; NaN = not measured, a whole row of NaN = the modality is missing there
+    kind: (N,) such as the container's type, between which transfer is evaluated, or None; trial: (N,) names for
+    messages, or None; series: by name (N, T, p) features over the squeeze, NaN once a trial has ended
+    step_s: between two of its T steps [s]
+    Raises InputError for what does not fit together.
+    """
+
+    label: TextArray
+    group: TextArray | None
+    modalities: Mapping[str, FloatArray]
+    kind: TextArray | None = None
+    trial: TextArray | None = None
+    series: Mapping[str, FloatArray] = field(default_factory=dict)
+    step_s: float = 0.1
+
+    def __post_init__(self) -> None:
+        count = len(self.label)
+        if not self.modalities:
+            raise InputError("at least one modality", "none", "an array of features beside `label`")
+        for name in ("group", "kind", "trial"):
+            column = getattr(self, name)
+            if column is not None and column.shape != (count,):
+                raise InputError(f"a {name} for each of {count} labels", f"shape {column.shape}")
+        for named, dimensions in ((self.modalities, 2), (self.series, 3)):
+            for name, values in named.items():
+                if values.ndim != dimensions or len(values) != count or 0 in values.shape:
+                    raise InputError(f"{count} rows of features in {name}, as many as labels", f"shape {values.shape}")
+                if np.isinf(values).any():
+                    row = int(np.flatnonzero(np.isinf(values).reshape(count, -1).any(axis=1))[0])
+                    raise InputError(f"finite numbers in {name}", f"infinity in {self.name(row)}")
+                if np.isnan(values).all():
+                    raise InputError(f"numbers in {name}", "none at all", "leave it out")
+        if len(self.classes) < 2:
+            raise InputError("at least two different labels", ", ".join(map(repr, self.classes)) or "none")
+
+    def __len__(self) -> int:
+        return len(self.label)
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """The labels that occur, sorted."""
+        return tuple(map(str, np.unique(self.label)))
+
+    @property
+    def target(self) -> IntArray:
+        """(N,) index of each trial's label among `classes`."""
+        return np.unique(self.label, return_inverse=True)[1].reshape(-1)
+
+    def name(self, row: int) -> str:
+        """How a message names a trial."""
+        return f"row {row + 1}" if self.trial is None else f"trial {self.trial[row]}"
+
+    def missing(self, modality: str) -> BoolArray:
+        """(N,) whether nothing of a modality was measured."""
+        return np.isnan(self.modalities[modality]).all(axis=1)
+
+    def rows(self, chosen: BoolArray | IntArray) -> LabelledTable:
+        """Some of the trials."""
+        return LabelledTable(
+            self.label[chosen],
+            None if self.group is None else self.group[chosen],
+            {name: values[chosen] for name, values in self.modalities.items()},
+            None if self.kind is None else self.kind[chosen],
+            None if self.trial is None else self.trial[chosen],
+            {name: values[chosen] for name, values in self.series.items()},
+            self.step_s,
+        )
+
+    def of(self, modalities: Sequence[str]) -> LabelledTable:
+        """Some of the modalities, in that order. Raises InputError for one that is not there."""
+        if unknown := [name for name in modalities if name not in self.modalities]:
+            raise InputError(f"modalities out of {', '.join(self.modalities)}", ", ".join(unknown))
+        return replace(
+            self,
+            modalities={name: self.modalities[name] for name in modalities},
+            series={name: values for name, values in self.series.items() if name in modalities},
+        )
+
+    def merged(self, merges: Mapping[str, Sequence[str]]) -> LabelledTable:
+        """The same trials in fewer classes: new label -> labels that become it, as in `liquid: water, yogurt`."""
+        label = self.label.astype(object)
+        for name, members in merges.items():
+            if unknown := [one for one in members if one not in self.classes]:
+                raise InputError(f"labels out of {', '.join(self.classes)}", ", ".join(map(repr, unknown)))
+            label[np.isin(self.label, members)] = name
+        return replace(self, label=label.astype(np.str_))
+
+
+def duplicates(table: LabelledTable) -> list[tuple[int, ...]]:
+    """Rows that are equal in every modality: across a split they would be known before they are tested."""
+    found: dict[bytes, list[int]] = defaultdict(list)
+    for row in range(len(table)):
+        found[b"".join((values[row] + 0.0).tobytes() for values in table.modalities.values())].append(row)
+    return [tuple(rows) for rows in found.values() if len(rows) > 1]
+
+
+def refuse_duplicates(table: LabelledTable) -> None:
+    """Raises InputError with the names of the trials that stand there twice."""
+    found = duplicates(table)
+    if not found:
+        return
+    shown = "; ".join(" = ".join(map(table.name, rows)) for rows in found[:LISTED])
+    more = f" and {len(found) - LISTED} more" if len(found) > LISTED else ""
+    raise InputError(
+        "trials that differ: a copy on the other side of a split would be recognised, not classified",
+        f"{shown}{more} with the same features",
+        "leave the copies out, or --duplicates drop",
+    )
+
+
+def without_duplicates(table: LabelledTable) -> LabelledTable:
+    """The first of each set of equal rows. Raises InputError where equal rows have different labels."""
+    drop = np.zeros(len(table), dtype=bool)
+    for rows in duplicates(table):
+        if len({str(table.label[row]) for row in rows}) > 1:
+            raise InputError("equal trials with one label", f"{' = '.join(map(table.name, rows))} with several")
+        drop[list(rows[1:])] = True
+    return table.rows(~drop)

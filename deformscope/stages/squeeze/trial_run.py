@@ -1,0 +1,222 @@
+"""One split: every classifier of every modality, early and late fusion, trained on one side and tested on the other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.stages.squeeze.classifiers import NAMES, Name, columns_of, fit, usable
+from deformscope.stages.squeeze.components import Space, fit_scaling, project
+from deformscope.stages.squeeze.fusion import Fitted, fit_expert, fit_pool, fuse
+from deformscope.stages.squeeze.splits import Split
+
+Costly = Literal["boosting", "gaussian-process"]
+COSTLY: tuple[Costly, ...] = ("boosting", "gaussian-process")
+Method = Name | Costly | Literal["pooled", "late-fusion"]
+Key = tuple[str, Method]
+"""Modality, or several with + between them; and method."""
+
+FEW_COLUMNS = 200
+"""Boosting and the Gaussian process take raw columns up to so many, else components."""
+LENGTHS = (0.5, 1.0, 2.0)
+"""Of the median distance: length scales of the Gaussian process, the likeliest of which is taken."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a classifier answered. rows: (m,) tested trials; answer: (m,) classes; sure: (m,) posteriors of these;
+    log_truth: (m,) logarithm of the true class's posterior; components: so many were in use"""
+
+    rows: IntArray
+    answer: IntArray
+    sure: FloatArray
+    log_truth: FloatArray
+    components: int
+
+
+def joined_name(modalities: Sequence[str]) -> str:
+    """How several modalities together are called."""
+    return "+".join(modalities)
+
+
+def outcome_of(rows: IntArray, logs: FloatArray, target: IntArray, components: int) -> Outcome:
+    """From (m, C) logarithms of posteriors and (m,) true classes."""
+    answer = logs.argmax(axis=1)
+    row = np.arange(len(rows))
+    return Outcome(rows, answer, np.exp(logs[row, answer]), logs[row, target], components)
+
+
+@dataclass(frozen=True, slots=True)
+class Sides:
+    """A modality on both sides of a split: rows where it was measured, standardised, and on components."""
+
+    train: IntArray
+    test: IntArray
+    scaled_train: FloatArray
+    scaled_test: FloatArray
+    space: Space
+
+
+def sides_of(features: Mapping[str, FloatArray], missing: Mapping[str, BoolArray], split: Split) -> dict[str, Sides]:
+    """Every modality by itself, and all of them joined: early fusion, standardised columns side by side."""
+    scaled: dict[str, tuple[IntArray, IntArray, FloatArray, FloatArray]] = {}
+    for name, values in features.items():
+        train, test = split.train[~missing[name][split.train]], split.test[~missing[name][split.test]]
+        if len(train):
+            scaling = fit_scaling(values[train])
+            scaled[name] = (train, test, scaling.apply(values[train]), scaling.apply(values[test]))
+    grams: dict[str, FloatArray] = {}
+    for name, (train, _, one, other) in scaled.items():
+        if one.shape[1] > len(train):
+            both = np.concatenate([one, other])
+            grams[name] = both @ both.T
+    found = {name: Sides(*four, project(four[2], four[3], grams.get(name))) for name, four in scaled.items()}
+    if len(features) > 1 and len(scaled) == len(features):
+        found[joined_name(list(features))] = _joined(scaled, grams, split)
+    return found
+
+
+def _joined(
+    scaled: Mapping[str, tuple[IntArray, IntArray, FloatArray, FloatArray]],
+    grams: Mapping[str, FloatArray],
+    split: Split,
+) -> Sides:
+    whole = all(len(train) + len(test) == len(split.train) + len(split.test) for train, test, *_ in scaled.values())
+    width = sum(one.shape[1] for *_, one, _ in scaled.values())
+    if whole and width > len(split.train) and width > FEW_COLUMNS:
+        gram = np.zeros((len(split.train) + len(split.test),) * 2)
+        for name, (_, _, one, other) in scaled.items():
+            if name in grams:
+                gram += grams[name]
+            else:
+                both = np.concatenate([one, other])
+                gram += both @ both.T
+        # The joined columns themselves are not needed: whoever takes them would take the components instead.
+        empty = np.zeros((0, 0))
+        space = project(np.zeros((len(split.train), width)), np.zeros((len(split.test), width)), gram)
+        return Sides(split.train, split.test, empty, empty, space)
+    train, test = (np.sort(_common([four[side] for four in scaled.values()])) for side in (0, 1))
+    one = np.concatenate([four[2][np.isin(four[0], train)] for four in scaled.values()], axis=1)
+    other = np.concatenate([four[3][np.isin(four[1], test)] for four in scaled.values()], axis=1)
+    return Sides(train, test, one, other, project(one, other))
+
+
+def _common(rows: Sequence[IntArray]) -> IntArray:
+    """Rows in all of them."""
+    found = rows[0]
+    for more in rows[1:]:
+        found = np.intersect1d(found, more)
+    return found
+
+
+def run_split(
+    features: Mapping[str, FloatArray],
+    missing: Mapping[str, BoolArray],
+    target: IntArray,
+    classes: int,
+    split: Split,
+    *,
+    apart: IntArray | None = None,
+    methods: Sequence[Method] = (*NAMES, "pooled", "late-fusion"),
+    seed: int = 0,
+) -> dict[Key, Outcome]:
+    """Train and test every method.
+
+    features: by modality (N, p); missing: by modality (N,); target: (N,) classes; apart: (N,) groups, where splits are
+    by group: then what is learned inside the training side is, too
+    """
+    found: dict[Key, Outcome] = {}
+    fitted: dict[str, tuple[Sides, Fitted]] = {}
+    for modality, sides in sides_of(features, missing, split).items():
+        space, truth = sides.space, target[sides.train]
+        for name in NAMES:
+            if name not in methods or not usable(name, space.raw) or not space.train.size:
+                continue
+            columns = columns_of(name, space.kept)
+            groups = None if apart is None else apart[sides.train]
+            classifier = fit(name, space.train[:, :columns], truth, classes, groups)
+            logs = classifier.log_posterior(space.test[:, :columns])
+            count = min(columns or space.train.shape[1], space.train.shape[1])
+            found[modality, name] = outcome_of(sides.test, logs, target[sides.test], count)
+        for costly in COSTLY:
+            if costly in methods and space.train.size:
+                found[modality, costly] = _costly(costly, sides, target, classes, seed)
+        if modality in features and space.train.size and {"pooled", "late-fusion"} & {*methods}:
+            groups = None if apart is None else apart[sides.train]
+            one = fit_expert(space.train, space.kept, space.raw, truth, classes, groups, seed=seed)
+            fitted[modality] = sides, one
+            logs = one.expert.log_posterior(space.test)
+            found[modality, "pooled"] = outcome_of(sides.test, logs, target[sides.test], space.train.shape[1])
+    if "late-fusion" in methods and len(fitted) > 1:
+        logs = late_fusion(fitted, target, classes, split)
+        found[joined_name(list(features)), "late-fusion"] = outcome_of(split.test, logs, target[split.test], 0)
+    return found
+
+
+def late_fusion(fitted: Mapping[str, tuple[Sides, Fitted]], target: IntArray, classes: int, split: Split) -> FloatArray:
+    """(m, C) fused posteriors of the split's test side; weights are learned from training points left out."""
+    shape = len(fitted), len(split.train)
+    inside, known = np.zeros((*shape, classes)), np.zeros(shape, dtype=bool)
+    outside = np.zeros((len(fitted), len(split.test), classes))
+    present = np.zeros(outside.shape[:2], dtype=bool)
+    for index, (sides, one) in enumerate(fitted.values()):
+        at = np.searchsorted(split.train, sides.train)
+        inside[index, at], known[index, at] = one.logs, one.known
+        at = np.searchsorted(split.test, sides.test)
+        outside[index, at], present[index, at] = one.expert.log_posterior(sides.space.test), True
+    usable_rows = known.any(axis=0)
+    pool = fit_pool(inside[:, usable_rows], known[:, usable_rows], target[split.train][usable_rows])
+    return fuse(pool, outside, present)
+
+
+# Costly baselines ----------------------------------------------------------------------------------------------------
+
+
+def _costly(name: Costly, sides: Sides, target: IntArray, classes: int, seed: int) -> Outcome:
+    """scikit-learn's gradient boosting or Gaussian process, on raw columns where there are few, else on components."""
+    raw = 0 < sides.scaled_train.shape[1] <= FEW_COLUMNS
+    few = sides.space.few
+    train, test = (sides.scaled_train, sides.scaled_test) if raw else few
+    truth = target[sides.train]
+    seen, index = np.unique(truth, return_inverse=True)
+    logs = np.full((len(test), classes), -np.inf)
+    if len(seen) == 1:
+        logs[:, seen[0]] = 0.0
+    else:
+        fitted = _boosting if name == "boosting" else _gaussian_process
+        logs[:, seen] = np.log(np.maximum(fitted(train, index.reshape(-1), test, seed), 1e-9))
+    return outcome_of(sides.test, logs, target[sides.test], train.shape[1])
+
+
+def _boosting(train: FloatArray, target: IntArray, test: FloatArray, seed: int) -> FloatArray:
+    from sklearn.ensemble import HistGradientBoostingClassifier
+
+    model = HistGradientBoostingClassifier(
+        max_iter=60,
+        max_leaf_nodes=15,
+        min_samples_leaf=5,
+        l2_regularization=1.0,
+        early_stopping=False,
+        random_state=seed,
+    )
+    return np.asarray(model.fit(train, target).predict_proba(test))
+
+
+def _gaussian_process(train: FloatArray, target: IntArray, test: FloatArray, seed: int) -> FloatArray:
+    from scipy.spatial.distance import pdist
+    from sklearn.gaussian_process import GaussianProcessClassifier
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel
+
+    median = float(np.median(pdist(train))) or 1.0
+    models = [
+        GaussianProcessClassifier(ConstantKernel(4.0) * RBF(share * median), optimizer=None, random_state=seed).fit(
+            train, target
+        )
+        for share in LENGTHS
+    ]
+    best = max(models, key=lambda model: float(model.log_marginal_likelihood_value_))
+    return np.asarray(best.predict_proba(test))
