@@ -17,6 +17,7 @@ from deformscope.config.options import check_level, check_seed
 from deformscope.errors import InputError
 from deformscope.files.classifier_file import load_classifier as _load
 from deformscope.files.classifier_file import save_classifier
+from deformscope.files.squeeze_dataset import SqueezeDataset
 from deformscope.files.table_file import read_table, table_of_arrays
 from deformscope.pictures import classification as pictures
 from deformscope.pictures.report import Figure, Table
@@ -287,7 +288,8 @@ def table_from(
     if isinstance(source, LabelledTable):
         table = source
     elif isinstance(source, str | Path):
-        table = read_table(Path(source))
+        path = Path(source)
+        table = SqueezeDataset(path).table() if path.is_dir() else read_table(path)
     else:
         table = table_of_arrays({name: np.asarray(values) for name, values in source.items()})
     table = table if modalities is None else table.of(modalities)

@@ -37,6 +37,14 @@ from deformscope.config.rigs import (
     VerifyConfig,
 )
 from deformscope.config.runs import DemoConfig, ReplayConfig
+from deformscope.config.squeeze import (
+    DatasetConfig,
+    DiscardConfig,
+    MergeConfig,
+    RelabelConfig,
+    RepairConfig,
+    SqueezeConfig,
+)
 
 __all__ = [
     "ArmConfig",
@@ -48,8 +56,10 @@ __all__ = [
     "CommandOptions",
     "CoverageConfig",
     "CubesConfig",
+    "DatasetConfig",
     "DemoConfig",
     "DevicesConfig",
+    "DiscardConfig",
     "DoctorConfig",
     "DoubleConfig",
     "ExploreConfig",
@@ -58,6 +68,7 @@ __all__ = [
     "FoamsConfig",
     "ImageOptions",
     "LiveConfig",
+    "MergeConfig",
     "OutputOptions",
     "PokeText",
     "PokesConfig",
@@ -65,9 +76,12 @@ __all__ = [
     "RecordConfig",
     "RecordedOptions",
     "RecoverConfig",
+    "RelabelConfig",
+    "RepairConfig",
     "ReplayConfig",
     "RigRunOptions",
     "SearchOptions",
+    "SqueezeConfig",
     "SummaryOptions",
     "Table41Config",
     "ThetaConfig",

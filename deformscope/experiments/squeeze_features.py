@@ -24,7 +24,7 @@ from deformscope.stages.see.cloud import Intrinsics
 from deformscope.stages.squeeze.container import ContainerModel, ModelRenderer
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.outline import outline_px
-from deformscope.stages.squeeze.patch import DepthChange, around, depth_change, hand_pixels
+from deformscope.stages.squeeze.patch import DepthChange, around, depth_change, filled, hand_pixels
 from deformscope.stages.squeeze.physical import physical_features
 from deformscope.stages.squeeze.tactile import series_of, tactile_feature
 from deformscope.stages.squeeze.track import PoseEstimate, locate, track
@@ -111,6 +111,15 @@ class TrialFeatures:
     events: SqueezeEvents
     features: SqueezeFeatures
     tracked: tuple[tuple[int, TrackedContainer], ...] = ()
+
+    @property
+    def modalities(self) -> dict[str, FloatArray]:
+        """As classifiers take them: in the depth change, a missing pixel has the value of the nearest measured one."""
+        found = {"tactile": self.features.tactile, "physical": self.features.physical}
+        if self.features.vision is not None and self.features.vision_small is not None:
+            found["vision"] = filled(self.features.vision).ravel()
+            found["vision_small"] = filled(self.features.vision_small).ravel()
+        return found
 
     def steps(self) -> list[tuple[int, tuple[object, ...]]]:
         """Results, and when on the devices' clock they belong."""

@@ -24,8 +24,8 @@ AIR = "air"
 POSTERIOR_S = 0.1
 """The posterior is computed so often."""
 
-Predict = Callable[[FloatArray], tuple[tuple[str, ...], FloatArray]]
-"""Labels and their probabilities (k,) of a tactile feature (72,)."""
+Predict = Callable[[float, FloatArray], tuple[tuple[str, ...], FloatArray]]
+"""Labels and their probabilities (k,) of a time since first contact [s] and the tactile feature (72,) then."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +155,7 @@ class SqueezeObserver:
         if self._predict is None or not self._onset.first_ns or since_s - self._shown_s < POSTERIOR_S:
             return tuple(results)
         self._shown_s = since_s
-        labels, probability = self._predict(tactile_feature(counts, self._end))
+        labels, probability = self._predict(since_s, tactile_feature(counts, self._end))
         self.latest = ContentPosterior(since_s, "tactile", labels, probability, frame.index)
         return (*results, self.latest)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,6 +59,17 @@ class SqueezeEnded(InputError):
     def __init__(self, stop: SqueezeStop, time_ns: int) -> None:
         super().__init__("a squeeze that comes to its steady state", f"{stop.kind}: {stop.reason}", stop.advice)
         self.stop, self.time_ns = stop, time_ns
+
+
+@contextlib.contextmanager
+def computing_beside(setup: SqueezeSetup, hand: SqueezingHand) -> Iterator[Executor]:
+    """What computes the features. Devices that go on by themselves are not waited for: hand and features then have a
+    thread each."""
+    if not setup.runs_itself:
+        yield Inline()
+        return
+    with hand.in_a_thread(), ThreadPoolExecutor(1, "features") as beside:
+        yield beside
 
 
 def rule_of(setup: SqueezeSetup) -> EventRule:

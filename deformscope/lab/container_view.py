@@ -13,7 +13,8 @@ import numpy.typing as npt
 from deformscope.arrays import FloatArray
 from deformscope.capsule import Capsule
 from deformscope.lab.container_constants import PAD_OFFSET_M
-from deformscope.lab.container_shell import Shape
+from deformscope.lab.container_shell import ContainerShape
+from deformscope.lab.container_world import hand_from_container
 from deformscope.lab.ray_camera import (
     COLOR,
     CONTAINER,
@@ -32,6 +33,8 @@ CAMERA = DepthViewConfig(distance_m=1.0, elevation_deg=20.0, azimuth_deg=-20.0)
 PALM_RADIUS_M, PALM_BACK_M = 0.045, 0.10
 TABLE_M = 0.8
 AROUND_PX = 3.0
+FINER = 3
+"""Between two nodes of the shell there are so many facets, flat ones on the true form."""
 
 
 class ContainerView(RayCamera):
@@ -41,31 +44,46 @@ class ContainerView(RayCamera):
     """
 
     def __init__(
-        self, shape: Shape, nodes_m: tuple[FloatArray, FloatArray], T_hand_upright: FloatArray, config: DepthViewConfig = CAMERA
+        self,
+        shape: ContainerShape,
+        nodes_m: tuple[FloatArray, FloatArray],
+        T_hand_container: FloatArray,
+        config: DepthViewConfig = CAMERA,
     ) -> None:
-        """nodes_m: along s and z, at which `render` is given displacements; T_hand_upright: (4, 4) where a container
-        stands that is not turned; its table is at its bottom"""
+        """nodes_m: along s and z, at which `render` is given displacements; T_hand_container: (4, 4) where the container
+        stands before, on its table; the camera is where it is seen well in a level hand, however it stands"""
         looking = looking_at(np.zeros(3), config.distance_m, config.elevation_deg, config.azimuth_deg)
-        super().__init__(config, T_hand_upright @ looking)
+        super().__init__(config, hand_from_container() @ looking)
         self.shape = shape
-        s_m, z_m = np.meshgrid(*nodes_m, indexing="ij")
+        around_m = np.append(nodes_m[0], nodes_m[0][0] + shape.perimeter_m)
+        fine = [_between(nodes, FINER) for nodes in (around_m, nodes_m[1])]
+        self._upsample = [
+            np.array([np.interp(places, nodes, one) for one in np.eye(len(nodes))]) for places, nodes in fine
+        ]
+        s_m, z_m = np.meshgrid(fine[0][0][:-1], fine[1][0], indexing="ij")
         self._points, self._normals = (array.reshape(-1, 3) for array in shape.place(s_m, z_m))
-        around = np.arange(s_m.size).reshape(s_m.shape)
-        self._triangles = _closed(around, len(self._points))
-        self._T_hand_upright = T_hand_upright
+        self._rows = s_m.shape[1]
+        self._triangles = _closed(np.arange(s_m.size).reshape(s_m.shape), s_m.size)
         corner = TABLE_M * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float64)
         corner[:, 2] = -shape.half_m[2]
-        corners = corner @ T_hand_upright[:3, :3].T + T_hand_upright[:3, 3]
+        corners = corner @ T_hand_container[:3, :3].T + T_hand_container[:3, 3]
         whole = (slice(None), slice(None))
         depth, facing, _ = self.hits([(corners, np.array([[0, 1, 2], [0, 2, 3]], np.uint32))], whole)
         seen = np.where(np.isnan(depth), NOTHING, TABLE).astype(np.uint8)
-        self.cover(Capsule(np.array([0.0, 0.0, -PALM_BACK_M]), np.array([0.0, 0.0, -PALM_RADIUS_M]), PALM_RADIUS_M), depth, seen, facing)
+        self.cover(
+            Capsule(np.array([0.0, 0.0, -PALM_BACK_M]), np.array([0.0, 0.0, -PALM_RADIUS_M]), PALM_RADIUS_M),
+            depth,
+            seen,
+            facing,
+        )
         self._still = (depth, seen, facing)
 
     def mesh(self, inward_m: FloatArray) -> tuple[FloatArray, npt.NDArray[np.uint32]]:
         """Vertices (n, 3) of the container in its own frame, and its triangles. inward_m: (nodes along s, along z)"""
-        wall = self._points - inward_m.reshape(-1, 1) * self._normals
-        high = wall[inward_m.shape[1] - 1 :: inward_m.shape[1]]
+        around = np.concatenate([inward_m, inward_m[:1]])
+        finer = (self._upsample[0].T @ around @ self._upsample[1])[:-1]
+        wall = self._points - finer.reshape(-1, 1) * self._normals
+        high = wall[self._rows - 1 :: self._rows]
         return np.vstack([wall, high.mean(axis=0)]), self._triangles
 
     def render(self, inward_m: FloatArray, T_hand_container: FloatArray, position_deg: FloatArray) -> Rendered:
@@ -95,6 +113,12 @@ def finger_capsules(position_deg: FloatArray) -> list[Capsule]:
         end = tip + (middle - tip) * (PAD_OFFSET_M / np.linalg.norm(tip - middle))  # the rounded tip ends where it does
         capsules += [Capsule(base, middle, PAD_OFFSET_M), Capsule(middle, end, PAD_OFFSET_M)]
     return capsules
+
+
+def _between(nodes_m: FloatArray, parts: int) -> tuple[FloatArray, FloatArray]:
+    """Nodes with so many equal parts between two of them; the nodes."""
+    number = np.arange(parts * (len(nodes_m) - 1) + 1) / parts
+    return np.interp(number, np.arange(len(nodes_m)), nodes_m), nodes_m
 
 
 def _closed(around: npt.NDArray[np.int64], top: int) -> npt.NDArray[np.uint32]:

@@ -7,8 +7,9 @@ follow from the forces by the shell's compliance (`container_shell`), and the fo
 - texel: its foam cover is pressed by as much as the pad stands deeper than the wall: pressure = stiffness x that, or 0;
 - patch and gas: as the filling resists (`container_filling`);
 - table: Coulomb's friction with the container's weight, whichever finger pushes more.
-A few Newton steps on some 100 active unknowns solve it. A joint of a finger goes on only as far as the contact's torque
-about it (virtual work: sum of forces x d depth / d angle) stays within what its motor gives; gears hold what is reached.
+A few Newton steps on some 60 active unknowns solve it. A joint of a finger goes on only as far as the contact's torque
+about it (virtual work: sum of forces x d depth / d angle) stays within what its motor gives; gears hold what they
+reached.
 
 Texels keep the place on the wall where they were when their finger came near. What is left out: friction of the pads,
 rotation of the container under the squeeze, the shape of the dent under a single texel.
@@ -45,9 +46,9 @@ from deformscope.lab.container_constants import (
     Content,
 )
 from deformscope.lab.container_filling import Gas, Patches
-from deformscope.lab.container_shell import Shape, shell_of
+from deformscope.lab.container_shell import ContainerShape, shell_of
 from deformscope_drivers.dsa.scene import COLUMNS, ROWS_DISTAL, TEXEL_PITCH_MM
-from deformscope_drivers.sdh.kinematics import DISTAL_LINK_M, FINGERS, PROXIMAL_LINK_M
+from deformscope_drivers.sdh.kinematics import BASE_SIDE_M, DISTAL_LINK_M, FINGERS, PROXIMAL_LINK_M
 
 SQUEEZING = (0, 2)
 """The two fingers that face each other when the base axis is at 90 degrees: finger 0 comes from +x of the hand."""
@@ -67,7 +68,7 @@ TORQUE_CLOSE = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class SqueezeDraw:
     """What varies from squeeze to squeeze and between instances.
 
     T_hand_container: (4, 4) where it stands before [m]; fill: share of the height; softness: of the wall over nominal
@@ -84,8 +85,8 @@ class Trial:
 
     @classmethod
     def draw(
-        cls, shape: Shape, seed: int, instance: int, session: int = 0, grasp: FloatArray | None = None
-    ) -> Trial:
+        cls, shape: ContainerShape, seed: int, instance: int, session: int = 0, grasp: FloatArray | None = None
+    ) -> SqueezeDraw:
         """One at random; the wall belongs to the instance, the temperature to the session, and none of it to what is
         within. grasp: (4, 4) container to hand as it was meant to be; None = that is drawn too"""
         own = np.random.default_rng([seed, 0x15])
@@ -106,8 +107,9 @@ class Trial:
         )
 
 
-REACH_M = 0.1445
-"""Along z of the hand to the middle of the pads of upright fingertips, as they touch a container of 6 cm."""
+PADS_MIDDLE_M = (0.0, BASE_SIDE_M / 2 * math.tan(math.radians(30.0)), 0.1445)
+"""Between the middles of both pads in the hand frame: the two fingers stand beside its z axis; along z where upright
+fingertips touch a container of 6 cm."""
 
 
 def hand_from_container(along_m: float = 0.0, roll_deg: float = 0.0) -> FloatArray:
@@ -118,7 +120,7 @@ def hand_from_container(along_m: float = 0.0, roll_deg: float = 0.0) -> FloatArr
     turn = np.array([[1, 0, 0], [0, math.cos(roll), -math.sin(roll)], [0, math.sin(roll), math.cos(roll)]])
     pose = np.eye(4)
     pose[:3, :3] = turn @ level
-    pose[:3, 3] = (0.0, 0.0, REACH_M)
+    pose[:3, 3] = PADS_MIDDLE_M
     pose[:3, 3] -= pose[:3, 2] * along_m
     return pose
 
@@ -177,7 +179,7 @@ _TEXEL_ALONG, _TEXEL_ACROSS, _TEXEL_RECESS = _texels()
 
 
 @dataclass(slots=True)
-class _State:
+class _Balance:
     """What a step leaves. y: displacements; slid_m, held_m: of the container, and where friction holds it"""
 
     y: FloatArray
@@ -207,7 +209,7 @@ class ContainerWorld:
     shape, content, trial: as given; mass_kg: of all of it
     """
 
-    def __init__(self, shape: Shape, content: Content, trial: Trial) -> None:
+    def __init__(self, shape: ContainerShape, content: Content, trial: SqueezeDraw) -> None:
         self.shape, self.content, self.trial = shape, content, trial
         self._shell = shell_of(shape)
         level = trial.fill * shape.height_m
@@ -233,9 +235,9 @@ class ContainerWorld:
         self._across = np.zeros(count)
         patch = np.zeros(len(self._area))
         nothing = np.zeros(count)
-        self._state = _State(np.zeros(size), 0.0, 0.0, patch, patch, nothing, np.zeros(size), np.zeros(4))
-        self._still = False
-        self._stalled: set[int] = set()
+        self._state = _Balance(np.zeros(size), 0.0, 0.0, patch, patch, nothing, np.zeros(size), np.zeros(4))
+        self._still: tuple[float, ...] | None = None  # directions and torques with which nothing moves any more
+        self._stalled: dict[int, float] = {}  # axes that their motor does not turn on, and in which direction
         self._state, _ = self._solved(np.full(count, -np.inf), np.zeros((count, 4)), 1.0)
 
     # What can be seen of it ------------------------------------------------------------------------------------------
@@ -297,10 +299,11 @@ class ContainerWorld:
         """(7,) angles that the axes reach in a step, from `position_deg` towards `wanted_deg`, with motors of at most
         `torque_nm` against the contact."""
         step = wanted_deg - position_deg
-        self._stalled &= {axis for axis in LOADED if step[axis]}
+        self._stalled = {axis: way for axis, way in self._stalled.items() if np.sign(step[axis]) == way}
         goal = wanted_deg.copy()
         goal[list(self._stalled)] = position_deg[list(self._stalled)]  # most likely they stay where they are
-        if self._still and not (goal - position_deg)[list(LOADED)].any():
+        asked = (*np.sign(step), *torque_nm)
+        if self._still == asked and not (goal - position_deg)[list(LOADED)].any():
             return goal
         depth, slope = self._reached(goal)
         if not any(finger.normal is not None for finger in self._fingers):
@@ -312,26 +315,29 @@ class ContainerWorld:
             room = {
                 axis: by
                 for axis, by in off.items()
-                if not math.isclose(goal[axis], (wanted_deg if by * step[axis] > 0.0 else position_deg)[axis], abs_tol=1e-9)
+                if not math.isclose(
+                    goal[axis], (wanted_deg if by * step[axis] > 0.0 else position_deg)[axis], abs_tol=1e-9
+                )
             }
             if not room or turn == CORRECTIONS:
                 break
             goal = self._corrected(goal, room, self._torque_slope(tangent, slope), position_deg, wanted_deg)
             depth, slope = self._reached(goal)
-        self._still = bool(np.abs(state.y - before).max() < CLOSE_M) and not (goal - position_deg)[list(LOADED)].any()
+        moves = np.abs(state.y - before).max() >= CLOSE_M or (goal - position_deg)[list(LOADED)].any()
+        self._still = None if moves else asked
         self._state = state
         return goal
 
-    def _off(self, state: _State, step: FloatArray, torque_nm: FloatArray) -> dict[int, float]:
+    def _off(self, state: _Balance, step: FloatArray, torque_nm: FloatArray) -> dict[int, float]:
         """By stalled axis: how much its torque has to grow to be its motor's; only where that is much."""
         off = {}
         for axis, torque in zip(LOADED, state.torque_nm, strict=True):
             most = torque_nm[axis]
             against = step[axis] * torque > 0.0
             if against and abs(torque) > most * (1.0 + TORQUE_CLOSE):
-                self._stalled.add(axis)
-            elif axis in self._stalled and not against:
-                self._stalled.discard(axis)
+                self._stalled[axis] = float(np.sign(step[axis]))
+            elif not against:
+                self._stalled.pop(axis, None)
             by = math.copysign(most, step[axis]) - torque
             if axis in self._stalled and abs(by) > TORQUE_CLOSE * most:
                 off[axis] = by
@@ -381,7 +387,7 @@ class ContainerWorld:
         self._compliance[:, own] = self._compliance[own, :].T
         self._state.y[own] = rows @ (self._fields @ self._state.loads)
 
-    def _solved(self, depth: FloatArray, slope: FloatArray, step_s: float) -> tuple[_State, _Tangent]:
+    def _solved(self, depth: FloatArray, slope: FloatArray, step_s: float) -> tuple[_Balance, _Tangent]:
         """The balance at the end of a step, for texels at these depths."""
         before, count, patches = self._state, 2 * TEXELS, self._patches
         y, slid = before.y.copy(), before.slid_m
@@ -417,7 +423,7 @@ class ContainerWorld:
             grown[pressed] += cover * aside * change[-1]
             y = self._compliance @ grown
         held = slid - rub / TABLE_STIFFNESS_N_M
-        state = _State(y, slid, held, traction, plastic, force, loads, slope.T @ force)
+        state = _Balance(y, slid, held, traction, plastic, force, loads, slope.T @ force)
         return state, _Tangent(matrix, part[:, :touched], pressed, aside)
 
     def _rub(self, sheared_m: float) -> tuple[float, float]:

@@ -38,9 +38,9 @@ from deformscope.lab.container_constants import (
     TORQUE_NM_PER_A,
     WATER,
 )
-from deformscope.lab.container_shell import BOX, CYLINDER, Shape
+from deformscope.lab.container_shell import BOX, CYLINDER, ContainerShape
 from deformscope.lab.container_view import CAMERA, ContainerView
-from deformscope.lab.container_world import LOADED, SQUEEZING, ContainerWorld, Trial, hand_from_container
+from deformscope.lab.container_world import LOADED, SQUEEZING, ContainerWorld, SqueezeDraw
 from deformscope.lab.ray_camera import DepthViewConfig
 from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.source import RigMember, RigSource
@@ -127,7 +127,7 @@ class SqueezeLab:
         self.content, self.container = content, container
         self.shape, instance = container_of(container)
         self.clock = SimulatedClock(1_000_000_000)
-        self.trial = Trial.draw(self.shape, seed, instance, session, grasp)
+        self.trial = SqueezeDraw.draw(self.shape, seed, instance, session, grasp)
         self.world = ContainerWorld(self.shape, WATER if alike else CONTENTS[content], self.trial)
         self._contact_ns: int | None = None
         self._speeds: list[tuple[int, float]] = []
@@ -149,9 +149,7 @@ class SqueezeLab:
             transport=MemoryTransport(self.pads_double, self.clock, "simulated pads"),
             clock=self.clock,
         )
-        upright = hand_from_container()
-        upright[:3, 3] = self.trial.T_hand_container[:3, 3]
-        self.view = ContainerView(self.shape, self.world.nodes_m, upright, camera)
+        self.view = ContainerView(self.shape, self.world.nodes_m, self.trial.T_hand_container, camera)
         synthetic = SyntheticDepthConfig(
             name="simulated camera", rate_hz=camera_hz, missing=0.02, seed=seed, intrinsics=self.view.intrinsics
         )
@@ -260,7 +258,7 @@ class SqueezeLab:
         return View(np.where(flat, np.nan, exact.depth_m), exact.color)  # the camera adds its own noise
 
 
-def container_of(name: str) -> tuple[Shape, int]:
+def container_of(name: str) -> tuple[ContainerShape, int]:
     """The form of a container by its name, and the number of its instance. Raises InputError."""
     for kind, shape in (("box", BOX), ("cylinder", CYLINDER)):
         if name.startswith(kind):

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -51,8 +50,7 @@ class SqueezeSetup:
     T_arm_camera: (4, 4) camera to the arm's base
     grasp: where the hand is to stand on the container; placed: it stands there already
     simulated: nothing real moves; runs_itself: the devices have threads of their own and the host's clock
-    truth: of a simulated squeeze, None where only the devices can say; content, kind: of what stands there, in a
-    laboratory (empty = ask who placed it)
+    truth: of a simulated squeeze, None where only the devices can say
     """
 
     names: SqueezeNames
@@ -69,10 +67,8 @@ class SqueezeSetup:
     simulated: bool = False
     runs_itself: bool = True
     truth: Callable[[], SqueezeTruth] | None = None
-    content: str = ""
     clock: Clock = monotonic_ns
     wait_until: Waits = sleep_until
-    notes: dict[str, Any] = field(default_factory=dict)
 
 
 def squeeze_setup(

@@ -61,12 +61,12 @@ class ToySqueeze:
             "pads": ("dsa", self.tactile),  # type: ignore[dict-item]
         }
         self.grasp = draw_grasp(self.container, self.squeeze, 1)
-        self.focal_px, self.center_px = (140.0, 140.0), (79.5, 59.5)
+        self.focal_px, self.center_px = (280.0, 280.0), (159.5, 119.5)
         if camera:
             renderer = ModelRenderer(
                 ContainerModel.box(self.container.size_m), Intrinsics(self.focal_px, self.center_px)
             )
-            pixels = np.stack(np.meshgrid(np.arange(160), np.arange(120)), axis=-1).astype(float)
+            pixels = np.stack(np.meshgrid(np.arange(320), np.arange(240)), axis=-1).astype(float)
             depth = renderer.render(T_CAMERA_HAND @ self.grasp.T_hand_container, pixels).depth_m
             view = View(np.where(np.isfinite(depth), depth, 1.2))
             config = SyntheticDepthConfig(rate_hz=15.0, missing=0.01)

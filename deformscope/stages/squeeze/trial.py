@@ -81,7 +81,7 @@ class ContentPosterior:
     """What a model takes the content for.
 
     since_s: since the first contact [s]; modality: what it is computed from; labels; probability: (k,) of each
-    index: the newest tactile frame's place in its stream
+    index: the newest tactile frame's place in its stream, -1 = it is of all features at steady state
     """
 
     since_s: float
