@@ -29,7 +29,7 @@ GRAVITY_M_S2: Final = 9.81
 AIR_PRESSURE_PA: Final = 101_325.0
 ROOM_K: Final = 293.15
 
-# Contents --------------------------------------------------------------------------------------------------------------
+# Contents -----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ WATER: Final = Content(
     solid_share=1.0,
     lateral_ratio=1.0,
     fluid=True,
-    shear_modulus_pa=1e3,  # none: in series with the viscosity it relaxes within microseconds, and keeps equations solvable
+    shear_modulus_pa=1e3,  # none: in series with the viscosity it relaxes within microseconds; for the solver
     consistency_pa_sn=1.002e-3,  # CRC
 )
 
@@ -111,7 +111,7 @@ FILL: Final = 0.9
 FILL_SD: Final = 0.01
 """Assumed: a centilitre a litre."""
 
-# Containers ------------------------------------------------------------------------------------------------------------
+# Containers ---------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +160,7 @@ CYLINDER_M: Final = (0.035, 0.160)
 TABLE_FRICTION: Final = 0.35
 """Of cardboard or plastic on a table; assumed within the 0.2 to 0.5 that handbooks give for both."""
 
-# Fingertips and hand ---------------------------------------------------------------------------------------------------
+# Fingertips and hand ------------------------------------------------------------------------------------------------
 
 PAD_OFFSET_M: Final = 0.011
 """From the axis of the distal link to the surface of its pad; assumed: half of a link of 22 mm."""
@@ -199,7 +199,7 @@ NOISE_COUNTS: Final = 4.0
 TEMPERATURE_SD_K: Final = 2.0
 """Of the room between sessions, and of a container since it was closed; assumed."""
 
-# Grasp -----------------------------------------------------------------------------------------------------------------
+# Grasp --------------------------------------------------------------------------------------------------------------
 
 GRASP_ALONG_M: Final = 0.010
 """Half the range along the longest edge, around its middle; assumed for the thesis's "around its middle region"."""

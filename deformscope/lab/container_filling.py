@@ -8,11 +8,11 @@ elastic (q_e = k (w - w_p)) until it yields, and then flows or fails, with a vis
 
     q = q_y(w_p) + N K (dw_p/dt / l)^n  while w_p grows,     q_y(w_p) = q_1 w_p / (w_p + a)
 
-- granular: k = chi_u s / l on unloading, and the first loading (slope q_1 / a) is softer, chi_l s / l in all (EN 1991-4
-  annex C: modulus = chi x stress); q_1 is the passive earth pressure K_p sigma_v + 2 c sqrt(K_p) less that at rest
-  (Rankine), so that failing needs more at depth, and flour's cohesion adds to it. Unloading follows k: hysteresis.
-  For flour the softer first loading is its compaction.
-- yogurt: k = 3 G / l (incompressible), q_1 = N tau_y at once (a = 0), then Herschel-Bulkley's consistency K and index n.
+- granular: k = chi_u s / l on unloading, and the first loading (slope q_1 / a) is softer, chi_l s / l in all
+  (EN 1991-4 annex C: modulus = chi x stress); q_1 is the passive earth pressure K_p sigma_v + 2 c sqrt(K_p) less that
+  at rest (Rankine), so that failing needs more at depth, and flour's cohesion adds to it. Unloading follows k:
+  hysteresis. For flour the softer first loading is its compaction.
+- yogurt: k = 3 G / l (incompressible), q_1 = N tau_y at once (a = 0), then Herschel-Bulkley's K and n.
 - water: no yield, n = 1: its viscosity alone, which is as good as nothing at this speed (about 1e-3 Pa).
 Here l is half the container's width along the squeeze, N = 2 + pi bears on shear (Prandtl), s the stress half way to
 q_1. Unloading beyond rest is limited by the active pressure: nothing pulls at a wall.
@@ -51,8 +51,8 @@ class Gas:
 
 @dataclass(frozen=True, slots=True)
 class Patches:
-    """The resistance behind patches of wall, (p,) each: elastic stiffness [Pa/m], greatest and least yield traction
-    [Pa], plastic displacement at which half of the greatest is reached [m], viscous traction at 1 m/s [Pa], its index"""
+    """The resistance behind patches of wall, (p,) each: elastic stiffness, greatest and least yield traction, plastic
+    displacement at which half of the greatest is reached, viscous traction at 1 m/s; and the index of the rate."""
 
     stiffness_pa_m: FloatArray
     most_pa: FloatArray

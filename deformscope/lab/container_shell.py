@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -43,7 +44,7 @@ PATCH_HALF_M = 0.048
 
 
 @dataclass(frozen=True, slots=True)
-class Shape:
+class ContainerShape:
     """A container's outer form, undeformed, in its own frame.
 
     kind; half_m: half its size along x, y, z [m] (a cylinder's radius twice); wall
@@ -116,8 +117,8 @@ class Shape:
         return s_m, z_m, normal, on_wall & (np.abs(points_m[:, 1]) < y_m)
 
 
-BOX = Shape("box", (BOX_M[0] / 2, BOX_M[1] / 2, BOX_M[2] / 2), CARDBOARD)
-CYLINDER = Shape("cylinder", (CYLINDER_M[0], CYLINDER_M[0], CYLINDER_M[1] / 2), PLASTIC)
+BOX = ContainerShape("box", (BOX_M[0] / 2, BOX_M[1] / 2, BOX_M[2] / 2), CARDBOARD)
+CYLINDER = ContainerShape("cylinder", (CYLINDER_M[0], CYLINDER_M[0], CYLINDER_M[1] / 2), PLASTIC)
 SHAPES = {"box": BOX, "cylinder": CYLINDER}
 
 
@@ -128,7 +129,7 @@ class Shell:
     of the side at +x first
     """
 
-    def __init__(self, shape: Shape) -> None:
+    def __init__(self, shape: ContainerShape) -> None:
         self.shape = shape
         self.s_m, self.z_m = _around(shape), _upwards(shape)
         self._along, self._up = _Line(self.s_m, shape.perimeter_m), _Line(self.z_m)
@@ -202,8 +203,8 @@ class Shell:
         z_edges = half_z + np.linspace(-PATCH_HALF_M, PATCH_HALF_M, PATCHES[1] + 1)
         rows, area, height = [], [], []
         for start in (0.0, self.shape.perimeter_m / 2):
-            for s_low, s_high in zip(start + s_edges[:-1], start + s_edges[1:], strict=True):
-                for z_low, z_high in zip(z_edges[:-1], z_edges[1:], strict=True):
+            for s_low, s_high in pairwise(start + s_edges):
+                for z_low, z_high in pairwise(z_edges):
                     along = self._along.weighted(s_low, s_high, np.ones_like)
                     rows.append(np.kron(along, self._up.weighted(z_low, z_high, np.ones_like)))
                     area.append((s_high - s_low) * (z_high - z_low))
@@ -212,7 +213,7 @@ class Shell:
 
 
 @lru_cache(maxsize=4)
-def shell_of(shape: Shape) -> Shell:
+def shell_of(shape: ContainerShape) -> Shell:
     """The shell of a shape, factorised once."""
     return Shell(shape)
 
@@ -285,12 +286,12 @@ def _dd(u: Any) -> Any:
     return u.hess[0, 0]
 
 
-def _corners(shape: Shape) -> tuple[float, float, float, float]:
+def _corners(shape: ContainerShape) -> tuple[float, float, float, float]:
     x_m, y_m, _ = shape.half_m
     return -y_m, y_m, y_m + 2 * x_m, 3 * y_m + 2 * x_m
 
 
-def _around(shape: Shape) -> FloatArray:
+def _around(shape: ContainerShape) -> FloatArray:
     if shape.kind == "cylinder":
         half = shape.perimeter_m / 2
         low, first, second, third = -FINE_HALF_M, FINE_HALF_M, half - FINE_HALF_M, half + FINE_HALF_M
@@ -302,7 +303,7 @@ def _around(shape: Shape) -> FloatArray:
     return np.concatenate([np.linspace(a, b, count, endpoint=False) for a, b, count in parts])
 
 
-def _upwards(shape: Shape) -> FloatArray:
+def _upwards(shape: ContainerShape) -> FloatArray:
     half = shape.half_m[2]
     outer = round((half - FINE_HALF_M) / COARSE_M)
     inner = round(2 * FINE_HALF_M / FINE_M)
@@ -315,7 +316,7 @@ def _upwards(shape: Shape) -> FloatArray:
     )
 
 
-def _stiffness(shape: Shape, along: _Line, up: _Line) -> csr_array:
+def _stiffness(shape: ContainerShape, along: _Line, up: _Line) -> csr_array:
     """Of the fields w, v, u one after the other; of a box, of w alone."""
     wall = shape.wall
     young_1, young_2 = wall.young_pa

@@ -119,6 +119,7 @@ class DepthView(RayCamera):
             whole[part] = np.where(new, value, whole[part])
         return Rendered(found[0], self._still.color, found[1], found[2])
 
+
 def _triangles(columns: int, rows: int) -> tuple[npt.NDArray[np.uint32], IntArray]:
     """Those of a grid and of its sides, down to as many feet as its edge has vertices; those vertices, in a ring."""
     number = np.arange(columns * rows).reshape(columns, rows)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import pytest
 
@@ -172,3 +173,87 @@ def test_motors_warm_up_slowly_and_most_where_they_are_blocked() -> None:
 def test_the_grip_vector_of_schunks_trace() -> None:
     assert grasp_angles_deg(Grasp.PARALLEL, 0.1) == pytest.approx((0.0, -66.8, 66.8, -66.8, 66.8, -66.8, 66.8))
     assert grasp_angles_deg(Grasp.SPHERICAL, 1.0) == (60.0, -15.0, 55.0, -15.0, 55.0, -15.0, 55.0)
+
+
+class Spring:
+    """A spring on axis 1 from an angle on; a motor gives torque_nm_per_a of it."""
+
+    def __init__(self, from_deg: float, nm_per_deg: float, nm_per_a: float = 2.0) -> None:
+        self.from_deg, self.nm_per_deg, self.nm_per_a = from_deg, nm_per_deg, nm_per_a
+        self.calls = 0
+
+    def reach_deg(
+        self, position_deg: Sequence[float], wanted_deg: Sequence[float], current_a: Sequence[float], step_s: float
+    ) -> Sequence[float]:
+        self.calls += 1
+        assert step_s == CYCLE_NS / SECOND_NS
+        reached = list(wanted_deg)
+        balance = self.from_deg + current_a[1] * self.nm_per_a / self.nm_per_deg
+        reached[1] = min(wanted_deg[1], max(balance, position_deg[1]))
+        return reached
+
+
+def test_an_axis_presses_something_soft_as_far_as_its_current_lets_it() -> None:
+    moved = motion(move_current_a=0.1)
+    moved.compliance = Spring(10.0, 0.1)
+    moved.start(targets(axis1=40.0, axis5=40.0), [40.0] * 7)
+    run(moved, 3.0)
+    assert moved.axes[1].position_deg == pytest.approx(12.0)  # 0.2 Nm over 0.1 Nm/deg
+    assert moved.axes[1].state is AxisState.CW_BLOCKED
+    assert moved.axes[1].velocity_deg_s == 0.0
+    assert moved.axes[5].position_deg == 40.0
+    assert moved.axes[5].state is AxisState.IDLE
+
+    for axis in moved.axes:
+        axis.move_current_a = 0.2
+    run(moved, 3.2)  # it goes on, at no more than its set speed
+    assert 12.0 < moved.axes[1].position_deg < 14.0 + 1e-9
+    run(moved, 4.0)
+    assert moved.axes[1].position_deg == pytest.approx(14.0)
+
+
+def test_what_yields_lets_the_axis_go_on_to_its_target() -> None:
+    moved = motion(move_current_a=0.1)
+    spring = Spring(10.0, 0.1)
+    moved.compliance = spring
+    moved.start(targets(axis1=15.0), [40.0] * 7)
+    run(moved, 1.0)
+    spring.from_deg = 12.0
+    run(moved, 1.5)
+    assert moved.axes[1].position_deg == pytest.approx(14.0)
+    assert moved.axes[1].state is AxisState.CW_BLOCKED
+    spring.from_deg = 20.0
+    run(moved, 3.0)
+    assert moved.axes[1].position_deg == 15.0
+    assert moved.axes[1].state is AxisState.IDLE
+
+
+def test_a_stopped_axis_no_longer_presses_on() -> None:
+    moved = motion(move_current_a=0.1)
+    spring = Spring(10.0, 0.1)
+    moved.compliance = spring
+    moved.start(targets(axis1=40.0), [40.0] * 7)
+    run(moved, 2.0)
+    moved.stop()
+    spring.from_deg = 30.0
+    run(moved, 3.0)
+    assert moved.axes[1].position_deg == pytest.approx(12.0, abs=0.1)
+    assert moved.axes[1].state is AxisState.IDLE
+    assert spring.calls == pytest.approx(300, abs=1)  # also while nothing moves
+
+
+def test_a_velocity_presses_too() -> None:
+    moved = motion(move_current_a=0.1)
+    moved.compliance = Spring(10.0, 0.1)
+    moved.set_controller(Controller.VELOCITY)
+    moved.axes[1].target_velocity_deg_s = 20.0
+    moved.follow_velocities()
+    run(moved, 0.4)
+    assert moved.axes[1].state is AxisState.SPEED_MODE
+    run(moved, 2.0)
+    assert moved.axes[1].position_deg == pytest.approx(12.0)
+    assert moved.axes[1].state is AxisState.CW_BLOCKED
+    moved.axes[1].target_velocity_deg_s = -20.0
+    run(moved, 2.2)
+    assert moved.axes[1].position_deg < 11.0
+    assert moved.axes[1].state is AxisState.SPEED_MODE
