@@ -21,10 +21,10 @@ from deformscope.files.squeeze_dataset import SqueezeDataset
 from deformscope.files.table_file import read_table, table_of_arrays
 from deformscope.pictures import classification as pictures
 from deformscope.pictures.report import Figure, Table
-from deformscope.stages.squeeze.evaluation import Comparison, Evaluation, EvaluationOptions, Progress, evaluate
+from deformscope.stages.squeeze.evaluation import Evaluation, EvaluationOptions, ModalityComparison, Progress, evaluate
 from deformscope.stages.squeeze.intervals import Estimated
 from deformscope.stages.squeeze.model import ContentModel, fit_model
-from deformscope.stages.squeeze.scores import Score
+from deformscope.stages.squeeze.scores import ClassificationScore
 from deformscope.stages.squeeze.table import LabelledTable, refuse_duplicates, without_duplicates
 from deformscope.stages.squeeze.trial_run import joined_name
 
@@ -83,7 +83,7 @@ class ClassificationResult(LibraryResult):
     def as_json(self) -> dict[str, Any]:
         return {"classification": self.entries()}
 
-    def _entry(self, score: Score) -> dict[str, Any]:
+    def _entry(self, score: ClassificationScore) -> dict[str, Any]:
         found = self.evaluation
         labels = found.table.classes
         entry: dict[str, Any] = {
@@ -149,7 +149,7 @@ class ClassificationResult(LibraryResult):
         if table.group is not None:
             rows.append(("groups", str(len(np.unique(table.group)))))
         rows += [(name, f"{values.shape[1]} features") for name, values in table.modalities.items()]
-        if len(table.modalities) > 1:
+        if len(table.fused[0]) > 1:
             rows.append(("fusion", fusion_words(found)))
         rows += [("note", one) for one in found.notes]
         return (
@@ -167,7 +167,7 @@ class ClassificationResult(LibraryResult):
         )
 
 
-def accuracy_words(score: Score) -> str:
+def accuracy_words(score: ClassificationScore) -> str:
     """Accuracy with its interval, and what naming the most frequent class would reach."""
     low, high = score.accuracy.interval
     return (
@@ -176,7 +176,7 @@ def accuracy_words(score: Score) -> str:
     )
 
 
-def split_words(score: Score) -> str:
+def split_words(score: ClassificationScore) -> str:
     """What was split."""
     if score.pair is not None:
         return f"transfer from {score.pair[0]} to {score.pair[1]}"
@@ -185,7 +185,7 @@ def split_words(score: Score) -> str:
 
 def fusion_words(found: Evaluation) -> str:
     """Whether late fusion is worth it, class by class: in words that the intervals allow."""
-    names = list(found.table.modalities)
+    names = found.table.fused[0]
     singles = {name: found.score(name, "pooled") for name in names}
     better = max(singles, key=lambda name: singles[name].accuracy.value)
     late = joined_name(names), "late-fusion"
@@ -211,7 +211,7 @@ def _estimated(name: str, found: Estimated) -> dict[str, Any]:
     return {name: found.value, "interval": found.interval}
 
 
-def _compared(one: Comparison, labels: Sequence[str]) -> dict[str, Any]:
+def _compared(one: ModalityComparison, labels: Sequence[str]) -> dict[str, Any]:
     by_class = [
         {"label": label, **_estimated("difference", by)} for label, by in zip(labels, one.by_class, strict=True)
     ]
@@ -243,11 +243,11 @@ def score_tables(found: Evaluation, *, every: bool = True) -> tuple[Table, ...]:
                 if one.method == best.method and (one.modality == best.modality or one.pair is not None)
             ]
     if others:
-        made.append(Table(others, ("splits", *names), "Other splits (every method: --report, --json)"))
+        made.append(Table(others, ("splits", *names), "Other splits"))
     return tuple(made)
 
 
-def _row(one: Score) -> tuple[str, ...]:
+def _row(one: ClassificationScore) -> tuple[str, ...]:
     accuracy, balanced = one.accuracy, one.balanced
     return (
         one.modality,

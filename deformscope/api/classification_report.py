@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
+import numpy as np
+
 from deformscope.api.calibration_report import provenance_sections
 from deformscope.api.classification import ClassificationResult, accuracy_words, fusion_words, score_tables
 from deformscope.pictures import classification as pictures
@@ -14,6 +16,9 @@ from deformscope.stages.squeeze.groupings import ALPHA
 from deformscope.stages.squeeze.trial_run import Method, joined_name
 
 THESIS_METHODS: tuple[Method, ...] = ("knn", "qda")
+RAW_METHODS: tuple[Method, ...] = ("knn-raw", "linear")
+MOST_CONFUSED = 10
+"""Pairs of contents in a table."""
 FIGURES = {
     "mean": "mean features of each class, on one scale (as Thesis figures 2.6 and 2.7)",
     "clusters": "trials on the two largest components: contents, and clusters with centroids (as figures 2.9, 2.10)",
@@ -37,20 +42,21 @@ def classification_pictures(result: ClassificationResult) -> dict[str, bytes]:
 
 def _pictures(found: Evaluation) -> Iterator[tuple[str, bytes]]:
     table = found.table
-    labels, names = table.classes, list(table.modalities)
-    shown = [*names, joined_name(names)] if len(names) > 1 else names
+    labels, names = table.classes, table.fused[0]
+    single = list(table.modalities)
+    shown = [*single, *map(joined_name, table.fused)]
     strict = [one for one in found.scores if one.protocol == found.protocol]
     yield "accuracies", pictures.accuracies_png(strict)
-    for name in names:
+    for name in single:
         yield f"mean-{name}", pictures.mean_images_png(table, name)
     for name, clusters in found.clusters.items():
         yield f"clusters-{name}", pictures.clusters_png(table, clusters, name)
     if found.curve:
         yield "curve", pictures.curve_png(found)
-    for method in THESIS_METHODS:
-        yield f"confusion-{method}", pictures.confusion_png([found.score(name, method) for name in shown], labels)
-    for method in ("knn-raw", "linear"):
-        yield f"raw-{method}", pictures.confusion_png([found.score(name, method) for name in shown], labels)
+    for start, methods in (("confusion", THESIS_METHODS), ("raw", RAW_METHODS)):
+        for method in methods:
+            of_method = [one for one in strict if one.method == method and one.modality in shown]
+            yield f"{start}-{method}", pictures.confusion_png(of_method, labels)
     if len(names) > 1:
         yield "fusion", pictures.fusion_png(found)
         fused = [*(found.score(name, "pooled") for name in names), found.best]
@@ -86,12 +92,12 @@ def _sections(
     summary = result.tables()[0]
     sections = [
         Section("", [_verdict(found), summary]),
-        Section("Accuracy", [*of("accuracies"), PROTOCOL_WORDS, *score_tables(found)]),
+        Section("Accuracy", [*of("accuracies"), PROTOCOL_WORDS, *score_tables(found, every=False)]),
         Section("What was measured", of("mean")),
         Section("Natural groupings", [*of("clusters"), *_groupings(found)]),
-        Section("Confusions", [CONFUSION_WORDS, *of("confusion", "raw")]),
+        Section("Confusions", [_confused(found), CONFUSION_WORDS, *of("confusion", "raw")]),
     ]
-    if len(found.table.modalities) > 1:
+    if len(found.table.fused[0]) > 1:
         sections.append(Section("Fusion", [f"{_sentence(fusion_words(found))}.", *of("fusion", "fused")]))
     if found.comparisons:
         sections.append(Section("Comparisons", [_comparisons(found)]))
@@ -102,13 +108,14 @@ def _sections(
     if transfer := of("transfer"):
         sections.append(Section("Transfer", [TRANSFER_WORDS, *transfer]))
     sections.append(Section("Calibration", [CALIBRATION_WORDS, *of("reliability")]))
+    sections.append(Section("Every method in all splits", score_tables(found)))
     return [*sections, *provenance_sections(seed=found.options.seed, settings=settings)]
 
 
 PROTOCOL_WORDS = (
     "Scaling, principal components, classifiers, calibration and fusion are learned inside the training side of each "
     "split (70 %). Random splits are the thesis's; splits by group leave whole containers or sessions out, which is "
-    "what a new container asks for. Intervals allow for splits sharing their trials (Nadeau and Bengio 2003) and are no "
+    "what a new container asks for. Intervals allow for trials that splits share (Nadeau and Bengio 2003) and are no "
     "narrower than Wilson's for the number of trials, or groups. knn and qda use the components that hold 80 % of the "
     "variance; knn-raw, qda-raw and linear all of them. pooled weighs all of these, calibrated on training trials left "
     "out."
@@ -159,6 +166,20 @@ def _groupings(found: Evaluation) -> list[Part]:
         "it within each class, and of truly normal ones 95 % would pass."
     )
     return [Table(rows, names), words]
+
+
+def _confused(found: Evaluation) -> Table:
+    """The pairs of contents that are taken for each other most often."""
+    best, labels = found.best, found.table.classes
+    shares = np.nan_to_num(best.shares - np.diag(np.diagonal(best.shares)))
+    order = np.argsort(-shares, axis=None)[:MOST_CONFUSED]
+    pairs = [(int(one) // len(labels), int(one) % len(labels)) for one in order if shares.flat[one] > 0.0]
+    rows = [
+        (labels[truth], labels[answer], f"{shares[truth, answer]:.1%}", "{:.1%} to {:.1%}".format(*interval))
+        for truth, answer in pairs
+        if (interval := best.share_interval(truth, answer))
+    ]
+    return Table(rows, ("true", "named", "share", "interval"), f"Most often confused by {best.modality}, {best.method}")
 
 
 def _comparisons(found: Evaluation) -> Table:

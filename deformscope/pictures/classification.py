@@ -11,8 +11,8 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.pictures.figures import COLOURS, canvas, png_of
 from deformscope.stages.squeeze.evaluation import Evaluation
-from deformscope.stages.squeeze.groupings import Clusters
-from deformscope.stages.squeeze.scores import Score
+from deformscope.stages.squeeze.groupings import Grouping
+from deformscope.stages.squeeze.scores import ClassificationScore
 from deformscope.stages.squeeze.table import LabelledTable
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ MARKERS = "osD^vP*Xhp"
 NUMBERED = 12
 """Confusion matrices of so many classes have a number in each cell."""
 NAMED = 30
-"""So many classes are named along an axis or in a legend."""
+"""So many classes are named in a legend."""
 SHOWN_IMAGES = 15
 """Classes of which a mean image is shown."""
 PADS, PAD_SIDE = 36, 6
@@ -64,8 +64,9 @@ def mean_images_png(table: LabelledTable, modality: str) -> bytes:
     columns = min(5, len(means))
     rows = math.ceil(len(means) / columns)
     wide = means[0].shape[1] / means[0].shape[0]
-    figure = canvas(1.3 + 1.75 * columns * min(wide, 2.2), 0.5 + 1.95 * rows, layout="constrained")
-    axes = figure.subplots(rows, columns, squeeze=False)
+    side = 1.75 if wide < 1.5 else 1.1
+    figure = canvas(1.3 + side * columns * (wide + 0.15), 0.5 + (side + 0.2) * rows, layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, gridspec_kw={"wspace": 0.12})
     shown = None
     for axis, one, mean in zip(axes.flat, classes, means, strict=False):
         shown = axis.imshow(mean, vmin=low, vmax=high, cmap="viridis", interpolation="nearest")
@@ -101,7 +102,7 @@ def _legend(axis: Axes, count: int) -> None:
 # Natural groupings (Thesis fig. 2.9, 2.10) ---------------------------------------------------------------------------
 
 
-def clusters_png(table: LabelledTable, found: Clusters, modality: str) -> bytes:
+def clusters_png(table: LabelledTable, found: Grouping, modality: str) -> bytes:
     """Trials on the two largest components: by content, and by cluster with the centroids."""
     figure = canvas(11.4, 4.4, layout="constrained")
     left, right = figure.subplots(1, 2, sharex=True, sharey=True)
@@ -171,11 +172,11 @@ def _percent(axis: Axes, name: str = "accuracy") -> None:
 # Confusion (Thesis fig. 2.12 to 2.14) --------------------------------------------------------------------------------
 
 
-def confusion_png(scores: Sequence[Score], labels: Sequence[str]) -> bytes:
+def confusion_png(scores: Sequence[ClassificationScore], labels: Sequence[str]) -> bytes:
     """Confusion matrices side by side: rows are the true contents, each adding up to 100 %; with their intervals where
     classes are few."""
     count = len(labels)
-    side = 3.6 if count <= 6 else 4.8 if count <= NUMBERED else 5.6
+    side = 3.6 if count <= 6 else 4.8 if count <= NUMBERED else 5.6 if count <= NAMED else 7.5
     figure = canvas(side * len(scores) + 0.9, side + 0.7, layout="constrained")
     axes = figure.subplots(1, len(scores), squeeze=False)[0]
     shown = None
@@ -184,9 +185,9 @@ def confusion_png(scores: Sequence[Score], labels: Sequence[str]) -> bytes:
         low, high = score.accuracy.interval
         title = f"{score.modality}: {score.method}\n{score.accuracy.value:.1%} ({low:.1%} to {high:.1%})"
         axis.set_title(title, fontsize=10)
-        if count <= NAMED:
-            axis.set_xticks(range(count), labels, rotation=45 if count <= NUMBERED else 90, fontsize=8)
-            axis.set_yticks(range(count), labels if index == 0 else [""] * count, fontsize=8)
+        size = 8 if count <= NAMED else 360 / count * 0.75
+        axis.set_xticks(range(count), labels, rotation=45 if count <= NUMBERED else 90, fontsize=size)
+        axis.set_yticks(range(count), labels if index == 0 else [""] * count, fontsize=size)
         axis.set_xlabel("named")
         if count <= NUMBERED:
             _numbers(axis, score)
@@ -195,7 +196,7 @@ def confusion_png(scores: Sequence[Score], labels: Sequence[str]) -> bytes:
     return png_of(figure, DPI)
 
 
-def _numbers(axis: Axes, score: Score) -> None:
+def _numbers(axis: Axes, score: ClassificationScore) -> None:
     count = len(score.shares)
     for row in range(count):
         for column in range(count):
@@ -215,7 +216,7 @@ def _numbers(axis: Axes, score: Score) -> None:
 # All methods, fusion, transfer ---------------------------------------------------------------------------------------
 
 
-def accuracies_png(scores: Sequence[Score]) -> bytes:
+def accuracies_png(scores: Sequence[ClassificationScore]) -> bytes:
     """Accuracy of every method and modality with its interval, beside the no-information rate."""
     modalities = list(dict.fromkeys(one.modality for one in scores))
     methods = list(dict.fromkeys(one.method for one in scores))
@@ -242,7 +243,7 @@ def accuracies_png(scores: Sequence[Score]) -> bytes:
 def fusion_png(found: Evaluation) -> bytes:
     """Of each class, what is named rightly from each modality, and from all fused late."""
     late = found.best
-    shown = [*(found.score(name, "pooled") for name in found.table.modalities), late]
+    shown = [*(found.score(name, "pooled") for name in found.table.fused[0]), late]
     count = len(found.table.classes)
     figure = canvas(max(6.5, 1.6 + 0.55 * count) if count <= NAMED else 15.0, 4.0, layout="constrained")
     axis = figure.subplots()
@@ -270,8 +271,8 @@ def transfer_png(found: Evaluation) -> bytes:
     keys = list(dict.fromkeys((one.modality, one.method) for one in transfers))
     figure = canvas(9.0, 1.2 + 0.22 * len(keys) * (len(pairs) + 1), layout="constrained")
     axis = figure.subplots()
-    sets: list[tuple[str, list[Score]]] = [
-        ("all kinds, " + found.protocol, [found.score(modality, method) for modality, method in keys])
+    sets: list[tuple[str, list[ClassificationScore]]] = [
+        (f"all kinds, {found.protocol} splits", [found.score(modality, method) for modality, method in keys])
     ]
     for pair in pairs:
         mine = {(one.modality, one.method): one for one in transfers if one.pair == pair}
@@ -295,7 +296,7 @@ def transfer_png(found: Evaluation) -> bytes:
 # Calibration and time ------------------------------------------------------------------------------------------------
 
 
-def reliability_png(scores: Sequence[Score]) -> bytes:
+def reliability_png(scores: Sequence[ClassificationScore]) -> bytes:
     """How often answers of a probability are right; shaded, where a perfectly calibrated classifier would lie."""
     figure = canvas(3.7 * len(scores) + 0.6, 4.2, layout="constrained")
     axes = figure.subplots(1, len(scores), squeeze=False, sharey=True)[0]

@@ -17,12 +17,12 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.squeeze import groupings
-from deformscope.stages.squeeze.groupings import Clusters, Normality
+from deformscope.stages.squeeze.groupings import Grouping, Normality
 from deformscope.stages.squeeze.intervals import Estimated, difference, holm, over_splits
-from deformscope.stages.squeeze.scores import Score, accuracy_of, recalls, score_of, tested_ratio
+from deformscope.stages.squeeze.scores import ClassificationScore, accuracy_of, recalls, score_of, split_ratio
 from deformscope.stages.squeeze.splits import PROTOCOLS, Protocol, Split, draw, splitting_notes
 from deformscope.stages.squeeze.table import LabelledTable, refuse_duplicates
-from deformscope.stages.squeeze.trial_run import COSTLY, NAMES, Key, Method, Outcome, joined_name, run_split
+from deformscope.stages.squeeze.trial_run import COSTLY, NAMES, Answers, Key, Method, joined_name, run_split
 
 Progress = Callable[[str, int, int], None]
 """Called with what is done, how much of it, and of how much."""
@@ -52,7 +52,7 @@ class EvaluationOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class ModalityComparison:
     """Two modalities, or ways to fuse them, on the same splits. difference: of the first less the second; p_value:
     corrected for splits that share trials, and for the number of comparisons (Holm); by_class: (C,) of the recalls"""
 
@@ -94,15 +94,15 @@ class Evaluation:
     table: LabelledTable
     options: EvaluationOptions
     protocol: Protocol
-    scores: tuple[Score, ...]
-    comparisons: tuple[Comparison, ...] = ()
+    scores: tuple[ClassificationScore, ...]
+    comparisons: tuple[ModalityComparison, ...] = ()
     curve: tuple[CurvePoint, ...] = ()
     steps: Mapping[str, tuple[TimePoint, ...]] = field(default_factory=dict)
-    clusters: Mapping[str, Clusters] = field(default_factory=dict)
+    clusters: Mapping[str, Grouping] = field(default_factory=dict)
     normality: Mapping[str, Normality] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
-    def score(self, modality: str, method: Method, protocol: Protocol | None = None) -> Score:
+    def score(self, modality: str, method: Method, protocol: Protocol | None = None) -> ClassificationScore:
         """One of them. Raises KeyError where there is none."""
         wanted = (modality, method, protocol or self.protocol)
         for one in self.scores:
@@ -111,10 +111,10 @@ class Evaluation:
         raise KeyError(wanted)
 
     @property
-    def best(self) -> Score:
+    def best(self) -> ClassificationScore:
         """The one that is saved: late fusion of several modalities, else the pooled classifiers of the only one."""
-        names = list(self.table.modalities)
-        return self.score(joined_name(names), "late-fusion") if len(names) > 1 else self.score(names[0], "pooled")
+        names = self.table.fused[0]
+        return self.score(joined_name(names), "late-fusion" if len(names) > 1 else "pooled")
 
 
 def allowed_protocols(table: LabelledTable) -> tuple[tuple[Protocol, ...], list[str]]:
@@ -128,6 +128,8 @@ def allowed_protocols(table: LabelledTable) -> tuple[tuple[Protocol, ...], list[
         except InputError as error:
             if table.group is not None:
                 notes.append(f"no splits by {one}: {error}")
+    if table.group is None:
+        notes.append("no `group`: what another container or session would give is not known")
     return tuple(found), notes
 
 
@@ -144,20 +146,24 @@ def evaluate(
     allowed, notes = allowed_protocols(table)
     protocols = options.protocols or allowed
     strictest = max(protocols, key=PROTOCOLS.index)
+    transfers = _transfers(table, options.transfer, notes)
     runner = _Runner(table, options, progress)
     fast: tuple[Method, ...] = (*NAMES, "pooled", "late-fusion")
-    scores: list[Score] = []
-    outcomes: dict[Key, list[Outcome]] = {}
+    scores: list[ClassificationScore] = []
+    outcomes: dict[Key, list[Answers]] = {}
     drawn: list[Split] = []
     for protocol in protocols:
         splits = draw(protocol, table, options.splits, options.seed)
         found = runner.run(f"{protocol} splits", splits, fast, by_group=protocol == "group")
+        _check_trained(table, found)
         scores += [score_of(table, key, protocol, splits, one, options.level) for key, one in found.items()]
         if protocol == strictest:
             outcomes, drawn = found, splits
     scores += _costly_scores(table, options, runner, strictest, drawn, notes)
-    for pair in options.transfer or _kinds(table):
-        scores += _transfer(table, options, runner, pair)
+    for pair, split in transfers.items():
+        what = f"transfer {pair[0]} to {pair[1]}"
+        found = runner.run(what, [split], fast, by_group=table.group is not None)
+        scores += [score_of(table, key, "transfer", [split], one, options.level, pair) for key, one in found.items()]
     steps = {} if not options.curve_splits else _time_steps(table, options, runner, strictest, drawn)
     curve = () if not options.curve_splits else _curve(table, options, runner, strictest, drawn)
     progress("natural groupings", 0, 0)
@@ -173,6 +179,13 @@ def evaluate(
         groupings.normality(table),
         (*splitting_notes(table), *_missing_notes(table), *notes),
     )
+
+
+def _check_trained(table: LabelledTable, found: Mapping[Key, Sequence[Answers]]) -> None:
+    for name in table.modalities:
+        if (name, "pooled") not in found:
+            came = f"too few trials with {name}, or none that differ in it"
+            raise InputError("features that vary on the training side of every split", came, "leave that modality out")
 
 
 class _Runner:
@@ -192,18 +205,27 @@ class _Runner:
         *,
         by_group: bool,
         features: Mapping[str, FloatArray] | None = None,
-    ) -> dict[Key, list[Outcome]]:
+    ) -> dict[Key, list[Answers]]:
         """Outcomes of each method, split by split. features: instead of the table's"""
         shown = self.table.modalities if features is None else features
         missing = self.missing if features is None else {k: np.isnan(v).all(axis=1) for k, v in shown.items()}
         apart = self.group if by_group else None
+        fused = self.table.fused if features is None else None
 
-        def one(split: Split) -> dict[Key, Outcome]:
+        def one(split: Split) -> dict[Key, Answers]:
             return run_split(
-                shown, missing, self.target, self.classes, split, apart=apart, methods=methods, seed=self.options.seed
+                shown,
+                missing,
+                self.target,
+                self.classes,
+                split,
+                apart=apart,
+                methods=methods,
+                fused=fused,
+                seed=self.options.seed,
             )
 
-        found: dict[Key, list[Outcome]] = {}
+        found: dict[Key, list[Answers]] = {}
         with ThreadPoolExecutor(self.options.workers) as pool:
             for done, outcomes in enumerate(pool.map(one, splits)):
                 self.progress(what, done, len(splits))
@@ -220,7 +242,7 @@ def _costly_scores(
     protocol: Protocol,
     splits: Sequence[Split],
     notes: list[str],
-) -> list[Score]:
+) -> list[ClassificationScore]:
     fewer = splits[: options.costly_splits]
     methods = [one for one in COSTLY if one == "boosting" or len(table) <= GAUSSIAN_PROCESS_TRIALS]
     if not fewer:
@@ -232,6 +254,8 @@ def _costly_scores(
         f"boosting and Gaussian process on {len(fewer)} of the {len(splits)} {protocol} splits: they take long"
     )
     found = runner.run("boosting and Gaussian process", fewer, methods, by_group=protocol == "group")
+    if not found:
+        notes.append("boosting and Gaussian process left out: fewer than two training trials a class")
     return [score_of(table, key, protocol, fewer, one, options.level) for key, one in found.items()]
 
 
@@ -243,24 +267,29 @@ def _kinds(table: LabelledTable) -> list[tuple[str, str]]:
     return [] if table.kind is None else list(itertools.permutations(map(str, np.unique(table.kind)), 2))
 
 
-def _transfer(table: LabelledTable, options: EvaluationOptions, runner: _Runner, pair: tuple[str, str]) -> list[Score]:
-    """Trained on all trials of one kind of container, tested on all of another."""
+def _transfers(
+    table: LabelledTable, wanted: Sequence[tuple[str, str]], notes: list[str]
+) -> dict[tuple[str, str], Split]:
+    """Trained on all trials of one kind of container, tested on all of another. wanted: patterns; none = every pair of
+    kinds"""
     where = table.kind if table.kind is not None else table.group
     if where is None:
-        raise InputError("`kind` or `group` in the table, for a transfer", "neither")
-    train, test = (np.array([fnmatchcase(str(one), pattern) for one in where]) for pattern in pair)
-    known = np.isin(table.label, table.label[train])
-    for side, pattern in ((train, pair[0]), (test, pair[1])):
-        if not side.any():
-            raise InputError(f"a pattern of {', '.join(sorted(set(map(str, where))))}", repr(pattern))
-    if (train & test).any():
-        raise InputError("different trials to train and to test", f"{pair[0]!r} and {pair[1]!r} share some")
-    if len(np.unique(table.label[train])) < 2 or not (test & known).any():
-        return []
-    split = Split(np.flatnonzero(train), np.flatnonzero(test))
-    name = f"transfer {pair[0]} to {pair[1]}"
-    found = runner.run(name, [split], (*NAMES, "pooled", "late-fusion"), by_group=table.group is not None)
-    return [score_of(table, key, "transfer", [split], one, options.level, pair) for key, one in found.items()]
+        if wanted:
+            raise InputError("`kind` or `group` in the table, for a transfer", "neither")
+        return {}
+    found = {}
+    for pair in wanted or _kinds(table):
+        train, test = (np.array([fnmatchcase(str(one), pattern) for one in where]) for pattern in pair)
+        for side, pattern in ((train, pair[0]), (test, pair[1])):
+            if not side.any():
+                raise InputError(f"a pattern of {', '.join(sorted(set(map(str, where))))}", repr(pattern))
+        if (train & test).any():
+            raise InputError("different trials to train and to test", f"{pair[0]!r} and {pair[1]!r} share some")
+        if len(np.unique(table.label[train])) < 2 or not np.isin(table.label[test], table.label[train]).any():
+            notes.append(f"no transfer from {pair[0]} to {pair[1]}: too few classes in common")
+        else:
+            found[pair] = Split(np.flatnonzero(train), np.flatnonzero(test))
+    return found
 
 
 # Comparisons ---------------------------------------------------------------------------------------------------------
@@ -269,28 +298,28 @@ def _transfer(table: LabelledTable, options: EvaluationOptions, runner: _Runner,
 def _comparisons(
     table: LabelledTable,
     options: EvaluationOptions,
-    outcomes: Mapping[Key, Sequence[Outcome]],
+    outcomes: Mapping[Key, Sequence[Answers]],
     splits: Sequence[Split],
     protocol: Protocol,
-) -> list[Comparison]:
+) -> list[ModalityComparison]:
     """Modalities with one another, each with the joined ones, and late fusion with each, on the same splits."""
-    names = list(table.modalities)
+    names = table.fused[0]
     joined = joined_name(names)
     pairs: list[tuple[Key, Key]] = []
     for method in ("knn", "pooled"):
-        shown = [*names, joined] if method == "knn" and len(names) > 1 else names
+        shown = [*table.modalities, joined] if method == "knn" and len(names) > 1 else list(table.modalities)
         pairs += [((one, method), (other, method)) for one, other in itertools.combinations(shown, 2)]
     pairs += [((joined, "late-fusion"), (one, "pooled")) for one in names if len(names) > 1]
     pairs += [((joined, "late-fusion"), (joined, "knn"))] if len(names) > 1 else []
     pairs = [pair for pair in pairs if set(pair) <= set(outcomes)]
     target, classes = table.target, len(table.classes)
-    ratio = tested_ratio(splits)
+    ratio = split_ratio(splits)
     accuracy = {key: np.array([accuracy_of(one, target) for one in found]) for key, found in outcomes.items()}
     recall = {key: np.array([recalls(one, target, classes) for one in found]) for key, found in outcomes.items()}
     found = [difference(accuracy[one], accuracy[other], ratio, options.level) for one, other in pairs]
     corrected = holm([p_value for _, p_value in found])
     return [
-        Comparison(
+        ModalityComparison(
             *pair,
             protocol,
             estimated,
@@ -333,7 +362,7 @@ def _time_steps(
     """The posterior over the squeeze: at each step a classifier of that step, on the same splits."""
     found = {}
     splits = splits[: options.curve_splits]
-    ratio = tested_ratio(splits)
+    ratio = split_ratio(splits)
     for name, series in table.series.items():
         held = held_values(series)
         points = []

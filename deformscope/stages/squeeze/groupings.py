@@ -23,7 +23,7 @@ ALPHA = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Clusters:
+class Grouping:
     """k-means in the components that hold 80 % of the variance, with as many clusters as classes.
 
     rand: (RUNS,) adjusted Rand index of each run; plane: (n, 2) trials on the two largest components; rows: (n,) which
@@ -67,11 +67,11 @@ def described(table: LabelledTable) -> dict[str, tuple[IntArray, FloatArray, Flo
     for name, values in table.modalities.items():
         rows = np.flatnonzero(~table.missing(name))
         found[name] = rows, fit_scaling(values[rows]).apply(values[rows])
-    if len(found) > 1:
-        rows = np.flatnonzero(~np.any([table.missing(name) for name in table.modalities], axis=0))
-        if len(rows) > 1:
-            joined = [fit_scaling(values[rows]).apply(values[rows]) for values in table.modalities.values()]
-            found[joined_name(list(table.modalities))] = rows, np.concatenate(joined, axis=1)
+    names = table.fused[0]
+    rows = np.flatnonzero(~np.any([table.missing(name) for name in names], axis=0))
+    if len(names) > 1 and len(rows) > 1:
+        joined = [fit_scaling(table.modalities[one][rows]).apply(table.modalities[one][rows]) for one in names]
+        found[joined_name(names)] = rows, np.concatenate(joined, axis=1)
     made = {}
     for name, (rows, scaled) in found.items():
         directions, variance = loadings(scaled)
@@ -80,7 +80,7 @@ def described(table: LabelledTable) -> dict[str, tuple[IntArray, FloatArray, Flo
     return made
 
 
-def clusters(table: LabelledTable, seed: int) -> Mapping[str, Clusters]:
+def clusters(table: LabelledTable, seed: int) -> Mapping[str, Grouping]:
     """Of each modality, and of all joined."""
     from sklearn.cluster import KMeans
     from sklearn.metrics import adjusted_rand_score
@@ -94,7 +94,7 @@ def clusters(table: LabelledTable, seed: int) -> Mapping[str, Clusters]:
         rand = np.array([adjusted_rand_score(table.target[rows], run.labels_) for run in runs])
         tightest = min(runs, key=lambda run: float(run.inertia_))
         plane, centre = (_two(one) for one in (points, tightest.cluster_centers_))
-        found[name] = Clusters(rand, plane, rows, tightest.labels_, centre, variance[:2] / variance.sum())
+        found[name] = Grouping(rand, plane, rows, tightest.labels_, centre, variance[:2] / variance.sum())
     return found
 
 

@@ -105,13 +105,15 @@ def fit_model(
     *,
     by_group: bool,
     seed: int = 0,
-    settings: Mapping[str, object] | None = None,
     promised: Mapping[str, object] | None = None,
     provenance: Mapping[str, object] | None = None,
     progress: Progress | None = None,
 ) -> ContentModel:
-    """Trained on all trials, as the evaluation trains on a training side. by_group: groups are left out together when
-    posteriors are calibrated and modalities weighed"""
+    """Trained on all trials, as the evaluation trains on a training side, on the modalities that are fused.
+
+    by_group: groups are left out together when posteriors are calibrated and modalities weighed
+    """
+    table = table.of(table.fused[0])
     group = np.unique(table.group, return_inverse=True)[1].reshape(-1) if by_group and table.group is not None else None
     target, classes = table.target, len(table.classes)
     models = {}
@@ -138,7 +140,7 @@ def fit_model(
         fusion=fit_pool(logs[:, usable], known[:, usable], target[usable]),
         steps=steps,
         step_s=table.step_s,
-        settings=settings or {},
+        settings=table.settings,
         promised=promised or {},
         provenance=provenance or {},
     )

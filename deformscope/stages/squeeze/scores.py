@@ -13,7 +13,7 @@ from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.squeeze.intervals import Estimated, Interval, over_splits, wilson
 from deformscope.stages.squeeze.splits import Protocol, Split
 from deformscope.stages.squeeze.table import LabelledTable, TextArray
-from deformscope.stages.squeeze.trial_run import Key, Method, Outcome
+from deformscope.stages.squeeze.trial_run import Answers, Key, Method
 
 BINS = 10
 """Of the reliability diagram."""
@@ -34,14 +34,14 @@ class Reliability:
 
 
 @dataclass(frozen=True, slots=True)
-class Score:
+class ClassificationScore:
     """How a method does on a modality.
 
     fusion: none, early (columns joined) or late (posteriors pooled); chance: the no-information rate, of always naming
-    the most frequent class; confusion: (C, C) answers over all splits, row = truth; trials: (C,) different trials of
-    each class that were tested; calibration_error: mean distance of posterior and share right, over the bins;
-    overconfidence: mean posterior less share right; log_loss: mean; components: mean number in use; pair: trained and
-    tested kinds, of a transfer; split_accuracy: (J,)
+    the most frequent of the classes that are tested; confusion: (C, C) answers over all splits, row = truth
+    trials: (C,) different trials of each class that were tested; calibration_error: mean distance of posterior and
+    share right, over the bins; overconfidence: mean posterior less share right; log_loss: mean
+    components: mean number in use; pair: trained and tested kinds, of a transfer; split_accuracy: (J,)
     """
 
     modality: str
@@ -77,12 +77,12 @@ class Score:
         return wilson(float(self.shares[truth, answer]), float(self.trials[truth]), self.level)
 
 
-def accuracy_of(outcome: Outcome, target: IntArray) -> float:
+def accuracy_of(outcome: Answers, target: IntArray) -> float:
     """Share of the tested trials whose class was named; NaN where none was tested."""
     return float((outcome.answer == target[outcome.rows]).mean()) if len(outcome.rows) else float("nan")
 
 
-def recalls(outcome: Outcome, target: IntArray, classes: int) -> FloatArray:
+def recalls(outcome: Answers, target: IntArray, classes: int) -> FloatArray:
     """(C,) share of each class that was named; NaN where none of it was tested."""
     truth = target[outcome.rows]
     tested = np.bincount(truth, minlength=classes)
@@ -90,7 +90,7 @@ def recalls(outcome: Outcome, target: IntArray, classes: int) -> FloatArray:
     return np.where(tested > 0, right / np.maximum(tested, 1), np.nan)
 
 
-def tested_ratio(splits: Sequence[Split]) -> float:
+def split_ratio(splits: Sequence[Split]) -> float:
     """Tested trials over training ones, on average."""
     return float(np.mean([len(one.test) / len(one.train) for one in splits]))
 
@@ -115,10 +115,10 @@ def score_of(
     key: Key,
     protocol: Protocol | Literal["transfer"],
     splits: Sequence[Split],
-    outcomes: Sequence[Outcome],
+    outcomes: Sequence[Answers],
     level: float,
     pair: tuple[str, str] | None = None,
-) -> Score:
+) -> ClassificationScore:
     """From the outcomes of one method on one modality, split by split."""
     target, classes = table.target, len(table.classes)
     accuracy = np.array([accuracy_of(one, target) for one in outcomes])
@@ -128,7 +128,7 @@ def score_of(
     for one in outcomes:
         np.add.at(confusion, (target[one.rows], one.answer), 1)
     by_group = protocol in ("group", "transfer") and table.group is not None
-    ratio = tested_ratio(splits)
+    ratio = split_ratio(splits)
     with np.errstate(invalid="ignore"):
         balanced = np.array([np.mean(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in recall])
     rows = np.concatenate([one.rows for one in outcomes])
@@ -146,14 +146,16 @@ def score_of(
     error = np.abs(reliability.sure - reliability.right)[filled] @ reliability.count[filled] / max(len(right), 1)
     modality, method = key
     trials = np.bincount(target[tested], minlength=classes)
-    return Score(
+    every = trials if protocol == "transfer" else np.bincount(target, minlength=classes)
+    frequent = np.where(trials > 0, every, 0)
+    return ClassificationScore(
         modality=modality,
         method=method,
         protocol=protocol,
         fusion="late" if method == "late-fusion" else "none" if modality in table.modalities else "early",
         accuracy=over_splits(accuracy, ratio, level, units),
         balanced=over_splits(balanced, ratio, level, units),
-        chance=float(trials.max() / max(int(trials.sum()), 1)),
+        chance=float(frequent.max() / max(int(frequent.sum()), 1)),
         confusion=confusion,
         trials=trials,
         calibration_error=float(error),

@@ -14,6 +14,8 @@ from deformscope.errors import InputError
 
 TextArray = npt.NDArray[np.str_]
 
+SMALL = "_small"
+"""Ends the name of a modality that is another one in fewer pixels."""
 LISTED = 4
 """So many names are listed in a message; of the others there is the number."""
 
@@ -26,7 +28,7 @@ class LabelledTable:
     or None; modalities: by name (N, p) features; NaN = not measured, a whole row of NaN = the modality is missing there
     kind: (N,) such as the container's type, between which transfer is evaluated, or None; trial: (N,) names for
     messages, or None; series: by name (N, T, p) features over the squeeze, NaN once a trial has ended
-    step_s: between two of its T steps [s]
+    step_s: between two of its T steps [s]; settings: that the features were computed with, which a model keeps
     Raises InputError for what does not fit together.
     """
 
@@ -37,6 +39,7 @@ class LabelledTable:
     trial: TextArray | None = None
     series: Mapping[str, FloatArray] = field(default_factory=dict)
     step_s: float = 0.1
+    settings: Mapping[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         count = len(self.label)
@@ -71,6 +74,18 @@ class LabelledTable:
         """(N,) index of each trial's label among `classes`."""
         return np.unique(self.label, return_inverse=True)[1].reshape(-1)
 
+    @property
+    def fused(self) -> tuple[tuple[str, ...], ...]:
+        """Modalities that are fused, the ones of late fusion first; NAME_small is NAME in fewer pixels and takes its
+        place in a set of its own, as in Thesis 2.5.4. A single modality by itself where there is nothing to fuse."""
+        small = {
+            one.removesuffix(SMALL): one
+            for one in self.modalities
+            if one.endswith(SMALL) and one.removesuffix(SMALL) in self.modalities
+        }
+        whole = tuple(one for one in self.modalities if one not in small.values())
+        return (whole, tuple(small.get(one, one) for one in whole)) if small and len(whole) > 1 else (whole,)
+
     def name(self, row: int) -> str:
         """How a message names a trial."""
         return f"row {row + 1}" if self.trial is None else f"trial {self.trial[row]}"
@@ -89,6 +104,7 @@ class LabelledTable:
             None if self.trial is None else self.trial[chosen],
             {name: values[chosen] for name, values in self.series.items()},
             self.step_s,
+            self.settings,
         )
 
     def of(self, modalities: Sequence[str]) -> LabelledTable:

@@ -27,7 +27,7 @@ LENGTHS = (0.5, 1.0, 2.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class Answers:
     """What a classifier answered. rows: (m,) tested trials; answer: (m,) classes; sure: (m,) posteriors of these;
     log_truth: (m,) logarithm of the true class's posterior; components: so many were in use"""
 
@@ -43,11 +43,11 @@ def joined_name(modalities: Sequence[str]) -> str:
     return "+".join(modalities)
 
 
-def outcome_of(rows: IntArray, logs: FloatArray, target: IntArray, components: int) -> Outcome:
+def answers_of(rows: IntArray, logs: FloatArray, target: IntArray, components: int) -> Answers:
     """From (m, C) logarithms of posteriors and (m,) true classes."""
     answer = logs.argmax(axis=1)
     row = np.arange(len(rows))
-    return Outcome(rows, answer, np.exp(logs[row, answer]), logs[row, target], components)
+    return Answers(rows, answer, np.exp(logs[row, answer]), logs[row, target], components)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +61,13 @@ class Sides:
     space: Space
 
 
-def sides_of(features: Mapping[str, FloatArray], missing: Mapping[str, BoolArray], split: Split) -> dict[str, Sides]:
-    """Every modality by itself, and all of them joined: early fusion, standardised columns side by side."""
+def sides_of(
+    features: Mapping[str, FloatArray],
+    missing: Mapping[str, BoolArray],
+    split: Split,
+    fused: Sequence[tuple[str, ...]],
+) -> dict[str, Sides]:
+    """Every modality by itself, and joined ones: early fusion, standardised columns side by side."""
     scaled: dict[str, tuple[IntArray, IntArray, FloatArray, FloatArray]] = {}
     for name, values in features.items():
         train, test = split.train[~missing[name][split.train]], split.test[~missing[name][split.test]]
@@ -75,8 +80,9 @@ def sides_of(features: Mapping[str, FloatArray], missing: Mapping[str, BoolArray
             both = np.concatenate([one, other])
             grams[name] = both @ both.T
     found = {name: Sides(*four, project(four[2], four[3], grams.get(name))) for name, four in scaled.items()}
-    if len(features) > 1 and len(scaled) == len(features):
-        found[joined_name(list(features))] = _joined(scaled, grams, split)
+    for names in fused:
+        if len(names) > 1 and set(names) <= set(scaled):
+            found[joined_name(names)] = _joined({name: scaled[name] for name in names}, grams, split)
     return found
 
 
@@ -122,16 +128,19 @@ def run_split(
     *,
     apart: IntArray | None = None,
     methods: Sequence[Method] = (*NAMES, "pooled", "late-fusion"),
+    fused: Sequence[tuple[str, ...]] | None = None,
     seed: int = 0,
-) -> dict[Key, Outcome]:
+) -> dict[Key, Answers]:
     """Train and test every method.
 
     features: by modality (N, p); missing: by modality (N,); target: (N,) classes; apart: (N,) groups, where splits are
-    by group: then what is learned inside the training side is, too
+    by group: then what is learned inside the training side is, too; fused: modalities that are joined, the first of
+    them fused late too, None = all
     """
-    found: dict[Key, Outcome] = {}
+    fused = (tuple(features),) if fused is None else fused
+    found: dict[Key, Answers] = {}
     fitted: dict[str, tuple[Sides, Fitted]] = {}
-    for modality, sides in sides_of(features, missing, split).items():
+    for modality, sides in sides_of(features, missing, split, fused).items():
         space, truth = sides.space, target[sides.train]
         for name in NAMES:
             if name not in methods or not usable(name, space.raw) or not space.train.size:
@@ -141,19 +150,20 @@ def run_split(
             classifier = fit(name, space.train[:, :columns], truth, classes, groups)
             logs = classifier.log_posterior(space.test[:, :columns])
             count = min(columns or space.train.shape[1], space.train.shape[1])
-            found[modality, name] = outcome_of(sides.test, logs, target[sides.test], count)
+            found[modality, name] = answers_of(sides.test, logs, target[sides.test], count)
         for costly in COSTLY:
-            if costly in methods and space.train.size:
+            if costly in methods and len(truth) >= 2 * len(np.unique(truth)):
                 found[modality, costly] = _costly(costly, sides, target, classes, seed)
         if modality in features and space.train.size and {"pooled", "late-fusion"} & {*methods}:
             groups = None if apart is None else apart[sides.train]
             one = fit_expert(space.train, space.kept, space.raw, truth, classes, groups, seed=seed)
             fitted[modality] = sides, one
             logs = one.expert.log_posterior(space.test)
-            found[modality, "pooled"] = outcome_of(sides.test, logs, target[sides.test], space.train.shape[1])
-    if "late-fusion" in methods and len(fitted) > 1:
-        logs = late_fusion(fitted, target, classes, split)
-        found[joined_name(list(features)), "late-fusion"] = outcome_of(split.test, logs, target[split.test], 0)
+            found[modality, "pooled"] = answers_of(sides.test, logs, target[sides.test], space.train.shape[1])
+    late = {name: fitted[name] for name in fused[0] if name in fitted}
+    if "late-fusion" in methods and len(late) > 1:
+        logs = late_fusion(late, target, classes, split)
+        found[joined_name(fused[0]), "late-fusion"] = answers_of(split.test, logs, target[split.test], 0)
     return found
 
 
@@ -176,7 +186,7 @@ def late_fusion(fitted: Mapping[str, tuple[Sides, Fitted]], target: IntArray, cl
 # Costly baselines ----------------------------------------------------------------------------------------------------
 
 
-def _costly(name: Costly, sides: Sides, target: IntArray, classes: int, seed: int) -> Outcome:
+def _costly(name: Costly, sides: Sides, target: IntArray, classes: int, seed: int) -> Answers:
     """scikit-learn's gradient boosting or Gaussian process, on raw columns where there are few, else on components."""
     raw = 0 < sides.scaled_train.shape[1] <= FEW_COLUMNS
     few = sides.space.few
@@ -189,7 +199,7 @@ def _costly(name: Costly, sides: Sides, target: IntArray, classes: int, seed: in
     else:
         fitted = _boosting if name == "boosting" else _gaussian_process
         logs[:, seen] = np.log(np.maximum(fitted(train, index.reshape(-1), test, seed), 1e-9))
-    return outcome_of(sides.test, logs, target[sides.test], train.shape[1])
+    return answers_of(sides.test, logs, target[sides.test], train.shape[1])
 
 
 def _boosting(train: FloatArray, target: IntArray, test: FloatArray, seed: int) -> FloatArray:

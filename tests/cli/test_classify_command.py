@@ -1,0 +1,142 @@
+"""`deformscope classify` and `deformscope.classify`, as a user runs them on a table of their own."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("tyro")
+
+import deformscope as ds
+from deformscope.cli import main
+from tests.pictures.test_report import Page
+from tests.stages.squeeze.trials import blobs, two_modalities
+
+FAST = ["--splits", "6", "--costly-splits", "1", "--curve-splits", "3", "--viewer", "none"]
+
+
+def write(path: Path, **more: Any) -> Path:
+    table = two_modalities()
+    np.savez(path, label=table.label, group=table.group, **table.modalities, **more)  # type: ignore[arg-type]
+    return path
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A table with everything that it may have, evaluated once."""
+    made = tmp_path_factory.mktemp("classify")
+    table = two_modalities()
+    series = np.stack([0.3 * table.modalities["touch"], table.modalities["touch"]], axis=1)
+    kind = np.array(["carton", "bottle"])[np.arange(64) % 2]
+    write(made / "t.npz", kind=kind, **{"series.touch": series})
+    files = ["--json", str(made / "t.json"), "--report", str(made / "report"), "--save", str(made / "m.npz")]
+    assert main(["classify", str(made / "t.npz"), *FAST, *files, "--record", str(made / "t.rrd")]) == 0
+    return made
+
+
+def test_the_json_is_the_public_list(folder: Path) -> None:
+    found = json.loads((folder / "t.json").read_text())
+    assert isinstance(found, list)
+    for one in found:
+        assert set(one) >= {"modality", "method", "accuracy", "interval", "chance", "confusion", "labels", "splits"}
+        assert one["labels"] == ["empty", "flour", "rice", "water"]
+        confusion = np.array(one["confusion"])
+        assert confusion.shape == (4, 4)
+        assert one["interval"][0] <= one["accuracy"] <= one["interval"][1]
+        assert one["chance"] == pytest.approx(0.25, abs=0.02)
+        if one["protocol"] == "stratified":
+            assert np.trace(confusion) / confusion.sum() == pytest.approx(one["accuracy"], abs=0.01)
+    assert {one["modality"] for one in found} == {"touch", "vision", "touch+vision"}
+    methods = {one["method"] for one in found}
+    assert methods >= {"knn", "qda", "knn-raw", "linear", "boosting", "gaussian-process", "pooled", "late-fusion"}
+    assert {one["protocol"] for one in found} == {"random", "stratified", "group", "transfer"}
+    assert [one["splits"] for one in found if one["method"] == "boosting"] == [1, 1, 1]
+    (best,) = (one for one in found if one["recommended"])
+    assert (best["method"], best["protocol"]) == ("late-fusion", "group")
+    assert {one["with_modality"] for one in best["comparisons"]} == {"touch", "vision", "touch+vision"}
+    knn = next(one for one in found if (one["modality"], one["method"], one["protocol"]) == ("touch", "knn", "group"))
+    assert len(knn["learning_curve"]) == 5
+    assert knn["k_means"]["clusters"] == 4
+    pooled = next(one for one in found if one["protocol"] == "group" and one["method"] == "pooled")
+    assert [step["time_s"] for step in pooled["steps"]] == [0.0, 0.1]
+
+
+def test_the_report_has_the_figures_of_the_thesis(folder: Path) -> None:
+    drawn = {path.stem for path in (folder / "report").glob("*.png")}
+    assert drawn >= {"mean-touch", "clusters-vision", "curve", "confusion-knn", "confusion-qda", "raw-knn-raw"}
+    assert drawn >= {"accuracies", "fusion", "fused", "transfer", "reliability", "steps"}
+    text = (folder / "report" / "classification.html").read_text()
+    assert Page(text).open == []
+    assert text.count("<img") == len(drawn)
+    for words in ("Natural groupings", "Confusions", "Fusion", "Transfer", "Calibration", "Provenance", "late-fusion"):
+        assert words in text
+
+
+def test_the_saved_classifier_answers_as_the_library_s(folder: Path) -> None:
+    new = two_modalities(seed=4).modalities
+    loaded = ds.load_classifier(folder / "m.npz")
+    result = ds.classify(folder / "t.npz", splits=6, costly_splits=1, curve_splits=3)
+    found = json.loads((folder / "t.json").read_text())
+
+    np.testing.assert_array_equal(loaded.predict_proba(new), result.model().predict_proba(new))
+    assert loaded.promised["accuracy"] == pytest.approx(result.accuracy)
+    assert json.loads(json.dumps(result.to_dict(), allow_nan=False))["classification"] == found
+    assert "right (90% interval" in repr(result)
+    assert result._repr_html_().count("<img") == 3
+
+
+def test_arrays_of_a_script_with_one_modality_and_merged_classes() -> None:
+    table = two_modalities()
+    arrays = {"label": table.label, "touch": table.modalities["touch"]}
+    result = ds.classify(arrays, merge={"granular": ["flour", "rice"]}, splits=4, costly_splits=0, curve_splits=0)
+
+    assert result.evaluation.table.classes == ("empty", "granular", "water")
+    assert result.evaluation.best.method == "pooled"
+    assert result.evaluation.protocol == "stratified"
+    with pytest.raises(ds.InputError, match="2 splits or more"):
+        ds.classify(arrays, splits=1)
+
+
+def test_many_classes_of_few_trials_and_a_page_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table = blobs(classes=32, each=4, columns=12, apart=6.0)
+    np.savez(tmp_path / "t.npz", label=table.label, touch=table.modalities["touch"])
+    page = tmp_path / "r.html"
+    assert main(["classify", str(tmp_path / "t.npz"), *FAST, "--quick", "--report", str(page), "--json", "-"]) == 0
+    out, err = capsys.readouterr()
+
+    assert {one["splits"] for one in json.loads(out)} == {6}
+    assert "fewer than 5 trials of c00" in err
+    assert "stratified splits" in page.read_text()
+
+
+def test_what_cannot_be_used_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table = two_modalities()
+    twice = {name: values.copy() for name, values in table.modalities.items()}
+    for values in twice.values():
+        values[40] = values[2]
+    np.savez(tmp_path / "twice.npz", label=table.label, **twice)  # type: ignore[arg-type]
+    good = str(write(tmp_path / "t.npz"))
+    for arguments, said in (
+        ([str(tmp_path / "twice.npz")], "row 3 = row 41 with the same features | try: leave the copies out"),
+        ([good, "--modalities", "smell"], "modalities out of touch, vision; got smell"),
+        ([good, "--merge", "liquid"], "--merge NAME=A,B"),
+        ([good, "--merge", "liquid=oil,water"], "got 'oil'"),
+        ([good, "--transfer", "a-b"], "--transfer TRAINED:TESTED"),
+        ([good, "--transfer", "box:*"], "got 'box'"),
+        ([good, "--splits", "1"], "2 --splits or more"),
+        ([good, "--save", good], "a file after --save that is no input"),
+        ([good, "--save", "m.pkl"], "ends in .npz after --save"),
+        ([good, "--report", "r.pdf"], "ends in .html after --report"),
+        ([str(tmp_path)], "got a folder"),
+    ):
+        assert main(["classify", *FAST, *arguments]) == 2, arguments
+        refusal = capsys.readouterr().err
+        assert said in refusal
+        assert len(refusal.splitlines()) == 1
+    drop = [str(tmp_path / "twice.npz"), "--duplicates", "drop", "--splits", "2", "--quick", "--viewer", "none"]
+    assert main(["classify", *drop]) == 2  # equal trials with two labels are an error of the table
+    assert "one label" in capsys.readouterr().err

@@ -1,0 +1,116 @@
+"""Components and classifiers against scikit-learn's, and where classes are too small for them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from sklearn.datasets import load_digits
+from sklearn.decomposition import PCA
+from sklearn.discriminant_analysis import LinearDiscriminantAnalysis, QuadraticDiscriminantAnalysis
+from sklearn.neighbors import KNeighborsClassifier
+from sklearn.preprocessing import StandardScaler
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.stages.squeeze.classifiers import (
+    NAMES,
+    Neighbours,
+    fit,
+    fit_linear,
+    fit_quadratic,
+    left_out,
+    neighbour_count,
+)
+from deformscope.stages.squeeze.components import fit_scaling, loadings, project
+from tests.stages.squeeze.trials import blobs
+
+
+def sides(count: int = 240, columns: int = 64) -> tuple[FloatArray, IntArray, FloatArray, IntArray]:
+    digits = load_digits()
+    x, y = digits.data[:count, :columns], digits.target[:count]
+    return x[: count * 2 // 3], y[: count * 2 // 3], x[count * 2 // 3 :], y[count * 2 // 3 :]
+
+
+def test_scaling_and_components_are_scikit_learns_of_the_training_side() -> None:
+    train, _, test, _ = sides()
+    scaling = fit_scaling(train)
+    space = project(scaling.apply(train), scaling.apply(test))
+    scaler = StandardScaler().fit(train[:, scaling.used])
+    pca = PCA(0.8).fit(scaler.transform(train[:, scaling.used]))
+    theirs = pca.transform(scaler.transform(test[:, scaling.used]))
+
+    assert not scaling.used.all()  # the corners of digits are blank
+    assert space.kept == pca.n_components_
+    np.testing.assert_allclose(np.abs(space.few[1]), np.abs(theirs), atol=1e-8)
+
+
+def test_components_from_inner_products_are_those_from_columns() -> None:
+    rng = np.random.default_rng(0)
+    train, test = rng.normal(size=(20, 50)), rng.normal(size=(8, 50))
+    space = project(train, test)
+    directions, variance = loadings(train)
+
+    np.testing.assert_allclose(np.abs(space.train), np.abs((train - train.mean(axis=0)) @ directions), atol=1e-9)
+    np.testing.assert_allclose(np.abs(space.test), np.abs((test - train.mean(axis=0)) @ directions), atol=1e-9)
+    assert space.train.shape == (20, 19)
+    assert variance.sum() == pytest.approx(train.var(axis=0).sum())
+    # No distance to a training point is lost in the components, but for what is the same for all of them.
+    apart = ((test[:, None] - train) ** 2).sum(axis=2) - ((space.test[:, None] - space.train) ** 2).sum(axis=2)
+    np.testing.assert_allclose(apart, np.broadcast_to(apart[:, :1], apart.shape), atol=1e-9)
+
+
+def test_what_was_not_measured_becomes_the_mean_of_the_training_side() -> None:
+    train = np.array([[1.0, 5.0], [3.0, np.nan], [np.nan, 7.0]])
+    scaling = fit_scaling(train)
+
+    np.testing.assert_allclose(scaling.mean, [2.0, 6.0])
+    np.testing.assert_allclose(scaling.apply(np.array([[np.nan, 8.0]])), [[0.0, 2.0]])
+
+
+@pytest.mark.parametrize("k", [1, 3, 5])
+def test_neighbours_answer_as_scikit_learns(k: int) -> None:
+    train, truth, test, _ = sides()
+    logs = Neighbours(train, truth, k, 10).log_posterior(test)
+    theirs = KNeighborsClassifier(k).fit(train, truth)
+    share = theirs.predict_proba(test)
+    clear = np.sort(share, axis=1)[:, -1] > np.sort(share, axis=1)[:, -2]
+
+    np.testing.assert_array_equal(logs.argmax(axis=1)[clear], theirs.predict(test)[clear])
+    np.testing.assert_allclose(np.exp(logs), (k * share + 0.1) / (k + 1), atol=2e-3)
+
+
+def test_the_number_of_neighbours_is_the_thesis_or_what_does_best_on_points_left_out() -> None:
+    apart = left_out(np.arange(12.0)[:, None])
+    target = np.repeat(np.arange(4), 3)
+
+    assert neighbour_count(apart, target % 3, 3) == 3
+    assert neighbour_count(apart, target, 5) == 5
+    assert neighbour_count(apart, target, 4) == 1
+    noisy = blobs(classes=2, each=60, apart=0.8)
+    assert neighbour_count(left_out(noisy.modalities["touch"]), noisy.target, 2) > 1
+
+
+def test_of_many_points_the_gaussians_are_scikit_learns() -> None:
+    table = blobs(classes=3, each=3000, columns=4, apart=1.5, seed=2)
+    points, target = table.modalities["touch"], table.target
+    prior = np.full(3, 1 / 3)
+    quadratic = QuadraticDiscriminantAnalysis(priors=prior).fit(points, target)
+    linear = LinearDiscriminantAnalysis(solver="lsqr", priors=prior).fit(points, target)
+
+    ours = np.exp(fit_quadratic(points, target, 3).log_posterior(points))
+    np.testing.assert_allclose(ours, quadratic.predict_proba(points), atol=0.01)
+    # The clouds' covariance is the unit matrix, to which ours is shrunk; theirs has the errors of the sample.
+    ours = np.exp(fit_linear(points, target, 3).log_posterior(points))
+    np.testing.assert_allclose(ours, linear.predict_proba(points), atol=0.04)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_classes_of_one_point_or_none_are_no_accident(name: str) -> None:
+    rng = np.random.default_rng(1)
+    target = np.array([0, 0, 0, 0, 2, 3, 3])
+    points = rng.normal(size=(7, 12)) + 8.0 * target[:, None]
+    logs = fit(name, points, target, 5).log_posterior(points)  # type: ignore[arg-type]
+
+    assert np.isfinite(logs).all()
+    np.testing.assert_allclose(np.exp(logs).sum(axis=1), 1.0)
+    assert not set(logs.argmax(axis=1)) & {1, 4}
+    assert logs[4].argmax() == (2 if name != "knn" and name != "knn-raw" else logs[4].argmax())

@@ -1,0 +1,40 @@
+"""Labelled tables whose answers are known."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.stages.squeeze.table import LabelledTable
+
+
+def blobs(
+    classes: int = 3, each: int = 12, columns: int = 6, apart: float = 3.0, *, seed: int = 0, groups: int = 4
+) -> LabelledTable:
+    """Normal clouds of unit variance about means that are `apart` deviations long; each group has one class."""
+    rng = np.random.default_rng(seed)
+    target = np.repeat(np.arange(classes), each)
+    mean = rng.normal(size=(classes, columns))
+    mean *= apart / np.linalg.norm(mean, axis=1, keepdims=True)
+    label = np.array([f"c{one:02d}" for one in target])
+    group = np.array([f"{label[row]}-{row % groups}" for row in range(len(target))])
+    return LabelledTable(label, group, {"touch": mean[target] + rng.normal(size=(len(target), columns))})
+
+
+def two_modalities(each: int = 16, *, seed: int = 0) -> LabelledTable:
+    """Four classes: touch separates the first two from the last two, vision the odd ones from the even ones."""
+    rng = np.random.default_rng(seed)
+    target = np.repeat(np.arange(4), each)
+    touch = 2.5 * (target // 2)[:, None] + rng.normal(size=(len(target), 3))
+    vision = 2.5 * (target % 2)[:, None] + rng.normal(size=(len(target), 4))
+    label = np.array(["empty", "water", "flour", "rice"])[target]
+    group = np.array([f"{one}-{row % 4}" for row, one in enumerate(label)])
+    return LabelledTable(label, group, {"touch": touch, "vision": vision})
+
+
+def noise(classes: int, each: int, columns: int, *, seed: int) -> LabelledTable:
+    """Features that have nothing to do with the labels."""
+    rng = np.random.default_rng(seed)
+    label = np.repeat([f"c{one}" for one in range(classes)], each)
+    features: FloatArray = rng.normal(size=(len(label), columns))
+    return LabelledTable(label, None, {"touch": features})
