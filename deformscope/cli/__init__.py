@@ -70,6 +70,9 @@ COMMANDS: dict[str, Command] = {
     "reproduce table41": _command(
         "maps of simulated tables over seeds (Thesis table 4.1)", "Table41Config", "reproduce_table41"
     ),
+    "reproduce containers": _command(
+        "contents of squeezed containers (Thesis chapter 2)", "ContainersConfig", "reproduce_containers"
+    ),
     "coverage": _command("how often the intervals hold the truth", "CoverageConfig", "coverage"),
     "explore": _command("map how soft a surface is, by touching it", "ExploreConfig", "explore"),
     "classify": _command(

@@ -1,5 +1,5 @@
 """`deformscope replay` of a squeeze: from its recorded tactile frames, angles and depth images, once more all that was
-computed of them: what the fingertips felt, events, tracked container, features, posteriors; each equal to the last bit."""
+computed of them: pressures, events, tracked container, features, posteriors; each equal to the last bit."""
 
 from __future__ import annotations
 

@@ -110,7 +110,10 @@ def squeeze_setup_of(
 ) -> SqueezeOpening:
     """The setup of lab:containers or of a rig file. content, container: empty = drawn, in the laboratory"""
     if name == CONTAINERS:
-        return _container_lab(content, container, session, seed)
+        from deformscope.lab.container_setup import container_lab
+
+        made = container_lab(content, container, session, seed)
+        return SqueezeOpening(made.setup, {"lab": CONTAINERS}, made.content, made.container)
     if name.startswith(LAB):
         raise InputError(CONTAINERS + ", or a rig file", repr(name), CONTAINERS)
     from deformscope.cli.rigs import member_of
@@ -120,56 +123,6 @@ def squeeze_setup_of(
     rig = load_rig(name, trusted=trusted)
     settings = {"rig": rig.text, "rig_name": rig.name}
     return SqueezeOpening(squeeze_setup(rig, member_of, seed), settings, content, container)
-
-
-def _container_lab(content: str, container: str, session: str, seed: int) -> SqueezeOpening:
-    """lab:containers with what is asked for; the rest is drawn from the seed."""
-    import zlib
-
-    import numpy as np
-
-    from deformscope.lab.container_constants import CONTENTS
-    from deformscope.lab.squeeze_lab import NAMES, SqueezeLab, container_of
-    from deformscope.rig.squeeze_sections import ContainerSection, HandSection, SqueezeSection
-    from deformscope.robot.setup import CameraView
-    from deformscope.robot.squeeze_plan import draw_grasp
-    from deformscope.robot.squeeze_setup import SqueezeNames, SqueezeSetup, SqueezeTruth
-
-    random = np.random.default_rng([seed, 0xC0])
-    content = content or list(CONTENTS)[int(random.integers(len(CONTENTS)))]
-    container = container or f"box-{int(random.integers(100)):02d}"
-    shape, _ = container_of(container)
-    x, y, z = (2.0 * float(half_m) for half_m in shape.half_m)
-    words = {"box": "cardboard box", "cylinder": "plastic cylinder"}[shape.kind]
-    section = ContainerSection(shape.kind, (x, y, z), shape.wall.thickness_m, words)
-    squeeze = SqueezeSection()
-    grasp = draw_grasp(section, squeeze, seed)
-    digits = session.rpartition("-")[2]
-    number = int(digits) if digits.isdecimal() else zlib.crc32(session.encode())
-    lab = SqueezeLab(content, container, seed=seed, session=number, grasp=grasp.T_hand_container)
-    seen = lab.view.intrinsics
-
-    def truth() -> SqueezeTruth:
-        now = lab.truth()
-        return SqueezeTruth(now.contact_ns or 0, now.steady_ns or 0, float(now.force_n.max()))
-
-    setup = SqueezeSetup(
-        names=SqueezeNames(*NAMES),
-        hand=HandSection(),
-        container=section,
-        squeeze=squeeze,
-        camera=CameraView((seen.fx_px, seen.fy_px), (seen.cx_px, seen.cy_px)),
-        open_source=lab.source,
-        grasp=grasp,
-        T_camera_hand=np.linalg.inv(lab.view.T_world_camera),
-        placed=True,
-        simulated=True,
-        runs_itself=False,
-        truth=truth,
-        clock=lab.clock,
-        wait_until=lab.wait_until,
-    )
-    return SqueezeOpening(setup, {"lab": CONTAINERS}, content, container)
 
 
 def _is_scene(name: str) -> bool:

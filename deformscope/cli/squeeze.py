@@ -15,7 +15,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope import __version__
 from deformscope.cli.common import EXIT_LOSSES, resolve_viewer, say, show_table, status_line, write_json
 from deformscope.cli.exploring import POLL_S, Watch, signal_word
 from deformscope.cli.rigs import until_interrupted
@@ -45,6 +44,7 @@ recordings of lab:containers."""
 def run(config: SqueezeConfig) -> int:
     """Squeeze, keep, report. Returns the command's exit status."""
     from deformscope.experiments.squeeze import Squeezed
+    from deformscope.experiments.squeeze_trial import entry_of, feature_settings, recorded_settings, row_of
     from deformscope.files.squeeze_dataset import SqueezeDataset
     from deformscope.recording.recorder import Recorder
 
@@ -52,10 +52,11 @@ def run(config: SqueezeConfig) -> int:
     dataset = None if config.dataset is None else SqueezeDataset(config.dataset)
     seed = config.output.seed + _trials_before(dataset, config.container, session)
     model = _model(config.model)
-    opening = squeeze_setup_of(
-        config.rig, config.content, config.container, session, seed, trusted=config.trust_rig
-    )
-    entry = _entry(config, opening, session, seed)
+    opening = squeeze_setup_of(config.rig, config.content, config.container, session, seed, trusted=config.trust_rig)
+    if model is not None and model.settings and dict(model.settings) != feature_settings(opening.setup):
+        raise InputError("a model of features with this rig's settings", f"{dict(model.settings)}", where=config.model)
+    entry = entry_of(opening.setup, opening.content, opening.container, session, seed)
+    entry = dataclasses.replace(entry, fill=config.fill, operator=config.operator)
     file = config.output.record
     if dataset is not None and config.keep == "trial" and file is None:
         file = dataset.recording_path(entry.trial)
@@ -69,7 +70,7 @@ def run(config: SqueezeConfig) -> int:
         Recorder(
             file,
             resolve_viewer(config.output.viewer),
-            settings | _recorded_settings(opening.setup),
+            settings | recorded_settings(opening.setup),
             layout="squeeze",
             overwrite=config.output.overwrite,
             real_time=opening.setup.runs_itself,
@@ -81,7 +82,7 @@ def run(config: SqueezeConfig) -> int:
     path = recorder.summary().path
     entry = _finished(entry, found, told, dataset, path)
     if dataset is not None:
-        _keep(dataset, opening.setup, entry, found)
+        SqueezeDataset(dataset.folder, feature_settings(opening.setup)).add([row_of(entry, found.features)])
     _report(config, opening, entry, found, told, path)
     if found.stop is not None:
         return _leave(found, asked, path, told)
@@ -232,41 +233,6 @@ def final_posterior(
 # The trial -----------------------------------------------------------------------------------------------------------
 
 
-def feature_settings(setup: SqueezeSetup) -> dict[str, Any]:
-    """What the features of a data set were computed with: they compare only where these are equal."""
-    from deformscope.stages.squeeze.patch import SIDE_PX
-    from deformscope.stages.squeeze.physical import PHYSICAL
-
-    return {"tactile_end": setup.hand.tactile_end, "patch_px": SIDE_PX, "physical": list(PHYSICAL)}
-
-
-def _recorded_settings(setup: SqueezeSetup) -> dict[str, Any]:
-    from deformscope.experiments.squeeze_features import SqueezeGeometry
-    from deformscope.experiments.squeezing_hand import rule_of
-
-    told = {"names": dataclasses.asdict(setup.names), "rule": dataclasses.asdict(rule_of(setup))}
-    told |= {"squeeze": dataclasses.asdict(setup.squeeze), "features": feature_settings(setup)}
-    return {"squeezed": told | {"geometry": SqueezeGeometry.of(setup).as_json()}, "simulated": setup.simulated}
-
-
-def _entry(config: SqueezeConfig, opening: SqueezeOpening, session: str, seed: int) -> TrialEntry:
-    from deformscope.files.squeeze_dataset import TrialEntry
-
-    return TrialEntry(
-        trial=f"{session}-{opening.container or 'container'}-{seed:05d}",
-        content=opening.content,
-        container=opening.container,
-        container_type=opening.setup.container.kind,
-        fill=config.fill,
-        session=session,
-        operator=config.operator,
-        T_hand_container=tuple(map(float, opening.setup.grasp.T_hand_container.ravel())),
-        seed=seed,
-        software=f"deformscope {__version__}",
-        recorded_at=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-    )
-
-
 def _trials_before(dataset: SqueezeDataset | None, container: str, session: str) -> int:
     """Each trial of a container has a grasp of its own."""
     if dataset is None or not dataset.exists:
@@ -293,14 +259,6 @@ def _finished(
     )
 
 
-def _keep(dataset: SqueezeDataset, setup: SqueezeSetup, entry: TrialEntry, found: Squeezed) -> None:
-    from deformscope.files.squeeze_dataset import SqueezeDataset, TrialRow
-
-    features = {} if found.features is None else found.features.modalities
-    series = None if found.features is None else found.features.features.series
-    SqueezeDataset(dataset.folder, feature_settings(setup)).add([TrialRow(entry, features, series)])
-
-
 def _size_words(setup: SqueezeSetup) -> str:
     """What a recording will take."""
     pixels = 640 * 480 if setup.names.camera else 0
@@ -319,7 +277,10 @@ def _report(
     from deformscope.stages.squeeze.physical import PHYSICAL
 
     computed, posterior, stop = found.features, found.posterior, found.stop
-    rows = [("content", entry.content if config.content else "not given"), ("container", entry.container or "not given")]
+    rows = [
+        ("content", entry.content if config.content else "not given"),
+        ("container", entry.container or "not given"),
+    ]
     result: dict[str, Any] = {"trial": entry.trial, "content": entry.content, "container": entry.container}
     result["discarded"] = None if stop is None else dataclasses.asdict(stop)
     if computed is not None:
@@ -344,7 +305,9 @@ def _report(
     if posterior is not None:
         words = ", ".join(
             f"{label} {100 * share:.0f} %"
-            for label, share in sorted(zip(posterior.labels, posterior.probability, strict=True), key=lambda one: -one[1])
+            for label, share in sorted(
+                zip(posterior.labels, posterior.probability, strict=True), key=lambda one: -one[1]
+            )
         )
         rows.append(("named", f"{posterior.content} by {posterior.modality} ({words})"))
         result["named"] = posterior.content

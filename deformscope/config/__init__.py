@@ -22,7 +22,14 @@ from deformscope.config.classify import ClassifyConfig
 from deformscope.config.flags import PokeText, parse_poke, parse_pokes
 from deformscope.config.images import FlowConfig, ImageOptions
 from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions, Written
-from deformscope.config.reproduce import CoverageConfig, CubesConfig, FoamsConfig, PokesConfig, Table41Config
+from deformscope.config.reproduce import (
+    ContainersConfig,
+    CoverageConfig,
+    CubesConfig,
+    FoamsConfig,
+    PokesConfig,
+    Table41Config,
+)
 from deformscope.config.rigs import (
     ArmConfig,
     DevicesConfig,
@@ -54,6 +61,7 @@ __all__ = [
     "BothConfig",
     "ClassifyConfig",
     "CommandOptions",
+    "ContainersConfig",
     "CoverageConfig",
     "CubesConfig",
     "DatasetConfig",

@@ -143,3 +143,30 @@ class Table41Config(RecordedOptions):
             raise InputError("--seeds and --touches of 1 or more", f"{self.seeds} and {self.touches}")
         if self.workers is not None and self.workers < 1:
             raise InputError("--workers of 1 or more", str(self.workers))
+
+
+@dataclass(frozen=True, slots=True)
+class ContainersConfig(RecordedOptions):
+    """Thesis chapter 2 in the laboratory: squeeze boxes with five contents, evaluate touch, vision and both, and draw
+    its figures, with its statements beside ours. Trials that the folder has already are taken from there, so that a command
+    that was cut off goes on."""
+
+    out: Annotated[Path, arg(metavar="DIR")] = Path("runs/containers")
+    """Folder of the data set (squeezes/) and of the reports (five/, three/); made where it is not there."""
+    trials: int = 731
+    """Squeezes of cardboard boxes, in the thesis's proportions."""
+    cylinders: int = 100
+    """Squeezes of plastic cylinders besides, on which what was learned from boxes is tested."""
+    whole: int = 20
+    """Trials whose whole recordings are kept, at the camera's full rate."""
+    quick: bool = False
+    """At most 30 splits, and neither costly classifiers nor a learning curve."""
+    workers: CountFlag = None
+    """Processes at once; default: the cores of this machine."""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def __post_init__(self) -> None:
+        if self.trials < 20 or min(self.cylinders, self.whole) < 0:
+            raise InputError("--trials of 20 or more, --cylinders and --whole of 0 or more", f"{self.trials}")
+        if self.workers is not None and self.workers < 1:
+            raise InputError("--workers of 1 or more", str(self.workers))

@@ -149,4 +149,3 @@ class RepairConfig(JsonOptions):
     folder: Annotated[Path, Positional, arg(metavar="FOLDER")]
     """The data set."""
     json: JsonFlag = None
-

@@ -27,7 +27,8 @@ FEATURES_FAILED = "features not computed"
 class Squeezed:
     """What came of it so far, whatever ends it.
 
-    features: with its events, None where there are none; posterior: what a model takes its content for; stop, stop_ns: why and when it ended before its time
+    features: with its events, None where there are none; posterior: what a model takes its content for
+    stop, stop_ns: why and when it ended before its time
     """
 
     features: TrialFeatures | None = None
@@ -47,7 +48,8 @@ def squeeze(
 ) -> RigExperiment[None]:
     """Pre-shape, squeeze once, compute the features; `found` holds what was found.
 
-    clock: the devices' [ns]; name: what names the content, None = nothing does; permitted: what comes before the hand may move; placed: before it closes
+    clock: the devices' [ns]; name: what names the content, None = nothing does
+    permitted: what comes before the hand may move; placed: before it closes
     It returns also where the hand must not go on: `found.stop` says why.
     """
     return _observed(_squeeze(clock, observer.frames, geometry, found, name, permitted, placed), observer)

@@ -334,6 +334,4 @@ def _next_pose(
     """From the last good pose; directions that the image does not observe keep the rest pose."""
     start = before if before.good else rest
     excluded = seen.excluded(depth, when_ns, dent=True)
-    return track(
-        renderer, depth, start.T_camera_container, rest=rest.T_camera_container, excluded=excluded
-    )
+    return track(renderer, depth, start.T_camera_container, rest=rest.T_camera_container, excluded=excluded)

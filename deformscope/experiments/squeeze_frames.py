@@ -46,9 +46,7 @@ class TactileSource:
     def counts(self, frame: TactileFrame) -> list[IntArray]:
         """(rows, columns) of each fingertip."""
         sizes = np.cumsum([0, *(pad.size for pad in frame.pressure_pa)])
-        return [
-            frame.counts[sizes[at] : sizes[at + 1]].reshape(frame.pressure_pa[at].shape) for at in self.pads
-        ]
+        return [frame.counts[sizes[at] : sizes[at + 1]].reshape(frame.pressure_pa[at].shape) for at in self.pads]
 
     def pressure_pa(self, frame: TactileFrame) -> list[FloatArray]:
         """(rows, columns) of each fingertip [Pa]."""

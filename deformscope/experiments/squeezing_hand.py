@@ -240,4 +240,3 @@ class SqueezingHand:
         if self._keep is not None and self._periods % KEEP_EVERY == 0:
             given: Any = self._keep()
             self._observer.observe(given or ())
-

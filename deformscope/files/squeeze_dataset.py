@@ -162,6 +162,7 @@ class SqueezeDataset:
             trial=np.array([one.trial for one in about]),
             series=series,
             step_s=STEP_S,
+            settings=self.settings(),
         )
 
     # Writing ---------------------------------------------------------------------------------------------------------
@@ -279,10 +280,7 @@ class SqueezeDataset:
 def _index_schema() -> pa.Schema:
     kinds = {"str": pa.string(), "float": pa.float64(), "int": pa.int64(), "str | None": pa.string()}
     return pa.schema(
-        [
-            pa.field(one.name, kinds.get(str(one.type), pa.list_(pa.float64())))
-            for one in dataclasses.fields(TrialEntry)
-        ]
+        [pa.field(one.name, kinds.get(str(one.type), pa.list_(pa.float64()))) for one in dataclasses.fields(TrialEntry)]
     )
 
 

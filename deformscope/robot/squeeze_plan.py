@@ -102,7 +102,7 @@ def grasp_middle(container: ContainerSection, squeeze: SqueezeSection) -> FloatA
 
 
 def _contact_deg(half_m: float, distal_deg: float) -> float:
-    """The proximal angle at which the fingertip is half_m from the middle, by bisection: it closes as the angle grows."""
+    """The proximal angle at which the fingertip is half_m from the middle, by bisection: it closes with the angle."""
     low, high = -80.0, 80.0
     for _ in range(40):
         middle = (low + high) / 2

@@ -49,8 +49,8 @@ PRESHAPE_MARGIN_S = 4.0
 OLD_FIRMWARE_S = 15.0
 """The whole range of an axis at 12 deg/s."""
 STOP_TRIES, STOP_EVERY_S = 15, 0.1
-"""Attempts to stop the hand or to set its limits back, and from one to the next while its link is down: the driver looks
-for a lost one after 0.05 s, and then ever more rarely."""
+"""Attempts to stop the hand or to set its limits back, and from one to the next while its link is down: the driver
+looks for a lost one after 0.05 s, and then ever more rarely."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,5 @@
-"""Devices to squeeze with, closed: a hand, its tactile arrays, a depth camera and perhaps the arm that carries the hand;
-real ones or doubles. A laboratory hands its own in."""
+"""Devices to squeeze with, closed: a hand, its tactile arrays, a depth camera and perhaps the arm that carries the
+hand; real ones or doubles. A laboratory hands its own in."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class SqueezeNames:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SqueezeTruth:
-    """What a simulated squeeze really was, on the laboratory's clock: first_ns of the first contact, steady_ns from when
-    the fingers stood still; 0 = not yet. max_force_n: the largest force of a finger so far"""
+    """What a simulated squeeze really was, on the laboratory's clock: first_ns of the first contact, steady_ns from
+    when the fingers stood still; 0 = not yet. max_force_n: the largest force of a finger so far"""
 
     first_ns: int
     steady_ns: int

@@ -99,9 +99,7 @@ class SqueezeSupervisor:
     closing: False where the hand only opens: it then needs no tactile arrays, and may come from the end of its range
     """
 
-    def __init__(
-        self, squeeze: SqueezeSection, fingers: tuple[int, int], now_ns: int, *, closing: bool = True
-    ) -> None:
+    def __init__(self, squeeze: SqueezeSection, fingers: tuple[int, int], now_ns: int, *, closing: bool = True) -> None:
         self._closing = closing
         self.verdict = SqueezeVerdict()
         self._squeeze, self._fingers = squeeze, fingers

@@ -1,9 +1,8 @@
-"""A hand on a simulated clock that squeezes a box: the real drivers on byte-exact doubles, and a contact as simple as can
-be. Pressures grow with the angle beyond contact, until an obstacle holds the fingers."""
+"""A hand on a simulated clock that squeezes a box: the real drivers on byte-exact doubles, and the simplest contact.
+Pressures grow with the angle beyond contact, until an obstacle holds the fingers."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -29,9 +28,7 @@ from deformscope_drivers.sdh.double import Port, SdhDouble
 
 POLL_NS = 2_000_000
 PAD_SHAPES = [(14, 6), (13, 6)] * 3
-T_CAMERA_HAND = np.array(
-    [[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -0.1], [1.0, 0.0, 0.0, 0.6], [0.0, 0.0, 0.0, 1.0]]
-)
+T_CAMERA_HAND = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -0.1], [1.0, 0.0, 0.0, 0.6], [0.0, 0.0, 0.0, 1.0]])
 """The camera looks along the hand's x axis at the pad of finger 2."""
 
 
@@ -157,5 +154,3 @@ def closing(lab: ToySqueeze) -> bool:
 def limits(lab: ToySqueeze) -> tuple[float, ...]:
     """The limits of the motor currents as the hand has them, (7,) [A]."""
     return tuple(axis.move_current_a for axis in lab.hand_double.motion.axes)
-
-

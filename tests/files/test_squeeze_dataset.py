@@ -78,7 +78,7 @@ def test_labels_are_corrected_and_trials_discarded_and_taken_back(tmp_path: Path
     made.change([name], discarded=None)
     assert made.entries()[0].discarded is None
     np.testing.assert_array_equal(made.rows()[0].features["tactile"], trial(1).features["tactile"])
-    with pytest.raises(InputError, match="a trial of .*; got 'nobody'"):
+    with pytest.raises(InputError, match=r"a trial of .*; got 'nobody'"):
         made.change(["nobody"], content="rice")
 
 
@@ -112,8 +112,8 @@ def test_a_missing_trial_and_what_is_no_data_set_are_refused_in_one_line(tmp_pat
     with pytest.raises(InputError, match="features of s-box-01-00002; got none"):
         made.table()
 
-    with pytest.raises(InputError, match="with its index.parquet; got none"):
+    with pytest.raises(InputError, match=r"with its index\.parquet; got none"):
         SqueezeDataset(tmp_path).entries()
     (tmp_path / "d" / INDEX).write_bytes(b"PAR1 damaged")
-    with pytest.raises(InputError, match="a damaged index.parquet"):
+    with pytest.raises(InputError, match=r"a damaged index\.parquet"):
         made.entries()
