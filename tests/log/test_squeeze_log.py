@@ -73,7 +73,7 @@ def test_every_result_comes_back_to_the_last_bit(tmp_path: Path) -> None:
 
 
 def test_what_is_no_result_of_a_squeeze_is_refused() -> None:
-    with pytest.raises(TypeError, match="no twin in deformscope.log.squeeze shows a int"):
+    with pytest.raises(TypeError, match=r"no twin in deformscope\.log\.squeeze shows a int"):
         prepare_squeeze_results((5,), 0, None)
 
 

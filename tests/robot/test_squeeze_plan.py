@@ -33,7 +33,7 @@ def test_a_given_distal_angle_is_kept() -> None:
 
 
 def test_what_the_fingers_cannot_close_on_is_refused() -> None:
-    with pytest.raises(InputError, match="a container up to 0.208 m wide"):
+    with pytest.raises(InputError, match=r"a container up to 0\.208 m wide"):
         GripShape.of(ContainerSection(size_m=(0.3, 0.1, 0.2)), SQUEEZE)
 
 

@@ -15,7 +15,7 @@ START_S = 10.0
 def squeezed(
     seed: int, *, dropped: float = 0.0, noise_counts: float = 4.0
 ) -> tuple[SqueezeEvents, float, float, float, float]:
-    """Events of a finger that closes at 6 deg/s, touches, and creeps to rest; true times and both sample periods [s]."""
+    """Events of a finger that closes at 6 deg/s, touches, and comes to rest; true times and both periods [s]."""
     random = np.random.default_rng(seed)
     touch_s, rest_s = START_S + random.uniform(1.0, 2.0), random.uniform(0.2, 0.8)
     tactile_s = START_S + np.arange(0.0, 5.0, 1 / 25.0) + random.uniform(0.0, 0.04)
