@@ -22,8 +22,6 @@ OPENING_DEG = 12.0
 3 cm away. Chosen."""
 CLOSING_AXES = (1, 5)
 """The proximal axes of fingers 0 and 2 (Schunk's order of axes)."""
-DISTAL_AXES = (2, 6)
-THUMB_AXES = (3, 4)
 PAD_ALONG_M = 0.6 * DISTAL_LINK_M
 """Where along the distal link the middle of its pad is. Assumed."""
 

@@ -27,7 +27,7 @@ from deformscope_drivers.clock import Clock
 from deformscope_drivers.dsa import Dsa
 from deformscope_drivers.dsa.device import TactileReading
 from deformscope_drivers.dsa.pads import Pad, Part
-from deformscope_drivers.errors import DeviceError
+from deformscope_drivers.errors import DeviceError, LinkLost, NoReply, NotConnected
 from deformscope_drivers.health import Link
 from deformscope_drivers.sdh import Sdh
 from deformscope_drivers.sdh.codes import AXIS_COUNT, MOVING
@@ -38,6 +38,9 @@ SQUEEZE_PERIOD_NS = 20_000_000
 """A control period: as often as the hand's angles can be read and its velocity set on RS-232, with room to spare."""
 KEEP_S = 0.1
 """The hand's driver sets a velocity back to 0 unless it is set again within this: five control periods."""
+RAMP_DEG_S2 = 400.0
+"""Of the closing axes: the most that Schunk's library takes. From 6 deg/s they then stand within 15 ms of a stop; at the
+hand's default of 100 deg/s2 it would be 60 ms."""
 PRESHAPE_DEG_S = 40.0
 """Of the fastest axis; nothing is between the fingers. Schunk's library moves so by default."""
 MISSED_DEG = 2.0
@@ -100,7 +103,7 @@ class SqueezeRobot:
         self._frames: Any = tactile.readings()
         self._limits_a: tuple[float, ...] | None = None
         self._next_ns = clock()
-        self._commanded = False
+        self._commanded = self._ramped = False
         self.supervisor = SqueezeSupervisor(squeeze, section.fingers, clock())
 
     # The control period ----------------------------------------------------------------------------------------------
@@ -121,7 +124,9 @@ class SqueezeRobot:
             velocity = [0.0] * AXIS_COUNT
             for axis in CLOSING_AXES:
                 velocity[axis] = closing_deg_s
-            self.command(lambda: self.hand.drive(velocity, keep_s=KEEP_S))
+            ramp = None if self._ramped else RAMP_DEG_S2
+            self.command(lambda: self.hand.drive(velocity, keep_s=KEEP_S, acceleration_deg_s2=ramp))
+            self._ramped = True
         now_ns = self._clock()
         self._next_ns = max(self._next_ns + SQUEEZE_PERIOD_NS, now_ns + SQUEEZE_PERIOD_NS // 2)
         self._wait_until(self._next_ns)
@@ -199,7 +204,7 @@ class SqueezeRobot:
         try:
             send()
         except DeviceError as error:
-            lost = self.hand.link is not Link.CONNECTED
+            lost = self.hand.link is not Link.CONNECTED or isinstance(error, LinkLost | NoReply | NotConnected)
             self.fail(SqueezeFault.HAND_LOST if lost else SqueezeFault.REFUSED, " ".join(str(error).split()))
 
     def _insist(self, send: Callable[[], object]) -> bool:
@@ -208,11 +213,11 @@ class SqueezeRobot:
             with contextlib.suppress(DeviceError):
                 send()
                 return True
-            if self.hand.link is not Link.CONNECTED:
-                self._wait_until(self._clock() + round(1e9 * STOP_EVERY_S))
+            self._wait_until(self._clock() + round(1e9 * STOP_EVERY_S))
         return False
 
     def _move(self, target_deg: tuple[float, ...]) -> None:
+        self._ramped = False
         started_ns = self._clock()
         planned_s = self.hand.move(target_deg, velocity_deg_s=PRESHAPE_DEG_S, wait=False).duration_s
         until_ns = started_ns + round(1e9 * ((planned_s or OLD_FIRMWARE_S) + PRESHAPE_MARGIN_S))

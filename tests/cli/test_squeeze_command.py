@@ -140,7 +140,7 @@ def small_model() -> ContentModel:
     table = LabelledTable(
         np.repeat(["empty", "rice"], 12), None, {"tactile": mean + random.normal(0.0, 100.0, (24, 72))}
     )
-    return fit_model(table)
+    return fit_model(table, by_group=False)
 
 
 def test_a_model_names_the_content_while_it_is_squeezed(tmp_path: Path) -> None:
