@@ -44,12 +44,13 @@ def replay_squeeze(recording: Replay, config: ReplayConfig) -> None:
     stops = [one.result for one in read_results(path, (SqueezeStop,), trust=True)]
     compared = 0
     for kind in kinds:
-        before = [one.result for one in read_results(path, (kind,), trust=True)]
-        now = [one for one in again.results if type(one) is kind]
-        if len(before) != len(now):
+        before = _by_frame([one.result for one in read_results(path, (kind,), trust=True)])
+        now = _by_frame([one for one in again.results if type(one) is kind])
+        last = max(before, default=-1)
+        if any(frame not in now for frame in before) or any(frame not in before for frame in now if frame <= last):
             raise Different(f"{len(before)} {kind.__name__} as recorded", str(len(now)), where=path)
-        for first, second in zip(before, now, strict=True):
-            ours, theirs = to_components(first), to_components(second)
+        for frame, first in before.items():
+            ours, theirs = to_components(first), to_components(now[frame])
             for name in sorted(set(ours) | set(theirs)):
                 same = name in ours and name in theirs
                 if not same or not np.array_equal(ours[name], theirs[name], equal_nan=ours[name].dtype.kind == "f"):
@@ -60,9 +61,15 @@ def replay_squeeze(recording: Replay, config: ReplayConfig) -> None:
         raise Different("the recorded features", again.failure, where=path)
     for stop in stops:
         console().print(f"stopped when it was recorded: {stop.kind}: {stop.reason}", markup=False)  # type: ignore[union-attr]
-    counted = ", ".join(f"{sum(type(one) is kind for one in again.results)} {kind.__name__}" for kind in kinds)
+    counted = ", ".join(kind.__name__ for kind in kinds)
     console().print(f"replay: {compared} results from raw frames ({counted}), identical to the recorded numbers")
     write_json({"results": compared, "identical": True, "stopped": stops}, config.output.json)
+
+
+def _by_frame(results: list[Any]) -> dict[int, Any]:
+    """Results by the frame that they are of, or their order. What came after the hand had opened was recorded, but no
+    longer looked at: recorded results may be fewer at the end."""
+    return {getattr(one, "index", order): one for order, one in enumerate(results)}
 
 
 def squeeze_again(recording: Replay) -> SqueezeAgain:

@@ -136,11 +136,11 @@ def trial_features(frames: SqueezeFrames, geometry: SqueezeGeometry) -> TrialFea
     if not events.first_ns or not events.steady_ns:
         raise InputError("a squeeze with first contact and steady state", "one without", "onset and still in [squeeze]")
     source, end = frames.tactile_source, geometry.hand.tactile_end
-    tactile = sorted((one for one in frames.tactile if frame_ns(one) >= events.first_ns), key=frame_ns)
+    tactile = [one for one in frames.during(frames.tactile) if frame_ns(one) >= events.first_ns]
     at = next((place for place, one in enumerate(tactile) if frame_ns(one) >= events.steady_ns), len(tactile) - 1)
     time_s = np.array([(frame_ns(one) - events.first_ns) / 1e9 for one in tactile])
     cells = np.stack([tactile_feature(source.counts(one), end) for one in tactile])
-    hands = sorted(frames.hands, key=frame_ns)
+    hands = frames.during(frames.hands)
     gaps = _gaps(hands, geometry, [frame_ns(one) for one in tactile])
     physical = physical_features(
         time_s,
@@ -196,7 +196,7 @@ class _Seen:
             raise InputError("[camera] focal_px and center_px", "none")
         self.T_camera_hand: FloatArray = T_camera_hand
         self.camera = Intrinsics(camera.focal_px, camera.center_px, camera.distortion)
-        self.images = sorted(frames.depth, key=frame_ns)
+        self.images = frames.during(frames.depth)
         self._fingers = geometry.hand.fingers
         self._hands = hands
         self._hand_ns = np.array([frame_ns(one) for one in hands])

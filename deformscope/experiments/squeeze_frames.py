@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 
@@ -19,10 +20,12 @@ from deformscope.stages.squeeze.trial import ContentPosterior, FingertipPressure
 
 BEFORE_S = 1.0
 """Depth images are kept from so long before the first contact."""
-AIR = "air"
-"""The phase in which the open fingertips are in the air, at rest."""
+AIR, OPEN = "air", "open"
+"""The phases in which the open fingertips are in the air, at rest, and in which they open again."""
 POSTERIOR_S = 0.1
 """The posterior is computed so often."""
+
+FrameT = TypeVar("FrameT", TactileFrame, HandFrame, DepthFrame)
 
 Predict = Callable[[float, FloatArray], tuple[tuple[str, ...], FloatArray]]
 """Labels and their probabilities (k,) of a time since first contact [s] and the tactile feature (72,) then."""
@@ -63,13 +66,16 @@ def _distal(pads: Sequence[Pad], finger: int, device: str) -> int:
 @dataclass
 class SqueezeFrames:
     """Of one squeeze, in the order in which they came. air_ns: from when on the open fingertips were in the air, at
-    rest; 0 = not yet"""
+    rest; open_ns: from when on they opened again, after which nothing is of interest; 0 = not yet
+    arm: the last state before it of the arm that carries the hand
+    """
 
     tactile_source: TactileSource
     hand: str
     camera: str
     rule: EventRule
     air_ns: int = 0
+    open_ns: int = 0
     tactile: list[TactileFrame] = field(default_factory=list)
     hands: list[HandFrame] = field(default_factory=list)
     depth: list[DepthFrame] = field(default_factory=list)
@@ -89,10 +95,14 @@ class SqueezeFrames:
             while not first_ns and self.depth[0].stamp.host_ns < oldest_ns:
                 self.depth.pop(0)
 
+    def during(self, frames: Sequence[FrameT]) -> list[FrameT]:
+        """Those from when the fingertips were in the air until they opened, in order of time."""
+        until_ns = self.open_ns or np.inf
+        return sorted((one for one in frames if self.air_ns <= frame_ns(one) < until_ns), key=frame_ns)
+
     def events(self) -> SqueezeEvents:
         """First contact and steady state, from all frames since the fingers were to close, in order of time."""
-        tactile = sorted((one for one in self.tactile if one.stamp.host_ns >= self.air_ns), key=frame_ns)
-        hands = sorted((one for one in self.hands if one.stamp.host_ns >= self.air_ns), key=frame_ns)
+        tactile, hands = self.during(self.tactile), self.during(self.hands)
         sums = [[float(pad.sum(dtype=np.int64)) for pad in self.tactile_source.counts(one)] for one in tactile]
         return squeeze_events(
             np.array([frame_ns(one) for one in tactile], np.int64),
@@ -127,6 +137,8 @@ class SqueezeObserver:
         """The hand begins with something."""
         if name == AIR:
             self.frames.air_ns = now_ns
+        elif name == OPEN:
+            self.frames.open_ns = now_ns
 
     def observe(self, items: Sequence[Item]) -> None:
         """Take items in; `reports` has what there is to show of them."""

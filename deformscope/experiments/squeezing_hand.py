@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from deformscope.errors import InputError
-from deformscope.experiments.squeeze_frames import AIR, SqueezeObserver
+from deformscope.experiments.squeeze_frames import AIR, OPEN, SqueezeObserver
 from deformscope.rig.source import RigSource
 from deformscope.robot.squeeze_plan import CLOSING_AXES, GripShape
 from deformscope.robot.squeeze_robot import SqueezeRobot, SqueezeStopped
@@ -192,7 +192,7 @@ class SqueezingHand:
             while self._clock() < until_ns:
                 robot.cycle(squeeze.speed_deg_s)
         self.restored = robot.restore()
-        self._begin("open")
+        self._begin(OPEN)
         robot.preshape()
         self.doing = ""
 

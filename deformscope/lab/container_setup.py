@@ -64,7 +64,7 @@ def container_lab(
 
     def truth() -> SqueezeTruth:
         now = lab.truth()
-        return SqueezeTruth(now.contact_ns or 0, now.steady_ns or 0, float(now.force_n.max()))
+        return SqueezeTruth(now.contact_ns or 0, now.steady_ns or 0)
 
     setup = SqueezeSetup(
         names=SqueezeNames(*NAMES),

@@ -33,11 +33,10 @@ class SqueezeNames:
 @dataclass(frozen=True, slots=True, eq=False)
 class SqueezeTruth:
     """What a simulated squeeze really was, on the laboratory's clock: first_ns of the first contact, steady_ns from
-    when the fingers stood still; 0 = not yet. max_force_n: the largest force of a finger so far"""
+    when the fingers stood still; 0 = not yet"""
 
     first_ns: int
     steady_ns: int
-    max_force_n: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
