@@ -148,8 +148,8 @@ class Table41Config(RecordedOptions):
 @dataclass(frozen=True, slots=True)
 class ContainersConfig(RecordedOptions):
     """Thesis chapter 2 in the laboratory: squeeze boxes with five contents, evaluate touch, vision and both, and draw
-    its figures, with its statements beside ours. Trials that the folder has already are taken from there, so that a command
-    that was cut off goes on."""
+    its figures, with its statements beside ours. Trials that the folder has already are taken from there, so that a
+    command that was cut off goes on."""
 
     out: Annotated[Path, arg(metavar="DIR")] = Path("runs/containers")
     """Folder of the data set (squeezes/) and of the reports (five/, three/); made where it is not there."""

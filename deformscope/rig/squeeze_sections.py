@@ -82,7 +82,7 @@ class SqueezeSection:
     of its tilt
     """
 
-    current_a: float = 0.12
+    current_a: float = 0.3
     speed_deg_s: float = 6.0
     open_deg: float | None = None
     distal_deg: float | None = None
