@@ -27,25 +27,17 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-_HOMES = {
-    "CalibrationResult": "api.calibration",
-    "ClassificationResult": "api.classification",
-    "ExplorationResult": "api.exploration",
-    "InputError": "errors",
-    "Msm": "stages.msm.solver",
-    "OpenRecording": "api.recordings",
-    "PredictionResult": "api.prediction",
-    "RecordResult": "api.recordings",
-    "calibrate_beta": "api.calibration",
-    "calibrate_theta": "api.calibration",
-    "classify": "api.classification",
-    "dense_flow": "stages.see.flow",
-    "explore": "api.exploration",
-    "load_classifier": "api.classification",
-    "open_recording": "api.recordings",
-    "predict": "api.prediction",
-    "record": "api.recordings",
+_NAMES = {
+    "api.calibration": ("CalibrationResult", "calibrate_beta", "calibrate_theta"),
+    "api.classification": ("ClassificationResult", "classify", "load_classifier"),
+    "api.exploration": ("ExplorationResult", "explore"),
+    "api.prediction": ("PredictionResult", "predict"),
+    "api.recordings": ("OpenRecording", "RecordResult", "open_recording", "record"),
+    "errors": ("InputError",),
+    "stages.msm.solver": ("Msm",),
+    "stages.see.flow": ("dense_flow",),
 }
+_HOMES = {name: module for module, names in _NAMES.items() for name in names}
 """The module of each name, imported when the name is first asked for."""
 
 __all__ = [

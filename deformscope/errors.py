@@ -20,9 +20,9 @@ class InputError(Exception):
     @classmethod
     def about(cls, error: Exception, where: object) -> InputError:
         """The same error, with the file that it is about."""
-        told = cls.__new__(cls)
-        Exception.__init__(told, f"{error} | {where}" if str(where) else str(error))
-        return told
+        made = cls.__new__(cls)
+        Exception.__init__(made, f"{error} | {where}" if str(where) else str(error))
+        return made
 
     def __reduce__(self) -> tuple[object, ...]:
         """Between processes the message goes as it is."""

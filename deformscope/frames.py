@@ -217,7 +217,7 @@ class Pad:
 class Stream:
     """What is known of a device before its first frame.
 
-    simulated: it is a double, no device; pads: of a tactile sensor; urdf: of an arm; serial: as the device tells it
+    simulated: it is a double, no device; pads: of a tactile sensor; urdf: of an arm; serial: as the device reports it
     channels: of a force sensor; torques: whether it measures them; fastest_hz: the rate that it was set to
     full_scale_pa: of a tactile sensor: the pressure of its largest count [Pa], 0 where that is not known
     """

@@ -8,11 +8,19 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing.connection import Connection
 from types import ModuleType
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 SPAWN = multiprocessing.get_context("spawn")
 """How they are made: what other threads hold does not survive a fork."""
+END_S = 5.0
+"""A process ends by itself within this, or is ended."""
 BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -33,6 +41,58 @@ def starting() -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = value
+
+
+def in_processes(
+    function: Callable[[T], R], items: Sequence[T], workers: int | None = None, begin: Callable[[], None] | None = None
+) -> Iterator[tuple[int, R]]:
+    """(index, result) of each item as it is ready; `function` is one of a module.
+
+    workers: processes, default the cores that this process may use; with one, all happens here
+    begin: of a module too, called first in each process
+    """
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    count = min(cores if workers is None else workers, len(items))
+    if count <= 1:
+        yield from enumerate(map(function, items))
+        return
+    with ProcessPoolExecutor(count, SPAWN, _begin, (begin,)) as pool:
+        with starting():
+            futures = {pool.submit(function, item): index for index, item in enumerate(items)}
+        try:
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _begin(also: Callable[[], None] | None) -> None:
+    follow_parent()
+    if also is not None:
+        also()
+
+
+@contextlib.contextmanager
+def beside(name: str, target: Callable[..., None], *arguments: Any) -> Iterator[Connection]:
+    """Run `target(pipe, *arguments)` in such a process, which is to end when the pipe does; yields the other end."""
+    ours, theirs = SPAWN.Pipe()
+    process = SPAWN.Process(target=_followed, args=(target, theirs, *arguments), name=name, daemon=True)
+    with starting():
+        process.start()
+    theirs.close()
+    try:
+        yield ours
+    finally:
+        ours.close()
+        process.join(END_S)
+        if process.is_alive():
+            process.kill()
+            process.join()
+
+
+def _followed(target: Callable[..., None], *arguments: Any) -> None:
+    follow_parent()
+    target(*arguments)
 
 
 def follow_parent() -> None:

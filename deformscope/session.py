@@ -80,29 +80,7 @@ in it where it waits for the answer."""
 class SessionRecorder(Protocol):
     """Where a session's frames and results go (`deformscope.recording.recorder.Recorder`)."""
 
-    def write_frame(self, frame: ColorFrame) -> None: ...
-
-    def write(self, step: Step) -> None: ...
-
-    def write_items(self, items: Sequence[Item]) -> None: ...
-
-    def write_results(
-        self, results: Sequence[object], now_ns: int, touch: int, cell_m: float, seen_ns: int | None = None
-    ) -> None: ...
-
-
-class NotRecorded:
-    """A recorder that keeps nothing; what listens to a session overrides what it wants to hear."""
-
-    def write_frame(self, frame: ColorFrame) -> None: ...
-
-    def write(self, step: Step) -> None: ...
-
-    def write_items(self, items: Sequence[Item]) -> None: ...
-
-    def write_results(
-        self, results: Sequence[object], now_ns: int, touch: int, cell_m: float, seen_ns: int | None = None
-    ) -> None: ...
+    def write(self, items: object) -> None: ...
 
 
 class SessionRig(Protocol):
@@ -159,11 +137,8 @@ def run(
     heeded = False
 
     def write(step: Step) -> None:
-        moment = step.moment
-        if moment is None and (frames is not None or step.results):
+        if step.results or (step.moment is None and frames is not None):
             recorder.write(step)
-        elif moment is not None and step.results:
-            recorder.write_results(step.results, moment.now_ns, moment.touch, moment.cell_m, moment.seen_ns)
 
     def keep(wait_s: float = 0.0) -> ColorFrame | Sequence[Item] | None:
         """Record what came."""
@@ -172,11 +147,11 @@ def run(
         if frames is None:
             assert not isinstance(source, Iterable)
             items = source.take(wait_s)
-            recorder.write_items(items)
+            recorder.write(items)
             return items
         frame = next(frames, None)
         if frame is not None:
-            recorder.write_frame(frame)
+            recorder.write(frame)
         return frame
 
     try:
@@ -229,17 +204,10 @@ def ask(
     return given.value
 
 
-def passing_on(ended: Callable[[Sequence[Item]], bool]) -> RigExperiment[None]:
-    """The experiment that only records what comes, until `ended` says so; it sees every batch."""
-    given = yield Step()
-    while not isinstance(given, Sequence) or not ended(given):
-        given = yield Step()
-
-
 def finish(rig: SessionRig, recorder: SessionRecorder) -> HealthReport:
     """Close a rig's devices, and record all that came until then and a last look at them, whose counts are those of the
     whole session; nothing that came is left."""
     rig.close()
     last = rig.look()
-    recorder.write_items([*rig.rest(), last])
+    recorder.write([*rig.rest(), last])
     return last

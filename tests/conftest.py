@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import signal
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -20,6 +22,28 @@ transport.WRITE_TIMEOUT_S = PATIENCE_S  # a thread that a busy machine stops in 
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 """Real recordings that are too large to be kept in the repository; they lie beside a checkout where there are any."""
+
+
+def pytest_configure() -> None:
+    """Of several test processes one compiles a module of kernels while the others wait; warp would let each do so."""
+    if "PYTEST_XDIST_WORKER" not in os.environ or importlib.util.find_spec("warp") is None:
+        return
+    import fcntl
+
+    import warp as wp
+
+    plain = wp.Module.load
+
+    def load(self: Any, *args: Any, **kwargs: Any) -> Any:
+        if self.execs:  # every launch comes here
+            return plain(self, *args, **kwargs)
+        folder = Path(wp.config.kernel_cache_dir)
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / f"{self.name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            return plain(self, *args, **kwargs)
+
+    wp.Module.load = load
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import re
 import runpy
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+import deformscope
 from deformscope.cli import COMMANDS
+from tests.cli.fake_bench import use_fake_bench
 
 ROOT = Path(__file__).resolve().parents[1]
 README = ROOT / "README.md"
@@ -69,20 +72,31 @@ def test_the_picture_of_the_layers_is_drawn_from_the_whitelist() -> None:
     assert shown == tool["drawing"](), "draw it again: python tools/layers.py --write"
 
 
-def test_the_readmes_python_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    """As it stands there but for fewer touches; and an exploration's result is what the library says it is."""
+@pytest.mark.parametrize("scene", ["in a moment", pytest.param("simulated", marks=pytest.mark.slow)])
+def test_the_readmes_python_runs(
+    scene: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As it stands there, on few images and a bench that is explored in a moment; or on all of them and the scene
+    itself, with fewer touches. And an exploration's result is what the library says it is."""
     pytest.importorskip("warp")
     (script,) = (block for kind, block in BLOCK.findall(README.read_text(encoding="utf-8")) if kind == "python")
     assert len([line for line in script.splitlines() if line]) <= 12
-    few = script.replace("touches=8", 'touches=2, beta_model="none"')
-    assert few != script
+    touches = 8
+    if scene == "simulated":
+        touches = 2
+        few = script.replace("touches=8", f'touches={touches}, beta_model="none"')
+        assert few != script
+        script = few
+    else:
+        use_fake_bench(monkeypatch)
+        monkeypatch.setattr(deformscope, "calibrate_beta", partial(deformscope.calibrate_beta, stride=3))
     names: dict[str, Any] = {}
-    exec(compile(few, "README.md", "exec"), names)
+    exec(compile(script, "README.md", "exec"), names)
     out, err = capsys.readouterr()
 
     assert out.startswith("Estimate of beta\n")
     assert "\nlab:two-60-150\n  verdict " in out
-    assert out.endswith(", 2 touches\n")
+    assert out.endswith(f", {touches} touches\n")
     assert err == ""
     table = names["table"]
     assert table.stiffness_n_per_mm.shape == table.labels.shape

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deformscope.frames import ColorFrame, Frame, HealthReport, Item
-from deformscope.session import Compute, Experiment, Inline, Moment, RigExperiment, Step, ask, finish, passing_on, run
+from deformscope.experiments.live_stages import live_stages
+from deformscope.frames import ColorFrame, HealthReport, Item
+from deformscope.session import Compute, Experiment, Inline, Moment, RigExperiment, Step, ask, finish, run
 from deformscope_drivers.clock import Stamp
 from tests.patience import PATIENCE_S
 
@@ -22,19 +23,16 @@ from tests.patience import PATIENCE_S
 class Notes:
     said: list[object] = field(default_factory=list)
 
-    def write_frame(self, frame: Frame) -> None:
-        self.said.append(frame.index)
-
-    def write(self, step: Step) -> None:
-        self.said.append(step)
-
-    def write_items(self, items: Sequence[Item]) -> None:
-        self.said += items
-
-    def write_results(
-        self, results: Sequence[object], now_ns: int, touch: int, cell_m: float, seen_ns: int | None = None
-    ) -> None:
-        self.said.append((results, now_ns, touch))
+    def write(self, items: Any) -> None:
+        match items:
+            case ColorFrame():
+                self.said.append(items.index)
+            case Step(moment=Moment() as moment):
+                self.said.append((items.results, moment.now_ns, moment.touch))
+            case Step():
+                self.said.append(items)
+            case _:
+                self.said += items
 
 
 def frames(count: int) -> list[ColorFrame]:
@@ -104,7 +102,7 @@ class Rig:
 def test_a_rig_is_recorded_until_it_is_enough_and_nothing_is_left() -> None:
     rig, notes = Rig(), Notes()
 
-    run(rig, passing_on(lambda items: rig.count == 3), notes)
+    run(rig, live_stages((), {}, lambda items: rig.count == 3), notes)
     last = finish(rig, notes)
 
     assert notes.said == [HealthReport(number, ()) for number in (1, 2, 3, 0, -1)]
@@ -194,8 +192,8 @@ def test_a_robot_that_stops_by_itself_ends_what_is_computed() -> None:
 
 def test_what_keeps_a_rig_from_being_recorded_ends_the_session() -> None:
     class Full(Notes):
-        def write_items(self, items: Sequence[Item]) -> None:
+        def write(self, items: object) -> None:
             raise OSError("the disk is full")
 
     with pytest.raises(OSError, match="disk"):
-        run(Rig(), passing_on(lambda items: False), Full())
+        run(Rig(), live_stages((), {}, lambda items: False), Full())

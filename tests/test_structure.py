@@ -18,17 +18,28 @@ LONGEST_FUNCTION = 100
 """Lines, of a function that is no kernel nor a factory of kernels."""
 
 
-def trees(folder: Path) -> Iterator[tuple[Path, ast.Module]]:
-    """Every file below a folder, parsed."""
-    for path in sorted(folder.rglob("*.py")):
-        yield path.relative_to(ROOT), ast.parse(path.read_text(encoding="utf-8"))
+Trees = dict[Path, ast.Module]
+
+
+@pytest.fixture(scope="module")
+def trees() -> Trees:
+    """Every file of both packages, parsed once."""
+    return {
+        path.relative_to(ROOT): ast.parse(path.read_text(encoding="utf-8"))
+        for folder in PACKAGES.values()
+        for path in sorted(folder.rglob("*.py"))
+    }
+
+
+def within(trees: Trees, folder: Path) -> Iterator[tuple[Path, ast.Module]]:
+    return ((path, tree) for path, tree in trees.items() if path.is_relative_to(folder.relative_to(ROOT)))
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_a_class_name_stands_for_one_class(package: str) -> None:
+def test_a_class_name_stands_for_one_class(package: str, trees: Trees) -> None:
     """Structs of kernels too: a reader who searches for a name finds one place."""
     places: dict[str, list[Path]] = defaultdict(list)
-    for path, tree in trees(PACKAGES[package]):
+    for path, tree in within(trees, PACKAGES[package]):
         for node in ast.walk(tree):
             if isinstance(node, ast.ClassDef):
                 places[node.name].append(path)
@@ -36,11 +47,10 @@ def test_a_class_name_stands_for_one_class(package: str) -> None:
     assert {name: found for name, found in places.items() if len(found) > 1 and name not in SHARED} == {}
 
 
-def test_functions_are_short() -> None:
+def test_functions_are_short(trees: Trees) -> None:
     long = [
         f"{path}: {node.name} has {length} lines"
-        for folder in PACKAGES.values()
-        for path, tree in trees(folder)
+        for path, tree in trees.items()
         if not path.stem.endswith(("_kernels", "functions"))
         for node in ast.walk(tree)
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
@@ -50,10 +60,10 @@ def test_functions_are_short() -> None:
     assert long == []
 
 
-def test_what_kernel_factories_make_has_names() -> None:
+def test_what_kernel_factories_make_has_names(trees: Trees) -> None:
     """They return one thing whose fields are named where it is made: never a long tuple, nor many unnamed arguments."""
     wrong = []
-    for path, tree in trees(PACKAGES["deformscope"] / "stages" / "msm"):
+    for path, tree in within(trees, PACKAGES["deformscope"] / "stages" / "msm"):
         for node in ast.walk(tree):
             value = node.value if isinstance(node, ast.Return) else None
             many = isinstance(value, ast.Tuple) and len(value.elts) > 6
@@ -71,10 +81,10 @@ def _made(call: ast.Call) -> bool:
     return isinstance(call.func, ast.Name) and call.func.id[:1].isupper()
 
 
-def test_constants_that_a_robot_moves_by_name_their_source() -> None:
+def test_constants_that_a_robot_moves_by_name_their_source(trees: Trees) -> None:
     """A docstring stands below each: where the number is from, or what was measured."""
     bare = []
-    for path, tree in trees(PACKAGES["deformscope"] / "robot"):
+    for path, tree in within(trees, PACKAGES["deformscope"] / "robot"):
         for node, after in zip(tree.body, [*tree.body[1:], None], strict=True):
             name = _constant(node)
             explained = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)

@@ -10,13 +10,20 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, Unpack
+from typing import Any, Literal, TypeAlias, TypedDict, Unpack
 
 import numpy as np
 
 from deformscope import __version__
-from deformscope.api.result import LibraryResult, Note, ViewerChoice, log_note, python_names, recording_rows
-from deformscope.api.result import resolve_viewer as viewer_of
+from deformscope.api.result import (
+    LibraryResult,
+    Note,
+    ViewerChoice,
+    log_note,
+    open_recorder,
+    python_names,
+    recording_rows,
+)
 from deformscope.arrays import FloatArray, ImageArray
 from deformscope.config import BetaConfig, ImageOptions, OutputOptions, SearchOptions, ThetaConfig
 from deformscope.config.calibrate import LayersFlags, MotionFlags
@@ -29,11 +36,11 @@ from deformscope.experiments.whole_motion import MotionOptions, whole_motion
 from deformscope.file_io import read_file
 from deformscope.files.pairs import parse_pair
 from deformscope.files.sources import DEFAULT_FPS, Source, open_source, sample_path
-from deformscope.frames import ColorFrame
-from deformscope.images import read_image
-from deformscope.pictures.estimate_words import estimate_tables
+from deformscope.frames import ColorFrame, InputFile
+from deformscope.images import encode_png, read_image
 from deformscope.pictures.evidence import Result, results_png
 from deformscope.pictures.report import Figure, Table
+from deformscope.pictures.words import estimate_tables
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder, RecordingSummary
 from deformscope.session import run
@@ -49,9 +56,6 @@ from deformscope.stages.poke.fitted import FittedModel, from_pair
 from deformscope.stages.poke.poke_estimate import PokesFound
 from deformscope.stages.see.particles import clean_mask
 from deformscope_drivers.clock import Stamp
-
-if TYPE_CHECKING:
-    from deformscope.log.blueprint import Layout
 
 PairArrays: TypeAlias = Mapping[str, Any]
 """A pair by name, as in a pair file: `rest (K, d)`, `deformed (K, d)` [m], `held (n,)`, and what else one holds."""
@@ -349,7 +353,9 @@ def calibrate(
     rated = images.fps is not None or (len(sources) == 1 and not given and not Path(sources[0]).is_dir())
     if motion is not None and {"alpha", "dt"} & set(motion.select) and not rated:
         raise InputError("--fps with --select alpha or dt", "images that do not say their rate", "--fps 30")
-    particles = particle_options(images, search)
+    held, noise_px = images.held_parts(), search.noise_px
+    seeded = (images.roi, images.grid, images.spacing_px, held, images.contact)
+    particles = ParticleOptions(*seeded, images.flow, images.px_per_cm, noise_px)
     return [calibrate_images(sources, fit, particles, images, output, motion, given, progress)]  # type: ignore[arg-type]
 
 
@@ -397,15 +403,12 @@ def sample_images(name: str) -> ImageOptions:
     import tomllib
 
     folder = sample_path(name)
-    known = tomllib.loads((folder / "sample.toml").read_text(encoding="utf-8"))
-    return ImageOptions(
-        roi=tuple(known["roi"]) if "roi" in known else None,
-        grid=tuple(known["grid"]) if "grid" in known else None,
-        spacing_px=known.get("spacing_px"),
-        mask=folder / known["mask"] if "mask" in known else None,
-        held=tuple(known["held"]),
-        fps=known.get("fps"),
-    )
+    given = tomllib.loads((folder / "sample.toml").read_text(encoding="utf-8"))
+    names = ("roi", "grid", "spacing_px", "held", "fps")
+    known: dict[str, Any] = {
+        name: tuple(given[name]) if isinstance(given[name], list) else given[name] for name in names if name in given
+    }
+    return ImageOptions(mask=folder / given["mask"] if "mask" in given else None, **known)
 
 
 def for_sample(name: str, asked: ImageOptions) -> ImageOptions:
@@ -415,20 +418,6 @@ def for_sample(name: str, asked: ImageOptions) -> ImageOptions:
         return dataclasses.replace(asked, fps=asked.fps or known.fps)
     return dataclasses.replace(
         known, fps=asked.fps or known.fps, stride=asked.stride, flow=asked.flow, px_per_cm=asked.px_per_cm
-    )
-
-
-def particle_options(images: ImageOptions, search: SearchOptions) -> ParticleOptions:
-    """What decides how images become particles, without where they come from."""
-    return ParticleOptions(
-        roi=images.roi,
-        grid=images.grid,
-        spacing_px=images.spacing_px,
-        held=images.held_parts(),
-        contact=images.contact,
-        flow=images.flow,
-        px_per_cm=images.px_per_cm,
-        noise_px=search.noise_px,
     )
 
 
@@ -493,11 +482,9 @@ def run_images(
             if progress is not None:
                 progress("frames", done + 1, source.count or 0)
 
-    with Recorder(
-        output.record, viewer_of(output.viewer), used, layout="images", overwrite=output.overwrite
-    ) as recorder:
+    with open_recorder(output, used, "images") as recorder:
         if mask is not None:
-            recorder.write_input("mask", mask)
+            recorder.write(InputFile("mask", encode_png(mask)))
         experiment = (
             foam_video(particles, fit, region, progress)
             if motion is None
@@ -584,12 +571,9 @@ def pair_recorder(
 ) -> Iterator[Recorder]:
     """Records pairs, their files as they were among them."""
     planes = {one.rest.shape[1] for one in seen}
-    layout: Layout = "pair" if planes == {2} else "pair-3d"
-    with Recorder(
-        output.record, viewer_of(output.viewer), settings, layout=layout, overwrite=output.overwrite
-    ) as recorder:
+    with open_recorder(output, settings, "pair" if planes == {2} else "pair-3d") as recorder:
         if recorder.active and len(planes) > 1:
             raise InputError("pairs all in the plane, or all in space, in one recording", "both", "two commands")
         for index, (_, raw) in enumerate(raws):
-            recorder.write_input(f"pair/{index}", raw)
+            recorder.write(InputFile(f"pair/{index}", raw))
         yield recorder

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import datetime
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import PurePath
 
-from deformscope.pictures.estimate_words import estimate_rows, length_words
 from deformscope.pictures.evidence import (
     Result,
     errors_png,
@@ -19,10 +18,11 @@ from deformscope.pictures.evidence import (
 )
 from deformscope.pictures.findings import cell_text
 from deformscope.pictures.report import Code, Figure, Part, ReportVerdict, Section, Table, html_report
+from deformscope.pictures.words import estimate_rows, length_words
 from deformscope.plain import plain
 from deformscope.recording import provenance
 from deformscope.stages.fit.estimate import Estimate
-from deformscope.stages.poke.poke_estimate import PokesFound
+from deformscope.stages.poke.poke_estimate import PokeRow, PokesFound
 
 MOST_SHOWN = 24
 """Comparisons whose pictures go into a report."""
@@ -136,41 +136,27 @@ def _pictures(result: Result, count: int) -> list[Part]:
 
 def poke_tables(found: PokesFound) -> tuple[Table, Table]:
     """Each poke, and the cluster sizes that were tried."""
-    rows = []
-    for one in found.rows():
-        size = " x ".join(f"{1e3 * side:.3g}" for side in one.tip.size)
-        modulus = one.apparent_modulus_pa
-        rows.append(
-            (
-                ", ".join(f"{v:.3g}" for v in one.xy_m),
-                f"{one.tip.shape} {size}",
-                f"{1e3 * one.depth_m:.3g}",
-                _number(one.force_n, "{:.3g}"),
-                _number(one.stiffness_n_per_m, "{:.4g}"),
-                _number(None if modulus is None else 1e-3 * modulus.half_space, "{:.3g}"),
-                _number(one.surface_error, "{:.1%}"),
-                _number(one.surface_error_held_out, "{:.1%}"),
-                _number(one.left_out_error, "{:+.1%}"),
-            )
-        )
-    names = (
-        *(
-            "middle of the touched points x, y [m]",
-            "tip [mm]",
-            "depth [mm]",
-            "force [N]",
-            "k [N/m]",
-            "apparent E* [kPa]",
+    columns: dict[str, Callable[[PokeRow], str]] = {
+        "middle of the touched points x, y [m]": lambda one: ", ".join(f"{v:.3g}" for v in one.xy_m),
+        "tip [mm]": lambda one: f"{one.tip.shape} {' x '.join(f'{1e3 * side:.3g}' for side in one.tip.size)}",
+        "depth [mm]": lambda one: f"{1e3 * one.depth_m:.3g}",
+        "force [N]": lambda one: _number(one.force_n, "{:.3g}"),
+        "k [N/m]": lambda one: _number(one.stiffness_n_per_m, "{:.4g}"),
+        "apparent E* [kPa]": lambda one: _number(
+            None if one.apparent_modulus_pa is None else 1e-3 * one.apparent_modulus_pa.half_space, "{:.3g}"
         ),
-        *("surface error [of the depth]", "the same, left out of the fit", "force predicted from the others"),
-    )
+        "surface error [of the depth]": lambda one: _number(one.surface_error, "{:.1%}"),
+        "the same, left out of the fit": lambda one: _number(one.surface_error_held_out, "{:.1%}"),
+        "force predicted from the others": lambda one: _number(one.left_out_error, "{:+.1%}"),
+    }
+    rows = [[show(one) for show in columns.values()] for one in found.rows()]
     caption = f"Pokes: stiffness over the surface is {found.model.field_kind}; E* is of a half-space: apparent"
     sizes = [
         (str(one["cluster_size"]), f"{one['error']:.1%}", f"{one['beta']:.3g}", f"{one['theta']:.3g}")
         for one in found.tried_json()
     ]
     return (
-        Table(rows, names, caption),
+        Table(rows, tuple(columns), caption),
         Table(sizes, ("particles a side", "error [of the depth]", "beta", "theta"), "Cluster sizes tried, best first"),
     )
 

@@ -13,8 +13,7 @@ import numpy as np
 
 from deformscope import __version__
 from deformscope.api.result import LibraryResult, python_names
-from deformscope.config.options import check_level, check_seed
-from deformscope.errors import InputError
+from deformscope.config import ClassifyConfig, OutputOptions
 from deformscope.files.classifier_file import load_classifier as _load
 from deformscope.files.classifier_file import save_classifier
 from deformscope.files.squeeze_dataset import SqueezeDataset
@@ -27,6 +26,9 @@ from deformscope.stages.squeeze.model import ContentModel, fit_model
 from deformscope.stages.squeeze.scores import ClassificationScore
 from deformscope.stages.squeeze.table import LabelledTable, refuse_duplicates, without_duplicates
 from deformscope.stages.squeeze.trial_run import joined_name
+
+QUICK_SPLITS = 30
+"""With --quick."""
 
 TableSource: TypeAlias = str | Path | LabelledTable | Mapping[str, Any]
 """A table's file, a table, or arrays by name: `label (N,)`, optional `group (N,)`, and (N, ...) of each modality."""
@@ -324,23 +326,29 @@ def classify(
     Raises InputError for what cannot be used.
     """
     with python_names():
-        check_level(level)
-        check_seed(seed)
-        if splits < 2 or costly_splits < 0 or curve_splits < 0:
-            raise InputError(
-                "2 --splits or more, and others of 0 or more", f"{splits}, {costly_splits}, {curve_splits}"
-            )
-        found = table_from(table, modalities=modalities, merge=merge, duplicates=duplicates)
-        name = str(table) if isinstance(table, str | Path) else ""
-        options = EvaluationOptions(
+        config = ClassifyConfig(
+            Path(),
             splits=splits,
             costly_splits=costly_splits,
             curve_splits=curve_splits,
             level=level,
-            seed=seed,
-            transfer=tuple(transfer),
+            output=OutputOptions(seed=seed),
         )
-        return classify_table(found, name, options, progress)
+        found = table_from(table, modalities=modalities, merge=merge, duplicates=duplicates)
+        name = str(table) if isinstance(table, str | Path) else ""
+        return classify_table(found, name, options_of(config, tuple(transfer)), progress)
+
+
+def options_of(config: ClassifyConfig, transfer: tuple[tuple[str, str], ...]) -> EvaluationOptions:
+    """How the flags want it evaluated."""
+    return EvaluationOptions(
+        splits=min(config.splits, QUICK_SPLITS) if config.quick else config.splits,
+        costly_splits=0 if config.quick else config.costly_splits,
+        curve_splits=0 if config.quick else config.curve_splits,
+        level=config.level,
+        seed=config.output.seed,
+        transfer=transfer,
+    )
 
 
 def load_classifier(path: Path | str) -> ContentModel:

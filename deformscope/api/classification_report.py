@@ -13,6 +13,7 @@ from deformscope.pictures.palette import GOOD, IDLE, WARN, hexadecimal
 from deformscope.pictures.report import Figure, Part, ReportVerdict, Section, Table, html_report
 from deformscope.stages.squeeze.evaluation import Evaluation
 from deformscope.stages.squeeze.groupings import ALPHA
+from deformscope.stages.squeeze.model import ContentModel
 from deformscope.stages.squeeze.trial_run import Method, joined_name
 
 THESIS_METHODS: tuple[Method, ...] = ("knn", "qda")
@@ -70,15 +71,18 @@ def _pictures(found: Evaluation) -> Iterator[tuple[str, bytes]]:
 
 
 def classification_page(
-    result: ClassificationResult, drawn: Mapping[str, bytes], settings: Mapping[str, object]
+    result: ClassificationResult, model: ContentModel, drawn: Mapping[str, bytes], settings: Mapping[str, object]
 ) -> str:
-    """All that was found as one HTML page. drawn: of `classification_pictures`; settings: of the command"""
+    """All that was found as one HTML page.
+
+    model: trained on all trials; drawn: of `classification_pictures`; settings: of the command
+    """
     title = f"Contents of containers: {result.name}" if result.name else "Contents of containers"
-    return html_report(title, _sections(result, drawn, settings))
+    return html_report(title, _sections(result, model, drawn, settings))
 
 
 def _sections(
-    result: ClassificationResult, drawn: Mapping[str, bytes], settings: Mapping[str, object]
+    result: ClassificationResult, model: ContentModel, drawn: Mapping[str, bytes], settings: Mapping[str, object]
 ) -> list[Section]:
     found = result.evaluation
 
@@ -98,7 +102,9 @@ def _sections(
         Section("Confusions", [_confused(found), CONFUSION_WORDS, *of("confusion", "raw")]),
     ]
     if len(found.table.fused[0]) > 1:
-        sections.append(Section("Fusion", [f"{_sentence(fusion_words(found))}.", *of("fusion", "fused")]))
+        sections.append(
+            Section("Fusion", [f"{_sentence(fusion_words(found))}.", *of("fusion", "fused"), _weights(model)])
+        )
     if found.comparisons:
         sections.append(Section("Comparisons", [_comparisons(found)]))
     if found.curve:
@@ -166,6 +172,18 @@ def _groupings(found: Evaluation) -> list[Part]:
         "it within each class, and of truly normal ones 95 % would pass."
     )
     return [Table(rows, names), words]
+
+
+def _weights(model: ContentModel) -> Table:
+    """How reliable each modality is for each class."""
+    rows = [
+        (label, *(f"{weight:.2f}" for weight in weights))
+        for label, weights in zip(model.labels, model.fusion.weight.T, strict=True)
+    ]
+    caption = (
+        "Weight of each modality's log posterior in late fusion, learned from all trials: 1 as Bayes' rule, 0 unheard"
+    )
+    return Table(rows, ("content", *model.modalities), caption)
 
 
 def _confused(found: Evaluation) -> Table:

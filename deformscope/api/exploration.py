@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import math
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,14 +12,15 @@ from typing import Any, Literal
 
 import numpy as np
 
-from deformscope.api.result import LibraryResult, ViewerChoice, python_names
+from deformscope.api.result import LibraryResult, Rows, ViewerChoice, python_names
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.config import ExploreConfig, OutputOptions
 from deformscope.errors import InputError
-from deformscope.experiments.options import ExploreOptions
+from deformscope.pictures.exploration import result_png
 from deformscope.pictures.report import Figure, Table
-from deformscope.pictures.words import counted, travel_words
-from deformscope.stages.msm.quiet import quiet_warp
+from deformscope.pictures.words import counted, failed_words, travel_words
+from deformscope.recording.losses import named
+from deformscope.stages.map.exploration import StageFailure
 
 Planner = Literal["regions", "integrated-variance", "max-variance", "random-above"]
 
@@ -56,43 +56,64 @@ class ExplorationResult(LibraryResult):
 
     def __repr__(self) -> str:
         touches = counted(len(self.found["touches"]), "touch")
-        return f"<exploration of {self.found['scenario']}: {self._verdict_words()}, {touches}>"
+        return f"<exploration of {self.found['scenario']}: {verdict_of(self.found)}, {touches}>"
 
     def as_json(self) -> dict[str, Any]:
         return dict(self.found)
 
     def tables(self) -> tuple[Table, ...]:
-        found = self.found
-        rows = [("verdict", self._verdict_words())]
-        for number, region in enumerate(found["regions"], start=1):
-            value, (low, high) = math.exp(region["log_stiffness"]), map(math.exp, region["interval"])
-            words = f"> {value:.3g} N/mm" if region["rigid"] else f"{value:.3g} N/mm ({low:.3g} to {high:.3g})"
-            rows.append((f"region {number}", words))
-        truth = found["truth"]
-        if truth is not None:
-            parts = [counted(truth["region_count"], "region")]
-            parts += [] if truth["iou"] is None else [f"IoU {truth['iou']:.3f}"]
-            parts += [] if truth["boundary_m"] is None else [f"border {100 * truth['boundary_m']:.1f} cm off"]
-            rows.append(("truth", ", ".join(parts)))
-        ended = f"stopped: {found['stop_reason'].removeprefix('stopped: ') or 'before its plan said so'}"
-        rows.append(("touches", f"{len(found['touches'])}, {travel_words(found['travel_m'])}; {ended}"))
-        if found["max_force_n"] is not None:
-            rows.append(("largest contact force", f"{found['max_force_n']:.2f} N, true"))
-        rows += [("failed", f"{one['stage']}: {one['reason']}") for one in found["failures"]]
-        rows.append(("arm", "stands" if found["arm_stands"] else "COULD NOT BE STOPPED: use its emergency stop"))
-        if found["recording"] is not None:
-            rows.append(("recording", str(found["recording"])))
-        return (Table(rows, caption=str(found["scenario"])),)
+        return (Table(exploration_rows(self.found), caption=str(self.found["scenario"])),)
 
     def figures(self) -> tuple[Figure, ...]:
         return (Figure(self.png, f"Maps of {self.found['scenario']}"),) if self.png else ()
 
-    def _verdict_words(self) -> str:
-        found = self.found
-        if found["verdict"] is None:
-            return "none: no touch gave a map"
-        kind = "gradual: no regions" if found["verdict"] == "gradual" else counted(found["region_count"], "region")
-        return f"{kind} (probability {found['verdict_probability']:.2f})"
+
+def verdict_of(found: Mapping[str, Any]) -> str:
+    """The verdict with its probability; found: as in the JSON"""
+    if found["verdict"] is None:
+        return "none: no touch gave a map"
+    gradual = "gradual: no regions, the stiffness changes smoothly"
+    kind = gradual if found["verdict"] == "gradual" else counted(found["region_count"], "region")
+    return f"{kind} (probability {found['verdict_probability']:.2f})"
+
+
+def exploration_rows(found: Mapping[str, Any]) -> Rows:
+    """What was found, as names and values. found: as in the JSON"""
+    rows = [("verdict", verdict_of(found))]
+    for number, region in enumerate(found["regions"], start=1):
+        value, (low, high) = math.exp(region["log_stiffness"]), map(math.exp, region["interval"])
+        words = f"> {value:.3g} N/mm" if region["rigid"] else f"{value:.3g} N/mm ({low:.3g} to {high:.3g})"
+        rows.append((f"region {number}", f"{words} at {found['set_force_n']:g} N"))
+    truth, touches = found["truth"], found["touches"]
+    if truth is not None and truth["iou"] is not None:
+        off = "" if truth["boundary_m"] is None else f", border {100 * truth['boundary_m']:.1f} cm off"
+        rows.append(("truth", f"{truth['region_count']} regions; IoU {truth['iou']:.3f}{off}"))
+    elif truth is not None and not truth["region_count"]:
+        rows.append(("truth", "no regions: the stiffness changes smoothly"))
+    if betas := [one["beta_verdict"] for one in touches if one["beta"] is not None]:
+        common = max(set(betas), key=betas.count)
+        rows.append(("beta", f"{common} in {betas.count(common)} of {len(betas)} touches"))
+    true_n, reason = found["max_force_n"], found["stop_reason"]
+    felt_n = max((one["peak_force_n"] for one in touches), default=0.0) if true_n is None else true_n
+    ended = reason if reason.startswith("stopped") else f"stopped: {reason or 'before its plan said so'}"
+    rows += [
+        ("failed", failed_words(StageFailure(one["stage"], one["touch"], one["reason"], "")))
+        for one in found["failures"]
+    ]
+    rows += [
+        ("touches", f"{len(touches)}, {travel_words(found['travel_m'])}; {ended}"),
+        ("largest contact force", f"{felt_n:.2f} N, {'measured' if true_n is None else 'true'}"),
+        ("arm", "stands" if found["arm_stands"] else "COULD NOT BE STOPPED: use its emergency stop"),
+    ]
+    if gaps := found["supervisor_gaps_ms"]:
+        words = f"every {gaps['p50']:.0f} ms; 1 in 1000 after {gaps['p99_9']:.0f} ms, at most {gaps['max']:.0f} ms"
+        rows.append(("supervisor looked", words))
+    rows.append(("time", f"{found['seconds']['session']:.0f} s of the robot, {found['seconds']['wall']:.0f} s here"))
+    if found["losses"]:
+        rows.append(("lost", named(found["losses"])))
+    if found["recording"] is not None:
+        rows.append(("recording", str(found["recording"])))
+    return rows
 
 
 def explore(
@@ -118,15 +139,13 @@ def explore(
     Raises InputError for what cannot be used, and SystemExit where the exploration was stopped before its end.
     """
     simulated = str(rig).startswith("lab:")
-    with python_names(), tempfile.TemporaryDirectory() as folder:
+    with python_names():
         config = ExploreConfig(
             str(rig),
             touches=touches,
             planner=planner,
             set_force=set_force_n,
             beta_model=beta_model,
-            picture=Path(folder) / "maps.png",
-            map=Path(folder) / "maps.npz",
             yes=yes,
             trust_rig=trust_rig,
             output=OutputOptions(None, None if record is None else Path(record), viewer, overwrite, seed),
@@ -135,28 +154,17 @@ def explore(
 
 
 def _explored(config: ExploreConfig, *, quiet: bool) -> ExplorationResult:
-    """The one place that knows how an exploration is run and where it leaves its maps."""
     from deformscope.cli.explore import explore_on
+    from deformscope.cli.explored import map_arrays
 
-    quiet_warp()
-    options = ExploreOptions(
-        planner=config.planner,
-        budget=config.touches,
-        threshold=config.threshold,
-        beta_model=config.beta_model,
-        seed=config.output.seed,
-    )
-    assert config.picture is not None
-    assert config.map is not None
     with contextlib.ExitStack() as silence:
         if quiet:
             silence.enter_context(contextlib.redirect_stdout(io.StringIO()))
             silence.enter_context(contextlib.redirect_stderr(io.StringIO()))
-        found = explore_on(config, options)
-    if found is None:
+        explored = explore_on(config)
+    if explored is None:
         raise InputError("an exploration", "none: it ended before the arm could move")
-    maps: dict[str, np.ndarray] = {}
-    if config.map.exists():
-        with np.load(config.map) as file:
-            maps = {name: file[name] for name in file.files}
-    return ExplorationResult(found, maps, config.picture.read_bytes() if config.picture.exists() else b"")
+    found, maps = explored
+    if maps is None:
+        return ExplorationResult(found, {})
+    return ExplorationResult(found, map_arrays(maps), result_png(maps, config.rig))

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import io
-import json
-import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from deformscope.api.result import LibraryResult, ViewerChoice, python_names
 from deformscope.config import OutputOptions, RecordConfig
 from deformscope.frames import ColorFrame, Item
 from deformscope.pictures.findings import cell_text
 from deformscope.pictures.report import Table
-from deformscope.recording.items import read_items
+from deformscope.plain import plain
+from deformscope.recording.items import read_items, read_results
 from deformscope.recording.reader import Replay
 
 
@@ -61,9 +60,7 @@ class OpenRecording(LibraryResult):
 
     def results(self) -> Iterator[object]:
         """The recorded results of an exploration, in the order in which they came."""
-        from deformscope.recording.results import read_results
-
-        return (one.result for one in read_results(self.path, trust=True))
+        return (row.item for row in read_results(self.path, trust=True))
 
     def __repr__(self) -> str:
         return f"<recording {self.path}: {self.kind}>"
@@ -130,16 +127,8 @@ def record(
     """
     with python_names():
         output = OutputOptions(None, None if file is None else Path(file), viewer, overwrite)
-        return _recorded(RecordConfig(str(rig), seconds, label, trust_rig, output=output))
+        config = RecordConfig(str(rig), seconds, label, trust_rig, output=output)
+    from deformscope.cli.record import run_rig
 
-
-def _recorded(config: RecordConfig) -> RecordResult:
-    """The one place that knows how a rig is recorded."""
-    import dataclasses
-
-    from deformscope.cli.record import record as run
-
-    with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
-        target = Path(folder) / "found.json"
-        run(dataclasses.replace(config, output=dataclasses.replace(config.output, json=str(target))))
-        return RecordResult(json.loads(target.read_text(encoding="utf-8")))
+    with python_names(), contextlib.redirect_stdout(io.StringIO()):
+        return RecordResult(cast("dict[str, Any]", plain(run_rig(config, "none", always_record=True)[0])))

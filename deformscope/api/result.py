@@ -6,17 +6,18 @@ import logging
 import os
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from deformscope.errors import InputError
+from deformscope.pictures.findings import Findings
+from deformscope.pictures.report import Figure, Table
 from deformscope.plain import plain
 
 if TYPE_CHECKING:
-    from deformscope.pictures.findings import Findings
-    from deformscope.pictures.report import Figure, Table
-    from deformscope.recording.recorder import RecordingSummary
+    from deformscope.config.options import ViewOptions
+    from deformscope.recording.recorder import Recorder, RecordingLayout, RecordingSummary
 
 ViewerChoice = Literal["auto", "native", "page", "none"]
 Viewer = Literal["native", "page", "none"]
@@ -46,8 +47,6 @@ class LibraryResult(ABC):
 
     def findings(self) -> Findings:
         """Tables and pictures together."""
-        from deformscope.pictures.findings import Findings
-
         return Findings(self.tables(), self.figures())
 
     def to_dict(self) -> dict[str, Any]:
@@ -55,8 +54,6 @@ class LibraryResult(ABC):
         return cast("dict[str, Any]", plain(self.as_json()))
 
     def __str__(self) -> str:
-        from deformscope.pictures.findings import Findings
-
         return str(Findings(self.tables()))
 
     def _repr_html_(self) -> str:
@@ -68,6 +65,16 @@ def resolve_viewer(choice: ViewerChoice) -> Viewer:
     if choice != "auto":
         return choice
     return "native" if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") else "none"
+
+
+def open_recorder(
+    output: ViewOptions, settings: Mapping[str, object], layout: RecordingLayout, **more: Any
+) -> Recorder:
+    """What a recording goes to, and a viewer, as the options say. more: options of a `Recorder`"""
+    from deformscope.recording.recorder import Recorder
+
+    viewer = resolve_viewer(output.viewer)
+    return Recorder(output.record, viewer, settings, layout=layout, overwrite=output.overwrite, **more)
 
 
 def recording_rows(recording: RecordingSummary) -> Rows:

@@ -9,13 +9,17 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from rich.console import Console
+from rich.table import Table
+
+from deformscope.bench.plan import BenchPlan, default_sizes
+from deformscope.bench.report import check, measure, report
+from deformscope.bench.timing import CASES, TimingRow
 from deformscope.cli.common import console, quiet_warp, write_json
 from deformscope.config import BenchConfig
-
-if TYPE_CHECKING:
-    from deformscope.bench.timing import TimingRow
+from deformscope.stages.msm.solver import pick_device
 
 WIDTH = 200
 """Columns of the table where there is no terminal to fit it to."""
@@ -44,10 +48,6 @@ REMARK = (
 def run(config: BenchConfig) -> None:
     """Measure, and show what there is when it ends, also where it ends early."""
     quiet_warp()
-    from deformscope.bench.plan import BenchPlan, default_sizes
-    from deformscope.bench.report import check, measure, report
-    from deformscope.bench.timing import CASES
-    from deformscope.stages.msm.solver import pick_device
 
     device = pick_device(config.device)
     sizes = config.sizes or default_sizes(device, config.quick)
@@ -62,19 +62,14 @@ def run(config: BenchConfig) -> None:
             rows.append(row)
         complete = True
     finally:
-        told = report(plan, rows, complete=complete)
+        found = report(plan, rows, complete=complete)
         if rows:
-            show(rows, told.machine, complete)
-        write_json(told, config.json)
+            show(rows, found.machine, complete)
+        write_json(found, config.json)
 
 
 def show(rows: Sequence[TimingRow], machine: Mapping[str, Any], complete: bool) -> None:
     """One line a row, in sections by case; on stderr where `--json -` has taken stdout."""
-    from rich.console import Console
-    from rich.table import Table
-
-    from deformscope.bench.timing import CASES
-
     out = Console(file=sys.stdout, highlight=False, width=None if sys.stdout.isatty() else WIDTH)
     processor = machine["gpu"] or f"{machine['cpu']}, {machine['cores']} cores, load {machine['load']:.1f}"
     table = Table(title=f"What MSM costs on {machine['device']} ({processor}; warp {machine['warp']})")
@@ -115,11 +110,11 @@ def number(value: float | None) -> str:
 
 def details(row: TimingRow) -> str:
     """What a reader must know of a row besides its figures."""
-    told = [text(row.facts[name]) for name, text in FACTS.items() if row.facts.get(name) is not None]
+    parts = [text(row.facts[name]) for name, text in FACTS.items() if row.facts.get(name) is not None]
     threads = row.facts.get("threads")
     if isinstance(threads, float) and abs(threads - 1) > 0.1:
-        told.append(f"{threads:.2g} threads")
+        parts.append(f"{threads:.2g} threads")
     candidates = row.facts.get("candidates")
     if candidates is not None:
-        told.append(f"{row.facts['converged']} of {candidates} converged")
-    return "; ".join([*told, *([row.note] if row.note else [])])
+        parts.append(f"{row.facts['converged']} of {candidates} converged")
+    return "; ".join([*parts, *([row.note] if row.note else [])])

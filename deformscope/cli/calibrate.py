@@ -10,20 +10,17 @@ deformscope calibrate theta cube.npz --picture cube.png --report cube.html
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
-from deformscope.cli.common import EXIT_LOSSES, fit_progress, replacing, say, show, write_json
+from deformscope.api.calibration import CalibrationResult, calibrate
+from deformscope.api.calibration_report import calibration_page
+from deformscope.cli.common import EXIT_LOSSES, fit_progress, say, show, write_file, write_json
 from deformscope.config import BetaConfig, ThetaConfig
-
-if TYPE_CHECKING:
-    from deformscope.api.calibration import CalibrationResult
+from deformscope.files.model_file import save_model
+from deformscope.pictures.evidence import results_png
 
 
 def run(config: BetaConfig | ThetaConfig) -> int:
     """Fit, print the tables, write what was asked for. Returns the command's exit status."""
-    from deformscope.api.calibration import calibrate
-    from deformscope.files.model_file import save_model
-
     with fit_progress() as progress:
         found = calibrate(config, note=say, progress=progress)
     show(*found)
@@ -46,16 +43,10 @@ def write_summaries(config: BetaConfig | ThetaConfig, found: Sequence[Calibratio
     """Write the picture and the report that were asked for."""
     files, shown = config.summary, [one.shown for one in found]
     if files.picture is not None:
-        from deformscope.pictures.evidence import results_png
-
-        with replacing(files.picture) as file:
-            file.write(results_png(shown))
+        write_file(files.picture, results_png(shown))
         say(f"picture: {files.picture}")
     if files.report is not None:
-        from deformscope.api.calibration_report import calibration_page
-
         first = found[0]
         page = calibration_page(shown, seed=first.seed, settings=first.settings, pokes=first.pokes)
-        with replacing(files.report) as file:
-            file.write(page.encode())
+        write_file(files.report, page.encode())
         say(f"report: {files.report}")

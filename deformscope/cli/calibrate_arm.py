@@ -6,37 +6,30 @@ deformscope calibrate arm lab:homogeneous-rigid --json -
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import numpy as np
 
-from deformscope.cli.common import quiet_warp, resolve_viewer, say, settings_of, show, status_line, write_json
+from deformscope.cli.common import quiet_warp, recorder_of, say, show, status_line, write_json
 from deformscope.cli.exploring import Watch, leave, permitted
 from deformscope.cli.rigs import until_interrupted
 from deformscope.cli.setups import setup_of
 from deformscope.config import ArmConfig
 from deformscope.errors import InputError
-
-if TYPE_CHECKING:
-    from deformscope.experiments.arm_compliance import ArmGive, GiveTouch
-    from deformscope.experiments.touching_robot import TouchingRobot
-    from deformscope.pictures.findings import Findings
-    from deformscope.session import RigExperiment
-    from deformscope.stages.map.exploration import ExplorationStop
+from deformscope.experiments.arm_compliance import SURE_SD, ArmGive, GiveTouch, arm_give, touch_rigid
+from deformscope.experiments.explore import ExplorationStopped
+from deformscope.experiments.explorer import FromFrames
+from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.touching_robot import TouchingRobot, touching_robot
+from deformscope.log.findings import RigFindings
+from deformscope.pictures.findings import Findings
+from deformscope.pictures.report import Figure, Table
+from deformscope.session import RigExperiment, Step, finish
+from deformscope.session import run as run_session
+from deformscope.stages.map.exploration import ExplorationStop
+from deformscope.studies.arm_figure import compliance_png
 
 
 def run(config: ArmConfig) -> None:
     """Touch a rigid block some times, and print the lines for the rig file."""
-    import numpy as np
-
-    from deformscope.experiments.arm_compliance import arm_give, touch_rigid
-    from deformscope.experiments.explore import ExplorationStopped
-    from deformscope.experiments.explorer import FromFrames
-    from deformscope.experiments.options import ExploreOptions
-    from deformscope.experiments.touching_robot import touching_robot
-    from deformscope.log.findings import RigFindings
-    from deformscope.recording.recorder import Recorder
-    from deformscope.session import Step, finish
-    from deformscope.session import run as run_session
-
     quiet_warp()
     options = ExploreOptions(budget=config.touches, beta_model="none", seed=config.output.seed)
     opening = setup_of(config.rig, options, config.set_force, trusted=config.trust_rig)
@@ -48,17 +41,9 @@ def run(config: ArmConfig) -> None:
         raise InputError(f"--at on the surface: between 0,0 and {width:g},{height:g} m", came)
     made: list[GiveTouch] = []
     stop: ExplorationStop | None = None
-    output = config.output
     with (
         until_interrupted() as asked,
-        Recorder(
-            output.record,
-            resolve_viewer(output.viewer),
-            settings_of(config),
-            layout="rig",
-            overwrite=output.overwrite,
-            real_time=setup.runs_itself,
-        ) as recorder,
+        recorder_of(config, "rig", real_time=setup.runs_itself) as recorder,
         setup.open_source() as source,
         status_line() as show_line,
     ):
@@ -89,18 +74,11 @@ def run(config: ArmConfig) -> None:
             show(shown)
         finish(source, recorder)
     if stop is not None:
-        leave(stop, len(made), asked.signal_number, recorder.summary().path, arm_told=watch.arm_told)
-    if recorder.summary().path is not None:
-        say(f"recording: {recorder.summary().path}")
-    write_json(found, output.json)
+        leave(stop, len(made), asked.signal_number, recorder.summary().path, arm_stopped=watch.arm_stopped)
+    write_json(found, config.output.json)
 
 
 def _findings(found: ArmGive, where: str) -> Findings:
-    from deformscope.experiments.arm_compliance import SURE_SD
-    from deformscope.pictures.findings import Findings
-    from deformscope.pictures.report import Figure, Table
-    from deformscope.studies.arm_figure import compliance_png
-
     rows = [
         ("compliance", f"{1e3 * found.compliance_m_per_n:.3f} mm/N, give or take {1e3 * found.compliance_sd:.3f}"),
         ("camera", f"sees the surface {1e3 * found.off_m:+.1f} mm from where the arm meets it"),

@@ -10,13 +10,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO, cast
+from typing import TYPE_CHECKING, TextIO, TypeVar, cast
 
-from deformscope.api.result import resolve_viewer as resolve_viewer
+from deformscope.api.result import open_recorder
 from deformscope.errors import InputError
 from deformscope.file_io import read_file as read_file
 from deformscope.file_io import replacing as replacing
+from deformscope.pictures.findings import table_text
+from deformscope.pictures.report import Figure, Table
 from deformscope.plain import plain
+from deformscope.processes import in_processes
 from deformscope.stages.msm.quiet import quiet_warp as quiet_warp
 
 if TYPE_CHECKING:
@@ -24,9 +27,11 @@ if TYPE_CHECKING:
     from rich.progress import TaskID
 
     from deformscope.config import RecordedOptions
-    from deformscope.pictures.report import Figure
     from deformscope.recording.recorder import Recorder, RecordingLayout
     from deformscope.stages.fit.search import Progress
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 EXIT_LOSSES = 3
 """The exit status of a command whose result is whole, but of which something was lost; it names what."""
@@ -65,28 +70,21 @@ def show(*found: object) -> None:
 
 
 def show_table(title: str, rows: Sequence[tuple[str, str]]) -> None:
-    """Tell a result as a short table of names and values, on stdout; on stderr where `--json -` has taken stdout.
-
-    Plain lines, never folded: a path or a number cut in two is of no use to whoever reads them through a pipe.
-    """
-    width = max((len(name) for name, _ in rows), default=0)
-    print("\n".join([title, *(f"  {name:<{width}}  {value}" for name, value in rows)]), flush=True)
+    """Print a short table of names and values, as `show` does."""
+    show(table_text(Table(rows, caption=title)))
 
 
 @contextmanager
-def recorder_of(config: RecordedOptions, layout: RecordingLayout = "findings") -> Iterator[Recorder]:
+def recorder_of(
+    config: RecordedOptions, layout: RecordingLayout = "findings", *, real_time: bool = False
+) -> Iterator[Recorder]:
     """What a command is recorded and shown with as its flags say; remarks where the recording is.
 
     The flags are the recording's settings; a viewer keeps one set of views for each command.
     """
-    from deformscope.recording.recorder import Recorder
-
-    output, settings = config.output, settings_of(config)
+    settings = settings_of(config)
     variant = str(settings["command"]) if layout == "findings" else ""
-    viewer = resolve_viewer(output.viewer)
-    with Recorder(
-        output.record, viewer, settings, layout=layout, variant=variant, overwrite=output.overwrite
-    ) as recorder:
+    with open_recorder(config.output, settings, layout, variant=variant, real_time=real_time) as recorder:
         yield recorder
     if recorder.summary().path is not None:
         say(f"recording: {recorder.summary().path}")
@@ -94,8 +92,6 @@ def recorder_of(config: RecordedOptions, layout: RecordingLayout = "findings") -
 
 def pictures_of(drawn: Mapping[str, Path]) -> tuple[Figure, ...]:
     """PNG files that a study has drawn, by what they show."""
-    from deformscope.pictures.report import Figure
-
     return tuple(Figure(path.read_bytes(), caption) for caption, path in drawn.items())
 
 
@@ -124,17 +120,6 @@ def status_line() -> Iterator[Callable[[str], None]]:
 
 
 @contextmanager
-def progress(description: str, total: float | None = None) -> Iterator[Callable[[float], None]]:
-    """A bar on stderr, gone at the end; nothing where stderr is no terminal. Yields what is called with steps done."""
-    from rich.progress import Progress
-
-    where = console()
-    with Progress(console=where, transient=True, disable=not where.is_terminal) as bar:
-        task = bar.add_task(description, total=total)
-        yield lambda steps: bar.advance(task, steps)
-
-
-@contextmanager
 def fit_progress() -> Iterator[Progress]:
     """A bar on stderr that names what the work is at; where stderr is no terminal, a line now and then."""
     from rich.progress import Progress as Bars
@@ -157,6 +142,19 @@ def fit_progress() -> Iterator[Progress]:
                 where.print(f"{what}: {done} of {total or 'an unknown number'}", markup=False)
 
         yield note
+
+
+def examined(what: str, function: Callable[[T], R], items: Sequence[T], workers: int | None, note: Progress) -> list[R]:
+    """The result of each item, computed in several processes, each on one core; progress is noted under this name."""
+    from threadpoolctl import threadpool_limits
+
+    note(what, 0, len(items))
+    found: dict[int, R] = {}
+    with threadpool_limits(1):
+        for index, one in in_processes(function, items, workers, quiet_warp):
+            found[index] = one
+            note(what, len(found), len(items))
+    return [found[index] for index in range(len(items))]
 
 
 def keep_page() -> None:
@@ -188,8 +186,7 @@ def write_json(value: object, target: str | None) -> None:
         stream.write(text)
         stream.flush()
         return
-    with replacing(Path(target)) as file:
-        file.write(text.encode())
+    write_file(Path(target), text.encode())
 
 
 @contextmanager
@@ -232,6 +229,13 @@ def _redirected(stream: TextIO) -> Iterator[None]:
 # Files ---------------------------------------------------------------------------------------------------------------
 
 
+def write_file(path: Path | None, content: bytes) -> None:
+    """Write a file in one go; None = it is not wanted."""
+    if path is not None:
+        with replacing(path) as file:
+            file.write(content)
+
+
 def make_folder(path: Path) -> None:
     """Make the folder after --out where it is not there, and find out before the work whether it can be written to."""
     probe = path / f".{os.getpid()}.part"
@@ -241,7 +245,7 @@ def make_folder(path: Path) -> None:
         probe.unlink()
     except OSError as error:
         came = (error.strerror or str(error)).lower()
-        raise InputError("a folder after --out that can be written to", came, where=path) from error
+        raise InputError("a folder that can be written to", came, where=path) from error
 
 
 def check_writable(path: Path, flag: str, *, replace: bool = True) -> None:

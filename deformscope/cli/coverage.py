@@ -7,26 +7,40 @@ deformscope coverage --objects 1000 --jobs 2 --out runs/coverage --json coverage
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from statistics import median
+from typing import Any
 
 from deformscope.cli.common import (
+    examined,
     fit_progress,
     make_folder,
     quiet_warp,
     recorder_of,
-    replacing,
     show,
+    write_file,
     write_json,
 )
 from deformscope.config import CoverageConfig
-
-if TYPE_CHECKING:
-    from deformscope.pictures.report import Table
-    from deformscope.stages.fit.estimate import Verdict
-    from deformscope.stages.fit.search import Progress
-    from deformscope.studies.coverage import CoverageRow, Rate
-    from deformscope.studies.unseen_pokes import UnseenPrediction
+from deformscope.pictures.findings import Findings
+from deformscope.pictures.report import Figure, Table
+from deformscope.session import Step
+from deformscope.stages.fit.estimate import Verdict
+from deformscope.studies.coverage import (
+    GROUPS,
+    NOTHING,
+    PART_APART,
+    QUICK_OBJECTS,
+    CoverageRow,
+    Rate,
+    coverage_rows,
+    plan,
+    rank_counts,
+    ranks_png,
+    try_nothing,
+    try_object,
+)
+from deformscope.studies.unseen_pokes import PokeCase, UnseenPrediction, try_unseen_poke
 
 
 def run(config: CoverageConfig) -> None:
@@ -34,38 +48,15 @@ def run(config: CoverageConfig) -> None:
     if config.out is not None:
         make_folder(config.out)
     quiet_warp()
-    from statistics import median
-
-    from deformscope.pictures.findings import Findings
-    from deformscope.pictures.report import Figure, Table
-    from deformscope.session import Step
-    from deformscope.studies.coverage import (
-        NOTHING,
-        PART_APART,
-        QUICK_OBJECTS,
-        Rate,
-        coverage_rows,
-        plan,
-        spread,
-        try_nothing,
-        try_object,
-    )
-    from deformscope.studies.rank_histogram import rank_counts, ranks_png
-    from deformscope.studies.unseen_pokes import PokeCase, try_unseen_poke
-
     begun, seed, level = time.monotonic(), config.output.seed, config.level
     cases, nothing = plan(config.objects, seed, level, quick=config.quick)
     bodies = -(-(QUICK_OBJECTS if config.quick else config.objects) // PART_APART)
     pokes = [PokeCase(number, seed, level) for number in range(bodies)]
     with recorder_of(config) as recorder:
         with fit_progress() as note:
-            done = counted(note, "random objects", len(cases))
-            outcomes = spread(try_object, cases, config.jobs, done, quiet_warp)
-            done = counted(note, "data without information", len(nothing))
-            verdicts = spread(try_nothing, nothing, config.jobs, done, quiet_warp)
-            done = counted(note, "unseen pokes", len(pokes))
-            predictions = spread(try_unseen_poke, pokes, config.jobs, done, quiet_warp)
-
+            outcomes = examined("random objects", try_object, cases, config.jobs, note)
+            verdicts = examined("data without information", try_nothing, nothing, config.jobs, note)
+            predictions = examined("unseen pokes", try_unseen_poke, pokes, config.jobs, note)
         rows = coverage_rows(outcomes)
         said = {
             kind: [verdict for case, verdict in zip(nothing, verdicts, strict=True) if case.kind == kind]
@@ -89,9 +80,7 @@ def run(config: CoverageConfig) -> None:
         )
         show(found)
         recorder.write(Step((found,)))
-    if picture is not None:
-        with replacing(picture) as file:
-            file.write(png)
+    write_file(picture, png)
     lengths = {"width_m": "width", "error_m": "error", "motion_m": "motion"}
     write_json(
         {
@@ -122,19 +111,6 @@ def run(config: CoverageConfig) -> None:
     )
 
 
-def counted(note: Progress, what: str, total: int) -> Callable[[int], None]:
-    """Notes how many there are by now, where it is called with how many more."""
-    note(what, 0, total)
-    count = 0
-
-    def done(more: int) -> None:
-        nonlocal count
-        count += more
-        note(what, count, total)
-
-    return done
-
-
 def rate_json(rate: Rate) -> dict[str, Any]:
     return {"cases": rate.cases, "hits": rate.hits, "rate": rate.rate, "band": list(rate.band)}
 
@@ -148,15 +124,11 @@ def prediction_groups(predictions: Sequence[UnseenPrediction]) -> dict[str, list
 
 
 def pooled(some: Sequence[UnseenPrediction]) -> Rate:
-    from deformscope.studies.coverage import Rate
-
     return Rate(sum(one.coordinates for one in some), sum(one.covered for one in some))
 
 
 def middle(some: Sequence[UnseenPrediction], length: str) -> float:
     """The median of a length [m]."""
-    from statistics import median
-
     return float(median(getattr(one, length) for one in some))
 
 
@@ -164,8 +136,6 @@ def middle(some: Sequence[UnseenPrediction], length: str) -> float:
 
 
 def _nothing_table(said: Mapping[Any, list[Verdict]], unidentified: Mapping[Any, Rate]) -> Table:
-    from deformscope.pictures.report import Table
-
     rows = []
     for kind, rate in unidentified.items():
         others = ", ".join(f"{said[kind].count(one)} {one}" for one in sorted(set(said[kind]) - {"unidentified"}))
@@ -175,8 +145,6 @@ def _nothing_table(said: Mapping[Any, list[Verdict]], unidentified: Mapping[Any,
 
 
 def _pokes_table(level: str, groups: Mapping[str, list[UnseenPrediction]]) -> Table:
-    from deformscope.pictures.report import Table
-
     rows = []
     for name, some in groups.items():
         rate = pooled(some)
@@ -189,9 +157,6 @@ def _pokes_table(level: str, groups: Mapping[str, list[UnseenPrediction]]) -> Ta
 
 def coverage_table(title: str, rows: Sequence[CoverageRow]) -> Table:
     """A line a condition: all truths in between, parts of them, and apart those where the range ends."""
-    from deformscope.pictures.report import Table
-    from deformscope.studies.coverage import GROUPS
-
     present = {row.group for row in rows}
     groups = [group for group in GROUPS if group in present][1:]
     lines = []

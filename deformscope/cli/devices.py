@@ -14,6 +14,11 @@ from typing import Any
 
 from deformscope.cli.common import say, show_table, write_json
 from deformscope.config import DevicesConfig
+from deformscope.rig.driver_table import DRIVERS
+from deformscope_drivers.depth_camera import discover as find_depth_cameras
+from deformscope_drivers.errors import Busy, DeviceError
+from deformscope_drivers.ports import find_can, find_doubles, find_serial, find_usb_arms
+from deformscope_drivers.webcam import discover as find_webcams
 
 PROBE_S = 1.0
 LISTEN_S = 0.5
@@ -54,15 +59,11 @@ def run(config: DevicesConfig) -> None:
             "health": one.health,
             "note": one.note,
         }
-        show_table(one.port, [(what, told) for what, told in rows.items() if told])
+        show_table(one.port, [(what, words) for what, words in rows.items() if words])
 
 
 def _found() -> list[Any]:
     """All that any search finds; a search that fails says so and does not hide the others."""
-    from deformscope_drivers.depth_camera import discover as find_depth_cameras
-    from deformscope_drivers.ports import find_can, find_doubles, find_serial, find_usb_arms
-    from deformscope_drivers.webcam import discover as find_webcams
-
     searches: list[Callable[[], list[Any]]] = [
         find_doubles,
         find_serial,
@@ -83,29 +84,26 @@ def _found() -> list[Any]:
 def _listed(found: Any, probe: bool) -> ListedDevice:
     serial, firmware, health = found.serial, found.firmware, ""
     if probe and found.driver in PROBES:
-        serial_told, firmware_told, health = _ask(found)
-        serial, firmware = serial_told or serial, firmware_told or firmware
+        serial_known, firmware_known, health = _ask(found)
+        serial, firmware = serial_known or serial, firmware_known or firmware
     return ListedDevice(found.driver, found.port, found.name, serial, firmware, health, found.note)
 
 
 def _ask(found: Any) -> tuple[str, str, str]:
     """Serial number, firmware and health of a device that is opened for a moment. Nothing moves."""
-    from deformscope.rig.driver_table import DRIVERS
-    from deformscope_drivers.errors import Busy, DeviceError
-
     driver = DRIVERS[found.driver]
     try:
         with driver.make(PROBES[found.driver](driver.config_class(), found.port)) as device:
-            told = device.identity()
-            serial = told.serial or _asked_serial(device)
+            known = device.identity()
+            serial = known.serial or _asked_serial(device)
             try:
                 device.next(PROBE_S)
             except DeviceError as error:
-                return serial, told.firmware, f"silent: {error}"
+                return serial, known.firmware, f"silent: {error}"
             time.sleep(LISTEN_S)
             health = device.health()
             bad = f", {health.skipped_bytes} bad bytes" if health.skipped_bytes else ""
-            return serial, told.firmware, f"ok, {health.rate_hz:.4g} readings a second{bad}"
+            return serial, known.firmware, f"ok, {health.rate_hz:.4g} readings a second{bad}"
     except Busy:
         return "", "", "in use by another program"
     except DeviceError as error:
@@ -114,8 +112,6 @@ def _ask(found: Any) -> tuple[str, str, str]:
 
 def _asked_serial(device: Any) -> str:
     """A serial number that is given only when asked for; empty where there is none."""
-    from deformscope_drivers.errors import DeviceError
-
     try:
         return str(device.serial_number())
     except (AttributeError, DeviceError):

@@ -81,25 +81,36 @@ def _found(what: str, look: Callable[[], list[Finding]]) -> list[Finding]:
 
 def _sections(rig: Rig) -> list[Finding]:
     """What a robot that moves by itself will want, and this file does not say."""
-    findings = []
-    arms = [entry.name for entry in rig.devices if entry.driver.kind == "arm"]
-    if arms and rig.workspace.low_m is None:
-        told = "no box: nothing will move by itself. Add low_m and high_m to [workspace]"
-        findings.append(Finding("workspace", "look", told))
-    if any(entry.driver.kind == "depth" for entry in rig.devices):
-        if rig.camera.focal_px is None:
-            findings.append(
-                Finding("camera", "look", "no focal_px, center_px: the camera's own are used, if it has any")
-            )
-        if arms and rig.camera.T_arm_camera is None and not rig.surface.scene:
-            findings.append(Finding("camera", "look", "no T_arm_camera: what it sees cannot be touched"))
-    if arms and not rig.surface.scene:
-        if rig.surface.T_arm_surface is None:
-            findings.append(Finding("surface", "look", "no T_arm_surface: explore cannot know where the surface is"))
-        if rig.tool.compliance_m_per_n is None:
-            told = "no compliance_m_per_n: explore wants it. deformscope calibrate arm measures it"
-            findings.append(Finding("tool", "look", told))
-    return findings
+    kinds = {entry.driver.kind for entry in rig.devices}
+    arm, depth, real, camera = "arm" in kinds, "depth" in kinds, not rig.surface.scene, rig.camera
+    wanted = (
+        (
+            arm and rig.workspace.low_m is None,
+            "workspace",
+            "no box: nothing will move by itself. Add low_m and high_m to [workspace]",
+        ),
+        (
+            depth and camera.focal_px is None,
+            "camera",
+            "no focal_px, center_px: the camera's own are used, if it has any",
+        ),
+        (
+            depth and arm and real and camera.T_arm_camera is None,
+            "camera",
+            "no T_arm_camera: what it sees cannot be touched",
+        ),
+        (
+            arm and real and rig.surface.T_arm_surface is None,
+            "surface",
+            "no T_arm_surface: explore cannot know where the surface is",
+        ),
+        (
+            arm and real and rig.tool.compliance_m_per_n is None,
+            "tool",
+            "no compliance_m_per_n: explore wants it. deformscope calibrate arm measures it",
+        ),
+    )
+    return [Finding(what, "look", words) for lacks, what, words in wanted if lacks]
 
 
 def _exploring(rig: Rig) -> list[Finding]:
@@ -134,25 +145,22 @@ def _disk(rig: Rig) -> Finding:
 def _device(entry: RigDevice, name: str, seconds: float) -> list[Finding]:
     """Open one device and listen to it."""
     with member_of(entry) as member, member.device as device:
-        told = device.identity()
+        who_is = device.identity()
         device.next(max(seconds, FIRST_READING_S))
         time.sleep(seconds)
         health = device.health()
-    who = " ".join(part for part in (told.model, told.serial, told.firmware) if part)
+    who = " ".join(part for part in (who_is.model, who_is.serial, who_is.firmware) if part)
     findings = [Finding(name, "ok", f"{health.rate_hz:.4g} readings a second{', ' + who if who else ''}")]
-    return findings + [Finding(name, "look", told) for told in _doubts(health)]
+    return findings + [Finding(name, "look", doubt) for doubt in _doubts(health)]
 
 
 def _doubts(health: Health) -> list[str]:
     """What a healthy device does not show."""
-    doubts = []
-    if health.skipped_bytes:
-        reasons = ", ".join(f"{count} {reason}" for reason, count in health.refused.items()) or "noise"
-        doubts.append(f"{health.skipped_bytes} bytes fit no frame ({reasons}): cable, ground, baud rate")
-    if health.lost:
-        doubts.append(f"{health.lost} readings were lost on the way: USB hub, load of this machine")
-    if health.reconnects:
-        doubts.append(f"the link was lost and found {health.reconnects} times: cable, power")
-    if health.stuck:
-        doubts.append("the same reading again and again: is the sensor plugged into its box?")
-    return doubts
+    reasons = ", ".join(f"{count} {reason}" for reason, count in health.refused.items()) or "noise"
+    doubts = (
+        (health.skipped_bytes, f"{health.skipped_bytes} bytes fit no frame ({reasons}): cable, ground, baud rate"),
+        (health.lost, f"{health.lost} readings were lost on the way: USB hub, load of this machine"),
+        (health.reconnects, f"the link was lost and found {health.reconnects} times: cable, power"),
+        (health.stuck, "the same reading again and again: is the sensor plugged into its box?"),
+    )
+    return [words for shows, words in doubts if shows]

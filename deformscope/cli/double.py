@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from deformscope.cli.common import say
 from deformscope.cli.rigs import until_interrupted
 from deformscope.config import DoubleConfig
 from deformscope.errors import InputError
-
-if TYPE_CHECKING:
-    from deformscope_drivers.wires import Wire
+from deformscope.lab.stand_in import WIRED, wire_of
+from deformscope.rig.driver_table import DRIVERS
+from deformscope.rig.rig_file import load_rig
+from deformscope_drivers.announce import announced
+from deformscope_drivers.wires import Wire
 
 SHARED_BUS, FIRST_PORT = "udp_multicast:239.74.163.2", 43113
 """A CAN bus that other processes of this host reach."""
@@ -24,8 +26,6 @@ SHARED_BUS, FIRST_PORT = "udp_multicast:239.74.163.2", 43113
 
 def run(config: DoubleConfig) -> None:
     """Run doubles until Ctrl-C, and print the rig that reaches them."""
-    from deformscope_drivers.announce import announced
-
     if not config.what:
         raise InputError("drivers to double", "none", "deformscope double optoforce dsa, or lab:bench")
     with until_interrupted() as asked, contextlib.ExitStack() as stack:
@@ -39,9 +39,6 @@ def run(config: DoubleConfig) -> None:
 
 @contextlib.contextmanager
 def _wires(what: tuple[str, ...]) -> Iterator[list[tuple[str, str, Wire]]]:
-    from deformscope.lab.stand_in import WIRED, wire_of
-    from deformscope.rig.driver_table import DRIVERS
-
     with contextlib.ExitStack() as stack:
         running: list[tuple[str, str, Wire]] = []
         for name, driver, settings in _wanted(what):
@@ -56,10 +53,6 @@ def _wires(what: tuple[str, ...]) -> Iterator[list[tuple[str, str, Wire]]]:
 
 def _wanted(what: tuple[str, ...]) -> list[tuple[str, str, Any]]:
     """Name, driver and configuration of every double asked for; None = as the driver has it."""
-    from deformscope.lab.stand_in import WIRED
-    from deformscope.rig.driver_table import DRIVERS
-    from deformscope.rig.rig_file import load_rig
-
     wanted: list[tuple[str, str, Any]] = []
     for word in what:
         if word in DRIVERS:

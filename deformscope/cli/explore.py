@@ -12,7 +12,8 @@ import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import EXIT_LOSSES, quiet_warp, resolve_viewer, say, status_line
+from deformscope.api.result import open_recorder
+from deformscope.cli.common import EXIT_LOSSES, quiet_warp, say, status_line
 from deformscope.cli.explored import ExplorationEnd, report
 from deformscope.cli.exploring import Watch, leave, permitted
 from deformscope.cli.rigs import until_interrupted
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from deformscope.recording.recorder import Recorder
     from deformscope.robot.setup import Setup
     from deformscope.session import RigExperiment, Step
+    from deformscope.stages.map.exploration import MapEstimate
 
 
 def run(config: ExploreConfig) -> int:
@@ -35,7 +37,23 @@ def run(config: ExploreConfig) -> int:
     if config.list_scenarios:
         _list()
         return 0
+    found, _ = explore_on(config) or ({}, None)
+    if not found.get("losses") or config.output.record is None:
+        return 0
+    from deformscope.recording.losses import named
+
+    say(f"deformscope: the recording is whole, with losses: {named(found['losses'])}")
+    return EXIT_LOSSES
+
+
+def explore_on(config: ExploreConfig) -> tuple[dict[str, Any], MapEstimate | None] | None:
+    """Explore a simulated scene, or with the devices of a rig file; what was found, as in the JSON, and the maps; None
+    where nothing was begun. Whatever ends it, the arm is halted, and what is known is reported before the recording is
+    closed."""
+    from deformscope.experiments.explore import Exploration
+    from deformscope.experiments.measured import SetupGeometry
     from deformscope.experiments.options import ExploreOptions
+    from deformscope.lab.faults import FaultAt, FaultsToCome
 
     quiet_warp()
     options = ExploreOptions(
@@ -45,41 +63,16 @@ def run(config: ExploreConfig) -> int:
         beta_model=config.beta_model,
         seed=config.output.seed,
     )
-    found = explore_on(config, options)
-    if found is None or not found["losses"] or config.output.record is None:
-        return 0
-    from deformscope.recording.losses import named
-
-    say(f"deformscope: the recording is whole, with losses: {named(found['losses'])}")
-    return EXIT_LOSSES
-
-
-def explore_on(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any] | None:
-    """Explore a simulated scene, or with the devices of a rig file; what was found, as in the JSON, None where nothing
-    was begun. Whatever ends it, the arm is halted, and what is known is reported before the recording is closed."""
-    from deformscope.experiments.explore import Exploration
-    from deformscope.experiments.measured import SetupGeometry
-    from deformscope.lab.faults import FaultAt, FaultsToCome
-    from deformscope.recording.recorder import Recorder
-
     faults = [FaultAt.parse(text, options.budget) for text in config.fault]
     opening = setup_of(config.rig, options, config.set_force, trusted=config.trust_rig)
     setup, options = opening.setup, opening.options
     to_come = FaultsToCome(opening.faulty_lab, faults, options.seed) if faults else None
     settings = {"explore": dataclasses.asdict(options), "seed": options.seed, "simulated": setup.simulated}
     settings |= {"setup": SetupGeometry.of(setup).as_json(), **opening.settings}
-    output = config.output
     found, ending = Exploration(), ExplorationEnd()
     with (
         until_interrupted() as asked,
-        Recorder(
-            output.record,
-            resolve_viewer(output.viewer),
-            settings,
-            layout="exploration",
-            overwrite=output.overwrite,
-            real_time=setup.runs_itself,
-        ) as recorder,
+        open_recorder(config.output, settings, "exploration", real_time=setup.runs_itself) as recorder,
     ):
         try:
             _run(config, setup, options, found, recorder, asked, to_come, ending)
@@ -88,16 +81,16 @@ def explore_on(config: ExploreConfig, options: ExploreOptions) -> dict[str, Any]
         if found.stop is not None:
             recorder.stopped_because(f"{found.stop.kind}: {found.stop.reason}")
         worth = ending.began_s > 0.0 or found.stop is not None
-        told = report(config, setup, options, found, recorder, ending, to_come) if worth else None
+        reported = report(config, setup, options, found, recorder, ending, to_come) if worth else None
         if ending.error is not None:
             raise ending.error
     for fault in to_come.waiting if to_come is not None else ():
         say(f"--fault {fault.injected.word}@{fault.touch} did not strike: there was no such moment")
     if found.stop is not None or asked.is_set():
         recording = recorder.summary().path
-        leave(found.stop, len(found.touches), asked.signal_number, recording, arm_told=ending.arm_told)
+        leave(found.stop, len(found.touches), asked.signal_number, recording, arm_stopped=ending.arm_stopped)
     ending.raise_unwritten()
-    return told
+    return None if reported is None else (reported, found.maps)
 
 
 def _run(
@@ -119,9 +112,9 @@ def _run(
 
     with setup.open_source() as source, status_line() as show:
         ending.start_ns = source.start_ns
-        recorder.start_exploration(
-            source.streams, source.start_ns, setup.size_m, setup.placement.T_base_surface, truth=_has_regions(setup)
-        )
+        truth = setup.truth is not None and setup.truth.labels is not None
+        place = setup.size_m, setup.placement.T_base_surface
+        recorder.start_exploration(source.streams, source.start_ns, *place, truth=truth)
         watch = Watch(asked, show)
         with touching_robot(setup, source, options, watch) as robot, stages_beside(setup, options) as (beside, stage):
             try:
@@ -132,7 +125,7 @@ def _run(
                     experiment = _said(explore(setup.clock, stage, found, permit), show)
                     run(source, experiment, recorder, robot, beside)
             finally:
-                ending.arm_told, ending.gaps_s = watch.arm_told, robot.gaps_s
+                ending.arm_stopped, ending.gaps_s = watch.arm_stopped, robot.gaps_s
                 ending.session_s = (setup.clock() - source.start_ns) / 1e9
         ending.losses = losses_of(finish(source, recorder))
     for name, reason in source.failures.items():
@@ -169,10 +162,6 @@ def _said(experiment: RigExperiment[None], show: Callable[[str], None]) -> RigEx
             given, answer = (yield step), experiment.send
         except Exception as error:
             given, answer = error, experiment.throw
-
-
-def _has_regions(setup: Setup) -> bool:
-    return setup.truth is not None and setup.truth.labels is not None
 
 
 def _remarks(result: object) -> Iterator[str]:

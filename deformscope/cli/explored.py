@@ -10,10 +10,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from deformscope import __version__
-from deformscope.cli.common import replacing, say, show_table, write_json
+from deformscope.api.exploration import exploration_rows
+from deformscope.cli.common import say, show_table, write_file, write_json
 from deformscope.errors import InputError
-from deformscope.recording.losses import named
+from deformscope.pictures import exploration as pictures
 
 if TYPE_CHECKING:
     from deformscope.arrays import FloatArray
@@ -45,6 +48,7 @@ JSON_UNITS = {
     "max_force_n": "N",
     "modulus_pa": "Pa",
     "peak_force_n": "N",
+    "set_force_n": "N",
     "seconds": "s",
     "travel_m": "m",
     "xy_m": "m",
@@ -56,7 +60,7 @@ class ExplorationEnd:
     """Why and when an exploration ended; filled in as it goes on.
 
     error: that ended it, other than a stop; start_ns: of the session, on the robot's clock
-    arm_told: whether the arm could be told to stand; began_s: when it could first move, 0 = never [s]
+    arm_stopped: whether the arm could be stopped; began_s: when it could first move, 0 = never [s]
     session_s: by the robot's clock [s]; gaps_s: (n,) from each look of its supervisor to the next [s]
     losses: of each device that lost something (`deformscope.recording.losses`)
     unwritten: outputs that could not be written, and why
@@ -64,7 +68,7 @@ class ExplorationEnd:
 
     error: BaseException | None = None
     start_ns: int = 0
-    arm_told: bool = True
+    arm_stopped: bool = True
     began_s: float = 0.0
     session_s: float = 0.0
     gaps_s: FloatArray | None = None
@@ -91,35 +95,30 @@ def report(
     exploration.failures += recorder.not_shown
     if ending.error is not None:
         exploration.stop_reason = f"error: {' '.join(str(ending.error).split()) or type(ending.error).__name__}"
-    found = _found(config, options, exploration, setup, ending, _recording(config, recorder, ending))
+    # after an error it keeps the name of an unfinished one
+    recording = config.output.record if ending.error is None else recorder.summary().path
+    found = _found(config, options, exploration, setup, ending, recording)
     found["fault"] = _fault(exploration, ending, faults)
-    maps, written = exploration.maps, []
-    if maps is not None and config.map is not None and _write(ending, config.map, lambda: _map_file(config, maps)):
-        written.append(("map", str(config.map)))
-    if maps is not None and config.picture is not None and _write(ending, config.picture, lambda: _png(config, maps)):
-        written.append(("picture", str(config.picture)))
+    written = []
+    if (maps := exploration.maps) is not None:
+        if config.map is not None and _write(ending, config.map, lambda: _map_file(config, maps)):
+            written.append(("map", str(config.map)))
+        if config.picture is not None and _write(ending, config.picture, lambda: pictures.result_png(maps, config.rig)):
+            written.append(("picture", str(config.picture)))
     try:
         write_json(found, config.output.json)
     except OSError as error:
         ending.unwritten.append(_unwritten(config.output.json or "", error))
-    show_table(
-        f"{config.rig} (simulated)" if setup.simulated else config.rig,
-        [*_rows(found, options, exploration, setup), *written],
-    )
+    title = f"{config.rig} (simulated)" if setup.simulated else config.rig
+    show_table(title, [*exploration_rows(found), *written])
     for one in ending.unwritten:
         say(f"deformscope: not written: {one}")
     return found
 
 
-def _recording(config: ExploreConfig, recorder: Recorder, ending: ExplorationEnd) -> Path | None:
-    """Where the recording will be: after an error it keeps the name of an unfinished one."""
-    return config.output.record if ending.error is None else recorder.summary().path
-
-
 def _write(ending: ExplorationEnd, path: Path, make: Callable[[], bytes]) -> bool:
     try:
-        with replacing(path) as file:
-            file.write(make())
+        write_file(path, make())
     except Exception as error:
         ending.unwritten.append(_unwritten(path, error))
         return False
@@ -139,8 +138,6 @@ def _found(
     ending: ExplorationEnd,
     recording: Path | None,
 ) -> dict[str, Any]:
-    import numpy as np
-
     maps = exploration.maps
     truth = None
     if setup.truth is not None:  # a gradient has no regions, and none to compare with
@@ -150,15 +147,15 @@ def _found(
             "iou": None if maps is None else maps.iou,
             "boundary_m": None if maps is None else maps.boundary_m,
         }
-    regions = () if maps is None else range(maps.region_count)
     return {
         "scenario": config.rig,
         "seed": options.seed,
         "version": __version__,
         "units": JSON_UNITS,
+        "set_force_n": options.set_force_n,
         "verdict": None if maps is None else maps.verdict,
         "verdict_probability": None if maps is None else maps.probability,
-        "touches": [_touch(told, exploration.failed(told.number + 1)) for told in exploration.touches],
+        "touches": [_touch(one, exploration.failed(one.number + 1)) for one in exploration.touches],
         "region_count": None if maps is None else maps.region_count,
         "regions": [
             {
@@ -166,7 +163,7 @@ def _found(
                 "interval": np.log(maps.level_interval_n_per_mm[region]),
                 "rigid": bool(maps.level_rigid[region]),
             }
-            for region in regions
+            for region in range(0 if maps is None else maps.region_count)
             if maps is not None
         ],
         "probability": exploration.region_probability,
@@ -181,25 +178,20 @@ def _found(
         },
         "supervisor_gaps_ms": _gaps_ms(ending.gaps_s),
         "stop_reason": exploration.stop_reason,
-        "arm_stands": ending.arm_told,
+        "arm_stands": ending.arm_stopped,
         "failures": [{"stage": one.stage, "touch": one.touch, "reason": one.reason} for one in exploration.failures],
         "losses": ending.losses,
         "recording": recording,
     }
 
 
-def _touch(told: TouchEstimate, failed: list[str]) -> dict[str, Any]:
+def _touch(one: TouchEstimate, failed: list[str]) -> dict[str, Any]:
+    same = ("beta", "beta_interval", "beta_verdict", "rigid", "modulus_pa", "depth_m", "peak_force_n")
     return {
-        "xy_m": told.xyz_m[:2],
-        "beta": told.beta,
-        "beta_interval": told.beta_interval,
-        "beta_verdict": told.beta_verdict,
-        "apparent_stiffness_n_per_mm": told.stiffness_n_per_mm,
-        "apparent_stiffness_interval": told.stiffness_interval,
-        "rigid": told.rigid,
-        "modulus_pa": told.modulus_pa,
-        "depth_m": told.depth_m,
-        "peak_force_n": told.peak_force_n,
+        "xy_m": one.xyz_m[:2],
+        "apparent_stiffness_n_per_mm": one.stiffness_n_per_mm,
+        "apparent_stiffness_interval": one.stiffness_interval,
+        **{name: getattr(one, name) for name in same},
         "failed": failed,
     }
 
@@ -221,75 +213,19 @@ def _fault(exploration: Exploration, ending: ExplorationEnd, faults: FaultsToCom
 
 def _gaps_ms(gaps_s: FloatArray | None) -> dict[str, float] | None:
     """From one look of the supervisor to the next, None where the arm never could move [ms]."""
-    import numpy as np
-
     if gaps_s is None or not len(gaps_s):
         return None
     shares = {"p50": 50.0, "p99": 99.0, "p99_9": 99.9, "max": 100.0}
     return {"count": len(gaps_s)} | {name: 1e3 * float(np.percentile(gaps_s, share)) for name, share in shares.items()}
 
 
-def _rows(
-    found: dict[str, Any], options: ExploreOptions, exploration: Exploration, setup: Setup
-) -> list[tuple[str, str]]:
-    from deformscope.pictures.words import failed_words, iou_words, region_words, travel_words, verdict_words
-
-    maps = exploration.maps
-    rows = [("verdict", "none: no touch gave a map")]
-    if maps is not None:
-        smooth = "" if maps.region_count else ", the stiffness changes smoothly"
-        rows = [("verdict", f"{verdict_words(maps)}{smooth} (probability {maps.probability:.2f})")]
-        at = f" at {options.set_force_n:g} N"
-        rows += [(f"region {one + 1}", region_words(maps, one) + at) for one in range(maps.region_count)]
-    truth = found["truth"]
-    if truth is not None and maps is not None and maps.iou is not None:
-        off = "" if maps.boundary_m is None else f", border {100 * maps.boundary_m:.1f} cm off"
-        rows.append(("truth", f"{truth['region_count']} regions; {iou_words(maps)}{off}"))
-    elif truth is not None and not truth["region_count"]:
-        rows.append(("truth", "no regions: the stiffness changes smoothly"))
-    betas = [told.beta_verdict for told in exploration.touches if told.beta is not None]
-    if betas:
-        common = max(set(betas), key=betas.count)
-        rows.append(("beta", f"{common} in {betas.count(common)} of {len(betas)} touches"))
-    largest = found["max_force_n"]
-    if largest is None:
-        largest = max((told.peak_force_n for told in exploration.touches), default=0.0)
-    reason = found["stop_reason"]
-    ended = reason if reason.startswith("stopped") else f"stopped: {reason or 'before its plan said so'}"
-    rows += [("failed", failed_words(one)) for one in exploration.failures]
-    rows += [
-        ("touches", f"{len(exploration.touches)}, {travel_words(found['travel_m'])}; {ended}"),
-        ("largest contact force", f"{largest:.2f} N, {'true' if setup.simulated else 'measured'}"),
-        ("arm", "stands" if found["arm_stands"] else "COULD NOT BE TOLD TO STOP: use its emergency stop"),
-        *_gap_rows(found["supervisor_gaps_ms"]),
-        ("time", f"{found['seconds']['session']:.0f} s of the robot, {found['seconds']['wall']:.0f} s here"),
-    ]
-    if found["losses"]:
-        rows.append(("lost", named(found["losses"])))
-    if found["recording"] is not None:
-        rows.append(("recording", str(found["recording"])))
-    return rows
-
-
-def _gap_rows(gaps_ms: dict[str, float] | None) -> list[tuple[str, str]]:
-    if gaps_ms is None:
-        return []
-    words = f"every {gaps_ms['p50']:.0f} ms; 1 in 1000 after {gaps_ms['p99_9']:.0f} ms, at most {gaps_ms['max']:.0f} ms"
-    return [("supervisor looked", words)]
-
-
-def _png(config: ExploreConfig, maps: MapEstimate) -> bytes:
-    from deformscope.pictures.exploration import result_png
-
-    return result_png(maps, config.rig)
+def map_arrays(maps: MapEstimate) -> dict[str, np.ndarray]:
+    """Those that are known: rows along y, columns along x, cells of cell_m with the surface's corner at (0, 0)."""
+    return {name: np.asarray(value) for name in UNITS if (value := getattr(maps, name)) is not None}
 
 
 def _map_file(config: ExploreConfig, maps: MapEstimate) -> bytes:
-    """The maps as arrays (.npz): rows along y, columns along x, cells of cell_m with the surface's corner at (0, 0)."""
-    import numpy as np
-
-    known = {name: np.asarray(value) for name in UNITS if (value := getattr(maps, name)) is not None}
     made_by: dict[str, Any] = {"scenario": config.rig, "seed": config.output.seed, "version": __version__}
     file = io.BytesIO()
-    np.savez_compressed(file, allow_pickle=False, units=json.dumps(UNITS), **known, **made_by)
+    np.savez_compressed(file, allow_pickle=False, units=json.dumps(UNITS), **map_arrays(maps), **made_by)
     return file.getvalue()

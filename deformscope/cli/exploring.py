@@ -41,12 +41,12 @@ class WatchedRobot(Protocol):
 
 class Watch:
     """Called in every control period: ends it when somebody asks, and shows what the robot does. robot: once there is
-    one; arm_told: whether the arm could be told to stand, in the end"""
+    one; arm_stopped: whether the arm could be stopped, in the end"""
 
     def __init__(self, asked: Interruption, show: Callable[[str], None]) -> None:
         """asked: set when somebody wants it to end; show: one line that the next replaces"""
         self.robot: WatchedRobot | None = None
-        self.arm_told = True
+        self.arm_stopped = True
         self._asked, self._show = asked, show
         self._periods = 0
 
@@ -61,7 +61,7 @@ class Watch:
 
     @contextlib.contextmanager
     def halts(self, robot: WatchedRobot) -> Iterator[None]:
-        """Whatever ends this, the arm is then told to stand, also where telling it was interrupted. Beyond it are the
+        """Whatever ends this, the arm is then halted, also where halting it was interrupted. Beyond it are the
         end of each velocity after 40 ms, and the driver, which erases the arm's trajectories as it closes."""
         self.robot = robot
         reason = "what moved it has ended"
@@ -71,10 +71,10 @@ class Watch:
             reason += f": {type(error).__name__}"
             raise
         finally:
-            self.arm_told = False
+            self.arm_stopped = False
             for attempt in range(HALTS):
                 try:
-                    self.arm_told = robot.halt(reason)
+                    self.arm_stopped = robot.halt(reason)
                     break
                 except BaseException:
                     if attempt == HALTS - 1:
@@ -105,7 +105,7 @@ def permitted(
     say(preflight.table())
     if not setup.simulated and preflight.passed:
         say(
-            f"The arm will now move by itself: up to {options.budget} touches of {robot.forces_told}.\n"
+            f"The arm will now move by itself: up to {options.budget} touches of {robot.forces_words}.\n"
             "This program is no safety function: keep the emergency stop in your hand."
         )
         if not yes and not sys.stdin.isatty():
@@ -137,12 +137,12 @@ def _answer(asked: Interruption) -> RigExperiment[str]:
 
 
 def leave(
-    stop: ExplorationStop | None, touched: int, signal_number: int, recording: Path | None, *, arm_told: bool = True
+    stop: ExplorationStop | None, touched: int, signal_number: int, recording: Path | None, *, arm_stopped: bool = True
 ) -> None:
     """End the command as the stop demands: with the reason and what to do, or by the signal's own exit status."""
     from deformscope.robot.supervisor import Fault
 
-    stands = "the arm stands" if arm_told else "THE ARM COULD NOT BE TOLD TO STOP: look at it, use its emergency stop"
+    stands = "the arm stands" if arm_stopped else "THE ARM COULD NOT BE STOPPED: look at it, use its emergency stop"
     touches = f"after {touched} touch{'es' * (touched != 1)}"
     if stop is None or stop.kind == Fault.ASKED:
         kept = "" if recording is None else f"; the recording is whole: {recording}"

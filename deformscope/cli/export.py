@@ -6,19 +6,17 @@ deformscope export r.rrd --images frames --camera front
 
 from __future__ import annotations
 
-from deformscope.cli.common import progress, show_table, write_json
+from deformscope.cli.common import fit_progress, show_table, write_json
 from deformscope.config import ExportConfig
+from deformscope.recording.export import export_images
+from deformscope.recording.reader import Replay
 
 
 def run(config: ExportConfig) -> None:
     """Write them, byte for byte as they were recorded."""
-    from deformscope.recording.export import export_images
-    from deformscope.recording.reader import Replay
-
     replay = Replay(config.recording)
-    total = sum(count for (device, what), count in replay.image_counts.items() if what != "color")
-    with progress("images", total=None if config.camera else total) as done:
-        found = export_images(replay, config.images, config.camera, overwrite=config.overwrite, done=done)
+    with fit_progress() as note:
+        found = export_images(replay, config.images, config.camera, overwrite=config.overwrite, note=note)
     show_table(
         str(config.recording), [(f"{one.what} of {one.device}", f"{one.count} in {one.folder}") for one in found]
     )

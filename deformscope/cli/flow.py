@@ -6,30 +6,26 @@ deformscope flow before.png after.png --out flow.npz --method farneback --pictur
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import cv2
+import numpy as np
 
-from deformscope.cli.common import recorder_of, replacing, show, write_json
+from deformscope.arrays import FloatArray
+from deformscope.cli.common import recorder_of, replacing, show, write_file, write_json
 from deformscope.config import FlowConfig
 from deformscope.errors import InputError
-
-if TYPE_CHECKING:
-    from deformscope.arrays import FloatArray
+from deformscope.files.sources import DEFAULT_FPS
+from deformscope.frames import ColorFrame
+from deformscope.images import read_image
+from deformscope.pictures.findings import Findings
+from deformscope.pictures.flow import flow_png
+from deformscope.pictures.report import Table
+from deformscope.session import Step
+from deformscope.stages.see.flow import dense_flow
+from deformscope_drivers.clock import Stamp
 
 
 def run(config: FlowConfig) -> None:
     """Compute the flow there and back, write what was asked for, and print the motion and its error."""
-    import numpy as np
-
-    from deformscope.files.sources import DEFAULT_FPS
-    from deformscope.frames import ColorFrame
-    from deformscope.images import read_image
-    from deformscope.pictures.findings import Findings
-    from deformscope.pictures.flow import flow_png
-    from deformscope.pictures.report import Table
-    from deformscope.session import Step
-    from deformscope.stages.see.flow import dense_flow
-    from deformscope_drivers.clock import Stamp
-
     before, after = read_image(config.before), read_image(config.after)
     if before.shape[:2] != after.shape[:2]:
         sizes = " and ".join(f"{image.shape[1]} x {image.shape[0]}" for image in (before, after))
@@ -42,8 +38,7 @@ def run(config: FlowConfig) -> None:
     with replacing(config.out) as file:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # numpy's stub takes the arrays for its own flag
     if config.picture is not None:
-        with replacing(config.picture) as file:
-            file.write(flow_png(before, flow_px))
+        write_file(config.picture, flow_png(before, flow_px))
 
     length_px = np.hypot(flow_px[..., 0], flow_px[..., 1])
     error_px = _there_and_back(flow_px, backward_px)
@@ -66,7 +61,7 @@ def run(config: FlowConfig) -> None:
     show(found)
     with recorder_of(config, "flow") as recorder:
         for index, image in enumerate((before, after)):
-            recorder.write_frame(ColorFrame(Stamp(round(index * 1e9 / DEFAULT_FPS)), index, image))
+            recorder.write(ColorFrame(Stamp(round(index * 1e9 / DEFAULT_FPS)), index, image))
         recorder.write(Step((forward, found)))
     settings = {"method": config.method, "width": width, "height": height, "out": config.out}
     write_json(settings | numbers, config.output.json)
@@ -78,9 +73,6 @@ def _px(value: float | None) -> str:
 
 def _there_and_back(flow_px: FloatArray, backward_px: FloatArray) -> FloatArray:
     """How far each pixel ends from its start after the flow and the flow back [px], for pixels that stay inside."""
-    import cv2
-    import numpy as np
-
     height, width = flow_px.shape[:2]
     y, x = np.mgrid[0:height, 0:width].astype(np.float32)
     to_x, to_y = x + flow_px[..., 0], y + flow_px[..., 1]

@@ -10,32 +10,43 @@ deformscope calibrate yield press.npz --beta 0.7 --creep fit --json -
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
-from deformscope.cli.common import fit_progress, quiet_warp, read_file, replacing, say, settings_of, show, write_json
+import numpy as np
+
+from deformscope.api.calibration import pair_recorder, size_notes
+from deformscope.cli.common import (
+    fit_progress,
+    quiet_warp,
+    read_file,
+    recorder_of,
+    say,
+    settings_of,
+    show,
+    write_file,
+    write_json,
+)
 from deformscope.config import AxesConfig, BothConfig, YieldConfig
-
-if TYPE_CHECKING:
-    from deformscope.pictures.report import Table
-    from deformscope.stages.fit.joint import JointEstimate
-    from deformscope.stages.fit.model import Observation
-    from deformscope.stages.materials.anisotropy import AxisEstimate
-    from deformscope.stages.materials.yield_estimate import Parameter, YieldEstimate
+from deformscope.files.motions import parse_motion
+from deformscope.files.pairs import parse_pair
+from deformscope.frames import InputFile
+from deformscope.pictures.findings import Findings
+from deformscope.pictures.material_figures import axes_png, joint_png, yield_png
+from deformscope.pictures.report import Figure, Table
+from deformscope.session import Step
+from deformscope.stages.fit.estimate import EXPLAINED_LEAST, Comparison, explained_text
+from deformscope.stages.fit.joint import JointEstimate, JointOptions, calibrate_both
+from deformscope.stages.fit.model import Model, Observation
+from deformscope.stages.materials.anisotropy import AxisEstimate, fit_axes
+from deformscope.stages.materials.plasticity import YieldOptions, fit_yield
+from deformscope.stages.materials.yield_estimate import Parameter, YieldEstimate
+from deformscope.stages.msm.materials import AxisBeta
+from deformscope.stages.msm.solver import pick_device
 
 CONVERGED = {True: "yes", False: "NO: do not rely on the values"}
 
 
 def both(config: BothConfig) -> None:
     """`calibrate both`: each pair by itself, or all together."""
-    from deformscope.api.calibration import pair_recorder
-    from deformscope.pictures.findings import Findings
-    from deformscope.pictures.material_figures import joint_png
-    from deformscope.pictures.report import Figure
-    from deformscope.session import Step
-    from deformscope.stages.fit.joint import JointOptions, calibrate_both
-    from deformscope.stages.fit.model import Model
-    from deformscope.stages.msm.solver import pick_device
-
     quiet_warp()
     device = pick_device(config.fit.device)
     model = Model(basis=config.mode, cluster_size=config.cluster_size or None, volume="project", device=device)
@@ -53,28 +64,14 @@ def both(config: BothConfig) -> None:
             show(found)
             for frame, comparison in enumerate(comparisons, start=number):
                 recorder.write(Step((comparison, found), frame=frame))
-            if config.picture is not None and not every:
-                with replacing(config.picture) as file:
-                    file.write(png)
+            if not every:
+                write_file(config.picture, png)
             every.append(estimate.as_json())
     write_json(every[0] if len(every) == 1 else every, config.output.json)
 
 
 def axes(config: AxesConfig) -> None:
     """`calibrate axes`: one fit to all pairs."""
-    import numpy as np
-
-    from deformscope.api.calibration import pair_recorder
-    from deformscope.pictures.findings import Findings
-    from deformscope.pictures.material_figures import axes_png
-    from deformscope.pictures.report import Figure
-    from deformscope.session import Step
-    from deformscope.stages.fit.calibrate import Model
-    from deformscope.stages.fit.estimate import Comparison
-    from deformscope.stages.materials.anisotropy import fit_axes
-    from deformscope.stages.msm.materials import AxisBeta
-    from deformscope.stages.msm.solver import pick_device
-
     quiet_warp()
     raws, seen = _pairs(config)
     d = seen[0].rest.shape[1]
@@ -99,19 +96,6 @@ def axes(config: AxesConfig) -> None:
 
 def yielding(config: YieldConfig) -> None:
     """`calibrate yield`: one motion."""
-    import numpy as np
-
-    from deformscope.api.calibration import size_notes
-    from deformscope.cli.common import recorder_of
-    from deformscope.files.motions import parse_motion
-    from deformscope.pictures.findings import Findings
-    from deformscope.pictures.material_figures import yield_png
-    from deformscope.pictures.report import Figure
-    from deformscope.session import Step
-    from deformscope.stages.fit.estimate import Comparison
-    from deformscope.stages.materials.plasticity import YieldOptions, fit_yield
-    from deformscope.stages.msm.solver import pick_device
-
     quiet_warp()
     raw = read_file(config.source, "a motion file (.npz)")
     motion = parse_motion(raw, config.source, noise_m=config.fit.noise_m)
@@ -128,7 +112,7 @@ def yielding(config: YieldConfig) -> None:
         device=pick_device(config.fit.device),
     )
     with recorder_of(config, "pair" if motion.rest.shape[1] == 2 else "pair-3d") as recorder:
-        recorder.write_input("motion", raw)
+        recorder.write(InputFile("motion", raw))
         with fit_progress() as fitting:
             estimate = fit_yield(motion, options, fitting)
         png = yield_png(estimate, motion)
@@ -141,17 +125,12 @@ def yielding(config: YieldConfig) -> None:
             seen = np.isfinite(observed).all(axis=1)
             compared = Comparison(motion.rest, observed, simulated, seen, np.flatnonzero(held), "m")
             recorder.write(Step((compared, found) if frame == 0 else (compared,), frame=frame))
-    if config.picture is not None:
-        with replacing(config.picture) as file:
-            file.write(png)
+    write_file(config.picture, png)
     write_json(estimate.as_json(), config.output.json)
 
 
 def _pairs(config: BothConfig | AxesConfig) -> tuple[list[tuple[str, bytes]], list[Observation]]:
     """The files, by name and content, and what they hold."""
-    from deformscope.api.calibration import size_notes
-    from deformscope.files.pairs import parse_pair
-
     raws = [(one, read_file(one, "a pair file (.npz)")) for one in config.sources]
     seen = [parse_pair(raw, name, noise_m=config.fit.noise_m) for name, raw in raws]
     for remark in size_notes([one.rest for one in seen]):
@@ -163,14 +142,10 @@ def _pairs(config: BothConfig | AxesConfig) -> tuple[list[tuple[str, bytes]], li
 
 
 def _table(caption: str, rows: Sequence[tuple[str, str]]) -> Table:
-    from deformscope.pictures.report import Table
-
     return Table(rows, caption=caption)
 
 
 def _both_table(found: JointEstimate, name: str) -> Table:
-    from deformscope.stages.fit.estimate import explained_text
-
     rows: list[tuple[str, str]] = []
     for one in (found.beta, found.theta):
         low, high = one.interval
@@ -186,8 +161,6 @@ def _both_table(found: JointEstimate, name: str) -> Table:
 
 
 def _axes_table(found: AxisEstimate, name: str) -> Table:
-    from deformscope.stages.fit.estimate import explained_text
-
     rows = []
     for k, (low, high) in enumerate(found.interval):
         axis = ", ".join(f"{x:.2g}" for x in found.axes[:, k])
@@ -205,8 +178,6 @@ def _axes_table(found: AxisEstimate, name: str) -> Table:
 
 
 def _yield_table(found: YieldEstimate, config: YieldConfig) -> Table:
-    from deformscope.stages.fit.estimate import EXPLAINED_LEAST, explained_text
-
     low, high = found.yield_strain.interval
     strain = f"{found.yield_strain.value:.4g} ({low:.4g} to {high:.4g})" if high is not None else f"above {low:.4g}"
     unsure = "nothing that yielded is sure" if high is None else "it yielded, but where it began is not known"

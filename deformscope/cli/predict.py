@@ -7,8 +7,11 @@ deformscope predict slab.npz --against poke2.npz poke3.npz --picture dents.png
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import numpy as np
+
+from deformscope.api.prediction import PredictionResult, arrays_of, comparison_table, moved_body, poke_of
+from deformscope.arrays import FloatArray
 from deformscope.cli.common import (
     fit_progress,
     quiet_warp,
@@ -16,30 +19,25 @@ from deformscope.cli.common import (
     recorder_of,
     replacing,
     show,
+    write_file,
     write_json,
 )
 from deformscope.config import PredictConfig
 from deformscope.errors import InputError
-
-if TYPE_CHECKING:
-    from deformscope.arrays import FloatArray
+from deformscope.files.arrays_file import numbers, read_arrays
+from deformscope.files.model_file import load_model
+from deformscope.files.pairs import parse_pair
+from deformscope.pictures.findings import Findings
+from deformscope.pictures.report import Figure
+from deformscope.session import Step
+from deformscope.stages.msm.solver import pick_device
+from deformscope.stages.poke.fitted import predict
+from deformscope.studies.dents_figure import dents_png
+from deformscope.studies.prediction import compare
 
 
 def run(config: PredictConfig) -> None:
     """Predict, compare, print and write."""
-    import numpy as np
-
-    from deformscope.api.prediction import PredictionResult, arrays_of, comparison_table, moved_body, poke_of
-    from deformscope.files.model_file import load_model
-    from deformscope.files.pairs import parse_pair
-    from deformscope.pictures.findings import Findings
-    from deformscope.pictures.report import Figure
-    from deformscope.session import Step
-    from deformscope.stages.msm.solver import pick_device
-    from deformscope.stages.poke.fitted import predict
-    from deformscope.studies.dents_figure import dents_png
-    from deformscope.studies.prediction import compare
-
     model = load_model(config.source)
     asked = [poke_of(text, model) for text in config.poke]
     points = None if config.points is None else _points(config.points)
@@ -66,8 +64,7 @@ def run(config: PredictConfig) -> None:
             figure = Figure(png, "A cut through the dent along x, with what was measured")
             recorder.write(Step((Findings((table,), (figure,), (body,)),), frame=index))
     if config.picture is not None:
-        with replacing(config.picture) as file:
-            file.write(dents_png(every, compared))
+        write_file(config.picture, dents_png(every, compared))
     write_json(
         {
             "model": str(config.source),
@@ -83,10 +80,6 @@ def run(config: PredictConfig) -> None:
 
 
 def _points(path: Path) -> FloatArray:
-    import numpy as np
-
-    from deformscope.files.arrays_file import numbers, read_arrays
-
     expected = "an .npz with `points (n, 3)`"
     found = read_arrays(read_file(path, expected), expected, path)
     if "points" not in found:

@@ -13,106 +13,94 @@ import dataclasses
 import hashlib
 import signal
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
-from deformscope.cli.common import EXIT_LOSSES, make_folder, quiet_warp, resolve_viewer, say, show_table, write_json
+from deformscope.api.result import open_recorder
+from deformscope.cli.common import EXIT_LOSSES, make_folder, quiet_warp, say, show_table, write_json
 from deformscope.cli.exploring import signal_word
 from deformscope.cli.rigs import Interruption, members_of, until_interrupted
 from deformscope.config import LiveConfig, RecordConfig, RigRunOptions
+from deformscope.config.rigs import StageOptions
 from deformscope.errors import InputError
+from deformscope.experiments.live_stages import StageCounts, live_stages
+from deformscope.frames import HealthReport, Item, LinkChange, Stream
+from deformscope.recording.losses import in_words, losses_of, lost_by, named
+from deformscope.recording.recorder import RecordingSummary
+from deformscope.rig.rig_file import Rig, load_rig
+from deformscope.rig.source import RigSource
+from deformscope.session import finish
+from deformscope.session import run as run_session
+from deformscope_drivers.health import Health
 
 if TYPE_CHECKING:
     from deformscope.experiments.device_stages import LiveOptions, Stage, StageName
-    from deformscope.experiments.live_stages import Beside, StageCounts
-    from deformscope.frames import HealthReport, Item, Stream
-    from deformscope.recording.recorder import RecordingSummary
-    from deformscope.rig.rig_file import Rig
-    from deformscope.rig.source import RigSource
-    from deformscope.session import RigExperiment
-    from deformscope_drivers.health import Health
+    from deformscope.experiments.stage_processes import StageProcesses
 
-TELL_EVERY_S = 10.0
+REPORT_EVERY_S = 10.0
 
 
 def record(config: RecordConfig) -> int:
     """Record a rig, headless unless a viewer is asked for. Returns the command's exit status."""
-    viewer = "none" if config.output.viewer == "auto" else config.output.viewer
-    return _run(
-        dataclasses.replace(config, output=dataclasses.replace(config.output, viewer=viewer)), always_record=True
-    )
+    return run_rig(config, "none", always_record=True)[1]
 
 
 def live(config: LiveConfig) -> int:
     """Watch a rig in rerun's window, and record it if asked to. Returns the command's exit status."""
-    viewer = "native" if config.output.viewer == "auto" else config.output.viewer
-    return _run(
-        dataclasses.replace(config, output=dataclasses.replace(config.output, viewer=viewer)), always_record=False
-    )
+    return run_rig(config, "native", always_record=False)[1]
 
 
-def _run(config: RigRunOptions, *, always_record: bool) -> int:
-    from deformscope.recording.losses import losses_of, named
-    from deformscope.recording.recorder import Recorder
-    from deformscope.rig.rig_file import load_rig
-    from deformscope.rig.source import RigSource
-    from deformscope.session import finish
-    from deformscope.session import run as run_session
-
+def run_rig(
+    config: RigRunOptions, auto: Literal["none", "native"], *, always_record: bool
+) -> tuple[dict[str, object], int]:
+    """What was recorded, as in the JSON, and the command's exit status. auto: the viewer where none is asked for"""
     rig = load_rig(config.rig, trusted=config.trust_rig)
     file = config.output.record
     if file is None and always_record:
         file = _new_file(rig)
+    viewer = auto if config.output.viewer == "auto" else config.output.viewer
+    output = dataclasses.replace(config.output, record=file, viewer=viewer)
     settings = {"rig": rig.text, "rig_name": rig.name, "label": config.label, "seed": config.output.seed}
     settings["simulated"] = [entry.name for entry in rig.devices if entry.double]
-    options = _live_options(config, rig)
+    names = config.stages.names
+    options = _live_options(config.stages, rig) if names else None
     if options is not None:
         settings["stages"] = dataclasses.asdict(options)
-    viewer = resolve_viewer(config.output.viewer)
     with (
         until_interrupted() as asked,
-        Recorder(
-            file,
-            viewer,
-            settings,
-            layout="rig",
-            overwrite=config.output.overwrite,
-            variant=_variant(rig, config.stages.names),
-            real_time=True,
-        ) as recorder,
-        _beside(config.stages.names) as beside,
+        open_recorder(output, settings, "rig", variant=_variant(rig, names), real_time=True) as recorder,
+        _processes(names) if names else contextlib.nullcontext({}) as beside,
         members_of(rig) as members,
     ):
         say(f"opening {', '.join(member.name for member in members)}")
         with RigSource(members, raw=rig.record.raw) as source:
-            running = _Stages(options, source.streams, beside)
-            recorder.start_rig(source.streams, source.start_ns, rig.record.lossless, running.devices)
+            stages = () if options is None else _stages(options, source.streams)
+            shown = [(stage.name, stage.device) for stage in stages]
+            recorder.start_rig(source.streams, source.start_ns, rig.record.lossless, shown)
             where = "" if file is None else f" into {file}"
             say(f"recording{where}: Ctrl-C ends it" if file else "watching: Ctrl-C ends it")
             end = _Ending(asked, config.seconds, source)
-            counts = run_session(source, running.experiment(end), recorder)
+            lossless = options is not None and options.lossless
+            counts = run_session(source, live_stages(stages, beside, end, lossless=lossless), recorder)
             last = finish(source, recorder)
             failures = dict(source.failures)
             why = end.reason + "".join(f"; {name} failed: {reason}" for name, reason in failures.items())
             recorder.stopped_because(why)
-    _tell(config, recorder.summary(), last, failures, why, counts)
+    found = _report(config, recorder.summary(), last, failures, why, counts)
     if (losses := losses_of(last)) and file is not None:
         say(f"deformscope: the recording is whole, with losses: {named(losses)}")
     for name, reason in failures.items():
         say(f"deformscope: device {name} failed: {reason}")
     if end.early_by:
         say(f"deformscope: ended {end.reason}")
-        return 128 + end.early_by
-    return EXIT_LOSSES if failures or (losses and file is not None) else 0
+        return found, 128 + end.early_by
+    return found, EXIT_LOSSES if failures or (losses and file is not None) else 0
 
 
-def _live_options(config: RigRunOptions, rig: Rig) -> LiveOptions | None:
+def _live_options(flags: StageOptions, rig: Rig) -> LiveOptions:
     """How the stages run that were asked for. Raises InputError where the rig lacks what one of them needs."""
-    flags = config.stages
-    if not flags.stage:
-        return None
     from deformscope.experiments.device_stages import LiveOptions, for_rig
     from deformscope.experiments.foam_video import ParticleOptions
 
@@ -127,40 +115,19 @@ def _live_options(config: RigRunOptions, rig: Rig) -> LiveOptions | None:
     return for_rig(options, rig)
 
 
-@contextlib.contextmanager
-def _beside(names: Sequence[StageName]) -> Iterator[Mapping[str, Beside]]:
-    """A process for each stage."""
-    if not names:
-        yield {}
-        return
+# What stages need takes seconds to load: only where there are some.
+
+
+def _processes(names: Sequence[StageName]) -> StageProcesses:
     from deformscope.experiments.stage_processes import StageProcesses
 
-    with StageProcesses(names, quiet_warp) as beside:
-        yield beside
+    return StageProcesses(names, quiet_warp)
 
 
-class _Stages:
-    """The stages that run beside a recording, if any. devices: (name, device) of each"""
+def _stages(options: LiveOptions, streams: Sequence[Stream]) -> tuple[Stage, ...]:
+    from deformscope.experiments.device_stages import stages_of
 
-    def __init__(self, options: LiveOptions | None, streams: Sequence[Stream], beside: Mapping[str, Beside]) -> None:
-        self._options, self._beside = options, beside
-        self._stages: tuple[Stage, ...] = ()
-        if options is not None:
-            from deformscope.experiments.device_stages import stages_of
-
-            self._stages = stages_of(options, streams)
-        self.devices = tuple((stage.name, stage.device) for stage in self._stages)
-
-    def experiment(self, ended: Callable[[Sequence[Item]], bool]) -> RigExperiment[dict[str, StageCounts]]:
-        """What runs until `ended` says so; returns what became of every stage's frames."""
-        if self._options is None:
-            from deformscope.session import passing_on
-
-            yield from passing_on(ended)
-            return {}
-        from deformscope.experiments.live_stages import live_stages
-
-        return (yield from live_stages(self._stages, self._beside, ended, lossless=self._options.lossless))
+    return stages_of(options, streams)
 
 
 class _Ending:
@@ -171,7 +138,7 @@ class _Ending:
         self._last: HealthReport | None = None
         self._asked = asked
         self._seconds = seconds
-        self._began = self._told_at = time.monotonic()
+        self._began = self._reported_at = time.monotonic()
         self.reason = ""
 
     @property
@@ -181,16 +148,14 @@ class _Ending:
         return 0 if number == signal.SIGINT and self._seconds is None else number
 
     def __call__(self, items: Sequence[Item]) -> bool:
-        from deformscope.frames import HealthReport, LinkChange
-
         for item in items:
             if isinstance(item, HealthReport):
                 self._last = item
             elif isinstance(item, LinkChange):
                 reason = f": {item.event.reason}" if item.event.reason else ""
                 say(f"{item.device}: {item.event.link}{reason}")
-        if self._last is not None and time.monotonic() - self._told_at > TELL_EVERY_S:
-            self._told_at = time.monotonic()
+        if self._last is not None and time.monotonic() - self._reported_at > REPORT_EVERY_S:
+            self._reported_at = time.monotonic()
             rates = ", ".join(f"{name} {health.rate_hz:.4g}/s" for name, health in self._last.devices)
             say(rates)
         lasted_s = time.monotonic() - self._began
@@ -205,17 +170,15 @@ class _Ending:
         return bool(self.reason)
 
 
-def _tell(
+def _report(
     config: RigRunOptions,
     summary: RecordingSummary,
     last: HealthReport,
     failures: Mapping[str, str],
     ended: str,
     stages: Mapping[str, StageCounts],
-) -> None:
+) -> dict[str, object]:
     """What was recorded, device by device, on the screen and as JSON."""
-    from deformscope.recording.losses import losses_of
-
     devices = dict(last.devices)
     rows = [(name, _in_words(health, failures.get(name))) for name, health in devices.items()]
     rows += [(f"stage {name}", counts.in_words()) for name, counts in stages.items()]
@@ -236,12 +199,11 @@ def _tell(
     if stages:
         found["stages"] = {name: counts.as_json() for name, counts in stages.items()}
     write_json(found, config.output.json)
+    return found
 
 
 def _in_words(health: Health, failure: str | None) -> str:
     """What came of a device, what it lost, and why where it is known."""
-    from deformscope.recording.losses import in_words, lost_by
-
     why = f"FAILED: {failure}" if failure else health.reason
     return ", ".join(part for part in (f"{health.received} readings", in_words(lost_by(health)), why) if part)
 

@@ -14,10 +14,11 @@ from pathlib import Path
 from deformscope.cli.common import show_table, write_json
 from deformscope.config import RecoverConfig
 from deformscope.errors import InputError
-from deformscope.recording.facts import Facts, read_facts
+from deformscope.recording.facts import Facts, read_facts, run_rrd
 from deformscope.recording.ledger import ledger_path, read_counts, write_ledger
 from deformscope.recording.lock import is_being_written
-from deformscope.recording.rerun_tool import run_rrd
+from deformscope.recording.losses import in_words
+from deformscope.recording.reader import RRD_MAGIC
 from deformscope.recording.rrd_file import merged_path, write_outcome
 
 
@@ -44,12 +45,10 @@ def run(config: RecoverConfig) -> None:
         whole.replace(out)
     merged_path(path).unlink(missing_ok=True)  # what its run could not bring to an end either
     write_ledger(out, facts.counts, facts.losses)
-    _tell(config, path, out, facts, damage)
+    _report(config, path, out, facts, damage)
 
 
 def _check(path: Path, out: Path) -> None:
-    from deformscope.recording.reader import RRD_MAGIC
-
     if not path.is_file():
         raise InputError("a recording (.rrd)", "a folder" if path.is_dir() else "nothing there", where=path)
     with path.open("rb") as file:
@@ -80,10 +79,8 @@ def _write_ending(ending: Path, facts: Facts, path: Path) -> None:
     )
 
 
-def _tell(config: RecoverConfig, path: Path, out: Path, facts: Facts, damage: str) -> None:
+def _report(config: RecoverConfig, path: Path, out: Path, facts: Facts, damage: str) -> None:
     """damage: where reading ended before the end of the file; empty = nowhere"""
-    from deformscope.recording.losses import in_words
-
     missing: dict[str, int] = {}
     if ledger_path(path).exists():
         try:

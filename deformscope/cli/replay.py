@@ -1,4 +1,5 @@
-"""`deformscope replay`: the same stages on the recorded inputs, compared with the recorded numbers.
+"""`deformscope replay`: the same stages on the recorded inputs, compared with the recorded numbers; of a rig, its bytes
+decoded again and compared with its frames.
 
 deformscope replay out.rrd
 deformscope replay out.rrd --viewer native --pace real
@@ -12,10 +13,15 @@ import math
 import sys
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import Different, console, fit_progress, quiet_warp, show, write_json
-from deformscope.cli.replay_rig import replay_rig
+from deformscope.cli.common import Different, console, fit_progress, quiet_warp, say, show, show_table, write_json
 from deformscope.config import ReplayConfig
 from deformscope.errors import InputError
+from deformscope.experiments.replay_stages import replay_stages
+from deformscope.pictures.words import failed_words
+from deformscope.recording.items import ITEMS, read_rows, read_streams
+from deformscope.recording.reader import Replay
+from deformscope.rig.decoded import compare_with_bytes
+from deformscope.rig.rig_file import parse_rig
 
 if TYPE_CHECKING:
     from deformscope.frames import ColorFrame
@@ -127,3 +133,42 @@ def _difference(before: dict[str, Any], now: dict[str, Any]) -> float:
         if b is not None:
             found.append(abs(b - n) / max(abs(b), 1e-12))
     return float(max(found))
+
+
+def replay_rig(recording: Replay, settings: dict[str, Any], config: ReplayConfig) -> None:
+    """Raises `Different` where a frame is not what its bytes give, or a stage's result not what its frames give."""
+    rig = parse_rig(settings["rig"], settings.get("rig_name", "rig"))
+    streams = read_streams(config.recording, trust=True)
+    items = (row.item for row in read_rows(recording, ITEMS, lambda encoded, which: encoded))
+    found = compare_with_bytes(rig, streams, items)
+    different = [one for one in found if one.difference]
+    rows = []
+    for one in found:
+        result = f"{one.compared} of {one.frames} frames decoded again" if one.compared else f"{one.frames} frames"
+        result += f"; DIFFERENT: {one.difference}" if one.difference else ", identical" if one.compared else ""
+        rows.append((one.device, result + (f"; not compared: {one.left_out}" if one.left_out else "")))
+    stages = replay_stages(config.recording, trust=True) if "stages" in settings else None
+    wrong = {} if stages is None else {name: share for name, share in stages.different.items() if share > 0.0}
+    if stages is not None:
+        rows += [(f"stage {name}", _in_words(share)) for name, share in stages.different.items()]
+        rows += [("failed when recorded", failed_words(one)) for one in stages.failures]
+    show_table(f"replay of {config.recording}", rows)
+    report: dict[str, object] = {"devices": [dataclasses.asdict(one) for one in found]}
+    report["identical"] = not (different or wrong)
+    if stages is not None:
+        report["stages"] = dataclasses.asdict(stages)
+    write_json(report, config.output.json)
+    if different:
+        more = f" (and of {len(different) - 1} more devices)" if len(different) > 1 else ""
+        raise Different("frames as their bytes give them", different[0].difference + more, where=config.recording)
+    if wrong:
+        came = ", ".join(f"{name} that differs by {share:.2g}" for name, share in wrong.items())
+        raise Different("the recorded results of every stage, to the last bit", came, where=config.recording)
+    if stages is not None:
+        say(f"replay: {stages.results} results of stages computed again, identical to the recorded ones")
+    say(f"replay: {sum(one.compared for one in found)} frames decoded again, identical to the recorded ones")
+
+
+def _in_words(share: float) -> str:
+    """share: the largest difference"""
+    return f"DIFFERENT by {share:.2g}" if share > 0.0 else "computed again, identical"

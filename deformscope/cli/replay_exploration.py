@@ -30,9 +30,9 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
     from deformscope.experiments.measured import SetupGeometry
     from deformscope.experiments.options import ExploreOptions
     from deformscope.pictures.words import failed_words
-    from deformscope.recording.results import read_results
+    from deformscope.recording.items import read_results
     from deformscope.rows import to_components
-    from deformscope.session import NotRecorded, run
+    from deformscope.session import run
     from deformscope.stages.map.exploration import (
         MapEstimate,
         PlannedTouch,
@@ -47,18 +47,16 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
     options = dataclasses.replace(msgspec.convert(settings["explore"], ExploreOptions), **changes)
     geometry = SetupGeometry.from_json(settings.get("setup", {}))
     kinds = (SurfaceEstimate, PlannedTouch, TouchEstimate, MapEstimate)
-    recorded = [one.result for one in read_results(path, kinds, trust=True)]
-    failed = [one.result for one in read_results(path, (StageFailure,), trust=True)]
+    recorded = [row.item for row in read_results(path, kinds, trust=True)]
+    failed = [row.item for row in read_results(path, (StageFailure,), trust=True)]
     given = recorded_inputs(path)
     measured = bool(given) and isinstance(given[0], SurfaceMeasurement)
     failed_before = [] if changes else failed
-    explorer = Explorer(geometry.size_m, options, geometry.arm, failed=failed_before)  # type: ignore[arg-type]
+    explorer = Explorer(geometry.size_m, options, geometry.arm, failed=failed_before)
     stages = ExplorationStages(explorer, AsMeasured(geometry.size_m) if measured else FromFrames(geometry, options))
-    results: list[object] = []
-    listening = NotRecorded()
-    listening.write_results = lambda made, *_: results.extend(made)  # type: ignore[method-assign]
-    run([], explore(lambda: 0, within_loop(stages), Exploration()), listening, AtOnce(RecordedRobot(given)))
-    again = [one for one in results if isinstance(one, kinds)]
+    computed = _Heard()
+    run([], explore(lambda: 0, within_loop(stages), Exploration()), computed, AtOnce(RecordedRobot(given)))
+    again = [one for one in computed.results if isinstance(one, kinds)]
     if changes:
         _show_beside(recorded, again, changes, config)
         return
@@ -76,10 +74,20 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
                 came = f"another {name} of {type(before).__name__}"
                 raise Different("the recorded numbers, to the last bit", came, where=path)
     for one in failed:
-        console().print(f"failed when it was recorded: {failed_words(one)}", markup=False)  # type: ignore[arg-type]
+        console().print(f"failed when it was recorded: {failed_words(one)}", markup=False)
     start = "measurements" if measured else "depth images, forces and states of the arm"
     console().print(f"replay: {len(recorded)} results from {start}, identical to the recorded numbers")
     write_json({"results": len(recorded), "identical": True, "failures": failed}, config.output.json)
+
+
+class _Heard:
+    """A recorder that keeps the results."""
+
+    def __init__(self) -> None:
+        self.results: list[object] = []
+
+    def write(self, items: object) -> None:
+        self.results += getattr(items, "results", ())
 
 
 def _changes(words: Sequence[str], kind: type) -> dict[str, Any]:
@@ -118,8 +126,8 @@ def _show_beside(recorded: list[Any], again: list[Any], changes: dict[str, Any],
         f"{config.recording} with {', '.join(f'{name} = {value}' for name, value in changes.items())}",
         [(name, f"{now.get(name, 'not computed')}; recorded: {before.get(name, 'none')}") for name in before | now],
     )
-    told = {"identical": None, "set": changes, "recorded": before, "computed": now}
-    write_json(told, config.output.json)
+    found = {"identical": None, "set": changes, "recorded": before, "computed": now}
+    write_json(found, config.output.json)
 
 
 def recorded_inputs(path: Path) -> list[Any]:
@@ -128,11 +136,11 @@ def recorded_inputs(path: Path) -> list[Any]:
     Raises InputError where a frame that one of them names is not in the recording.
     """
     from deformscope.experiments.measured import Looked, Touched
-    from deformscope.recording.results import read_results
+    from deformscope.recording.items import read_results
     from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
 
     kinds = (LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement)
-    inputs: list[Any] = [one.result for one in read_results(path, kinds, trust=True)]
+    inputs: list[Any] = [row.item for row in read_results(path, kinds, trust=True)]
     named = [one for one in inputs if isinstance(one, LookFrames | TouchFrames)]
     if not named:
         return inputs

@@ -22,7 +22,6 @@ from deformscope.cli.common import (
     show,
     write_json,
 )
-from deformscope.cli.workers import in_processes
 from deformscope.config import ContainersConfig
 
 if TYPE_CHECKING:
@@ -74,6 +73,7 @@ def _squeeze(dataset: SqueezeDataset, jobs: list[SqueezeJob], config: Containers
     from deformscope.experiments.squeeze_trial import feature_settings
     from deformscope.files.squeeze_dataset import SqueezeDataset, TrialRow
     from deformscope.lab.container_setup import container_lab
+    from deformscope.processes import in_processes
     from deformscope.studies.containers import run_squeeze
 
     known = {one.trial for one in dataset.entries()} if dataset.exists else set()

@@ -7,16 +7,16 @@ deformscope reproduce cubes --pairs cube_nu0.25.npz cube_nu0.4.npz
 
 from __future__ import annotations
 
-import functools
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from deformscope.cli.common import (
+    examined,
+    fit_progress,
     make_folder,
     pictures_of,
-    progress,
     quiet_warp,
     read_file,
     recorder_of,
@@ -24,21 +24,32 @@ from deformscope.cli.common import (
     write_json,
 )
 from deformscope.config import CubesConfig
-
-if TYPE_CHECKING:
-    from deformscope.studies.cubes import Cube, ElementTime, Found, Options
+from deformscope.pictures.figures import write_rows
+from deformscope.pictures.findings import Findings, dict_table
+from deformscope.pictures.report import Table
+from deformscope.session import Step
+from deformscope.studies import cubes as study
+from deformscope.studies import cubes_figures as figures
+from deformscope.studies.cubes import (
+    Cube,
+    ElementTime,
+    Found,
+    Options,
+    compared,
+    cube_from_pair,
+    depths_of,
+    examine,
+    model_times,
+    rises,
+    thesis_cubes,
+)
+from deformscope.studies.cubes_figures import depth_name, sem_rows, time_rows
 
 
 def run(config: CubesConfig) -> None:
     """Make or read the cubes, fit each in some process, then draw, write and print."""
     make_folder(config.out)
     quiet_warp()
-    from deformscope.pictures.findings import Findings, dict_table
-    from deformscope.pictures.report import Table
-    from deformscope.session import Step
-    from deformscope.studies.cubes import Options, model_times
-    from deformscope.studies.cubes_figures import sem_rows, time_rows
-
     with recorder_of(config) as recorder:
         began = time.perf_counter()
         cubes, elements = _read(config.pairs) if config.pairs else _make(config.quick)
@@ -62,38 +73,27 @@ def run(config: CubesConfig) -> None:
 
 
 def _make(quick: bool) -> tuple[list[Cube], list[ElementTime]]:
-    from deformscope.studies.cubes import POISSON, SIDES, thesis_cubes
-
-    sides = SIDES[:1] if quick else SIDES
-    with progress("finite elements", total=len(sides) * len(POISSON)) as advance:
-        return thesis_cubes(POISSON, sides, progress=lambda done, total: advance(1))
+    with fit_progress() as note:
+        sides = study.SIDES[:1] if quick else study.SIDES
+        return thesis_cubes(study.POISSON, sides, progress=lambda done, total: note("finite elements", done, total))
 
 
 def _read(paths: Sequence[Path]) -> tuple[list[Cube], list[ElementTime]]:
-    from deformscope.studies.cubes import cube_from_pair
-
     cubes = [cube_from_pair(read_file(path, "a pair file (.npz)"), str(path)) for path in paths]
     return sorted(cubes, key=lambda cube: (len(cube.seen.rest), cube.poisson, cube.depth)), []
 
 
 def _examine(cubes: Sequence[Cube], options: Options, workers: int | None) -> list[Found]:
-    from deformscope.cli.workers import in_processes
-    from deformscope.studies.cubes import compared
-
-    jobs = list(zip(range(len(cubes)), cubes, compared(cubes, options), strict=True))
-    jobs.sort(key=lambda job: -len(job[1].seen.rest))  # the long ones first, so that none is left alone at the end
-    found: dict[int, Found] = {}
-    with progress("cubes", total=len(jobs)) as advance:
-        for index, one in in_processes(functools.partial(_one, options), jobs, workers):
-            found[jobs[index][0]] = one
-            advance(1)
-    return [found[index] for index in range(len(cubes))]
+    jobs = [(cube, options, one) for cube, one in zip(cubes, compared(cubes, options), strict=True)]
+    # the long ones first, so that none is left alone at the end
+    order = sorted(range(len(jobs)), key=lambda place: -len(cubes[place].seen.rest))
+    with fit_progress() as note:
+        found = examined("cubes", _one, [jobs[place] for place in order], workers, note)
+    return [one for _, one in sorted(zip(order, found, strict=True), key=lambda pair: pair[0])]
 
 
-def _one(options: Options, job: tuple[int, Cube, bool]) -> Found:
-    from deformscope.studies.cubes import examine
-
-    return examine(job[1], options, job[2])
+def _one(job: tuple[Cube, Options, bool]) -> Found:
+    return examine(*job)
 
 
 # Results -------------------------------------------------------------------------------------------------------------
@@ -107,8 +107,6 @@ def _draw(
     times: Sequence[dict[str, object]],
 ) -> dict[str, Path]:
     """Draw and write; the pictures by what they show."""
-    from deformscope.studies import cubes_figures as figures
-
     theta, errors = out / "figure-3.10.png", out / "figure-3.11.png"
     figures.draw_theta(theta, found)
     figures.draw_errors(errors, found)
@@ -121,9 +119,8 @@ def _draw(
         name = "overlapping clusters beside one cluster"
         drawn[name] = out / "clusters.png"
         figures.draw_clusters(drawn[name], found, options.cluster_size)
-    figures.write_cubes(out / "cubes.csv", found)
-    figures.write_rows(out / "sem.csv", sems)
-    figures.write_rows(out / "table-3.2.csv", times)
+    for name, rows in (("cubes.csv", figures.cube_rows(found)), ("sem.csv", sems), ("table-3.2.csv", times)):
+        write_rows(out / name, rows)
     return drawn
 
 
@@ -134,7 +131,6 @@ def report(
     seconds: dict[str, float],
 ) -> dict[str, Any]:
     """What `cubes.json` holds; lengths in metres."""
-    from deformscope.studies.cubes import rises
 
     def both(fit: Any) -> dict[str, object] | None:
         if fit is None:
@@ -217,9 +213,6 @@ def _spread(row: dict[str, Any]) -> str:
 
 def _drift(sems: Sequence[dict[str, Any]], found: Sequence[Found]) -> list[tuple[str, str]]:
     """SEM over resolutions at the largest depth, also where the held particles' share of mass is the same."""
-    from deformscope.studies.cubes import depths_of
-    from deformscope.studies.cubes_figures import depth_name
-
     depth = depth_name(depths_of([one.cube for one in found])[-1])
     deepest = [row for row in sems if row["by"] == "depth" and row["of"] == depth and row["cubes"] > 1]
     if not deepest:

@@ -8,12 +8,13 @@ deformscope calibrate beta runs/foams/images/24-80 --roi 30,50,750,350 --grid 7x
 
 from __future__ import annotations
 
-import csv
-import io
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
 
 from deformscope.cli.common import (
     fit_progress,
@@ -21,24 +22,32 @@ from deformscope.cli.common import (
     pictures_of,
     quiet_warp,
     recorder_of,
-    replacing,
     show,
     write_json,
 )
 from deformscope.config import FoamsConfig
-
-if TYPE_CHECKING:
-    from deformscope.frames import ColorFrame
-    from deformscope.lab.foam import Foam
-    from deformscope.pictures.report import Table
-    from deformscope.studies.foams import Control, FoamFit, FoamResult, FoamSetup, Trend
-
+from deformscope.frames import ColorFrame
+from deformscope.images import encode_png
+from deformscope.lab.foam import Foam
+from deformscope.pictures.figures import write_rows
+from deformscope.pictures.findings import Findings
+from deformscope.pictures.report import Table
+from deformscope.session import Step
+from deformscope.studies import foams_figures as figures
+from deformscope.studies.foams import (
+    HELD,
+    SOURCES,
+    Control,
+    FoamFit,
+    FoamResult,
+    FoamSetup,
+    Trend,
+    controls,
+    measure,
+    trend,
+)
 
 HELD_WORDS = {"one": "one particle held", "clamp": "clamp held"}
-COLUMNS = (
-    *("density_kg_m3", "hardness_n", "plateau_exponent", "poisson", "force_n", "source", "held", "cluster_size"),
-    *("converged", "verdict", "aee_mm", "beta", "beta_low", "beta_high", "k_n_per_m", "k_low", "k_high"),
-)
 
 
 def run(config: FoamsConfig) -> None:
@@ -46,12 +55,6 @@ def run(config: FoamsConfig) -> None:
     began = time.monotonic()
     make_folder(config.out)
     quiet_warp()
-    from threadpoolctl import threadpool_limits
-
-    from deformscope.pictures.findings import Findings
-    from deformscope.pictures.report import Table
-    from deformscope.session import Step
-    from deformscope.studies.foams import HELD, SOURCES, FoamSetup, controls, measure, trend
 
     setup, seed = FoamSetup(), config.output.seed
     if config.quick:
@@ -69,8 +72,7 @@ def run(config: FoamsConfig) -> None:
         trends = [trend(results, source, held, size) for held in HELD for source in SOURCES for size in sizes]
         drawn = _draw(config.out, results, trends, tried, min(sizes))
         table = config.out / "foams.csv"
-        with replacing(table) as file:
-            file.write(as_csv(results).encode())
+        write_rows(table, csv_rows(results))
         seconds = time.monotonic() - began
         tables.append(_trend_table(trends))
         written = [("", str(path)) for path in (*drawn.values(), table)]
@@ -85,9 +87,6 @@ def _draw(
     out: Path, results: Sequence[FoamResult], trends: Sequence[Trend], tried: Sequence[Control], size: int
 ) -> dict[str, Path]:
     """The pictures by what they show."""
-    from deformscope.studies import foams_figures as figures
-    from deformscope.studies.foams import HELD
-
     drawn = {}
     for held in HELD:
         path = out / ("figure-3.14.png" if held == "one" else f"figure-3.14-{held}-held.png")
@@ -102,8 +101,6 @@ def _draw(
 
 def _keeper(out: Path, foam: Foam) -> Callable[[ColorFrame], None]:
     """Writes a foam's images into a folder of its own, which holds nothing of an earlier run."""
-    from deformscope.images import encode_png
-
     folder = out / "images" / foam.name.replace("/", "-")
     folder.mkdir(parents=True, exist_ok=True)
     for earlier in folder.glob("frame-*.png"):
@@ -116,10 +113,6 @@ def _keeper(out: Path, foam: Foam) -> Callable[[ColorFrame], None]:
 
 
 def _foam_table(result: FoamResult) -> Table:
-    import numpy as np
-
-    from deformscope.pictures.report import Table
-
     rows = [
         ("law", _law(result.foam)),
         ("force", f"{result.force_n[-1]:.1f} N at {1e3 * result.depth_m[-1]:g} mm: {result.stiffness:.0f} N/m"),
@@ -135,8 +128,6 @@ def _foam_table(result: FoamResult) -> Table:
 
 
 def _trend_table(trends: Sequence[Trend]) -> Table:
-    from deformscope.pictures.report import Table
-
     rows = [
         (
             name(one),
@@ -204,19 +195,16 @@ def fit_json(fit: FoamFit) -> dict[str, Any]:
     return how | fit.calibration.estimate.as_json()
 
 
-def as_csv(results: Sequence[FoamResult]) -> str:
-    """One line a fit."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for result in results:
-        foam = result.foam
-        for fit in result.fits:
-            one = fit.calibration.estimate
-            k = [] if one.stiffness is None else [one.stiffness[0], *one.stiffness[1]]
-            aee = 1e3 * one.aee * (one.metres_per_unit or float("nan"))
-            row = [foam.density, foam.hardness, foam.plateau, foam.poisson, f"{result.force_n[-1]:.4g}"]
-            row += [fit.source, fit.held, fit.cluster_size, one.converged, one.verdict, f"{aee:.4f}"]
-            row += [f"{beta:.5f}" for beta in (one.value, *one.interval)]
-            writer.writerow([*row, *(f"{value:.5g}" for value in k)])
-    return text.getvalue()
+def csv_rows(results: Sequence[FoamResult]) -> list[dict[str, object]]:
+    """One row a fit."""
+    rows = []
+    for result, fit in ((one, fit) for one in results for fit in one.fits):
+        foam, one = result.foam, fit.calibration.estimate
+        k = (None,) * 3 if one.stiffness is None else (one.stiffness[0], *one.stiffness[1])
+        row: dict[str, object] = {"density_kg_m3": foam.density, "hardness_n": foam.hardness}
+        row |= {"plateau_exponent": foam.plateau, "poisson": foam.poisson, "force_n": result.force_n[-1]}
+        row |= {"source": fit.source, "held": fit.held, "cluster_size": fit.cluster_size, "converged": one.converged}
+        row |= {"verdict": one.verdict, "aee_mm": 1e3 * one.aee * (one.metres_per_unit or float("nan"))}
+        row |= dict(zip(("beta", "beta_low", "beta_high"), (one.value, *one.interval), strict=True))
+        rows.append(row | dict(zip(("k_n_per_m", "k_low", "k_high"), k, strict=True)))
+    return rows

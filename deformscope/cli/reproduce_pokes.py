@@ -6,26 +6,20 @@ deformscope reproduce pokes --quick --out figures --json -
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from deformscope.cli.common import fit_progress, make_folder, quiet_warp, recorder_of, replacing, say, show, write_json
+from deformscope.cli.common import fit_progress, make_folder, quiet_warp, recorder_of, say, show, write_file, write_json
 from deformscope.config import PokesConfig
-
-if TYPE_CHECKING:
-    from deformscope.pictures.report import Table
-    from deformscope.studies.poke_study import Studied
+from deformscope.pictures.figures import write_rows
+from deformscope.pictures.findings import Findings
+from deformscope.pictures.report import Figure, Table
+from deformscope.session import Step
+from deformscope.studies.dents_figure import dents_png
+from deformscope.studies.poke_study import PLANS, Studied, rows, study
 
 
 def run(config: PokesConfig) -> None:
     """Make the slabs, fit, predict, draw, write and print."""
     make_folder(config.out)
     quiet_warp()
-    from deformscope.pictures.figures import write_table
-    from deformscope.pictures.findings import Findings
-    from deformscope.pictures.report import Figure
-    from deformscope.session import Step
-    from deformscope.studies.dents_figure import dents_png
-    from deformscope.studies.poke_study import PLANS, rows, study
 
     studied = []
     with recorder_of(config) as recorder, fit_progress() as progress:
@@ -38,17 +32,15 @@ def run(config: PokesConfig) -> None:
             show(found)
             recorder.write(Step((found,), frame=frame))
     every = [one for found in studied for one in found.unseen]
-    with replacing(config.out / "dents.png") as file:
-        file.write(dents_png([one.prediction for one in every], every))
-    names = ("slab", "at_m", "tip_mm", "force_n", "method", "surface_error", "force_error")
+    write_file(config.out / "dents.png", dents_png([one.prediction for one in every], every))
     table = rows(studied)
-    write_table(config.out / "pokes.csv", names, table)
+    write_rows(config.out / "pokes.csv", table)
     say(f"figures and table: {config.out}")
     fits = [
         {"slab": one.plan.name, "field": one.found.model.field_kind, "pokes": one.found.rows()} | _law(one)
         for one in studied
     ]
-    write_json({"fits": fits, "unseen": [dict(zip(names, row, strict=True)) for row in table]}, config.output.json)
+    write_json({"fits": fits, "unseen": table}, config.output.json)
 
 
 def _law(one: Studied) -> dict[str, object]:
@@ -57,8 +49,6 @@ def _law(one: Studied) -> dict[str, object]:
 
 
 def _table(one: Studied) -> Table:
-    from deformscope.pictures.report import Table
-
     law = one.found.fit.best.law
     what = f"clusters of {law.cluster_size}, beta {law.beta:.3g}, theta {law.theta:.3g}"
     lines = [(f"fitted to {len(one.plan.fitted)}", what)]

@@ -7,41 +7,38 @@ deformscope reproduce table41 --resume                  # goes on where it was c
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
 
 from deformscope.cli.common import (
-    SAY_EVERY_S,
-    console,
+    fit_progress,
     make_folder,
     pictures_of,
-    progress,
+    quiet_warp,
     recorder_of,
-    replacing,
-    say,
     show,
+    write_file,
     write_json,
 )
-from deformscope.cli.workers import in_processes
 from deformscope.config import Table41Config
 from deformscope.errors import InputError
-
-if TYPE_CHECKING:
-    from deformscope.pictures.findings import Findings
-    from deformscope.pictures.report import Table
-    from deformscope.studies.table41 import TableJob, TableRun
+from deformscope.lab.scenes import BUILT_IN, built_in
+from deformscope.pictures.figures import write_rows
+from deformscope.pictures.findings import Findings, dict_table
+from deformscope.pictures.report import Table
+from deformscope.processes import in_processes
+from deformscope.session import Step
+from deformscope.stages.map.plan import Planner
+from deformscope.studies.table41 import TableJob, TableRun, add_run, read_runs, run_table
+from deformscope.studies.table41_summary import LOOKED_AT, PASSED_IOU, compare, curves, summarise
 
 RUNS = "runs.jsonl"
 
 
 def run(config: Table41Config) -> None:
     """Explore every scene with every planner over the seeds; write and print the table."""
-    from deformscope.session import Step
-    from deformscope.studies.table41 import TableJob
-
     make_folder(config.out)
     planners = _planners(config.planners)
     jobs = [
@@ -56,35 +53,23 @@ def run(config: Table41Config) -> None:
 
 def _explored(jobs: Sequence[TableJob], config: Table41Config) -> list[TableRun]:
     """The run of each job; kept in the folder as they are done, and taken from there with --resume."""
-    from deformscope.studies.table41 import add_run, read_runs, run_table
-
     path = config.out / RUNS
     known = {}
     if config.resume and path.exists():
         known = {one.job: one for one in read_runs(path) if one.job in jobs}
-    with replacing(path) as file:
-        file.write(b"")
+    write_file(path, b"")
     for one in known.values():
         add_run(path, one)
     left = [job for job in jobs if job not in known]
-    said, shown = time.monotonic(), console().is_terminal
-    with progress("exploring", len(left)) as done:
-        for count, (index, found) in enumerate(in_processes(run_table, left, config.workers), start=1):
+    with fit_progress() as note:
+        for count, (index, found) in enumerate(in_processes(run_table, left, config.workers, quiet_warp), start=1):
             known[left[index]] = found
             add_run(path, found)
-            done(1)
-            if not shown and time.monotonic() - said > SAY_EVERY_S:
-                said = time.monotonic()
-                say(f"exploring: {count} of {len(left)}")
+            note("exploring", count, len(left))
     return [known[job] for job in jobs]
 
 
 def _write(runs: Sequence[TableRun], config: Table41Config) -> Findings:
-    from deformscope.pictures.figures import write_table
-    from deformscope.pictures.findings import Findings, dict_table
-    from deformscope.studies.table41_figures import curves
-    from deformscope.studies.table41_summary import LOOKED_AT, summarise
-
     scenes = list(dict.fromkeys(one.job.scene for one in runs))
     planners: list[str] = list(dict.fromkeys(one.job.planner for one in runs))
     by = {
@@ -104,9 +89,8 @@ def _write(runs: Sequence[TableRun], config: Table41Config) -> Findings:
         "slowest_s": max(after.compute_s for one in runs for after in one.after),
     }
     compared = _compared(by, planners)
-    write_table(config.out / "table41.csv", list(rows[0]), [list(row.values()) for row in rows])
-    if compared:
-        write_table(config.out / "planners.csv", list(compared[0]), [list(row.values()) for row in compared])
+    write_rows(config.out / "table41.csv", rows)
+    write_rows(config.out / "planners.csv", compared)
     curves(runs, config.out / "table41.png")
     summary = {"rows": rows, "planners": compared, **cost, "runs": runs}
     write_json(summary, str(config.out / "table41.json"))
@@ -119,8 +103,6 @@ def _write(runs: Sequence[TableRun], config: Table41Config) -> Findings:
 
 def _compared(by: dict[tuple[str, str], list[TableRun]], planners: Sequence[str]) -> list[dict[str, Any]]:
     """The first planner beside each of the others, scene by scene and over all that have borders."""
-    from deformscope.studies.table41_summary import PASSED_IOU, compare
-
     bordered = [scene for (scene, planner), runs in by.items() if planner == planners[0] and runs[0].region_count > 1]
     groups = {scene: [scene] for scene in bordered} | ({"all of these": bordered} if len(bordered) > 1 else {})
     rows = []
@@ -132,8 +114,6 @@ def _compared(by: dict[tuple[str, str], list[TableRun]], planners: Sequence[str]
 
 
 def _scenes(named: str) -> Sequence[str]:
-    from deformscope.lab.scenes import BUILT_IN, built_in
-
     scenes = [name.strip() for name in named.split(",") if name.strip()] or list(BUILT_IN)
     for scene in scenes:
         built_in(scene)
@@ -141,8 +121,6 @@ def _scenes(named: str) -> Sequence[str]:
 
 
 def _planners(named: str) -> Sequence[Any]:
-    from deformscope.stages.map.plan import Planner
-
     planners = [name.strip() for name in named.split(",")]
     if unknown := [name for name in planners if name not in get_args(Planner)]:
         raise InputError(f"planners out of {', '.join(get_args(Planner))}", ", ".join(map(repr, unknown)))
@@ -159,8 +137,6 @@ def _tables(
     cost: dict[str, float],
     out: Path,
 ) -> tuple[Table, ...]:
-    from deformscope.pictures.report import Table
-
     keys = list(dict.fromkeys((row["scene"], row["planner"]) for row in rows))
     at = {(row["scene"], row["planner"], row["touches"]): row for row in rows}
     counts = ", ".join(map(str, looked_at))

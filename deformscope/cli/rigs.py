@@ -7,13 +7,11 @@ import signal
 import threading
 from collections.abc import Iterator
 from types import FrameType
-from typing import TYPE_CHECKING
 
 from deformscope.cli.common import say
-
-if TYPE_CHECKING:
-    from deformscope.rig.rig_file import Rig, RigDevice
-    from deformscope.rig.source import RigMember
+from deformscope.lab.stand_in import stand_in
+from deformscope.rig.rig_file import Rig, RigDevice
+from deformscope.rig.source import RigMember
 
 
 @contextlib.contextmanager
@@ -29,9 +27,6 @@ def member_of(entry: RigDevice) -> Iterator[RigMember]:
 
     Raises InputError where there is none to be made.
     """
-    from deformscope.lab.stand_in import stand_in
-    from deformscope.rig.source import RigMember
-
     stands_in = stand_in(entry.driver.name, entry.config) if entry.double else contextlib.nullcontext(entry.make())
     with stands_in as device:
         yield RigMember(entry.name, entry.driver, device, simulated=entry.double)

@@ -102,6 +102,7 @@ def _run(
     from deformscope.experiments.squeeze_features import SqueezeGeometry
     from deformscope.experiments.squeeze_frames import SqueezeFrames, SqueezeObserver, TactileSource
     from deformscope.experiments.squeezing_hand import SqueezingHand, computing_beside, rule_of
+    from deformscope.frames import InputFile
     from deformscope.recording.losses import losses_of
     from deformscope.session import finish
     from deformscope.session import run as run_session
@@ -116,7 +117,7 @@ def _run(
         observer = SqueezeObserver(frames, setup.hand.tactile_end, None if model is None else tactile_posterior(model))
         recorder.start_squeeze(source.streams, source.start_ns, names.tactile, tactile.pads, names.camera)
         if config.model is not None:
-            recorder.write_input(MODEL_INPUT, config.model.read_bytes())
+            recorder.write(InputFile(MODEL_INPUT, config.model.read_bytes()))
         watch = Watch(asked, show)
         hand = SqueezingHand(setup, source, observer, watch)
         experiment = squeeze(

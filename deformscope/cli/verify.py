@@ -11,10 +11,10 @@ from typing import Any
 from deformscope.cli.common import EXIT_LOSSES, say, show_table, write_json
 from deformscope.config import VerifyConfig
 from deformscope.errors import InputError
-from deformscope.recording.facts import Facts, read_facts
+from deformscope.recording.facts import Facts, read_facts, run_rrd
 from deformscope.recording.ledger import check_ledger, read_counts
 from deformscope.recording.lock import is_being_written
-from deformscope.recording.rerun_tool import run_rrd
+from deformscope.recording.losses import in_words, named
 
 WHOLE = "every byte is as it was recorded"
 UNCHECKED = "not checked, as there is no ledger: a flipped bit would go unnoticed"
@@ -67,8 +67,10 @@ def run(config: VerifyConfig) -> int:
         raise Damaged("a whole recording", "; ".join(dict.fromkeys(problems)), hint, path)
     if unfinished:
         kept = f"everything{reached} is there" if reached else "its readable part is there"
-        raise Damaged("a recording that was finished", f"one of a run cut short; {kept}", _recover(path), path)
-    return _tell_losses(facts, checked=differs is not None, reached=reached)
+        raise Damaged(
+            "a recording that was finished", f"one of a run cut short; {kept}", f"deformscope recover {path}", path
+        )
+    return _name_losses(facts, checked=differs is not None, reached=reached)
 
 
 def _differs(path: Path) -> list[str] | None:
@@ -88,8 +90,6 @@ def _rows(
     *,
     unfinished: bool,
 ) -> list[tuple[str, str]]:
-    from deformscope.recording.losses import in_words
-
     ended = "unfinished: cut short" if unfinished else "complete" if facts.outcome.get("complete") else "NOT complete"
     if "recovered" in facts.outcome:
         ended = f"recovered from {facts.outcome['recovered']}, which was cut short"
@@ -104,14 +104,8 @@ def _rows(
     ]
 
 
-def _recover(path: Path) -> str:
-    return f"deformscope recover {path}"
-
-
-def _tell_losses(facts: Facts, *, checked: bool, reached: str) -> int:
+def _name_losses(facts: Facts, *, checked: bool, reached: str) -> int:
     """Name what is not as it should be of a recording that can be read whole."""
-    from deformscope.recording.losses import named
-
     remarks = []
     if facts.losses:
         remarks.append(f"losses: {named(facts.losses)}")

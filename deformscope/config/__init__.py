@@ -1,13 +1,12 @@
 """The options of each command: one frozen dataclass a command, whose fields are its flags.
 
 A field's docstring is the flag's help. What one value must look like is checked where it is parsed (`ValueError`, which
-the command line reports with the flag's name), what values must satisfy together where the dataclass is made
-(`InputError`). Nothing heavy is imported here: `--help` shows these classes.
+the command line reports with the flag's name); what it may be is a `Rule` in its annotation, what values must satisfy
+together the dataclass's `check` (`InputError`). Nothing heavy is imported here: `--help` shows these classes.
 """
 
 from __future__ import annotations
 
-from deformscope.config.bench import BenchConfig
 from deformscope.config.calibrate import (
     AxesConfig,
     BetaConfig,
@@ -21,8 +20,9 @@ from deformscope.config.calibrate import (
 from deformscope.config.classify import ClassifyConfig
 from deformscope.config.flags import PokeText, parse_poke, parse_pokes
 from deformscope.config.images import FlowConfig, ImageOptions
-from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions, Written
+from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions
 from deformscope.config.reproduce import (
+    BenchConfig,
     ContainersConfig,
     CoverageConfig,
     CubesConfig,
@@ -32,6 +32,7 @@ from deformscope.config.reproduce import (
 )
 from deformscope.config.rigs import (
     ArmConfig,
+    DemoConfig,
     DevicesConfig,
     DoctorConfig,
     DoubleConfig,
@@ -40,10 +41,10 @@ from deformscope.config.rigs import (
     LiveConfig,
     RecordConfig,
     RecoverConfig,
+    ReplayConfig,
     RigRunOptions,
     VerifyConfig,
 )
-from deformscope.config.runs import DemoConfig, ReplayConfig
 from deformscope.config.squeeze import (
     DatasetConfig,
     DiscardConfig,
@@ -52,50 +53,3 @@ from deformscope.config.squeeze import (
     RepairConfig,
     SqueezeConfig,
 )
-
-__all__ = [
-    "ArmConfig",
-    "AxesConfig",
-    "BenchConfig",
-    "BetaConfig",
-    "BothConfig",
-    "ClassifyConfig",
-    "CommandOptions",
-    "ContainersConfig",
-    "CoverageConfig",
-    "CubesConfig",
-    "DatasetConfig",
-    "DemoConfig",
-    "DevicesConfig",
-    "DiscardConfig",
-    "DoctorConfig",
-    "DoubleConfig",
-    "ExploreConfig",
-    "ExportConfig",
-    "FlowConfig",
-    "FoamsConfig",
-    "ImageOptions",
-    "LiveConfig",
-    "MergeConfig",
-    "OutputOptions",
-    "PokeText",
-    "PokesConfig",
-    "PredictConfig",
-    "RecordConfig",
-    "RecordedOptions",
-    "RecoverConfig",
-    "RelabelConfig",
-    "RepairConfig",
-    "ReplayConfig",
-    "RigRunOptions",
-    "SearchOptions",
-    "SqueezeConfig",
-    "SummaryOptions",
-    "Table41Config",
-    "ThetaConfig",
-    "VerifyConfig",
-    "Written",
-    "YieldConfig",
-    "parse_poke",
-    "parse_pokes",
-]

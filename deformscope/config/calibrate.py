@@ -8,132 +8,85 @@ from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from deformscope.config.flags import (
-    POKE_EXAMPLE,
-    CountFlag,
-    FileFlag,
-    ModelFlag,
-    PictureFlag,
-    PokesFlag,
-    PositiveFlag,
-    ReportFlag,
-    SelectFlag,
-    ShareFlag,
-    Sources,
-    SpanFlag,
-    one_word,
-    positive,
-    unset,
-)
+from deformscope.config import flags
 from deformscope.config.images import ImageOptions
-from deformscope.config.options import (
-    BETA_LIMIT,
-    OutputOptions,
-    RecordedOptions,
-    ViewOptions,
-    Written,
-    check_alpha,
-    check_cluster_size,
-    check_level,
-    check_sources,
-    check_span,
-    check_suffix,
-    check_unit,
-    written_files,
-)
+from deformscope.config.options import Flags, OutputOptions, RecordedOptions, ViewOptions, either
 from deformscope.errors import InputError
+
+AlphaFlag = Annotated[float, flags.Rule(lambda alpha: 0 < alpha <= 1, "an {flag} above 0 and at most 1")]
 
 
 @dataclass(frozen=True, slots=True)
-class SearchOptions:
+class SearchOptions(Flags):
     """How the parameter is searched, and how sure of it to be."""
 
     method: Literal["sweep", "gradient"] = "sweep"
     """Try --candidates values over the range (Thesis Algorithm 3), or follow the error downhill (Algorithm 2)."""
-    candidates: int = 100
+    candidates: Annotated[int, flags.least(3)] = 100
     """Values that the sweep tries."""
-    level: float = 0.9
+    level: flags.LevelFlag = 0.9
     """Confidence level of the interval."""
-    noise_px: PositiveFlag = None
+    noise_px: flags.PositiveFlag = None
     """Standard deviation of a measured position [px]; default: measured in the images."""
-    noise_m: PositiveFlag = None
+    noise_m: flags.PositiveFlag = None
     """Standard deviation of a measured position [m]; default: what the pair file says."""
     joint: bool = False
     """Fit one value to all pairs together."""
     volume: Literal["scale", "project"] = "scale"
     """How theta conserves volume: as Thesis eq. 3.17, or by a projection that stays stable in overlapping clusters."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
+    device: flags.Device = "auto"
     """Where the simulation runs; auto: on the GPU where there is one."""
 
-    def __post_init__(self) -> None:
-        if self.candidates < 3:
-            raise InputError("at least 3 --candidates", str(self.candidates))
-        check_level(self.level)
-        if self.noise_px is not None and self.noise_m is not None:
-            raise InputError("--noise-px or --noise-m", "both", "leave one out")
+    def check(self) -> None:
+        either("--noise-px", "--noise-m", self.noise_px, self.noise_m)
 
 
 @dataclass(frozen=True, slots=True)
-class ModelOptions:
+class ModelOptions(Flags):
     """What is left for predictions."""
 
-    save: ModelFlag = None
+    save: flags.ModelFlag = None
     """Write the fitted model, which `deformscope predict` can poke (.npz, no pickle)."""
-
-    def __post_init__(self) -> None:
-        check_suffix("--save", self.save, ".npz")
 
 
 @dataclass(frozen=True, slots=True)
-class SummaryOptions:
+class SummaryOptions(Flags):
     """The result to look at and to pass on, without a viewer."""
 
-    picture: PictureFlag = None
+    picture: flags.PictureFlag = None
     """Draw particles, where the model is wrong, error curve and posterior in one picture. An existing file is
     replaced."""
-    report: ReportFlag = None
+    report: flags.ReportFlag = None
     """Write all that was found, with pictures, settings and provenance, as one HTML page that needs nothing else. An
     existing file is replaced."""
 
-    def __post_init__(self) -> None:
-        check_suffix("--picture", self.picture, ".png")
-        check_suffix("--report", self.report, ".html")
-
-    @property
-    def wanted(self) -> bool:
-        """Whether there is anything to write."""
-        return self.picture is not None or self.report is not None
-
-    def writes(self) -> tuple[Written, ...]:
-        return written_files(("--picture", self.picture), ("--report", self.report))
-
 
 @dataclass(frozen=True, slots=True)
-class LayersFlags:
+class LayersFlags(Flags):
     """Pokes of a surface: pair files of surface points, z up, whose held points were pressed down."""
 
-    thickness_m: PositiveFlag = None
+    thickness_m: flags.PositiveFlag = None
     """Thickness of the material below the surface, which rests on the ground [m]. With it a lattice of layers is fitted
     to all pokes together; without, the points themselves are the particles."""
-    spacing_m: PositiveFlag = None
+    spacing_m: flags.PositiveFlag = None
     """Spacing of that lattice [m]; default: a quarter of the tip's width."""
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
         if self.spacing_m is not None and self.thickness_m is None:
             raise InputError("--thickness-m with --spacing-m", "none", "--thickness-m 0.05")
 
 
 @dataclass(frozen=True, slots=True)
-class MotionFlags:
+class MotionFlags(Flags):
     """All frames of a sequence in one fit."""
 
     whole_motion: bool = False
     """Fit all frames together instead of the last one; the interval knows that frames share their errors."""
-    select: SelectFlag = None
+    select: flags.SelectFlag = None
     """What to choose by the error on particles left out, of cluster-size, held, alpha and dt. alpha and dt leave static
     states as they are: time stepping through the frames determines them, if the motion was fast."""
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
         if self.select is not None and not self.whole_motion:
             raise InputError("--whole-motion with --select", "no --whole-motion", "add --whole-motion")
 
@@ -142,9 +95,9 @@ class MotionFlags:
 class CalibrateOptions(RecordedOptions):
     """What `calibrate beta` and `calibrate theta` share."""
 
-    sources: Sources
+    sources: flags.Sources
     """A video, a folder of frames, images in the order given, pair files (.npz), or a recording (.rrd)."""
-    alpha: float = field(default=1.0, kw_only=True)
+    alpha: AlphaFlag = field(default=1.0, kw_only=True)
     """Stiffness of the pull to the goal positions."""
     search: OmitArgPrefixes[SearchOptions] = field(default_factory=SearchOptions, kw_only=True)
     images: OmitArgPrefixes[ImageOptions] = field(default_factory=ImageOptions, kw_only=True)
@@ -152,43 +105,26 @@ class CalibrateOptions(RecordedOptions):
     summary: OmitArgPrefixes[SummaryOptions] = field(default_factory=SummaryOptions, kw_only=True)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions, kw_only=True)
 
-    def __post_init__(self) -> None:
-        check_sources(self.sources)
-        check_alpha(self.alpha)
-
-    def writes(self) -> tuple[Written, ...]:
-        save = self.model.save
-        model = () if save is None else (Written("--save", save, replace=self.output.overwrite),)
-        return (*model, *self.summary.writes(), *self.output.writes())
-
-    def reads(self) -> tuple[str, ...]:
-        return self.sources if self.images.mask is None else (*self.sources, str(self.images.mask))
-
 
 @dataclass(frozen=True, slots=True)
 class BetaConfig(CalibrateOptions):
     """Find beta, the share of linear deformation, from images or from pairs of rest and deformed positions."""
 
-    cluster_size: CountFlag = None
+    cluster_size: Annotated[flags.CountFlag, flags.least(2)] = None
     """Particles along each side of a cluster; default: 3, and with --thickness-m the one with the least error on pokes
     left out."""
     mode: Literal["linear", "quadratic"] = "linear"
     """How a cluster may deform."""
-    theta: ShareFlag = None
+    theta: flags.ShareFlag = None
     """Volume conservation, which stays as it is; default: 0, and with --thickness-m it is fitted too."""
-    beta_range: SpanFlag = (0.0, 0.99)
+    beta_range: flags.BetaSpanFlag = (0.0, 0.99)
     """Range in which beta is searched."""
     layers: OmitArgPrefixes[LayersFlags] = field(default_factory=LayersFlags)
     motion: OmitArgPrefixes[MotionFlags] = field(default_factory=MotionFlags)
 
-    def __post_init__(self) -> None:
-        CalibrateOptions.__post_init__(self)
-        check_cluster_size(self.cluster_size)
-        if self.theta is not None:
-            check_unit("--theta", self.theta)
+    def check(self) -> None:
         if self.layers.thickness_m is not None and self.mode != "linear":
             raise InputError("--mode linear with --thickness-m", self.mode)
-        check_span("--beta-range", self.beta_range, BETA_LIMIT)
 
     @property
     def fitted_cluster_size(self) -> int:
@@ -205,40 +141,26 @@ class BetaConfig(CalibrateOptions):
 class ThetaConfig(CalibrateOptions):
     """Find theta, how strongly volume is conserved, from images or from pairs of rest and deformed positions."""
 
-    cluster_size: CountFlag = None
+    cluster_size: Annotated[flags.CountFlag, flags.least(2)] = None
     """Particles along each side of a cluster; default: one cluster holds all particles (Thesis 5.1)."""
     mode: Literal["linear", "quadratic"] = "quadratic"
     """How a cluster may deform."""
-    beta: float = 0.99
+    beta: Annotated[float, flags.SHARE] = 0.99
     """Share of deformation, which stays as it is."""
-    theta_range: SpanFlag = (0.0, 1.0)
+    theta_range: flags.SpanFlag = (0.0, 1.0)
     """Range in which theta is searched."""
-
-    def __post_init__(self) -> None:
-        CalibrateOptions.__post_init__(self)
-        check_cluster_size(self.cluster_size)
-        check_unit("--beta", self.beta)
-        check_span("--theta-range", self.theta_range)
-
-    @property
-    def single_cluster(self) -> bool:
-        """Whether one cluster holds all particles."""
-        return self.cluster_size is None
 
 
 @dataclass(frozen=True, slots=True)
-class FitFlags:
+class FitFlags(Flags):
     """What every fit to pairs and motions shares."""
 
-    level: float = 0.9
+    level: flags.LevelFlag = 0.9
     """Confidence level of the intervals."""
-    noise_m: PositiveFlag = None
+    noise_m: flags.PositiveFlag = None
     """Standard deviation of a measured position [m]; default: what the files say, else the residuals."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
+    device: flags.Device = "auto"
     """Where the simulation runs; auto: on the GPU where there is one."""
-
-    def __post_init__(self) -> None:
-        check_level(self.level)
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,38 +168,28 @@ class BothConfig(RecordedOptions):
     """Find beta and theta together from pairs of rest and deformed positions: their joint posterior. Volume is
     conserved by projection, which stays stable in overlapping clusters."""
 
-    sources: Annotated[tuple[str, ...], Positional, arg(metavar="PAIR.npz...", help_behavior_hint="")]
+    sources: flags.PairSources
     """Pair files."""
-    cluster_size: CountFlag = 3
+    cluster_size: Annotated[
+        flags.CountFlag, flags.Rule(lambda size: size == 0 or size >= 2, "a {flag} of 2 or more, or 0")
+    ] = 3
     """Particles along each side of a cluster; 0: one cluster holds all particles."""
     mode: Literal["linear", "quadratic"] = "linear"
     """How a cluster may deform."""
-    beta_range: SpanFlag = (0.0, 0.99)
+    beta_range: flags.BetaSpanFlag = (0.0, 0.99)
     """Range in which beta is searched."""
-    theta_range: SpanFlag = (0.0, 1.0)
+    theta_range: flags.SpanFlag = (0.0, 1.0)
     """Range in which theta is searched."""
     joint: bool = False
     """Fit one beta and one theta to all pairs together."""
-    picture: PictureFlag = None
+    picture: flags.PictureFlag = None
     """Draw the joint posterior (of several pairs, that of the first). An existing file is replaced."""
     fit: OmitArgPrefixes[FitFlags] = field(default_factory=FitFlags)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
-    def __post_init__(self) -> None:
-        check_sources(self.sources)
+    def check(self) -> None:
         if other := next((source for source in self.sources if Path(source).suffix.lower() != ".npz"), None):
             raise InputError("pair files (.npz)", repr(other), "calibrate beta or theta for images")
-        if self.cluster_size not in (0, None) and (self.cluster_size or 0) < 2:
-            raise InputError("a --cluster-size of 2 or more, or 0", str(self.cluster_size))
-        check_suffix("--picture", self.picture, ".png")
-        check_span("--beta-range", self.beta_range, BETA_LIMIT)
-        check_span("--theta-range", self.theta_range)
-
-    def reads(self) -> tuple[str, ...]:
-        return self.sources
-
-    def own_files(self) -> tuple[tuple[str, Path | None], ...]:
-        return (("--picture", self.picture),)
 
 
 # deformscope predict -------------------------------------------------------------------------------------------------
@@ -287,35 +199,27 @@ class BothConfig(RecordedOptions):
 class PredictConfig(RecordedOptions):
     """Poke a fitted model where, how hard and with what it was not poked: deformed particles, depth and force."""
 
-    source: Annotated[Path, Positional, arg(metavar="MODEL.npz")]
+    source: Annotated[Path, Positional, arg(metavar="MODEL.npz"), flags.Reads()]
     """A model that `deformscope calibrate ... --save` has written."""
-    poke: PokesFlag = ()
+    poke: flags.PokesFlag = ()
     """What to do, such as 'at=0.28,0.2 tip=flat size=0.03x0.03 force=5' in metres and newtons; several with ; between
     them. tip is flat (sides), disc or sphere (diameter), by default the one of the fit; give a depth or a force."""
-    against: Annotated[tuple[Path, ...], arg(metavar="PAIR.npz...")] = ()
+    against: Annotated[tuple[Path, ...], arg(metavar="PAIR.npz..."), flags.Reads()] = ()
     """Pokes that were measured but not fitted: each is predicted from its place, tip and depth, and compared, beside a
     rigid body, a half-space in closed form and linear finite elements."""
-    points: FileFlag = None
+    points: flags.FileFlag = None
     """Points of the surface (.npz with `points (n, 3)`) whose deformed positions are wanted too."""
-    out: Annotated[Path | None, one_word("FILE.npz", Path), unset] = None
+    out: flags.ArraysFlag = None
     """Every particle of every poke: rest_0, deformed_0, rest_1... An existing file is replaced."""
-    picture: PictureFlag = None
+    picture: flags.PictureFlag = None
     """Draw the dents and, with --against, measured beside predicted. An existing file is replaced."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
+    device: flags.Device = "auto"
     """Where the simulation runs; auto: on the GPU where there is one."""
     output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
         if not self.poke and not self.against:
-            raise InputError("a --poke or pokes to compare with --against", "neither", f"--poke {POKE_EXAMPLE}")
-        check_suffix("--out", self.out, ".npz")
-        check_suffix("--picture", self.picture, ".png")
-
-    def reads(self) -> tuple[str, ...]:
-        return (str(self.source), *(str(path) for path in self.against))
-
-    def own_files(self) -> tuple[tuple[str, Path | None], ...]:
-        return (("--out", self.out), ("--picture", self.picture))
+            raise InputError("a --poke or pokes to compare with --against", "neither", f"--poke {flags.POKE_EXAMPLE}")
 
 
 # deformscope calibrate axes and yield --------------------------------------------------------------------------------
@@ -326,66 +230,49 @@ def parse_creep(text: str) -> float | str:
     if text in ("none", "fit"):
         return text
     try:
-        return positive(text)
+        return flags.positive(text)
     except ValueError:
         raise ValueError(f"expected none, fit or a rate above 0 in 1/s; got {text!r}") from None
 
 
-CreepFlag = Annotated[float | str, one_word("none|fit|RATE", parse_creep)]
+ElasticFlag = Annotated[
+    flags.PositiveFlag,
+    flags.Rule(lambda beta: beta <= flags.BETA_LIMIT, f"a {{flag}} of at most {flags.BETA_LIMIT:g}"),
+]
+CreepFlag = Annotated[float | str, flags.one_word("none|fit|RATE", parse_creep)]
 
 
 @dataclass(frozen=True, slots=True)
 class AxesConfig(RecordedOptions):
     """Find a beta along each axis of a material from pairs of rest and deformed positions: one fit to all of them."""
 
-    sources: Annotated[tuple[str, ...], Positional, arg(metavar="PAIR.npz...", help_behavior_hint="")]
+    sources: flags.PairSources
     """Pair files."""
     turn_deg: float = 0.0
     """Angle of the material's first axis to x, in the plane of x and y [degrees]."""
-    cluster_size: int = 3
+    cluster_size: flags.ClusterFlag = 3
     """Particles along each side of a cluster."""
     fit: OmitArgPrefixes[FitFlags] = field(default_factory=FitFlags)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
-
-    def __post_init__(self) -> None:
-        if not self.sources:
-            raise InputError("at least one PAIR.npz", "none", "a pair file with rest, deformed and held")
-        check_cluster_size(self.cluster_size)
-
-    def reads(self) -> tuple[str, ...]:
-        return self.sources
 
 
 @dataclass(frozen=True, slots=True)
 class YieldConfig(RecordedOptions):
     """Find the strain at which a thing yields from its motion: loaded, and let go."""
 
-    source: Annotated[Path, Positional, arg(metavar="MOTION.npz")]
+    source: Annotated[Path, Positional, arg(metavar="MOTION.npz"), flags.Reads()]
     """rest (K, d), motion (T, K, d) [m], held (n,) or (T, K), and dt [s] for creep."""
-    beta: PositiveFlag = None
+    beta: ElasticFlag = None
     """Share of linear deformation; default: found along with the yield strain."""
     creep: CreepFlag = "none"
     """How fast it flows [1/s]: none, as long as it takes in every frame; fit, found too; or a rate."""
-    maximum: PositiveFlag = None
+    maximum: flags.PositiveFlag = None
     """Largest plastic strain; default: no bound."""
-    theta: float = 0.0
+    theta: Annotated[float, flags.SHARE] = 0.0
     """Volume conservation (by projection), which stays as it is."""
-    cluster_size: int = 3
+    cluster_size: flags.ClusterFlag = 3
     """Particles along each side of a cluster."""
-    picture: PictureFlag = None
+    picture: flags.PictureFlag = None
     """Draw the error over the yield strain, and the residuals of the frames. An existing file is replaced."""
     fit: OmitArgPrefixes[FitFlags] = field(default_factory=FitFlags)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
-
-    def __post_init__(self) -> None:
-        if self.beta is not None and self.beta > BETA_LIMIT:
-            raise InputError(f"a --beta of at most {BETA_LIMIT:g}", str(self.beta))
-        check_suffix("--picture", self.picture, ".png")
-        check_unit("--theta", self.theta)
-        check_cluster_size(self.cluster_size)
-
-    def reads(self) -> tuple[str, ...]:
-        return (str(self.source),)
-
-    def own_files(self) -> tuple[tuple[str, Path | None], ...]:
-        return (("--picture", self.picture),)

@@ -8,23 +8,20 @@ from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from deformscope.config.flags import ModelFlag, one_word, unset
-from deformscope.config.options import (
-    OutputOptions,
-    RecordedOptions,
-    Written,
-    check_level,
-    check_suffix,
-    written_files,
-)
+from deformscope.config import flags
+from deformscope.config.options import OutputOptions, RecordedOptions, Written
 from deformscope.errors import InputError
 
 NamesFlag = Annotated[
     tuple[str, ...] | None,
-    one_word("NAME,NAME...", lambda text: tuple(part for part in text.split(",") if part), ",".join),
-    unset,
+    flags.one_word("NAME,NAME...", lambda text: tuple(part for part in text.split(",") if part), flags.joined(",")),
+    flags.unset,
 ]
-ReportPlaceFlag = Annotated[Path | None, one_word("FOLDER|FILE.html", Path), unset]
+PLACE = flags.Rule(
+    lambda path: path.suffix in ("", ".html"),
+    "a folder or a file that ends in .html after {flag}",
+    show=lambda path: repr(str(path)),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +29,7 @@ class ClassifyConfig(RecordedOptions):
     """Find out how well the content of containers is known from what was measured when they were squeezed: from each
     modality, and from all of them fused. Everything is learned inside the training side of each split."""
 
-    table: Annotated[Path, Positional, arg(metavar="DATASET|TABLE")]
+    table: Annotated[Path, Positional, arg(metavar="DATASET|TABLE"), flags.Reads()]
     """A data set of `deformscope squeeze`, or a table (.npz, .csv or .parquet) with a label for each trial, and its
     features by modality."""
     modalities: NamesFlag = None
@@ -46,36 +43,26 @@ class ClassifyConfig(RecordedOptions):
     ] = ()
     """Train on one kind of container and test on another (groups, where the table has no `kind`), * = any letters, as
     in 'box-*:cylinder-*'; default: from each kind to each other one."""
-    splits: int = 200
+    splits: Annotated[int, flags.least(2)] = 200
     """Random, stratified and, where the table has `group`, group-wise splits, 70 % to train and 30 % to test."""
-    costly_splits: int = 10
+    costly_splits: Annotated[int, flags.least(0)] = 10
     """Splits of gradient boosting and the Gaussian process, which take long; 0 = without them."""
-    curve_splits: int = 40
+    curve_splits: Annotated[int, flags.least(0)] = 40
     """Splits of the learning curve, and of each step of a squeeze; 0 = without them."""
     quick: bool = False
     """At most 30 splits, and neither costly classifiers nor a learning curve."""
     duplicates: Literal["refuse", "drop"] = "refuse"
     """What happens to trials with the same features: they would be recognised across a split."""
-    level: float = 0.9
+    level: flags.LevelFlag = 0.9
     """Confidence level of the intervals."""
-    save: ModelFlag = None
+    save: flags.ModelFlag = None
     """Write the classifier, trained on all trials (.npz, no pickle): late fusion of the modalities."""
-    report: ReportPlaceFlag = None
+    report: Annotated[Path | None, flags.one_word("FOLDER|FILE.html", Path), flags.unset, PLACE] = None
     """Write all that was found with pictures: one HTML page, or a folder that has the pictures as PNG beside it. What
     stands there is replaced."""
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
-    def __post_init__(self) -> None:
-        if self.splits < 2:
-            raise InputError("2 --splits or more", str(self.splits))
-        if self.costly_splits < 0 or self.curve_splits < 0:
-            raise InputError(
-                "--costly-splits and --curve-splits of 0 or more", f"{self.costly_splits} and {self.curve_splits}"
-            )
-        check_level(self.level)
-        check_suffix("--save", self.save, ".npz")
-        if self.report is not None and self.report.suffix not in ("", ".html"):
-            raise InputError("a folder or a file that ends in .html after --report", repr(str(self.report)))
+    def check(self) -> None:
         parse_merges(self.merge)
         parse_transfers(self.transfer)
 
@@ -86,13 +73,9 @@ class ClassifyConfig(RecordedOptions):
             return self.report
         return self.report / "classification.html"
 
-    def reads(self) -> tuple[str, ...]:
-        return (str(self.table),)
-
     def writes(self) -> tuple[Written, ...]:
-        save = () if self.save is None else (Written("--save", self.save, replace=self.output.overwrite),)
-        report = self.report if self.report is not None and self.report.suffix == ".html" else None
-        return (*save, *written_files(("--report", report)), *self.output.writes())
+        page = self.report is not None and self.report.suffix == ".html"
+        return (*RecordedOptions.writes(self), *((Written("--report", self.report),) if page and self.report else ()))
 
 
 def parse_merges(texts: tuple[str, ...]) -> dict[str, tuple[str, ...]]:

@@ -1,16 +1,17 @@
-"""What one value looks like on the command line, and what a flag with such a value is declared as."""
+"""What one value looks like on the command line, what it may be, and what a flag with such a value is declared as."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, cast
+from typing import Annotated, Any, Literal, TypeVar, cast, get_args
 
 from tyro.conf import Positional, arg
 from tyro.constructors import PrimitiveConstructorSpec
 
 from deformscope.bench.timing import CASES, Case
+from deformscope.errors import InputError
 
 T = TypeVar("T")
 
@@ -26,20 +27,31 @@ TipName = Literal["flat", "disc", "sphere"]
 
 Selectable = Literal["cluster-size", "held", "alpha", "dt"]
 
-SELECTABLE: tuple[Selectable, ...] = ("cluster-size", "held", "alpha", "dt")
+Device = Literal["auto", "cpu", "cuda"]
 
-HELD_PARTS: tuple[HeldPart, ...] = ("top", "bottom", "left", "right", "border", "contact")
+
+def numbers(names: str, example: str) -> Callable[[str], Any]:
+    """Parses a comma list of finite numbers, one for each name."""
+
+    def parse(text: str) -> tuple[float, ...]:
+        parts = text.split(",")
+        try:
+            found = tuple(finite(part) for part in parts)
+        except ValueError:
+            found = ()
+        if len(found) != names.count(",") + 1:
+            raise ValueError(f"expected {names}, such as {example}; got {text!r}")
+        return found
+
+    return parse
 
 
 def parse_rectangle(text: str) -> Rectangle:
     """`x,y,width,height` [px] with a width and a height above 0."""
-    try:
-        x, y, width, height = (finite(part) for part in text.split(","))
-    except ValueError:
-        raise ValueError(f"expected x,y,width,height in pixels, such as 400,200,750,350; got {text!r}") from None
-    if not (width > 0 and height > 0):
+    found: Rectangle = numbers("x,y,width,height in pixels", "400,200,750,350")(text)
+    if not min(found[2:]) > 0:
         raise ValueError(f"expected a width and a height above 0 in x,y,width,height; got {text!r}")
-    return x, y, width, height
+    return found
 
 
 def parse_grid(text: str) -> GridShape:
@@ -53,30 +65,17 @@ def parse_grid(text: str) -> GridShape:
     return rows, columns
 
 
-def parse_held(text: str) -> tuple[HeldPart, ...]:
-    """A comma list of parts of the lattice, each named once in the result."""
-    named = [part.strip() for part in text.split(",")]
-    unknown = [part for part in named if part not in HELD_PARTS]
-    if unknown:
-        raise ValueError(f"expected a comma list of {', '.join(HELD_PARTS)}; got {', '.join(map(repr, unknown))}")
-    return tuple(part for part in HELD_PARTS if part in named)
+def some_of(known: tuple[T, ...]) -> Callable[[str], tuple[T, ...]]:
+    """Parses a comma list of what is known, each named once in the result."""
 
+    def parse(text: str) -> tuple[T, ...]:
+        named = [part.strip() for part in text.split(",")]
+        if unknown := [part for part in named if part not in known]:
+            came = ", ".join(map(repr, unknown))
+            raise ValueError(f"expected a comma list of {', '.join(map(str, known))}; got {came}")
+        return tuple(part for part in known if part in named)
 
-def parse_selectable(text: str) -> tuple[Selectable, ...]:
-    """A comma list of what held-out error can choose, each named once in the result."""
-    named = [part.strip() for part in text.split(",")]
-    if unknown := [part for part in named if part not in SELECTABLE]:
-        raise ValueError(f"expected a comma list of {', '.join(SELECTABLE)}; got {', '.join(map(repr, unknown))}")
-    return tuple(part for part in SELECTABLE if part in named)
-
-
-def parse_span(text: str) -> Span:
-    """`LOWEST,HIGHEST`, rising."""
-    try:
-        lowest, highest = (finite(part) for part in text.split(","))
-    except ValueError:
-        raise ValueError(f"expected LOWEST,HIGHEST, such as 0,0.99; got {text!r}") from None
-    return lowest, highest
+    return parse
 
 
 def parse_sizes(text: str) -> tuple[int, ...]:
@@ -88,14 +87,6 @@ def parse_sizes(text: str) -> tuple[int, ...]:
     if odd := [size for size in sizes if size < 64 or round(size ** (1 / 3)) ** 3 != size]:
         raise ValueError(f"expected cubes of 4 or more, such as 216 or 1331; got {', '.join(map(str, odd))}")
     return tuple(sorted(set(sizes)))
-
-
-def parse_cases(text: str) -> tuple[Case, ...]:
-    """A comma list of what is measured, each named once in the result."""
-    named = [part.strip() for part in text.split(",")]
-    if unknown := [part for part in named if part not in CASES]:
-        raise ValueError(f"expected a comma list of {', '.join(CASES)}; got {', '.join(map(repr, unknown))}")
-    return tuple(case for case in CASES if case in named)
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,25 +176,98 @@ def joined(separator: str) -> Callable[[Any], str]:
     return lambda parts: separator.join(str(part) for part in parts)
 
 
+# What a value may be, and what becomes of it --------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """What a value must be. says: so, with {flag} for the flag; hint: what to try, with {flag} too"""
+
+    holds: Callable[[Any], bool]
+    says: str
+    hint: str = ""
+    show: Callable[[Any], str] = str
+
+    def check(self, flag: str, value: Any) -> None:
+        """Raises InputError where it is something else."""
+        if not self.holds(value):
+            raise InputError(self.says.format(flag=flag), self.show(value), self.hint.format(flag=flag))
+
+
+@dataclass(frozen=True, slots=True)
+class Reads:
+    """Files that are read, none of which may be written over."""
+
+
+@dataclass(frozen=True, slots=True)
+class Writes:
+    """A file that is written. kept: one that is there already, unless --overwrite is given"""
+
+    kept: bool = False
+
+
+def least(number: int) -> Rule:
+    return Rule(lambda value: value >= number, f"a {{flag}} of {number} or more")
+
+
+def ends(suffix: str) -> Rule:
+    says = f"a file that ends in {suffix} after {{flag}}"
+    return Rule(lambda path: path.suffix == suffix, says, show=lambda path: repr(str(path)))
+
+
+def within(limit: float) -> Rule:
+    """Of a span; neither end is NaN: `finite` has seen to that."""
+    return Rule(lambda span: span[0] >= 0 and span[1] <= limit, f"a {{flag}} within 0,{limit:g}", show=joined_g)
+
+
+def joined_g(span: Span) -> str:
+    return ",".join(f"{value:g}" for value in span)
+
+
+BETA_LIMIT = 0.9999
+"""Highest beta that can be searched (`deformscope.stages.fit.calibrate.BETA_LIMIT`, which would import numpy here)."""
+
+SHARE = Rule(lambda value: 0 <= value <= 1, "a {flag} between 0 and 1")
+RISING = Rule(lambda span: span[0] < span[1], "a {flag} that rises", "the other way round", joined_g)
+
+# Flags ---------------------------------------------------------------------------------------------------------------
+
 unset = arg(help_behavior_hint="")
 """No "(default: none)" in the help of a flag that may be left out."""
 
 RectangleFlag = Annotated[Rectangle | None, one_word("X,Y,WIDTH,HEIGHT", parse_rectangle, joined(",")), unset]
 GridFlag = Annotated[GridShape | None, one_word("ROWSxCOLS", parse_grid, joined("x")), unset]
-HeldFlag = Annotated[tuple[HeldPart, ...] | None, one_word("PART,PART...", parse_held, joined(",")), unset]
-SelectFlag = Annotated[tuple[Selectable, ...] | None, one_word("WHAT,WHAT...", parse_selectable, joined(",")), unset]
-SpanFlag = Annotated[Span, one_word("LOWEST,HIGHEST", parse_span, joined(","))]
+HeldFlag = Annotated[
+    tuple[HeldPart, ...] | None, one_word("PART,PART...", some_of(get_args(HeldPart)), joined(",")), unset
+]
+SelectFlag = Annotated[
+    tuple[Selectable, ...] | None, one_word("WHAT,WHAT...", some_of(get_args(Selectable)), joined(",")), unset
+]
+PlaceFlag = Annotated[tuple[float, float] | None, one_word("X,Y", numbers("X,Y in metres", "0.30,0.20"))]
+_span = one_word("LOWEST,HIGHEST", numbers("LOWEST,HIGHEST", "0,0.99"), joined(","))
+SpanFlag = Annotated[Span, _span, RISING, within(1.0)]
+BetaSpanFlag = Annotated[Span, _span, RISING, within(BETA_LIMIT)]
 PositiveFlag = Annotated[float | None, one_word("NUMBER", positive), unset]
 SizesFlag = Annotated[tuple[int, ...] | None, one_word("N,N...", parse_sizes, joined(",")), unset]
-CasesFlag = Annotated[tuple[Case, ...] | None, one_word("CASE,CASE...", parse_cases, joined(",")), unset]
+CasesFlag = Annotated[tuple[Case, ...] | None, one_word("CASE,CASE...", some_of(CASES), joined(",")), unset]
 CountFlag = Annotated[int | None, one_word("INT", int), unset]
+SomeFlag = Annotated[int | None, one_word("INT", int), unset, least(1)]
+ClusterFlag = Annotated[int, least(2)]
+ManyFlag = Annotated[int, least(1)]
+LevelFlag = Annotated[float, Rule(lambda value: 0 < value < 1, "a {flag} between 0 and 1", "--level 0.9")]
+SeedFlag = Annotated[int, least(0)]
 CameraFlag = Annotated[str | None, one_word("NAME", str), unset]
-FileFlag = Annotated[Path | None, one_word("FILE", Path), unset]
-ModelFlag = Annotated[Path | None, one_word("MODEL.npz", Path), unset]
-ShareFlag = Annotated[float | None, one_word("NUMBER", float), unset]
+FileFlag = Annotated[Path | None, one_word("FILE", Path), unset, Reads()]
+FileKept = Annotated[Path | None, one_word("FILE", Path), unset, ends(".rrd"), Writes(kept=True)]
+ModelFlag = Annotated[Path | None, one_word("MODEL.npz", Path), unset, ends(".npz"), Writes(kept=True)]
+ArraysFlag = Annotated[Path | None, one_word("FILE.npz", Path), unset, ends(".npz"), Writes()]
+NewRecordingFlag = Annotated[Path | None, one_word("FILE.rrd", Path), unset, ends(".rrd"), Writes(kept=True)]
+ShareFlag = Annotated[float | None, one_word("NUMBER", float), unset, SHARE]
 PokesFlag = Annotated[tuple[PokeText, ...], one_word("POKE", lambda text: parse_pokes(text), joined("; "))]
-PictureFlag = Annotated[Path | None, one_word("FILE.png", Path), unset]
-ReportFlag = Annotated[Path | None, one_word("FILE.html", Path), unset]
+PictureFlag = Annotated[Path | None, one_word("FILE.png", Path), unset, ends(".png"), Writes()]
+ReportFlag = Annotated[Path | None, one_word("FILE.html", Path), unset, ends(".html"), Writes()]
+_FORCE = Rule(lambda force: force <= 5.0, "{flag} up to 5 N", show="{:g}".format)
+ForceFlag = Annotated[float | None, one_word("NUMBER", positive), unset, _FORCE]
 TrustFlag = Annotated[
     bool,
     arg(
@@ -211,5 +275,18 @@ TrustFlag = Annotated[
         "alone. They run as you do."
     ),
 ]
-JsonFlag = Annotated[str | None, one_word("FILE|-", str), unset]
-Sources = Annotated[tuple[str, ...], Positional, arg(metavar="SOURCE...", help_behavior_hint="")]
+JsonFlag = Annotated[str | None, one_word("FILE|-", str), unset, Writes()]
+RigFlag = Annotated[str, Positional, arg(metavar="RIG"), Reads()]
+SceneFlag = Annotated[str, Positional, arg(metavar="RIG|lab:NAME"), Reads()]
+RecordingFlag = Annotated[Path, Positional, arg(metavar="FILE.rrd"), Reads()]
+Folder = Annotated[Path, arg(metavar="DIR")]
+
+
+def _some(name: str, hint: str) -> Rule:
+    return Rule(bool, f"at least one {name}", hint, lambda _: "none")
+
+
+_MIXED = _some("SOURCE", "a video, a folder of frames, images, or pair files (.npz)")
+_PAIRS = _some("PAIR.npz", "a pair file with rest, deformed and held")
+Sources = Annotated[tuple[str, ...], Positional, arg(metavar="SOURCE...", help_behavior_hint=""), Reads(), _MIXED]
+PairSources = Annotated[tuple[str, ...], Positional, arg(metavar="PAIR.npz...", help_behavior_hint=""), Reads(), _PAIRS]

@@ -8,61 +8,49 @@ from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from deformscope.config.flags import (
-    CameraFlag,
-    FileFlag,
-    GridFlag,
-    HeldFlag,
-    HeldPart,
-    PictureFlag,
-    PositiveFlag,
-    RectangleFlag,
-)
-from deformscope.config.options import RecordedOptions, ViewOptions, check_suffix
+from deformscope.config import flags
+from deformscope.config.options import Flags, RecordedOptions, ViewOptions, either
 from deformscope.errors import InputError
 
 
 @dataclass(frozen=True, slots=True)
-class ImageOptions:
+class ImageOptions(Flags):
     """How images become particles. Pair files need none of these."""
 
-    roi: RectangleFlag = None
+    roi: flags.RectangleFlag = None
     """Region of the image that holds the thing [px]; default: all of it."""
-    grid: GridFlag = None
+    grid: flags.GridFlag = None
     """Rows and columns of particles over the region, such as 7x15."""
-    spacing_px: PositiveFlag = None
+    spacing_px: flags.PositiveFlag = None
     """Distance of neighbouring particles [px], instead of --grid."""
-    mask: FileFlag = None
+    mask: flags.FileFlag = None
     """Image that is not black where the thing is; particles stand there alone. It is left out of a sequence that holds
     it."""
-    px_per_cm: PositiveFlag = None
+    px_per_cm: flags.PositiveFlag = None
     """Scale of the image [px/cm]; with it lengths are reported in metres too."""
-    stride: int = 1
+    stride: flags.ManyFlag = 1
     """Take every n-th frame."""
-    camera: CameraFlag = None
+    camera: flags.CameraFlag = None
     """Of a recording that holds the images of several cameras: the one to take."""
-    fps: PositiveFlag = None
+    fps: flags.PositiveFlag = None
     """Frames a second of images that do not say; default: what the video says."""
     flow: Literal["dis", "farneback"] = "dis"
     """Method of the dense optical flow."""
-    held: HeldFlag = None
+    held: flags.HeldFlag = None
     """Particles whose motion is taken from the images and prescribed, out of top, bottom, left, right, border and
     contact. Default: bottom,contact where --contact is given, else top,bottom."""
-    contact: RectangleFlag = None
+    contact: flags.RectangleFlag = None
     """Footprint of the tool in the first image [px]; the particles inside are `contact`."""
 
-    def __post_init__(self) -> None:
-        if self.grid is not None and self.spacing_px is not None:
-            raise InputError("--grid or --spacing-px", "both", "leave one out")
-        if self.stride < 1:
-            raise InputError("a --stride of 1 or more", str(self.stride))
+    def check(self) -> None:
+        either("--grid", "--spacing-px", self.grid, self.spacing_px)
         if self.held is not None and "contact" in self.held and self.contact is None:
             raise InputError("--contact X,Y,WIDTH,HEIGHT with --held contact", "no --contact")
         if self.held is not None and "contact" not in self.held and self.contact is not None:
             held = ",".join((*self.held, "contact"))
             raise InputError("contact among --held with --contact", f"--held {','.join(self.held)}", f"--held {held}")
 
-    def held_parts(self) -> tuple[HeldPart, ...]:
+    def held_parts(self) -> tuple[flags.HeldPart, ...]:
         """The parts to hold: those asked for, else what stands still and what pushes."""
         if self.held is not None:
             return self.held
@@ -76,26 +64,16 @@ class ImageOptions:
 class FlowConfig(RecordedOptions):
     """Dense optical flow of two images: where each pixel of BEFORE has gone in AFTER."""
 
-    before: Annotated[Path, Positional, arg(metavar="BEFORE")]
+    before: Annotated[Path, Positional, arg(metavar="BEFORE"), flags.Reads()]
     """The first image."""
-    after: Annotated[Path, Positional, arg(metavar="AFTER")]
+    after: Annotated[Path, Positional, arg(metavar="AFTER"), flags.Reads()]
     """The second image, of the same size."""
-    out: Annotated[Path, arg(metavar="FILE.npz")]
+    out: Annotated[Path, arg(metavar="FILE.npz"), flags.ends(".npz"), flags.Writes()]
     """Where `flow_px (height, width, 2)` in (x, y) [px] goes. An existing file is replaced."""
     method: Literal["dis", "farneback"] = "dis"
     """Dense inverse search, or Farneback's polynomials."""
     backward: bool = False
     """Write `backward_px`, the flow from AFTER to BEFORE, as well."""
-    picture: PictureFlag = None
+    picture: flags.PictureFlag = None
     """Draw the flow as arrows and colour. An existing file is replaced."""
     output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
-
-    def __post_init__(self) -> None:
-        check_suffix("--out", self.out, ".npz")
-        check_suffix("--picture", self.picture, ".png")
-
-    def reads(self) -> tuple[str, ...]:
-        return str(self.before), str(self.after)
-
-    def own_files(self) -> tuple[tuple[str, Path | None], ...]:
-        return (("--out", self.out), ("--picture", self.picture))

@@ -1,65 +1,17 @@
-"""What every command's options can be asked, what most commands leave behind, and what several commands check."""
+"""What every command's options can be asked, what most commands leave behind, and what annotations say of a flag."""
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, TypeVar, get_type_hints
 
-from deformscope.config.flags import FileFlag, JsonFlag, Span
+from deformscope.config import flags
 from deformscope.errors import InputError
 
-# What several commands check -----------------------------------------------------------------------------------------
-
-
-def check_sources(sources: tuple[str, ...]) -> None:
-    if not sources:
-        raise InputError("at least one SOURCE", "none", "a video, a folder of frames, images, or pair files (.npz)")
-
-
-def check_unit(flag: str, value: float) -> None:
-    if not 0 <= value <= 1:
-        raise InputError(f"a {flag} between 0 and 1", str(value))
-
-
-BETA_LIMIT = 0.9999
-"""Highest beta that can be searched (`deformscope.stages.fit.calibrate.BETA_LIMIT`, which would import numpy here)."""
-
-
-def check_span(flag: str, span: Span, limit: float = 1.0) -> None:
-    lowest, highest = span
-    if not lowest < highest:
-        raise InputError(f"a {flag} that rises", f"{lowest:g},{highest:g}", f"{flag} {highest:g},{lowest:g}")
-    if lowest < 0 or highest > limit:  # neither is NaN: `finite` has seen to that
-        raise InputError(f"a {flag} within 0,{limit:g}", f"{lowest:g},{highest:g}")
-
-
-def check_alpha(alpha: float) -> None:
-    if not 0 < alpha <= 1:
-        raise InputError("an --alpha above 0 and at most 1", str(alpha))
-
-
-def check_cluster_size(size: int | None) -> None:
-    if size is not None and size < 2:
-        raise InputError("a --cluster-size of 2 or more", str(size))
-
-
-def check_level(level: float) -> None:
-    if not 0 < level < 1:
-        raise InputError("a --level between 0 and 1", str(level), "--level 0.9")
-
-
-def check_seed(seed: int) -> None:
-    if seed < 0:
-        raise InputError("a --seed of 0 or more", str(seed))
-
-
-def check_suffix(flag: str, path: Path | None, suffix: str) -> None:
-    if path is not None and path.suffix != suffix:
-        raise InputError(f"a file that ends in {suffix} after {flag}", repr(str(path)))
-
-
-# What every command's options can be asked ---------------------------------------------------------------------------
+MarkT = TypeVar("MarkT")
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,31 +26,65 @@ class Written:
     replace: bool = True
 
 
-class CommandOptions:
+def _marks(kind: type) -> dict[str, tuple[object, ...]]:
+    """What the annotation of each field says beside its type."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
+
+
+class Flags:
+    """Flags: each value is checked as its annotation wants it, then together by `check`."""
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        for flag, value, rule in self._marked(flags.Rule, inner=False):
+            rule.check(flag, value)
+        self.check()
+
+    def check(self) -> None:
+        """Raises InputError for values that do not go together."""
+
+    def reads(self) -> tuple[str, ...]:
+        """The sources, none of which may be written over."""
+        found = (value if isinstance(value, tuple) else (value,) for _, value, _ in self._marked(flags.Reads))
+        return tuple(str(one) for some in found for one in some if str(one))
+
+    def writes(self) -> tuple[Written, ...]:
+        """The files to come; all are checked before any heavy work."""
+        overwrite = getattr(getattr(self, "output", self), "overwrite", False)
+        found = ((flag, value, mark) for flag, value, mark in self._marked(flags.Writes) if value != "-")
+        return tuple(Written(flag, Path(value), overwrite or not mark.kept) for flag, value, mark in found)
+
+    def _marked(self, kind: type[MarkT], *, inner: bool = True) -> Iterator[tuple[str, Any, MarkT]]:
+        """Flag, value and mark of each field with a value and a mark of this kind; inner: of groups of flags too"""
+        for field in dataclasses.fields(self):  # type: ignore[arg-type]  # all that derive from it are dataclasses
+            value = getattr(self, field.name)
+            if inner and isinstance(value, Flags):
+                yield from value._marked(kind)
+            for mark in _marks(type(self))[field.name] if value is not None else ():
+                if isinstance(mark, kind):
+                    yield "--" + field.name.replace("_", "-"), value, mark
+
+
+class CommandOptions(Flags):
     """What the command line asks of any command's options before it runs the command."""
 
     __slots__ = ()
 
-    def reads(self) -> tuple[str, ...]:
-        """The sources, none of which may be written over."""
-        return ()
-
-    def writes(self) -> tuple[Written, ...]:
-        """The files to come; all are checked before any heavy work."""
-        return ()
-
     def json_target(self) -> str | None:
         """Where the JSON goes: a path, `-` for stdout, None for nowhere."""
-        return None
+        target: str | None = getattr(getattr(self, "output", self), "json", None)
+        return target
 
 
 @dataclass(frozen=True, slots=True)
-class ViewOptions:
+class ViewOptions(Flags):
     """What is left behind and what is shown."""
 
-    json: JsonFlag = None
+    json: flags.JsonFlag = None
     """Write the result as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
-    record: FileFlag = None
+    record: flags.FileKept = None
     """Write a rerun recording (.rrd). Without it nothing is recorded."""
     viewer: Literal["auto", "native", "page", "none"] = "auto"
     """Show every stage live: in rerun's window (stays when the command has ended), on a web page (ends with it, at a
@@ -108,37 +94,13 @@ class ViewOptions:
     overwrite: bool = False
     """Replace a recording that exists; without it an existing one is refused."""
 
-    def __post_init__(self) -> None:
-        check_suffix("--record", self.record, ".rrd")
-
-    def writes(self) -> tuple[Written, ...]:
-        record = () if self.record is None else (Written("--record", self.record, replace=self.overwrite),)
-        return (*record, *written_json(self.json))
-
 
 @dataclass(frozen=True, slots=True)
 class OutputOptions(ViewOptions):
     """The same of what draws random numbers."""
 
-    seed: int = 0
+    seed: flags.SeedFlag = 0
     """Seed of every random number."""
-
-    def __post_init__(self) -> None:
-        ViewOptions.__post_init__(self)
-        check_seed(self.seed)
-
-
-class JsonOptions(CommandOptions):
-    """A command that leaves its result as JSON, and nothing else unless it says so."""
-
-    __slots__ = ()
-    json: str | None
-
-    def writes(self) -> tuple[Written, ...]:
-        return written_json(self.json)
-
-    def json_target(self) -> str | None:
-        return self.json
 
 
 class RecordedOptions(CommandOptions):
@@ -147,21 +109,8 @@ class RecordedOptions(CommandOptions):
     __slots__ = ()
     output: ViewOptions
 
-    def own_files(self) -> tuple[tuple[str, Path | None], ...]:
-        """Flag and path of what it writes besides; None where it is not wanted."""
-        return ()
 
-    def writes(self) -> tuple[Written, ...]:
-        return (*written_files(*self.own_files()), *self.output.writes())
-
-    def json_target(self) -> str | None:
-        return self.output.json
-
-
-def written_files(*named: tuple[str, Path | None]) -> tuple[Written, ...]:
-    """named: flag and path, None where the file is not wanted"""
-    return tuple(Written(flag, path) for flag, path in named if path is not None)
-
-
-def written_json(target: str | None) -> tuple[Written, ...]:
-    return () if target is None or target == "-" else (Written("--json", Path(target)),)
+def either(first: str, second: str, *given: object) -> None:
+    """Raises InputError where both flags are given."""
+    if all(given):
+        raise InputError(f"{first} or {second}", "both", "leave one out")

@@ -1,4 +1,4 @@
-"""What is plugged in: `deformscope devices`, `doctor`, `record`, `live`, `verify` and `double`."""
+"""Devices and recordings of them: `deformscope devices`, `doctor`, `record`, `live`, `explore`, `replay`..."""
 
 from __future__ import annotations
 
@@ -8,71 +8,45 @@ from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from deformscope.config.flags import (
-    CameraFlag,
-    GridFlag,
-    HeldFlag,
-    HeldPart,
-    JsonFlag,
-    PictureFlag,
-    PositiveFlag,
-    RectangleFlag,
-    TrustFlag,
-    finite,
-    one_word,
-    positive,
-    unset,
-)
-from deformscope.config.options import (
-    CommandOptions,
-    JsonOptions,
-    OutputOptions,
-    RecordedOptions,
-    Written,
-    check_cluster_size,
-    check_suffix,
-    written_json,
-)
+from deformscope.config import flags
+from deformscope.config.options import CommandOptions, Flags, OutputOptions, RecordedOptions, either
 from deformscope.errors import InputError
 
 
 @dataclass(frozen=True, slots=True)
-class DevicesConfig(JsonOptions):
+class DevicesConfig(CommandOptions):
     """List what is plugged into this machine: port, serial number, firmware, health. Devices that are known by their
     USB identity, and doubles that run, are opened for a moment and asked: nothing moves, but an OptoForce is set to its
     driver's default rate and filter, and forgets its zero."""
 
     probe: bool = True
     """Open what is known and ask it; --no-probe lists only what the system knows."""
-    json: JsonFlag = None
+    json: flags.JsonFlag = None
     """Write the list as JSON; with -, stdout is the JSON alone."""
 
 
 @dataclass(frozen=True, slots=True)
-class DoctorConfig(JsonOptions):
+class DoctorConfig(CommandOptions):
     """Try a rig: its file, every device of it for a few seconds, the disk; say what is wrong and what to do. Nothing
     moves."""
 
-    rig: Annotated[str, Positional, arg(metavar="RIG")] = ""
+    rig: flags.RigFlag = ""
     """A rig file (.toml), or lab:NAME."""
     example: bool = False
     """Print a rig file to start from, and do nothing else."""
-    seconds: Annotated[float, one_word("NUMBER", positive)] = 2.0
+    seconds: Annotated[float, flags.one_word("NUMBER", flags.positive)] = 2.0
     """How long every device is listened to [s]."""
-    trust_rig: TrustFlag = False
-    json: JsonFlag = None
+    trust_rig: flags.TrustFlag = False
+    json: flags.JsonFlag = None
     """Write what was found as JSON; with -, stdout is the JSON alone."""
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
         if not self.rig and not self.example:
             raise InputError("a rig file, or lab:NAME", "none", "deformscope doctor --example > rig.toml")
 
-    def reads(self) -> tuple[str, ...]:
-        return (self.rig,) if self.rig else ()
-
 
 @dataclass(frozen=True, slots=True)
-class StageOptions:
+class StageOptions(Flags):
     """Stages that are computed while the devices run, always on the newest frame: those passed over are counted. Images
     are as for `calibrate beta`."""
 
@@ -86,37 +60,33 @@ class StageOptions:
     arm and force sensor, after each approach."""
     camera: str = ""
     """Colour camera of flow and beta; default: the rig's first."""
-    roi: RectangleFlag = None
+    roi: flags.RectangleFlag = None
     """Region of its image that holds the thing [px]; default: all of it."""
-    grid: GridFlag = None
+    grid: flags.GridFlag = None
     """Rows and columns of particles over the region; default: 9 along its longer side."""
-    spacing_px: PositiveFlag = None
+    spacing_px: flags.PositiveFlag = None
     """Distance of neighbouring particles [px], instead of --grid."""
-    held: HeldFlag = None
+    held: flags.HeldFlag = None
     """Particles whose motion is prescribed, out of top, bottom, left, right, border and contact. Default:
     bottom,contact where --contact is given, else top,bottom."""
-    contact: RectangleFlag = None
+    contact: flags.RectangleFlag = None
     """Footprint of the tool in the first image [px]; the particles inside are `contact`."""
-    cluster_size: int = 3
+    cluster_size: flags.ClusterFlag = 3
     """Particles a side of the overlapping clusters."""
-    longest_px: int = 160
+    longest_px: Annotated[int, flags.least(32)] = 160
     """The region is reduced until its longer side has so many pixels: twice as many take four times as long [px]."""
 
-    def __post_init__(self) -> None:
-        if self.grid is not None and self.spacing_px is not None:
-            raise InputError("--grid or --spacing-px", "both", "leave one out")
-        if self.longest_px < 32:
-            raise InputError("--longest-px of 32 or more", str(self.longest_px))
+    def check(self) -> None:
+        either("--grid", "--spacing-px", self.grid, self.spacing_px)
         if ("contact" in self.held_parts()) != (self.contact is not None):
             raise InputError("contact among --held with --contact X,Y,WIDTH,HEIGHT", "one of the two")
-        check_cluster_size(self.cluster_size)
 
     @property
     def names(self) -> tuple[Literal["flow", "beta", "surface", "tactile", "contact"], ...]:
         """Each stage once, in the order asked for."""
         return tuple(dict.fromkeys(self.stage))
 
-    def held_parts(self) -> tuple[HeldPart, ...]:
+    def held_parts(self) -> tuple[flags.HeldPart, ...]:
         """The parts to hold: those asked for, else what stands still and what pushes."""
         return self.held or (("bottom", "contact") if self.contact is not None else ("top", "bottom"))
 
@@ -125,18 +95,15 @@ class StageOptions:
 class RigRunOptions(RecordedOptions):
     """A rig that is recorded or watched until its time is over, or until Ctrl-C."""
 
-    rig: Annotated[str, Positional, arg(metavar="RIG")]
+    rig: flags.RigFlag
     """A rig file (.toml), or lab:NAME."""
-    seconds: PositiveFlag = None
+    seconds: flags.PositiveFlag = None
     """How long [s]; default: until Ctrl-C."""
     label: str = ""
     """What is being recorded, in your words; kept in the recording."""
-    trust_rig: TrustFlag = False
+    trust_rig: flags.TrustFlag = False
     stages: OmitArgPrefixes[StageOptions] = field(default_factory=StageOptions)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
-
-    def reads(self) -> tuple[str, ...]:
-        return (self.rig,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,62 +120,43 @@ class LiveConfig(RigRunOptions):
 
 
 @dataclass(frozen=True, slots=True)
-class VerifyConfig(JsonOptions):
+class VerifyConfig(CommandOptions):
     """Say whether a recording is whole: its bytes against its ledger, its structure, and what it counted as lost."""
 
-    recording: Annotated[Path, Positional, arg(metavar="FILE.rrd")]
+    recording: flags.RecordingFlag
     """The recording."""
-    json: JsonFlag = None
+    json: flags.JsonFlag = None
     """Write the findings as JSON; with -, stdout is the JSON alone."""
-
-    def reads(self) -> tuple[str, ...]:
-        return (str(self.recording),)
 
 
 @dataclass(frozen=True, slots=True)
-class RecoverConfig(JsonOptions):
+class RecoverConfig(CommandOptions):
     """Make a whole recording, with its ledger, of one whose run was killed or that was cut off: all that can be read of
     it. The original is only read."""
 
-    recording: Annotated[Path, Positional, arg(metavar="FILE.rrd")]
+    recording: flags.RecordingFlag
     """The unfinished recording (NAME.part.rrd), or one that was cut off."""
-    out: Annotated[Path | None, one_word("FILE.rrd", Path), unset] = None
+    out: flags.NewRecordingFlag = None
     """The new recording; default: NAME.recovered.rrd beside it. An existing file is refused."""
-    json: JsonFlag = None
+    json: flags.JsonFlag = None
     """Write what there is as JSON; with -, stdout is the JSON alone."""
-
-    def __post_init__(self) -> None:
-        check_suffix("--out", self.out, ".rrd")
-
-    def reads(self) -> tuple[str, ...]:
-        return (str(self.recording),)
-
-    def writes(self) -> tuple[Written, ...]:
-        out = () if self.out is None else (Written("--out", self.out, replace=False),)
-        return (*out, *written_json(self.json))
 
 
 @dataclass(frozen=True, slots=True)
-class ExportConfig(JsonOptions):
+class ExportConfig(CommandOptions):
     """Write the images of a recording as files, byte for byte as they were recorded: JPEG or PNG, distances as 16 bit
     PNG in the camera's unit. Their names are their places in the camera's stream."""
 
-    recording: Annotated[Path, Positional, arg(metavar="FILE.rrd")]
+    recording: flags.RecordingFlag
     """The recording."""
     images: Annotated[Path, arg(metavar="FOLDER")]
     """Where they go; several cameras get a folder each in it."""
-    camera: CameraFlag = None
+    camera: flags.CameraFlag = None
     """Those of this camera alone."""
     overwrite: bool = False
     """Replace the images of an earlier export. Without it, a folder that holds something is refused."""
-    json: JsonFlag = None
+    json: flags.JsonFlag = None
     """Write what was written as JSON; with -, stdout is the JSON alone."""
-
-    def reads(self) -> tuple[str, ...]:
-        return (str(self.recording),)
-
-    def writes(self) -> tuple[Written, ...]:
-        return written_json(self.json)
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,7 +166,7 @@ class DoubleConfig(CommandOptions):
 
     what: Annotated[tuple[str, ...], Positional, arg(metavar="DRIVER|RIG")]
     """Drivers (optoforce, dsa, sdh), or a rig file or lab:NAME whose byte-stream devices are to be doubled."""
-    seconds: PositiveFlag = None
+    seconds: flags.PositiveFlag = None
     """How long [s]; default: until Ctrl-C."""
 
 
@@ -228,18 +176,18 @@ class ExploreConfig(RecordedOptions):
     RIG is a rig file with an arm, a force sensor and a depth camera: the arm moves, after a table of checks and a
     question. lab:NAME is a simulated table, explored through the real drivers on byte-exact doubles."""
 
-    rig: Annotated[str, Positional, arg(metavar="RIG|lab:NAME")] = ""
+    rig: flags.SceneFlag = ""
     """A rig file (.toml), or a simulated scene; --list-scenarios names these."""
     list_scenarios: bool = False
     """Name the simulated scenes, what their seeds draw, and what can go wrong in them; do nothing else."""
-    touches: int = 8
+    touches: flags.ManyFlag = 8
     """Touches at most."""
     planner: Literal["regions", "integrated-variance", "max-variance", "random-above"] = "regions"
     """Where to touch next: where the map of regions gains most a second (default), two rules by the field's
     variance, or the thesis's (any place above --threshold)."""
     threshold: float = 0.06
     """Variance, as a share of that before any touch, below which a place needs no touch (Th of the thesis)."""
-    set_force: PositiveFlag = None
+    set_force: flags.ForceFlag = None
     """Force to press with [N], 5 N at most; default: the rig file's target_force_n, which is 3 N unless it says. Where
     it makes a dent below 2 mm, 5/3 of it (5 N at most) is pressed with."""
     beta_model: Literal["volume", "thesis", "none"] = "volume"
@@ -249,39 +197,18 @@ class ExploreConfig(RecordedOptions):
     ] = ()
     """Let something go wrong in a simulated touch, counted from 1, such as force-silent@2, at a moment drawn from the
     seed; --list-scenarios names the kinds."""
-    picture: PictureFlag = None
+    picture: flags.PictureFlag = None
     """Draw the maps to a PNG."""
-    map: Annotated[Path | None, one_word("FILE.npz", Path), unset] = None
+    map: flags.ArraysFlag = None
     """Write the maps as arrays: stiffness [N/mm], its deviation (of its log), regions, their probability, beta."""
     yes: bool = False
     """Let a real arm move, once the checks have passed, without asking."""
-    trust_rig: TrustFlag = False
+    trust_rig: flags.TrustFlag = False
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
         if not self.rig and not self.list_scenarios:
             raise InputError("a rig file, or lab:NAME", "none", "deformscope explore --list-scenarios")
-        if self.touches < 1:
-            raise InputError("--touches of 1 or more", str(self.touches))
-        if self.set_force is not None and self.set_force > 5.0:
-            raise InputError("--set-force up to 5 N", f"{self.set_force:g}")
-        check_suffix("--picture", self.picture, ".png")
-        check_suffix("--map", self.map, ".npz")
-
-    def reads(self) -> tuple[str, ...]:
-        return (self.rig,) if self.rig else ()
-
-    def own_files(self) -> tuple[tuple[str, Path | None], ...]:
-        return ("--picture", self.picture), ("--map", self.map)
-
-
-def parse_place(text: str) -> tuple[float, float]:
-    """`X,Y` [m]."""
-    try:
-        x, y = (finite(part) for part in text.split(","))
-    except ValueError:
-        raise ValueError(f"expected X,Y in metres, such as 0.30,0.20; got {text!r}") from None
-    return x, y
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,25 +216,41 @@ class ArmConfig(RecordedOptions):
     """Measure the compliance of the arm, by touching something rigid that stands firmly on the surface: what
     [tool] of the rig file wants. The arm moves, after a table of checks and a question."""
 
-    rig: Annotated[str, Positional, arg(metavar="RIG|lab:NAME")]
+    rig: flags.SceneFlag
     """A rig file (.toml), or a simulated scene (lab:homogeneous-rigid)."""
-    at: Annotated[tuple[float, float] | None, one_word("X,Y", parse_place)] = None
+    at: flags.PlaceFlag = None
     """Where to touch, in the surface frame [m]; default: the middle."""
-    touches: int = 3
+    touches: flags.ManyFlag = 3
     """How often."""
-    set_force: PositiveFlag = None
+    set_force: flags.ForceFlag = None
     """Force to press with [N], 5 N at most, and 5/3 of it (5 N at most) since nothing gives; default: the rig file's
     target_force_n."""
     yes: bool = False
     """Let a real arm move, once the checks have passed, without asking."""
-    trust_rig: TrustFlag = False
+    trust_rig: flags.TrustFlag = False
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
-    def __post_init__(self) -> None:
-        if self.touches < 1:
-            raise InputError("--touches of 1 or more", str(self.touches))
-        if self.set_force is not None and self.set_force > 5.0:
-            raise InputError("--set-force up to 5 N", f"{self.set_force:g}")
 
-    def reads(self) -> tuple[str, ...]:
-        return (self.rig,)
+@dataclass(frozen=True, slots=True)
+class DemoConfig(RecordedOptions):
+    """The main job on what is built in: a simulated arm maps the stiffness of a table with three materials, by looking
+    and touching. Leaves runs/demo-<stamp>.rrd, or what --record names."""
+
+    images: bool = False
+    """Measure the images that ship instead: a specimen under tension, filmed."""
+
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayConfig(RecordedOptions):
+    """Run the same stages on a recording's inputs, and compare with the numbers that it holds."""
+
+    recording: flags.RecordingFlag
+    """The recording."""
+    pace: Literal["fast", "real", "step"] = "fast"
+    """As fast as possible, as it was recorded, or frame by frame at each Enter."""
+    set: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="KEY=VALUE", help_behavior_hint="(repeatable)")] = ()
+    """Another setting than the recorded one, of an exploration: what comes of it is printed beside what was recorded,
+    and not compared to the bit. Several: --set beta_model=none --set threshold=0.1"""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)

@@ -8,17 +8,20 @@ from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from deformscope.config.flags import JsonFlag, ModelFlag, TrustFlag, one_word, unset
-from deformscope.config.options import JsonOptions, OutputOptions, RecordedOptions
+from deformscope.config import flags
+from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions, either
 from deformscope.errors import InputError
 
-FolderFlag = Annotated[Path | None, one_word("FOLDER", Path), unset]
-NAME_LETTERS = "letters, digits, -, _ and ."
-
-
-def check_name(flag: str, name: str) -> None:
-    if name and not (name.replace("-", "").replace("_", "").replace(".", "").isalnum() and len(name) <= 64):
-        raise InputError(f"a name of {NAME_LETTERS} after {flag}", repr(name))
+FolderFlag = Annotated[Path | None, flags.one_word("FOLDER", Path), flags.unset]
+NAME = flags.Rule(
+    lambda name: not name or (len(name) <= 64 and all(letter.isalnum() or letter in "-_." for letter in name)),
+    "a name of letters, digits, -, _ and . after {flag}",
+    show=repr,
+)
+"""What becomes part of a file's name."""
+NameFlag = Annotated[str, NAME]
+DatasetFolder = Annotated[Path, Positional, arg(metavar="FOLDER")]
+Trials = Annotated[tuple[str, ...], Positional, arg(metavar="TRIAL...")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,76 +31,67 @@ class SqueezeConfig(RecordedOptions):
     hand closes after a question. lab:containers is a simulated container, squeezed through the real drivers on doubles.
     """
 
-    rig: Annotated[str, Positional, arg(metavar="RIG|lab:containers")]
+    rig: Annotated[str, Positional, arg(metavar="RIG|lab:containers"), flags.Reads()]
     """A rig file (.toml) with [hand], [container] and [squeeze], or the laboratory."""
-    content: str = ""
+    content: NameFlag = ""
     """What is in the container: empty, water, yogurt, flour, rice, or any word. Left out with --model."""
-    container: str = ""
+    container: NameFlag = ""
     """Which container it is, such as box-07: trials of one container never stand on both sides of a split. In the
     laboratory its name begins with box or cylinder."""
     dataset: FolderFlag = None
     """Add the trial to this data set, with its recording unless --keep says otherwise."""
     keep: Literal["trial", "features"] = "trial"
     """What a data set keeps of a trial: its whole recording and its features, or these alone."""
-    model: ModelFlag = None
+    model: Annotated[Path | None, flags.one_word("MODEL.npz", Path), flags.unset, flags.Reads()] = None
     """Name the content by this classifier (`deformscope classify --save`), with probabilities while it is squeezed."""
     place: Literal["operator", "jaco"] = "operator"
     """Who puts the hand on the container: a person, after a prompt; or a Jaco arm, moved by its joystick to where the
     grasp was drawn, while the distance left is shown."""
-    fill: float = 0.9
+    fill: Annotated[float, flags.SHARE] = 0.9
     """How full the container is, as a share of its height."""
-    session: str = ""
+    session: NameFlag = ""
     """Name of the session; default: today's date, in the laboratory lab-0."""
-    operator: str = ""
+    operator: NameFlag = ""
     """Who does it; kept with the trial."""
     yes: bool = False
     """Let a real hand close without asking."""
-    trust_rig: TrustFlag = False
+    trust_rig: flags.TrustFlag = False
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
         if not self.model and not self.content:
             raise InputError("--content NAME, or --model MODEL to name it", "neither")
-        if not self.container and self.dataset is not None:
-            raise InputError("--container NAME with --dataset", "none", "--container box-01")
-        if self.dataset is not None and not self.content:
-            raise InputError("--content NAME with --dataset", "none")
-        if not 0 <= self.fill <= 1:
-            raise InputError("a --fill between 0 and 1", str(self.fill))
-        for flag in ("content", "container", "session", "operator"):
-            check_name(f"--{flag}", getattr(self, flag))
-
-    def reads(self) -> tuple[str, ...]:
-        return (self.rig,) if self.model is None else (self.rig, str(self.model))
+        if self.dataset is not None and not (self.content and self.container):
+            raise InputError("--content and --container with --dataset", "without", "--container box-01")
 
 
 @dataclass(frozen=True, slots=True)
-class DatasetConfig(JsonOptions):
+class DatasetConfig(CommandOptions):
     """Look at a data set of squeezes: its trials by content and container, and those that are left out."""
 
-    folder: Annotated[Path, Positional, arg(metavar="FOLDER")]
+    folder: DatasetFolder
     """The data set."""
     trials: bool = False
     """Name every trial."""
-    json: JsonFlag = None
+    json: flags.JsonFlag = None
     """Write the index as JSON; with -, stdout is the JSON alone."""
 
 
 @dataclass(frozen=True, slots=True)
-class RelabelConfig(JsonOptions):
+class RelabelConfig(CommandOptions):
     """Correct what the index says of trials: content, container, its type, or the session."""
 
-    folder: Annotated[Path, Positional, arg(metavar="FOLDER")]
+    folder: DatasetFolder
     """The data set."""
-    trial: Annotated[tuple[str, ...], Positional, arg(metavar="TRIAL...")]
+    trial: Trials
     """Names of trials."""
-    content: str = ""
-    container: str = ""
-    container_type: str = ""
-    session: str = ""
-    json: JsonFlag = None
+    content: NameFlag = ""
+    container: NameFlag = ""
+    container_type: NameFlag = ""
+    session: NameFlag = ""
+    json: flags.JsonFlag = None
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
         if not self.changes():
             raise InputError("--content, --container, --container-type or --session", "none of them")
 
@@ -108,44 +102,43 @@ class RelabelConfig(JsonOptions):
 
 
 @dataclass(frozen=True, slots=True)
-class DiscardConfig(JsonOptions):
+class DiscardConfig(CommandOptions):
     """Leave trials out of all that is learned, with the reason, or take them back. They stay in the folder."""
 
-    folder: Annotated[Path, Positional, arg(metavar="FOLDER")]
+    folder: DatasetFolder
     """The data set."""
-    trial: Annotated[tuple[str, ...], Positional, arg(metavar="TRIAL...")]
+    trial: Trials
     """Names of trials."""
     reason: str = ""
     """Why."""
     restore: bool = False
     """Take them back."""
-    json: JsonFlag = None
+    json: flags.JsonFlag = None
 
-    def __post_init__(self) -> None:
-        if bool(self.reason) == self.restore:
-            raise InputError("--reason WHY, or --restore", "both" if self.restore else "neither")
+    def check(self) -> None:
+        either("--reason", "--restore", self.reason, self.restore)
+        if not (self.reason or self.restore):
+            raise InputError("--reason WHY, or --restore", "neither")
 
 
 @dataclass(frozen=True, slots=True)
-class MergeConfig(JsonOptions):
+class MergeConfig(CommandOptions):
     """Take the trials of other data sets over into one, with their recordings; those that are there already, the same
     in all, are passed over."""
 
-    folder: Annotated[Path, Positional, arg(metavar="FOLDER")]
+    folder: DatasetFolder
     """The data set that grows; made where there is none."""
-    sources: Annotated[tuple[Path, ...], Positional, arg(metavar="SOURCE...")]
+    sources: Annotated[tuple[Path, ...], Positional, arg(metavar="SOURCE..."), flags.Reads()]
     """The others."""
-    json: JsonFlag = None
+    json: flags.JsonFlag = None
 
-    def reads(self) -> tuple[str, ...]:
-        return tuple(map(str, self.sources))
 
 
 @dataclass(frozen=True, slots=True)
-class RepairConfig(JsonOptions):
+class RepairConfig(CommandOptions):
     """Take in the recordings in a data set's folder that its index lacks, as after a run that was cut short: their
     features are computed again from the raw frames."""
 
-    folder: Annotated[Path, Positional, arg(metavar="FOLDER")]
+    folder: DatasetFolder
     """The data set."""
-    json: JsonFlag = None
+    json: flags.JsonFlag = None

@@ -1,4 +1,4 @@
-"""How an arm gives way, from touches of something rigid; and whether camera and arm agree about where it is."""
+"""The compliance of an arm, from touches of something rigid; and whether camera and arm agree about where it is."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def touch_rigid(
         law = fit_approach(
             made.time_s, made.position_m, made.force_n, normal, set_force_n=options.set_force_n, arm=found
         )
-        # where it met the surface, along the normal, taken to where the camera's height is told
+        # where it met the surface, along the normal, taken to where the camera's height is given
         met_m = height_m + (-law.contact_m - float(np.append(xy_m, height_m) @ normal) - options.tip_radius_m)
         if not _straight(made, normal, found, law.contact_m):
             raise InputError(
@@ -91,7 +91,7 @@ def _straight(made: TouchMeasurement, normal: FloatArray, found: ArmCompliance, 
     depth_m = -(made.position_m @ normal) - contact_m
     pressed = force_n > LOADED * force_n.max()
     force_n, depth_m = force_n[pressed], depth_m[pressed]
-    if found.compliance_m_per_n * force_n.max() < LEAST_BEND_M:  # nothing bends that could be told apart
+    if found.compliance_m_per_n * force_n.max() < LEAST_BEND_M:  # too little bends to distinguish the laws
         return True
     off = []
     for power in (1.0, 2.0 / 3.0):
@@ -101,7 +101,7 @@ def _straight(made: TouchMeasurement, normal: FloatArray, found: ArmCompliance, 
 
 
 def arm_give(touches: list[GiveTouch]) -> ArmGive:
-    """What the touches tell together. Raises InputError without any."""
+    """What the touches give together. Raises InputError without any."""
     if not touches:
         raise InputError("a touch or more", "none")
     each = np.array([one.found.compliance_m_per_n for one in touches])

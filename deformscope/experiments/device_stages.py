@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, cast
 
@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import FloatArray, ImageArray, IntArray
 from deformscope.errors import InputError
+from deformscope.experiments.explorer import fitted_law
 from deformscope.experiments.foam_video import ParticleOptions, hold_what_is_seen, observe
 from deformscope.frames import ArmFrame, ColorFrame, DepthFrame, Frame, Item, Kind, Stream, TactileFrame, WrenchFrame
 from deformscope.rig.rig_file import Rig
@@ -53,7 +54,6 @@ BEFORE_S, LONGEST_S = 0.5, 8.0
 """What belongs to an approach before that, and how long it lasts at most."""
 FOLLOW = 0.01
 """Share by which the force without contact follows each reading."""
-LAW_STEPS = 400
 
 
 # What runs, and how --------------------------------------------------------------------------------------------------
@@ -99,7 +99,9 @@ NEEDS: dict[StageName, tuple[Kind, ...]] = {
     "tactile": ("tactile",),
     "contact": ("wrench", "arm"),
 }
-"""The kinds of devices that a stage takes its frames from."""
+"""The kinds of devices that a stage takes its frames from; its results belong to the first."""
+BESIDE: dict[StageName, Literal["first", "previous"]] = {"flow": "previous", "beta": "first"}
+"""Which image stages take beside the newest."""
 
 
 def for_rig(options: LiveOptions, rig: Rig) -> LiveOptions:
@@ -149,40 +151,37 @@ def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
 
 def stages_of(options: LiveOptions, streams: Sequence[Stream]) -> tuple[Stage, ...]:
     """The stages that run on these devices, which are open or were recorded."""
-    known = {(stream.kind, stream.device): stream for stream in streams}
-    made: list[Stage] = []
-    for name in options.names:
-        match name:
-            case "flow":
-                made.append(FlowStage(options))
-            case "beta":
-                made.append(BetaStage(options))
-            case "surface":
-                made.append(SurfaceStage(options))
-            case "tactile":
-                made.append(TactileStage(options, known["tactile", options.tactile]))
-            case "contact":
-                made.append(ContactStage(options))
-    return tuple(made)
+    pads = {stream.device: stream for stream in streams if stream.kind == "tactile"}
+    return tuple(Stage(name, options, pads[options.tactile] if name == "tactile" else None) for name in options.names)
 
 
-class Stage(Protocol):
-    """A stage on devices. name; device: whose newest frame its results belong to"""
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """A stage on devices. stream: of the tactile sensor, None for other stages"""
+
+    name: StageName
+    options: LiveOptions
+    stream: Stream | None = None
 
     @property
-    def name(self) -> str: ...
-
-    @property
-    def device(self) -> str: ...
+    def device(self) -> str:
+        """Whose newest frame its results belong to."""
+        device: str = getattr(self.options, NEEDS[self.name][0])
+        return device
 
     def chooser(self) -> Chooser:
         """What picks its frames out of all that comes."""
+        if self.name == "contact":
+            return ApproachChooser(self.options.wrench, self.options.arm)
+        return NewestFrame(self.device, BESIDE.get(self.name, ""))
 
     def packed(self, frames: Sequence[Frame]) -> Any:
         """What a process computes from, made of the frames that a result will name."""
+        return STAGES[self.name][0](frames)
 
     def compute(self, packed: Any) -> object:
         """The result. Pure: the same of the same frames, to the last bit."""
+        return STAGES[self.name][1](self, packed)
 
 
 class Chooser(Protocol):
@@ -228,50 +227,22 @@ class NewestFrame:
 # The stages ----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class FlowStage:
+def _images(frames: Sequence[Frame]) -> tuple[ImageArray, ...]:
+    return tuple(cast(ColorFrame, frame).image for frame in frames)
+
+
+def _flow(stage: Stage, packed: Any) -> FlowArrows:
     """Dense optical flow from the image that was used before to the newest one."""
-
-    options: LiveOptions
-    name: str = "flow"
-
-    @property
-    def device(self) -> str:
-        return self.options.color
-
-    def chooser(self) -> Chooser:
-        return NewestFrame(self.device, "previous")
-
-    def packed(self, frames: Sequence[Frame]) -> Any:
-        return tuple(cast(ColorFrame, frame).image for frame in frames)
-
-    def compute(self, packed: Any) -> FlowArrows:
-        before, after = packed
-        return flow_arrows(before, after, self.options.particles.roi_rect, self.options.longest_px)
+    before, after = packed
+    return flow_arrows(before, after, stage.options.particles.roi_rect, stage.options.longest_px)
 
 
-@dataclass(frozen=True, slots=True)
-class BetaStage:
+def _beta(stage: Stage, packed: Any) -> MomentFit:
     """Particles of the first image where they are in the newest one, and the beta that this pose gives."""
-
-    options: LiveOptions
-    name: str = "beta"
-
-    @property
-    def device(self) -> str:
-        return self.options.color
-
-    def chooser(self) -> Chooser:
-        return NewestFrame(self.device, "first")
-
-    def packed(self, frames: Sequence[Frame]) -> Any:
-        return tuple(cast(ColorFrame, frame).image for frame in frames)
-
-    def compute(self, packed: Any) -> MomentFit:
-        rest, now = packed
-        options = self.options
-        fit = FitOptions(Model(cluster_size=options.cluster_size), candidates=CANDIDATES)
-        return fit_moment(rest, now, options.particles, fit, options.longest_px)
+    rest, now = packed
+    options = stage.options
+    fit = FitOptions(Model(cluster_size=options.cluster_size), candidates=CANDIDATES)
+    return fit_moment(rest, now, options.particles, fit, options.longest_px)
 
 
 def fit_moment(
@@ -327,7 +298,8 @@ def _particles_at(
     if spacing is None and particles.grid is None:
         spacing = max(height, width) / PARTICLES_ALONG
     grid = seed_grid((height, width), None, particles.grid, spacing)
-    forward, backward = (dense_flow(one, other, particles.flow) for one, other in _both_ways(first, second))
+    forward = dense_flow(first.image, second.image, particles.flow)
+    backward = dense_flow(second.image, first.image, particles.flow)
     tracked = advance(start(grid), forward, backward)
     scale = first.scale
     whole = ParticleGrid(first.whole(grid.rest_px), grid.shape, grid.cell, grid.spacing_px * scale)
@@ -336,64 +308,32 @@ def _particles_at(
     )
 
 
-def _both_ways(first: Any, second: Any) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
-    return (first.image, second.image), (second.image, first.image)
+def _depth(frames: Sequence[Frame]) -> tuple[ImageArray, float]:
+    frame = cast(DepthFrame, frames[-1])
+    return frame.depth, frame.unit_m
 
 
-@dataclass(frozen=True, slots=True)
-class SurfaceStage:
+def _surface(stage: Stage, packed: Any) -> SurfaceEstimate:
     """The surface that the newest depth image shows, as a Gaussian process of its points (Thesis eq. 4.3, 4.4)."""
-
-    options: LiveOptions
-    name: str = "surface"
-
-    @property
-    def device(self) -> str:
-        return self.options.depth
-
-    def chooser(self) -> Chooser:
-        return NewestFrame(self.device)
-
-    def packed(self, frames: Sequence[Frame]) -> Any:
-        frame = cast(DepthFrame, frames[-1])
-        return frame.depth, frame.unit_m
-
-    def compute(self, packed: Any) -> SurfaceEstimate:
-        depth, unit_m = packed
-        options = self.options
-        (width, height), top = options.size_m, options.thickness_m
-        box = Box((0.0, 0.0, top - BELOW_M), (width, height, top + ABOVE_M))
-        every = max(round(max(depth.shape) / DEPTH_ALONG), 1)
-        (fx, fy), (cx, cy) = options.focal_px, options.center_px
-        camera = Intrinsics((fx / every, fy / every), (cx / every, cy / every), options.distortion)
-        T_surface_camera = np.array(options.T_surface_camera, dtype=np.float64)
-        seen = perceive(depth[::every, ::every] * unit_m, camera, T_surface_camera, box, cell_m=CELL_M)
-        surface = fit_surface(seen.points_m, noise_m=seen.noise_m, within_m=((0.0, 0.0), options.size_m))
-        heights = surface.on(MapGrid(options.size_m, CELL_M))
-        return SurfaceEstimate(seen.points_m, heights.mean_m, heights.deviation_m, CELL_M)
+    depth, unit_m = packed
+    options = stage.options
+    (width, height), top = options.size_m, options.thickness_m
+    box = Box((0.0, 0.0, top - BELOW_M), (width, height, top + ABOVE_M))
+    every = max(round(max(depth.shape) / DEPTH_ALONG), 1)
+    (fx, fy), (cx, cy) = options.focal_px, options.center_px
+    camera = Intrinsics((fx / every, fy / every), (cx / every, cy / every), options.distortion)
+    T_surface_camera = np.array(options.T_surface_camera, dtype=np.float64)
+    seen = perceive(depth[::every, ::every] * unit_m, camera, T_surface_camera, box, cell_m=CELL_M)
+    surface = fit_surface(seen.points_m, noise_m=seen.noise_m, within_m=((0.0, 0.0), options.size_m))
+    heights = surface.on(MapGrid(options.size_m, CELL_M))
+    return SurfaceEstimate(seen.points_m, heights.mean_m, heights.deviation_m, CELL_M)
 
 
-@dataclass(frozen=True, slots=True)
-class TactileStage:
+def _tactile(stage: Stage, packed: Any) -> TactileContact:
     """Centre of pressure, contact area and force of every pad in the newest tactile frame."""
-
-    options: LiveOptions
-    stream: Stream
-    name: str = "tactile"
-
-    @property
-    def device(self) -> str:
-        return self.options.tactile
-
-    def chooser(self) -> Chooser:
-        return NewestFrame(self.device)
-
-    def packed(self, frames: Sequence[Frame]) -> Any:
-        return cast(TactileFrame, frames[-1]).pressure_pa
-
-    def compute(self, packed: Any) -> TactileContact:
-        texel_m = [pad.texel_m for pad in self.stream.pads]
-        return tactile_contact(packed, texel_m, NOISE_SHARE * self.stream.full_scale_pa)
+    assert stage.stream is not None
+    texel_m = [pad.texel_m for pad in stage.stream.pads]
+    return tactile_contact(packed, texel_m, NOISE_SHARE * stage.stream.full_scale_pa)
 
 
 @dataclass(frozen=True, slots=True)
@@ -453,35 +393,23 @@ class ApproachChooser:
         return ended
 
 
-@dataclass(frozen=True, slots=True)
-class ContactStage:
+def _approach(frames: Sequence[Frame]) -> ApproachReadings:
+    arms = [frame for frame in frames if isinstance(frame, ArmFrame)]
+    forces = [frame for frame in frames if isinstance(frame, WrenchFrame)]
+    return ApproachReadings(
+        np.array([frame.stamp.host_ns for frame in arms], np.int64),
+        np.array([frame.position_m for frame in arms]).reshape(-1, 3),
+        np.array([frame.rotation_rad for frame in arms]).reshape(-1, 3),
+        np.array([frame.stamp.host_ns for frame in forces], np.int64),
+        np.array([frame.force_n[0] for frame in forces]).reshape(-1, 3),
+    )
+
+
+def _contact(stage: Stage, packed: Any) -> TouchEstimate:
     """How stiff the place is that an approach touched, by arm and force sensor alone."""
-
-    options: LiveOptions
-    name: str = "contact"
-
-    @property
-    def device(self) -> str:
-        return self.options.wrench
-
-    def chooser(self) -> Chooser:
-        return ApproachChooser(self.options.wrench, self.options.arm)
-
-    def packed(self, frames: Sequence[Frame]) -> Any:
-        arms = [frame for frame in frames if isinstance(frame, ArmFrame)]
-        forces = [frame for frame in frames if isinstance(frame, WrenchFrame)]
-        return ApproachReadings(
-            np.array([frame.stamp.host_ns for frame in arms], np.int64),
-            np.array([frame.position_m for frame in arms]).reshape(-1, 3),
-            np.array([frame.rotation_rad for frame in arms]).reshape(-1, 3),
-            np.array([frame.stamp.host_ns for frame in forces], np.int64),
-            np.array([frame.force_n[0] for frame in forces]).reshape(-1, 3),
-        )
-
-    def compute(self, packed: Any) -> TouchEstimate:
-        options = self.options
-        arm = ArmCompliance(options.compliance_m_per_n, options.compliance_sd)
-        return fit_contact(packed, np.array(options.T_ee_tip, dtype=np.float64), options.set_force_n, arm)
+    options = stage.options
+    arm = ArmCompliance(options.compliance_m_per_n, options.compliance_sd)
+    return fit_contact(packed, np.array(options.T_ee_tip, dtype=np.float64), options.set_force_n, arm)
 
 
 def fit_contact(
@@ -493,9 +421,8 @@ def fit_contact(
     """
     if len(approach.arm_ns) < 2:
         raise InputError("an arm that reports while it presses", f"{len(approach.arm_ns)} states")
-    turned = np.stack([rotation_from_euler_xyz(*angles) for angles in approach.rotation_rad]) @ T_ee_tip[:3, :3]
-    lever = np.stack([rotation_from_euler_xyz(*angles) for angles in approach.rotation_rad]) @ T_ee_tip[:3, 3]
-    tip_m = approach.position_m + lever
+    rotations = np.stack([rotation_from_euler_xyz(*angles) for angles in approach.rotation_rad])
+    turned, tip_m = rotations @ T_ee_tip[:3, :3], approach.position_m + rotations @ T_ee_tip[:3, 3]
     at_arm = [np.interp(approach.arm_ns, approach.force_ns, approach.force_n[:, axis]) for axis in range(3)]
     force_n = -np.einsum("nij,nj->ni", turned, np.stack(at_arm, axis=1))
     peak = int(np.argmax(np.linalg.norm(force_n, axis=1)))
@@ -507,16 +434,13 @@ def fit_contact(
     time_s = (approach.arm_ns - approach.arm_ns[0]) / 1e9
     fit = fit_approach(time_s, tip_m, force_n, normal, set_force_n=set_force_n, arm=arm)
     along, force_n, tip_m = -(tip_m @ normal)[: peak + 1], force_n[: peak + 1], tip_m[: peak + 1]
-    forces = np.linspace(0.0, 2.0 * max(fit.peak_force_n, fit.at_force_n), LAW_STEPS)
-    dent = max(fit.depth_m, 1e-9) * (forces / fit.at_force_n) ** (1.0 / fit.exponent)
-    law = np.interp(along, fit.contact_m + dent + arm.compliance_m_per_n * forces, forces)
     return TouchEstimate(
         number=0,
         xyz_m=tip_m[peak],
         normal=normal,
         approach_m=along - along[0],
         approach_n=force_n @ normal,
-        fitted_n=law,
+        fitted_n=fitted_law(fit, arm, along),
         contact_m=fit.contact_m - float(along[0]),
         stiffness_n_per_mm=fit.stiffness_n_per_mm,
         stiffness_interval=fit.interval_n_per_mm,
@@ -530,6 +454,16 @@ def fit_contact(
         observed_m=np.zeros((0, 3)),
         simulated_m=np.zeros((0, 3)),
     )
+
+
+STAGES: dict[StageName, tuple[Callable[[Sequence[Frame]], Any], Callable[[Stage, Any], object]]] = {
+    "flow": (_images, _flow),
+    "beta": (_images, _beta),
+    "surface": (_depth, _surface),
+    "tactile": (lambda frames: cast(TactileFrame, frames[-1]).pressure_pa, _tactile),
+    "contact": (_approach, _contact),
+}
+"""What each takes of its frames, and computes from that."""
 
 
 def compute(stage: Stage, packed: Any) -> object:

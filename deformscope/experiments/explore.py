@@ -71,13 +71,9 @@ class AtOnce:
 
     def carry_out(self, command: object, keep: Callable[[], object]) -> Future[Any]:
         """Look or touch, now; nothing comes of waiting."""
-        if isinstance(command, Wait):
-            return Inline().submit(lambda: None)
-        return (
-            Inline().submit(self._robot.touch, command)
-            if isinstance(command, Touch)
-            else Inline().submit(self._robot.look)
-        )
+        if isinstance(command, Touch):
+            return Inline().submit(self._robot.touch, command)
+        return Inline().submit((lambda: None) if isinstance(command, Wait) else self._robot.look)
 
     def reports(self) -> list[Step]:
         return []

@@ -202,7 +202,7 @@ def _made(result: StageResult | None) -> tuple[StageResult, ...]:
 class Explorer:
     """The estimates after each touch; pure, but for what it was given so far.
 
-    told: every touch made; known: the newest maps, None before the first; failures: every stage that failed
+    touches: every one made; known: the newest maps, None before the first; failures: every stage that failed
     """
 
     def __init__(
@@ -218,7 +218,7 @@ class Explorer:
         self.grid = MapGrid(size_m, options.cell_m)
         self.world: HeightProcess | None = None
         self.posterior = RegionPosterior.before_touches(self.grid, seed=options.seed)
-        self.told: list[TouchEstimate] = []
+        self.touches: list[TouchEstimate] = []
         self.known: MapEstimate | None = None
         self.region_probability: dict[str, float] | None = None
         self.failures: list[StageFailure] = []
@@ -260,12 +260,12 @@ class Explorer:
             PlanOptions(
                 planner=options.planner, budget=options.budget, threshold=options.threshold, cell_m=PLAN_CELL_M
             ),
-            tip_m=self.told[-1].xyz_m[:2] if self.told else None,
+            tip_m=self.touches[-1].xyz_m[:2] if self.touches else None,
             left_out_m=np.reshape(self._left_out, (-1, 2)),
             reachable=reachable,
-            seed=options.seed + len(self.told),
+            seed=options.seed + len(self.touches),
         )
-        enough = plan.stop is not None and not (options.go_on and len(self.told) < options.budget)
+        enough = plan.stop is not None and not (options.go_on and len(self.touches) < options.budget)
         target = None if enough else plan.target_m
         self.stop_reason = plan.stop or ""
         return PlannedTouch(target, plan.gain, plan.cost_s, plan.excluded != ALLOWED, plan.reason, plan.stop or "")
@@ -282,10 +282,10 @@ class Explorer:
     def over_m(self, xy_m: FloatArray) -> float | None:
         """How high the surface may be on the straight way from the last touch to a place (2,) [m]; None before the
         first touch."""
-        if not self.told:
+        if not self.touches:
             return None
         assert self._heights is not None
-        start = self.told[-1].xyz_m[:2]
+        start = self.touches[-1].xyz_m[:2]
         way = xy_m - start
         along = ((self.grid.centres_m - start) @ way / max(float(way @ way), 1e-12)).clip(0.0, 1.0)
         beside_m = np.linalg.norm(self.grid.centres_m - start - along[..., None] * way, axis=-1)
@@ -294,10 +294,10 @@ class Explorer:
 
     def touch(self, touched: TouchMeasurement, dent: Callable[[], FloatArray] | None = None) -> TouchEstimate:
         """Take a touch in. dent: computes its `after_m`, where that is not known yet"""
-        self._touch = len(self.told) + 1
+        self._touch = len(self.touches) + 1
         if dent is not None and (after_m := self._stage("dent", dent)) is not None:
             touched = dataclasses.replace(touched, after_m=after_m)
-        before = self.told[-1].xyz_m[:2] if self.told else np.zeros(2)
+        before = self.touches[-1].xyz_m[:2] if self.touches else np.zeros(2)
         self.travel_m += float(np.hypot(*(touched.xy_m - before)))
         contact = self._stage("contact", lambda: self._contact(touched))
         posterior = None
@@ -310,9 +310,9 @@ class Explorer:
             self._left_out.append(touched.xy_m)
         else:
             self.posterior, self._regions = posterior, None
-        told = self._told(touched, contact)
-        self.told.append(told)
-        return told
+        estimate = self._estimate(touched, contact)
+        self.touches.append(estimate)
+        return estimate
 
     def maps(self) -> MapEstimate | None:
         """The maps after the newest touch; None where it gave none."""
@@ -330,16 +330,12 @@ class Explorer:
         last = next(one for one in reversed(self.failures) if one.stage in ("contact", "regions", "maps"))
         return f"{self._without_map} touches in a row gave no map, the last for {last.stage}: {last.reason}"
 
-    def failed(self, touch: int) -> list[str]:
-        """What failed on a touch, from 1, in words."""
-        return [f"{one.stage}: {one.reason}" for one in self.failures if one.touch == touch]
-
     def _maps(self) -> MapEstimate:
         found = self.region_map()
         beta, beta_sd = self._stage("beta field", self._beta_field) or (None, None)
         truth = None if self._truth is None else self._truth.labels
         return MapEstimate(
-            touches=len(self.told),
+            touches=len(self.touches),
             cell_m=self.grid.cell_m,
             stiffness_n_per_mm=np.exp(found.field),
             stiffness_log_sd=found.field_sd,
@@ -353,7 +349,7 @@ class Explorer:
             level_n_per_mm=np.exp(found.level),
             level_interval_n_per_mm=np.exp(found.level_interval),
             level_rigid=found.rigid,
-            contacts_m=np.array([told.xyz_m[:2] for told in self.told]),
+            contacts_m=np.array([one.xyz_m[:2] for one in self.touches]),
             tip_radius_m=self.options.tip_radius_m,
             travel_m=self.travel_m,
             truth_labels=truth,
@@ -390,10 +386,7 @@ class Explorer:
             set_force_n=options.set_force_n,
             arm=self._arm,
         )
-        forces = np.linspace(0.0, 2.0 * max(fit.peak_force_n, fit.at_force_n), LAW_STEPS)
-        dent = max(fit.depth_m, 1e-9) * (forces / fit.at_force_n) ** (1.0 / fit.exponent)
-        along = fit.contact_m + dent + self._arm.compliance_m_per_n * forces
-        law = np.interp(_along(touched), along, forces)
+        law = fitted_law(fit, self._arm, _along(touched))
         modulus = None
         if not fit.rigid and fit.depth_m > 0.0:
             modulus = layer_modulus(
@@ -401,7 +394,7 @@ class Explorer:
             )
         return _Contact(fit, law, modulus)
 
-    def _told(self, touched: TouchMeasurement, contact: _Contact | None) -> TouchEstimate:
+    def _estimate(self, touched: TouchMeasurement, contact: _Contact | None) -> TouchEstimate:
         along = _along(touched)
         nan = float("nan")
         aimed = self._stage("surface", lambda: self.aim(touched.xy_m))
@@ -415,7 +408,7 @@ class Explorer:
         near = np.abs(touched.after_m[:, :2] - touched.xy_m).max(axis=1) < NEAR_M if len(touched.after_m) else []
         fit = None if contact is None else contact.fit
         return TouchEstimate(
-            number=len(self.told),
+            number=len(self.touches),
             xyz_m=xyz,
             normal=touched.normal / np.linalg.norm(touched.normal),
             approach_m=along - along[0],
@@ -465,9 +458,9 @@ class Explorer:
 
     def _beta_field(self) -> tuple[FloatArray | None, FloatArray | None]:
         known = [
-            (told.xyz_m[:2], told.beta, sd)
-            for told, sd in zip(self.told, self._beta_sd, strict=True)
-            if told.beta is not None
+            (one.xyz_m[:2], one.beta, sd)
+            for one, sd in zip(self.touches, self._beta_sd, strict=True)
+            if one.beta is not None
         ]
         if len(known) < FEWEST_FOR_FIELD:
             return None, None
@@ -480,7 +473,7 @@ class Explorer:
 
 @dataclass(frozen=True, slots=True)
 class _Contact:
-    """fit; law_n: (n,) its force at each reading [N]; modulus_pa: of the layer, None where it cannot be told"""
+    """fit; law_n: (n,) its force at each reading [N]; modulus_pa: of the layer, None where it is not known"""
 
     fit: ContactFit
     law_n: FloatArray
@@ -497,6 +490,13 @@ class _Beta:
     interval: tuple[float, float] | None = None
     sd: float = float("nan")
     simulated_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+
+
+def fitted_law(fit: ContactFit, arm: ArmCompliance, along_m: FloatArray) -> FloatArray:
+    """(n,) force of the fitted law where the arm says that the tip is, along its way into the surface (n,) [N]."""
+    forces = np.linspace(0.0, 2.0 * max(fit.peak_force_n, fit.at_force_n), LAW_STEPS)
+    dent = max(fit.depth_m, 1e-9) * (forces / fit.at_force_n) ** (1.0 / fit.exponent)
+    return np.asarray(np.interp(along_m, fit.contact_m + dent + arm.compliance_m_per_n * forces, forces))
 
 
 def _along(touched: TouchMeasurement) -> FloatArray:

@@ -13,16 +13,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from deformscope.experiments.device_stages import Stage, compute
 from deformscope.frames import Frame, Item, StageResult, UsedFrames
 from deformscope.images import decode_image, encode_color
 from deformscope.session import RigExperiment, Step
 from deformscope.stages.map.exploration import StageFailure
 from deformscope_drivers.clock import monotonic_ns
+
+if TYPE_CHECKING:
+    from deformscope.experiments.device_stages import Stage
 
 
 class Beside(Protocol):
@@ -154,6 +156,8 @@ def used_frames(frames: Sequence[Frame]) -> tuple[UsedFrames, ...]:
 
 def compute_beside(stage: Stage, packed: Any, lossless: bool) -> tuple[object, int]:
     """A stage's result of live frames, and when it was there [ns]. What fails is a result too."""
+    from deformscope.experiments.device_stages import compute
+
     images = packed if stage.name in ("flow", "beta") else ()
     try:
         if images:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -238,7 +238,9 @@ class SetupGeometry:
         """The same along the normal, or upright where the arm cannot be led along it: joint limits and singularities
         depend on the tilt."""
         plan = self.plan(xy_m, height_m, normal, over_m, options)
-        return plan if self._leads(plan, chain, joints_deg) else self.plan(xy_m, height_m, UPRIGHT, over_m, options)
+        return (
+            plan if self._lead([plan], chain, joints_deg).all() else self.plan(xy_m, height_m, UPRIGHT, over_m, options)
+        )
 
     def reachable(self, grid: MapGrid, options: ExploreOptions, chain: Chain, joints_deg: npt.ArrayLike) -> BoolArray:
         """(rows, columns) cells that the tip can be led down to with the stick upright, as deep as a touch goes, all
@@ -250,14 +252,15 @@ class SetupGeometry:
         height_m = options.thickness_m
         places = [np.array(xy) for xy in zip(x.flat, y.flat, strict=True)]
         plans = [self.plan(place, height_m, UPRIGHT, None, options) for place in places]
-        good = np.array([self._leads(plan, chain, joints_deg) for plan in plans]).reshape(x.shape)
+        good = self._lead(plans, chain, joints_deg).reshape(x.shape)
         inside = np.repeat(np.repeat(good, every, 0), every, 1)[:rows, :columns]
         return np.asarray(inside & off_the_border(grid))
 
-    def _leads(self, plan: TouchPlan, chain: Chain, joints_deg: npt.ArrayLike) -> bool:
-        """Whether the arm can be led straight down from above, as deep as a touch goes at most."""
-        down_m = plan.places_m(self.placement.center_offset_m)[1:]
-        return bool(follow(chain, self.placement, down_m, plan.normal, start_deg=joints_deg).all())
+    def _lead(self, plans: Sequence[TouchPlan], chain: Chain, joints_deg: npt.ArrayLike) -> BoolArray:
+        """(n,) whether the arm can be led straight down from above, as deep as a touch goes at most."""
+        down_m = np.array([plan.places_m(self.placement.center_offset_m)[1:] for plan in plans])
+        normals = np.array([[plan.normal] for plan in plans])
+        return np.asarray(follow(chain, self.placement, down_m, normals, start_deg=joints_deg).all(axis=-1))
 
 
 def off_the_border(grid: MapGrid) -> BoolArray:

@@ -56,8 +56,8 @@ def poke_files(
         device=fit.model.device,
         progress=progress,
     )
-    told = conclude(found, level=fit.level, settings={"pairs": len(seen)}, provenance=provenance)
-    for index, comparison in enumerate(told.comparisons):
+    concluded = conclude(found, level=fit.level, settings={"pairs": len(seen)}, provenance=provenance)
+    for index, comparison in enumerate(concluded.comparisons):
         yield Step((comparison,), frame=int(np.asarray(found.shaped)[index]))
-    yield Step((told.estimate,), frame=len(seen) - 1)
-    return told
+    yield Step((concluded.estimate,), frame=len(seen) - 1)
+    return concluded

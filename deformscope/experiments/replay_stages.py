@@ -13,9 +13,8 @@ import numpy as np
 from deformscope.errors import InputError
 from deformscope.experiments.device_stages import LiveOptions, Stage, compute, stages_of
 from deformscope.frames import Frame, StageResult
-from deformscope.recording.items import read_items, read_streams
+from deformscope.recording.items import read_items, read_stage_results, read_streams
 from deformscope.recording.reader import Replay
-from deformscope.recording.stage_results import read_stage_results
 from deformscope.rows import to_components
 from deformscope.stages.map.exploration import StageFailure
 
@@ -42,7 +41,7 @@ def replay_stages(path: Path, *, trust: bool = False) -> ReplayedStages:
     """
     replay = Replay(path, trust=trust)
     options = msgspec.convert(replay.settings["stages"], LiveOptions)
-    stages = {stage.name: stage for stage in stages_of(options, read_streams(path, trust=True))}
+    stages: dict[str, Stage] = {stage.name: stage for stage in stages_of(options, read_streams(path, trust=True))}
     recorded = read_stage_results(path, trust=True)
     again = [one for one in recorded if not isinstance(one.result, StageFailure)]
     different = dict.fromkeys((one.stage for one in again), 0.0)

@@ -6,7 +6,6 @@ import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from types import TracebackType
 from typing import Any
 
 import cv2
@@ -16,8 +15,6 @@ from threadpoolctl import threadpool_limits
 from deformscope.errors import InputError
 from deformscope.experiments.device_stages import (
     CELL_M,
-    BetaStage,
-    FlowStage,
     LiveOptions,
     Stage,
     StageName,
@@ -48,9 +45,7 @@ class StageProcesses:
             process.wait()
         return self.beside
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *raised: object) -> None:
         for process in self.beside.values():
             process.close()
 
@@ -92,8 +87,7 @@ def warm_up(name: StageName, start_engine: Callable[[], None]) -> None:
     if name in ("flow", "beta"):
         image = np.random.default_rng(0).integers(0, 255, (120, 160), np.uint8)
         before = np.asarray(cv2.GaussianBlur(image, (0, 0), 2.0))
-        options = LiveOptions((name,), color="camera")
-        stage: Stage = FlowStage(options) if name == "flow" else BetaStage(options)
+        stage = Stage(name, LiveOptions((name,), color="camera"))
         with contextlib.suppress(InputError):
             compute(stage, (before, np.roll(before, 2, axis=1)))
     elif name == "surface":

@@ -318,7 +318,7 @@ def _rows(tried: Sequence[Trial], best: int) -> list[Choice]:
 
 
 def _said_of_static(tried: Sequence[Trial], best: int, choices: Sequence[str]) -> list[str]:
-    """Whether the data tell each choice."""
+    """Whether the data determine each choice."""
     way, out = tried[best]
     said = []
     for choice in choices:
@@ -329,19 +329,19 @@ def _said_of_static(tried: Sequence[Trial], best: int, choices: Sequence[str]) -
         others = [one for one in tried if value(one[0]) != value(way) and one[1].usable]
         same = list(dict.fromkeys(value(one[0]) for one in others if not separates(one[1], out)))
         name = "clusters" if choice == "cluster-size" else "held"
-        also = f" ({' and '.join(same)} cannot be told from it)" if same else ""
+        also = f" ({' and '.join(same)} fit as well)" if same else ""
         said.append(f"{name}: {value(way)}{also}")
     return said
 
 
 def _said_of_pace(tried: Sequence[Trial], best: int, still: HeldOut, choices: Sequence[Selectable]) -> str:
-    """Whether the data tell alpha and dt at all, and which values fit as well as the best."""
+    """Whether the data determine alpha and dt at all, and which values fit as well as the best."""
     out = tried[best][1]
     names = " and ".join(choice for choice in ("alpha", "dt") if choice in choices)
     if not separates(still, out):
         late = sum(not one.usable or separates(one, still) for _, one in tried)
         but = f" ({late} of {len(tried)} settings tried would lag behind)" if late else ""
-        return f"the motion was slow enough to be static; {names} cannot be told{but}"
+        return f"the motion was slow enough to be static: it does not determine {names}{but}"
     good = [way.pace for way, one in tried if one.usable and way.pace is not None and not separates(one, out)]
     said = []
     if "alpha" in choices:

@@ -8,8 +8,8 @@ from __future__ import annotations
 import io
 import math
 import zipfile
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,7 @@ import numpy.typing as npt
 from deformscope.errors import InputError
 from deformscope.stages.msm.clusters import find_lattice
 
+T = TypeVar("T")
 Arrays = Mapping[str, npt.NDArray[Any]]
 """What a file holds, by name."""
 
@@ -94,14 +95,50 @@ def indices(found: Arrays, name: str, count: int) -> npt.NDArray[np.int64]:
     return value.astype(np.int64)
 
 
+def number(found: Arrays, name: str, hint: str = "") -> float | None:
+    """One finite number of 0 or more; None where there is none of this name."""
+    if name not in found:
+        return None
+    value = numbers(found, name).reshape(-1)
+    if value.size != 1 or not (np.isfinite(value[0]) and value[0] >= 0.0):
+        raise InputError(f"one {name} of 0 or more", "something else", hint)
+    return float(value[0])
+
+
+def rest_of(found: Arrays, needed: tuple[str, ...], kind: str) -> npt.NDArray[np.float64]:
+    """`rest` (K, d), d = 2 or 3, of a file that has what a file of this kind needs."""
+    if missing := [name for name in needed if name not in found]:
+        keys = ", ".join(sorted(found)) or "nothing"
+        where = f"`{kind.capitalize()} files` in docs/calibrating.md"
+        raise InputError(f"{' and '.join(missing)} in the {kind} file", keys, where)
+    rest = numbers(found, "rest")
+    if rest.ndim != 2 or rest.shape[1] not in (2, 3):
+        raise InputError("rest of shape (K, 2) or (K, 3)", str(rest.shape))
+    if not np.isfinite(rest).all():
+        raise InputError("finite positions", "NaN or infinity in rest", "drop those particles")
+    return rest
+
+
+def parsed(raw: bytes, kind: str, where: object, parse: Callable[[Arrays], T]) -> T:
+    """What `parse` makes of a file's arrays; what it refuses names the file."""
+    found = read_arrays(raw, f"a {kind} file (.npz of arrays)", where)
+    try:
+        return parse(found)
+    except InputError as error:
+        raise type(error).about(error, where) from error
+
+
+NOT_KNOWN = "leave it out if it is not known"
+
+
 def lattice(found: Arrays, rest: npt.NDArray[Any]) -> tuple[tuple[int, ...] | None, npt.NDArray[Any] | None]:
     """`shape` and `cell` (K,) of rest positions (K, d); without `shape` those of a regular rest shape, else None."""
     if "shape" not in found:
         return find_lattice(rest) or (None, None)
-    told = found["shape"].reshape(-1)
-    sides = [float(side) for side in told] if told.dtype.kind in "fiu" and 0 < told.size <= 3 else []
+    given = found["shape"].reshape(-1)
+    sides = [float(side) for side in given] if given.dtype.kind in "fiu" and 0 < given.size <= 3 else []
     if not sides or not all(side.is_integer() and side >= 1.0 for side in sides):
-        raise InputError("a lattice shape of whole numbers", f"{told.dtype} {told[:4].tolist()}", "shape=(4, 3, 2)")
+        raise InputError("a lattice shape of whole numbers", f"{given.dtype} {given[:4].tolist()}", "shape=(4, 3, 2)")
     shape = tuple(int(side) for side in sides)
     size = math.prod(shape)
     if (size != len(rest) and "cell" not in found) or size < len(rest):

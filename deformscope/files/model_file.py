@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from deformscope.errors import InputError
+from deformscope.file_io import replacing
 from deformscope.files.arrays_file import lattice, read_arrays
 from deformscope.stages.msm.poke import Law, Tip
 from deformscope.stages.poke.fitted import FittedModel, Rival
@@ -47,13 +47,8 @@ def save_model(model: FittedModel, path: Path) -> None:
     arrays["rival_stiffness"] = np.reshape(rivals, (len(rivals), len(model.stiffness)))
     if model.shape is not None and model.cell is not None:
         arrays["shape"], arrays["cell"] = np.array(model.shape), model.cell
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with part.open("wb") as file:
-            np.savez_compressed(file, format=np.array(FORMAT), told=np.array(json.dumps(told)), **arrays)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+    with replacing(path) as file:
+        np.savez_compressed(file, format=np.array(FORMAT), told=np.array(json.dumps(told)), **arrays)
 
 
 def load_model(path: Path) -> FittedModel:

@@ -8,11 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope.errors import InputError
-from deformscope.files.arrays_file import Arrays, indices, lattice, numbers, read_arrays
+from deformscope.files.arrays_file import NOT_KNOWN, Arrays, indices, lattice, number, numbers, parsed, rest_of
 from deformscope.stages.fit.motion import Motion
 from deformscope.stages.fit.plausible import check_metres, check_same_unit
-
-NEEDED = ("rest", "motion", "held")
 
 
 def parse_motion(raw: bytes, where: object = "", *, noise_m: float | None = None) -> Motion:
@@ -23,27 +21,16 @@ def parse_motion(raw: bytes, where: object = "", *, noise_m: float | None = None
     goes. Optional: `dt` [s] between frames, or `(T - 1,)`; `shape` and `cell` as in a pair file; `noise_m`.
     noise_m: instead of the file's. Raises InputError for what is missing, does not fit together or cannot be metres.
     """
-    found = read_arrays(raw, "a motion file (.npz of arrays)", where)
-    try:
-        return _motion(found, noise_m)
-    except InputError as error:
-        raise type(error).about(error, where) from error
+    return parsed(raw, "motion", where, lambda found: _motion(found, noise_m))
 
 
 def _motion(found: Arrays, noise_m: float | None) -> Motion:
-    missing = [name for name in NEEDED if name not in found]
-    if missing:
-        keys = ", ".join(sorted(found)) or "nothing"
-        raise InputError(f"{' and '.join(missing)} in the motion file", keys, "`Motion files` in docs/calibrating.md")
-    rest, motion = numbers(found, "rest"), numbers(found, "motion")
-    if rest.ndim != 2 or rest.shape[1] not in (2, 3):
-        raise InputError("rest of shape (K, 2) or (K, 3)", str(rest.shape))
+    rest = rest_of(found, ("rest", "motion", "held"), "motion")
+    motion = numbers(found, "motion")
     if motion.ndim != 3 or motion.shape[1:] != rest.shape or len(motion) < 2:
         raise InputError(f"motion of shape (T, {rest.shape[0]}, {rest.shape[1]}), T from 2", str(motion.shape))
-    if not np.isfinite(rest).all():
-        raise InputError("finite positions", "NaN or infinity in rest", "drop those particles")
     shape, cell = lattice(found, rest)
-    noise = _noise(found, noise_m)
+    noise = (number(found, "noise_m", NOT_KNOWN) or None) if noise_m is None else noise_m
     check_metres(rest, None if noise is None else np.array([noise]))
     for position in motion:
         seen = np.isfinite(position).all(axis=1)
@@ -67,12 +54,3 @@ def _duration(found: Arrays, frames: int) -> npt.NDArray[np.float64] | None:
     if dt.size not in (1, frames - 1) or not (np.isfinite(dt).all() and (dt > 0.0).all()):
         raise InputError(f"one dt above 0, or {frames - 1}", str(found["dt"].shape))
     return np.full(frames, dt[0]) if dt.size == 1 else np.append(dt, dt[-1])
-
-
-def _noise(found: Arrays, noise_m: float | None) -> float | None:
-    if noise_m is not None or "noise_m" not in found:
-        return noise_m
-    noise = numbers(found, "noise_m").reshape(-1)
-    if noise.size != 1 or not (np.isfinite(noise[0]) and noise[0] >= 0.0):
-        raise InputError("one noise_m of 0 or more", "something else", "leave it out if it is not known")
-    return float(noise[0]) or None

@@ -8,7 +8,17 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope.errors import InputError
-from deformscope.files.arrays_file import Arrays, indices, lattice, numbers, read_arrays, sized
+from deformscope.files.arrays_file import (
+    NOT_KNOWN,
+    Arrays,
+    indices,
+    lattice,
+    number,
+    numbers,
+    parsed,
+    rest_of,
+    sized,
+)
 from deformscope.stages.fit.model import Observation, touched_of
 from deformscope.stages.fit.plausible import check_metres, check_same_unit
 from deformscope.stages.msm.poke import TIP_SHAPES, Tip
@@ -22,29 +32,18 @@ def parse_pair(raw: bytes, where: object = "", *, noise_m: float | None = None) 
     `observed (K,)` bool, `noise_m` (a number, or (K,)), `held_noise_m` (a number; 0 = exact), `force_n` with
     `contact (m,)`, a subset of `held`, and `force_noise_n`, the standard deviation of that force;
     without `contact` it acts on the held particles that moved (`stages.model.TOUCHED_SHARE`).
-    `tip` (flat, disc, sphere) with `tip_size_m`: what pressed `contact`, where particles do not tell its size.
+    `tip` (flat, disc, sphere) with `tip_size_m`: what pressed `contact`, where particles do not show its size.
     Without `shape`, a rest shape that is regular within 1 % is taken as a lattice. noise_m: instead of the file's.
     Raises InputError for what is missing, does not fit together, is not finite, or cannot be metres.
     """
-    found = read_arrays(raw, "a pair file (.npz of arrays)", where)
-    try:
-        return _observation(found, noise_m)
-    except InputError as error:
-        raise type(error).about(error, where) from error
+    return parsed(raw, "pair", where, lambda found: _observation(found, noise_m))
 
 
 def _observation(found: Arrays, noise_m: float | None) -> Observation:
-    missing = [name for name in ("rest", "deformed", "held") if name not in found]
-    if missing:
-        keys = ", ".join(sorted(found)) or "nothing"
-        raise InputError(f"{' and '.join(missing)} in the pair file", keys, "`Pair files` in docs/calibrating.md")
-    rest, deformed = numbers(found, "rest"), numbers(found, "deformed")
-    if rest.ndim != 2 or rest.shape[1] not in (2, 3):
-        raise InputError("rest of shape (K, 2) or (K, 3)", str(rest.shape))
+    rest = rest_of(found, ("rest", "deformed", "held"), "pair")
+    deformed = numbers(found, "deformed")
     if deformed.shape != rest.shape:
         raise InputError(f"deformed of rest's shape {rest.shape}", str(deformed.shape))
-    if not np.isfinite(rest).all():
-        raise InputError("finite positions", "NaN or infinity in rest", "drop those particles")
     count = len(rest)
     observed = np.ones(count, dtype=bool)
     if "observed" in found:
@@ -60,15 +59,10 @@ def _observation(found: Arrays, noise_m: float | None) -> Observation:
             raise InputError(f"one noise_m, or {count}", str(noise.size))
         noise = np.broadcast_to(noise.reshape(-1), (count,)).copy()
         if not (np.isfinite(noise).all() and (noise >= 0.0).all()):
-            raise InputError("noise_m of 0 or more", "a negative or no number", "leave it out if it is not known")
-    exact = None
-    if "held_noise_m" in found:
-        held_noise = numbers(found, "held_noise_m").reshape(-1)
-        if held_noise.size != 1 or not (np.isfinite(held_noise).all() and held_noise[0] >= 0.0):
-            raise InputError("one held_noise_m of 0 or more", "something else")
-        exact = bool(held_noise[0] == 0.0)
-        if noise is not None and not exact:
-            noise[held] = held_noise[0]
+            raise InputError("noise_m of 0 or more", "a negative or no number", NOT_KNOWN)
+    held_noise = number(found, "held_noise_m")
+    if noise is not None and held_noise:
+        noise[held] = held_noise
     check_metres(rest, noise)
     known = observed | np.isin(np.arange(count), held)
     if np.isfinite(deformed[known]).all():  # an Observation refuses what is not
@@ -84,9 +78,9 @@ def _observation(found: Arrays, noise_m: float | None) -> Observation:
         cell=cell,
         force_n=force,
         contact=contact,
-        force_noise_n=_force_noise(found),
+        force_noise_n=number(found, "force_noise_n", NOT_KNOWN),
         tip=_tip(found),
-        held_measured=None if exact is None else not exact,
+        held_measured=None if held_noise is None else held_noise > 0.0,
     )
 
 
@@ -115,12 +109,3 @@ def _tip(found: Arrays) -> Tip | None:
     if "tip_size_m" not in found:
         raise InputError("tip_size_m with tip", "none", "its sides or its diameter [m]")
     return Tip(shape, tuple(float(side) for side in numbers(found, "tip_size_m").reshape(-1)))
-
-
-def _force_noise(found: Arrays) -> float | None:
-    if "force_noise_n" not in found:
-        return None
-    noise = numbers(found, "force_noise_n").reshape(-1)
-    if noise.size != 1 or not (np.isfinite(noise).all() and noise[0] >= 0.0):
-        raise InputError("one force_noise_n of 0 or more", "something else", "leave it out if it is not known")
-    return float(noise[0])

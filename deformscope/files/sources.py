@@ -9,7 +9,6 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib import resources
 from pathlib import Path
-from types import TracebackType
 
 import cv2
 
@@ -34,7 +33,7 @@ RECORDING_SUFFIX = ".rrd"
 class Source:
     """A stream of frames, read once and lazily: `with open_source(...) as source: for frame in source: ...`.
 
-    name: what it is, for a progress line; count: how many frames it will give, None where only reading tells (the
+    name: what it is, for a progress line; count: how many frames it will give, None where only reading shows (the
     count of a video is what its container claims); problems: once all was read, what of it is missing or damaged
     """
 
@@ -65,29 +64,14 @@ class Source:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *raised: object) -> None:
         self.close()
-
-    @property
-    def first(self) -> ColorFrame:
-        """The first frame, without taking it out of the stream; only before the iteration starts."""
-        return self._ahead[0]
 
     def __iter__(self) -> Iterator[ColorFrame]:
         while self._ahead:
             yield self._ahead.pop(0)
         if self._frames is not None:
             yield from self._frames
-
-    def __len__(self) -> int:
-        if self.count is None:
-            raise TypeError(f"the frames of {self.name} are not counted before they are read")
-        return self.count
-
-    def __bool__(self) -> bool:
-        return True
 
     def close(self) -> None:
         frames, self._frames = self._frames, None

@@ -71,6 +71,10 @@ def table_of_arrays(found: Mapping[str, npt.NDArray[Any]]) -> LabelledTable:
                 raise InputError("a step_s above 0", f"{step_s}")
         elif name.startswith(SERIES):
             series[name.removeprefix(SERIES)] = values.astype(np.float64)
+        elif values.ndim == 1 and values.dtype.kind in "iub":
+            came = "one whole number for each trial, as of a name"
+            hint = "call it trial, group or kind, leave it out, or make it float"
+            raise InputError(f"features in {name}", came, hint)
         elif values.ndim:
             modalities[name] = values.astype(np.float64).reshape(len(values), -1) if values.size else values
         else:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from deformscope.robot.placement import Placement
 from deformscope_drivers.clock import Clock
-from deformscope_drivers.jaco.kinematics import FloatArray
+from deformscope_drivers.jaco.kinematics import FloatArray, cross
 
 ARM_CYCLE_NS = 10_000_000
 ARM_STIFFNESS_N_M, ARM_DOUBT = 5000.0, 0.1
@@ -25,7 +25,6 @@ class World(Protocol):
 
     def press(self, center_m: FloatArray) -> FloatArray:
         """Force (3,) [N] on a tip whose centre (3,) [m] is here, both in the surface frame; zero where it is free."""
-        ...
 
 
 class PushedArm(Protocol):
@@ -78,7 +77,7 @@ class ArmContact:
         pushed = self._placement.to_base(self.force_n)
         if np.any(pushed):
             lever_m = self._placement.to_base(T[:3, 3]) - self._placement.to_base(self._end_m())
-            self._arm.push([*pushed, *np.cross(lever_m, pushed)])
+            self._arm.push([*pushed, *cross(lever_m, pushed)])
         else:
             self._arm.push(np.zeros(6))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import cache, lru_cache
 
 import cv2
 import numpy as np
@@ -48,7 +48,7 @@ def view(time_s: float) -> View:
 def distances(time_s: float) -> FloatArray:
     """(480, 640) distances from the camera [m]: a table, the foam on it, the dent, the stick."""
     share = pressed(time_s)
-    seen = _table_and_foam() + np.float32(DENT_M * share) * _dent()
+    seen = _background() + np.float32(DENT_M * share) * _dent()
     lift = 0.04 * (1.0 - share)
     seen[_stick()] = FOAM_M + DENT_M * share - STICK_M - lift
     return seen
@@ -56,15 +56,10 @@ def distances(time_s: float) -> FloatArray:
 
 def picture(time_s: float) -> Picture:
     """(480, 640, 3) the same in colour, RGB."""
-    share = pressed(time_s)
-    return _picture(share) if share else _untouched()
+    return _picture(pressed(time_s))
 
 
-@cache
-def _untouched() -> Picture:
-    return _picture(0.0)
-
-
+@lru_cache(maxsize=1)
 def _picture(share: float) -> Picture:
     """share: how far the stick has gone, 0 to 1"""
     shade = 1.0 - 0.45 * share * _dent()
@@ -139,10 +134,6 @@ def _stick() -> BoolArray:
 @cache
 def _background() -> FloatArray:
     return np.where(_foam(), FOAM_M, TABLE_M).astype(np.float32)
-
-
-def _table_and_foam() -> FloatArray:
-    return _background().copy()
 
 
 @cache

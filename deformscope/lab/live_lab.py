@@ -24,7 +24,7 @@ from deformscope.lab.depth_view import DepthView
 from deformscope.lab.layer_world import LayerWorld
 from deformscope.lab.ray_camera import DepthViewConfig
 from deformscope.lab.scenes import Scene, built_in
-from deformscope.processes import SPAWN, follow_parent, starting
+from deformscope.processes import SPAWN, beside
 from deformscope.rig.rig_file import RigDevice
 from deformscope.robot.placement import Placement, best_joints
 from deformscope.robot.robot import sleep_until
@@ -44,7 +44,7 @@ from deformscope_drivers.wires import PtyWire
 PARKED_M = 0.18
 PICTURES_HZ = 10
 CYCLE_S = ARM_CYCLE_NS / 1e9
-START_S, END_S = 60.0, 5.0
+START_S = 60.0
 CAMERA = DepthViewConfig(width=320, height=240, azimuth_deg=-90.0)
 
 
@@ -143,11 +143,11 @@ class LiveLab:
             return Jaco(config, self.arm)
         if entry.driver.name == "optoforce":
             sensitivity = (config.sensitivities or (OMD_20_SE_40N,))[0]
-            pipe = stack.enter_context(self._process(_feel, sensitivity))
+            pipe = stack.enter_context(beside("simulated table", _feel, self._table, self._shared, sensitivity))
             told = dataclasses.replace(config, port=_first(pipe), bus="", serial="", sensitivity=sensitivity)
             return entry.driver.make(told)  # type: ignore[no-any-return]
         rate_hz = float(config.fps or PICTURES_HZ)
-        pipe = stack.enter_context(self._process(_look, rate_hz))
+        pipe = stack.enter_context(beside("simulated table", _look, self._table, self._shared, rate_hz))
         synthetic = SyntheticDepthConfig(
             name="simulated table", missing=0.02, seed=self._table.seed, intrinsics=self.view.intrinsics, silence_s=5.0
         )
@@ -155,24 +155,6 @@ class LiveLab:
         _first(pipe)
         stack.enter_context(_thread("simulated pictures", lambda: self._pass_on(pipe, camera)))
         return camera
-
-    @contextlib.contextmanager
-    def _process(self, target: Callable[..., None], *arguments: Any) -> Iterator[Connection]:
-        """A part of the table in a process of its own, until it is over; the end of a pipe from it."""
-        ours, theirs = SPAWN.Pipe(duplex=False)
-        told = (self._table, self._shared, theirs, *arguments)
-        process = SPAWN.Process(target=target, args=told, name="simulated table", daemon=True)
-        with starting():
-            process.start()
-        theirs.close()
-        try:
-            yield ours
-        finally:
-            self._shared.end()
-            process.join(END_S)
-            if process.is_alive():
-                process.kill()
-            ours.close()
 
     def _move(self) -> None:
         """The table is told where the arm is, and the arm what pushes it."""
@@ -220,9 +202,8 @@ def _goes_on(shared: _Shared, due_s: float) -> bool:
     return not shared.over
 
 
-def _feel(table: _Table, shared: _Shared, pipe: Connection, sensitivity: Sensitivity) -> None:
+def _feel(pipe: Connection, table: _Table, shared: _Shared, sensitivity: Sensitivity) -> None:
     """The process of the table that is touched, and of the force sensor."""
-    follow_parent()
     scene = built_in(table.scene, table.seed)
     world = LayerWorld(scene, table.placement.tool.radius_m)
     contact = ArmContact(world, _RemoteArm(shared, CHAINS[table.model]), table.placement, monotonic_ns)
@@ -238,9 +219,8 @@ def _feel(table: _Table, shared: _Shared, pipe: Connection, sensitivity: Sensiti
             due = max(due + CYCLE_S, time.monotonic())
 
 
-def _look(table: _Table, shared: _Shared, pipe: Connection, rate_hz: float) -> None:
+def _look(pipe: Connection, table: _Table, shared: _Shared, rate_hz: float) -> None:
     """The process of what the camera sees."""
-    follow_parent()
     scene = built_in(table.scene, table.seed)
     view = DepthView(scene, CAMERA, table.T_surface_camera)
     world = LayerWorld(scene, table.placement.tool.radius_m)

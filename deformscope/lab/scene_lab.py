@@ -37,16 +37,14 @@ UPRIGHT = np.array([0.0, 0.0, 1.0])
 class SceneLab:
     """The laboratory with a scene in it, closed. lab: its devices and faults; setup: to explore it"""
 
-    def __init__(
-        self, scene: Scene, *, tip_radius_m: float, parked_m: float, seed: int = 0, camera_width: int = 320
-    ) -> None:
+    def __init__(self, scene: Scene, *, tip_radius_m: float, parked_m: float, seed: int = 0) -> None:
         """parked_m: z of the tip's centre where the arm stands first [m, surface frame]"""
         self.scene = scene
         self.clock = SimulatedClock(1_000_000_000)
         self._world = SlabWorld(scene)
         self._tip = RigidTip(radius=tip_radius_m)
         self._contact: Contact | None = None
-        view = DepthViewConfig(width=camera_width, height=camera_width * 3 // 4, azimuth_deg=CAMERA_AZIMUTH_DEG)
+        view = DepthViewConfig(width=320, height=240, azimuth_deg=CAMERA_AZIMUTH_DEG)
         self.view = DepthView(scene, view)
         tool = Tool(radius_m=tip_radius_m)
         self.placement = Placement(T_BASE_SURFACE, tool)

@@ -203,6 +203,8 @@ class Scene:
     def normal(self, xy_m: FloatArray) -> FloatArray:
         """(..., 3) unit normal of the rest surface, upwards."""
         xy_m = np.asarray(xy_m, dtype=np.float64)
+        if self._bumps is None:
+            return np.broadcast_to([0.0, 0.0, 1.0], (*xy_m.shape[:-1], 3))
         slope = np.zeros(xy_m.shape)
         for axis in (0, 1):
             step = np.zeros(2)

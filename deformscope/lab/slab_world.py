@@ -36,6 +36,7 @@ from deformscope.errors import InputError
 from deformscope.lab.elasticity import dissected, stiffness_of
 from deformscope.lab.scenes import Scene
 from deformscope.lab.slab import RigidTip
+from deformscope_drivers.jaco.kinematics import cross
 
 FINE = 0.15
 """Size of the elements under a tip, as a share of its half width."""
@@ -301,9 +302,9 @@ def _mean_modulus_pa(scene: Scene, corner_m: FloatArray) -> FloatArray:
 
 def _frame(normal: FloatArray) -> FloatArray:
     """(3, 3) rows: two tangents, the first along x as seen from above, and the normal."""
-    first = np.array([normal[2], 0.0, -normal[0]])
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(normal, first), normal])
+    first, up = np.array([normal[2], 0.0, -normal[0]], np.float64), np.asarray(normal, np.float64)
+    first = np.asarray(first / np.linalg.norm(first), np.float64)
+    return np.stack([first, cross(up, first), up])
 
 
 def _spread(middle: float, half: float, fine: float, reach: float, side: float) -> FloatArray:

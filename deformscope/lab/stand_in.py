@@ -5,14 +5,12 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import itertools
-import json
-import signal
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
+from multiprocessing.connection import Connection
 from typing import Any
 
 from deformscope.errors import InputError
+from deformscope.processes import beside
 from deformscope.rig.driver_table import DRIVERS
 from deformscope_drivers.clock import monotonic_ns
 from deformscope_drivers.device import Device
@@ -20,15 +18,6 @@ from deformscope_drivers.doubles import Double
 from deformscope_drivers.wires import CanWire, PtyWire, TcpWire, Wire
 
 _numbers = itertools.count(1)
-SERVE = """
-import json, sys
-given = json.loads(sys.stdin.buffer.readline())
-sys.path[:] = given["path"]
-from deformscope.lab.stand_in import serve
-serve(given["driver"], given["config"])
-"""
-END_S = 3.0
-"""A double's process ends by itself within this, or is ended."""
 
 
 @contextlib.contextmanager
@@ -72,37 +61,19 @@ def wire_of(driver: str, config: Any, bus: str) -> Iterator[Wire]:
 def _wire_beside(driver: str, config: Any) -> Iterator[str]:
     """The same behind a pseudo terminal or a socket, in a process of its own, as a device does not take this one's time
     either. Yields its port."""
-    # not multiprocessing, which imports the user's own script again
-    process = subprocess.Popen([sys.executable, "-c", SERVE], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-    assert process.stdin is not None
-    assert process.stdout is not None
-    try:
-        given = {"path": sys.path, "driver": driver, "config": dataclasses.asdict(config)}
-        process.stdin.write(json.dumps(given).encode() + b"\n")
-        process.stdin.flush()
-        port = process.stdout.readline().decode().strip()
-        if not port:
-            raise InputError(f"a double of {driver} in a process of its own", "one that ended at once")
-        yield port
-    finally:
-        process.stdin.close()
+    with beside(f"double of {driver}", serve, driver, config) as pipe:
         try:
-            process.wait(END_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        process.stdout.close()
+            port: str = pipe.recv()
+        except EOFError as error:
+            raise InputError(f"a double of {driver} in a process of its own", "one that ended at once") from error
+        yield port
 
 
-def serve(driver: str, settings: dict[str, Any]) -> None:
-    """Print the port of a running double, and run it until the standard input ends. settings: its configuration"""
-    import msgspec
-
-    config = msgspec.convert(settings, DRIVERS[driver].config_class())
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all processes at a terminal; the other one ends this
-    with wire_of(driver, config, "") as wire:
-        print(wire.port, flush=True)
-        sys.stdin.buffer.read()
+def serve(pipe: Connection, driver: str, config: Any) -> None:
+    """Send the port of a running double, and run it until the pipe ends."""
+    with wire_of(driver, config, "") as wire, contextlib.suppress(EOFError, OSError):
+        pipe.send(wire.port)
+        pipe.recv()
 
 
 def reaching(config: Any, port: str, *, is_bus: bool = False) -> Any:

@@ -33,7 +33,7 @@ def _log(result: object, rec: rr.RecordingStream, canvas: Canvas) -> None:
 
 @functools.singledispatch
 def canvas_with(result: object, canvas: Canvas) -> Canvas:
-    """The canvas after this result: some tell where the particles are, and how far apart."""
+    """The canvas after this result: some say where the particles are, and how far apart."""
     return canvas
 
 

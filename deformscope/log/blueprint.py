@@ -7,13 +7,19 @@ from typing import Literal
 import rerun.blueprint as rrb
 
 from deformscope.log.canvas import COLUMN_SHARE, ROW_SHARE, Canvas
+from deformscope.log.rig.blueprint import LEGEND, blueprint_of
 
 Layout = Literal["images", "flow", "pair", "pair-3d"]
 """A calibrated sequence of images; optical flow alone; pairs of particle sets in the plane; in space."""
 
-RESIDUALS = "Residuals: from simulated to observed"
+NAMES = {
+    "particles": "Particles",
+    "flow": "Optical flow since the frame before",
+    "residual": "Residuals: from simulated to observed",
+    "heat": "Where the model is wrong: error over the body",
+}
+"""Of the views, by the entity that they show."""
 CHART = "Error and posterior over the parameter"
-HEAT = "Where the model is wrong: error over the body"
 
 PAPER = [232, 235, 240]
 """Behind particles without an image: every colour of theirs is seen on it."""
@@ -26,18 +32,20 @@ WIDE_FROM = 3.0
 def blueprint(layout: Layout, canvas: Canvas, chart: str = CHART) -> rrb.Blueprint:
     """The views for a layout over this picture. chart: what the picture beside the particles shows"""
     if layout == "flow":
-        root: rrb.Container | rrb.View = rrb.Horizontal(_flow_view(canvas), _summary_view(), column_shares=[3, 1])
+        root: rrb.Container | rrb.View = rrb.Horizontal(
+            _flat_view("flow", canvas), _summary_view(), column_shares=[3, 1]
+        )
     elif layout == "images":
         root = _images(canvas)
     else:
         root = _pair(canvas, chart)
-    time = rrb.TimePanel(timeline="frame", state="collapsed", play_state="following", fps=8.0)
-    return rrb.Blueprint(root, rrb.BlueprintPanel(state="hidden"), rrb.SelectionPanel(state="hidden"), time)
+    return blueprint_of(root, "frame", fps=8.0)
 
 
 def _images(canvas: Canvas) -> rrb.Container:
-    pictures = [_particles_view(canvas), _flow_view(canvas), _residual_view(canvas), _heat_view(canvas)]
-    numbers = [_chart_view(), _error_view(), _summary_view()]
+    pictures = [_flat_view(name, canvas) for name in ("particles", "flow", "residual", "heat")]
+    errors = rrb.TimeSeriesView(origin="/error", name="Average error in each frame", plot_legend=LEGEND)
+    numbers = [_chart_view(), errors, _summary_view()]
     if canvas.height > canvas.width:
         return rrb.Horizontal(*pictures, rrb.Vertical(*numbers, row_shares=[5, 3, 5]), column_shares=[3, 3, 3, 3, 5])
     if canvas.width > WIDE_FROM * canvas.height:
@@ -49,12 +57,12 @@ def _images(canvas: Canvas) -> rrb.Container:
 
 def _pair(canvas: Canvas, chart: str) -> rrb.Container:
     if canvas.flat:
-        pictures = [_particles_view(canvas), _residual_view(canvas), _heat_view(canvas)]
+        pictures = [_flat_view(name, canvas) for name in ("particles", "residual", "heat")]
     else:
         pictures = [
             deep_view("Particles: rest, observed, simulated", ["+ /particles/**", "+ /residual/lines"], canvas),
-            deep_view(RESIDUALS, ["+ /residual/**"], canvas),
-            deep_view(HEAT, ["+ /heat/**"], canvas),
+            deep_view(NAMES["residual"], ["+ /residual/**"], canvas),
+            deep_view(NAMES["heat"], ["+ /heat/**"], canvas),
         ]
     numbers = rrb.Horizontal(_chart_view(chart), _summary_view(), column_shares=[4, 3])
     if canvas.flat and canvas.width > WIDE_FROM * canvas.height:
@@ -64,36 +72,14 @@ def _pair(canvas: Canvas, chart: str) -> rrb.Container:
     return rrb.Vertical(rrb.Horizontal(*pictures), numbers)
 
 
-def _particles_view(canvas: Canvas) -> rrb.View:
-    return _flat_view("Particles", "+ /particles/**", canvas)
-
-
-def _flow_view(canvas: Canvas) -> rrb.View:
-    return _flat_view("Optical flow since the frame before", "+ /flow/**", canvas)
-
-
-def _residual_view(canvas: Canvas) -> rrb.View:
-    return _flat_view(RESIDUALS, "+ /residual/**", canvas)
-
-
-def _heat_view(canvas: Canvas) -> rrb.View:
-    return _flat_view(HEAT, "+ /heat/**", canvas)
-
-
-def _flat_view(name: str, results: str, canvas: Canvas) -> rrb.View:
-    contents = [f"+ /{canvas.image}", results] if canvas.image else [results]
+def _flat_view(what: str, canvas: Canvas) -> rrb.View:
+    contents = [*([f"+ /{canvas.image}"] if canvas.image else []), f"+ /{what}/**"]
     background = None if canvas.image else PAPER
-    return rrb.Spatial2DView(name=name, contents=contents, visual_bounds=_bounds(canvas), background=background)
+    return rrb.Spatial2DView(name=NAMES[what], contents=contents, visual_bounds=_bounds(canvas), background=background)
 
 
 def _chart_view(name: str = CHART) -> rrb.View:
     return rrb.Spatial2DView(origin="/calibration/chart", name=name, background=[255, 255, 255])
-
-
-def _error_view() -> rrb.View:
-    return rrb.TimeSeriesView(
-        origin="/error", name="Average error in each frame", plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop)
-    )
 
 
 def _summary_view() -> rrb.View:

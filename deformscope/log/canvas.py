@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import rerun as rr
 
-from deformscope.arrays import FloatArray
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.pictures.palette import Rgb, colors, readable
 
 TEXT: Rgb = (225, 225, 225)
@@ -84,6 +84,12 @@ class Canvas:
         return 0.011 * max(self.width, self.height)
 
 
+def sides_of(triangles: IntArray) -> IntArray:
+    """(n, 2) the sides of triangles (m, 3), each once."""
+    every = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    return np.unique(np.sort(every, axis=1), axis=0)
+
+
 def log_place(rec: rr.RecordingStream, canvas: Canvas, *paths: str) -> None:
     """Have the positions at these paths, which stay true in the recording, drawn where the canvas wants them."""
     if canvas.image:
@@ -131,6 +137,15 @@ def log_color_bar(rec: rr.RecordingStream, path: str, canvas: Canvas, end: float
         x, y = canvas.slot(4 * (1 - at if canvas.legend_beside else at))
         numbers.append((x, y, f"{end * at * factor:g} {shown}"))
     log_labels(rec, f"{path}/number", canvas, numbers)
+
+
+def deep_bar(name: Callable[[float], str]) -> list[tuple[float, str, Rgb]]:
+    """A colour bar for `log_deep_legend`. name: of the marks at 0, 0.5 and 1"""
+    share = np.linspace(0.0, 1.0, 21)
+    return [
+        (float(at), name(float(at)) if place % 10 == 0 else "", (int(r), int(g), int(b)))
+        for place, (at, (r, g, b)) in enumerate(zip(share, colors(share), strict=True))
+    ]
 
 
 def log_deep_legend(

@@ -12,13 +12,13 @@ import numpy.typing as npt
 import rerun as rr
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
-from deformscope.log.canvas import Canvas, log_color_bar, log_deep_legend, log_legend, log_place
+from deformscope.log.canvas import Canvas, deep_bar, log_color_bar, log_deep_legend, log_legend, log_place, sides_of
 from deformscope.log.particles import REST_RADIUS, SIMULATED_RADIUS, log_observed, log_rest
-from deformscope.pictures.estimate_words import estimate_tables
 from deformscope.pictures.evidence import errors, evidence_png
 from deformscope.pictures.findings import cell_text, table_markdown
 from deformscope.pictures.palette import HELD, OBSERVED, REST, SIMULATED, Rgb, colors, readable, round_up
 from deformscope.pictures.report import Table
+from deformscope.pictures.words import estimate_tables
 from deformscope.plain import plain
 from deformscope.stages.fit.estimate import Comparison, Estimate
 from deformscope.stages.see.triangulation import raster, triangulate
@@ -181,11 +181,7 @@ def _inside(comparison: Comparison, canvas: Canvas) -> BoolArray:
 def _net(comparison: Comparison, inside: BoolArray, longest: float) -> IntArray:
     """(n, 2) neighbours on a surface, to be joined by lines."""
     rows = np.flatnonzero(inside & np.isfinite(comparison.simulated).all(axis=1))
-    triangles = triangulate(comparison.rest[rows])
-    pairs = np.unique(
-        np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])), axis=0
-    )
-    joined = rows[pairs]
+    joined = rows[sides_of(triangulate(comparison.rest[rows]))]
     apart = np.linalg.norm(comparison.rest[joined[:, 0]] - comparison.rest[joined[:, 1]], axis=1)
     return np.asarray(joined[apart <= longest])
 
@@ -224,14 +220,8 @@ def _pin(comparison: Comparison, particle: int, canvas: Canvas) -> rr.LineStrips
 
 
 def _deep_bar(comparison: Comparison, end: float) -> list[tuple[float, str, Rgb]]:
-    """The scale's marks, of which three have numbers."""
     factor, unit = readable(comparison.unit, end)
-    share = np.linspace(0.0, 1.0, 21)
-    named = {0: "0", 10: f"{0.5 * end * factor:g}", 20: f"{end * factor:g}"}
-    return [
-        (float(at), f"{named[row]} {unit}" if row in named else "", (int(tint[0]), int(tint[1]), int(tint[2])))
-        for row, (at, tint) in enumerate(zip(share, colors(share), strict=True))
-    ]
+    return deep_bar(lambda share: f"{share * end * factor:g} {unit}")
 
 
 def _heights(canvas: Canvas) -> str:

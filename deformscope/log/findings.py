@@ -12,8 +12,8 @@ import rerun.blueprint as rrb
 
 from deformscope.frames import Stream
 from deformscope.log.blueprint import blueprint, deep_view
-from deformscope.log.canvas import Canvas, log_deep_legend
-from deformscope.log.rig.blueprint import rig_blueprint
+from deformscope.log.canvas import Canvas, deep_bar, log_deep_legend
+from deformscope.log.rig.blueprint import blueprint_of, rig_blueprint
 from deformscope.pictures.findings import ColoredBody, Findings, table_markdown
 from deformscope.pictures.palette import colors
 from deformscope.plain import plain
@@ -30,8 +30,6 @@ class RigFindings:
 
 ACROSS = 3
 """Pictures side by side, at most."""
-MARKS = 21
-"""Of a colour bar."""
 
 
 def log_findings(rec: rr.RecordingStream, found: Findings, below: rrb.Blueprint | None = None) -> None:
@@ -73,11 +71,8 @@ def _log_body(rec: rr.RecordingStream, body: ColoredBody, path: str) -> None:
     points = np.column_stack([body.points, np.zeros(len(body.points))]) if flat else body.points
     rec.log(path, rr.Points3D(points, radii=radius, colors=tints))
     rec.log(path, rr.AnyValues(value=body.value))
-    bar = [(place / (MARKS - 1), "", tint) for place, tint in enumerate(colors(np.linspace(0.0, 1.0, MARKS)))]
-    marks = [(share, name, (int(tint[0]), int(tint[1]), int(tint[2]))) for share, name, tint in bar]
-    for place in (0, MARKS // 2, MARKS - 1):
-        marks[place] = (marks[place][0], f"{end * marks[place][0]:.2g}", marks[place][2])
-    log_deep_legend(rec, f"{path}/legend", _around(body), marks)
+    bar = deep_bar(lambda share: f"{end * share:.2g}")
+    log_deep_legend(rec, f"{path}/legend", _around(body), bar)
 
 
 def _around(body: ColoredBody) -> Canvas:
@@ -104,5 +99,4 @@ def findings_blueprint(found: Findings, below: rrb.Blueprint | None = None) -> r
         root = rrb.Horizontal(grid, root, column_shares=[3, 2])
     if below is not None:
         root = rrb.Vertical(root, below.root_container)
-    time = rrb.TimePanel(timeline="frame" if below is None else "session", state="collapsed")
-    return rrb.Blueprint(root, rrb.BlueprintPanel(state="hidden"), rrb.SelectionPanel(state="hidden"), time)
+    return blueprint_of(root, "frame" if below is None else "session", play=None)

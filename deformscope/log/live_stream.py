@@ -9,7 +9,7 @@ import rerun as rr
 
 from deformscope.frames import Item, StageResult, Stream
 from deformscope.log.rig import Batch, Place, Shown, prepare_items
-from deformscope.log.rig.plotted import visible_in
+from deformscope.log.rig.numbers import visible_in
 from deformscope.log.rig.thinned import thinned
 from deformscope.log.stages import prepare_stage_results
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
+from deformscope.pictures.palette import round_down
 from deformscope.stages.fit.estimate import Comparison
 from deformscope.stages.see.triangulation import is_surface, spacing_of
 
@@ -66,12 +67,4 @@ def close_up(comparison: Comparison) -> CloseUp:
     if len(inside):
         low[2], high[2] = inside[:, 2].min(), inside[:, 2].max()
     side, deep = float((high - low)[:2].max()), float(high[2] - low[2])
-    return CloseUp(low, high, _round_down(RELIEF * side / deep) if deep > 0.0 else 1.0, surface=True)
-
-
-def _round_down(factor: float) -> float:
-    """The last of 1, 2, 5, 10, 20... that is not above."""
-    if factor <= 1.0:
-        return 1.0
-    power = 10.0 ** np.floor(np.log10(factor))
-    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= factor))
+    return CloseUp(low, high, max(round_down(RELIEF * side / deep), 1.0) if deep > 0.0 else 1.0, surface=True)

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.images import encode_png
 from deformscope.pictures.figures import canvas, png_of
-from deformscope.pictures.palette import OBSERVED, SIMULATED, hexadecimal
+from deformscope.pictures.palette import OBSERVED, SIMULATED, hexadecimal, round_up
 from deformscope.pictures.words import (
     counted,
     dent_words,
@@ -330,11 +330,7 @@ def stiffness_range(stiffness: FloatArray) -> tuple[float, float]:
 
 
 def _round_up(values: FloatArray) -> float:
-    high = float(values[np.isfinite(values)].max(initial=0.0))
-    if not high > 0:
-        return 1.0
-    power = 10.0 ** math.floor(math.log10(high))
-    return next(step * power for step in STEPS if high <= step * power * (1 + 1e-9))
+    return round_up(float(values[np.isfinite(values)].max(initial=0.0)), STEPS)
 
 
 def _draw_map(

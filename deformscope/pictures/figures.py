@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -47,10 +47,13 @@ def figure(path: Path, columns: int, rows: int = 1, *, share_y: bool = False) ->
     drawn.savefig(path, dpi=140)
 
 
-def write_table(path: Path, names: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """A CSV table; floats with six digits that count, None as an empty field."""
+def write_rows(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
+    """A CSV table of rows that have the same names, where there are any; floats with six digits that count, None as an
+    empty field."""
+    if not rows:
+        return
     with path.open("w", newline="", encoding="utf-8") as file:
-        out = csv.writer(file)
-        out.writerow(names)
+        out = csv.DictWriter(file, list(rows[0]))
+        out.writeheader()
         for row in rows:
-            out.writerow([f"{value:.6g}" if isinstance(value, float) else value for value in row])
+            out.writerow({name: f"{one:.6g}" if isinstance(one, float) else one for name, one in row.items()})

@@ -20,7 +20,7 @@ class ColoredBody:
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """Tables, pictures and bodies, each with its caption, the most telling ones first."""
+    """Tables, pictures and bodies, each with its caption, the most important ones first."""
 
     tables: tuple[Table, ...]
     figures: tuple[Figure, ...] = ()

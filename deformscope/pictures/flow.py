@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import io
-
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from deformscope.arrays import FloatArray, ImageArray
+from deformscope.pictures.figures import canvas, png_of
 
 ARROWS = 36
 """Arrows along the longer side of the picture."""
@@ -26,8 +23,7 @@ def flow_png(image: ImageArray, flow_px: FloatArray) -> bytes:
     factor = step / typical_px if typical_px > 0 else 1.0
 
     inches = 9 / max(height, width)
-    figure = Figure(figsize=(width * inches + 2, max(2.5, height * inches)), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = canvas(width * inches + 2, max(2.5, height * inches), layout="constrained")
     axes = figure.subplots()
     shown = image if image.ndim == 2 else image.mean(axis=2)
     axes.imshow(shown, cmap="gray", alpha=0.6)
@@ -37,6 +33,4 @@ def flow_png(image: ImageArray, flow_px: FloatArray) -> bytes:
     figure.colorbar(arrows, ax=axes, label="motion [px]")
     axes.set(xlim=(0, width - 1), ylim=(height - 1, 0), xlabel="x [px]", ylabel="y [px]")
     axes.set_title(f"optical flow, arrows {factor:.3g} times as long as the motion", fontsize=10)
-    file = io.BytesIO()
-    figure.savefig(file, format="png", dpi=110)
-    return file.getvalue()
+    return png_of(figure, 110)

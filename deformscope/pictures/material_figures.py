@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import io
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from deformscope.arrays import FloatArray
+from deformscope.pictures.figures import canvas, png_of
 
 if TYPE_CHECKING:
     from deformscope.stages.fit.joint import JointEstimate
@@ -23,7 +21,7 @@ def joint_png(found: JointEstimate) -> bytes:
     assert found.beta.posterior is not None
     assert found.theta.posterior is not None
     beta, theta = found.beta.posterior.parameter, found.theta.posterior.parameter
-    figure = _figure(5.2, 4.2)
+    figure = canvas(5.2, 4.2, layout="constrained")
     axis = figure.subplots()
     shown = axis.pcolormesh(beta, theta, found.density.T, cmap="Blues", shading="gouraud")
     order = np.argsort(-found.density.ravel())
@@ -36,12 +34,12 @@ def joint_png(found: JointEstimate) -> bytes:
     axis.set(xlabel="beta [-]", ylabel="theta [-]")
     axis.legend()
     figure.colorbar(shown, label="posterior density [-]")
-    return _png(figure)
+    return png_of(figure, 130)
 
 
 def axes_png(found: AxisEstimate) -> bytes:
     """beta along each axis with its interval, beside the one beta for all."""
-    figure = _figure(5.2, 4.2)
+    figure = canvas(5.2, 4.2, layout="constrained")
     axis = figure.subplots()
     place, value = np.arange(len(found.value)), found.value
     reach = np.abs(found.interval.T - value)
@@ -53,12 +51,12 @@ def axes_png(found: AxisEstimate) -> bytes:
     axis.set_title(f"probability of no anisotropy: {found.p_isotropic:.2g}", fontsize=10)
     axis.grid(alpha=0.3)
     axis.legend()
-    return _png(figure)
+    return png_of(figure, 130)
 
 
 def yield_png(found: YieldEstimate, motion: Motion) -> bytes:
     """The error over the yield strain with the interval, and the set that grows from frame to frame."""
-    figure = _figure(11.0, 4.2)
+    figure = canvas(11.0, 4.2, layout="constrained")
     left, right = figure.subplots(1, 2)
     strain, rms = found.curve
     left.plot(strain, 1e3 * rms, "-", color="tab:blue", label="yielding at this strain")
@@ -81,16 +79,4 @@ def yield_png(found: YieldEstimate, motion: Motion) -> bytes:
     right.set(xlabel="frame", ylabel="distance of free particles, rms [mm]", ylim=(0.0, 1.3 * right.get_ylim()[1]))
     right.legend()
     figure.suptitle(f"Yield strain: {found.verdict}")
-    return _png(figure)
-
-
-def _figure(width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def _png(figure: Figure) -> bytes:
-    file = io.BytesIO()
-    figure.savefig(file, format="png", dpi=130)
-    return file.getvalue()
+    return png_of(figure, 130)

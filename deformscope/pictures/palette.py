@@ -51,12 +51,18 @@ def hexadecimal(color: Rgb) -> str:
     return "#{:02x}{:02x}{:02x}".format(*color)
 
 
-def round_up(value: float) -> float:
+def round_up(value: float, steps: tuple[float, ...] = (1.0, 2.0, 5.0, 10.0)) -> float:
     """The next of 1, 2, 5, 10... times a power of ten: the end of a scale that a reader can divide."""
     if not (math.isfinite(value) and value > 0):
         return 1.0
     power = 10.0 ** math.floor(math.log10(value))
-    return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if value <= step * power * (1 + 1e-9))
+    return next(step * power for step in steps if value <= step * power * (1 + 1e-9))
+
+
+def round_down(value: float) -> float:
+    """The last of 1, 2, 5, 10... times a power of ten that is not above."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= value)
 
 
 def readable(unit: str, largest: float) -> tuple[float, str]:

@@ -1,7 +1,9 @@
-"""What was found, in words: the same words and digits in the terminal, the panel of a viewer and the pictures."""
+"""What was found, in words: the same words and digits in the terminal, a notebook, recordings, pictures and reports."""
 
 from __future__ import annotations
 
+from deformscope.pictures.report import Table
+from deformscope.stages.fit.estimate import Choice, Estimate, explained_text
 from deformscope.stages.map.exploration import MapEstimate, StageFailure, TouchEstimate
 
 
@@ -64,3 +66,69 @@ def failed_words(failed: StageFailure) -> str:
     """What failed, and why."""
     where = f"touch {failed.touch}: " if failed.touch else ""
     return f"{where}{failed.stage} failed: {failed.reason}"
+
+
+def estimate_tables(estimate: Estimate, title: str) -> list[Table]:
+    """The numbers, and the ways of fitting that were tried where some were."""
+    tables = [Table(estimate_rows(estimate), caption=title)]
+    if estimate.selection:
+        ways = list(map(_choice_row, estimate.selection))
+        tables.append(Table(ways, caption="Error on particles left out, of each way of fitting"))
+    return tables
+
+
+def _choice_row(one: Choice) -> tuple[str, str]:
+    pace = "static" if one.alpha is None else f"alpha {one.alpha:g}, dt {one.dt:g} s"
+    name = f"{one.cluster_size} a side, {','.join(one.held)}, {pace}"
+    value = f"{one.held_out:.3g} ± {one.scatter:.2g} (fitted {one.fit:.3g}, at {one.value:.3g})"
+    return name, value + (" <- used" if one.chosen else "")
+
+
+def estimate_rows(estimate: Estimate) -> list[tuple[str, str]]:
+    """An estimate as names and values."""
+    low, high = estimate.interval
+    rows = [
+        (estimate.parameter, f"{estimate.value:.4g}"),
+        (f"{estimate.level:.0%} interval", f"{low:.4g} to {high:.4g}"),
+        ("verdict", estimate.verdict_text()),
+        ("stiffness", estimate.stiffness_text()),
+        ("error, all particles", length_words(estimate, estimate.aee)),
+        ("error, free particles", length_words(estimate, estimate.aee_free)),
+        ("noise of a position", length_words(estimate, estimate.settings.get("noise"))),
+        ("converged", "yes" if estimate.converged else "NO: do not rely on the value"),
+    ]
+    if estimate.explained is not None:
+        rows.insert(-1, ("explained", explained_text(estimate.explained)))
+    if not estimate.settings.get("pose_held", True):
+        rows.insert(-1, ("pose", "the held particles leave the body free to turn: hold more for a value to rely on"))
+    if lost := estimate.settings.get("lost"):
+        every = int(str(estimate.settings["particles"]))
+        many = "; so many that the tracking may have failed: look at the picture" if int(str(lost)) * 3 > every else ""
+        rows.insert(-1, ("lost particles", f"{lost} of {every}: left out of the fit{many}"))
+    if moved := estimate.settings.get("held_moved"):
+        parts = ", ".join(moved) if isinstance(moved, list) else str(moved)
+        rows.insert(-1, ("held elsewhere", f"{parts}: lost there; the outermost row or column still seen is held"))
+    if estimate.settings.get("whole_motion"):
+        rows.insert(-1, ("frames fitted", _frames_text(estimate)))
+    if estimate.selection_text:
+        rows.insert(-1, ("chosen", estimate.selection_text))
+    return rows
+
+
+def _frames_text(estimate: Estimate) -> str:
+    found = estimate.settings
+    rho, worth = found["frames_correlation"], float(str(found["frames_worth"]))
+    if found["frames_fitted"] == 1 or not isinstance(rho, list):
+        return "1"
+    shared = f"errors shared: {float(rho[0]):.0%}, at most {float(rho[1]):.0%}"
+    return f"{found['frames_fitted']}, worth {worth:.2g} of the best one ({shared})"
+
+
+def length_words(estimate: Estimate, value: object) -> str:
+    """A length in pixels where it was measured in them, and in millimetres where the scale is known."""
+    if not isinstance(value, float):
+        return "not known"
+    parts = [f"{value:.3g} px"] if estimate.unit == "px" else []
+    if estimate.metres_per_unit is not None:
+        parts.append(f"{1e3 * value * estimate.metres_per_unit:.3g} mm")
+    return ", ".join(parts)

@@ -27,12 +27,13 @@ class ExportedImages:
 
 
 def export_images(
-    replay: Replay, folder: Path, camera: str | None, *, overwrite: bool, done: Callable[[float], None]
+    replay: Replay, folder: Path, camera: str | None, *, overwrite: bool, note: Callable[[str, int, int], None]
 ) -> list[ExportedImages]:
     """Write the images of one camera, or of all, as `INDEX.jpg` and `INDEX.png`.
 
     folder: for those of one kind; several kinds get folders in it: DEVICE and, for the colour images of a depth camera,
-    DEVICE-color; overwrite: replace what an earlier export wrote; done: called with the number of rows dealt with
+    DEVICE-color; overwrite: replace what an earlier export wrote
+    note: called with what is done, how much of it, and of how much
     """
     counts = {one: count for one, count in replay.image_counts.items() if camera in (None, one[0])}
     if not counts:
@@ -45,13 +46,15 @@ def export_images(
     }
     for path in folders.values():
         _empty(path, overwrite=overwrite)
-    for row in read_rows(replay, (ColorFrame, DepthFrame), lambda encoded, which: encoded, device=camera):
+    total = sum(count for (_, what), count in counts.items() if what != "color")
+    rows = read_rows(replay, (ColorFrame, DepthFrame), lambda encoded, which: encoded, device=camera)
+    for done, row in enumerate(rows, start=1):
         frame = row.item
         for what in ("image", "depth", "color"):
             if encoded := getattr(frame, what, None):
                 suffix = "png" if encoded.startswith(PNG_SIGNATURE) else "jpg"
                 _write(folders[frame.device, what] / f"{frame.index:06d}.{suffix}", encoded)
-        done(1)
+        note("images", done, total)
     return [ExportedImages(*one, folders[one], count) for one, count in counts.items()]
 
 

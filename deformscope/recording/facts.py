@@ -1,4 +1,5 @@
-"""What a recording holds and how it ended, read in a process of its own: damaged bytes can end rerun's reader.
+"""What a recording holds and how it ended, and `rerun rrd`, each in a process of its own: damaged bytes can end
+rerun's reader.
 
 python -m deformscope.recording.facts run.rrd    one line of JSON: the fields of `Facts`
 """
@@ -7,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -40,18 +42,39 @@ class Facts:
 
 def read_facts(path: Path) -> Facts:
     """Read them in a child process; whatever happens to it becomes `damage`."""
-    command = [sys.executable, "-m", __name__, str(path)]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
-    except subprocess.TimeoutExpired:
-        return Facts(damage=f"it was not read within {TIMEOUT_S:g} s")
-    if done.returncode < 0:
-        return Facts(damage=f"its bytes end rerun's reader ({signal.Signals(-done.returncode).name})")
+    done = _run([sys.executable, "-m", __name__, str(path)])
+    if isinstance(done, str):
+        return Facts(damage=done)
     try:
         return Facts(**json.loads(done.stdout.splitlines()[-1]))
     except (ValueError, IndexError, TypeError):
         words = done.stderr.split()
         return Facts(damage=f"its reader failed: {' '.join(words[-30:])}" if words else "its reader failed")
+
+
+def run_rrd(*arguments: str | Path) -> str:
+    """Run `rerun rrd ...` of the installed wheel; what it refuses, in a line; empty where it is done."""
+    from deformscope.recording.live import viewer_executable
+
+    done = _run([str(viewer_executable()), "rrd", *map(str, arguments)])
+    if isinstance(done, str):
+        return done
+    if done.returncode == 0:
+        return ""
+    said = [line for line in re.sub(r"\x1b\[\d*m", "", done.stderr + done.stdout).splitlines() if line.strip()]
+    reason = [line for line in said if "footer" in line] or said[-1:]
+    return " ".join(reason[0].split())[:300] if reason else "rerun refuses it without a word"
+
+
+def _run(command: list[str]) -> subprocess.CompletedProcess[str] | str:
+    """To its end, or what kept it from that."""
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+    except subprocess.TimeoutExpired:
+        return f"it was not read within {TIMEOUT_S:g} s"
+    if done.returncode < 0:
+        return f"its bytes end rerun's reader ({signal.Signals(-done.returncode).name})"
+    return done
 
 
 def gather_facts(path: Path) -> Facts:

@@ -12,10 +12,15 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.frames import HealthReport, Item, Stream
+from deformscope.errors import InputError
+from deformscope.frames import HealthReport, Item, StageResult, Stream
 from deformscope.images import decode_image
 from deformscope.recording.reader import Replay
 from deformscope.rows import ENTITIES, FRAMES, IMAGES, OF_DEVICES, from_components, from_json
+from deformscope.stages.fit.moment import MomentFit
+from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, TouchEstimate
+from deformscope.stages.see.arrows import FlowArrows
+from deformscope.stages.see.tactile import TactileContact
 
 if TYPE_CHECKING:
     from rerun.chunk import Chunk
@@ -55,6 +60,12 @@ class _Part:
 def read_items(path: Path, *, trust: bool = False, kinds: Sequence[type] = ITEMS) -> Iterator[Item]:
     """What the devices of a recording gave, of these kinds; `read_rows` says more."""
     return (row.item for row in read_rows(Replay(path, trust=trust), kinds))
+
+
+def read_results(path: Path, kinds: Sequence[type] = (), *, trust: bool = False) -> Iterator[Row]:
+    """The results of a recorded exploration, or those of some kinds, as they came: equal to the last bit."""
+    every = [kind for kind, entity in ENTITIES.items() if entity.startswith("exploration/")]
+    return read_rows(Replay(path, trust=trust), kinds or every)
 
 
 def read_rows(
@@ -186,3 +197,41 @@ def _unescaped(part: str) -> str:
         return _CONTROL.get(found[2], found[2])
 
     return _ESCAPED.sub(one, part)
+
+
+KINDS: tuple[type, ...] = (FlowArrows, MomentFit, SurfaceEstimate, TactileContact, TouchEstimate, StageFailure)
+
+
+def read_stage_results(path: Path, *, trust: bool = False) -> list[StageResult]:
+    """The results in the order of the frames that they belong to, equal to what was recorded.
+
+    trust: skip the comparison with the ledger
+    """
+    found: list[StageResult] = []
+    for chunk in Replay(path, trust=trust).chunks("/stage/**"):
+        if chunk.is_static:
+            continue
+        batch = chunk.to_record_batch()
+        columns = {name: batch.column(name) for name in batch.schema.names if ":" in name}
+        for row in range(batch.num_rows):
+            cells = {
+                name: column[row].values.to_numpy(zero_copy_only=False)
+                for name, column in columns.items()
+                if column[row].is_valid
+            }
+            if cells:
+                found.append(_result(cells, path))
+    return sorted(found, key=lambda one: (one.host_ns, one.stage))
+
+
+def _result(cells: dict[str, Any], path: Path) -> StageResult:
+    kind = next((kind for kind in KINDS if any(name.startswith(f"{kind.__name__}:") for name in cells)), None)
+    if kind is None:
+        raise InputError("results of known stages", cells["StageResult:stage"][0], where=path)
+    return from_components(StageResult, _of(StageResult, cells), {"result": from_components(kind, _of(kind, cells))})
+
+
+def _of(kind: type, cells: dict[str, Any]) -> dict[str, Any]:
+    """The components of one class, by field."""
+    prefix = f"{kind.__name__}:"
+    return {name.removeprefix(prefix): value for name, value in cells.items() if name.startswith(prefix)}

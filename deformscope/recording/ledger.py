@@ -89,12 +89,6 @@ def read_counts(recording: Path) -> dict[str, int]:
     return {str(name): int(count) for name, count in content.get("counts", {}).items()}
 
 
-def read_losses(recording: Path) -> dict[str, dict[str, float]]:
-    """What the ledger says was lost, by device and kind; raises FileNotFoundError where there is none."""
-    content = json.loads(ledger_path(recording).read_text(encoding="utf-8"))
-    return {str(device): dict(lost) for device, lost in content.get("losses", {}).items()}
-
-
 def _digest(path: Path) -> tuple[int, str, list[str]]:
     """Size in bytes, SHA-256 of the whole, SHA-256 of each block."""
     whole = hashlib.sha256()

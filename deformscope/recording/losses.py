@@ -22,7 +22,7 @@ WORDS = {
 def lost_by(health: Health) -> dict[str, float]:
     """What a device lost, without what it did not lose; empty = nothing.
 
-    readings: that should have come, of these readings_by_time where only the time tells; silent_s: the time without
+    readings: that should have come, of these readings_by_time where only the time shows it; silent_s: the time without
     readings [s]; dropped, raw_dropped: readings and pieces of bytes that came and were not taken in time
     """
     found: dict[str, float] = {

@@ -99,8 +99,8 @@ def arrays_size(result: object) -> int:
     """Bytes of the arrays in a dataclass."""
     if not dataclasses.is_dataclass(result):
         return 0
-    values = (getattr(result, name) for name in _field_names(type(result)))  # type: ignore[arg-type]
-    return sum(value.nbytes for value in values if isinstance(value, np.ndarray))
+    names = _field_names(type(result))  # type: ignore[arg-type]
+    return sum(value.nbytes for name in names if isinstance(value := getattr(result, name), np.ndarray))
 
 
 @functools.cache

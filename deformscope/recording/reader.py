@@ -200,9 +200,7 @@ class Replay:
         try:
             problems = check_ledger(self.path)
         except FileNotFoundError:
-            _logger.warning(
-                "%s has no ledger: it cannot be told whether its bytes are as they were recorded", self.path
-            )
+            _logger.warning("%s has no ledger: whether its bytes are as they were recorded is not known", self.path)
             return
         if problems:
             more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
@@ -237,16 +235,6 @@ class Replay:
 
 def _ours(application: str) -> bool:
     return application.split("-")[0] == APPLICATION_PREFIX
-
-
-def read_results(path: Path) -> list[dict[str, Any]]:
-    """The estimates in a recording, as JSON objects."""
-    return Replay(path).read_results()
-
-
-def read_pair_bytes(path: Path) -> list[bytes]:
-    """The pair files in a recording, as they were."""
-    return Replay(path).read_pair_bytes()
 
 
 def _natural(name: str) -> list[tuple[int, str]]:

@@ -18,14 +18,12 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from deformscope.arrays import FloatArray, ImageArray
+from deformscope.arrays import FloatArray
 from deformscope.frames import ColorFrame, DepthFrame, Frame, HealthReport, InputFile, Item, StageResult, Stream
-from deformscope.images import encode_png
 from deformscope.recording import provenance
 from deformscope.recording.live import PERIODS_S, LiveFeed, Viewer, ViewerKind, live_stream, start_viewer
 from deformscope.recording.losses import losses_of
@@ -33,7 +31,7 @@ from deformscope.recording.portions import Portions, RisingTimes, arrays_size, c
 from deformscope.recording.rrd_file import RecordingError, RecordingFile, leave_streams_alone
 from deformscope.recording.target import RecordingTarget
 from deformscope.recording.writer import Writer
-from deformscope.session import Step
+from deformscope.session import Moment, Step
 from deformscope.stages.map.exploration import PlannedTouch, StageFailure
 
 if TYPE_CHECKING:
@@ -90,13 +88,13 @@ class Recorder:
     file: an `.rrd` to make; None = none. viewer: a window, a page for a browser, or none. Without file and viewer
     it does nothing, and rerun is not even imported.
     settings: everything that decides the results, JSON-able; layout: which views a viewer opens with
-    variant: tells apart recordings of one layout whose views differ: a viewer keeps one set of views an application
+    variant: distinguishes recordings of one layout whose views differ: a viewer keeps one set of views an application
     deterministic: two runs of one input give recordings that `rerun rrd compare --unordered` finds equal; leaves
     out what differs between runs (start time, command line, versions, git state) and writes in larger portions
     real_time: what is recorded goes on by itself, as devices do: a disk that stays too slow for it ends the recording
     with a RecordingError. Otherwise whoever writes waits, once the disk is far behind
 
-    Nothing is encoded, and no disk waited for, in the thread that calls `write...`: that is done in order in a thread
+    Nothing is encoded, and no disk waited for, in the thread that calls `write`: that is done in order in a thread
     of the recorder's own, so what is handed over must not be changed any more. What fails there is raised by the next
     call, or in the end.
     """
@@ -175,9 +173,7 @@ class Recorder:
                 raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *raised: object) -> None:
         if self.active and self._finished is None:
             try:
                 self._close(complete=kind is None)
@@ -247,81 +243,26 @@ class Recorder:
             self._fingertips = fingertips = fingertips_of(streams, tactile, pads)
             self._put(lambda: self._emit(lambda rec: log_squeeze_start(rec, fingertips), 0), 0)
 
-    def write(
-        self,
-        items: object,
-        now_ns: int = 0,
-        *,
-        touch: int = 0,
-        cell_m: float = 0.0,
-        seen_ns: int | None = None,
-    ) -> None:
+    def write(self, items: object) -> None:
         """Record one thing, or a sequence of things, without loss; an empty one asks whether it can go on.
 
         What devices, files and cameras give (`deformscope.frames.Item`) stands at its own stamp, an `InputFile` at the
-        frame before it, the results of a `Step` at the frame that they belong to, which a `StageResult` names. All else
-        is results of an exploration
-        now_ns: the robot's clock; touch: 0 before the first touch, then its number from 1; cell_m: of the maps
-        seen_ns: when the camera saw what they are of: they stand at that picture on `frame`; None = now
+        frame before it. The results of a `Step` stand at its moment, or at the frame that they belong to, which a
+        `StageResult` names.
         """
         given = tuple(items) if isinstance(items, Sequence) else (items,)
         if not given and self._writer is not None:
             self._writer.check()
         if taken := [one for one in given if isinstance(one, Item)]:
             self._take_items(taken)
-        results = []
         for one in given:
             match one:
-                case Step():
+                case Step(moment=None):
                     self._take_step(one)
+                case Step(moment=Moment() as moment):
+                    self._take_results(one.results, moment)
                 case InputFile():
                     self._take_input(one)
-                case _ if not isinstance(one, Item):
-                    results.append(one)
-        if results:
-            self.write_results(results, now_ns, touch, cell_m, seen_ns)
-
-    def write_results(
-        self, results: Sequence[object], now_ns: int, touch: int, cell_m: float, seen_ns: int | None = None
-    ) -> None:
-        """Record results of an exploration, or of a squeeze; `write` says more."""
-        # what the devices give from the plan of a touch on belongs to that touch
-        self._touch = touch + any(
-            isinstance(result, PlannedTouch) and result.target_m is not None for result in results
-        )
-        self._steps += 1
-        if not self.active:
-            return
-        given, session_ns = tuple(results), now_ns - self._first_ns
-        size = sum(map(arrays_size, given))
-
-        def write() -> None:
-            if self._layout == "squeeze":
-                from deformscope.log.squeeze import prepare_squeeze_results
-
-                batch = prepare_squeeze_results(given, session_ns, self._fingertips)
-            else:
-                from deformscope.log.exploration import prepare_results
-
-                place = self._place(touch, seen_ns)
-                batch = prepare_results(given, session_ns, place, cell_m=cell_m, failed=self._not_shown)
-            if self._file is not None:
-                self._file.send(batch)
-            self._show(lambda live: live.send(batch), size, lasting=True)
-
-        self._put(write, size)
-
-    def write_items(self, items: Sequence[Item]) -> None:
-        """`write` of a batch of what devices gave."""
-        self.write(items)
-
-    def write_frame(self, frame: ColorFrame) -> None:
-        """`write` of one input frame."""
-        self.write(frame)
-
-    def write_input(self, name: str, content: bytes | ImageArray) -> None:
-        """`write` of an `InputFile`."""
-        self.write(InputFile(name, content if isinstance(content, bytes) else encode_png(content)))
 
     def stopped_because(self, reason: str) -> None:
         """What is recorded ended before its time, and the recording with it: whole, and saying why."""
@@ -374,6 +315,33 @@ class Recorder:
             times = self._times(self._last_frame if step.frame is None else step.frame)
             size = sum(map(arrays_size, step.results))
             self._put(lambda: self._write_step(step, times, size), size)
+
+    def _take_results(self, results: tuple[object, ...], moment: Moment) -> None:
+        """Of an exploration, or of a squeeze."""
+        # what the devices give from the plan of a touch on belongs to that touch
+        self._touch = moment.touch + any(
+            isinstance(result, PlannedTouch) and result.target_m is not None for result in results
+        )
+        self._steps += 1
+        if not self.active:
+            return
+        size, session_ns = sum(map(arrays_size, results)), moment.now_ns - self._first_ns
+
+        def write() -> None:
+            if self._layout == "squeeze":
+                from deformscope.log.squeeze import prepare_squeeze_results
+
+                batch = prepare_squeeze_results(results, session_ns, self._fingertips)
+            else:
+                from deformscope.log.exploration import prepare_results
+
+                place = self._place(moment.touch, moment.seen_ns)
+                batch = prepare_results(results, session_ns, place, cell_m=moment.cell_m, failed=self._not_shown)
+            if self._file is not None:
+                self._file.send(batch)
+            self._show(lambda live: live.send(batch), size, lasting=True)
+
+        self._put(write, size)
 
     def _take_input(self, given: InputFile) -> None:
         self._inputs += 1
@@ -480,22 +448,19 @@ class Recorder:
         """Send the views, once, as soon as it is known what they show."""
         from deformscope.log.blueprint import blueprint
 
-        if self._layout in ("rig", "exploration", "squeeze", "findings"):
+        layout = self._layout
+        if layout == "rig" or layout == "exploration" or layout == "squeeze" or layout == "findings":
             return  # these views come with what they show
         if not self._arranged and self._canvas is not None:
             self._arranged = True
-            views = blueprint(self._layout, self._canvas)
+            views = blueprint(layout, self._canvas)
             self._emit(lambda rec: rec.send_blueprint(views), 0)
 
     def _emit(self, job: Callable[[rr.RecordingStream], None], size: int) -> None:
         """To the file, and to the live view when it comes to it."""
-        self._keep(job)
-        self._show(lambda live: job(live.rec), size, lasting=True)
-
-    def _keep(self, job: Callable[[rr.RecordingStream], None]) -> None:
-        """To the file alone."""
         if self._file is not None:
             self._file.log(job)
+        self._show(lambda live: job(live.rec), size, lasting=True)
 
     def _show(self, job: Callable[[LiveStream], None], size: int, *, lasting: bool = False) -> None:
         """To the live view alone. lasting: dropped last where the viewer cannot follow"""
@@ -617,7 +582,7 @@ class Recorder:
     @property
     def _holds_something(self) -> bool:
         """Whether an unfinished recording is worth keeping."""
-        # an exploration whose checks have not passed has nothing to tell but that its devices were there
+        # an exploration whose checks have not passed holds nothing but that its devices were there
         return bool(self._steps or self._inputs or (self._frames and self._layout != "exploration"))
 
 

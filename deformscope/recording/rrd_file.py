@@ -59,7 +59,7 @@ def check_room(path: Path, hint: str) -> None:
 class RecordingFile:
     """Written by one thread at a time.
 
-    part: an empty file to record into; told: properties of the whole; name: of the recording in a viewer
+    part: an empty file to record into; properties: of the whole; name: of the recording in a viewer
     hint: what to try where the disk fails
     deterministic: what is written, and in which portions, depends on nothing but what is recorded
     Raises RecordingError once the disk does not take any more; `broken` then, and nothing but `close` is left.
@@ -70,7 +70,7 @@ class RecordingFile:
         application: str,
         recording_id: str,
         part: Path,
-        told: Mapping[str, object],
+        properties: Mapping[str, object],
         *,
         name: str = "",
         hint: Callable[[], str] = lambda: "another disk",
@@ -90,7 +90,7 @@ class RecordingFile:
         self._merged: Merged = Merged()
         self._beat_at = 0.0
         self._looks = self._beats = 0
-        self.write_properties("session", told)
+        self.write_properties("session", properties)
         if name:
             self._log(lambda rec: rec.send_recording_name(name))
         try:

@@ -34,8 +34,8 @@ def to_frame(kind: Kind, reading: Any, index: int, name: str, device: Any) -> Fr
 
 def describe(name: str, driver: Driver, device: Device[Any], *, simulated: bool) -> Stream:
     """What is known of an open device before its first frame."""
-    told = device.identity()
-    stream = Stream(name, driver.kind, driver.name, simulated, told.serial, told.firmware)
+    who = device.identity()
+    stream = Stream(name, driver.kind, driver.name, simulated, who.serial, who.firmware)
     known = _KNOWN.get(driver.kind)
     return stream if known is None else dataclasses.replace(stream, **known(device))
 
@@ -64,34 +64,18 @@ def _wrench(reading: Any, index: int, name: str, device: Any) -> Frame:
 
 
 def _arm(reading: Any, index: int, name: str, device: Any) -> Frame:
-    return ArmFrame(
-        reading.stamp,
-        index,
-        np.array(reading.joints_deg),
-        np.array(reading.rates_deg_s),
-        np.array(reading.torques_nm),
-        np.array(reading.position_m),
-        np.array(reading.theta_rad),
-        np.array(reading.wrench[:3]),
-        np.array(reading.wrench[3:]),
-        np.array(reading.fingers) / FINGER_CLOSED,
-        reading.fifo_count,
-        name,
-    )
+    joints = reading.joints_deg, reading.rates_deg_s, reading.torques_nm
+    pose = reading.position_m, reading.theta_rad, reading.wrench[:3], reading.wrench[3:]
+    measured = [np.array(one) for one in (*joints, *pose, reading.fingers)]
+    measured[-1] = measured[-1] / FINGER_CLOSED
+    return ArmFrame(reading.stamp, index, *measured, queued=reading.fifo_count, device=name)
 
 
 def _hand(reading: Any, index: int, name: str, device: Any) -> Frame:
     temperature_c = np.full(9, np.nan) if reading.temperature_c is None else np.array(reading.temperature_c)
     states = tuple(state.name.lower() for state in reading.state)
-    return HandFrame(
-        reading.stamp,
-        index,
-        np.array(reading.position_deg),
-        np.array(reading.velocity_deg_s),
-        temperature_c,
-        states,
-        name,
-    )
+    position_deg, velocity_deg_s = np.array(reading.position_deg), np.array(reading.velocity_deg_s)
+    return HandFrame(reading.stamp, index, position_deg, velocity_deg_s, temperature_c, states, name)
 
 
 def _of_tactile(device: Any) -> dict[str, Any]:
@@ -99,19 +83,15 @@ def _of_tactile(device: Any) -> dict[str, Any]:
     from deformscope_drivers.dsa.texels import TEXEL_MAX
 
     pads = tuple(
-        Pad(
-            pad.name,
-            matrix.cells_y,
-            matrix.cells_x,
-            (matrix.texel_width_mm / 1e3, matrix.texel_height_mm / 1e3),
-            index,
-            pad.finger,
-            int(pad.part),
-        )
+        Pad(pad.name, matrix.cells_y, matrix.cells_x, _texel_m(matrix), index, pad.finger, int(pad.part))
         for index, (pad, matrix) in enumerate(zip(device.pads, device.matrices, strict=True))
     )
     full = to_pressure([np.array([[TEXEL_MAX]], np.uint16)] * len(pads), device.config.calibration)
     return {"pads": pads, "full_scale_pa": float(max(map(np.max, full)))}
+
+
+def _texel_m(matrix: Any) -> tuple[float, float]:
+    return matrix.texel_width_mm / 1e3, matrix.texel_height_mm / 1e3
 
 
 def _of_wrench(device: Any) -> dict[str, Any]:
@@ -127,7 +107,7 @@ def _of_arm(device: Any) -> dict[str, Any]:
 
 
 _KNOWN: dict[Kind, Callable[[Any], dict[str, Any]]] = {"tactile": _of_tactile, "wrench": _of_wrench, "arm": _of_arm}
-"""What more a kind of device tells before its first frame."""
+"""What more a kind of device says before its first frame."""
 
 _FRAMES: dict[Kind, Callable[[Any, int, str, Any], Frame]] = {
     "color": _color,

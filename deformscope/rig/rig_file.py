@@ -305,7 +305,7 @@ def _rig(content: dict[str, Any], text: str, where: str, trusted: bool) -> Rig:
         for name, kind in SECTIONS.items()
         if content.get(name) is not None
     }
-    rig = Rig(Path(where).stem, text, tuple(_device(name, told, trusted) for name, told in devices.items()), **read)
+    rig = Rig(Path(where).stem, text, tuple(_device(name, given, trusted) for name, given in devices.items()), **read)
     if rig.camera.device and rig.camera.device not in devices:
         raise InputError(f"[camera] device out of {', '.join(devices)}", repr(rig.camera.device))
     if unknown := [name for name in rig.record.lossless if name not in devices]:
@@ -313,16 +313,16 @@ def _rig(content: dict[str, Any], text: str, where: str, trusted: bool) -> Rig:
     return rig
 
 
-def _device(name: str, told: object, trusted: bool) -> RigDevice:
+def _device(name: str, given: object, trusted: bool) -> RigDevice:
     section = f"[devices.{name}]"
     if len(name) > NAME_CHARACTERS or not name.replace("-", "").replace("_", "").isalnum():
         raise InputError(f"a device's name of {NAME_HINT}", repr(name))
-    if not isinstance(told, dict):
-        raise InputError(f"a section {section}", type(told).__name__)
-    rest = dict(told)
+    if not isinstance(given, dict):
+        raise InputError(f"a section {section}", type(given).__name__)
+    rest = dict(given)
     driver = DRIVERS.get(str(rest.pop("driver", "")))
     if driver is None:
-        raise InputError(f"{section} driver out of {', '.join(DRIVERS)}", repr(told.get("driver", "nothing")))
+        raise InputError(f"{section} driver out of {', '.join(DRIVERS)}", repr(given.get("driver", "nothing")))
     double = rest.pop("double", False)
     if not isinstance(double, bool):
         raise InputError(f"{section} double = true or false", repr(double))
@@ -331,15 +331,15 @@ def _device(name: str, told: object, trusted: bool) -> RigDevice:
     return RigDevice(name, driver, _read(driver.config_class(), rest, section), double, trusted)
 
 
-def _read(kind: Any, told: object, section: str) -> Any:
+def _read(kind: Any, given: object, section: str) -> Any:
     """A section as its dataclass, strictly: known keys, right types, values that its checks accept."""
     import msgspec
 
-    if not isinstance(told, dict):
-        raise InputError(f"a section {section}", type(told).__name__)
-    _check_keys(told, [entry.name for entry in dataclasses.fields(kind) if entry.init], section)
+    if not isinstance(given, dict):
+        raise InputError(f"a section {section}", type(given).__name__)
+    _check_keys(given, [entry.name for entry in dataclasses.fields(kind) if entry.init], section)
     try:
-        return msgspec.convert(told, kind)
+        return msgspec.convert(given, kind)
     except msgspec.ValidationError as error:
         raise InputError(f"{section} as its keys want it", _words(error)) from error
     except InputError as error:
@@ -351,10 +351,10 @@ def _read(kind: Any, told: object, section: str) -> Any:
         raise InputError(f"{section} that its driver accepts", _line(error)) from error
 
 
-def _check_keys(told: Mapping[str, Any], known: Any, section: str) -> None:
+def _check_keys(given: Mapping[str, Any], known: Any, section: str) -> None:
     import difflib
 
-    if unknown := [key for key in told if key not in known]:
+    if unknown := [key for key in given if key not in known]:
         near = difflib.get_close_matches(unknown[0], known, n=1)
         hint = f"{near[0]}" if near else ", ".join(known)
         raise InputError(f"known keys in {section}", ", ".join(map(repr, unknown)), hint)

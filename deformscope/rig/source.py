@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any
 
 from deformscope.errors import InputError
@@ -101,9 +100,7 @@ class RigSource:
             raise InputError.about(error, f"device {name}") from error
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *raised: object) -> None:
         self.close()
 
     def device(self, name: str) -> Device[Any]:
@@ -148,7 +145,7 @@ class RigSource:
         for opened in self._opened:
             try:
                 opened.member.device.close()
-            except Exception as error:  # an arm that was not told to stop must not pass in silence
+            except Exception as error:  # an arm that was not stopped must not pass in silence
                 opened.failure = " ".join(str(error).split()) or type(error).__name__
 
     def rest(self) -> list[Item]:

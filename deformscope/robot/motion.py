@@ -20,6 +20,7 @@ from deformscope_drivers.jaco.kinematics import (
     jacobian_of,
     least_singular,
     rotation_vector,
+    squared,
 )
 
 SLOW_DEG = 10.0
@@ -104,9 +105,10 @@ def within_limits(
     return JointMotion(rates * share, share)
 
 
-def off_course(jacobian: FloatArray, rates_rad_s: FloatArray, twist: FloatArray) -> float:
-    """Which share of a twist (6,) is not made by joint rates (n,), 0 to 1: what the damping has taken."""
-    return _size(jacobian @ rates_rad_s - twist) / max(_size(twist), 1e-12)
+def off_course(jacobian: FloatArray, rates_rad_s: FloatArray, twist: FloatArray) -> FloatArray:
+    """Which share of a twist (..., 6) is not made by joint rates (..., n), 0 to 1: what the damping has taken."""
+    made = (jacobian @ rates_rad_s[..., None])[..., 0]
+    return np.asarray(_size(made - twist) / np.maximum(_size(twist), 1e-12))
 
 
 class CommandedRotation:
@@ -144,9 +146,9 @@ def _blocked(chain: Chain, fault: Fault, reason: str) -> JointMotion:
     return JointMotion(np.zeros(chain.joint_count), 0.0, fault, reason)
 
 
-def _size(twist: FloatArray) -> float:
-    """Of a twist (6,), its rotation taken LEVER_M from the arm's end [m/s]."""
-    return float(np.hypot(np.linalg.norm(twist[:3]), LEVER_M * np.linalg.norm(twist[3:])))
+def _size(twist: FloatArray) -> FloatArray:
+    """Of a twist (..., 6), its rotation taken LEVER_M from the arm's end [m/s]."""
+    return np.asarray(np.hypot(np.sqrt(squared(twist[..., :3])), LEVER_M * np.sqrt(squared(twist[..., 3:]))))
 
 
 def _away_from_limits(chain: Chain, joints_deg: FloatArray) -> FloatArray | None:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,10 +22,12 @@ from deformscope.robot.motion import DAMPED_BELOW, OFF_COURSE, off_course
 from deformscope_drivers.jaco.kinematics import (
     Chain,
     FloatArray,
+    cross,
     damped_joint_rates,
     jacobian_of,
     least_singular,
     pose_error,
+    squared,
 )
 
 TURNED_RAD = 0.7
@@ -33,6 +36,12 @@ configurations if that is better."""
 PLAN_MARGIN_DEG = 8.0
 """Planned poses have every joint so far inside its range: there it may still turn at a third of its greatest rate
 towards the limit (`motion.SLOW_DEG`)."""
+TOLERANCES: dict[str, Any] = {
+    "position_tolerance_m": 1e-4,
+    "rotation_tolerance_rad": 1e-3,
+    "margin_deg": PLAN_MARGIN_DEG,
+}
+"""Of planned poses. Chosen: a tenth of what a touch needs."""
 WAY_M = 0.01
 """Distance between the places of a route that are checked [m]. Chosen."""
 
@@ -92,20 +101,23 @@ class Placement:
         return np.asarray(-self.T_surface_center(T_base_ee)[:3, :3] @ force_n)
 
     def T_base_ee(self, center_m: npt.ArrayLike, normal: npt.ArrayLike) -> FloatArray:
-        """(4, 4) the arm's end in the base frame when the tip's centre (3,) [m] is here and the stick along -normal.
+        """(..., 4, 4) the arm's end in the base frame when the tip's centre (..., 3) [m] is here and the stick along
+        -normal (..., 3).
 
         center_m, normal: in the surface frame. The turn about the normal is the one nearest to the surface's x axis, so
         that it is the same for all touches on a flat surface.
         """
         out = np.asarray(normal, dtype=float)
-        out = out / np.linalg.norm(out)
-        across = np.array([1.0, 0.0, 0.0]) - out[0] * out
-        if np.linalg.norm(across) < 1e-6:
+        out = out / np.sqrt(squared(out))[..., None]
+        across = np.array([1.0, 0.0, 0.0]) - out[..., :1] * out
+        size = np.sqrt(squared(across))
+        if (size < 1e-6).any():
             raise InputError("a normal that is not along x", f"{out.tolist()}", "a surface less steep")
-        across /= np.linalg.norm(across)
-        T = np.eye(4)
-        T[:3, :3] = np.stack([across, np.cross(-out, across), -out], axis=1)
-        T[:3, 3] = center_m
+        across /= size[..., None]
+        center = np.asarray(center_m, dtype=float)
+        T = np.zeros((*np.broadcast_shapes(center.shape, out.shape)[:-1], 4, 4))
+        T[..., :3, 0], T[..., :3, 1], T[..., :3, 2] = across, cross(-out, across), -out
+        T[..., :3, 3], T[..., 3, 3] = center, 1.0
         return np.asarray(self.T_base_surface @ T @ self._T_center_ee)
 
     def to_base(self, vector: npt.ArrayLike) -> FloatArray:
@@ -143,11 +155,12 @@ def reach(
     start_deg: (m,) joint angles that the search begins with for each place: where the arm comes from (default: home)
     """
     directions = np.broadcast_to(np.asarray(normals, dtype=float), (len(centers_m), 3))
-    joints = chain.home_deg if start_deg is None else np.asarray(start_deg, dtype=float)
     least: list[float | None] = []
-    for center_m, normal in zip(centers_m, directions, strict=True):
-        found = _joints_there(chain, placement.T_base_ee(center_m, normal), joints, starts)
-        least.append(None if found is None else least_singular(chain.jacobian(found)))
+    for T_base_ee in placement.T_base_ee(centers_m, directions):
+        found = None
+        if float(np.linalg.norm(T_base_ee[:3, 3])) <= _longest_m(chain):  # else many searches for nothing
+            found = chain.inverse(T_base_ee, start_deg, starts=starts, **TOLERANCES)
+        least.append(float(least_singular(chain.jacobian(found.joints_deg))) if found and found.converged else None)
     return _reach(least)
 
 
@@ -158,42 +171,60 @@ def follow(
     normals: npt.ArrayLike = (0.0, 0.0, 1.0),
     *,
     start_deg: npt.ArrayLike,
+    meanwhile: Callable[[], None] = lambda: None,
 ) -> npt.NDArray[np.bool_]:
-    """Whether tip centres (n, 3) [m, surface frame] can be led to on straight ways one after the other, (n,) bool.
+    """Whether tip centres (..., n, 3) [m, surface frame] can be led to on straight ways one after the other, (..., n)
+    bool: many routes at once cost little more than one.
 
     start_deg: (m,) joint angles from which the first place is sought, each other one from the one before: in the
     configuration that the arm is in. The ways are looked at every WAY_M: joints keep PLAN_MARGIN_DEG, and where
     a singularity is near, its damping keeps the arm on its way (`motion.OFF_COURSE`).
+    meanwhile: called every few milliseconds
     """
-    directions = np.broadcast_to(np.asarray(normals, dtype=float), (len(centers_m), 3))
-    places = np.hstack([centers_m, directions])
-    joints_deg = np.asarray(start_deg, dtype=float)
-    led: list[bool] = []
-    before: FloatArray | None = None
-    for place in places:
-        if before is None:
-            there_deg = _joints_there(chain, placement.T_base_ee(place[:3], place[3:]), joints_deg, 1)
-        else:
-            there_deg = _led(chain, placement, _way(before, place), joints_deg)
-        led.append(there_deg is not None)
-        if there_deg is not None:  # else the next one is sought from the last that was reached
-            joints_deg, before = there_deg, place
-    return np.array(led, dtype=bool)
+    directions = np.broadcast_to(np.asarray(normals, dtype=float), np.shape(centers_m))
+    places = np.concatenate([centers_m, directions], axis=-1)
+    routes = places.reshape(-1, *places.shape[-2:])
+    joints_deg = np.tile(np.asarray(start_deg, dtype=float), (len(routes), 1))
+    led = np.zeros(routes.shape[:2], dtype=bool)
+    before: FloatArray = np.full((len(routes), 6), np.nan)
+    for index in range(routes.shape[1]):
+        place = routes[:, index]
+        known = np.isfinite(before[:, 0])
+        ways = [_way(*both) if there else both[1][None] for there, *both in zip(known, before, place, strict=True)]
+        led[:, index], there_deg = _led(chain, placement, ways, joints_deg, known, meanwhile)
+        # what was not reached: the next one is sought from the last that was
+        joints_deg = np.where(led[:, index, None], there_deg, joints_deg)
+        before = np.where(led[:, index, None], place, before)
+    return led.reshape(places.shape[:-1])
 
 
-def _led(chain: Chain, placement: Placement, way: FloatArray, joints_deg: FloatArray) -> FloatArray | None:
-    """Joint angles (m,) at the end of a way of places with their normals (n, 6); None where it cannot be followed."""
-    for place in way:
-        T_base_ee = placement.T_base_ee(place[:3], place[3:])
-        links = chain.forward(joints_deg)
-        jacobian, twist = jacobian_of(links), pose_error(links[-1], T_base_ee)
-        if off_course(jacobian, damped_joint_rates(jacobian, twist, DAMPED_BELOW), twist) > OFF_COURSE:
-            return None
-        there_deg = _joints_there(chain, T_base_ee, joints_deg, 1)
-        if there_deg is None:
-            return None
-        joints_deg = there_deg
-    return joints_deg
+def _led(
+    chain: Chain,
+    placement: Placement,
+    ways: Sequence[FloatArray],
+    joints_deg: FloatArray,
+    steered: npt.NDArray[np.bool_],
+    meanwhile: Callable[[], None],
+) -> tuple[npt.NDArray[np.bool_], FloatArray]:
+    """Which of k ways of places with their normals (n, 6) can be followed (k,), and joint angles (k, m) at the end.
+
+    joints_deg: (k, m) where they begin; steered: (k,) the arm comes to each place from the one before
+    """
+    good, joints_deg = np.ones(len(ways), dtype=bool), joints_deg.copy()
+    for step in range(max(map(len, ways))):
+        meanwhile()
+        on = [index for index, way in enumerate(ways) if good[index] and step < len(way)]
+        if not on:
+            break
+        places = np.array([ways[one][step] for one in on])
+        T_base_ee = placement.T_base_ee(places[:, :3], places[:, 3:])
+        links = chain.forward(joints_deg[on])
+        jacobian, twist = jacobian_of(links), pose_error(links[:, -1], T_base_ee)
+        off = off_course(jacobian, damped_joint_rates(jacobian, twist, DAMPED_BELOW), twist) > OFF_COURSE
+        near = np.linalg.norm(T_base_ee[:, :3, 3], axis=1) <= _longest_m(chain)
+        joints_deg[on], found = chain.inverse_near(T_base_ee, joints_deg[on], **TOLERANCES)
+        good[on] = found & near & ~(off & steered[on])
+    return good, joints_deg
 
 
 def _way(start: FloatArray, end: FloatArray) -> FloatArray:
@@ -201,21 +232,6 @@ def _way(start: FloatArray, end: FloatArray) -> FloatArray:
     steps = max(1, math.ceil(float(np.linalg.norm(end[:3] - start[:3])) / WAY_M))
     shares = np.arange(1, steps + 1)[:, None] / steps
     return np.asarray(start + shares * (end - start))
-
-
-def _joints_there(chain: Chain, T_base_ee: FloatArray, start_deg: FloatArray, starts: int) -> FloatArray | None:
-    """Joint angles (n,) away from their limits, None where none were found."""
-    if float(np.linalg.norm(T_base_ee[:3, 3])) > _longest_m(chain):
-        return None  # many searches for nothing
-    found = chain.inverse(
-        T_base_ee,
-        start_deg,
-        position_tolerance_m=1e-4,
-        rotation_tolerance_rad=1e-3,
-        starts=starts,
-        margin_deg=PLAN_MARGIN_DEG,
-    )
-    return found.joints_deg if found.converged else None
 
 
 @cache
@@ -237,17 +253,21 @@ def best_joints(chain: Chain, T_base_ees: Sequence[FloatArray], tries: int = 16)
     A six-joint arm has up to eight for one pose; of those found, the ones are given whose way stays furthest from
     singularities, every joint PLAN_MARGIN_DEG inside its range. None = none leads through all.
     """
-    best: tuple[float, FloatArray] | None = None
-    for seed in range(tries):
-        start_deg = np.random.default_rng([seed, 0x1C]).uniform(0.0, 360.0, chain.joint_count) if seed else None
-        found = first = chain.inverse(T_base_ees[0], start_deg, starts=1, margin_deg=PLAN_MARGIN_DEG)
-        least = math.inf if first.converged else 0.0
-        for T_base_ee in T_base_ees:
-            found = chain.inverse(T_base_ee, found.joints_deg, starts=1, margin_deg=PLAN_MARGIN_DEG)
-            least = min(least, least_singular(chain.jacobian(found.joints_deg)) if found.converged else 0.0)
-        if least > 0 and (best is None or least > best[0] + 1e-6):
-            best = least, first.joints_deg
-    return None if best is None else best[1]
+    random = [np.random.default_rng([seed, 0x1C]).uniform(0.0, 360.0, chain.joint_count) for seed in range(1, tries)]
+
+    def near(T_base_ee: FloatArray, start_deg: FloatArray) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+        targets = np.broadcast_to(T_base_ee, (tries, 4, 4))
+        return chain.inverse_near(targets, start_deg, margin_deg=PLAN_MARGIN_DEG)
+
+    first, reached = near(T_base_ees[0], np.array([chain.home_deg, *random]))
+    found, least = first, np.where(reached, math.inf, 0.0)
+    for T_base_ee in T_base_ees:
+        found, reached = near(T_base_ee, found)
+        least = np.minimum(least, np.where(reached, least_singular(chain.jacobian(found)), 0.0))
+    best = -1
+    for index in np.flatnonzero(least > 0):
+        best = int(index) if best < 0 or least[index] > least[best] + 1e-6 else best
+    return None if best < 0 else first[best]
 
 
 def towards(start_deg: Sequence[float], goal_deg: npt.ArrayLike, endless: npt.NDArray[np.bool_]) -> FloatArray:

@@ -29,7 +29,7 @@ from deformscope_drivers.health import Link
 from deformscope_drivers.images import fingerprint
 from deformscope_drivers.jaco import Jaco, JacoState, JointVelocity
 from deformscope_drivers.jaco.commands import joint_limits_deg_s
-from deformscope_drivers.jaco.kinematics import FloatArray
+from deformscope_drivers.jaco.kinematics import FloatArray, cross
 from deformscope_drivers.optoforce import Optoforce
 from deformscope_drivers.optoforce.measurement import ForceMeasurement
 
@@ -191,6 +191,12 @@ class Robot:
                 self.arm.stop()
         return self.seen
 
+    def keep_up(self) -> None:
+        """Stand still for a control period if one is due: to be called now and then by what takes longer than that on a
+        host's clock. On a simulated one no time passes meanwhile, and none is due."""
+        if self._clock() >= self._next_ns + PERIOD_NS // 2:
+            self.cycle()
+
     def ask_to_stop(self, reason: str) -> None:
         """A person wants the robot to stop: within this control period, or in the next one."""
         self.supervisor.ask_to_stop(reason, self._clock())
@@ -309,7 +315,7 @@ class Robot:
         else:
             angular = self.rotation.back_rad_s(pose[:3, :3])
         # The joints are given the velocity of the arm's end; the tip turns about its own centre.
-        linear = linear - np.cross(angular, pose[:3, :3] @ self.placement.T_ee_center[:3, 3])
+        linear = linear - cross(angular, pose[:3, :3] @ self.placement.T_ee_center[:3, 3])
         share = min(1.0, _share(linear, config.linear_limit_m_s), _share(angular, config.angular_limit_rad_s))
         motion = rates_for_twist(
             self.arm.chain,
@@ -327,7 +333,7 @@ class Robot:
         chain, limits, joints_deg = self.arm.chain, self.supervisor.limits, self.pose.joints_deg
         twist = chain.jacobian(joints_deg) @ np.radians(command.rates_deg_s)
         lever_m = self.pose.T_base_ee[:3, :3] @ self.placement.T_ee_center[:3, 3]
-        center_m_s, angular = twist[:3] + np.cross(twist[3:], lever_m), twist[3:]
+        center_m_s, angular = twist[:3] + cross(twist[3:], lever_m), twist[3:]
         # half of what the supervisor stops at, as tip velocities keep to
         share = min(
             1.0, _share(center_m_s, 0.5 * limits.speed_m_s), _share(angular, 0.5 * np.radians(limits.turn_deg_s))

@@ -120,7 +120,14 @@ def _require_clear(robot: Robot, centers_m: FloatArray, normal: FloatArray) -> N
     """That the arm can follow straight ways from place to place (n, 3) [m, surface frame] as it stands."""
     here, there = -robot.placement.T_surface_center(robot.pose.T_base_ee)[:3, 2], normal
     normals = np.array([here, here, *[there] * (len(centers_m) - 2)])
-    led = follow(robot.arm.chain, robot.placement, centers_m[1:], normals[1:], start_deg=robot.pose.joints_deg)
+    led = follow(
+        robot.arm.chain,
+        robot.placement,
+        centers_m[1:],
+        normals[1:],
+        start_deg=robot.pose.joints_deg,
+        meanwhile=robot.keep_up,
+    )
     if not led.all():
         where = np.round(centers_m[1:][~led][0], 3)
         came = f"a way to {where} m that leads near a joint's limit or a singularity"
@@ -129,7 +136,8 @@ def _require_clear(robot: Robot, centers_m: FloatArray, normal: FloatArray) -> N
 
 def step(robot: Robot, command: TipVelocity | JointRates) -> None:
     """One period on the way; a robot that has to back off is not to travel on."""
-    robot.cycle(command)
+    if robot.supervisor.verdict.action is Action.GO_ON:  # it may have changed while a way was checked
+        robot.cycle(command)
     verdict = robot.supervisor.verdict
     if verdict.action is not Action.GO_ON:
         robot.cycle()

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from deformscope.arrays import IntArray
-from deformscope.pictures.figures import COLOURS, LINES, figure, write_table
+from deformscope.pictures.figures import COLOURS, LINES, figure
 from deformscope.studies.cubes import Cube, ElementTime, Found, ModelTime, Spread, depth_of, depths_of, spreads
 
 THESIS_SEM = {
@@ -198,28 +198,20 @@ def _line(style: Any, colour: str, label: str, marker: str = "") -> Any:
 # Tables --------------------------------------------------------------------------------------------------------------
 
 
-def write_cubes(path: Path, found: Sequence[Found]) -> None:
+def cube_rows(found: Sequence[Found]) -> list[dict[str, object]]:
     """One row a cube."""
-    names = [
-        *("poisson", "resolution", "particles", "depth_m", "theta", "low", "high", "verdict", "aee_m", "grid_theta"),
-        *("grid_aee_m", "equal_share_theta", "one_cluster_beta", "one_cluster_theta", "one_cluster_aee_m"),
-        *("clusters_beta", "clusters_theta", "clusters_aee_m", "ratio", "source"),
-    ]
     rows = []
     for one in found:
-        fits = [
-            value
-            for fit in (one.one_cluster, one.overlapping)
-            for value in ((None,) * 3 if fit is None else (fit.beta, fit.theta, fit.aee))
-        ]
-        rows.append(
-            [
-                *(one.cube.poisson, one.cube.resolution, len(one.cube.seen.rest), one.cube.depth),
-                *(one.theta.value, *one.theta.interval, one.theta.verdict, one.theta.aee),
-                *(one.grid_theta, one.grid_aee, one.equal_share_theta, *fits, one.ratio, one.cube.name),
-            ]
-        )
-    write_table(path, names, rows)
+        low, high = one.theta.interval
+        row: dict[str, object] = {"poisson": one.cube.poisson, "resolution": one.cube.resolution}
+        row |= {"particles": len(one.cube.seen.rest), "depth_m": one.cube.depth, "theta": one.theta.value}
+        row |= {"low": low, "high": high, "verdict": one.theta.verdict, "aee_m": one.theta.aee}
+        row |= {"grid_theta": one.grid_theta, "grid_aee_m": one.grid_aee, "equal_share_theta": one.equal_share_theta}
+        for name, fit in (("one_cluster", one.one_cluster), ("clusters", one.overlapping)):
+            values = (None,) * 3 if fit is None else (fit.beta, fit.theta, fit.aee)
+            row |= dict(zip((f"{name}_beta", f"{name}_theta", f"{name}_aee_m"), values, strict=True))
+        rows.append(row | {"ratio": one.ratio, "source": one.cube.name})
+    return rows
 
 
 def sem_rows(found: Sequence[Found]) -> list[dict[str, object]]:
@@ -266,9 +258,3 @@ def time_rows(ours: Sequence[ModelTime], elements: Sequence[ElementTime]) -> lis
             }
         )
     return rows
-
-
-def write_rows(path: Path, rows: Sequence[dict[str, object]]) -> None:
-    """Rows that have the same names, as CSV."""
-    if rows:
-        write_table(path, list(rows[0]), [list(row.values()) for row in rows])

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from deformscope.pictures.figures import canvas, png_of
 from deformscope.stages.poke.fitted import Prediction
 
 if TYPE_CHECKING:
@@ -23,21 +23,18 @@ REACH_M = 0.08
 def dents_png(predictions: Sequence[Prediction], compared: Sequence[PokeComparison]) -> bytes:
     """One panel a poke: height change along a line through the tip [mm], and what each method says of the force."""
     import matplotlib as mpl
-    from matplotlib.figure import Figure
 
     measured = {id(one.prediction): one for one in compared}
     rows = -(-len(predictions) // ACROSS)
     columns = min(ACROSS, len(predictions))
     with mpl.rc_context({"font.size": 9}):
-        figure = Figure(figsize=(4.6 * columns, 3.3 * rows + 0.4), layout="constrained")
+        figure = canvas(4.6 * columns, 3.3 * rows + 0.4, layout="constrained")
         axes = figure.subplots(rows, columns, squeeze=False)
-        for place, one in enumerate(predictions):
-            _draw(axes[place // columns][place % columns], one, measured.get(id(one)))
-        for place in range(len(predictions), rows * columns):
-            axes[place // columns][place % columns].set_axis_off()
-        file = io.BytesIO()
-        figure.savefig(file, format="png", dpi=130)
-        return file.getvalue()
+        for panel, one in zip(axes.flat, predictions, strict=False):
+            _draw(panel, one, measured.get(id(one)))
+        for unused in axes.flat[len(predictions) :]:
+            unused.set_axis_off()
+        return png_of(figure, 130)
 
 
 def _draw(axes: Axes, found: Prediction, measured: PokeComparison | None) -> None:

@@ -123,18 +123,18 @@ def _observe(slab: Slab, one: Press) -> Observation:
     )
 
 
-def rows(studied: Sequence[Studied]) -> list[tuple[object, ...]]:
-    """Slab, place, tip, force, method, surface error and force error, for the table."""
+def rows(studied: Sequence[Studied]) -> list[dict[str, object]]:
+    """For the table: one row a method and poke."""
     return [
-        (
-            one.plan.name,
-            f"({press_.at[0]:g}, {press_.at[1]:g})",
-            f"{1e3 * press_.sides[0]:g} x {1e3 * press_.sides[1]:g}",
-            press_.force,
-            score.method,
-            score.surface_error,
-            score.force_error,
-        )
+        {
+            "slab": one.plan.name,
+            "at_m": f"({press_.at[0]:g}, {press_.at[1]:g})",
+            "tip_mm": f"{1e3 * press_.sides[0]:g} x {1e3 * press_.sides[1]:g}",
+            "force_n": press_.force,
+            "method": score.method,
+            "surface_error": score.surface_error,
+            "force_error": score.force_error,
+        }
         for one in studied
         for press_, unseen in zip(one.plan.unseen, one.unseen, strict=True)
         for score in unseen.scores

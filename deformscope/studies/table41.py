@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from deformscope.experiments.explorer import AsMeasured, ExplorationStages, Expl
 from deformscope.experiments.options import ExploreOptions
 from deformscope.lab.scenes import built_in
 from deformscope.plain import plain
-from deformscope.session import NotRecorded, run
+from deformscope.session import run
 from deformscope.stages.map.exploration import PlannedTouch, TouchEstimate
 from deformscope.stages.map.map_score import MapScore, TrueMap, score_map
 from deformscope.stages.map.plan import Planner, PlanOptions
@@ -107,7 +107,7 @@ def run_table(job: TableJob) -> TableRun:
     return TableRun(job, scene.region_count, after, robot.most_force_n, stop_after, time.perf_counter() - began)
 
 
-class _Scores(NotRecorded):
+class _Scores:
     """Scores each map once the plan after it is there; the session's recorder.
 
     stop_after: touches after which the plan said enough, though it went on
@@ -119,20 +119,18 @@ class _Scores(NotRecorded):
         self._found, self._explorer, self._robot, self._truth = found, explorer, robot, truth
         self._computed_s = 0.0
 
-    def write_results(
-        self, results: Sequence[object], now_ns: int, touch: int, cell_m: float, seen_ns: int | None = None
-    ) -> None:
-        for plan in (one for one in results if isinstance(one, PlannedTouch)):
+    def write(self, items: object) -> None:
+        for plan in (one for one in getattr(items, "results", ()) if isinstance(one, PlannedTouch)):
             spent_s, self._computed_s = self._found.compute_s - self._computed_s, self._found.compute_s
             if self._found.touches:
-                told, felt = self._found.touches[-1], self._robot.felt[-1]
-                self.after.append(_after(spent_s, self._explorer, told, felt, self._truth))
+                newest, felt = self._found.touches[-1], self._robot.felt[-1]
+                self.after.append(_after(spent_s, self._explorer, newest, felt, self._truth))
                 if plan.stop_reason not in ("", "budget") and self.stop_after is None:
                     self.stop_after = len(self.after)
 
 
 def _after(compute_s: float, explorer: Explorer, measured: TouchEstimate, felt: float, truth: TrueMap) -> MapAfter:
-    count, plan, regions = len(explorer.told), PlanOptions(), explorer.region_map()
+    count, plan, regions = len(explorer.touches), PlanOptions(), explorer.region_map()
     touch = explorer.posterior.touches[-1]
     low, high = measured.stiffness_interval
     return MapAfter(

@@ -13,6 +13,9 @@ Clock = Callable[[], int]
 
 monotonic_ns: Clock = time.monotonic_ns
 
+STRETCH_NS, STRETCHES = 1e9, 120
+"""Length of a stretch of a `ClockFit` [ns], and how many it keeps."""
+
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
@@ -81,14 +84,12 @@ class ClockFit:
 
     A reading arrives late by a delay that is never negative and often small. So of every stretch of time the reading
     that arrived earliest beside the others is kept as an anchor, and a straight line goes through the anchors.
-    tick_ns: nominal host time of a tick, where the device's documents name one; stretch_s: length of a stretch;
-    stretches: how many are kept
+    tick_ns: nominal host time of a tick, where the device's documents name one
     """
 
-    def __init__(self, tick_ns: float | None = None, *, stretch_s: float = 1.0, stretches: int = 120) -> None:
+    def __init__(self, tick_ns: float | None = None) -> None:
         self._nominal_ns = tick_ns
-        self._stretch_ns = stretch_s * 1e9
-        self._anchors: deque[tuple[int, int]] = deque(maxlen=stretches)
+        self._anchors: deque[tuple[int, int]] = deque(maxlen=STRETCHES)
         self._open: list[tuple[int, int]] = []
         self._started_ns = 0
 
@@ -97,7 +98,7 @@ class ClockFit:
         if not self._open:
             self._started_ns = host_ns
         self._open.append((ticks, host_ns))
-        if host_ns - self._started_ns >= self._stretch_ns or len(self._open) >= 4096:
+        if host_ns - self._started_ns >= STRETCH_NS or len(self._open) >= 4096:
             self._anchors.append(_earliest(self._open, self._tick_ns()))
             self._open.clear()
 

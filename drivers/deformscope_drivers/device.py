@@ -15,7 +15,6 @@ from collections.abc import Callable, Hashable, Iterable, Iterator
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeout
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 
 from deformscope_drivers.clock import Clock, ClockFit, Stamp, monotonic_ns
@@ -202,9 +201,7 @@ class Device(ABC, Generic[MeasurementT]):
     def __enter__(self) -> Self:
         return self if self.is_open else self.open()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property
@@ -249,7 +246,9 @@ class Device(ABC, Generic[MeasurementT]):
             until = time.monotonic() + timeout_s
             with self._changed:
                 self._asked = True
-                while not come() and self._going() and (left := until - time.monotonic()) > 0:
+                while (
+                    not (come() or self._failure or self._closing.is_set()) and (left := until - time.monotonic()) > 0
+                ):
                     self._changed.wait(left)
                 self._asked = False
         if not come() or self._last is None:
@@ -527,9 +526,6 @@ class Device(ABC, Generic[MeasurementT]):
         if self._thread is None or self._closing.is_set():
             came = f"one that is closed ({self._reason})" if self._reason else "one that is closed"
             raise NotConnected("a device that is open", came, "open() it", self.name)
-
-    def _going(self) -> bool:
-        return self._failure is None and not self._closing.is_set()
 
     def _stuck(self) -> bool:
         if self._stuck_after_ns is None or self._same is None or self._last is None:

@@ -12,7 +12,6 @@ import socket
 import threading
 import tty
 from abc import ABC, abstractmethod
-from types import TracebackType
 from typing import Any, Self
 
 from deformscope_drivers.clock import monotonic_ns
@@ -44,9 +43,7 @@ class Wire(ABC):
         self.plug()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.unplug()
         self._clean()
 
@@ -210,14 +207,7 @@ class CanWire(Wire):
     is_bus = True
 
     def __init__(
-        self,
-        double: Double,
-        bus: str,
-        *,
-        receive_id: int,
-        send_id: int,
-        bitrate: int = 1_000_000,
-        padded: bool = False,
+        self, double: Double, bus: str, *, receive_id: int, send_id: int, bitrate: int = 1_000_000, padded: bool = False
     ) -> None:
         super().__init__(double)
         self.port = bus

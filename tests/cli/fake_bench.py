@@ -6,8 +6,6 @@ import contextlib
 import dataclasses
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from functools import partial
-from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -20,7 +18,6 @@ from deformscope.experiments.explorer import AsMeasured, Touch
 from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.touching_robot import CheckFirst
 from deformscope.frames import HealthReport, Item
-from deformscope.images import encode_png
 from deformscope.rig.rig_file import Tool, Workspace
 from deformscope.robot.placement import Placement
 from deformscope.robot.preflight import Check, Preflight
@@ -29,8 +26,8 @@ from deformscope.robot.touch import Phase
 from deformscope.session import Inline, Moment, Step
 from deformscope.stages.map.exploration import PhaseStart
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
-from deformscope.stages.map.regions import RegionPosterior
 from deformscope.stages.map.surface import HeightProcess, fit_surface
+from tests.cli.quick_scene import CELL_M, use_coarse_maps
 
 SIZE_M = (0.6, 0.4)
 THICKNESS_M = 0.05
@@ -40,7 +37,7 @@ PERIOD_NS = 10_000_000
 class FakeRobot:
     """Looks and touches at once. moving: what the arm does; halts: why it was told to stand"""
 
-    forces_told = "3 N"
+    forces_words = "3 N"
     doing = ""
     gaps_s = np.full(9, 0.01)
 
@@ -165,19 +162,14 @@ def use_fake_bench(monkeypatch: pytest.MonkeyPatch) -> FakeBench:
     bench = FakeBench()
 
     def setup_of(name: str, options: ExploreOptions, set_force_n: float | None, *, trusted: bool) -> Opening:
-        options = dataclasses.replace(options, cell_m=0.02, beta_model="none")
+        options = dataclasses.replace(options, cell_m=CELL_M, beta_model="none")
         return Opening(bench.setup, options, {"scene": name})
 
     monkeypatch.setattr("deformscope.cli.explore.setup_of", setup_of)
     monkeypatch.setattr("deformscope.experiments.touching_robot.touching_robot", bench.robot)
     monkeypatch.setattr("deformscope.experiments.beside.FromFrames", lambda geometry, options: AsMeasured(SIZE_M))
-    pixel = encode_png(np.zeros((1, 1, 3), np.uint8))
-    monkeypatch.setattr("deformscope.pictures.exploration._one", lambda *_: pixel)
-    monkeypatch.setattr("deformscope.pictures.exploration.result_png", lambda *_: pixel)
+    use_coarse_maps(monkeypatch)
     monkeypatch.setattr("deformscope.experiments.explorer.fit_surface", _surface)
-    few = partial(RegionPosterior.before_touches, particle_count=50)
-    posterior = SimpleNamespace(before_touches=few)
-    monkeypatch.setattr("deformscope.experiments.explorer.RegionPosterior", posterior)
     return bench
 
 

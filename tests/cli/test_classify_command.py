@@ -97,7 +97,7 @@ def test_arrays_of_a_script_with_one_modality_and_merged_classes() -> None:
     assert result.evaluation.table.classes == ("empty", "granular", "water")
     assert result.evaluation.best.method == "pooled"
     assert result.evaluation.protocol == "stratified"
-    with pytest.raises(ds.InputError, match="2 splits or more"):
+    with pytest.raises(ds.InputError, match="splits of 2 or more"):
         ds.classify(arrays, splits=1)
 
 
@@ -127,7 +127,7 @@ def test_what_cannot_be_used_is_refused_in_one_line(tmp_path: Path, capsys: pyte
         ([good, "--merge", "liquid=oil,water"], "got 'oil'"),
         ([good, "--transfer", "a-b"], "--transfer TRAINED:TESTED"),
         ([good, "--transfer", "box:*"], "got 'box'"),
-        ([good, "--splits", "1"], "2 --splits or more"),
+        ([good, "--splits", "1"], "a --splits of 2 or more"),
         ([good, "--save", good], "a file after --save that is no input"),
         ([good, "--save", "m.pkl"], "ends in .npz after --save"),
         ([good, "--report", "r.pdf"], "ends in .html after --report"),

@@ -21,6 +21,7 @@ import pytest
 pytest.importorskip("tyro")
 
 from deformscope import cli, config
+from deformscope.api.result import resolve_viewer
 from deformscope.cli import common
 from deformscope.errors import InputError
 from tests.patience import PATIENCE_S
@@ -213,14 +214,14 @@ def test_defaults_are_the_thesis() -> None:
 
     assert (beta.mode, beta.alpha, beta.beta_range) == ("linear", 1, (0, 0.99))
     assert (beta.fitted_cluster_size, beta.fitted_theta) == (3, 0.0)
-    assert (theta.mode, theta.single_cluster, theta.alpha, theta.beta, theta.theta_range) == (
+    assert (theta.mode, theta.cluster_size, theta.alpha, theta.beta, theta.theta_range) == (
         "quadratic",
-        True,
+        None,
         1,
         0.99,
         (0, 1),
     )
-    assert not cli.parse(config.ThetaConfig, ["v.mp4", "--cluster-size", "4"]).single_cluster
+    assert cli.parse(config.ThetaConfig, ["v.mp4", "--cluster-size", "4"]).cluster_size == 4
     assert (beta.search.candidates, beta.search.level) == (100, 0.9)
     assert beta.images.held_parts() == ("top", "bottom")
     assert cli.parse(config.BetaConfig, ["v.mp4", "--contact", "1,2,3,4"]).images.held_parts() == ("bottom", "contact")
@@ -230,7 +231,7 @@ def test_defaults_are_the_thesis() -> None:
     ("args", "says"),
     [
         ("", "expected at least one SOURCE; got none"),
-        ("v --beta-range 0.9,0.1", "expected a --beta-range that rises; got 0.9,0.1 | try: --beta-range 0.1,0.9"),
+        ("v --beta-range 0.9,0.1", "expected a --beta-range that rises; got 0.9,0.1 | try: the other way round"),
         ("v --beta-range 0.5,0.5", "that rises"),
         ("v --beta-range -0.1,0.5", "expected a --beta-range within 0,0.9999; got -0.1,0.5"),
         ("v --beta-range 0,1.5", "within 0,0.9999"),
@@ -242,7 +243,7 @@ def test_defaults_are_the_thesis() -> None:
         ("v --alpha much", "--alpha: expected a number; got 'much'"),
         ("v --level 1", "expected a --level between 0 and 1; got 1.0 | try: --level 0.9"),
         ("v --level 90", "between 0 and 1"),
-        ("v --candidates 2", "expected at least 3 --candidates; got 2"),
+        ("v --candidates 2", "expected a --candidates of 3 or more; got 2"),
         ("v --candidates few", "--candidates: expected a whole number; got 'few'"),
         ("v --cluster-size 1", "expected a --cluster-size of 2 or more; got 1"),
         ("v --grid 7x15 --spacing-px 50", "expected --grid or --spacing-px; got both"),
@@ -510,8 +511,8 @@ def test_json_is_plain(tmp_path: Path) -> None:
 def talk(config_: config.FlowConfig) -> None:
     print("a library talks")
     common.show_table("Result", [("beta", "[0.5]")])
-    with common.progress("work", 2) as advance:
-        advance(2)
+    with common.fit_progress() as note:
+        note("work", 2, 2)
     common.write_json({"beta": 0.5}, config_.output.json)
 
 
@@ -553,7 +554,7 @@ print("after")
 def test_the_viewer_goes_with_the_display(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    assert common.resolve_viewer("auto") == "none"
-    assert common.resolve_viewer("page") == "page"
+    assert resolve_viewer("auto") == "none"
+    assert resolve_viewer("page") == "page"
     monkeypatch.setenv("WAYLAND_DISPLAY", "wayland-0")
-    assert common.resolve_viewer("auto") == "native"
+    assert resolve_viewer("auto") == "native"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import io
 import json
@@ -11,6 +12,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -23,9 +25,8 @@ from deformscope.errors import InputError
 from deformscope.experiments.touching_robot import TouchingRobot
 from deformscope.frames import ArmFrame, DepthFrame, Item, WrenchFrame
 from deformscope.lab.faults import CAMERA, Injected
-from deformscope.recording.items import read_items
+from deformscope.recording.items import Row, read_items, read_results
 from deformscope.recording.ledger import check_ledger
-from deformscope.recording.results import Recorded, read_results
 from deformscope.recording.rrd_file import RecordingFile
 from deformscope.rig.source import RigSource
 from deformscope.robot.supervisor import Supervisor
@@ -34,64 +35,103 @@ from deformscope.stages.map.exploration import ExplorationStop, PhaseStart
 from deformscope.stages.map.measured import LookFrames, TouchFrames
 from deformscope.studies.fault_study import ALLOWED_S
 from deformscope_drivers.clock import Stamp
+from tests.cli.quick_scene import use_quick_scene
 from tests.patience import PATIENCE_S
 
 
-def test_a_simulated_table_is_explored_recorded_and_replayed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    record, told, picture = tmp_path / "e.rrd", tmp_path / "e.json", tmp_path / "e.png"
-    arguments = ["explore", "lab:two-60-150", "--touches", "2", "--viewer", "none", "--beta-model", "none"]
-    arguments += ["--record", str(record), "--json", str(told), "--picture", str(picture)]
-    arguments += ["--map", str(tmp_path / "e.npz")]
+@dataclass(frozen=True, slots=True)
+class Explored:
+    """A recording of an exploration, and what the command said."""
 
-    assert main(arguments) == 0, capsys.readouterr().err
-    shown = capsys.readouterr()
-    found = json.loads(told.read_text())
+    touches: int
+    record: Path
+    out: str
+    err: str
+
+    @property
+    def found(self) -> Any:
+        return json.loads(self.record.with_suffix(".json").read_text())
+
+
+@pytest.fixture(scope="module", params=[1, pytest.param(2, marks=pytest.mark.slow)], ids="{}-touches".format)
+def explored(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Explored:
+    """Finite elements, maps and pictures as users get them."""
+    record = tmp_path_factory.mktemp("explored") / "e.rrd"
+    files = {"--record": "rrd", "--json": "json", "--picture": "png", "--map": "npz"}
+    arguments = ["explore", "lab:two-60-150", "--touches", str(request.param), "--viewer", "none"]
+    arguments += ["--beta-model", "none"]
+    arguments += [word for flag, kind in files.items() for word in (flag, str(record.with_suffix(f".{kind}")))]
+    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()) as err:
+        assert main(arguments) == 0
+    return Explored(request.param, record, out.getvalue(), err.getvalue())
+
+
+def test_a_simulated_table_is_explored(explored: Explored) -> None:
+    found = explored.found
     assert found["scenario"] == "lab:two-60-150"
-    assert len(found["touches"]) == 2
-    assert found["region_count"] == 2
+    assert len(found["touches"]) == explored.touches
+    assert found["region_count"] == explored.touches
     assert found["stop_reason"] == "budget"
     assert found["truth"]["region_count"] == 2
-    assert 0.5 < found["truth"]["iou"] <= 1.0
     assert 2.9 < found["max_force_n"] < 8.0
     assert found["seconds"]["session"] > 10.0
-    stiff, soft = (one["apparent_stiffness_n_per_mm"] for one in found["touches"])
-    assert stiff > 1.5 * soft
-    assert "ok  force sensor: tare" in shown.err
-    assert "2 regions" in shown.out
-    assert picture.read_bytes().startswith(b"\x89PNG")
-    with np.load(tmp_path / "e.npz", allow_pickle=False) as file:
+    if explored.touches == 2:
+        assert 0.5 < found["truth"]["iou"] <= 1.0
+        stiff, soft = (one["apparent_stiffness_n_per_mm"] for one in found["touches"])
+        assert stiff > 1.5 * soft
+    assert "ok  force sensor: tare" in explored.err
+    assert f"{explored.touches} region" in explored.out
+    assert explored.record.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+    with np.load(explored.record.with_suffix(".npz"), allow_pickle=False) as file:
         assert file["stiffness_n_per_mm"].shape == file["labels"].shape == file["truth_labels"].shape == (80, 120)
         assert file["cell_m"] == 0.005
-        assert set(np.unique(file["labels"])) == {0, 1}
+        assert set(np.unique(file["labels"])) == set(range(explored.touches))
 
-    assert check_ledger(record) == []
-    assert main(["verify", str(record)]) == 0, capsys.readouterr().err
+
+def test_its_recording_is_whole_and_replays(explored: Explored, capsys: pytest.CaptureFixture[str]) -> None:
+    assert check_ledger(explored.record) == []
+    assert main(["verify", str(explored.record)]) == 0, capsys.readouterr().err
     assert "tip/frames" in capsys.readouterr().out
-    assert main(["replay", str(record)]) == 0
+    assert main(["replay", str(explored.record)]) == 0
     replayed = " ".join(capsys.readouterr().err.split())
-    assert "8 results from depth images, forces and states of the arm, identical" in replayed  # plans among them
-    for kind, words in ((DepthFrame, "of SurfaceEstimate"), (WrenchFrame, "of TouchEstimate")):
-        with pytest.MonkeyPatch.context() as monkeypatch:
-            alter_one(monkeypatch, kind, record)
-            assert main(["replay", str(record)]) == 2
-        assert words in capsys.readouterr().err
+    results = 2 + 3 * explored.touches  # plans among them
+    assert f"{results} results from depth images, forces and states of the arm, identical" in replayed
 
-    assert main(["replay", str(record), "--set", "set_force_n=2", "--json", "-"]) == 0
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "words"), [(DepthFrame, "of SurfaceEstimate"), (WrenchFrame, "of TouchEstimate")])
+def test_a_replay_notices_one_altered_frame(
+    kind: type, words: str, explored: Explored, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    alter_one(monkeypatch, kind, explored.record)
+    assert main(["replay", str(explored.record)]) == 2
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_replay_with_another_setting_is_compared(explored: Explored, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["replay", str(explored.record), "--set", "set_force_n=2", "--json", "-"]) == 0
     beside = json.loads(capsys.readouterr().out)
     assert (beside["identical"], beside["set"]) == (None, {"set_force_n": 2.0})
-    assert beside["recorded"].keys() == beside["computed"].keys() == {"touch 1", "touch 2", "map"}
+    touches = {f"touch {number + 1}" for number in range(explored.touches)}
+    assert beside["recorded"].keys() == beside["computed"].keys() == touches | {"map"}
     assert beside["recorded"]["touch 1"] != beside["computed"]["touch 1"]
-    for words, expected in (("force=2", "KEY one of planner"), ("budget=many", "a value of budget")):
-        assert main(["replay", str(record), "--set", words]) == 2
-        assert expected in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"), [("force=2", "KEY one of planner"), ("budget=many", "a value of budget")]
+)
+def test_a_setting_that_is_none_is_refused(
+    words: str, expected: str, explored: Explored, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["replay", str(explored.record), "--set", words]) == 2
+    assert expected in capsys.readouterr().err
 
 
 def alter_one(monkeypatch: pytest.MonkeyPatch, kind: type, record: Path) -> None:
     """From now on one frame that an exploration used is read as another: the first depth image, or a force before it
     pressed."""
-    used = [one.result for one in read_results(record, (LookFrames, TouchFrames), trust=True)]
+    used = [one.item for one in read_results(record, (LookFrames, TouchFrames), trust=True)]
     look, touch = (next(one for one in used if isinstance(one, wanted)) for wanted in (LookFrames, TouchFrames))
     whole, down_ns = read_items, touch.wrench_ns[np.searchsorted(touch.wrench_ns, touch.arm_ns[len(touch.arm_ns) // 3])]
 
@@ -110,8 +150,8 @@ def alter_one(monkeypatch: pytest.MonkeyPatch, kind: type, record: Path) -> None
 def test_a_recording_without_a_frame_that_was_used_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     state = ArmFrame(Stamp(7), 0, *(np.zeros(6),) * 3, *(np.zeros(3),) * 5)
     named = LookFrames("camera", np.array([5]), "arm", 7, "j2n6s300", (1.0, 1.0), (0.0, 0.0))
-    one = Recorded(0, 0, named)
-    monkeypatch.setattr("deformscope.recording.results.read_results", lambda *_, **options: iter([one]))
+    one = Row(0, 0, named)
+    monkeypatch.setattr("deformscope.recording.items.read_results", lambda *_, **options: iter([one]))
     monkeypatch.setattr("deformscope.recording.items.read_items", lambda *_, **options: iter([state]))
 
     with pytest.raises(InputError, match="without 1 depth images, 0 forces and 0 states"):
@@ -159,6 +199,11 @@ LAB_STARTS_NS = 1_000_000_000
 STOPPED = ["--touches", "2", "--viewer", "none", "--beta-model", "none"]
 
 
+@pytest.fixture
+def quick_scene(monkeypatch: pytest.MonkeyPatch) -> None:
+    use_quick_scene(monkeypatch)
+
+
 class Terminal(io.StringIO):
     """A stderr that is a terminal."""
 
@@ -166,11 +211,12 @@ class Terminal(io.StringIO):
         return True
 
 
+@pytest.mark.usefixtures("quick_scene")
 @pytest.mark.parametrize(
     ("fault", "kind", "within_s", "words"),
     [
         pytest.param("force-silent@1", "force sensor silent", 0.05, "deformscope doctor RIG", marks=pytest.mark.slow),
-        pytest.param("arm-cable@1", "link lost", 0.1, "THE ARM COULD NOT BE TOLD TO STOP", marks=pytest.mark.slow),
+        pytest.param("arm-cable@1", "link lost", 0.1, "THE ARM COULD NOT BE STOPPED", marks=pytest.mark.slow),
         ("push@1", "force above the soft stop", 0.05, "it has backed away"),
     ],
 )
@@ -197,10 +243,10 @@ def test_a_fault_stops_it_and_the_recording_is_whole(
     assert found["max_force_n"] < 15.0
 
     results = list(read_results(record, (PhaseStart, ExplorationStop)))
-    ((stop, at_ns),) = [(one.result, one.session_ns) for one in results if isinstance(one.result, ExplorationStop)]
+    ((stop, at_ns),) = [(one.item, one.session_ns) for one in results if isinstance(one.item, ExplorationStop)]
     assert (stop.kind, stop.reason) == (kind, found["fault"]["reason"])
     assert at_ns / 1e9 == pytest.approx(found["fault"]["time_s"])
-    names = [one.result.name for one in results if isinstance(one.result, PhaseStart)]
+    names = [one.item.name for one in results if isinstance(one.item, PhaseStart)]
     assert f"stopped: {kind}" in names
     assert names[:2] == ["look", "travel"]
     assert found["seconds"]["session"] > found["fault"]["time_s"] + 0.49
@@ -247,6 +293,7 @@ def interrupted_at(phase: Phase, *numbers: int) -> Callable[..., None]:
     return phase_began
 
 
+@pytest.mark.usefixtures("quick_scene")
 @pytest.mark.parametrize(
     ("number", "status"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)]
 )
@@ -269,12 +316,15 @@ def test_ctrl_c_stops_the_arm_and_keeps_all(
     assert found["touches"] == []
     assert found["verdict"] is None
     assert check_ledger(record) == []
-    assert [one.result.action for one in read_results(record, (ExplorationStop,))] == ["stop"]  # type: ignore[union-attr]
+    assert [one.item.action for one in read_results(record, (ExplorationStop,))] == ["stop"]  # type: ignore[union-attr]
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("quick_scene")
 def test_a_second_ctrl_c_leaves_at_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Slow: test_explore_ends.py has it without devices."""
     monkeypatch.setattr(TouchingRobot, "_begin", interrupted_at(Phase.APPROACH, signal.SIGINT, signal.SIGINT))
     record = tmp_path / "e.rrd"
 
@@ -284,6 +334,8 @@ def test_a_second_ctrl_c_leaves_at_once(
     assert list(tmp_path.glob("*.part.rrd"))
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("quick_scene")
 def test_a_full_disk_halts_the_arm_first(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -327,6 +379,8 @@ def test_a_full_disk_halts_the_arm_first(
     assert list(tmp_path.glob("*.part.rrd"))
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("quick_scene")
 def test_the_robot_is_watched_while_the_disk_blocks(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -338,7 +392,7 @@ def test_the_robot_is_watched_while_the_disk_blocks(
     def slow(self: RecordingFile) -> None:
         if Phase.APPROACH in begun and not free.is_set():
             blocks.set()
-            given_up.append(not free.wait(60.0))
+            given_up.append(not free.wait(PATIENCE_S))
         flush(self)
 
     def looked(self: Supervisor, *given: Any, **named: Any) -> Any:

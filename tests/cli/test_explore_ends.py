@@ -14,8 +14,8 @@ import pytest
 
 from deformscope.cli import main
 from deformscope.errors import InputError
+from deformscope.recording.items import read_results
 from deformscope.recording.recorder import RecordingError
-from deformscope.recording.results import read_results
 from deformscope.stages.map.exploration import StageFailure
 from tests.cli.fake_bench import FakeBench, FakeRobot, use_fake_bench
 
@@ -37,6 +37,8 @@ ERRORS = [
     InputError("points near the touch", "none"),
     MemoryError(),
 ]
+QUICK = [("contact", 0), ("maps", 2), ("display", 1)]
+"""Stages and the numbers of the errors that are not slow together."""
 
 
 @pytest.fixture
@@ -82,12 +84,10 @@ def _owner(path: str) -> Any:
 
 @pytest.mark.parametrize(
     ("stage", "error"),
-    [(stage, ERRORS[number % len(ERRORS)]) for number, stage in enumerate(STAGES)]
-    + [
-        pytest.param(stage, error, marks=pytest.mark.slow)
-        for number, stage in enumerate(STAGES)
-        for other, error in enumerate(ERRORS)
-        if other != number % len(ERRORS)
+    [
+        pytest.param(stage, error, marks=() if (stage, number) in QUICK else pytest.mark.slow)
+        for stage in STAGES
+        for number, error in enumerate(ERRORS)
     ],
 )
 def test_a_stage_that_fails_on_one_touch_does_not_end_it(
@@ -117,7 +117,7 @@ def test_a_stage_that_fails_on_one_touch_does_not_end_it(
     assert files["png"].read_bytes().startswith(b"\x89PNG")
     assert files["npz"].exists()
 
-    (recorded,) = (one.result for one in read_results(files["rrd"], (StageFailure,)))
+    (recorded,) = (one.item for one in read_results(files["rrd"], (StageFailure,)))
     assert isinstance(recorded, StageFailure)
     assert (recorded.stage, recorded.touch) == (stage, 2)
     assert "in failing" in recorded.trace
@@ -125,7 +125,14 @@ def test_a_stage_that_fails_on_one_touch_does_not_end_it(
     assert f"touch 2: {stage} failed: " in capsys.readouterr().err.replace("\n", " ")
 
 
-@pytest.mark.parametrize(("stage", "touches"), [("contact", 3), ("regions", 3), ("maps", 3), ("plan", 1), ("look", 0)])
+@pytest.mark.parametrize(
+    ("stage", "touches"),
+    [
+        ("contact", 3),
+        ("look", 0),
+        *(pytest.param(*one, marks=pytest.mark.slow) for one in (("regions", 3), ("maps", 3), ("plan", 1))),
+    ],
+)
 def test_failures_without_end_end_it_in_order(
     stage: str,
     touches: int,
@@ -154,7 +161,7 @@ def test_failures_without_end_end_it_in_order(
 # Any call fails once -------------------------------------------------------------------------------------------------
 
 ROBOT = [f"tests.cli.fake_bench.FakeRobot.{name}" for name in ("look", "touch", "let_move", "carry_out", "reports")]
-RECORDER = [f"deformscope.recording.recorder.Recorder.{name}" for name in ("write_results", "write_items")]
+RECORDER = [f"deformscope.recording.recorder.Recorder.{name}" for name in ("_take_results", "_take_items")]
 WATCH = ["deformscope.cli.exploring.Watch.__call__"]
 COMMAND = [
     "deformscope.cli.explore._remarks",
@@ -268,7 +275,7 @@ def test_an_arm_that_was_not_reached_is_told_loudly(
     fail_once(monkeypatch, "tests.cli.fake_bench.FakeRobot.touch", 2, RuntimeError("a bug"))
 
     assert main(EXPLORE) == 1
-    assert "COULD NOT BE TOLD TO STOP" in capsys.readouterr().out
+    assert "COULD NOT BE STOPPED" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("flag", "name"), [("--picture", "e.png"), ("--map", "e.npz"), ("--json", "e.json")])
@@ -322,6 +329,23 @@ def test_a_signal_while_it_computes_is_no_loss(
     assert "the arm stands" in capsys.readouterr().err
 
 
+def test_a_second_ctrl_c_leaves_at_once(
+    bench: FakeBench, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(robot: FakeRobot, *arguments: Any) -> None:
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(FakeRobot, "touch", interrupted)
+    record = tmp_path / "e.rrd"
+
+    assert main([*EXPLORE, "--record", str(record)]) == 130
+    assert "interrupted" in capsys.readouterr().err
+    assert bench.robots[0].halts
+    assert not record.exists()
+    assert list(tmp_path.glob("*.part.rrd"))
+
+
 # One number, one value -----------------------------------------------------------------------------------------------
 
 
@@ -336,7 +360,7 @@ def test_terminal_json_panel_and_map_file_give_the_same_numbers(
     outputs = ["--record", str(record), "--json", str(told), "--map", str(arrays)]
     assert main([*EXPLORE, *outputs, "--seed", "5"]) == 0
     shown, found = capsys.readouterr().out, json.loads(told.read_text())
-    *_, last = (one.result for one in read_results(record, (MapEstimate,)))
+    *_, last = (one.item for one in read_results(record, (MapEstimate,)))
     assert isinstance(last, MapEstimate)
     panel = summary(last)
 

@@ -25,6 +25,7 @@ from deformscope.stages.map.touches import MapGrid
 from deformscope_drivers.errors import SettingsRefused
 from deformscope_drivers.jaco.kinematics import J2N6S300
 from deformscope_drivers.optoforce import Optoforce
+from tests.cli.quick_scene import use_quick_scene
 from tests.cli.rig_on_a_simulated_clock import count_as_real, use_a_simulated_clock
 
 RIG = """
@@ -69,6 +70,7 @@ def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def simulated_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     use_a_simulated_clock(monkeypatch)
+    use_quick_scene(monkeypatch)
 
 
 def explored_recorded_and_replayed(

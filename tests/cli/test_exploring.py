@@ -24,7 +24,7 @@ WELL, BAD = (Preflight((Check("arm: still", passed, "at rest", "what came"),)) f
 class Asked:
     """A robot that was checked."""
 
-    forces_told = "3 N"
+    forces_words = "3 N"
 
     def __init__(self, *checked: Preflight) -> None:
         self.checked = list(checked)
@@ -69,7 +69,7 @@ def ask(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
             answer(writing, len(portions))
             return []
 
-        recorder: Any = SimpleNamespace(write=portions.append, write_items=lambda items: None)
+        recorder: Any = SimpleNamespace(write=lambda one: portions.append(one) if isinstance(one, Step) else None)
         source: Any = SimpleNamespace(take=take)
         with until_interrupted() as asked:
             experiment = permitted(robot, setup, ExploreOptions(), {}, asked, yes=False)  # type: ignore[arg-type]

@@ -79,6 +79,7 @@ def test_yield_tells_the_strain_and_draws(press: Path, tmp_path: Path, capsys: p
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_yield_says_where_nothing_yielded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     motion = pressed((6, 4), 5.0)
     path = tmp_path / "elastic.npz"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from deformscope.cli import main
 from deformscope.config import parse_poke, parse_pokes
+from deformscope.lab import slab
 from tests.stages.pokes import SPACING, STIFFNESS, THICKNESS, poked
 
 
@@ -122,9 +124,12 @@ def test_points_of_the_users_own_are_told_too(folder: Path, capsys: pytest.Captu
     assert 0.0 < THICKNESS - told["deformed"][1][2] < 0.001
 
 
+@pytest.mark.parametrize("finest_m", [0.01, pytest.param(None, marks=pytest.mark.slow)])
 def test_an_unseen_poke_is_compared_with_what_else_one_might_take(
-    folder: Path, capsys: pytest.CaptureFixture[str]
+    finest_m: float | None, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """finest_m: of the finite elements' mesh, None = as users get it"""
+    monkeypatch.setattr("deformscope.studies.prediction.press", partial(slab.press, finest=finest_m))
     assert main(["predict", str(folder / "model.npz"), "--against", str(folder / "unseen.npz"), "--json", "-"]) == 0
     (told,) = json.loads(capsys.readouterr().out)["against"]
     scores = {one["method"]: one for one in told["scores"]}

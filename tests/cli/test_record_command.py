@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,7 +18,7 @@ import pytest
 from deformscope.cli import main
 from deformscope.frames import HealthReport, Item, RawBytes, WrenchFrame
 from deformscope.recording.items import read_items
-from deformscope.recording.ledger import check_ledger, read_losses
+from deformscope.recording.ledger import check_ledger, ledger_path
 from tests.patience import PATIENCE_S
 
 SMALL = """
@@ -39,6 +40,20 @@ def rig(tmp_path: Path) -> Path:
     path = tmp_path / "rig.toml"
     path.write_text(SMALL)
     return path
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of that rig."""
+    folder = tmp_path_factory.mktemp("recorded")
+    (folder / "rig.toml").write_text(SMALL)
+    assert main(["record", str(folder / "rig.toml"), "--seconds", "1.5", "--record", str(folder / "r.rrd")]) in WHOLE
+    return folder / "r.rrd"
+
+
+def copied(recorded: Path, folder: Path) -> Path:
+    shutil.copy(ledger_path(recorded), folder)
+    return Path(shutil.copy(recorded, folder))
 
 
 @pytest.fixture
@@ -120,12 +135,10 @@ def test_doubles_on_an_idle_machine_lose_nothing(tmp_path: Path) -> None:
             assert health["lost"] == 0, (name, health)
 
 
-def test_frames_and_bytes_in_the_file_agree(rig: Path, tmp_path: Path) -> None:
+def test_frames_and_bytes_in_the_file_agree(recorded: Path) -> None:
     from deformscope_drivers.optoforce.protocol import Decoder, Reading
 
-    file = tmp_path / "r.rrd"
-    assert main(["record", str(rig), "--seconds", "1.5", "--record", str(file)]) in WHOLE
-    items = list(read_items(file))
+    items = list(read_items(recorded))
     data = b"".join(
         item.data for item in items if isinstance(item, RawBytes) and item.device == "tip" and not item.sent
     )
@@ -148,9 +161,11 @@ def test_ctrl_c_ends_a_recording_cleanly(rig: Path, tmp_path: Path, started: lis
     assert main(["verify", str(tmp_path / "r.rrd")]) in WHOLE
 
 
+@pytest.mark.slow
 def test_what_was_written_before_a_kill_is_readable(
     rig: Path, tmp_path: Path, started: list[subprocess.Popen[str]], capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Slow: test_recorder.py has it for the recorder alone."""
     process = start(started, "record", rig, "--record", "r.rrd", cwd=tmp_path)
     wait_for(process.stderr, "Ctrl-C ends it")
     (part,) = tmp_path.glob("*.part.rrd")
@@ -189,9 +204,8 @@ def test_two_recordings_of_one_device_do_not_mix(
     assert main(["verify", str(tmp_path / "first.rrd")]) in WHOLE
 
 
-def test_a_flipped_bit_is_found(rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = tmp_path / "r.rrd"
-    assert main(["record", str(rig), "--seconds", "1", "--record", str(file)]) in WHOLE
+def test_a_flipped_bit_is_found(recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = copied(recorded, tmp_path)
     content = bytearray(file.read_bytes())
     content[len(content) // 2] ^= 4
     file.write_bytes(content)
@@ -272,10 +286,9 @@ def test_double_wants_to_know_what(capsys: pytest.CaptureFixture[str]) -> None:
     assert "deformscope double optoforce" in capsys.readouterr().err
 
 
-def test_a_damaged_ledger_is_told(rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    recording = tmp_path / "r.rrd"
-    assert main(["record", str(rig), "--seconds", "0.5", "--record", str(recording)]) in WHOLE
-    recording.with_name("r.rrd.ledger").write_text("{")
+def test_a_damaged_ledger_is_told(recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording = copied(recorded, tmp_path)
+    ledger_path(recording).write_text("{")
 
     assert main(["verify", str(recording)]) == 2
     assert "the ledger cannot be read" in capsys.readouterr().err
@@ -311,7 +324,7 @@ def test_a_device_that_is_gone_is_named_with_what_it_cost(
     assert "with losses: tip: " in said.err
     assert "without any" in said.out
     assert "got none" in said.out
-    assert read_losses(file) == found["losses"]
+    assert json.loads(ledger_path(file).read_text())["losses"] == found["losses"]
 
     assert main(["verify", str(file), "--json", "-"]) == 3
     said = capsys.readouterr()
@@ -352,9 +365,11 @@ def test_a_rig_that_is_ended_early_says_so(
     assert main(command) in WHOLE, "Ctrl-C is the end of a recording that has no other"
 
 
+@pytest.mark.slow
 def test_a_closed_terminal_ends_a_recording_cleanly(
     rig: Path, tmp_path: Path, started: list[subprocess.Popen[str]]
 ) -> None:
+    """Slow: other signals end it in this process above."""
     recording = tmp_path / "r.rrd"
     process = start(started, "record", rig, "--record", recording, cwd=tmp_path)
     wait_for(process.stderr, "Ctrl-C ends it")

@@ -12,7 +12,7 @@ from deformscope.cli import main
 from deformscope.config.rigs import StageOptions
 from deformscope.errors import InputError
 from deformscope.experiments.device_stages import NEEDS, StageName
-from deformscope.recording.stage_results import read_stage_results
+from deformscope.recording.items import read_stage_results
 
 RIG = """
 [devices.pads]

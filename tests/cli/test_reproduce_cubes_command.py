@@ -62,6 +62,7 @@ def test_pairs_give_figures_tables_and_json(
     )
 
 
+@pytest.mark.slow
 def test_the_thesis_s_cubes_are_made_and_the_table_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -40,9 +40,11 @@ def test_what_cannot_be_explored_is_said_in_one_line(
     assert said.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_the_table_is_written_and_goes_on_where_it_was_cut_off(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Slow: the next test goes on from runs that were not computed."""
     arguments = [*ONE, "--scenes", "homogeneous-110", "--touches", "1", "--out", str(tmp_path), "--resume"]
     assert main([*arguments, "--seeds", "1"]) == 0
     assert "homogeneous-110 regions" in capsys.readouterr().out

@@ -67,7 +67,7 @@ def test_pair(pair: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsy
     assert f"picture: {tmp_path / 'p.png'}" in shown.err
 
 
-def test_several_pairs_and_joint(pair: Path, tmp_path: Path) -> None:
+def test_several_pairs(pair: Path, tmp_path: Path) -> None:
     other = tmp_path / "other.npz"
     shutil.copy(pair, other)
     apart, page, _ = summaries(["calibrate", "beta", str(pair), str(other)], tmp_path)
@@ -76,11 +76,18 @@ def test_several_pairs_and_joint(pair: Path, tmp_path: Path) -> None:
     assert "Where the model of other.npz is wrong" in page.words
     assert "Calibration of beta: 2 pairs" in page.words
     assert apart.shape[0] > 1000  # two rows
+
+
+@pytest.mark.slow
+def test_several_pairs_jointly(pair: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.npz"
+    shutil.copy(pair, other)
     report = tmp_path / "joint.html"
     assert main(["calibrate", "beta", str(pair), str(other), "--joint", *FAST, "--report", str(report)]) == 0
     assert Page(report.read_text(encoding="utf-8")).tags.count("img") == 5
 
 
+@pytest.mark.slow
 def test_theta_of_a_volume(tmp_path: Path) -> None:
     body = pushed((3, 3, 3), np.random.default_rng(0))
     np.savez(tmp_path / "c.npz", rest=body.rest, deformed=1.02 * body.rest, held=body.held)
@@ -89,6 +96,7 @@ def test_theta_of_a_volume(tmp_path: Path) -> None:
     assert page.tags.count("img") == 3
 
 
+@pytest.mark.slow
 def test_images_show_the_last_frame(tmp_path: Path) -> None:
     _, page, _ = summaries(["calibrate", "beta", "sample:tension", "--stride", "3"], tmp_path)
     assert "sample:tension" in page.words

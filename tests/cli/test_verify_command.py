@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from deformscope.cli import main
-from deformscope.frames import ColorFrame
+from deformscope.frames import ColorFrame, InputFile
 from deformscope.recording import facts as recording_facts
 from deformscope.recording.ledger import check_ledger, ledger_path, write_ledger
 from deformscope.recording.reader import Replay
@@ -38,7 +38,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     whole, killed = folder / "run.rrd", folder / "killed.part.rrd"
     with Recorder(whole, settings={"seed": 1}) as recorder:
         for frame in frames():
-            recorder.write_frame(frame)
+            recorder.write(frame)
             assert recorder._file is not None
             recorder._put(recorder._file.flush, 0)  # so that each is a message of its own
         written = threading.Event()
@@ -107,6 +107,7 @@ def test_an_unfinished_recording_is_no_damage_and_recover_makes_it_whole(
     assert "recovered until 1.1 s: what came after is lost" in said
 
 
+@pytest.mark.slow
 def test_a_file_cut_within_a_message_gives_what_came_before(killed: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cut = killed.with_name("cut.rrd")
     cut.write_bytes(killed.read_bytes()[: round(0.7 * killed.stat().st_size)])
@@ -122,6 +123,7 @@ def test_a_file_cut_within_a_message_gives_what_came_before(killed: Path, capsys
     assert kept == [frame.image.tolist() for frame in frames()][: len(kept)]
 
 
+@pytest.mark.slow
 def test_a_cut_recording_is_compared_with_its_ledger(killed: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_ledger(killed, {"frames": FRAMES})
     killed.write_bytes(killed.read_bytes()[: round(0.7 * killed.stat().st_size)])
@@ -138,7 +140,7 @@ def test_recover_refuses_what_it_cannot_or_need_not_mend(
     text.write_text("no recording")
     noise.write_bytes(killed.read_bytes()[:16] + np.random.default_rng(0).bytes(5000))
     with Recorder(tmp_path / "now.rrd") as recorder:
-        recorder.write_input("a", b"1")
+        recorder.write(InputFile("a", b"1"))
         refused = {
             text: "a file that is none",
             noise: "of which something can be read",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from concurrent.futures import BrokenExecutor
-from typing import Any
 
 import numpy as np
 import pytest
@@ -43,13 +42,10 @@ class Results:
     def __init__(self) -> None:
         self.moments: list[tuple[Moment, tuple[object, ...]]] = []
 
-    def write_results(self, results: Any, now_ns: int, touch: int, cell_m: float, seen_ns: int | None = None) -> None:
-        self.moments.append((Moment(now_ns, touch, seen_ns, cell_m), tuple(results)))
-
-    def write(self, step: Step) -> None:
-        assert not step.results
-
-    write_frame = write_items = write
+    def write(self, items: object) -> None:
+        if isinstance(items, Step) and items.results:
+            assert items.moment is not None
+            self.moments.append((items.moment, items.results))
 
 
 def carried_out(
@@ -72,7 +68,7 @@ def explored(name: str, **changes: object) -> Explored:
     explorer, found, moments = carried_out(robot, options, robot.truth, robot.arm)
     assert robot.most_force_n < 8.0
     assert found.travel_m == explorer.travel_m
-    assert found.touches == explorer.told
+    assert found.touches == explorer.touches
     assert found.maps is explorer.known
     return explorer, [result for _, results in moments for result in results]
 
@@ -263,7 +259,7 @@ def test_it_goes_on_where_it_is_told_to() -> None:
 def test_the_way_to_the_next_touch_is_as_high_as_what_it_leads_over() -> None:
     explorer, _ = explored("bumpy", budget=2)
     scene = built_in("bumpy", 0)
-    start, goal = explorer.told[-1].xyz_m[:2], np.array([0.1, 0.3])
+    start, goal = explorer.touches[-1].xyz_m[:2], np.array([0.1, 0.3])
     way = start + np.linspace(0.0, 1.0, 200)[:, None] * (goal - start)
     highest_m = float(scene.height_m(way).max())
     over_m = explorer.over_m(goal)

@@ -48,10 +48,9 @@ class Recorder:
     def __init__(self) -> None:
         self.steps: list[Step] = []
 
-    def write_frame(self, frame: ColorFrame) -> None: ...
-
-    def write(self, step: Step) -> None:
-        self.steps.append(step)
+    def write(self, items: object) -> None:
+        if isinstance(items, Step):
+            self.steps.append(items)
 
     def results(self, kind: type) -> list[object]:
         return [result for step in self.steps for result in step.results if isinstance(result, kind)]

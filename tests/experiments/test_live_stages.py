@@ -17,13 +17,10 @@ from deformscope.arrays import ImageArray
 from deformscope.errors import InputError
 from deformscope.experiments.device_stages import (
     ApproachChooser,
-    BetaStage,
     Chooser,
-    ContactStage,
     LiveOptions,
     NewestFrame,
     Stage,
-    SurfaceStage,
     compute,
     for_rig,
     stages_of,
@@ -45,8 +42,8 @@ from deformscope.frames import (
     WrenchFrame,
 )
 from deformscope.images import decode_image, encode_jpeg
+from deformscope.recording.items import read_stage_results
 from deformscope.recording.recorder import Recorder
-from deformscope.recording.stage_results import read_stage_results
 from deformscope.rig.rig_file import load_rig
 from deformscope.session import Step
 from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, TouchEstimate
@@ -227,7 +224,7 @@ def foam(pressed_px: float = 0.0, height: int = 240, width: int = 320) -> ImageA
 
 
 def test_beta_follows_particles_in_pixels_of_the_whole_image() -> None:
-    stage = BetaStage(LiveOptions(("beta",), color="camera"))
+    stage = Stage("beta", LiveOptions(("beta",), color="camera"))
 
     found: Any = compute(stage, (foam(), foam(16.0)))
 
@@ -249,7 +246,7 @@ def test_a_pose_that_cannot_be_fitted_has_particles_and_a_reason() -> None:
     hidden = foam()
     hidden[:, :160] = hidden[::-1, 160:].copy()  # something else stands there
 
-    found: Any = compute(BetaStage(LiveOptions(("beta",), color="camera", particles=particles)), (foam(), hidden))
+    found: Any = compute(Stage("beta", LiveOptions(("beta",), color="camera", particles=particles)), (foam(), hidden))
 
     assert found.verdict == "unidentified"
     assert "held particles of 'contact' that can be followed" in found.verdict_text
@@ -271,7 +268,7 @@ def test_a_level_surface_is_level() -> None:
     depth = np.full((120, 160), 542, np.uint16)  # 8 mm above the nominal 0.55 m
     depth[50:60, 70:80] = 400  # something that hangs over it
 
-    found = compute(SurfaceStage(options), (depth, 1e-3))
+    found = compute(Stage("surface", options), (depth, 1e-3))
 
     assert isinstance(found, SurfaceEstimate)
     assert found.height_m.shape == (20, 20)
@@ -313,7 +310,7 @@ def test_an_approach_is_found_and_its_stiffness_is_known() -> None:
         chooser.see(frame)
         taken = taken or chooser.take()
     assert taken is not None
-    stage = ContactStage(LiveOptions(("contact",), wrench="tip", arm="arm", T_ee_tip=TIP, set_force_n=3.0))
+    stage = Stage("contact", LiveOptions(("contact",), wrench="tip", arm="arm", T_ee_tip=TIP, set_force_n=3.0))
 
     found = compute(stage, stage.packed(taken))
 
@@ -330,7 +327,7 @@ def test_a_force_without_an_arm_that_moves_is_refused() -> None:
         dataclasses.replace(frame, position_m=np.array([0.1, 0.2, 0.5])) if isinstance(frame, ArmFrame) else frame
         for frame in approach()
     ]
-    stage = ContactStage(LiveOptions(("contact",), wrench="tip", arm="arm", T_ee_tip=TIP))
+    stage = Stage("contact", LiveOptions(("contact",), wrench="tip", arm="arm", T_ee_tip=TIP))
 
     with pytest.raises(InputError, match="an arm that moves into what it presses"):
         compute(stage, stage.packed(still))
@@ -392,7 +389,7 @@ def record(path: Path, given: list[list[Item]], results: Sequence[StageResult]) 
     with Recorder(path, settings=settings, layout="rig") as recorder:
         recorder.start_rig(STREAMS, 1_000_000_000, (), [("flow", "camera"), ("tactile", "pads")])
         for batch in given:
-            recorder.write_items(batch)
+            recorder.write(batch)
         recorder.write(Step(tuple(results)))
 
 

@@ -70,7 +70,7 @@ def test_it_never_plans_to_press_up_to_the_soft_stop(
     scene.lab.close()
 
     assert plan.more_force_n == more_n
-    assert robot.forces_told.startswith(told)
+    assert robot.forces_words.startswith(told)
 
 
 def test_more_is_left_out_around_the_stick_where_the_cameras_place_is_in_doubt() -> None:

@@ -81,6 +81,7 @@ REFUSED = {
     "objects.npz": (npz(label=np.array(["a", None], dtype=object), f=np.eye(2)), "Python objects (pickle)"),
     "short.npz": (npz(label=LABEL, f=np.eye(3)), "2 rows of features in f"),
     "texts.npz": (npz(label=LABEL, note=LABEL), "numbers in note"),
+    "numbered.npz": (npz(label=LABEL, f=np.eye(2), row=np.arange(2)), "call it trial, group or kind"),
     "halves.npz": (npz(label=np.array([0.5, 1.0]), f=np.eye(2)), "whole numbers in label"),
     "alone.npz": (npz(label=LABEL), "at least one modality"),
     "number.npz": (npz(label=LABEL, f=np.eye(2), depth=3.0), "a row of depth for each label"),

@@ -83,6 +83,7 @@ def test_twice_as_firm_moves_alike_with_twice_the_force() -> None:
     assert two.force_n == pytest.approx(2 * one.force_n, rel=1e-7)
 
 
+@pytest.mark.slow
 def test_load_steps_do_not_decide_the_state() -> None:
     law = FOAMS[3].law()
 
@@ -92,6 +93,7 @@ def test_load_steps_do_not_decide_the_state() -> None:
     np.testing.assert_allclose(once.displacement, often.displacement, rtol=0, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_finer_elements_change_little_and_do_not_lock() -> None:
     law = OgdenFoam((3.0e3, 40.0), (12.0, -4.0), 0.45)
     place = np.array([[0.0, 0.03], [0.03, 0.04], [0.05, 0.02]])
@@ -109,6 +111,7 @@ def test_left_mirrors_right() -> None:
     np.testing.assert_allclose(pressed.at(right * [-1, 1]), pressed.at(right) * [-1, 1], atol=1e-15)
 
 
+@pytest.mark.slow
 def test_a_push_that_cannot_be_followed_says_how_far_it_came() -> None:
     with pytest.raises(InputError, match=r"no equilibrium found beyond [\d.]+ mm, before 61\.00 mm"):
         press(FOAMS[0].law(), BLOCK, CLAMP_M, [BLOCK.height_m + 0.001], 0.03)

@@ -13,6 +13,7 @@ THIN = Slab((0.2, 0.2, 0.03), 50e3, 0.2)
 MIDDLE = (0.1, 0.1)
 
 
+@pytest.mark.slow
 def test_a_deep_slab_is_nearly_a_half_space() -> None:
     """F = 2 * 1.012 * sqrt(A / pi) E* d (King 1987); 20 half widths of thickness and a coarse mesh stiffen a little."""
     found = press(DEEP, (0.25, 0.25), RigidTip((0.01, 0.01)), DEEP.grid(0.1), depth=0.001, finest=0.005)
@@ -65,6 +66,7 @@ def test_a_ball_follows_hertz_on_a_deep_slab_and_pulls_at_nothing() -> None:
     assert found.force == pytest.approx(hertz, rel=0.12)
 
 
+@pytest.mark.slow
 def test_stiffness_may_vary_over_the_slab() -> None:
     halves = Slab((0.3, 0.2, 0.03), lambda place: np.where(place[:, 0] < 0.15, 20e3, 60e3), 0.2)
     soft, hard = (
@@ -74,6 +76,7 @@ def test_stiffness_may_vary_over_the_slab() -> None:
     assert hard / soft == pytest.approx(3.0, rel=0.02)
 
 
+@pytest.mark.slow
 def test_near_the_edge_it_is_softer() -> None:
     middle, edge = (
         press(THIN, at, RigidTip((0.01, 0.01)), THIN.grid(0.05), depth=0.001, finest=0.005).force

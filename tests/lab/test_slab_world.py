@@ -146,6 +146,7 @@ def test_the_surface_lies_against_the_tip_and_nowhere_inside_it(even: SlabWorld)
     assert (contact.depth_m, contact.gap_m) == (pytest.approx(0.006), 0.0)
 
 
+@pytest.mark.slow
 def test_force_grows_with_the_modulus_alone(even: SlabWorld) -> None:
     firm = SlabWorld(foam(2.5 * FOAM_PA))
     one, two = (world.press(BALL, over(MIDDLE, 0.004)) for world in (even, firm))
@@ -168,6 +169,7 @@ def test_the_softer_side_moves_more(halves: SlabWorld) -> None:
     assert soft < 1.1 * hard < 0.0
 
 
+@pytest.mark.slow
 def test_a_border_blends_within_a_few_centimetres(halves: SlabWorld, even: SlabWorld) -> None:
     ratio = {}
     alone = even.press(BALL, over(MIDDLE, 0.004)).normal_force_n
@@ -194,6 +196,7 @@ def test_rigid_is_hundreds_of_times_stiffer(even: SlabWorld) -> None:
     )
 
 
+@pytest.mark.slow
 def test_on_a_slope_the_force_is_along_the_normal() -> None:
     scene = built_in("bumpy", 2)
     world = SlabWorld(scene)
@@ -210,6 +213,7 @@ def test_on_a_slope_the_force_is_along_the_normal() -> None:
     assert world.press(BALL, surface + 0.0105 * normal).normal_force_n == 0.0
 
 
+@pytest.mark.slow
 def test_a_press_depends_on_no_other_press(halves: SlabWorld) -> None:
     at = MIDDLE + np.array([0.013, 0.007])
     again = SlabWorld(halves.scene)
@@ -229,6 +233,7 @@ def test_a_little_drift_changes_little(even: SlabWorld) -> None:
     assert drifted.normal_force_n == pytest.approx(centred.normal_force_n, rel=0.03)
 
 
+@pytest.mark.slow
 def test_a_flat_tip_keeps_its_footprint_while_it_drifts() -> None:
     """King 1987: a square of side 2a on a half-space, 2.02 sqrt(4 a^2 / pi) E* d; a slab is stiffer."""
     world, tip = SlabWorld(foam()), RigidTip((0.01, 0.006))
@@ -238,6 +243,7 @@ def test_a_flat_tip_keeps_its_footprint_while_it_drifts() -> None:
     assert 1.05 * half_space < forces[0] < 1.35 * half_space
 
 
+@pytest.mark.slow
 def test_an_old_contact_can_still_be_seen(even: SlabWorld) -> None:
     """Its mesh may be long gone."""
     contact = even.press(BALL, over(MIDDLE, 0.005))

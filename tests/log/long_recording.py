@@ -42,7 +42,7 @@ def main() -> None:
                 making_s -= time.thread_time()
                 items = list(later(batch, number))
                 making_s += time.thread_time()
-                made.write_items(items)
+                made.write(items)
             if number % max(1, rounds // LINES) == 0 or number == rounds - 1:
                 size = made.summary().bytes / 1e6
                 print(f"{(number + 1) * ROUND_S} {resident_mb():.0f} {size:.0f}", flush=True)

@@ -8,7 +8,16 @@ from collections.abc import Iterator
 import numpy as np
 
 from deformscope.arrays import FloatArray
-from deformscope.stages.map.exploration import MapEstimate, PhaseStart, PlannedTouch, SurfaceEstimate, TouchEstimate
+from deformscope.rows import Result
+from deformscope.stages.map.exploration import (
+    ExplorationStop,
+    MapEstimate,
+    PhaseStart,
+    PlannedTouch,
+    StageFailure,
+    SurfaceEstimate,
+    TouchEstimate,
+)
 
 CELL_M = 0.005
 ROWS, COLUMNS = 80, 120
@@ -189,3 +198,23 @@ def unusable_touch(number: int) -> TouchEstimate:
     told = dataclasses.replace(touch(number), contact_m=nan, stiffness_n_per_mm=nan, stiffness_interval=(nan, nan))
     unfitted = np.full_like(told.fitted_n, nan)
     return dataclasses.replace(told, depth_m=nan, modulus_pa=None, beta=None, beta_interval=None, fitted_n=unfitted)
+
+
+def small_results() -> tuple[Result, ...]:
+    """One of each kind."""
+    field, way, at = np.ones((4, 6)), np.linspace(0.0, 0.01, 5), np.zeros(3)
+    labels = np.zeros((4, 6), np.int64)
+    labels[:, 3:] = 1
+    cloud = np.ones((3, 3))
+    touch = TouchEstimate(
+        *(0, at, np.array([0.0, 0.0, 1.0]), way, way, way, 0.0, 1.0, (0.9, 1.1), False, None, 0.01, 3.0),
+        *(None, None, "", cloud, cloud),
+    )
+    levels, intervals, rigid = np.ones(2), np.ones((2, 2)), np.zeros(2, np.bool_)
+    maps = MapEstimate(
+        *(1, 0.005, field, field, field, field, labels, field, 2, "regions", 0.9, levels, intervals, rigid),
+        *(at[None, :2], 0.01, 0.1, labels, 1.0),
+    )
+    plan = PlannedTouch(at[:2], field, field, labels == 1, "")
+    seen, stop = SurfaceEstimate(cloud, field, field, 0.005), ExplorationStop("", "", "", "stop", 0)
+    return seen, touch, maps, plan, StageFailure("", 1, "", ""), PhaseStart("look", 0), stop

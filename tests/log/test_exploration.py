@@ -14,19 +14,17 @@ from rerun.chunk import RrdReader
 
 from deformscope.arrays import FloatArray
 from deformscope.frames import ColorFrame, DepthFrame, Item, Stream
-from deformscope.log.exploration import exploration_blueprint, log_exploration_start, prepare_results, warm_up
-from deformscope.log.exploration.small import small_results
+from deformscope.log.exploration import exploration_blueprint, log_exploration_start, prepare_results
 from deformscope.log.exploration.summary import summary
 from deformscope.log.rig import Place, log_streams, prepare_items
-from deformscope.recording.items import read_items
+from deformscope.recording.items import Row, read_items, read_results
 from deformscope.recording.recorder import Recorder
-from deformscope.recording.results import Recorded, read_results
 from deformscope.rows import FORMAT
+from deformscope.session import Moment, Step
 from deformscope.stages.map.exploration import (
     ExplorationStop,
     MapEstimate,
     PhaseStart,
-    PlannedTouch,
     StageFailure,
     TouchEstimate,
 )
@@ -67,7 +65,7 @@ def record(path: Path, told: Sequence[Told], items: Sequence[Item] = (), streams
     rec.disconnect()
 
 
-def back(path: Path) -> list[Recorded]:
+def back(path: Path) -> list[Row]:
     return list(read_results(path, trust=True))
 
 
@@ -89,7 +87,7 @@ def test_results_come_back_equal_to_the_last_bit(tmp_path: Path) -> None:
     expected = [(session_ns, touch, result) for session_ns, touch, results in told for result in results]
     assert [(one.session_ns, one.touch) for one in found] == [one[:2] for one in expected]
     for one, (_, _, result) in zip(found, expected, strict=True):
-        assert_equal(one.result, result)
+        assert_equal(one.item, result)
 
 
 def test_values_that_are_no_numbers_or_not_there_come_back(tmp_path: Path) -> None:
@@ -102,17 +100,17 @@ def test_values_that_are_no_numbers_or_not_there_come_back(tmp_path: Path) -> No
     plan = dataclasses.replace(synthetic.plan(0), reason="weil's so ist: |µ| → ∞\n", excluded=np.ones((2, 3), np.bool_))
     record(tmp_path / "run.rrd", [(5, 0, [touch, maps, plan])])
     for one, expected in zip(back(tmp_path / "run.rrd"), (touch, maps, plan), strict=True):
-        assert_equal(one.result, expected)
+        assert_equal(one.item, expected)
         for field in dataclasses.fields(expected):
             value = getattr(expected, field.name)
             if isinstance(value, np.ndarray):
-                assert getattr(one.result, field.name).tobytes() == value.tobytes(), field.name
+                assert getattr(one.item, field.name).tobytes() == value.tobytes(), field.name
 
 
 def test_one_kind_alone_is_read(tmp_path: Path) -> None:
     record(tmp_path / "run.rrd", [(5, 0, [synthetic.plan(0), PhaseStart("plan", 0), PhaseStart("stopped", 0)])])
     found = list(read_results(tmp_path / "run.rrd", (PhaseStart,), trust=True))
-    assert [one.result for one in found] == [PhaseStart("plan", 0), PhaseStart("stopped", 0)]
+    assert [one.item for one in found] == [PhaseStart("plan", 0), PhaseStart("stopped", 0)]
 
 
 def test_a_reader_can_ask_for_the_numbers_of_a_touch(tmp_path: Path) -> None:
@@ -156,11 +154,11 @@ def test_everything_stands_at_the_cameras_picture_and_at_its_touch(tmp_path: Pat
     seen_ns = int(pictures_ns[2]) + 1
     with Recorder(tmp_path / "run.rrd", "none", {}, layout="exploration") as recorder:
         recorder.start_exploration(streams, rig.START_NS, (0.6, 0.4), BASE_FROM_SURFACE, truth=True)
-        recorder.write_results([synthetic.plan(0)], rig.START_NS, 0, 0.005)
+        recorder.write(Step((synthetic.plan(0),), moment=Moment(rig.START_NS, cell_m=0.005)))
         for at in range(0, len(items), 40):
-            recorder.write_items(items[at : at + 40])
+            recorder.write(items[at : at + 40])
         now_ns = int(pictures_ns[-1]) + 5
-        recorder.write_results([synthetic.touch(0)], now_ns, 1, 0.005, seen_ns)
+        recorder.write(Step((synthetic.touch(0),), moment=Moment(now_ns, 1, seen_ns, 0.005)))
     found_again = sorted(read_items(tmp_path / "run.rrd", trust=True), key=order)
     assert_same(found_again, sorted(items, key=order))
     where = [
@@ -262,7 +260,7 @@ def _heights(touch: TouchEstimate, places: FloatArray) -> FloatArray:
 
 
 def test_nothing_that_moves_is_static(tmp_path: Path) -> None:
-    record(tmp_path / "run.rrd", [(1, 1, small_results())])
+    record(tmp_path / "run.rrd", [(1, 1, synthetic.small_results())])
     static = {
         chunk.entity_path
         for chunk in RrdReader(tmp_path / "run.rrd").stream()
@@ -285,7 +283,7 @@ def test_why_it_was_stopped_is_data_a_line_of_text_and_a_red_state(tmp_path: Pat
     record(tmp_path / "run.rrd", [(7, 2, [PhaseStart(f"stopped: {stop.kind}", 1), stop])])
     (found,) = read_results(tmp_path / "run.rrd", (ExplorationStop,), trust=True)
 
-    assert found == Recorded(7, 2, stop)
+    assert found == Row(7, 2, stop)
     text = cells(tmp_path / "run.rrd", "/exploration/stopped", "TextLog:text")
     assert [one for one in text if one] == [["force sensor silent: no force for 36 ms"]]
     static = [
@@ -332,7 +330,7 @@ def test_what_cannot_be_shown_is_recorded_with_where_it_failed(tmp_path: Path, m
 
     (one,) = failed
     assert (one.stage, one.touch, one.reason) == ("display", 2, "FloatingPointError: no ink")
-    results = [found.result for found in back(tmp_path / "run.rrd")]
+    results = [found.item for found in back(tmp_path / "run.rrd")]
     assert_equal(next(result for result in results if isinstance(result, TouchEstimate)), told)
     assert_equal(next(result for result in results if isinstance(result, MapEstimate)), maps)
     assert one in results
@@ -345,9 +343,3 @@ def test_what_cannot_be_shown_is_recorded_with_where_it_failed(tmp_path: Path, m
 def test_what_is_no_result_is_refused() -> None:
     with pytest.raises(TypeError, match="shows a int"):
         prepare_results([3], 0, Place(0, PICTURES_NS))
-
-
-def test_warming_up_draws_every_kind() -> None:
-    kinds = {type(one) for one in small_results()}
-    assert {TouchEstimate, MapEstimate, PlannedTouch, PhaseStart, ExplorationStop} < kinds
-    warm_up()

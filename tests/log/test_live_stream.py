@@ -20,6 +20,7 @@ from deformscope.frames import (
     ColorFrame,
     DepthFrame,
     HealthReport,
+    InputFile,
     Item,
     LinkChange,
     RawBytes,
@@ -41,6 +42,7 @@ from deformscope.log.rig.thinned import (
 from deformscope.recording import recorder
 from deformscope.recording.live import Viewer
 from deformscope.recording.recorder import Recorder
+from deformscope.session import Moment, Step
 from deformscope_drivers.clock import Stamp
 from tests.log import synthetic_exploration
 from tests.log import synthetic_rig as rig
@@ -206,7 +208,7 @@ def test_the_file_keeps_everything_that_the_viewer_does_not_get(
     with Recorder(tmp_path / "run.rrd", "page", {}, layout="rig") as made:
         made.start_rig(rig.STREAMS, rig.START_NS)
         for batch in rig.batches(sorted(items, key=rig.host_ns)):
-            made.write_items(batch)
+            made.write(batch)
     assert made.summary().dropped == 0
     kept, live = contents(tmp_path / "run.rrd")[2], contents(shown)[2]
     assert kept["/wrench/fingertip/force_n/0"] == 1000
@@ -227,9 +229,10 @@ def test_what_no_view_of_an_exploration_shows_is_not_sent(tmp_path: Path, shown:
     streams = [stream for stream in rig.STREAMS if stream.kind in ("wrench", "depth")]
     with Recorder(tmp_path / "run.rrd", "page", {}, layout="exploration") as made:
         made.start_exploration(streams, rig.START_NS, (0.6, 0.4), None, truth=True)
-        made.write_input("explored/looked", b"the whole cloud")
+        made.write(InputFile("explored/looked", b"the whole cloud"))
         for at_s, touch, result in synthetic_exploration.story():
-            made.write_results([result], rig.ns(at_s), touch, 0.01)
+            if touch <= 1:  # with it every kind of result has come
+                made.write(Step((result,), moment=Moment(rig.ns(at_s), touch, cell_m=0.01)))
     kept, live = contents(tmp_path / "run.rrd")[2], contents(shown)[2]
     recorded, sent = ({path for path in rows if not path.startswith("/display")} for rows in (kept, live))
     assert recorded > {"/exploration/maps", "/input", "/exploration/phase"}

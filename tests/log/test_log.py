@@ -16,6 +16,7 @@ from rerun.chunk import RrdReader
 from scipy.spatial import cKDTree
 
 from deformscope.files.sources import open_source
+from deformscope.frames import InputFile
 from deformscope.log.blueprint import blueprint
 from deformscope.log.canvas import Canvas
 from deformscope.log.estimate import as_json, summary
@@ -119,7 +120,7 @@ def test_sixteen_bits_are_shown_in_their_range(tmp_path: Path) -> None:
     ]
     with Recorder(tmp_path / "run.rrd") as made:
         for frame in dark:
-            made.write_frame(frame)
+            made.write(frame)
     jpeg = bytes(values(tmp_path / "run.rrd", "/display/image", "EncodedImage:blob", 1)[0])
     shown = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_UNCHANGED)
     assert shown.dtype == np.uint8
@@ -132,7 +133,7 @@ def test_pairs(tmp_path: Path, dimensions: int) -> None:
     pair = synthetic.pair_in_plane() if dimensions == 2 else synthetic.pair_in_space()
     path = tmp_path / "run.rrd"
     with Recorder(path, layout="pair") as made:
-        made.write_input("pair/0", b"some bytes")
+        made.write(InputFile("pair/0", b"some bytes"))
         made.write(Step((pair, synthetic.estimate(unit="m")), frame=0))
     kind = f"Points{dimensions}D"
     for name, expected in (

@@ -118,8 +118,10 @@ def test_a_whole_rig_comes_back_equal(tmp_path: Path) -> None:
     assert sorted(read_streams(tmp_path / "run.rrd", trust=True), key=str) == sorted(streams, key=str)
 
 
-def order(item: Item) -> tuple[int, str]:
-    return rig.host_ns(item), repr(item)[:80]
+def order(item: Item) -> tuple[int, str, str, int, bytes]:
+    """In time; of one moment by kind, device and number."""
+    named = (getattr(item, name, other) for name, other in (("device", ""), ("index", -1), ("data", b"")))
+    return (rig.host_ns(item), type(item).__name__, *named)
 
 
 ALONE: dict[str, list[Item]] = {

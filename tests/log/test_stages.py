@@ -16,7 +16,7 @@ from deformscope.frames import Pad, StageResult, Stream, UsedFrames
 from deformscope.log.rig.tactile import Hand
 from deformscope.log.stages import log_stage_streams, prepare_stage_results, stage_blueprint
 from deformscope.log.stages.words import summary
-from deformscope.recording.stage_results import read_stage_results
+from deformscope.recording.items import read_stage_results
 from deformscope.rows import FORMAT
 from deformscope.stages.fit.moment import MomentFit
 from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, TouchEstimate

@@ -81,7 +81,7 @@ def test_two_recordings_in_one_viewer(tmp_path: Path, viewer: ViewerClient) -> N
     assert len(viewer.get_state().recordings) == 2
 
 
-@pytest.mark.parametrize("dimensions", [2, 3])
+@pytest.mark.parametrize("dimensions", [pytest.param(2, marks=pytest.mark.slow), 3])
 def test_calibration_of_a_pair(tmp_path: Path, viewer: ViewerClient, dimensions: int) -> None:
     path = tmp_path / "run.rrd"
     pair = synthetic.pair_in_plane() if dimensions == 2 else synthetic.pair_in_space()
@@ -103,7 +103,13 @@ def test_pokes_of_a_surface(tmp_path: Path, viewer: ViewerClient) -> None:
         assert cv2.imread(str(shot)).std() > 8, shot.name
 
 
-@pytest.mark.parametrize("kinds", [("wrench", "tactile", "arm", "hand", "color", "depth"), ("tactile",), ("wrench",)])
+@pytest.mark.parametrize(
+    "kinds",
+    [
+        ("wrench", "tactile", "arm", "hand", "color", "depth"),
+        *(pytest.param((kind,), marks=pytest.mark.slow) for kind in ("tactile", "wrench")),
+    ],
+)
 def test_a_rig(tmp_path: Path, viewer: ViewerClient, kinds: tuple[str, ...]) -> None:
     """A double's views say so, every view shows something, and none is about a device that is not there."""
     path = tmp_path / "run.rrd"
@@ -176,7 +182,7 @@ def test_a_stopped_window_costs_the_picture_alone(tmp_path: Path, monkeypatch: p
         try:
             os.kill(viewer.pid, signal.SIGSTOP)
             for frame in synthetic.frames(100, (200, 300)):
-                made.write_frame(frame)
+                made.write(frame)
         except BaseException:
             os.kill(viewer.pid, signal.SIGKILL)
             raise
@@ -185,7 +191,9 @@ def test_a_stopped_window_costs_the_picture_alone(tmp_path: Path, monkeypatch: p
     assert made.summary().dropped >= 100
 
 
-@pytest.mark.parametrize(("touch", "truth"), [(0, True), pytest.param(2, True, marks=pytest.mark.slow), (2, False)])
+@pytest.mark.parametrize(
+    ("touch", "truth"), [*(pytest.param(touch, True, marks=pytest.mark.slow) for touch in (0, 2)), (2, False)]
+)
 def test_an_exploration(tmp_path: Path, viewer: ViewerClient, touch: int, truth: bool) -> None:
     """Every view shows something, before the first touch too, and arm and surface stand in one scene."""
     path = tmp_path / "run.rrd"

@@ -84,8 +84,9 @@ def test_cells_that_may_not_be_touched_are_grey_and_the_target_red() -> None:
     assert share_of(pictures.TARGET, stopped) == 0.0
 
 
-def test_every_picture_is_drawn_whatever_is_missing() -> None:
+def test_every_picture_is_drawn_whatever_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Warnings are errors, so that what cannot be drawn is noticed."""
+    monkeypatch.setattr(pictures, "DPI", 50)
     first = synthetic.maps(1, truth=False)
     empty = dataclasses.replace(first, contacts_m=np.zeros((0, 2)), touches=0)
     flat = dataclasses.replace(first, stiffness_n_per_mm=np.full(first.labels.shape, 2.0))

@@ -61,7 +61,9 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name", ["space", "pixels", *(pytest.param(name, marks=pytest.mark.slow) for name in ("plane", "surface"))]
+)
 def test_each_kind_of_body(name: str) -> None:
     comparison = CASES[name]
     image = np.tile(np.arange(400, dtype=np.uint8), (330, 1)) if name == "pixels" else None

@@ -372,23 +372,23 @@ def test_a_command_prints_the_address(
 # A real viewer -------------------------------------------------------------------------------------------------------
 
 RECORDING = """
-    import os, signal, sys
+    import os, signal, sys, time
     from pathlib import Path
     from deformscope.recording.recorder import Recorder
     from tests.log import synthetic
     with Recorder(Path(sys.argv[1]), "page", {}) as made:
         for frame in synthetic.frames(60):
-            made.write_frame(frame)
+            made.write(frame)
             if frame.index == 20:
                 feed = made._feed
                 while feed._unconfirmed or feed._jobs:
-                    pass
+                    time.sleep(0.005)
                 os.kill(made.viewer.pid, signal.Signals[sys.argv[2]])
     print("dropped", made.summary().dropped)
 """
 
 
-@pytest.mark.parametrize("how", ["SIGSTOP", "SIGKILL"])
+@pytest.mark.parametrize("how", ["SIGSTOP", pytest.param("SIGKILL", marks=pytest.mark.slow)])
 def test_a_frozen_or_killed_viewer_does_not_keep_the_process_from_ending(tmp_path: Path, how: str) -> None:
     path = tmp_path / "run.rrd"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "drivers")])}
@@ -410,6 +410,6 @@ def test_a_page_that_follows_lacks_nothing(tmp_path: Path) -> None:
 
     with Recorder(tmp_path / "run.rrd", "page", {}) as made:
         for frame in synthetic.frames(20):
-            made.write_frame(frame)
+            made.write(frame)
     end_pages()
     assert made.summary().dropped == 0

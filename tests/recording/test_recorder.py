@@ -21,7 +21,8 @@ import rerun as rr
 from rerun.chunk import RrdReader
 
 from deformscope.errors import InputError
-from deformscope.frames import ColorFrame, DepthFrame, HandFrame, Item, RawBytes, host_ns
+from deformscope.frames import ColorFrame, DepthFrame, HandFrame, InputFile, Item, RawBytes, host_ns
+from deformscope.images import encode_png
 from deformscope.recording import live, recorder
 from deformscope.recording import rrd_file as recording_file
 from deformscope.recording.items import read_items
@@ -50,7 +51,7 @@ def strict() -> Iterator[None]:
 
 def rrd(*arguments: object) -> subprocess.CompletedProcess[str]:
     command = [str(live.viewer_executable()), "rrd", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
 
 
 def record(path: Path, count: int = 4, **options: object) -> recorder.RecordingSummary:
@@ -132,22 +133,22 @@ def test_the_views_are_in_the_file(tmp_path: Path) -> None:
 
 def test_two_deterministic_runs_compare_equal(tmp_path: Path) -> None:
     for name in ("a", "b"):
-        record(tmp_path / f"{name}.rrd", 40, deterministic=True)
+        record(tmp_path / f"{name}.rrd", 8, deterministic=True)
     assert rrd("compare", "--unordered", tmp_path / "a.rrd", tmp_path / "b.rrd").returncode == 0
     with Recorder(tmp_path / "c.rrd", "none", {"seed": 3, "roi": ROI, "spacing_px": None}, deterministic=True) as made:
-        run(synthetic.frames(40, seed=1), synthetic.calibration(ROI, SHAPE), made)
+        run(synthetic.frames(8, seed=1), synthetic.calibration(ROI, SHAPE), made)
     assert rrd("compare", "--unordered", tmp_path / "a.rrd", tmp_path / "c.rrd").returncode != 0
 
 
 def test_a_step_about_an_unknown_frame_is_a_mistake(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="frame 7"), Recorder(tmp_path / "run.rrd") as made:
-        made.write_frame(next(synthetic.frames(1)))
+        made.write(next(synthetic.frames(1)))
         made.write(Step((synthetic.estimate(),), frame=7))
 
 
 def test_a_result_without_a_twin_is_a_mistake(tmp_path: Path) -> None:
     with pytest.raises(TypeError, match="no twin"), Recorder(tmp_path / "run.rrd") as made:
-        made.write_frame(next(synthetic.frames(1)))
+        made.write(next(synthetic.frames(1)))
         made.write(Step(("a string",)))
 
 
@@ -159,7 +160,7 @@ def test_without_file_and_viewer_rerun_is_not_imported(tmp_path: Path) -> None:
         from deformscope.files.sources import open_source
         with open_source(["sample:tension"]) as source, Recorder(None) as made:
             for frame in source:
-                made.write_frame(frame)
+                made.write(frame)
                 made.write(Step((object(),)))
         assert made.summary().frames == 7
         assert made.summary().path is None
@@ -190,7 +191,7 @@ def test_overwrites_only_at_a_good_end(tmp_path: Path, caplog: pytest.LogCapture
     record(path, 2)
     before = path.read_bytes()
     with pytest.raises(KeyboardInterrupt), Recorder(path, overwrite=True) as made:
-        made.write_frame(next(synthetic.frames(1)))
+        made.write(next(synthetic.frames(1)))
         raise KeyboardInterrupt
     assert path.read_bytes() == before
     assert check_ledger(path) == []
@@ -215,7 +216,7 @@ def test_an_error_before_anything_was_recorded_leaves_nothing(tmp_path: Path) ->
 def test_a_name_taken_during_the_run_is_not_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "run.rrd"
     with pytest.raises(RecordingError, match="made during the run"), Recorder(path) as made:
-        made.write_frame(next(synthetic.frames(1)))
+        made.write(next(synthetic.frames(1)))
         path.write_bytes(b"of another run")
     assert path.read_bytes() == b"of another run"
     assert Replay(tmp_path / "run.part.rrd").frame_count == 1
@@ -231,7 +232,7 @@ def test_killed_outright(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> No
         from tests.recording.test_recorder import wait_for_looks
         with Recorder(Path(sys.argv[1]), "none", {"seed": 1}) as made:
             for frame in synthetic.frames(1000):
-                made.write_frame(frame)
+                made.write(frame)
                 if frame.index == 29:
                     wait_for_looks(made)
                 print(frame.index, flush=True)
@@ -260,7 +261,7 @@ def test_full_disk_ends_the_run(tmp_path: Path) -> None:
         try:
             with Recorder(Path(sys.argv[1]), "none", {}) as made:
                 for frame in synthetic.frames(10_000, (200, 300)):
-                    made.write_frame(frame)
+                    made.write(frame)
         except RecordingError as error:
             print(error)
             print("kept", made.summary().path.name, frame.index < 9_000)
@@ -276,11 +277,11 @@ def test_full_disk_ends_the_run(tmp_path: Path) -> None:
 def test_little_free_space_ends_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recording_file, "BEAT_S", 0.0)
     with pytest.raises(RecordingError, match="MiB free"), Recorder(tmp_path / "run.rrd") as made:
-        made.write_frame(next(synthetic.frames(1)))
+        made.write(next(synthetic.frames(1)))
         wait_for_looks(made)
         monkeypatch.setattr(recording_file, "FREE_BYTES", 1 << 60)
         for _ in range(3):
-            made.write_frame(next(synthetic.frames(1)))
+            made.write(next(synthetic.frames(1)))
     assert Replay(tmp_path / "run.part.rrd").frame_count == 1
     assert [path.name for path in tmp_path.iterdir()] == ["run.part.rrd"]
 
@@ -297,7 +298,7 @@ class SlowDisk:
 
         def slow(file: RecordingFile) -> None:
             self.asked.set()
-            self.given_up += not self.free.wait(20.0)
+            self.given_up += not self.free.wait(PATIENCE_S)
             flush(file)
 
         monkeypatch.setattr(RecordingFile, "flush", slow)
@@ -336,7 +337,7 @@ def test_nobody_who_writes_waits_for_the_disk(tmp_path: Path, monkeypatch: pytes
         disk.block(monkeypatch)
         assert disk.asked.wait(PATIENCE_S)
         for batch in rig.batches(items):
-            made.write_items(batch)
+            made.write(batch)
         disk.free.set()  # till now it was blocked by the first flush
     assert disk.given_up == 0
     assert_same(read_in_order(tmp_path / "run.rrd"), items)
@@ -350,9 +351,9 @@ def test_nobody_who_writes_images_and_results_waits_for_the_disk(
         disk.block(monkeypatch)
         assert disk.asked.wait(PATIENCE_S)
         for frame in synthetic.frames(3):
-            made.write_frame(frame)
+            made.write(frame)
             made.write(Step((synthetic.estimate(),)))
-        made.write_input("mask", np.zeros((4, 4), np.uint8))
+        made.write(InputFile("mask", encode_png(np.zeros((4, 4), np.uint8))))
         disk.free.set()
     assert disk.given_up == 0
     assert Replay(tmp_path / "run.rrd").frame_count == 3
@@ -374,7 +375,7 @@ def test_a_disk_that_stays_too_slow_for_the_devices_ends_the_run(
         assert disk.asked.wait(PATIENCE_S)
         try:
             for batch in rig.batches(items):
-                made.write_items(batch)
+                made.write(batch)
                 written += len(batch)
         finally:
             disk.free.set()
@@ -393,7 +394,7 @@ def test_what_can_wait_for_its_recording_does_and_loses_nothing(
         assert disk.asked.wait(PATIENCE_S)
         threading.Timer(0.2, disk.free.set).start()
         for frame in synthetic.frames(20):
-            made.write_frame(frame)
+            made.write(frame)
         assert disk.free.is_set()  # six of them had no room before
     assert Replay(tmp_path / "run.rrd").frame_count == 20
 
@@ -405,7 +406,7 @@ def test_a_list_that_goes_on_being_used_is_recorded_as_it_was(tmp_path: Path) ->
         given: list[Item] = []
         for batch in rig.batches(items):
             given += batch
-            made.write_items(given)
+            made.write(given)
             given.clear()
     assert_same(read_in_order(tmp_path / "run.rrd"), items)
 
@@ -421,7 +422,7 @@ def test_devices_killed_outright(tmp_path: Path) -> None:
         with Recorder(Path(sys.argv[1]), "none", {}, layout="rig", real_time=True) as made:
             made.start_rig(rig.STREAMS, rig.START_NS)
             for batch in rig.batches(without_images(0.5)):
-                made.write_items(batch)
+                made.write(batch)
             while made._writer.waiting_bytes or len(made._portions):
                 time.sleep(0.01)
             beats = made._file._beats
@@ -441,7 +442,7 @@ def test_a_recording_of_devices_has_few_portions(tmp_path: Path) -> None:
     with Recorder(tmp_path / "run.rrd", "none", {}, layout="rig") as made:
         made.start_rig(rig.STREAMS, rig.START_NS)
         for batch in rig.batches(items):
-            made.write_items(batch)
+            made.write(batch)
     assert rrd("verify", tmp_path / "run.rrd").returncode == 0
     portions: dict[str, int] = {}
     for chunk in RrdReader(tmp_path / "run.rrd").stream():
@@ -459,7 +460,7 @@ def test_two_deterministic_runs_of_devices_compare_equal(tmp_path: Path) -> None
         with Recorder(tmp_path / f"{name}.rrd", "none", {}, layout="rig", deterministic=True) as made:
             made.start_rig(rig.STREAMS, rig.START_NS)
             for batch in rig.batches(numbers):
-                made.write_items(batch)
+                made.write(batch)
     assert rrd("compare", "--unordered", tmp_path / "a.rrd", tmp_path / "b.rrd").returncode == 0
 
 
@@ -489,7 +490,7 @@ def test_without_the_file_of_large_portions_the_recording_is_the_other(
             monkeypatch.setattr(made._file._merged_stream, "flush", failing)
         made.start_rig(rig.STREAMS, rig.START_NS)
         for batch in rig.batches(items):
-            made.write_items(batch)
+            made.write(batch)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.rrd", "run.rrd.ledger"]
     assert "many small portions" in caplog.text
     assert check_ledger(tmp_path / "run.rrd") == []
@@ -512,7 +513,7 @@ class Stream:
     def disconnect(self) -> None: ...
 
     def take(self) -> None:
-        self.free.wait(30)
+        self.free.wait(PATIENCE_S)
         self.jobs += 1
 
 
@@ -582,7 +583,7 @@ def test_the_file_never_waits_for_the_viewer(
     path = tmp_path / "run.rrd"
     with Recorder(path, "native", {}) as made:
         for frame in synthetic.frames(400):
-            made.write_frame(frame)
+            made.write(frame)
     assert unblocked == []  # the viewer never answered
     stuck.set()
     assert made.summary().frames == 400

@@ -14,6 +14,7 @@ import pytest
 
 from deformscope.cli import main
 from deformscope.errors import InputError
+from deformscope.frames import InputFile
 from deformscope.recording.ledger import check_ledger
 from deformscope.recording.lock import is_being_written
 from deformscope.recording.recorder import Recorder, RecordingError
@@ -26,7 +27,7 @@ USAGE = namedtuple("USAGE", "total used free")
 def test_two_runs_at_once_to_one_name(tmp_path: Path, overwrite: bool) -> None:
     path = tmp_path / "run.rrd"
     with Recorder(path, overwrite=overwrite) as first:
-        first.write_input("a", b"1")
+        first.write(InputFile("a", b"1"))
         assert is_being_written(tmp_path / "run.part.rrd")
         with (
             pytest.raises(InputError, match=r"another run is recording to \(run.part.rrd\)"),
@@ -34,13 +35,13 @@ def test_two_runs_at_once_to_one_name(tmp_path: Path, overwrite: bool) -> None:
         ):
             pytest.fail("the second one began")
         with Recorder(tmp_path / "other.rrd") as other:
-            other.write_input("a", b"2")
+            other.write(InputFile("a", b"2"))
 
     assert sorted(left.name for left in tmp_path.glob("*.rrd")) == ["other.rrd", "run.rrd"]
     assert check_ledger(path) == []
     assert not is_being_written(path)
     with Recorder(path, overwrite=True) as again:
-        again.write_input("a", b"3")
+        again.write(InputFile("a", b"3"))
     assert check_ledger(path) == []
 
 
@@ -48,7 +49,8 @@ def test_the_lock_of_a_run_that_was_killed_is_gone(tmp_path: Path) -> None:
     path = tmp_path / "run.rrd"
     code = (
         "import sys; from pathlib import Path; from deformscope.recording.recorder import Recorder\n"
-        "r = Recorder(Path(sys.argv[1])).__enter__(); r.write_input('a', b'1'); print('on', flush=True); input()"
+        "from deformscope.frames import InputFile\n"
+        "r = Recorder(Path(sys.argv[1])).__enter__(); r.write(InputFile('a', b'1')); print('on', flush=True); input()"
     )
     process = subprocess.Popen(
         [sys.executable, "-c", code, str(path)],
@@ -66,7 +68,7 @@ def test_the_lock_of_a_run_that_was_killed_is_gone(tmp_path: Path) -> None:
         process.send_signal(signal.SIGKILL)
         process.wait()
     with Recorder(path) as made:
-        made.write_input("a", b"2")
+        made.write(InputFile("a", b"2"))
 
     assert check_ledger(path) == []
     assert part.exists(), "what the killed run had recorded is not touched"
@@ -81,7 +83,7 @@ def test_a_link_stays_a_link_to_the_new_recording(tmp_path: Path, dangling: bool
     if not dangling:
         target.write_bytes(b"old")
     with Recorder(link, overwrite=not dangling) as made:
-        made.write_input("a", b"1")
+        made.write(InputFile("a", b"1"))
 
     assert link.is_symlink()
     assert made.summary().path == target

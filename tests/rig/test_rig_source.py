@@ -16,12 +16,13 @@ import numpy as np
 import pytest
 
 from deformscope.errors import InputError
+from deformscope.experiments.live_stages import live_stages
 from deformscope.frames import HealthReport, Item, LinkChange, RawBytes, TactileFrame, WrenchFrame, host_ns
 from deformscope.lab.stand_in import stand_in, wire_of
 from deformscope.recording.losses import losses_of, named
 from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.source import RigMember, RigSource
-from deformscope.session import finish, passing_on, run
+from deformscope.session import finish, run
 from deformscope_drivers.dsa import Dsa, DsaConfig, DsaDouble
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.health import Link
@@ -152,14 +153,14 @@ class Keeper:
     def __init__(self) -> None:
         self.items: list[Item] = []
 
-    def write_items(self, items: Sequence[Item]) -> None:
-        self.items += items
+    def write(self, items: Any) -> None:
+        self.items += items if isinstance(items, Sequence) else ()
 
 
 def test_watching_leaves_nothing_behind() -> None:
     keeper = Keeper()
     with doubled("optoforce", "tip") as tip, RigSource([tip]) as source:
-        run(source, passing_on(lambda items: len(frames_of(keeper.items, "tip")) > 200), keeper)
+        run(source, live_stages((), {}, lambda items: len(frames_of(keeper.items, "tip")) > 200), keeper)
         finish(source, keeper)
         health = tip.device.health()
     frames = frames_of(keeper.items, "tip")
@@ -207,7 +208,7 @@ def test_a_recording_of_files_ends_with_them(tmp_path: Path) -> None:
     device = driver.make(driver.config_class()(path=str(tmp_path), fps=50.0))
     keeper = Keeper()
     with RigSource([RigMember("camera", driver, device)]) as source:
-        run(source, passing_on(lambda items: source.ended), keeper)
+        run(source, live_stages((), {}, lambda items: source.ended), keeper)
         finish(source, keeper)
 
     assert len(frames_of(keeper.items, "camera")) == 3

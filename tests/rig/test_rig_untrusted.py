@@ -20,6 +20,7 @@ from deformscope.rig.vendor_library import SYSTEM_FOLDERS, system_library
 from deformscope_drivers.depth_camera.discovery import list_by_openni
 from deformscope_drivers.errors import NotConnected
 from deformscope_drivers.transport import SerialTransport, open_bus
+from tests.patience import PATIENCE_S
 
 TIP = '[devices.tip]\ndriver = "optoforce"\nport = "/dev/ttyACM0"\n'
 
@@ -187,7 +188,7 @@ def test_a_device_has_a_name_that_a_file_can_have() -> None:
         "a = " + "[" * 3000,
         "a = " + "[" * 300 + "]" * 300,
         "a = " + "{a=" * 3000,
-        ".".join("a" * 20_000) + " = 1",
+        ".".join("a" * 5_000) + " = 1",
         "[devices.x]\ndriver." + ".".join("a" * 5000) + " = 1",
         "[devices.x]\ndriver = " + "[" * 100 + "]" * 100,
         "[devices.x]\ndouble = " + "[" * 100 + "]" * 100,
@@ -242,7 +243,7 @@ def rig_texts(draw: st.DrawFn) -> str:
         rig_texts().flatmap(lambda text: st.permutations(text.split()).map("\n".join)),
     )
 )
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_any_text_is_a_rig_of_devices_or_an_input_error(text: str) -> None:
     with contextlib.suppress(InputError):
         rig = parse_rig(text, "rig.toml")
@@ -293,7 +294,7 @@ def greedy(tmp_path_factory: pytest.TempPathFactory) -> Path:
         f'{{ FILE *made = fopen("{folder / "loaded"}", "w"); if (made) fclose(made); }}\n'
     )
     target = folder / "greedy.so"
-    subprocess.run([compiler, "-shared", "-fPIC", "-o", str(target), str(source)], check=True, timeout=60)
+    subprocess.run([compiler, "-shared", "-fPIC", "-o", str(target), str(source)], check=True, timeout=PATIENCE_S)
     return target
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from deformscope.errors import InputError
 from deformscope.robot.readings import RobotObservation
 from deformscope.robot.robot import RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Action, Fault, SafetyVerdict
+from deformscope.robot.travel import step
 from deformscope.studies.fault_study import FaultScene, make_scene
 
 UP = TipVelocity(np.array([0.0, 0.0, 0.02]))
@@ -48,6 +50,22 @@ def test_who_asks_to_stop_is_heard_in_the_same_period() -> None:
     assert way_m(scene, 0.02) < 5e-4
     assert way_m(scene, 0.5) == 0.0
     scene.lab.close()
+
+
+def test_what_takes_long_is_interrupted_by_a_period_as_soon_as_one_is_due() -> None:
+    scene = make_scene(3, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
+    looks: list[int] = []
+    scene.robot.watch = lambda seen, verdict: looks.append(seen.now_ns)
+    scene.robot.cycle()
+    scene.robot.keep_up()  # no time has passed
+    assert len(looks) == 1
+
+    for _ in range(25):  # 0.1 s, in pieces of 4 ms
+        scene.lab.wait_until(scene.lab.clock() + 4_000_000)
+        scene.robot.keep_up()
+    scene.lab.close()
+
+    assert max(np.diff(looks)) <= 20_000_000
 
 
 def test_a_fault_is_not_covered_by_a_wish_to_stop() -> None:
@@ -132,4 +150,21 @@ def test_nothing_counts_as_lost_while_nobody_has_to_look() -> None:
 
     assert scene.lab.force.health().dropped == 0
     assert len(scene.robot.seen.forces) > 0
+    scene.lab.close()
+
+
+def test_a_way_that_was_checked_is_not_begun_after_a_push() -> None:
+    scene = make_scene(3, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
+    cycles(scene, 5)
+    scene.lab.contact.hit([0.0, 0.0, 9.0], 1.0)
+    for _ in range(5):
+        scene.lab.wait_until(scene.lab.clock() + 10_000_000)
+        scene.robot.keep_up()
+    assert scene.robot.supervisor.verdict.action is Action.BACK_OFF
+    scene.robot.commanded.clear()
+
+    with pytest.raises(InputError, match="nothing in the way"):
+        step(scene.robot, UP)
+
+    assert all(speed_m_s == 0.0 for _, speed_m_s in scene.robot.commanded)
     scene.lab.close()

@@ -28,7 +28,12 @@ def touched(seed: int, modulus_pa: float, tip: str, tilt_deg: float) -> tuple[Fa
 
 @pytest.mark.parametrize(
     ("modulus_pa", "tip", "tilt_deg", "force_n"),
-    [(10e3, "sphere", 15.0, 3.0), (60e3, "flat", 0.0, 3.0), (1e11, "flat", 12.0, 5.0), (1e11, "sphere", 0.0, 5.0)],
+    [
+        (10e3, "sphere", 15.0, 3.0),
+        (1e11, "flat", 12.0, 5.0),
+        pytest.param(60e3, "flat", 0.0, 3.0, marks=pytest.mark.slow),  # between these two
+        pytest.param(1e11, "sphere", 0.0, 5.0, marks=pytest.mark.slow),
+    ],
 )
 def test_it_presses_as_told_and_never_harder(modulus_pa: float, tip: str, tilt_deg: float, force_n: float) -> None:
     scene, record = touched(3, modulus_pa, tip, tilt_deg)
@@ -133,7 +138,19 @@ def test_a_soft_stop_stands_and_then_backs_away() -> None:
     scene.lab.close()
 
 
-@pytest.mark.parametrize("injected", Injected)
+AS_OTHERS = (
+    Injected.FORCE_CABLE,
+    Injected.FORCE_FROZEN,
+    Injected.ARM_INVALID,
+    Injected.CAMERA_SILENT,
+    Injected.CAMERA_CABLE,
+)
+"""Noticed as others are; what the supervisor says of each is in `test_supervisor`."""
+
+
+@pytest.mark.parametrize(
+    "injected", [pytest.param(one, marks=pytest.mark.slow if one in AS_OTHERS else ()) for one in Injected]
+)
 def test_a_fault_is_noticed_in_time_and_the_arm_stands(injected: Injected) -> None:
     run = run_fault(20_000 + list(Injected).index(injected), injected)
 

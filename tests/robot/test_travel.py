@@ -24,7 +24,7 @@ def scene() -> FaultScene:
     return scene
 
 
-@pytest.mark.parametrize("above_m", [0.0, 0.01, 0.06])
+@pytest.mark.parametrize("above_m", [0.01, *(pytest.param(above_m, marks=pytest.mark.slow) for above_m in (0.0, 0.06))])
 def test_it_crosses_no_lower_than_told_and_hardly_higher(scene: FaultScene, above_m: float) -> None:
     robot, offset_m = scene.robot, scene.robot.placement.center_offset_m
     start_m = robot.center_m

@@ -13,6 +13,7 @@ import pytest
 pytest.importorskip("warp")
 
 from deformscope.errors import InputError
+from deformscope.pictures.figures import write_rows
 from deformscope.stages.fit.distance import distances
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.studies import cubes_figures
@@ -112,6 +113,7 @@ def test_overlapping_clusters_barrel_and_one_cluster_cannot(poisson: float) -> N
     assert clustered > 0.5 * observed
 
 
+@pytest.mark.slow
 def test_resolution_moves_theta_by_the_share_of_held_particles() -> None:
     """With the same share of mass held, theta of 5^3 and 9^3 agrees far better than with equal masses."""
     (coarse, fine), _ = thesis_cubes((0.25,), (5, 9), (0.03,))
@@ -252,7 +254,7 @@ def test_figures_and_tables_are_drawn(found: list[Found], tmp_path: Path) -> Non
     cubes_figures.draw_errors(tmp_path / "b.png", found)
     cubes_figures.draw_clusters(tmp_path / "c.png", found, 2)
     cubes_figures.draw_resolution(tmp_path / "d.png", found)
-    cubes_figures.write_cubes(tmp_path / "cubes.csv", found)
+    write_rows(tmp_path / "cubes.csv", cubes_figures.cube_rows(found))
 
     for name in "abcd":
         image = cv2.imread(str(tmp_path / f"{name}.png"))

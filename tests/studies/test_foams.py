@@ -53,6 +53,7 @@ def test_force_gives_the_models_stiffness(seen: FoamResult) -> None:
     assert seen.stiffness == pytest.approx(seen.force_n[-1] / 0.008)
 
 
+@pytest.mark.slow
 def test_hardness_alone_moves_nothing_and_scales_k(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(foams, "CHANGES", {"hardness": (75.0, 300.0)})
 

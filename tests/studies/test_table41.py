@@ -15,8 +15,7 @@ from deformscope.stages.map.map_score import MapScore
 from deformscope.stages.poke.contact import layer_modulus
 from deformscope.studies.surface_robot import true_map
 from deformscope.studies.table41 import MapAfter, TableJob, TableRun, add_run, read_runs, run_table
-from deformscope.studies.table41_figures import curves
-from deformscope.studies.table41_summary import compare, first_passage, summarise
+from deformscope.studies.table41_summary import compare, curves, first_passage, summarise
 
 SCORE = MapScore(2, "regions", True, 0.9, 0.8, 0.01, True, None, 1.0, 0.05, 0.9)
 
@@ -56,6 +55,7 @@ def test_the_truth_of_a_gradient_rises_with_its_modulus_and_rigid_is_known() -> 
     assert true_map(built_in("two-150-rigid", 1), ExploreOptions()).rigid.tolist() == [False, True]
 
 
+@pytest.mark.slow
 def test_a_row_of_the_table_and_its_file(tmp_path: Path) -> None:
     found = run_table(TableJob("two-150-rigid", 1, touches=3))
 

@@ -2,7 +2,7 @@
 
 Every row is at `session`, the time since the recording's start; at `frame`, the depth camera's newest picture then; and
 at `touch`: 0 before the first touch, then the number of the touch that it belongs to, from 1, the way there among it.
-What a touch told is at the frame of its dent. `deformscope.recording.results` reads the results back.
+What a touch measured is at the frame of its dent. `deformscope.recording.items` reads the results back.
 
     exploration/surface|touch|maps|plan   one row a result, every field of it a component of the same name
     exploration/input/...                 which frames they are computed from, or measurements where there are none
@@ -28,16 +28,22 @@ from deformscope.arrays import FloatArray
 from deformscope.frames import Stream
 from deformscope.log.exploration.blueprint import exploration_blueprint
 from deformscope.log.exploration.dent import log_dent, log_no_dent
-from deformscope.log.exploration.failed import log_failed
 from deformscope.log.exploration.moment import ResultBatch
-from deformscope.log.exploration.phases import log_phase, log_phase_colors
-from deformscope.log.exploration.pictured import log_curves, log_gain, log_height, log_maps, log_nothing_known
 from deformscope.log.exploration.scene import log_base, log_contact, log_stiffness, log_surface, log_target
-from deformscope.log.exploration.stopped import log_stopped
+from deformscope.log.exploration.shown import (
+    log_curves,
+    log_failed,
+    log_gain,
+    log_height,
+    log_maps,
+    log_nothing_known,
+    log_phase,
+    log_phase_colors,
+    log_stopped,
+)
 from deformscope.log.exploration.summary import log_no_summary, log_summary
 from deformscope.log.rig.columns import Batch, Place
-from deformscope.log.rig.plotted import plotted
-from deformscope.log.rig.warm_up import nowhere
+from deformscope.log.rig.numbers import plotted
 from deformscope.rows import Result
 from deformscope.stages.map.exploration import (
     DISPLAY,
@@ -50,12 +56,12 @@ from deformscope.stages.map.exploration import (
     TouchEstimate,
 )
 
-__all__ = ["exploration_blueprint", "log_exploration_start", "prepare_results", "warm_up"]
+__all__ = ["exploration_blueprint", "log_exploration_start", "prepare_results"]
 
 PEAKS = rr.components.AggregationPolicy.MinMax
 
 CELL_M = 0.005
-"""Of maps that do not tell it themselves."""
+"""Of maps that do not say it themselves."""
 
 
 def log_exploration_start(
@@ -92,7 +98,7 @@ def prepare_results(
     """Make results ready for one stream or several, pictures drawn: some 0.1 s a picture, six of them for the maps.
 
     session_ns: when, since the recording's start [ns]; place: on the other timelines; cell_m: of a plan's maps, where
-    no map beside it tells
+    no map beside it says
     failed: takes what could not be shown: every result is recorded all the same, and that with them
     A plan that comes with maps is drawn over their contacts. Raises TypeError for what is no result of an exploration.
     """
@@ -137,12 +143,3 @@ def _twins(
             yield partial(log_failed, now, result)
         case ExplorationStop():
             yield partial(log_stopped, now, result)
-
-
-def warm_up() -> None:
-    """Draw one of each picture, before the robot moves: the first costs half a second more than the others."""
-    from deformscope.log.exploration.small import small_results
-
-    rec = nowhere()
-    prepare_results(small_results(), 0, Place(0, np.zeros(0, np.int64))).send(rec)
-    rec.disconnect()

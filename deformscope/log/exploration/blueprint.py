@@ -8,12 +8,12 @@ import rerun.blueprint as rrb
 
 from deformscope.frames import Stream
 from deformscope.log.exploration.dent import DENT
-from deformscope.log.exploration.pictured import FORCE, GAIN, HEIGHT, MAPS, SECTION
 from deformscope.log.exploration.scene import SCENE, SURFACE_FRAME
+from deformscope.log.exploration.shown import FORCE, GAIN, HEIGHT, MAPS, SECTION
 from deformscope.log.exploration.summary import SUMMARY
-from deformscope.log.rig.blueprint import FLOOR
+from deformscope.log.rig.blueprint import FLOOR, LEGEND, blueprint_of, depth_view, named
 from deformscope.log.rig.columns import root
-from deformscope.log.rig.plotted import plotted
+from deformscope.log.rig.numbers import plotted
 from deformscope.pictures.palette import BACKGROUND
 from deformscope.rows import ENTITIES
 from deformscope.stages.map.exploration import PhaseStart
@@ -39,24 +39,19 @@ def exploration_blueprint(
     maps = {name: _picture(path, title) for (name, title), path in zip(TITLES.items(), MAPS, strict=True)}
     gain, force = _picture(GAIN, "Why the next touch goes there"), _picture(FORCE, "Force over depth")
     beside = maps["truth"] if truth else _picture(HEIGHT, "Surface")
+    summary = rrb.TextDocumentView(contents=[f"+ /{SUMMARY}"], origin=SUMMARY, name="What is known")
     known = rrb.Vertical(
         rrb.Horizontal(maps["stiffness"], maps["stiffness_deviation"], gain),
         rrb.Horizontal(maps["beta"], maps["beta_deviation"], force),
-        rrb.Horizontal(maps["regions"], beside, _summary()),
+        rrb.Horizontal(maps["regions"], beside, summary),
     )
-    time = rrb.TimePanel(timeline="session", state="collapsed", play_state="following")
-    return rrb.Blueprint(
-        rrb.Horizontal(_robot(streams, size_m), known, column_shares=[4, 6]),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        time,
-    )
+    return blueprint_of(rrb.Horizontal(_robot(streams, size_m), known, column_shares=[4, 6]))
 
 
 def _robot(streams: Sequence[Stream], size_m: tuple[float, float]) -> rrb.Container:
-    looks = [_dent(), *(_depth(stream) for stream in streams if stream.kind == "depth")]
+    looks = [_dent(), *(depth_view(stream) for stream in streams if stream.kind == "depth")]
     plots = [
-        _plot(path, f"{stream.device}: {title}{_simulated(stream)}")
+        rrb.TimeSeriesView(contents=[f"+ /{path}"], origin=path, name=named(stream, title), plot_legend=LEGEND)
         for stream in streams
         if stream.kind == "wrench"
         for path, title in plotted(stream)
@@ -101,28 +96,8 @@ def _dent() -> rrb.View:
     )
 
 
-def _depth(stream: Stream) -> rrb.View:
-    origin = root("depth", stream.device)
-    contents = [f"+ /{origin}", f"+ /{root('display/depth', stream.device)}"]
-    return rrb.Spatial2DView(contents=contents, name=f"{stream.device}: depth [m]{_simulated(stream)}")
-
-
-def _plot(origin: str, name: str) -> rrb.View:
-    """The whole session: every touch is a peak."""
-    return rrb.TimeSeriesView(
-        contents=[f"+ /{origin}"],
-        origin=origin,
-        name=name,
-        plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop),
-    )
-
-
 def _picture(path: str, name: str) -> rrb.View:
     return rrb.Spatial2DView(contents=[f"+ /{path}"], name=name, background=PAPER)
-
-
-def _summary() -> rrb.View:
-    return rrb.TextDocumentView(contents=[f"+ /{SUMMARY}"], origin=SUMMARY, name="What is known")
 
 
 def _simulated(stream: Stream) -> str:

@@ -6,9 +6,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from deformscope.arrays import FloatArray
-from deformscope.log.canvas import TEXT
+from deformscope.log.canvas import TEXT, sides_of
 from deformscope.log.exploration.moment import ResultBatch
-from deformscope.pictures.palette import OBSERVED, SIMULATED, Rgb
+from deformscope.pictures.palette import OBSERVED, SIMULATED, Rgb, round_down
 from deformscope.stages.map.exploration import TouchEstimate
 from deformscope.stages.see.cloud import reduce_to_grid
 from deformscope.stages.see.triangulation import triangulate
@@ -36,7 +36,7 @@ def log_dent(now: ResultBatch, touch: TouchEstimate) -> None:
     now.show_points(f"{DENT}/observed", observed * scale, OBSERVED, 0.012)
     now.show_points(f"{DENT}/simulated", top * scale, SIMULATED, 0.016)
     now.show_lines(f"{DENT}/simulated/net", _net(top) * scale, SIMULATED, 0.006)
-    bar_m = _bar(half)
+    bar_m = round_down(half)  # about half the width
     floor = float(min((top[:, 2] * scale[2]).min(initial=0.0), (observed[:, 2] * scale[2]).min(initial=0.0)))
     ends = np.array([[-0.5 * bar_m / half, -1.15, floor], [0.5 * bar_m / half, -1.15, floor]])
     now.show_lines(f"{DENT}/scale", ends[None], FRAME, 0.012)
@@ -69,8 +69,7 @@ def _net(top: FloatArray) -> FloatArray:
     triangles = triangulate(top[:, :2])
     if not len(triangles):
         return np.zeros((0, 2, 3))
-    sides = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    pairs = np.unique(np.sort(sides, axis=1), axis=0)
+    pairs = sides_of(triangles)
     apart = np.linalg.norm(top[pairs[:, 0], :2] - top[pairs[:, 1], :2], axis=1)
     return np.asarray(top[pairs[apart <= NEIGHBOURS * float(np.median(apart))]])
 
@@ -78,9 +77,3 @@ def _net(top: FloatArray) -> FloatArray:
 def _drawn_out(depth_m: float, half: float) -> float:
     wanted = SHARE * half / max(depth_m, 1e-6)
     return max((step for step in STEPS if step <= min(wanted, MOST_DRAWN_OUT)), default=1.0)
-
-
-def _bar(half: float) -> float:
-    """A round length of about half the width [m]."""
-    power = 10.0 ** np.floor(np.log10(half))
-    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= half))

@@ -28,6 +28,7 @@ CONTACT: Rgb = (255, 255, 255)
 NORMAL: Rgb = (255, 200, 0)
 TARGET: Rgb = (232, 17, 45)
 POINT_M, LINE_M, MARK_M, ARROW_M = 0.0006, 0.0016, 0.006, 0.05
+TARGET_TOP_M = 0.12
 
 
 def log_base(rec: Sink, stream: Stream, base_from_surface: FloatArray) -> None:
@@ -53,15 +54,11 @@ def log_surface(now: ResultBatch, surface: SurfaceEstimate, *, colored: bool) ->
     share = (points[:, 2] - low) / max(high - low, 1e-9)
     now.show_points(f"{SCENE}/observed", points, _colors("Greys", 0.05 + 0.5 * share), POINT_M)
     vertices, triangles = _grid(surface.height_m, surface.cell_m)
-    columns = [
-        *rr.Mesh3D.columns(vertex_positions=vertices.astype(np.float32)).partition([len(vertices)]),
-        *rr.Mesh3D.columns(triangle_indices=triangles.astype(np.uint32)).partition([len(triangles)]),
-        *rr.Mesh3D.columns(vertex_normals=_normals(surface).astype(np.float32)).partition([len(vertices)]),
-    ]
-    if colored:
-        share = (surface.height_m.ravel() - low) / max(high - low, 1e-9)
-        columns += rr.Mesh3D.columns(vertex_colors=_colors(HEIGHTS, share)).partition([len(vertices)])
-    now.send(f"{SCENE}/surface", columns)
+    share = (surface.height_m.ravel() - low) / max(high - low, 1e-9)
+    tints = _colors(HEIGHTS, share) if colored else None
+    normals = _normals(surface)
+    mesh = rr.Mesh3D(vertex_positions=vertices, triangle_indices=triangles, vertex_normals=normals, vertex_colors=tints)
+    now.show(f"{SCENE}/surface", mesh)
     rows, width = surface.height_m.shape
     x, y = width * surface.cell_m, rows * surface.cell_m
     corners = np.array([[0, 0, 0], [x, 0, 0], [x, y, 0], [0, y, 0], [0, 0, 0]], dtype=np.float64)
@@ -73,31 +70,27 @@ def log_stiffness(now: ResultBatch, maps: MapEstimate) -> None:
     low, high = stiffness_range(maps.stiffness_n_per_mm)
     known = np.nan_to_num(maps.stiffness_n_per_mm.ravel(), nan=low, posinf=high, neginf=low).clip(low, high)
     share = np.log(known / low) / np.log(high / low)
-    tints = _colors(STIFFNESS, share)
-    now.send(f"{SCENE}/surface", rr.Mesh3D.columns(vertex_colors=tints).partition([len(tints)]))
+    now.show(f"{SCENE}/surface", rr.Mesh3D.from_fields(vertex_colors=_colors(STIFFNESS, share)))
 
 
 def log_contact(now: ResultBatch, touch: TouchEstimate) -> None:
     """A mark with its number and the normal along which it was touched; marks stay."""
     at, path = touch.xyz_m, f"{SCENE}/contacts/{touch.number + 1}"
     now.show_points(path, at[None], CONTACT, MARK_M, [str(touch.number + 1)])
-    arrow = rr.Arrows3D.columns(origins=[at], vectors=[touch.normal * ARROW_M], colors=[NORMAL], radii=[LINE_M])
-    now.send(f"{path}/normal", arrow)
+    arrow = rr.Arrows3D(origins=[at], vectors=[touch.normal * ARROW_M], colors=NORMAL, radii=LINE_M)
+    now.show(f"{path}/normal", arrow)
 
 
 def log_target(now: ResultBatch, plan: PlannedTouch) -> None:
     """A red line where the next touch goes; none where none follows."""
     if plan.target_m is None:
-        now.send(f"{SCENE}/target", rr.LineStrips3D.columns(strips=np.zeros((0, 2, 3), np.float32)).partition([0]))
-        now.send(f"{SCENE}/target/name", rr.Points3D.columns(positions=np.zeros((0, 3))).partition([0]))
+        now.show(f"{SCENE}/target", rr.LineStrips3D([]))
+        now.show(f"{SCENE}/target/name", rr.Points3D([]))
         return
     x, y = plan.target_m
     top = np.array([x, y, TARGET_TOP_M])
     now.show_lines(f"{SCENE}/target", np.array([[[x, y, 0.0], top]]), TARGET, LINE_M)
     now.show_points(f"{SCENE}/target/name", top[None], TEXT, 0.0005, ["next"])
-
-
-TARGET_TOP_M = 0.12
 
 
 def _grid(height_m: FloatArray, cell_m: float) -> tuple[FloatArray, IntArray]:

@@ -14,11 +14,15 @@ SURE = 0.9
 
 
 def log_summary(now: ResultBatch, maps: MapEstimate) -> None:
-    now.send(SUMMARY, rr.TextDocument.columns(text=[summary(maps)], media_type=["text/markdown"]))
+    _show(now, summary(maps))
 
 
 def log_no_summary(now: ResultBatch) -> None:
-    now.send(SUMMARY, rr.TextDocument.columns(text=["# No touch yet"], media_type=["text/markdown"]))
+    _show(now, "# No touch yet")
+
+
+def _show(now: ResultBatch, text: str) -> None:
+    now.show(SUMMARY, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
 
 
 def summary(maps: MapEstimate) -> str:

@@ -19,9 +19,10 @@ also at `frame`, their place in the device's own stream. In an exploration's rec
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
+import numpy as np
 import rerun as rr
 
 from deformscope.frames import (
@@ -38,17 +39,17 @@ from deformscope.frames import (
     TactileFrame,
     WrenchFrame,
 )
-from deformscope.log.rig.arm import log_arm, log_arm_stream
+from deformscope.log.rig.arm import log_pose, log_shape
 from deformscope.log.rig.blueprint import rig_blueprint
 from deformscope.log.rig.cameras import log_color, log_depth
 from deformscope.log.rig.columns import Batch, Place, Shown, moments, recorded, root
-from deformscope.log.rig.hand import log_hand, log_hand_stream
 from deformscope.log.rig.health import log_health, log_health_stream
 from deformscope.log.rig.link import log_link, log_link_stream, log_raw
+from deformscope.log.rig.numbers import log_numbers, log_numbers_stream
 from deformscope.log.rig.tactile import log_tactile, log_tactile_stream
-from deformscope.log.rig.warm_up import nowhere, small_items
-from deformscope.log.rig.wrench import log_wrench, log_wrench_stream
 from deformscope.rows import ENTITIES, to_json
+from deformscope_drivers.clock import Stamp
+from deformscope_drivers.health import Health, Link, LinkEvent
 
 __all__ = [
     "Batch",
@@ -62,20 +63,18 @@ __all__ = [
     "warm_up",
 ]
 
-_STREAMS: dict[str, Callable[[rr.RecordingStream, Stream], None]] = {
-    "wrench": log_wrench_stream,
-    "tactile": log_tactile_stream,
-    "arm": log_arm_stream,
-    "hand": log_hand_stream,
-}
+NUMBERS = {WrenchFrame: "wrench", ArmFrame: "arm", HandFrame: "hand"}
 
 
 def log_streams(rec: rr.RecordingStream, streams: Sequence[Stream]) -> None:
     """What is known before the first frame: descriptions, names and colours of series, pads, the arm's shape."""
     for stream in streams:
         rec.log(root(stream.kind, stream.device), rr.AnyValues(stream=to_json(stream)), static=True)
-        if stream.kind in _STREAMS:
-            _STREAMS[stream.kind](rec, stream)
+        log_numbers_stream(rec, stream)
+        if stream.kind == "tactile":
+            log_tactile_stream(rec, stream)
+        elif stream.kind == "arm":
+            log_shape(rec, stream)
     for device in sorted({stream.device for stream in streams}):
         log_link_stream(rec, device)
         log_health_stream(rec, device)
@@ -88,7 +87,7 @@ def log_items(
     streams: Sequence[Stream],
     lossless: Collection[str] = (),
 ) -> None:
-    """Log a batch of items to one stream; `prepare_items` tells the rest."""
+    """Log a batch of items to one stream; `prepare_items` says the rest."""
     prepare_items(items, start_ns, streams, lossless).send(rec)
 
 
@@ -113,14 +112,12 @@ def prepare_items(
     batch = Batch(place)
     known = {(stream.kind, stream.device): stream for stream in streams}
     for (kind, device), group in _by_device(items).items():
-        if kind is WrenchFrame:
-            log_wrench(batch, device, group, start_ns)
+        if kind in NUMBERS:
+            log_numbers(batch, NUMBERS[kind], device, group, start_ns)
+        if kind is ArmFrame:
+            log_pose(batch, device, group, start_ns, known.get(("arm", device)))
         elif kind is TactileFrame:
             log_tactile(batch, device, group, start_ns, known.get(("tactile", device)), shown)
-        elif kind is ArmFrame:
-            log_arm(batch, device, group, start_ns, known.get(("arm", device)))
-        elif kind is HandFrame:
-            log_hand(batch, device, group, start_ns)
         elif kind is ColorFrame:
             log_color(batch, device, group, start_ns, device in lossless)
         elif kind is DepthFrame:
@@ -131,7 +128,7 @@ def prepare_items(
             log_link(batch, device, group, start_ns, streams)
         elif kind is HealthReport:
             log_health(batch, group, start_ns, streams, shown if changes_only else None)
-        else:
+        elif kind not in NUMBERS:
             raise TypeError(f"no twin in deformscope.log.rig shows a {kind.__name__}")
     return batch
 
@@ -145,9 +142,21 @@ def prepare_input(given: InputFile, frame: int, session_ns: int) -> Batch:
 
 
 def warm_up() -> None:
-    """Have rerun and the encoders do once, before any device is opened, what costs time the first time."""
-    rec = nowhere()
-    log_items(rec, list(small_items()), 0, ())
+    """Have rerun and the encoders do once, before any device is opened, what costs up to half a second the first
+    time."""
+    stamp, nothing = Stamp(0), np.zeros(3)
+    small: list[Item] = [
+        WrenchFrame(stamp, 0, np.zeros(3, np.int64), nothing[None]),
+        TactileFrame(stamp, 0, np.zeros(4, np.uint16), (np.zeros((2, 2)),)),
+        ColorFrame(stamp, 0, np.zeros((16, 16, 3), np.uint8), "color"),
+        DepthFrame(stamp, 0, np.full((16, 16), 1000, np.uint16), 0.001),
+        RawBytes(0, b"\0", False, "wrench"),
+        LinkChange(LinkEvent(0, Link.CONNECTED), "wrench"),
+        HealthReport(0, (("wrench", Health(Link.CONNECTED)),)),
+    ]
+    rec = rr.RecordingStream("deformscope-warm-up", send_properties=False)
+    rec.memory_recording()
+    log_items(rec, small, 0, ())
     rec.disconnect()
 
 

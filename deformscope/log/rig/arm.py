@@ -1,4 +1,4 @@
-"""An arm: its quantities as numbers, and its shape moving as its joints do."""
+"""An arm's shape, moving as its joints do."""
 
 from __future__ import annotations
 
@@ -12,12 +12,10 @@ import pyarrow as pa
 import rerun as rr
 
 from deformscope.frames import ArmFrame, Stream
-from deformscope.log.rig.columns import Batch, frame_times, log_series, moments, recorded, root, scalars
-from deformscope.pictures.palette import AXES, JOINTS
+from deformscope.log.rig.columns import Batch, moments, root
 
-PLOTS = ("joint_deg", "joint_torque_nm", "force_n")
 POSE_NS = 40_000_000
-"""The shape moves at most so often: a pose has nine rows of names and numbers, all of which the joint angles tell."""
+"""The shape moves at most so often: a pose has nine rows of names and numbers, all of them made of the joint angles."""
 MOVABLE = ("revolute", "continuous", "prismatic")
 
 SOLID = {
@@ -25,7 +23,7 @@ SOLID = {
     "Cylinders3D:radii": rr.Cylinders3D.from_fields(fill_mode=rr.components.FillMode.Solid),
     "Ellipsoids3D:half_sizes": rr.Ellipsoids3D.from_fields(fill_mode=rr.components.FillMode.Solid),
 }
-"""Simple shapes of a URDF, told by a component of theirs: rerun would draw them as wires."""
+"""Simple shapes of a URDF, known by a component of theirs: rerun would draw them as wires."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,12 +57,7 @@ def shape_of(urdf: Path, device: str) -> Shape:
     )
 
 
-def log_arm_stream(rec: rr.RecordingStream, stream: Stream) -> None:
-    joints = [f"joint {joint + 1}" for joint in range(len(JOINTS))], JOINTS
-    for quantity, (names, tints) in zip(
-        PLOTS, (joints, joints, ([f"F{axis} [N]" for axis in "xyz"], AXES)), strict=True
-    ):
-        log_series(rec, root("arm", stream.device, quantity), names, tints)
+def log_shape(rec: rr.RecordingStream, stream: Stream) -> None:
     if stream.urdf is not None:
         display = root("/display/arm", stream.device)
         for chunk in shape_of(stream.urdf, stream.device).tree.stream():
@@ -76,12 +69,7 @@ def log_arm_stream(rec: rr.RecordingStream, stream: Stream) -> None:
                     rec.log(moved.entity_path, SOLID[name], static=True)
 
 
-def log_arm(batch: Batch, device: str, frames: Sequence[ArmFrame], start_ns: int, stream: Stream | None) -> None:
-    times = frame_times(frames, start_ns)
-    for quantity in PLOTS:
-        rows = [getattr(frame, quantity) for frame in frames]
-        batch.send_columns(root("arm", device, quantity), times, scalars(rows))
-    batch.send_columns(root("arm", device), times, recorded(frames))
+def log_pose(batch: Batch, device: str, frames: Sequence[ArmFrame], start_ns: int, stream: Stream | None) -> None:
     if stream is not None and stream.urdf is not None:
         _log_pose(batch, device, frames, start_ns, shape_of(stream.urdf, device))
 

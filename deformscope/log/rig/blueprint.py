@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any, Literal
 
 import rerun.blueprint as rrb
 
 from deformscope.frames import Stream
 from deformscope.log.rig.arm import shape_of
 from deformscope.log.rig.columns import root
-from deformscope.log.rig.plotted import plotted
+from deformscope.log.rig.numbers import plotted
 from deformscope.log.rig.tactile import Hand
 from deformscope.pictures.palette import BACKGROUND
 
 WINDOW_S = 10.0
 """How far back the plots show."""
 FLOOR = [88, 94, 104]
+LEGEND = rrb.PlotLegend(corner=rrb.Corner2D.LeftTop)
 PICTURES_A_ROW, PLOTS_A_ROW, FEW = 4, 3, 2
 
 
@@ -29,23 +31,21 @@ def rig_views(streams: Sequence[Stream]) -> rrb.Container:
     pictures = [view for stream in streams for view in _pictures(stream)]
     plots = [view for stream in streams for view in _plots(stream)]
     health = [_health(streams)] if streams else []
-    if _few(pictures, plots):
+    if 1 <= len(pictures) <= FEW and len(plots) <= FEW:
         return _beside(pictures, plots, health)
     return _stacked(pictures, plots, health, len(streams))
 
 
-def blueprint_of(views: rrb.Container) -> rrb.Blueprint:
-    """Views of devices, following the time, without rerun's panels."""
-    return rrb.Blueprint(
-        views,
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(timeline="session", state="collapsed", play_state="following"),
-    )
-
-
-def _few(pictures: Sequence[rrb.View], plots: Sequence[rrb.View]) -> bool:
-    return 1 <= len(pictures) <= FEW and len(plots) <= FEW
+def blueprint_of(
+    views: rrb.Container | rrb.View,
+    timeline: str = "session",
+    *,
+    play: Literal["following"] | None = "following",
+    **more: Any,
+) -> rrb.Blueprint:
+    """Views over a timeline, without rerun's panels. more: of the time panel"""
+    time = rrb.TimePanel(timeline=timeline, state="collapsed", play_state=play, **more)
+    return rrb.Blueprint(views, rrb.BlueprintPanel(state="hidden"), rrb.SelectionPanel(state="hidden"), time)
 
 
 def _beside(pictures: Sequence[rrb.View], plots: Sequence[rrb.View], health: Sequence[rrb.Container]) -> rrb.Container:
@@ -87,19 +87,17 @@ def _pictures(stream: Stream) -> list[rrb.View]:
     if stream.kind == "tactile":
         return [tactile_view(stream)]
     if stream.kind == "color":
-        return [rrb.Spatial2DView(origin=root("color", stream.device), name=_named(stream, "color"))]
+        return [rrb.Spatial2DView(origin=root("color", stream.device), name=named(stream, "color"))]
     if stream.kind == "depth":
-        origin = root("depth", stream.device)
-        contents = [f"+ /{origin}", f"+ /{root('display/depth', stream.device)}"]
-        return [rrb.Spatial2DView(contents=contents, name=_named(stream, "depth [m]"))]
+        return [depth_view(stream)]
     return []
 
 
 def _plots(stream: Stream) -> list[rrb.View]:
-    return [plot_view(path, _named(stream, title)) for path, title in plotted(stream)]
+    return [plot_view(path, named(stream, title)) for path, title in plotted(stream)]
 
 
-def _named(stream: Stream, what: str) -> str:
+def named(stream: Stream, what: str) -> str:
     return f"{stream.device}: {what}{' (SIMULATED)' if stream.simulated else ''}"
 
 
@@ -111,10 +109,15 @@ def plot_view(origin: str, name: str, *, below: bool = False) -> rrb.View:
         contents=[f"+ /{origin}{'/**' if below else ''}"],
         origin=origin,
         name=name,
-        plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop),
+        plot_legend=LEGEND,
         time_ranges=[rrb.VisibleTimeRange("session", start=window, end=now)],
         axis_x=rrb.archetypes.TimeAxis(view_range=rrb.TimeRange(start=window, end=now)),
     )
+
+
+def depth_view(stream: Stream) -> rrb.View:
+    contents = [f"+ /{root('depth', stream.device)}", f"+ /{root('display/depth', stream.device)}"]
+    return rrb.Spatial2DView(contents=contents, name=named(stream, "depth [m]"))
 
 
 def tactile_view(stream: Stream) -> rrb.View:
@@ -124,7 +127,7 @@ def tactile_view(stream: Stream) -> rrb.View:
         bounds = rrb.VisualBounds2D(x_range=list(x_mm), y_range=list(y_mm))
     return rrb.Spatial2DView(
         origin=root("display/tactile", stream.device),
-        name=_named(stream, "pressure [kPa]"),
+        name=named(stream, "pressure [kPa]"),
         visual_bounds=bounds,
         background=list(BACKGROUND),
     )
@@ -137,7 +140,7 @@ def _arm_view(stream: Stream) -> rrb.View:
     reach = shape.reach_m
     return rrb.Spatial3DView(
         origin=root("display/arm", stream.device),
-        name=_named(stream, "pose"),
+        name=named(stream, "pose"),
         spatial_information=rrb.SpatialInformation(target_frame=shape.base),
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +14,7 @@ from rerun.chunk import Chunk
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.frames import Frame
+from deformscope.pictures.palette import Rgb
 from deformscope.rows import FRAMES, OF_DEVICES, to_columns
 
 Columns = Iterable[rr.ComponentColumn]
@@ -73,6 +75,12 @@ class Batch:
         when = list(times) if self._place is None else self._place.moved(times)
         self.parts.append((path, Chunk.from_columns(path, when, ready)))
 
+    def show(self, path: str, times: Sequence[rr.TimeColumn], entity: rr.AsComponents) -> None:
+        """One row: an entity at one moment."""
+        parts = [(one.component_descriptor(), one) for one in entity.as_component_batches()]
+        columns = [rr.ComponentColumn(named, one, lengths=[len(one.as_arrow_array())]) for named, one in parts]
+        self.send_columns(path, times, columns)
+
     def log(self, path: str, entity: rr.AsComponents, *, static: bool) -> None:
         """As that of a stream."""
         self.parts.append((path, lambda rec: rec.log(path, entity, static=static)))
@@ -118,11 +126,11 @@ def frame_times(frames: Sequence[Frame], start_ns: int) -> list[rr.TimeColumn]:
     return [*moments([frame.stamp.host_ns for frame in frames], start_ns), rr.TimeColumn("frame", sequence=indices)]
 
 
-def recorded(items: Sequence[object]) -> list[rr.ComponentColumn]:
+def recorded(items: Sequence[object], leave_out: tuple[str, ...] = ()) -> list[rr.ComponentColumn]:
     """Every field of these but images, and what their entity and times say; all of one class and, if any, device."""
     kind, found = type(items[0]), list[rr.ComponentColumn]()
     elsewhere = ("device",) * (kind in OF_DEVICES) + ("index",) * (kind in FRAMES)
-    for name, column in to_columns(items, elsewhere).items():
+    for name, column in to_columns(items, elsewhere + leave_out).items():
         made = rr.DynamicArchetype.columns(archetype=kind.__name__, components={name: column.values})
         found += made.partition(column.lengths)
     return found
@@ -133,6 +141,11 @@ def scalars(rows: Sequence[FloatArray]) -> Columns:
     flat: npt.NDArray[np.float64] = np.concatenate(rows).astype(np.float64, copy=False)
     batch = rr.components.ScalarBatch(flat)
     return [rr.ComponentColumn(rr.Scalars.descriptor_scalars(), batch, lengths=[len(row) for row in rows])]
+
+
+def states(colors: Mapping[Any, Rgb]) -> rr.StateConfiguration:
+    """The colours of what a lane over time shows."""
+    return rr.StateConfiguration(values=list(map(str, colors)), colors=list(colors.values()))
 
 
 def log_series(rec: Sink, path: str, names: Sequence[str], colors: Sequence[tuple[int, ...]]) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import rerun as rr
 
 from deformscope.frames import HealthReport, Stream
-from deformscope.log.rig.columns import Batch, Shown, moments, recorded, root
+from deformscope.log.rig.columns import Batch, Shown, moments, recorded, root, states
 from deformscope.pictures.palette import BAD, GOOD, IDLE, WARN
 from deformscope_drivers.health import Health, Link
 
@@ -40,8 +40,7 @@ def word(health: Health, stream: Stream | None) -> str:
 
 
 def log_health_stream(rec: rr.RecordingStream, device: str) -> None:
-    colored = rr.StateConfiguration(values=list(COLORS), colors=list(COLORS.values()))
-    rec.log(root("health", device), colored, static=True)
+    rec.log(root("health", device), states(COLORS), static=True)
 
 
 def log_health(

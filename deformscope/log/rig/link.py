@@ -8,8 +8,8 @@ import numpy as np
 import rerun as rr
 
 from deformscope.frames import LinkChange, RawBytes, Stream
-from deformscope.log.rig.columns import Batch, moments, recorded, root, scalars
-from deformscope.log.rig.plotted import plotted
+from deformscope.log.rig.columns import Batch, moments, recorded, root, scalars, states
+from deformscope.log.rig.numbers import plotted
 from deformscope.pictures.palette import BAD, GOOD, IDLE, WARN
 from deformscope_drivers.health import Link
 
@@ -18,17 +18,16 @@ LEVELS = {Link.CONNECTED: "INFO", Link.LOST: "WARN", Link.FAILED: "ERROR", Link.
 
 
 def log_link_stream(rec: rr.RecordingStream, device: str) -> None:
-    colored = rr.StateConfiguration(values=[str(link) for link in COLORS], colors=list(COLORS.values()))
-    rec.log(root("link", device), colored, static=True)
+    rec.log(root("link", device), states(COLORS), static=True)
 
 
 def log_link(
     batch: Batch, device: str, changes: Sequence[LinkChange], start_ns: int, streams: Sequence[Stream]
 ) -> None:
     events = [change.event for change in changes]
-    told = [f"{event.link}: {event.reason}" if event.reason else str(event.link) for event in events]
+    words = [f"{event.link}: {event.reason}" if event.reason else str(event.link) for event in events]
     columns = [
-        *rr.TextLog.columns(text=told, level=[LEVELS[event.link] for event in events]),
+        *rr.TextLog.columns(text=words, level=[LEVELS[event.link] for event in events]),
         *rr.StateChange.columns(state=[str(event.link) for event in events]),
         *recorded(changes),
     ]

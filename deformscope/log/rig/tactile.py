@@ -171,7 +171,8 @@ def _log_hand(rec: Sink, device: str, hand: Hand) -> None:
     """What holds throughout: names, places, sizes."""
     path = root("display/tactile", device)
     names = [pad.name for pad in hand.pads]
-    log_series(rec, root("tactile", device, "peak_kpa"), [f"{name} [kPa]" for name in names], _tints(len(names)))
+    tints = [JOINTS[at % len(JOINTS)] for at in range(len(names))]
+    log_series(rec, root("tactile", device, "peak_kpa"), [f"{name} [kPa]" for name in names], tints)
     sharp = rr.components.MagnificationFilter.Nearest
     shape = rr.components.ImageFormat(
         width=hand.columns, height=hand.rows, color_model=rr.ColorModel.RGB, channel_datatype=rr.ChannelDatatype.U8
@@ -222,7 +223,3 @@ def _log_pictures(
 def _send_labels(batch: Batch, path: str, times: Sequence[rr.TimeColumn], labels: Sequence[Sequence[str]]) -> None:
     flat = [label for row in labels for label in row]
     batch.send_columns(path, times, rr.Points2D.columns(labels=flat).partition([len(row) for row in labels]))
-
-
-def _tints(count: int) -> list[tuple[int, ...]]:
-    return [JOINTS[at % len(JOINTS)] for at in range(count)]

@@ -17,10 +17,9 @@ import numpy as np
 import rerun as rr
 
 from deformscope.frames import StageResult, Stream
-from deformscope.log.rig.columns import Batch, log_series, moments, scalars
+from deformscope.log.rig.columns import Batch, log_series, moments, recorded, root, scalars
 from deformscope.log.stages.over_image import log_flow_arrows, log_moments
 from deformscope.log.stages.pads import log_pads, log_pads_stream
-from deformscope.log.stages.recorded import log_recorded
 from deformscope.log.stages.views import PLOTS, WORDS, stage_blueprint
 from deformscope.log.stages.words import summary
 from deformscope.pictures.exploration import force_png, height_png
@@ -60,8 +59,10 @@ def prepare_stage_results(
     batch = Batch()
     known = {(stream.kind, stream.device): stream for stream in streams}
     for (stage, device, kind), group in _by_kind(results).items():
-        log_recorded(batch, stage, device, group, start_ns)
         times = moments([one.host_ns for one in group], start_ns)
+        places = rr.TimeColumn("frame", sequence=np.array([one.used[-1].last for one in group], np.int64))
+        columns = [*recorded(group, ("result",)), *recorded([one.result for one in group])]
+        batch.send_columns(root(f"stage/{stage}", device), [*times, places], columns)
         late_ms = [np.array([one.late_s * 1e3]) for one in group]
         batch.send_columns(f"{PLOTS}/lag/{stage}", times, scalars(late_ms))
         drawn = group[-1:] if newest_pictures else group

@@ -33,13 +33,9 @@ def log_flow_arrows(batch: Batch, device: str, results: Sequence[StageResult], s
         tints = colors(length[moving] / round_up(longest))
         path = root("display/stage/flow", device)
         when = moments([one.host_ns], start_ns)
-        columns = [
-            *rr.Arrows2D.columns(
-                origins=flow.at_px[moving], vectors=flow.flow_px[moving] * times, colors=tints
-            ).partition([int(moving.sum())]),
-            *rr.Arrows2D.columns(radii=[1.0], draw_order=[40.0]),
-        ]
-        batch.send_columns(f"{path}/arrows", when, columns)
+        vectors = flow.flow_px[moving] * times
+        arrows = rr.Arrows2D(origins=flow.at_px[moving], vectors=vectors, colors=tints, radii=1.0, draw_order=40.0)
+        batch.show(f"{path}/arrows", when, arrows)
         first = one.used[0].first
         words = f"from frame {first} to {one.used[-1].last}: up to {longest:.2g} px, arrows {times:g} times as long"
         _say(batch, f"{path}/words", _above(flow.at_px, step), words, when)
@@ -60,9 +56,8 @@ def log_moments(
         spacing = _spacing(fit.rest_px)
         known = fit.seen & np.isfinite(fit.simulated_px).all(axis=1)
         lines = np.stack([fit.rest_px[fit.seen], fit.observed_px[fit.seen]], axis=1)
-        strips = rr.LineStrips2D.columns(strips=lines.astype(np.float32)).partition([len(lines)])
-        style = rr.LineStrips2D.columns(colors=[LOST], radii=[0.03 * spacing], draw_order=[40.0])
-        batch.send_columns(f"{path}/moved", when, [*strips, *style])
+        moved = rr.LineStrips2D(lines.astype(np.float32), colors=LOST, radii=0.03 * spacing, draw_order=40.0)
+        batch.show(f"{path}/moved", when, moved)
         held = np.zeros(len(fit.seen), np.bool_)
         held[fit.held] = True
         for name, points, color, share, order in (
@@ -70,10 +65,8 @@ def log_moments(
             ("held", fit.observed_px[fit.seen & held], HELD, 0.14, 51.0),
             ("simulated", fit.simulated_px[known & ~held], SIMULATED, 0.08, 52.0),
         ):
-            many = len(points)
-            marks = rr.Points2D.columns(positions=points).partition([many])
-            style = rr.Points2D.columns(colors=[color], radii=[share * spacing], draw_order=[order])
-            batch.send_columns(f"{path}/{name}", when, [*marks, *style])
+            marks = rr.Points2D(points, colors=color, radii=share * spacing, draw_order=order)
+            batch.show(f"{path}/{name}", when, marks)
         value = "" if np.isnan(fit.value) else f"beta = {fit.value:.3g}: "
         _say(batch, f"{path}/words", _above(fit.rest_px, spacing), value + fit.verdict_text, when)
 
@@ -85,8 +78,7 @@ def _above(points: FloatArray, spacing: float) -> FloatArray:
 
 
 def _say(batch: Batch, path: str, place: FloatArray, words: str, when: Sequence[rr.TimeColumn]) -> None:
-    columns = rr.Points2D.columns(positions=[place], radii=[0.1], labels=[words], show_labels=[True], draw_order=[60.0])
-    batch.send_columns(path, when, columns)
+    batch.show(path, when, rr.Points2D([place], radii=0.1, labels=[words], show_labels=True, draw_order=60.0))
 
 
 def _spacing(points: FloatArray) -> float:

@@ -50,15 +50,7 @@ def step_through(
     found = np.empty((len(beta), len(held), *body.rest.shape))
     for index, (target, steps) in enumerate(zip(held, pace.steps(), strict=True)):
         found[:, index] = body.step(
-            state,
-            target,
-            beta,
-            theta,
-            volume=volume,
-            alpha=pace.alpha,
-            dt=pace.dt,
-            steps=steps,
-            held_from=before,
+            state, target, beta, theta, volume=volume, alpha=pace.alpha, dt=pace.dt, steps=steps, held_from=before
         )
         before = target
         if progress is not None:
@@ -82,10 +74,7 @@ class MovingSearch(Search):
         return some
 
     def states(
-        self,
-        parameter: FloatArray,
-        start: Sequence[FloatArray] | None,
-        progress: Callable[[int, int], None] | None,
+        self, parameter: FloatArray, start: Sequence[FloatArray] | None, progress: Callable[[int, int], None] | None
     ) -> list[Relaxed]:
         body = self.bodies[0]
         beta, theta = self.values(parameter)

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2, t
+from scipy.special import gammaincinv, stdtrit
 
 from deformscope.arrays import BoolArray, FloatArray
 
@@ -147,10 +147,10 @@ def deviation_of(residual: FloatArray, parameters: int) -> float:
 
 def half_width(covariance: FloatArray, level: float, freedom: int) -> FloatArray:
     """(m,) of the intervals at `level`."""
-    wide = t.ppf(0.5 + 0.5 * level, max(freedom, 1))
+    wide = stdtrit(max(freedom, 1), 0.5 + 0.5 * level)  # Student's t; scipy.stats takes a second to import
     return np.asarray(wide * np.sqrt(np.maximum(np.diag(covariance), 0.0)))
 
 
 def worse_than(level: float, parameters: int = 1) -> float:
     """By how many noise variances a sum of squares may exceed the least one, in `level` of all repeats."""
-    return float(chi2.ppf(level, parameters))
+    return float(2.0 * gammaincinv(0.5 * parameters, level))  # chi-squared

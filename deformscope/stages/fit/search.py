@@ -76,10 +76,7 @@ class Search:
         )
 
     def states(
-        self,
-        parameter: FloatArray,
-        start: Sequence[FloatArray] | None,
-        progress: Callable[[int, int], None] | None,
+        self, parameter: FloatArray, start: Sequence[FloatArray] | None, progress: Callable[[int, int], None] | None
     ) -> list[Relaxed]:
         """The candidates (g,) in every observation, from starts (g, K, d); observations of one body run at once."""
         found: dict[int, Relaxed] = {}

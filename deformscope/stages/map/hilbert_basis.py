@@ -83,10 +83,7 @@ class HilbertBasis:
         sine = [np.sin(angle[:, d, None] * np.arange(most[d] + 1)) for d in range(2)]
         sums = cosine[0].T @ (weight[:, None] * cosine[1])
         first, second = self.number.T
-        less, more = (
-            [np.abs(n[:, None] - n) for n in (first, second)],
-            [n[:, None] + n for n in (first, second)],
-        )
+        less, more = ([np.abs(n[:, None] - n) for n in (first, second)], [n[:, None] + n for n in (first, second)])
         gram = sums[less[0], less[1]] - sums[more[0], less[1]] - sums[less[0], more[1]] + sums[more[0], more[1]]
         gram /= 4.0 * np.prod(self.wall)
         onto = (sine[0].T @ ((weight * value)[:, None] * sine[1]))[first, second] / np.sqrt(np.prod(self.wall))

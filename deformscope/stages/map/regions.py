@@ -228,13 +228,29 @@ class RegionPosterior:
 
         log_stiffness = mean.reshape(self.grid.shape)
         log_stiffness_sd = np.sqrt(np.maximum(square - mean**2, 0.0)).reshape(self.grid.shape)
+        none = np.zeros(0)
+        found = RegionMap(
+            grid=self.grid,
+            verdict=self.verdict,
+            region_count=0,
+            probability=self.probability,
+            labels=np.full(self.grid.shape, -1),
+            label_probability=np.full(self.grid.shape, self.probability["gradual"]),
+            level=none,
+            level_sd=none,
+            level_interval=np.zeros((0, 2)),
+            rigid=np.zeros(0, dtype=bool),
+            field=log_stiffness,
+            field_sd=log_stiffness_sd,
+            wrong_share=np.nan,
+            boundary_sd_m=np.nan,
+        )
         if self.verdict == "gradual":
-            return self._without_regions(log_stiffness, log_stiffness_sd)
+            return found
         rng = np.random.default_rng((self.seed, len(self.touches)))
         sd = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
-        drawn = (level[:, None] + sd[:, None] * rng.standard_normal((len(level), 4000 // len(level) + 1, k))).reshape(
-            -1, k
-        )
+        normal = rng.standard_normal((len(level), 4000 // len(level) + 1, k))
+        drawn = (level[:, None] + sd[:, None] * normal).reshape(-1, k)
         labels = probability.argmax(axis=0).reshape(self.grid.shape)
         mean_level = drawn.mean(axis=0)
         rigid = self._rigid_regions(labels, mean_level)
@@ -244,41 +260,17 @@ class RegionPosterior:
         wrong = float(1.0 - right.mean())
         edge_m = self.grid.cell_m * _edges(labels)
         area = self.grid.size_m[0] * self.grid.size_m[1]
-        return RegionMap(
-            self.grid,
-            self.verdict,
-            k,
-            self.probability,
-            labels,
-            self.probability[str(k)] * right.reshape(self.grid.shape),
-            mean_level,
-            drawn.std(axis=0),
-            interval,
-            rigid,
-            log_stiffness,
-            log_stiffness_sd,
-            wrong,
-            wrong * area / edge_m if edge_m else np.nan,
-        )
-
-    def _without_regions(self, field: FloatArray, field_sd: FloatArray) -> RegionMap:
-        """The map of a stiffness that changes smoothly."""
-        shape, none = self.grid.shape, np.zeros(0)
-        return RegionMap(
-            self.grid,
-            "gradual",
-            0,
-            self.probability,
-            np.full(shape, -1),
-            np.full(shape, self.probability["gradual"]),
-            none,
-            none,
-            np.zeros((0, 2)),
-            np.zeros(0, dtype=bool),
-            field,
-            field_sd,
-            np.nan,
-            np.nan,
+        return replace(
+            found,
+            region_count=k,
+            labels=labels,
+            label_probability=self.probability[str(k)] * right.reshape(self.grid.shape),
+            level=mean_level,
+            level_sd=drawn.std(axis=0),
+            level_interval=interval,
+            rigid=rigid,
+            wrong_share=wrong,
+            boundary_sd_m=wrong * area / edge_m if edge_m else np.nan,
         )
 
     @property
@@ -315,7 +307,8 @@ class RegionPosterior:
         middle = 0.5 * np.asarray(self.grid.size_m)
         kernels = [(slope, 0.0, 1.0) for slope in SLOPES_PER_M]
         kernels += [(0.0, sd, length) for sd in SMOOTH_SDS for length in SMOOTH_LENGTHS_M]
-        return tuple(_smooth_field(readings, self.prior.level_sd, middle, *kernel) for kernel in kernels)
+        level_sd = self.prior.level_sd
+        return tuple(SmoothField(readings, SmoothKernel(level_sd, middle, *kernel)) for kernel in kernels)
 
     @property
     def _smooth_log_evidence(self) -> float:
@@ -323,77 +316,45 @@ class RegionPosterior:
         return float(logsumexp(logs) - np.log(len(logs)))
 
 
-def map_regions(
-    touches: Sequence[StiffnessSample],
-    grid: MapGrid | None = None,
-    prior: RegionPrior | None = None,
-    *,
-    particle_count: int = 1200,
-    seed: int = 0,
-) -> RegionPosterior:
-    """The posterior after all touches, from the start (arguments as of `RegionPosterior.before_touches`)."""
-    posterior = RegionPosterior.before_touches(grid or MapGrid(), prior, particle_count=particle_count, seed=seed)
-    for touch in touches:
-        posterior = posterior.with_touch(touch)
-    return posterior
-
-
 @dataclass(frozen=True, slots=True)
-class SmoothField:
-    """A Gaussian process through the touches: a constant, a plane of random slope and a squared exponential part.
+class SmoothKernel:
+    """Of log stiffness: a constant of deviation `level_sd`, a plane of random slope about `middle_m` (2,) [m], and a
+    squared exponential part of `sd` and `length_m`."""
 
-    log_evidence: of the touches; the rest predicts
-    """
-
-    log_evidence: float
     level_sd: float
     middle_m: FloatArray
     slope_per_m: float
     sd: float
     length_m: float
-    xy_m: FloatArray
-    centre: float
-    factor: FloatArray
-    weight: FloatArray
-
-    def predict(self, xy_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean (p,) and variance (p,) of log stiffness at places (p, 2) [m]."""
-        cross = self.covariance(xy_m, self.xy_m)
-        prior = self.level_sd**2 + self.sd**2 + self.slope_per_m**2 * ((xy_m - self.middle_m) ** 2).sum(axis=1)
-        if not len(self.xy_m):
-            return np.full(len(xy_m), self.centre), prior
-        explained = (cross.T * cho_solve((self.factor, True), cross.T)).sum(axis=0)
-        return cross @ self.weight + self.centre, np.maximum(prior - explained, 0.0)
 
     def covariance(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """(n, m) prior covariance between places (n, 2) and (m, 2)."""
-        return _smooth_kernel(a, b, self.level_sd, self.middle_m, self.slope_per_m, self.sd, self.length_m)
+        apart = ((a[:, None] - b[None]) ** 2).sum(axis=-1)
+        plane = self.slope_per_m**2 * (a - self.middle_m) @ (b - self.middle_m).T
+        return cast(FloatArray, self.level_sd**2 + plane + self.sd**2 * np.exp(-0.5 * apart / self.length_m**2))
 
 
-def _smooth_field(
-    readings: _Readings, level_sd: float, middle: FloatArray, slope: float, sd: float, length: float
-) -> SmoothField:
-    kernel = _smooth_kernel(readings.xy_m, readings.xy_m, level_sd, middle, slope, sd, length)
-    count = len(readings.value)
-    if count == 0:
-        nothing = np.zeros((0, 0))
-        return SmoothField(
-            0.0, level_sd, middle, slope, sd, length, readings.xy_m, readings.centre, nothing, np.zeros(0)
-        )
-    factor, _ = cho_factor(kernel + np.diag(readings.variance), lower=True)
-    weight = cho_solve((factor, True), readings.value)
-    log_evidence = -0.5 * (readings.value @ weight + 2.0 * np.log(np.diag(factor)).sum() + count * np.log(2.0 * np.pi))
-    return SmoothField(
-        float(log_evidence), level_sd, middle, slope, sd, length, readings.xy_m, readings.centre, factor, weight
-    )
+class SmoothField:
+    """A Gaussian process through the touches. log_evidence: of these"""
 
+    def __init__(self, readings: _Readings, kernel: SmoothKernel) -> None:
+        self.kernel, self._readings, self.log_evidence = kernel, readings, 0.0
+        if count := len(readings.value):
+            own = kernel.covariance(readings.xy_m, readings.xy_m) + np.diag(readings.variance)
+            self._factor, _ = cho_factor(own, lower=True)
+            self._weight = cho_solve((self._factor, True), readings.value)
+            square, logs = readings.value @ self._weight, 2.0 * np.log(np.diag(self._factor)).sum()
+            self.log_evidence = float(-0.5 * (square + logs + count * np.log(2.0 * np.pi)))
 
-def _smooth_kernel(
-    a: FloatArray, b: FloatArray, level_sd: float, middle: FloatArray, slope: float, sd: float, length: float
-) -> FloatArray:
-    apart = ((a[:, None] - b[None]) ** 2).sum(axis=-1)
-    plane = slope**2 * (a - middle) @ (b - middle).T
-    return cast(FloatArray, level_sd**2 + plane + sd**2 * np.exp(-0.5 * apart / length**2))
+    def predict(self, xy_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean (p,) and variance (p,) of log stiffness at places (p, 2) [m]."""
+        k, readings = self.kernel, self._readings
+        prior = k.level_sd**2 + k.sd**2 + k.slope_per_m**2 * ((xy_m - k.middle_m) ** 2).sum(axis=1)
+        if not len(readings.xy_m):
+            return np.full(len(xy_m), readings.centre), prior
+        cross = k.covariance(xy_m, readings.xy_m)
+        explained = (cross.T * cho_solve((self._factor, True), cross.T)).sum(axis=0)
+        return cross @ self._weight + readings.centre, np.maximum(prior - explained, 0.0)
 
 
 @lru_cache(maxsize=8)
@@ -462,8 +423,7 @@ def _update(
         likelihoods = ((temper, _levels(shares, readings, prior, temper)[0]) for temper in left)
         # the first that leaves enough maps, or else the last
         temper, now = next(
-            (one for one in likelihoods if _effective(log_weight + one[1] - before) >= 0.25 * least),
-            (left[-1], None),
+            (one for one in likelihoods if _effective(log_weight + one[1] - before) >= 0.25 * least), (left[-1], None)
         )
         if now is None:
             now = _levels(shares, readings, prior, temper)[0]

@@ -147,12 +147,7 @@ def fit_surface(
 
 
 def _learned(
-    free: Points,
-    known: Points,
-    given: Given,
-    low: FloatArray,
-    high: FloatArray,
-    start: Learned | None = None,
+    free: Points, known: Points, given: Given, low: FloatArray, high: FloatArray, start: Learned | None = None
 ) -> tuple[Learned, SparseProcess]:
     """Hyper-parameters, and the process with them."""
     learned = learn(free, known, given, start)

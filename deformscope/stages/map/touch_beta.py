@@ -23,7 +23,6 @@ from deformscope.stages.map.surface import HeightProcess
 from deformscope.stages.map.touches import MapGrid
 from deformscope.stages.msm import clusters
 from deformscope.stages.msm.poke import Law, PokeSetup, Tip, hold, settle
-from deformscope.stages.msm.solver import Precision
 from deformscope.stages.poke.layers import MeasuredSurface
 from deformscope.stages.poke.poke_estimate import conclude
 from deformscope.stages.poke.poke_fit import DOWN, NEAR_SHARE, REACH_SHARE, REACH_TIPS, PokesFit, SeenPoke, fit_pokes
@@ -33,7 +32,7 @@ LEAST_SPACING_SHARE, MOST_SPACING_SHARE = 0.14, 0.25
 """The lattice's spacing in thicknesses of the foam at least (finer ones take seconds) and at most (fewer layers hold no
 cluster off the ground)."""
 
-CLUSTER_SIZE = 3
+CLUSTER_SIZE, LEVEL = 3, 0.9
 BOUNDS = (0.0, 0.95)
 """Betas nearer to 1 take long to settle, and no foam was seen to need them."""
 
@@ -101,26 +100,21 @@ def fit_touch(
     *,
     thickness_m: float,
     sample_m: tuple[tuple[float, float], tuple[float, float]] | None = None,
-    spacing_m: float | None = None,
-    cluster_size: int = CLUSTER_SIZE,
-    level: float = 0.9,
-    precision: Precision = "float32",
-    device: str = "cpu",
 ) -> TouchBeta:
     """beta of layers of material below the surface, their bottom held, all that the ball touches held to it.
 
     world: the surface before, a process of all points seen then: it gives the heights at rest, not the dent
     after_m: (n, 3) raw points seen while the ball pressed, the robot's taken away [m]
     thickness_m: of the foam [m]; sample_m: (low, high) places where the foam ends, default the world's box
-    spacing_m: of the lattice, default the patch's radius: four columns then stand in the patch whatever its size, and
-    what a coarse lattice does to beta is the same for soft and firm foam. (At 1 cm a single one would, for every patch:
+    The lattice's spacing is the patch's radius: four columns then stand in the patch whatever its size, and what a
+    coarse lattice does to beta is the same for soft and firm foam. (At 1 cm a single one would, for every patch:
     noise-free dents of 20 to 120 kPa then give 0.55 to 0.14, the trend that one held particle makes; so they give at
     most 0.1.)
     Raises InputError for too few points around the touch.
     """
     radius = contact_radius_m(touch.radius_m, touch.depth_m)
     ends = LEAST_SPACING_SHARE * thickness_m, MOST_SPACING_SHARE * thickness_m
-    spacing = float(np.clip(radius, *ends)) if spacing_m is None else spacing_m
+    spacing = float(np.clip(radius, *ends))
     near = _around(after_m, touch, thickness_m)
     low, high = sample_m or world.box_m
     surface = MeasuredSurface(_at_rest(world, touch, thickness_m, low, high, spacing), thickness_m)
@@ -138,17 +132,8 @@ def fit_touch(
         average_over=touch.radius_m,
         misfit_over=2.0 * touch.radius_m,
     )
-    fit = fit_pokes(
-        surface,
-        [seen],
-        spacing=spacing,
-        cluster_sizes=[cluster_size],
-        beta_range=BOUNDS,
-        theta=0.0,
-        precision=precision,
-        device=device,
-    )
-    found = conclude(fit, level=level, settings={"model": "volume"}, provenance={})
+    fit = fit_pokes(surface, [seen], spacing=spacing, cluster_sizes=[CLUSTER_SIZE], beta_range=BOUNDS, theta=0.0)
+    found = conclude(fit, level=LEVEL, settings={"model": "volume"}, provenance={})
     posed = fit.posed[0]
     top = posed.settle([fit.best.law]).position[0, posed.scene.open]
     return TouchBeta(found.estimate, fit, len(near), np.asarray(top, dtype=np.float64))
@@ -222,43 +207,30 @@ class ThesisBeta:
         return float(np.nanmin(self.curve.aee))
 
 
-def thesis_beta(
-    world: HeightProcess,
-    touched: HeightProcess,
-    place_m: FloatArray,
-    *,
-    side_m: float = THESIS_SIDE_M,
-    cell_m: float = THESIS_CELL_M,
-    cluster_size: int = CLUSTER_SIZE,
-    candidates: int = THESIS_CANDIDATES,
-    precision: Precision = "float32",
-    device: str = "cpu",
-) -> ThesisBeta:
+def thesis_beta(world: HeightProcess, touched: HeightProcess, place_m: FloatArray) -> ThesisBeta:
     """beta as in Thesis 4.3, 4.4 and Algorithm 3: the lowest point of the surface under touch is held, beta is swept.
 
     world, touched: the surfaces before and under touch, the latter with the tactile points; both are asked on a grid of
-    `cell_m` over a square of `side_m` around `place_m` (2,) [m]
+    `THESIS_CELL_M` over a square of `THESIS_SIDE_M` around `place_m` (2,) [m]
     A single layer, all bending, dents wider than foam on a table does, whatever beta: on finite element slabs of 20 to
     120 kPa with a square of 15 cm beta is 0 for all but the smoothest dents. One held particle of a volume lattice
     follows firmness: 0.55 to 0.14 there.
     Raises InputError where the lowest point is at the square's edge.
     """
-    grid = MapGrid((side_m, side_m), cell_m)
-    places_m = np.asarray(place_m)[:2] - 0.5 * side_m + grid.centres_m
-    if min(grid.shape) <= cluster_size:
-        raise InputError(f"a square of more than {cluster_size} cells a side", f"{grid.shape}", "smaller cells")
+    grid = MapGrid((THESIS_SIDE_M, THESIS_SIDE_M), THESIS_CELL_M)
+    places_m = np.asarray(place_m)[:2] - 0.5 * THESIS_SIDE_M + grid.centres_m
     before, after = (np.column_stack([places_m, one.at(places_m).mean]) for one in (world, touched))
     lowest = int(np.argmin(after[:, 2] - before[:, 2]))
     row, column = np.unravel_index(np.arange(len(before)), grid.shape)
     edge = np.flatnonzero((row == 0) | (row == grid.shape[0] - 1) | (column == 0) | (column == grid.shape[1] - 1))
     if lowest in edge:
         raise InputError("a dent inside the square", "the lowest point at its edge", "a place nearer to the touch")
-    grouped = clusters.lattice(before, grid.shape, np.arange(len(before)), cluster_size)
+    grouped = clusters.lattice(before, grid.shape, np.arange(len(before)), CLUSTER_SIZE)
     scene = PokeSetup(before, grouped, edge, np.arange(len(before)), DOWN, grid.cell_m)
     here = np.array([lowest])
-    body = hold(scene, here, Law(0.0, cluster_size=cluster_size), precision, device)
-    beta = np.linspace(*BOUNDS, candidates)
-    laws = [Law(float(one), cluster_size=cluster_size) for one in beta]
+    body = hold(scene, here, Law(0.0, cluster_size=CLUSTER_SIZE), "float32", "cpu")
+    beta = np.linspace(*BOUNDS, THESIS_CANDIDATES)
+    laws = [Law(float(one), cluster_size=CLUSTER_SIZE) for one in beta]
     state = settle(scene, body, laws, here, after[here], slips=False, start=None)
     error = np.array([nearest_error(one, after) for one in state.position])
     best = int(np.argmin(error))

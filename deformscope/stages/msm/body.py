@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -81,56 +82,22 @@ def rest_struct(functions: Any, arrays: RestArrays, stride: int, scalar: Any, de
     return rest
 
 
-class Operator(Protocol):
-    """Goals of a body's clusters for the candidates of one layout."""
-
-    body: Any
-    layout: Layout
-    dim: int
-    metric: Any
-    beta_stride: int
-    resident: Any
-
-    @property
-    def threads(self) -> int:
-        """Threads that keep to one group of candidates in a kernel that stays; 0 where there is none."""
-        ...
-
-    def motion(self, alpha: float, going_on: float, push: FloatArray) -> Any: ...
-
-    def kept(self, volume: int) -> Any: ...
-
-    def residual(
-        self, u: Any, out: Any, parameters: Parameters, running: Any, kept: Any = None, what: int = 0
-    ) -> None: ...
-
-    def change(self, direction: Any, out: Any, parameters: Parameters, running: Any, kept: Any) -> None: ...
-
-    def step(self, u: Any, before: Any, motion: Any, parameters: Parameters, running: Any, ran_away: Any) -> None: ...
-
-    def stay_stepping(
-        self, pair: Any, swapped: bool, motion: Any, parameters: Parameters, steps: int, ran_away: Any
-    ) -> None: ...
-
-    def stay_relaxing(
-        self, parameters: Parameters, kept: Any, span: Any, state: Any, most: int, limit: int, arrays: list[Any]
-    ) -> Any: ...
-
-    def cluster_values(self, values: FloatArray) -> Any: ...
-
-    def cluster_gradient(self, adjoint: Any) -> FloatArray: ...
-
-
-class GoalScratch:
-    """What the operators of all bodies share: fields of clusters, and what a fit leaves for its derivative.
+class Operator(ABC):
+    """Goals of a body's clusters for the candidates of one layout: fields of clusters, and what a fit leaves for its
+    derivative.
 
     arrays: the body's, with the struct types `Motion` and `Kept`; cluster_stride: numbers between rows of a field of
-    clusters; maps: the clusters' goal maps
+    clusters; maps: the clusters' goal maps; beta_stride: see `Parameters`
+    threads: that keep to one group of candidates in the kernels `resident` that stay; 0 where there are none
     """
+
+    beta_stride: int
 
     def __init__(self, body: Any, layout: Layout, arrays: Any, cluster_stride: int) -> None:
         self.body, self.layout, self.arrays, self.cluster_stride = body, layout, arrays, cluster_stride
         self.dim, self.metric = body.dim, arrays.metric
+        self.threads = 0
+        self.resident: Any = None
         self.maps: Any = None
         self._nothing = layout.each(np.zeros(1), int)
         self.still = self.motion(1.0, 0.0, np.zeros(self.dim), stepping=False)
@@ -175,14 +142,56 @@ class GoalScratch:
         filled = np.concatenate([values, np.repeat(values[-1:], groups * abreast - len(values), 0)])
         return filled.reshape(groups, abreast, *values.shape[1:])
 
+    def launch(self, kernel: Any, items: int, inputs: list[Any], outputs: list[Any] | None = None) -> None:
+        """A kernel over so many items of every group."""
+        dim = (self.layout.groups, items)
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs or [], device=self.layout.device)
 
-class Body(Protocol):
-    """Rest data of a body on a device."""
+    @abstractmethod
+    def residual(self, u: Any, out: Any, parameters: Parameters, running: Any, kept: Any = None, what: int = 0) -> None:
+        """goal - u of every free particle into `out`; with `what` BY_BETA or BY_THETA the derivative of the goals.
 
-    dim: int
-    scalar: Any
-    device: str
+        kept: where to leave what `change` needs (None: nowhere)
+        """
 
+    @abstractmethod
+    def change(self, direction: Any, out: Any, parameters: Parameters, running: Any, kept: Any) -> None:
+        """J p - p for a direction p of the free particles, where `residual` was last evaluated."""
+
+    @abstractmethod
+    def step(self, u: Any, before: Any, motion: Any, parameters: Parameters, running: Any, ran_away: Any) -> None:
+        """One time step; `before` becomes the new displacement."""
+
+    @abstractmethod
+    def cluster_values(self, values: FloatArray) -> Any:
+        """(B, C) one value for each cluster, as the kernels read them."""
+
+    @abstractmethod
+    def cluster_gradient(self, adjoint: Any) -> FloatArray:
+        """(B, C) sum over each cluster's particles of m_i <adjoint_i, d goal_i / d beta_c>.
+
+        The derivative of the goals by beta is what `residual` gave last.
+        """
+
+
+class Body(ABC):
+    """Rest data of a body on a device. Lengths in particle spacings."""
+
+    def __init__(self, dim: int, scalar: Any, device: str) -> None:
+        self.dim, self.scalar, self.device = dim, scalar, device
+        self._arrays: dict[int, Any] = {}
+
+    def arrays(self, width: int) -> Any:
+        """Rest data for lanes of one width."""
+        if width not in self._arrays:
+            self._arrays[width] = self._make_arrays(width)
+        return self._arrays[width]
+
+    @abstractmethod
+    def _make_arrays(self, width: int) -> Any: ...
+
+    @abstractmethod
     def layout(self, candidates: int) -> Layout: ...
 
+    @abstractmethod
     def operator(self, layout: Layout) -> Any: ...

@@ -2,18 +2,16 @@
 
 All matrices are transposed (rows are what the cluster is fitted over), so that the moments of a lattice multiply from
 the right. Displacements are in particle spacings.
-
-Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
 """
 
 import functools
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
 from deformscope.stages.msm.functions import functions_for
-from deformscope.stages.msm.lanes import lanes_for, named, product_for, rows_for
+from deformscope.stages.msm.lanes import Ints, lanes_for, product_for, rows_for
 from deformscope.stages.msm.reference import NO_ROTATION
 
 GOAL, BY_BETA, BY_THETA = 0, 1, 2
@@ -25,31 +23,10 @@ NONE, SCALE, PROJECT = 0, 1, 2
 NEWTON_STEPS = 8
 
 
-@dataclass(frozen=True, slots=True)
-class ClusterFunctions:
-    """For one dimension, basis, precision and width.
-
-    FitRest, Kept: the struct types of what a cluster is at rest, and of what a fit leaves for its derivative
-    the others: the parts of a fit and of its derivative, for fits that are put together differently
-    """
-
-    FitRest: Any
-    Kept: Any
-    fit: Any
-    fit_change: Any
-    turn: Any
-    turned_part: Any
-    compliance_part: Any
-    turn_change: Any
-    mixed: Any
-    conserve: Any
-    conserve_change: Any
-    square_part: Any
-
-
 @functools.cache
-def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> ClusterFunctions:
+def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> SimpleNamespace:
     """The functions for `dim` = 2 or 3, `terms` = 2, 3 (linear) or 5, 9 (quadratic)."""
+    numbers = wp.array(dtype=scalar)
     lanes = lanes_for(width, scalar)
     lane, least = lanes.lane, lanes.least
     moment_count = dim * (dim + 1) // 2
@@ -82,11 +59,11 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Clus
     class FitRest:
         """What stays the same: `stride` between rows of a quantity, `step` 1 where each lane has its own, else 0."""
 
-        a_qq: wp.array(dtype=scalar)  # upper triangle of the normalised rest moments
-        null_t: wp.array(dtype=scalar)  # what of the basis a cluster leaves undetermined, transposed; empty if nothing
+        a_qq: numbers  # upper triangle of the normalised rest moments
+        null_t: numbers  # what of the basis a cluster leaves undetermined, transposed; empty if nothing
         has_null: int
         span_axes: wp.array(dtype=square)
-        span_count: wp.array(dtype=int)
+        span_count: Ints
         root: wp.array(dtype=square)  # see `reference.RestCluster`; one for each cluster that has its own rest
         lift: wp.array(dtype=transform)
         stride: int
@@ -95,9 +72,9 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Clus
     class Kept:
         """What a fit leaves for its derivative: R - I and the compliance of the rotation, and A - I (transposed)."""
 
-        turned: wp.array(dtype=scalar)
-        compliance: wp.array(dtype=scalar)
-        affine: wp.array(dtype=scalar)
+        turned: numbers
+        compliance: numbers
+        affine: numbers
         stride: int
 
     @wp.func_native(
@@ -127,7 +104,6 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Clus
 
         a: rest moments A_qq (upper triangle), c: A_pq - A_qq (transposed)
         """
-        ...
 
     @wp.func_native(
         f"""
@@ -198,7 +174,6 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Clus
         the wanted maximum exactly when the gradient vanishes and tr(S) I - S is positive definite, so never at a
         reflection. a: rest moments A_qq (upper triangle), c: A_pq - A_qq (transposed)
         """
-        ...
 
     @wp.func(inline=False)  # rare and long
     def settle(turned: turns.rows, a_qq: moments.rows, change_t: squares.rows):
@@ -269,7 +244,6 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Clus
     )
     def turn_change_2d(t: squares.rows, k: compliances.rows, c: squares.rows) -> squares.rows:
         """dR (transposed) for dA_pq = c (transposed), where t is R - I (transposed) and k the compliance."""
-        ...
 
     @wp.func_native(
         f"""
@@ -297,7 +271,6 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Clus
     )
     def turn_change_3d(t: squares.rows, k: compliances.rows, c: squares.rows) -> squares.rows:
         """dR (transposed) for dA_pq = c (transposed), where t is R - I (transposed) and k the compliance."""
-        ...
 
     turn_change = turn_change_2d if dim == 2 else turn_change_3d
 
@@ -307,7 +280,6 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Clus
     )
     def mixed(a: transforms.rows, b: lane, t: squares.rows, s: lane) -> transforms.rows:
         """b a + s [t, 0]."""
-        ...
 
     @wp.func(inline=False)  # long, and not needed where theta = 0
     def conserve(
@@ -414,9 +386,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Clus
         turned = turned_part(turns)
         if rest.has_null != 0:  # terms that the cluster leaves undetermined follow its rotation
             affine_t = add_transform(
-                affine_t,
-                one,
-                times_null(load_null(rest.null_t, cluster, rest.stride, step), turned),
+                affine_t, one, times_null(load_null(rest.null_t, cluster, rest.stride, step), turned)
             )
         if kept.stride > 0:
             store_square(kept.turned, position, kept.stride, turned, count)
@@ -449,13 +419,11 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Clus
         change = turn_change(turned, load_compliance(kept.compliance, position, kept.stride), change_t)
         if rest.has_null != 0:
             affine_t = add_transform(
-                affine_t,
-                one,
-                times_null(load_null(rest.null_t, cluster, rest.stride, step), change),
+                affine_t, one, times_null(load_null(rest.null_t, cluster, rest.stride, step), change)
             )
         if volume != wp.static(NONE):
             before = load_square(kept.affine, position, kept.stride)
             affine_t = conserve_change(rest, cluster, step, before, affine_t, theta, volume)
         return mixed(affine_t, beta, change, lane(one) - beta)
 
-    return named(ClusterFunctions, locals())
+    return SimpleNamespace(**locals())

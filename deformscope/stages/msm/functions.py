@@ -1,35 +1,16 @@
-"""Warp functions of one cluster: rotation, volume conservation, and their derivatives. The kernels are made of them.
-
-Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
-"""
+"""Warp functions of one cluster: rotation, volume conservation, and their derivatives. The kernels are made of them."""
 
 import functools
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
-from deformscope.stages.msm.lanes import named
 from deformscope.stages.msm.reference import MIN_DENOMINATOR, NO_ROTATION
 
 
-@dataclass(frozen=True, slots=True)
-class Functions:
-    """For one space dimension and precision. square: (dim, dim) matrix type; vec: (dim,) vector type."""
-
-    vec: Any
-    square: Any
-    turn: Any
-    turn_change: Any
-    volume_denominator: Any
-    denominator_change: Any
-    project: Any
-    project_change: Any
-    singular_values: Any
-
-
 @functools.cache
-def functions_for(dim: int, scalar: Any) -> Functions:
+def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
     """The functions for `dim` = 2 or 3 and scalar = wp.float32 or wp.float64."""
     vec = wp.types.vector(length=dim, dtype=scalar)
     square = wp.types.matrix(shape=(dim, dim), dtype=scalar)
@@ -502,4 +483,4 @@ def functions_for(dim: int, scalar: Any) -> Functions:
                 x[2, 2] = stretch[2] * (z20 - z12)
         return u * x * wp.transpose(v) - change
 
-    return named(Functions, locals())
+    return SimpleNamespace(**locals())

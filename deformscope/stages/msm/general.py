@@ -5,24 +5,23 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import warp as wp
 
 from deformscope.arrays import FloatArray
 from deformscope.stages.msm import general_kernels as k
 from deformscope.stages.msm import reference
-from deformscope.stages.msm.body import BodyRest, GoalScratch, Parameters, RestArrays, rest_struct
+from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters, RestArrays, rest_struct
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
 from deformscope.stages.msm.clusters import Clusters
 from deformscope.stages.msm.layout import Layout, upload, widths
 from deformscope.stages.msm.reference import Basis
 
 
-class GeneralBody:
-    """A body of any clusters and basis. Lengths in particle spacings."""
+class GeneralBody(Body):
+    """A body of any clusters and basis."""
 
     def __init__(self, rest: BodyRest, clusters: Clusters, basis: Basis, scalar: Any, device: str) -> None:
         d = rest.position.shape[1]
-        self.dim, self.scalar, self.device = d, scalar, device
+        super().__init__(d, scalar, device)
         self.terms = d if basis == "linear" else {2: 5, 3: 9}[d]
         self.particle_count, self.cluster_count = len(rest.position), clusters.count
         self.rest = rest
@@ -62,7 +61,6 @@ class GeneralBody:
         self.member_basis = np.concatenate(row_basis)
         self.member_mass = rest.mass[clusters.members]
         self.members, self.offsets = clusters.members, clusters.offsets
-        self._arrays: dict[int, _GeneralArrays] = {}
 
     def layout(self, candidates: int) -> Layout:
         width, abreast = widths(candidates, self.scalar, self.device, cells_in_lanes=False)
@@ -75,10 +73,8 @@ class GeneralBody:
     def operator(self, layout: Layout) -> GeneralOperator:
         return GeneralOperator(self, layout, self.arrays(layout.width))
 
-    def arrays(self, width: int) -> _GeneralArrays:
-        if width not in self._arrays:
-            self._arrays[width] = _GeneralArrays(self, width)
-        return self._arrays[width]
+    def _make_arrays(self, width: int) -> _GeneralArrays:
+        return _GeneralArrays(self, width)
 
     def lists(self, struct: Any) -> Any:
         for name, value in self._lists.items():
@@ -101,8 +97,8 @@ class _GeneralArrays:
         self.metric = upload(body.rest.metric, body.scalar, body.device, spare)
 
 
-class GeneralOperator(GoalScratch):
-    """Goals of clusters given as lists, for the candidates of one layout, with their scratch."""
+class GeneralOperator(Operator):
+    """Goals of clusters given as lists."""
 
     def __init__(self, body: GeneralBody, layout: Layout, arrays: _GeneralArrays) -> None:
         clusters = body.cluster_count
@@ -115,31 +111,23 @@ class GeneralOperator(GoalScratch):
         self.maps = self.cluster_field(self.dim + self.dim * body.terms)
         self.material: Any = 0
         self._star = layout.field(self.dim)
-        self.threads = 0
-        self.resident: Any = None
 
     def residual(
         self, u: Any, out: Any, parameters: Parameters, running: Any, kept: Any = None, what: int = GOAL
     ) -> None:
-        """goal - u of every free particle into `out`; with `what` BY_BETA or BY_THETA the derivative of the goals.
-
-        kept: where to leave what `change` needs (None: nowhere)
-        """
         kept = self.unkept() if kept is None else kept
         self._fit(self.arrays.kernels.fit_clusters, u, parameters, running, kept, what)
         star = u if what == GOAL else self._zero()
         self._finish(star, star, self.still, running, out, self._nothing)
 
     def change(self, direction: Any, out: Any, parameters: Parameters, running: Any, kept: Any) -> None:
-        """J p - p for a direction p of the free particles, where `residual` was last evaluated."""
         self._fit(self.arrays.kernels.fit_changes, direction, parameters, running, kept, GOAL)
         self._finish(direction, direction, self.still, running, out, self._nothing)
 
     def step(self, u: Any, before: Any, motion: Any, parameters: Parameters, running: Any, ran_away: Any) -> None:
-        """One time step; `before` becomes the new displacement."""
-        self._launch(
+        self.launch(
             self.arrays.kernels.predict,
-            (self.layout.groups, self.body.particle_count),
+            self.body.particle_count,
             [self.lists, u, before, motion, self.arrays.free],
             [self._star],
         )
@@ -147,15 +135,10 @@ class GeneralOperator(GoalScratch):
         self._finish(u, self._star, motion, running, before, ran_away)
 
     def cluster_values(self, values: FloatArray) -> Any:
-        """(B, C) one value for each cluster, as the kernels read them."""
         layout = self.layout
         return upload(self.by_group(values).transpose(0, 2, 1), layout.scalar, layout.device, 2 * layout.width)
 
     def cluster_gradient(self, adjoint: Any) -> FloatArray:
-        """(B, C) sum over each cluster's particles of m_i <adjoint_i, d goal_i / d beta_c>.
-
-        The derivative of the goals by beta is what `residual` gave last.
-        """
         body, d = self.body, self.dim
         maps = self._cluster_fields(self.maps, d + d * body.terms)[:, :, d:]
         maps = maps.reshape(*maps.shape[:2], body.terms, d)
@@ -176,13 +159,10 @@ class GeneralOperator(GoalScratch):
             self._zeros = self.layout.field(self.dim)
         return self._zeros
 
-    def _launch(self, kernel: Any, dim: tuple[int, ...], inputs: list[Any], outputs: list[Any]) -> None:
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.layout.device)
-
     def _fit(self, kernel: Any, u: Any, parameters: Parameters, running: Any, kept: Any, what: int) -> None:
-        self._launch(
+        self.launch(
             kernel,
-            (self.layout.groups, self.body.cluster_count),
+            self.body.cluster_count,
             [
                 *(self.lists, self.arrays.rest, kept, self.material, u, parameters.beta, parameters.beta_stride),
                 *(parameters.theta, parameters.volume, what, running),
@@ -191,9 +171,9 @@ class GeneralOperator(GoalScratch):
         )
 
     def _finish(self, u: Any, star: Any, motion: Any, running: Any, out: Any, ran_away: Any) -> None:
-        self._launch(
+        self.launch(
             self.arrays.kernels.finish,
-            (self.layout.groups, self.body.particle_count),
+            self.body.particle_count,
             [self.lists, self.maps, u, star, motion, self.arrays.pull, running],
             [out, ran_away],
         )

@@ -1,37 +1,20 @@
-"""Warp kernels of clusters given as index lists, for points without a lattice; candidates abreast in the lanes.
-
-Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
-"""
+"""Warp kernels of clusters given as index lists, for points without a lattice; candidates abreast in the lanes."""
 
 import functools
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
-from deformscope.stages.msm.lanes import Sized, lanes_for, module_options, named, rows_for
+from deformscope.stages.msm.lanes import Ints, Sized, lanes_for, module_options, rows_for
 from deformscope.stages.msm.lattice_kernels import FAR, motion_for
 
 
-@dataclass(frozen=True, slots=True)
-class GeneralKernels:
-    """The compiled set, its struct types, and functions of theirs that other fits share."""
-
-    Lists: Any
-    Motion: Any
-    fit_clusters: Any
-    fit_changes: Any
-    predict: Any
-    finish: Any
-    gathered: Any
-    parameter: Any
-    fit_kernel: Any
-
-
 @functools.cache
-def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> GeneralKernels:
+def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> SimpleNamespace:
     """The kernels for `dim` = 2 or 3, `terms` = 2, 3 (linear) or 5, 9 (quadratic), and lanes of `width`."""
+    numbers = wp.array(dtype=scalar)
     module = f"deformscope_general_{dim}d_{terms}_{scalar.__name__}_{width}"
     wp.get_module(module).options.update(module_options(scalar))
     kernel = functools.partial(wp.kernel, module=module, enable_backward=False)
@@ -61,14 +44,14 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Genera
         clusters: int
         particle_stride: int
         cluster_stride: int
-        offsets: wp.array(dtype=int)
-        members: wp.array(dtype=int)
-        share: wp.array(dtype=scalar)  # m / M
-        weight: wp.array(dtype=scalar)  # from displacements to A~ - [I, 0], `terms` a member
-        moment: wp.array(dtype=scalar)  # from displacements to A_pq - A_qq, `dim` a member
-        row_offsets: wp.array(dtype=int)
-        row_clusters: wp.array(dtype=int)
-        row_basis: wp.array(dtype=scalar)  # q~, `terms` an entry
+        offsets: Ints
+        members: Ints
+        share: numbers  # m / M
+        weight: numbers  # from displacements to A~ - [I, 0], `terms` a member
+        moment: numbers  # from displacements to A_pq - A_qq, `dim` a member
+        row_offsets: Ints
+        row_clusters: Ints
+        row_basis: numbers  # q~, `terms` an entry
 
     def outer(name: str, count: int, rows: Any) -> Any:
         """The function m + w outer v for the `count` weights w of one member."""
@@ -80,7 +63,7 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Genera
             f" r.data[t * {dim} + i][l] = m.data[t * {dim} + i][l] + w.data[slot * {count} + t] * v.data[i][l];"
             " return r;"
         )
-        def add_outer(m: rows, w: wp.array(dtype=scalar), slot: int, v: vecs.rows) -> rows: ...
+        def add_outer(m: rows, w: numbers, slot: int, v: vecs.rows) -> rows: ...
 
         return add_outer
 
@@ -92,21 +75,18 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Genera
         f" for (int i = 0; i < {dim}; ++i) for (int l = 0; l < {width}; ++l)"
         f" r.data[i][l] += w.data[slot * {terms} + t] * a.data[at + (t * {dim} + i) * stride + l]; return r;"
     )
-    def add_map(
-        m: vecs.rows, w: wp.array(dtype=scalar), slot: int, a: wp.array(dtype=scalar), at: int, stride: int
-    ) -> vecs.rows:
+    def add_map(m: vecs.rows, w: numbers, slot: int, a: numbers, at: int, stride: int) -> vecs.rows:
         """m plus what a cluster's map (kept at `at` of `a`) makes of the basis of one of its particles."""
-        ...
 
     @wp.func
-    def parameter(lists: Lists, values: wp.array(dtype=scalar), stride: int, group: int, cluster_index: int):
+    def parameter(lists: Lists, values: numbers, stride: int, group: int, cluster_index: int):
         """A candidate's parameter, or (stride > 0) that of each cluster."""
         if stride > 0:
             return own(values, group * stride + cluster_index * lists.abreast, 1)
         return own(values, group * lists.abreast, 1)
 
     @wp.func
-    def gathered(lists: Lists, group: int, c: int, u_in: wp.array(dtype=scalar)):
+    def gathered(lists: Lists, group: int, c: int, u_in: numbers):
         """A cluster's mean displacement, A~ - [I, 0] and A_pq - A_qq (both transposed)."""
         centre = vecs.rows()
         base = group * lists.particles * lists.abreast
@@ -135,9 +115,9 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Genera
             c: int,
             affine_t: transforms.rows,
             change_t: squares.rows,
-            beta: wp.array(dtype=scalar),
+            beta: numbers,
             beta_stride: int,
-            theta: wp.array(dtype=scalar),
+            theta: numbers,
             volume: int,
             what: int,
         ):
@@ -161,15 +141,15 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Genera
             kept: cluster.Kept,
             material: material_type,
             # In:
-            u_in: wp.array(dtype=scalar),
-            beta: wp.array(dtype=scalar),
+            u_in: numbers,
+            beta: numbers,
             beta_stride: int,
-            theta: wp.array(dtype=scalar),
+            theta: numbers,
             volume: int,
             what: int,
-            running: wp.array(dtype=int),
+            running: Ints,
             # Out:
-            maps_out: wp.array(dtype=scalar),
+            maps_out: numbers,
         ):
             """Mean displacement (0 in a derivative by a parameter); blend of rotation and fit (eq. 3.7-3.14, 3.17)."""
             group, c = wp.tid()
@@ -192,7 +172,7 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Genera
     fit_changes = fit_kernel(kernel, "fit_changes", int, fit_of_cluster(True, "change_one"))
 
     @wp.func
-    def ahead(lists: Lists, u: vecs.rows, before_in: wp.array(dtype=scalar), motion: Motion, free: scalar, at: int):
+    def ahead(lists: Lists, u: vecs.rows, before_in: numbers, motion: Motion, free: scalar, at: int):
         """x* of eq. 3.1, 3.2: where the last motion and the push would take a free particle."""
         moved = add(u, free * motion.going_on, add(u, -one, load(before_in, at, lists.particle_stride)))
         for k in range(wp.static(dim)):
@@ -204,12 +184,12 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Genera
     def predict(
         lists: Lists,
         # In:
-        u_in: wp.array(dtype=scalar),
-        before_in: wp.array(dtype=scalar),
+        u_in: numbers,
+        before_in: numbers,
         motion: Motion,
-        free: wp.array(dtype=scalar),
+        free: numbers,
         # Out:
-        star_out: wp.array(dtype=scalar),
+        star_out: numbers,
     ):
         """x* of eq. 3.1, 3.2."""
         group, particle = wp.tid()
@@ -222,15 +202,15 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Genera
     def finish(
         lists: Lists,
         # In:
-        maps_in: wp.array(dtype=scalar),
-        u_in: wp.array(dtype=scalar),
-        star_in: wp.array(dtype=scalar),
+        maps_in: numbers,
+        u_in: numbers,
+        star_in: numbers,
         motion: Motion,
-        pull: wp.array(dtype=scalar),
-        running: wp.array(dtype=int),
+        pull: numbers,
+        running: Ints,
         # Out:
-        out: wp.array(dtype=scalar),
-        ran_away: wp.array(dtype=int),
+        out: numbers,
+        ran_away: Ints,
     ):
         """Mean goal of each particle over its clusters (eq. 3.15), less where it is; 0 if held.
 
@@ -266,4 +246,4 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Genera
                             new[i, l] = u[i, l]
             store(out, at, lists.particle_stride, new, wp.static(width))
 
-    return named(GeneralKernels, locals())
+    return SimpleNamespace(**locals())

@@ -14,7 +14,7 @@ import warp as wp
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.msm import iteration_kernels as k
-from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters
+from deformscope.stages.msm.body import Body, BodyRest, Parameters
 from deformscope.stages.msm.layout import upload
 
 Progress = Callable[[int], None]
@@ -67,7 +67,7 @@ class Iteration:
     def __init__(self, body: Body, rest: BodyRest, size: int, volume: int) -> None:
         self.body, self.volume = body, volume
         self.layout = body.layout(size)
-        self.operator: Operator = body.operator(self.layout)
+        self.operator: Any = body.operator(self.layout)
         self.kernels = k.iteration_kernels_for(body.dim, body.scalar, self.layout.width)
         self.kind = "cpu" if self.layout.device.startswith("cpu") else "cuda"
         span = self.kernels.Span()

@@ -3,17 +3,15 @@
 They take fields of particles as they lie (see `layout.py`), whatever the clusters. Sums over particles are
 taken in a fixed order, so that runs repeat bit for bit. Candidates are independent: what has ended gets steps of
 0, and a group in which all have ended is skipped.
-
-Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
 """
 
 import functools
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
-from deformscope.stages.msm.lanes import lanes_for, module_options, named, rows_for
+from deformscope.stages.msm.lanes import Doubles, Ints, lanes_for, module_options, rows_for
 from deformscope.stages.msm.lattice_kernels import FAR
 
 MEMORY = 8
@@ -31,59 +29,10 @@ SHARP = 1e-2
 """To what share a solve reduces its residual before the smallest curvature that it met counts as the smallest."""
 
 
-@dataclass(frozen=True, slots=True)
-class NewtonFunctions:
-    """What one thread does in each part of a Newton step, and the struct types."""
-
-    Span: Any
-    NewtonState: Any
-    sums: Any
-    put: Any
-    inner_products: Any
-    move: Any
-    judge: Any
-    begin: Any
-    curvature: Any
-    descend: Any
-    conjugate: Any
-    direct: Any
-    aim: Any
-    reset: Any
-    put_at: Any
-    metric_of: Any
-    of_candidate: Any
-    add_product: Any
-    collected: Any
-
-
-@dataclass(frozen=True, slots=True)
-class IterationKernels:
-    """The compiled set and its struct types."""
-
-    Span: Any
-    NewtonState: Any
-    AndersonState: Any
-    inner_products: Any
-    move: Any
-    judge: Any
-    begin: Any
-    curvature: Any
-    descend: Any
-    conjugate: Any
-    direct: Any
-    aim: Any
-    reset: Any
-    remember: Any
-    history_products: Any
-    accelerate: Any
-    advance: Any
-    add_field: Any
-    put_at: Any
-
-
 @functools.cache
-def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
+def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
     """The functions for fields of `dim` rows and lanes of `width`."""
+    numbers = wp.array(dtype=scalar)
     lanes = lanes_for(width, scalar)
     lane, own = lanes.lane, lanes.own
     vecs = rows_for(dim, width, scalar)
@@ -111,42 +60,42 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
         front: int
         group: int
         stride: int
-        metric: wp.array(dtype=scalar)
+        metric: numbers
         metric_total: wp.float64
 
     @wp.struct
     class NewtonState:
         """What Newton's steps keep of each candidate (arrays of B), and which groups have work to do."""
 
-        tolerance: wp.array(dtype=wp.float64)  # of the distance to the static state [spacing]; first entry
-        floor: wp.array(dtype=wp.float64)  # residual that is but rounding [spacing]; first entry
-        relative: wp.array(dtype=wp.float64)  # reduction of a residual that ends a linear solve; first entry, 0: Newton
-        state: wp.array(dtype=int)  # RUNNING...
-        inner: wp.array(dtype=int)  # 1 while conjugate gradients run
-        outer_groups: wp.array(dtype=int)
-        inner_groups: wp.array(dtype=int)
-        outers: wp.array(dtype=int)
-        inners: wp.array(dtype=int)  # of this Newton step
-        backs: wp.array(dtype=int)
-        stalls: wp.array(dtype=int)
-        total: wp.array(dtype=int)
-        norm: wp.array(dtype=wp.float64)
-        best: wp.array(dtype=wp.float64)
-        first: wp.array(dtype=wp.float64)
-        error: wp.array(dtype=wp.float64)
-        square: wp.array(dtype=wp.float64)  # squared norm of the inner residual
-        target: wp.array(dtype=wp.float64)  # at which the inner residual ends
-        slope: wp.array(dtype=wp.float64)  # along the step, where it began
-        taken: wp.array(dtype=wp.float64)  # share of the step that was taken
-        reach: wp.array(dtype=wp.float64)  # spacings that no particle goes beyond in the next step
-        longest: wp.array(dtype=wp.float64)  # spacings that the farthest particle went
-        least: wp.array(dtype=wp.float64)  # smallest curvature met in this solve, and in the one before
-        least_before: wp.array(dtype=wp.float64)
-        last: wp.array(dtype=int)
-        sharp: wp.array(dtype=int)  # 1 if the last solve went far enough to have met the slowest modes
-        by: wp.array(dtype=scalar)  # how far to go along the step
-        length: wp.array(dtype=scalar)  # along the direction
-        mix: wp.array(dtype=scalar)  # how much of the last direction to keep
+        tolerance: Doubles  # of the distance to the static state [spacing]; first entry
+        floor: Doubles  # residual that is but rounding [spacing]; first entry
+        relative: Doubles  # reduction of a residual that ends a linear solve; first entry, 0: Newton
+        state: Ints  # RUNNING...
+        inner: Ints  # 1 while conjugate gradients run
+        outer_groups: Ints
+        inner_groups: Ints
+        outers: Ints
+        inners: Ints  # of this Newton step
+        backs: Ints
+        stalls: Ints
+        total: Ints
+        norm: Doubles
+        best: Doubles
+        first: Doubles
+        error: Doubles
+        square: Doubles  # squared norm of the inner residual
+        target: Doubles  # at which the inner residual ends
+        slope: Doubles  # along the step, where it began
+        taken: Doubles  # share of the step that was taken
+        reach: Doubles  # spacings that no particle goes beyond in the next step
+        longest: Doubles  # spacings that the farthest particle went
+        least: Doubles  # smallest curvature met in this solve, and in the one before
+        least_before: Doubles
+        last: Ints
+        sharp: Ints  # 1 if the last solve went far enough to have met the slowest modes
+        by: numbers  # how far to go along the step
+        length: numbers  # along the direction
+        mix: numbers  # how much of the last direction to keep
 
     @wp.func
     def metric_of(span: Span, number: int):
@@ -156,7 +105,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
         return own(span.metric, number / span.abreast, 0)
 
     @wp.func
-    def of_candidate(span: Span, values: wp.array(dtype=scalar), group: int, offset: int):
+    def of_candidate(span: Span, values: numbers, group: int, offset: int):
         """A candidate's number in its lanes."""
         if span.abreast == 1:
             return own(values, offset + group, 0)
@@ -175,10 +124,10 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
     def longer(s: sums, a: vecs.rows) -> sums: ...
 
     @wp.func_native(f"{each} a.data[i + l] = v.c[l];")
-    def put(a: wp.array(dtype=wp.float64), i: int, v: sums): ...
+    def put(a: Doubles, i: int, v: sums): ...
 
     @wp.func
-    def collected(span: Span, parts: wp.array(dtype=wp.float64), row: int, groups: int, group: int, member: int):
+    def collected(span: Span, parts: Doubles, row: int, groups: int, group: int, member: int):
         """A sum over a group's particles for one candidate, from its parts."""
         total = wp.float64(0.0)
         first = (row * groups + group) * span.parts
@@ -191,7 +140,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
         return total
 
     @wp.func
-    def largest(span: Span, parts: wp.array(dtype=wp.float64), row: int, groups: int, group: int, member: int):
+    def largest(span: Span, parts: Doubles, row: int, groups: int, group: int, member: int):
         total = wp.float64(0.0)
         first = (row * groups + group) * span.parts
         for part in range(first, first + span.parts):
@@ -203,16 +152,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
         return total
 
     @wp.func
-    def inner_products(
-        span: Span,
-        a: wp.array(dtype=scalar),
-        b: wp.array(dtype=scalar),
-        c: wp.array(dtype=scalar),
-        d: wp.array(dtype=scalar),
-        group: int,
-        part: int,
-        parts: int,
-    ):
+    def inner_products(span: Span, a: numbers, b: numbers, c: numbers, d: numbers, group: int, part: int, parts: int):
         """<a, b> and <c, d> over every `parts`-th block of a group, from the `part`-th on."""
         first_sum = sums()
         second_sum = sums()
@@ -229,14 +169,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
         return first_sum, second_sum
 
     @wp.func
-    def move(
-        span: Span,
-        newton: NewtonState,
-        step_in: wp.array(dtype=scalar),
-        u: wp.array(dtype=scalar),
-        group: int,
-        block: int,
-    ):
+    def move(span: Span, newton: NewtonState, step_in: numbers, u: numbers, group: int, block: int):
         """Goes along the step."""
         at = span.front + group * span.group + block * wp.static(width)
         count = span.group - block * wp.static(width)
@@ -245,7 +178,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
         store(u, at, span.stride, new, count)
 
     @wp.func
-    def judge(span: Span, newton: NewtonState, parts: wp.array(dtype=wp.float64), groups: int, group: int):
+    def judge(span: Span, newton: NewtonState, parts: Doubles, groups: int, group: int):
         """After a Newton step: has it gone too far, is this the static state, and how well to solve for the next step.
 
         The energy falls along the step as long as its slope <residual, step> is positive; where the slope at the end is
@@ -330,10 +263,10 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
     def begin(
         span: Span,
         newton: NewtonState,
-        residual_in: wp.array(dtype=scalar),
-        rho_out: wp.array(dtype=scalar),
-        direction_out: wp.array(dtype=scalar),
-        step_out: wp.array(dtype=scalar),
+        residual_in: numbers,
+        rho_out: numbers,
+        direction_out: numbers,
+        step_out: numbers,
         group: int,
         block: int,
     ):
@@ -353,7 +286,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
         store(step_out, at, span.stride, choose(keeps, load(step_out, at, span.stride)), count)
 
     @wp.func
-    def curvature(span: Span, newton: NewtonState, parts: wp.array(dtype=wp.float64), groups: int, group: int):
+    def curvature(span: Span, newton: NewtonState, parts: Doubles, groups: int, group: int):
         """How far to go along the direction p: to the minimum, by its curvature <p, (I - J) p>.
 
         Where the energy curves down (a crushed cluster about to turn, a strut about to buckle) the solve ends with a
@@ -382,10 +315,10 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
     def descend(
         span: Span,
         newton: NewtonState,
-        direction_in: wp.array(dtype=scalar),
-        change_in: wp.array(dtype=scalar),
-        step: wp.array(dtype=scalar),
-        rho: wp.array(dtype=scalar),
+        direction_in: numbers,
+        change_in: numbers,
+        step: numbers,
+        rho: numbers,
         group: int,
         part: int,
         parts: int,
@@ -408,9 +341,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
         return square_sum, longest
 
     @wp.func
-    def conjugate(
-        span: Span, newton: NewtonState, parts: wp.array(dtype=wp.float64), groups: int, most: int, group: int
-    ):
+    def conjugate(span: Span, newton: NewtonState, parts: Doubles, groups: int, most: int, group: int):
         """Ends the solve, or mixes the next direction.
 
         No particle goes farther in one step than steps have proved good.
@@ -450,14 +381,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
         newton.inner_groups[group] = any_inner
 
     @wp.func
-    def direct(
-        span: Span,
-        newton: NewtonState,
-        rho_in: wp.array(dtype=scalar),
-        direction: wp.array(dtype=scalar),
-        group: int,
-        block: int,
-    ):
+    def direct(span: Span, newton: NewtonState, rho_in: numbers, direction: numbers, group: int, block: int):
         """The next direction."""
         at = span.front + group * span.group + block * wp.static(width)
         count = span.group - block * wp.static(width)
@@ -466,7 +390,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
         store(direction, at, span.stride, p, count)
 
     @wp.func
-    def aim(span: Span, newton: NewtonState, parts: wp.array(dtype=wp.float64), groups: int, group: int):
+    def aim(span: Span, newton: NewtonState, parts: Doubles, groups: int, group: int):
         """A linear solve ends at `relative` of its right-hand side."""
         for member in range(span.abreast):
             i = group * span.abreast + member
@@ -499,26 +423,20 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> NewtonFunctions:
             newton.reach[i] = reach
 
     @wp.func
-    def put_at(
-        places: wp.array(dtype=int),
-        values: wp.array(dtype=scalar),
-        stride: int,
-        first_out: wp.array(dtype=scalar),
-        second_out: wp.array(dtype=scalar),
-        i: int,
-    ):
+    def put_at(places: Ints, values: numbers, stride: int, first_out: numbers, second_out: numbers, i: int):
         """Puts vectors (component by component) at the places of two fields."""
         for k in range(wp.static(dim)):
             value = values[k * places.shape[0] + i]
             first_out[places[i] + k * stride] = value
             second_out[places[i] + k * stride] = value
 
-    return named(NewtonFunctions, locals())
+    return SimpleNamespace(**locals())
 
 
 @functools.cache
-def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels:
+def iteration_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
     """A kernel for each part of an iteration, for fields of `dim` rows and lanes of `width`."""
+    numbers = wp.array(dtype=scalar)
     module = f"deformscope_iteration_{dim}d_{scalar.__name__}_{width}"
     wp.get_module(module).options.update(module_options(scalar))
     kernel = functools.partial(wp.kernel, module=module, enable_backward=False)
@@ -541,36 +459,29 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
     class AndersonState:
         """What Anderson's acceleration keeps of each candidate."""
 
-        tolerance: wp.array(dtype=wp.float64)  # of the distance to the static state [spacing]; first entry
-        floor: wp.array(dtype=wp.float64)  # residual that is but rounding [spacing]; first entry
-        relative: wp.array(dtype=wp.float64)  # reduction of a residual that ends a linear solve; first entry, 0: goals
-        target: wp.array(dtype=wp.float64)  # at which the residual of a linear solve ends
-        state: wp.array(dtype=int)
-        groups: wp.array(dtype=int)
-        count: wp.array(dtype=int)  # iterations of a group
-        known: wp.array(dtype=int)  # remembered changes that count
-        total: wp.array(dtype=int)
-        mark: wp.array(dtype=int)
-        path: wp.array(dtype=wp.float64)
-        norm: wp.array(dtype=wp.float64)
-        best: wp.array(dtype=wp.float64)
-        error: wp.array(dtype=wp.float64)
-        least: wp.array(dtype=wp.float64)  # smallest |dr| / |du| met since the last mark, and in the stretch before
-        least_before: wp.array(dtype=wp.float64)
+        tolerance: Doubles  # of the distance to the static state [spacing]; first entry
+        floor: Doubles  # residual that is but rounding [spacing]; first entry
+        relative: Doubles  # reduction of a residual that ends a linear solve; first entry, 0: goals
+        target: Doubles  # at which the residual of a linear solve ends
+        state: Ints
+        groups: Ints
+        count: Ints  # iterations of a group
+        known: Ints  # remembered changes that count
+        total: Ints
+        mark: Ints
+        path: Doubles
+        norm: Doubles
+        best: Doubles
+        error: Doubles
+        least: Doubles  # smallest |dr| / |du| met since the last mark, and in the stretch before
+        least_before: Doubles
         gram: wp.array(dtype=history)
-        gamma: wp.array(dtype=scalar)  # weights of the remembered changes, slot by slot
+        gamma: numbers  # weights of the remembered changes, slot by slot
         stride: int
 
     @kernel
     def inner_products(
-        span: Span,
-        running: wp.array(dtype=int),
-        groups: int,
-        a: wp.array(dtype=scalar),
-        b: wp.array(dtype=scalar),
-        c: wp.array(dtype=scalar),
-        d: wp.array(dtype=scalar),
-        parts_out: wp.array(dtype=wp.float64),
+        span: Span, running: Ints, groups: int, a: numbers, b: numbers, c: numbers, d: numbers, parts_out: Doubles
     ):
         """Parts of <a, b> and of <c, d>."""
         group, part = wp.tid()
@@ -580,30 +491,30 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
             put(parts_out, ((groups + group) * span.parts + part) * wp.static(width), second_sum)
 
     @kernel
-    def move(span: Span, newton: NewtonState, step_in: wp.array(dtype=scalar), u: wp.array(dtype=scalar)):
+    def move(span: Span, newton: NewtonState, step_in: numbers, u: numbers):
         group, block = wp.tid()
         if newton.outer_groups[group] != 0:
             functions.move(span, newton, step_in, u, group, block)
 
     @kernel
-    def judge(span: Span, newton: NewtonState, parts: wp.array(dtype=wp.float64), groups: int):
+    def judge(span: Span, newton: NewtonState, parts: Doubles, groups: int):
         functions.judge(span, newton, parts, groups, wp.tid())
 
     @kernel
     def begin(
         span: Span,
         newton: NewtonState,
-        residual_in: wp.array(dtype=scalar),
-        rho_out: wp.array(dtype=scalar),
-        direction_out: wp.array(dtype=scalar),
-        step_out: wp.array(dtype=scalar),
+        residual_in: numbers,
+        rho_out: numbers,
+        direction_out: numbers,
+        step_out: numbers,
     ):
         group, block = wp.tid()
         if newton.inner_groups[group] != 0:
             functions.begin(span, newton, residual_in, rho_out, direction_out, step_out, group, block)
 
     @kernel
-    def curvature(span: Span, newton: NewtonState, parts: wp.array(dtype=wp.float64), groups: int):
+    def curvature(span: Span, newton: NewtonState, parts: Doubles, groups: int):
         group = wp.tid()
         if newton.inner_groups[group] != 0:
             functions.curvature(span, newton, parts, groups, group)
@@ -613,11 +524,11 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
         span: Span,
         newton: NewtonState,
         groups: int,
-        direction_in: wp.array(dtype=scalar),
-        change_in: wp.array(dtype=scalar),
-        step: wp.array(dtype=scalar),
-        rho: wp.array(dtype=scalar),
-        parts_out: wp.array(dtype=wp.float64),
+        direction_in: numbers,
+        change_in: numbers,
+        step: numbers,
+        rho: numbers,
+        parts_out: Doubles,
     ):
         group, part = wp.tid()
         if newton.inner_groups[group] != 0:
@@ -628,19 +539,19 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
             put(parts_out, ((groups + group) * span.parts + part) * wp.static(width), longest)
 
     @kernel
-    def conjugate(span: Span, newton: NewtonState, parts: wp.array(dtype=wp.float64), groups: int, most: int):
+    def conjugate(span: Span, newton: NewtonState, parts: Doubles, groups: int, most: int):
         group = wp.tid()
         if newton.inner_groups[group] != 0:
             functions.conjugate(span, newton, parts, groups, most, group)
 
     @kernel
-    def direct(span: Span, newton: NewtonState, rho_in: wp.array(dtype=scalar), direction: wp.array(dtype=scalar)):
+    def direct(span: Span, newton: NewtonState, rho_in: numbers, direction: numbers):
         group, block = wp.tid()
         if newton.inner_groups[group] != 0:
             functions.direct(span, newton, rho_in, direction, group, block)
 
     @kernel
-    def aim(span: Span, newton: NewtonState, parts: wp.array(dtype=wp.float64), groups: int):
+    def aim(span: Span, newton: NewtonState, parts: Doubles, groups: int):
         functions.aim(span, newton, parts, groups, wp.tid())
 
     @kernel
@@ -652,13 +563,13 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
         span: Span,
         anderson: AndersonState,
         # In:
-        u_in: wp.array(dtype=scalar),
-        residual_in: wp.array(dtype=scalar),
+        u_in: numbers,
+        residual_in: numbers,
         # Out:
-        u_last: wp.array(dtype=scalar),
-        residual_last: wp.array(dtype=scalar),
-        du_out: wp.array(dtype=scalar),
-        dr_out: wp.array(dtype=scalar),
+        u_last: numbers,
+        residual_last: numbers,
+        du_out: numbers,
+        dr_out: numbers,
     ):
         """Keep the change of iterate and of residual since the last iteration in this iteration's slot."""
         group, block = wp.tid()
@@ -682,11 +593,11 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
         anderson: AndersonState,
         groups: int,
         # In:
-        residual_in: wp.array(dtype=scalar),
-        du_in: wp.array(dtype=scalar),
-        dr_in: wp.array(dtype=scalar),
+        residual_in: numbers,
+        du_in: numbers,
+        dr_in: numbers,
         # Out:
-        parts_out: wp.array(dtype=wp.float64),
+        parts_out: Doubles,
     ):
         """Parts of the newest residual change with each, of each with the residual; last the residual and the step."""
         group, what, part = wp.tid()
@@ -714,7 +625,7 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
         put(parts_out, (((2 * what + 1) * groups + group) * span.parts + part) * wp.static(width), second_sum)
 
     @kernel
-    def accelerate(span: Span, anderson: AndersonState, parts: wp.array(dtype=wp.float64), groups: int):
+    def accelerate(span: Span, anderson: AndersonState, parts: Doubles, groups: int):
         """Anderson's weights of the remembered changes: least squares of the residual over them, slightly damped.
 
         The distance still to go is judged by the path over the last quarter of all iterations, since accelerated steps
@@ -826,11 +737,11 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
         span: Span,
         anderson: AndersonState,
         # In:
-        residual_in: wp.array(dtype=scalar),
-        du_in: wp.array(dtype=scalar),
-        dr_in: wp.array(dtype=scalar),
+        residual_in: numbers,
+        du_in: numbers,
+        dr_in: numbers,
         # Out:
-        u: wp.array(dtype=scalar),
+        u: numbers,
     ):
         """The accelerated step."""
         group, block = wp.tid()
@@ -856,11 +767,11 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
     @kernel
     def add_field(
         span: Span,
-        running: wp.array(dtype=int),
+        running: Ints,
         # In:
-        field_in: wp.array(dtype=scalar),
+        field_in: numbers,
         # In and out:
-        total: wp.array(dtype=scalar),
+        total: numbers,
     ):
         """total += field."""
         group, block = wp.tid()
@@ -871,13 +782,7 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> IterationKernels
         store(total, at, span.stride, add(load(total, at, span.stride), one, load(field_in, at, span.stride)), count)
 
     @kernel
-    def put_at(
-        places: wp.array(dtype=int),
-        values: wp.array(dtype=scalar),
-        stride: int,
-        first_out: wp.array(dtype=scalar),
-        second_out: wp.array(dtype=scalar),
-    ):
+    def put_at(places: Ints, values: numbers, stride: int, first_out: numbers, second_out: numbers):
         functions.put_at(places, values, stride, first_out, second_out, wp.tid())
 
-    return named(IterationKernels, locals())
+    return SimpleNamespace(**locals())

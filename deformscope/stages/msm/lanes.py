@@ -5,20 +5,20 @@ whose compiler finds none of this parallelism in scalar kernels; width 1 is a pl
 indices. `Rows` are small matrices of lanes, row by row. The loops of the native functions have no branches and run
 over the lanes innermost, which is what compilers turn into vector instructions; warp's own operators on matrices are
 not turned.
-
-Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
 """
 
-import dataclasses
 import functools
-from dataclasses import dataclass
-from typing import Any, TypeVar
+from types import SimpleNamespace
+from typing import Any
 
 import warp as wp
 
 CPU_FLAGS = "-march=native -mllvm=-inline-threshold=9000 -mllvm=-inline-cold-callsite-threshold=3000"
 """For modules of lanes. Warp's own flags also cap the recursion of the search for vector instructions, which leaves
 most of the lanes to plain ones; without the high threshold matrices of lanes go through memory at every call."""
+
+Ints, Doubles = wp.array(dtype=int), wp.array(dtype=wp.float64)
+"""Types of arrays that kernels take."""
 
 
 def module_options(scalar: Any) -> dict[str, Any]:
@@ -34,43 +34,10 @@ def module_options(scalar: Any) -> dict[str, Any]:
     }
 
 
-KindT = TypeVar("KindT")
-
-
-def named(kind: type[KindT], names: dict[str, Any]) -> KindT:
-    """The set of functions and types that a factory made, each field by its name among the factory's own."""
-    return kind(**{field.name: names[field.name] for field in dataclasses.fields(kind)})
-
-
-@dataclass(frozen=True, slots=True)
-class Lanes:
-    """The lane type of one width and precision, and its functions."""
-
-    lane: Any
-    own: Any
-    times: Any
-    least: Any
-    below: Any
-
-
-@dataclass(frozen=True, slots=True)
-class Rows:
-    """`count` rows of lanes (a vector of `count`, or a matrix by rows), and their functions."""
-
-    rows: Any
-    load: Any
-    store: Any
-    own: Any
-    row: Any
-    with_row: Any
-    add: Any
-    scale: Any
-    choose: Any
-
-
 @functools.cache
-def lanes_for(width: int, scalar: Any) -> Lanes:
+def lanes_for(width: int, scalar: Any) -> SimpleNamespace:
     """Lanes of `width` numbers of type `scalar` (wp.float32 or wp.float64)."""
+    numbers = wp.array(dtype=scalar)
     lane = wp.types.vector(length=width, dtype=scalar)
     vec = f"wp::vec_t<{width}, wp::{scalar.__name__}>"
     each = f"for (int l = 0; l < {width}; ++l)"
@@ -78,9 +45,8 @@ def lanes_for(width: int, scalar: Any) -> Lanes:
     @wp.func_native(
         f"{vec} r; if (step == 0) {{ {each} r.c[l] = a.data[i]; }} else {{ {each} r.c[l] = a.data[i + l]; }} return r;"
     )
-    def own(a: wp.array(dtype=scalar), i: int, step: int) -> lane:
+    def own(a: numbers, i: int, step: int) -> lane:
         """Each lane's own number, or with step 0 the one that all share."""
-        ...
 
     @wp.func_native(f"{vec} r; {each} r.c[l] = a.c[l] * b.c[l]; return r;")
     def times(a: lane, b: lane) -> lane: ...
@@ -91,14 +57,14 @@ def lanes_for(width: int, scalar: Any) -> Lanes:
     @wp.func_native(f"int r = 1; {each} r &= a.c[l] < limit; return r;")
     def below(a: lane, limit: scalar) -> int:
         """1 if every lane is below the limit (a lane that is not a number is not)."""
-        ...
 
-    return named(Lanes, locals())
+    return SimpleNamespace(**locals())
 
 
 @functools.cache
-def rows_for(count: int, width: int, scalar: Any) -> Rows:
+def rows_for(count: int, width: int, scalar: Any) -> SimpleNamespace:
     """`count` rows of `width` lanes. Arrays hold them `stride` numbers apart (structure of arrays)."""
+    numbers = wp.array(dtype=scalar)
     lanes = lanes_for(width, scalar)
     lane = lanes.lane
     rows = wp.types.matrix(shape=(count, width), dtype=scalar)
@@ -108,22 +74,21 @@ def rows_for(count: int, width: int, scalar: Any) -> Rows:
     each = f"for (int k = 0; k < {count}; ++k) for (int l = 0; l < {width}; ++l)"
 
     @sized.func_native(f"{mat} r; {each} r.data[k][l] = a.data[i + k * stride + l]; return r;")
-    def load(a: wp.array(dtype=scalar), i: int, stride: int) -> rows: ...
+    def load(a: numbers, i: int, stride: int) -> rows: ...
 
     @sized.func_native(
         f"if (count >= {width}) {{ {each} a.data[i + k * stride + l] = v.data[k][l]; }} else {{"
         f" for (int k = 0; k < {count}; ++k) for (int l = 0; l < count; ++l)"
         " a.data[i + k * stride + l] = v.data[k][l]; }"
     )
-    def store(a: wp.array(dtype=scalar), i: int, stride: int, v: rows, count: int): ...
+    def store(a: numbers, i: int, stride: int, v: rows, count: int): ...
 
     @sized.func_native(
         f"{mat} r; if (step == 0) {{ {each} r.data[k][l] = a.data[i + k * stride]; }}"
         f" else {{ {each} r.data[k][l] = a.data[i + k * stride + l]; }} return r;"
     )
-    def own(a: wp.array(dtype=scalar), i: int, stride: int, step: int) -> rows:
+    def own(a: numbers, i: int, stride: int, step: int) -> rows:
         """Each lane's own numbers, or with step 0 those that all share."""
-        ...
 
     @sized.func_native(f"{vec} r; for (int l = 0; l < {width}; ++l) r.c[l] = m.data[k][l]; return r;")
     def row(m: rows, k: int) -> lane: ...
@@ -134,19 +99,16 @@ def rows_for(count: int, width: int, scalar: Any) -> Rows:
     @sized.func_native(f"{mat} r; {each} r.data[k][l] = m.data[k][l] + f * n.data[k][l]; return r;")
     def add(m: rows, f: scalar, n: rows) -> rows:
         """m + f n."""
-        ...
 
     @sized.func_native(f"{mat} r; {each} r.data[k][l] = m.data[k][l] * v.c[l]; return r;")
     def scale(m: rows, v: lane) -> rows:
         """Each lane of m times that of v."""
-        ...
 
     @sized.func_native(f"{mat} r; {each} r.data[k][l] = when.c[l] > 0 ? m.data[k][l] : 0; return r;")
     def choose(when: lane, m: rows) -> rows:
         """m where `when` is positive, else 0 (whatever m holds there)."""
-        ...
 
-    return named(Rows, locals())
+    return SimpleNamespace(**locals())
 
 
 @functools.cache

@@ -9,7 +9,7 @@ import warp as wp
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.msm import lattice_kernels as k
-from deformscope.stages.msm.body import BodyRest, GoalScratch, Parameters, RestArrays, rest_struct
+from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters, RestArrays, rest_struct
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
 from deformscope.stages.msm.clusters import FLAT_MOMENT_RATIO, LatticeClusters
 from deformscope.stages.msm.layout import Layout, upload, widths
@@ -38,15 +38,14 @@ def lattice_edges(rest: FloatArray, clusters: LatticeClusters) -> FloatArray | N
     return edges if np.abs(off).max(initial=0.0) <= REGULAR else None
 
 
-class LatticeBody:
-    """A body whose clusters are windows of an even lattice; linear basis. Lengths in particle spacings."""
+class LatticeBody(Body):
+    """A body whose clusters are windows of an even lattice; linear basis."""
 
     terms: int
 
     def __init__(self, rest: BodyRest, clusters: LatticeClusters, edges: FloatArray, scalar: Any, device: str) -> None:
-        d = rest.position.shape[1]
-        self.dim = self.terms = d
-        self.scalar, self.device = scalar, device
+        d = self.terms = rest.position.shape[1]
+        super().__init__(d, scalar, device)
         shape = (*(1,) * (3 - len(clusters.shape)), *clusters.shape)
         window = (*(1,) * (3 - len(clusters.window)), *clusters.window)
         if d == 2 and shape[0] > 1:
@@ -69,7 +68,6 @@ class LatticeBody:
         self.metric = np.zeros(self.count)
         self.metric[self.cell] = rest.metric
         self.alike = bool((self.mass == self.mass.flat[0]).all())
-        self._arrays: dict[int, _LatticeArrays] = {}
 
     @property
     def clusters_at(self) -> IntArray:
@@ -92,10 +90,8 @@ class LatticeBody:
     def operator(self, layout: Layout) -> LatticeOperator:
         return LatticeOperator(self, layout, self.arrays(layout.width))
 
-    def arrays(self, width: int) -> _LatticeArrays:
-        if width not in self._arrays:
-            self._arrays[width] = _LatticeArrays(self, width)
-        return self._arrays[width]
+    def _make_arrays(self, width: int) -> _LatticeArrays:
+        return _LatticeArrays(self, width)
 
     def moments(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Mass (n,), mean offset [cells] (n, 3) and second moments about it [spacings^2] (n, d, d) of the windows.
@@ -151,7 +147,7 @@ class _LatticeArrays:
         wide = set(body.window[3 - d :])
         window = 0 if device.startswith("cpu") or len(wide) > 1 or max(wide) > limit else max(wide)
         self.window = window  # passes along two axes at once
-        self.kernels = k.lattice_kernels_for(d, scalar, width, window)
+        self.kernels = k.lattice_kernels_for(d, scalar, width, window) if width == 1 else None
         self.functions = k.lattice_functions_for(d, scalar, width, window)
         self.resident = resident_kernels_for(d, scalar, width, window)
         functions = cluster_functions_for(d, d, scalar, width)
@@ -213,8 +209,8 @@ class _LatticeArrays:
         self.metric = upload(body.metric, scalar, device, spare)
 
 
-class LatticeOperator(GoalScratch):
-    """Goals of lattice clusters for the candidates of one layout, with their scratch."""
+class LatticeOperator(Operator):
+    """Goals of lattice clusters."""
 
     def __init__(self, body: LatticeBody, layout: Layout, arrays: _LatticeArrays) -> None:
         super().__init__(body, layout, arrays, layout.stride)
@@ -230,7 +226,10 @@ class LatticeOperator(GoalScratch):
         limit, run = SLIDE["cpu" if layout.device.startswith("cpu") else "cuda"]
         grid.run_0 = 1 if w[0] <= limit else run
         grid.run_1 = 1 if w[1] <= limit else run
-        blocks = self._blocks
+
+        def blocks(numbers: int) -> int:
+            return -(-numbers // layout.width)
+
         grid.blocks_plane, grid.blocks_clusters = blocks(grid.plane), blocks(grid.cluster_end)
         grid.items_plane = n[0] * grid.blocks_plane
         grid.items_fit = -(-grid.clusters_0 // grid.run_0) * grid.blocks_clusters
@@ -254,29 +253,36 @@ class LatticeOperator(GoalScratch):
         self._fields = fields
         self.beta_stride = layout.group
         self.resident = arrays.resident
+        if layout.device.startswith("cpu"):
+            self.threads = 1
+        elif body.count <= RESIDENT_CELLS:  # else passes are launched one by one
+            self.threads = THREADS[layout.scalar]
 
     def residual(
         self, u: Any, out: Any, parameters: Parameters, running: Any, kept: Any = None, what: int = GOAL
     ) -> None:
-        """goal - u of every free particle into `out`; with `what` BY_BETA or BY_THETA the derivative of the goals.
-
-        kept: where to leave what `change` needs (None: nowhere)
-        """
         kept = self.unkept() if kept is None else kept
-        fields = self.fields(parameters, what)
-        self._windows(fields, self.still, running, u, u)
-        self._fit(self.arrays.kernels.fit_clusters, fields, running, kept)
-        self._spread(fields, self.still, running, u, u, out, self._nothing)
+        self._goals(u, out, self.fields(parameters, what), running, kept, changing=False)
 
     def change(self, direction: Any, out: Any, parameters: Parameters, running: Any, kept: Any) -> None:
-        """J p - p for a direction p of the free particles, where `residual` was last evaluated."""
-        fields = self.fields(parameters)
-        self._windows(fields, self.still, running, direction, direction)
-        self._fit(self.arrays.kernels.fit_changes, fields, running, kept)
-        self._spread(fields, self.still, running, direction, direction, out, self._nothing)
+        self._goals(direction, out, self.fields(parameters), running, kept, changing=True)
+
+    def _goals(self, u: Any, out: Any, fields: Any, running: Any, kept: Any, *, changing: bool) -> None:
+        a, layout = self.arrays, self.layout
+        if a.kernels is None:
+            wp.launch(
+                a.resident.goals,
+                dim=layout.groups,
+                inputs=[self.grid, a.site, a.rest, kept, fields, self.still, running, int(changing), u],
+                outputs=[out, self._nothing],
+                device=layout.device,
+            )
+            return
+        self._windows(fields, self.still, running, u, u)
+        self._fit(a.kernels.fit_changes if changing else a.kernels.fit_clusters, fields, running, kept)
+        self._spread(fields, self.still, running, u, u, out, self._nothing)
 
     def step(self, u: Any, before: Any, motion: Any, parameters: Parameters, running: Any, ran_away: Any) -> None:
-        """One time step; `before` becomes the new displacement."""
         fields = self.fields(parameters)
         self._windows(fields, motion, running, u, before)
         self._fit(self.arrays.kernels.fit_clusters, fields, running, self.unkept())
@@ -292,17 +298,12 @@ class LatticeOperator(GoalScratch):
         return fields
 
     def cluster_values(self, values: FloatArray) -> Any:
-        """(B, C) one value for each cluster, as the kernels read them."""
         layout = self.layout
         host = np.zeros((layout.groups, layout.group // layout.abreast, layout.abreast))
         host[:, self.body.clusters_at, :] = self.by_group(values).transpose(0, 2, 1)
         return upload(host, layout.scalar, layout.device, 2 * layout.width)
 
     def cluster_gradient(self, adjoint: Any) -> FloatArray:
-        """(B, C) sum over each cluster's particles of m_i <adjoint_i, d goal_i / d beta_c>.
-
-        The derivative of the goals by beta is what `residual` gave last.
-        """
         axes = self.dim
         maps = self._cluster_fields(self.maps, self.dim * (1 + axes))
         body = self.body
@@ -322,13 +323,6 @@ class LatticeOperator(GoalScratch):
         body = body.reshape(rows, layout.groups, -1, layout.abreast)[:, :, self.body.clusters_at, :]
         return body.transpose(1, 3, 2, 0).reshape(-1, len(self.body.clusters_at), rows)[: layout.candidates]
 
-    @property
-    def threads(self) -> int:
-        """Threads that keep to a group of candidates in a kernel that stays; 0 where passes are launched one by one."""
-        if self.layout.device.startswith("cpu"):
-            return 1
-        return THREADS[self.layout.scalar] if self.body.count <= RESIDENT_CELLS else 0
-
     def stay_stepping(
         self, pair: Any, swapped: bool, motion: Any, parameters: Parameters, steps: int, ran_away: Any
     ) -> None:
@@ -337,7 +331,7 @@ class LatticeOperator(GoalScratch):
         wp.launch(
             a.resident.steps,
             dim=layout.groups * self.threads,
-            block_dim=max(self.threads, 1),
+            block_dim=self.threads,
             inputs=[
                 *(self.grid, a.site, a.rest, self.unkept(), self.fields(parameters), motion),
                 *(steps, int(swapped), self.threads, pair, ran_away),
@@ -356,7 +350,7 @@ class LatticeOperator(GoalScratch):
         return wp.launch(
             a.resident.relax,
             dim=layout.groups * self.threads,
-            block_dim=max(self.threads, 1),
+            block_dim=self.threads,
             inputs=[
                 *(self.grid, a.site, a.rest, kept, self.fields(parameters), self.still, span, state),
                 *(layout.groups, most, limit, self.threads, *arrays, self._nothing),
@@ -365,27 +359,21 @@ class LatticeOperator(GoalScratch):
             record_cmd=True,
         )
 
-    def _blocks(self, numbers: int) -> int:
-        return -(-numbers // self.layout.width)
-
-    def _pass(self, kernel: Any, items: int, inputs: list[Any], outputs: list[Any] | None = None) -> None:
-        dim = (self.layout.groups, items)
-        wp.launch(kernel, dim=dim, inputs=[self.grid, *inputs], outputs=outputs or [], device=self.layout.device)
-
     def _windows(self, fields: Any, motion: Any, running: Any, u: Any, before: Any) -> None:
         kk, grid = self.arrays.kernels, self.grid
         first = grid.items_windows if self.arrays.window else grid.items_plane
-        self._pass(kk.windows_fast, first, [fields, motion, running, u, before])
+        self.launch(kk.windows_fast, first, [grid, fields, motion, running, u, before])
         if not self.arrays.window:
-            self._pass(kk.windows_middle, grid.items_windows, [fields, running])
+            self.launch(kk.windows_middle, grid.items_windows, [grid, fields, running])
 
     def _fit(self, kernel: Any, fields: Any, running: Any, kept: Any) -> None:
-        self._pass(kernel, self.grid.items_fit, [self.arrays.site, self.arrays.rest, kept, fields, running])
+        grid = self.grid
+        self.launch(kernel, grid.items_fit, [grid, self.arrays.site, self.arrays.rest, kept, fields, running])
 
     def _spread(self, fields: Any, motion: Any, running: Any, u: Any, before: Any, out: Any, ran_away: Any) -> None:
         kk, grid = self.arrays.kernels, self.grid
         if self.dim == 3:
-            self._pass(kk.spread_slow, grid.items_slow, [fields, running])
+            self.launch(kk.spread_slow, grid.items_slow, [grid, fields, running])
         if not self.arrays.window:
-            self._pass(kk.spread_middle, grid.items_spread, [fields, running])
-        self._pass(kk.finish, grid.items_plane, [fields, motion, running, u, before], [out, ran_away])
+            self.launch(kk.spread_middle, grid.items_spread, [grid, fields, running])
+        self.launch(kk.finish, grid.items_plane, [grid, fields, motion, running, u, before], [out, ran_away])

@@ -8,59 +8,26 @@ subtracting the one that leaves; with `run` = 1 it adds up one window only, whic
 A lattice has three axes (slow to fast: 0, 1, 2); in the plane the first has one cell. A cluster lives at the cell of
 its lowest corner. Fields are structures of arrays; a cell's place is the same in every field. Places that no cluster
 and no particle has stay 0 for ever, which is what lets every window run over the edges without asking.
-
-Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
 """
 
 import functools
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
-from deformscope.stages.msm.lanes import lanes_for, module_options, named, product_for, rows_for
+from deformscope.stages.msm.lanes import Ints, lanes_for, module_options, product_for, rows_for
 
 FAR = 1e4
 """Spacings beyond which a particle has run away."""
 
 
-@dataclass(frozen=True, slots=True)
-class LatticeFunctions:
-    """What one thread does in each pass, and the struct types.
-
-    Passes follow each other; each has its count of items.
-    """
-
-    Grid: Any
-    Site: Any
-    Fields: Any
-    Motion: Any
-    windows_fast: Any
-    windows_middle: Any
-    fit_clusters: Any
-    fit_changes: Any
-    spread_slow: Any
-    spread_middle: Any
-    finish: Any
-
-
-@dataclass(frozen=True, slots=True)
-class LatticeKernels:
-    """A kernel for each pass, for lattices that fill a GPU."""
-
-    windows_fast: Any
-    windows_middle: Any
-    fit_clusters: Any
-    fit_changes: Any
-    spread_slow: Any
-    spread_middle: Any
-    finish: Any
-
-
 @functools.cache
 def motion_for(scalar: Any) -> Any:
     """The struct type of what time stepping needs."""
+
+    numbers = wp.array(dtype=scalar)
 
     @wp.struct
     class StepMotion:
@@ -69,18 +36,19 @@ def motion_for(scalar: Any) -> Any:
         stepping: int
         alpha: scalar
         going_on: scalar
-        push: wp.array(dtype=scalar)
+        push: numbers
 
     return StepMotion
 
 
 @functools.cache
-def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) -> LatticeFunctions:
+def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) -> SimpleNamespace:
     """The functions for `dim` = 2 or 3, scalar = wp.float32 or wp.float64, and lanes of `width`.
 
     window: cells of a cluster along every axis, each summed up anew, two axes at once: a GPU then loads all its numbers
     at once, and waits for fewer passes; 0: any windows and runs, as the grid says
     """
+    numbers = wp.array(dtype=scalar)
     axes = dim
     Motion = motion_for(scalar)
     lanes = lanes_for(width, scalar)
@@ -146,12 +114,12 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
     class Site:
         """What a cluster is at rest: `stride` between rows, `step` 1 where each has its own, else 0 (all are alike)."""
 
-        valid: wp.array(dtype=scalar)  # 1 at a cell that has a cluster
-        share: wp.array(dtype=scalar)  # 1 / mass of the window
-        mean: wp.array(dtype=scalar)  # mean offset of the mass from the middle of the window, in cells
-        affine: wp.array(dtype=scalar)  # from first moments to A~ - I, transposed: (dim, axes)
-        moment: wp.array(dtype=scalar)  # from first moments to A_pq - A_qq, transposed: (dim, axes)
-        edge_t: wp.array(dtype=scalar)  # the lattice's edges: an offset in cells to particle spacings, (axes, dim)
+        valid: numbers  # 1 at a cell that has a cluster
+        share: numbers  # 1 / mass of the window
+        mean: numbers  # mean offset of the mass from the middle of the window, in cells
+        affine: numbers  # from first moments to A~ - I, transposed: (dim, axes)
+        moment: numbers  # from first moments to A_pq - A_qq, transposed: (dim, axes)
+        edge_t: numbers  # the lattice's edges: an offset in cells to particle spacings, (axes, dim)
         stride: int
         step: int
 
@@ -163,16 +131,16 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         what: GOAL, BY_BETA or BY_THETA; beta_stride: see `body.Parameters`
         """
 
-        mass: wp.array(dtype=scalar)
-        free: wp.array(dtype=scalar)
-        pull: wp.array(dtype=scalar)
-        sums_fast: wp.array(dtype=scalar)
-        sums_middle: wp.array(dtype=scalar)
-        maps: wp.array(dtype=scalar)
-        maps_slow: wp.array(dtype=scalar)
-        maps_middle: wp.array(dtype=scalar)
-        beta: wp.array(dtype=scalar)
-        theta: wp.array(dtype=scalar)
+        mass: numbers
+        free: numbers
+        pull: numbers
+        sums_fast: numbers
+        sums_middle: numbers
+        maps: numbers
+        maps_slow: numbers
+        maps_middle: numbers
+        beta: numbers
+        theta: numbers
         beta_stride: int
         volume: int
         what: int
@@ -203,14 +171,14 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
     @wp.func
     def slide_in(
-        source: wp.array(dtype=scalar),
+        source: numbers,
         row_in: int,
         first: int,
         step: int,
         window_here: int,
         run: int,
         stride: int,
-        target: wp.array(dtype=scalar),
+        target: numbers,
         row_sum: int,
         row_moment: int,
         count: int,
@@ -239,7 +207,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
     @wp.func
     def slide_out(
-        source: wp.array(dtype=scalar),
+        source: numbers,
         row_in: int,
         row_slope: int,
         first: int,
@@ -247,7 +215,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         window_here: int,
         run: int,
         stride: int,
-        target: wp.array(dtype=scalar),
+        target: numbers,
         row_sum: int,
         count: int,
     ):
@@ -281,9 +249,9 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         grid: Grid,
         fields: Fields,
         motion: Motion,
-        u_in: wp.array(dtype=scalar),
+        u_in: numbers,
         offset: int,
-        before_in: wp.array(dtype=scalar),
+        before_in: numbers,
         before_offset: int,
         group: int,
         item: int,
@@ -313,9 +281,9 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         grid: Grid,
         fields: Fields,
         motion: Motion,
-        u_in: wp.array(dtype=scalar),
+        u_in: numbers,
         offset: int,
-        before_in: wp.array(dtype=scalar),
+        before_in: numbers,
         before_offset: int,
         group: int,
         item: int,
@@ -348,7 +316,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         store(fields.sums_middle, at + 2 * d * grid.stride, grid.stride, fast, count)
 
     @wp.func
-    def particle_own(values: wp.array(dtype=scalar), cell: int, abreast: int):
+    def particle_own(values: numbers, cell: int, abreast: int):
         """What belongs to a particle, for the lanes at `cell` (of one group); one value if all are alike."""
         if values.shape[0] == 1:
             return own(values, 0, 0)
@@ -357,15 +325,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         return own(values, cell / abreast, 0)
 
     @wp.func
-    def ahead(
-        grid: Grid,
-        u: vecs.rows,
-        before_in: wp.array(dtype=scalar),
-        motion: Motion,
-        free: wp.array(dtype=scalar),
-        here: int,
-        cell: int,
-    ):
+    def ahead(grid: Grid, u: vecs.rows, before_in: numbers, motion: Motion, free: numbers, here: int, cell: int):
         """x* of eq. 3.1, 3.2: where the last motion and the push would take a free particle."""
         back = add(u, -one, load(before_in, here, grid.stride))
         moves = vecs.rows()
@@ -402,7 +362,6 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
     )
     def centred(moments: maps.rows, mean: axis_vecs.rows, total: vecs.rows, valid: lane) -> maps.rows:
         """First moments about the centre of mass; 0 where there is no cluster."""
-        ...
 
     @wp.func_native(
         f"{matrix_c(dim)} r; for (int i = 0; i < {dim}; ++i) {each} r.data[i][l] = valid.c[l] > 0"
@@ -410,7 +369,6 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
     )
     def shift_of(total: vecs.rows, share: lane, mean: axis_vecs.rows, slopes: maps.rows, valid: lane) -> vecs.rows:
         """Goal displacement at the middle of the window."""
-        ...
 
     @wp.func_native(
         f"{matrix_c(axes * dim)} r; for (int i = 0; i < {dim}; ++i) {each} {{ r.data[i][l] = a.data[i][l];"
@@ -469,7 +427,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         return (cell / grid.abreast) * site.step, cell / grid.abreast, 0
 
     @wp.func
-    def parameter(grid: Grid, values: wp.array(dtype=scalar), stride: int, group: int, cell: int):
+    def parameter(grid: Grid, values: numbers, stride: int, group: int, cell: int):
         """A candidate's parameter, or (stride > 0) that of each cluster."""
         if stride > 0:
             return own(values, group * stride + cell, 1)
@@ -482,13 +440,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
         @wp.func(name=name)
         def windows(
-            grid: Grid,
-            site: Site,
-            rest: cluster.FitRest,
-            kept: cluster.Kept,
-            fields: Fields,
-            group: int,
-            item: int,
+            grid: Grid, site: Site, rest: cluster.FitRest, kept: cluster.Kept, fields: Fields, group: int, item: int
         ):
             """Windows along the slow axis, and with them each cluster's map."""
             segment = item / grid.blocks_clusters
@@ -581,7 +533,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         slide_out(source, 2 * d, -1, at, grid.line, grid.window_1, steps, grid.stride, target, d, count)
 
     @wp.func(inline=False)  # rare
-    def hold_back(new: vecs.rows, u: vecs.rows, ran_away: wp.array(dtype=int), first: int, step: int, count: int):
+    def hold_back(new: vecs.rows, u: vecs.rows, ran_away: Ints, first: int, step: int, count: int):
         """A particle that would run away stays, and marks its candidate."""
         for l in range(wp.static(width)):
             length2 = scalar(0.0)
@@ -599,12 +551,12 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         fields: Fields,
         motion: Motion,
         total: vecs.rows,
-        u_in: wp.array(dtype=scalar),
+        u_in: numbers,
         offset: int,
-        before_in: wp.array(dtype=scalar),
+        before_in: numbers,
         before_offset: int,
-        out: wp.array(dtype=scalar),
-        ran_away: wp.array(dtype=int),
+        out: numbers,
+        ran_away: Ints,
         group: int,
         at: int,
         cell: int,
@@ -639,12 +591,12 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         grid: Grid,
         fields: Fields,
         motion: Motion,
-        u_in: wp.array(dtype=scalar),
+        u_in: numbers,
         offset: int,
-        before_in: wp.array(dtype=scalar),
+        before_in: numbers,
         before_offset: int,
-        out: wp.array(dtype=scalar),
-        ran_away: wp.array(dtype=int),
+        out: numbers,
+        ran_away: Ints,
         group: int,
         item: int,
     ):
@@ -675,12 +627,12 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         grid: Grid,
         fields: Fields,
         motion: Motion,
-        u_in: wp.array(dtype=scalar),
+        u_in: numbers,
         offset: int,
-        before_in: wp.array(dtype=scalar),
+        before_in: numbers,
         before_offset: int,
-        out: wp.array(dtype=scalar),
-        ran_away: wp.array(dtype=int),
+        out: numbers,
+        ran_away: Ints,
         group: int,
         item: int,
     ):
@@ -705,12 +657,13 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
     if window:
         windows_fast, finish = windows_both, finish_both
-    return named(LatticeFunctions, locals())
+    return SimpleNamespace(**locals())
 
 
 @functools.cache
-def lattice_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> LatticeKernels:
+def lattice_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> SimpleNamespace:
     """A kernel for each pass: a GPU's threads share the items of all groups."""
+    numbers = wp.array(dtype=scalar)
     module = f"deformscope_lattice_{dim}d_{scalar.__name__}_{width}_{window}"
     wp.get_module(module).options.update(module_options(scalar))
     kernel = functools.partial(wp.kernel, module=module, enable_backward=False)
@@ -723,9 +676,9 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> L
         grid: functions.Grid,
         fields: functions.Fields,
         motion: functions.Motion,
-        running: wp.array(dtype=int),
-        u_in: wp.array(dtype=scalar),
-        before_in: wp.array(dtype=scalar),
+        running: Ints,
+        u_in: numbers,
+        before_in: numbers,
     ):
         group, item = wp.tid()
         if running[group] != 0:
@@ -736,7 +689,7 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> L
         function = getattr(functions, name)
 
         @kernel(name=name)
-        def one_pass(grid: functions.Grid, fields: functions.Fields, running: wp.array(dtype=int)):
+        def one_pass(grid: functions.Grid, fields: functions.Fields, running: Ints):
             group, item = wp.tid()
             if running[group] != 0:
                 function(grid, fields, group, item)
@@ -754,7 +707,7 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> L
             rest: cluster.FitRest,
             kept: cluster.Kept,
             fields: functions.Fields,
-            running: wp.array(dtype=int),
+            running: Ints,
         ):
             group, item = wp.tid()
             if running[group] != 0:
@@ -772,14 +725,14 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> L
         grid: functions.Grid,
         fields: functions.Fields,
         motion: functions.Motion,
-        running: wp.array(dtype=int),
-        u_in: wp.array(dtype=scalar),
-        before_in: wp.array(dtype=scalar),
-        out: wp.array(dtype=scalar),
-        ran_away: wp.array(dtype=int),
+        running: Ints,
+        u_in: numbers,
+        before_in: numbers,
+        out: numbers,
+        ran_away: Ints,
     ):
         group, item = wp.tid()
         if running[group] != 0:
             functions.finish(grid, fields, motion, u_in, 0, before_in, 0, out, ran_away, group, item)
 
-    return named(LatticeKernels, locals())
+    return SimpleNamespace(**locals())

@@ -100,9 +100,9 @@ class MaterialOperator(GeneralOperator):
 
     def flow(self, u: Any, *, stop: bool) -> None:
         """S^p flows by the fits at displacements u."""
-        self._launch(
+        self.launch(
             self.kernels.flow,
-            (self.layout.groups, self.body.cluster_count),
+            self.body.cluster_count,
             [self.lists, self.arrays.rest, self.material, u, *self.law, int(stop), self._all],
             [self.strain, self._moved, self._size],
         )

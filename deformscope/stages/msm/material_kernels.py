@@ -1,12 +1,10 @@
 """Warp kernels of `materials`: the fits of clusters with a beta along each axis or with S^p, and the flow of S^p.
 
 They take the place of `general_kernels`' fits; gathering, spreading and what is fitted are the same.
-
-Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
 """
 
 import functools
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
@@ -14,7 +12,7 @@ import warp as wp
 from deformscope.stages.msm.cluster_functions import BY_BETA, BY_THETA, NONE, cluster_functions_for
 from deformscope.stages.msm.functions import functions_for
 from deformscope.stages.msm.general_kernels import general_kernels_for
-from deformscope.stages.msm.lanes import Sized, lanes_for, module_options, named, product_for, rows_for
+from deformscope.stages.msm.lanes import Ints, Sized, lanes_for, module_options, product_for, rows_for
 from deformscope.stages.msm.materials import LEAST_FACTOR
 
 HALVINGS = 60
@@ -24,19 +22,10 @@ SHRINKS = 60
 """Steps of S^p toward its bound; each leaves at most about a tenth of the distance."""
 
 
-@dataclass(frozen=True, slots=True)
-class MaterialKernels:
-    """The compiled set and its struct type."""
-
-    Material: Any
-    fit_clusters: Any
-    fit_changes: Any
-    flow: Any
-
-
 @functools.cache
-def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> MaterialKernels:
+def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> SimpleNamespace:
     """The kernels for `dim` = 2 or 3, `terms` = 2, 3 (linear) or 5, 9 (quadratic), and lanes of `width`."""
+    numbers = wp.array(dtype=scalar)
     module = f"deformscope_material_{dim}d_{terms}_{scalar.__name__}_{width}"
     wp.get_module(module).options.update(module_options(scalar))
     kernel = functools.partial(wp.kernel, module=module, enable_backward=False)
@@ -76,7 +65,7 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Mater
 
         plastic: int
         axes: int
-        strain: wp.array(dtype=scalar)
+        strain: numbers
 
     # Small matrices of lanes. t, x, c are transposed as in `cluster_functions`; s, w and m are not.
 
@@ -98,7 +87,6 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Mater
     @sized.func_native(f"{squares_c} r; {entries} r.data[j * {dim} + i][l] = {terms_xw}; return r;")
     def weighted(x: transforms.rows, w: squares.rows) -> squares.rows:
         """X W, for the linear part X."""
-        ...
 
     terms_cs = " + ".join(
         f"(a.data[i * {dim} + {k}][l] + c.data[{k * dim} + i][l]) * s.data[j * {dim} + {k}][l]" for k in along
@@ -109,7 +97,6 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Mater
     )
     def with_plastic(c: squares.rows, a: squares.rows, s: squares.rows) -> squares.rows:
         """(a + C) (I + s)^T - a: the moments over rest vectors that have yielded by s."""
-        ...
 
     terms_ts = " + ".join(f"t.data[{k * dim} + i][l] * s.data[{k * dim} + j][l]" for k in along)
 
@@ -119,7 +106,6 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Mater
     )
     def on_plastic(t: squares.rows, s: squares.rows, first: scalar) -> squares.rows:
         """(I + T) (I + s) - I; with first = 0 its change with T."""
-        ...
 
     terms_xc = " + ".join(
         f"(x.data[{k * dim} + i][l] - t.data[{k * dim} + i][l]) * m.data[{k * dim} + j][l]" for k in along
@@ -130,7 +116,6 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Mater
     )
     def blended(x: transforms.rows, t: squares.rows, m: squares.rows) -> transforms.rows:
         """T + (X - T) C."""
-        ...
 
     @wp.func
     def fit_one(
@@ -142,9 +127,9 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Mater
         c: int,
         affine_t: transforms.rows,
         change_t: squares.rows,
-        beta: wp.array(dtype=scalar),
+        beta: numbers,
         beta_stride: int,
-        theta: wp.array(dtype=scalar),
+        theta: numbers,
         volume: int,
         what: int,
     ):
@@ -198,9 +183,9 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Mater
         c: int,
         affine_t: transforms.rows,
         change_t: squares.rows,
-        beta: wp.array(dtype=scalar),
+        beta: numbers,
         beta_stride: int,
-        theta: wp.array(dtype=scalar),
+        theta: numbers,
         volume: int,
         what: int,
     ):
@@ -289,16 +274,16 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Mater
         rest: cluster.FitRest,
         material: Material,
         # In:
-        u_in: wp.array(dtype=scalar),
-        yield_strain: wp.array(dtype=scalar),
-        share: wp.array(dtype=scalar),
-        maximum: wp.array(dtype=scalar),
+        u_in: numbers,
+        yield_strain: numbers,
+        share: numbers,
+        maximum: numbers,
         stop: int,
-        running: wp.array(dtype=int),
+        running: Ints,
         # Out:
-        strain: wp.array(dtype=scalar),
-        moved_out: wp.array(dtype=scalar),
-        size_out: wp.array(dtype=scalar),
+        strain: numbers,
+        moved_out: numbers,
+        size_out: numbers,
     ):
         """S^p of each cluster after a share of its S - I has flown (see `materials`), a candidate at a time.
 
@@ -361,4 +346,4 @@ def material_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Mater
             moved_out[at + l] = moved
             size_out[at + l] = size
 
-    return named(MaterialKernels, locals())
+    return SimpleNamespace(**locals())

@@ -173,8 +173,8 @@ class PlasticMsm:
         if self._moving is None:
             self._moving = self.body.start(self.size, self._position)
         operator = self._moving.operator
-        operator.put_plastic(self._plastic)  # type: ignore[attr-defined]
-        operator.set_law(self._yield, dt * self._creep, self._maximum)  # type: ignore[attr-defined]
+        operator.put_plastic(self._plastic)
+        operator.set_law(self._yield, dt * self._creep, self._maximum)
         self._position = self.body.step(
             self._moving,
             held_position,
@@ -186,7 +186,7 @@ class PlasticMsm:
             acceleration=acceleration,
             steps=steps,
         )
-        self._plastic = operator.plastic()  # type: ignore[attr-defined]
+        self._plastic = operator.plastic()
         return self._position.copy()
 
     @property
@@ -213,8 +213,4 @@ class PlasticMsm:
         held_u, beta_b, theta_b = self.body._candidates(held_position, self._plain(beta, theta), theta)
         if len(beta_b) not in (1, self.size):
             raise ValueError(f"expected {self.size} candidates, or one for all; got {len(beta_b)}")
-        return (
-            held_u,
-            np.broadcast_to(beta_b, (self.size, *beta_b.shape[1:])),
-            np.broadcast_to(theta_b, (self.size,)),
-        )
+        return (held_u, np.broadcast_to(beta_b, (self.size, *beta_b.shape[1:])), np.broadcast_to(theta_b, (self.size,)))

@@ -3,19 +3,16 @@
 
 One thread solves one candidate from start to end, in float64. All that a candidate brings and takes is one row of
 numbers each, so that a call copies once in and once out.
-
-Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
 """
 
 import functools
 import math
-from dataclasses import dataclass
-from typing import Any
+from types import SimpleNamespace
 
 import warp as wp
 
 from deformscope.stages.msm.functions import functions_for
-from deformscope.stages.msm.lanes import named
+from deformscope.stages.msm.lanes import CPU_FLAGS, Doubles
 
 BETA, THETA, TOLERANCE, MOST_ITERATIONS, STARTED, HELD = range(6)
 """Places in a candidate's row: numbers first, then what is held, then the transform to start from."""
@@ -38,29 +35,15 @@ FINEST_PATH = 1.0 / 256.0
 """Where Newton's steps fail at theta, it is approached in parts; a part smaller than this share ends the search."""
 
 
-@dataclass(frozen=True, slots=True)
-class ReducedKernels:
-    """The compiled set, and its types. ReducedBody: the struct of rest data; row_width,
-    result_width: numbers that a candidate brings and takes
-    """
-
-    ReducedBody: Any
-    vec: Any
-    square: Any
-    basis_vec: Any
-    relax: Any
-    differentiate: Any
-    row_width: int
-    result_width: int
-
-
 @functools.cache
-def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
+def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
     """The kernels for `dim` = 2 or 3 and `terms` = 2, 3 (linear) or 5, 9 (quadratic)."""
     module = f"deformscope_msm_reduced_{dim}d_{terms}"
     # two modules: few need derivatives, and a GPU takes seconds to compile either
     for name in (module, f"{module}_slopes"):
-        wp.get_module(name).options.update({"enable_backward": False, "max_unroll": 1})
+        # flags as those of the lanes: compiled with others, warp's own headers would be taken through once more
+        options = {"enable_backward": False, "max_unroll": 1, "cpu_compiler_flags": CPU_FLAGS}
+        wp.get_module(name).options.update(options)
     scalar = wp.float64
     functions = functions_for(dim, scalar)
     vec, square, turn = functions.vec, functions.square, functions.turn
@@ -100,7 +83,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         mode: wp.array(dtype=basis_vec)
         free_mode: wp.array(dtype=basis_vec)
         held_mode: wp.array(dtype=vec)
-        share: wp.array(dtype=scalar)
+        share: Doubles
         free_q: wp.array(dtype=basis_vec)
         null: wp.array(dtype=basis_vec)
         gram: wp.array(dtype=basis_vec)
@@ -124,7 +107,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         return out
 
     @wp.func
-    def held_moment(row: wp.array(dtype=scalar), mode: int):
+    def held_moment(row: Doubles, mode: int):
         """y_j: how the held particles stand along one mode."""
         out = vec()
         for i in range(wp.static(dim)):
@@ -202,7 +185,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         return change * ((one - number) / number) - a * (d_den / (number * number))
 
     @wp.func
-    def sums(body: ReducedBody, row: wp.array(dtype=scalar), beta: scalar, slope: bool):
+    def sums(body: ReducedBody, row: Doubles, beta: scalar, slope: bool):
         """N, V, W, U, Y, K at beta, or their derivatives by beta: sums over the modes."""
         n = square()
         v = square()
@@ -257,14 +240,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
 
     @wp.func
     def assemble(
-        body: ReducedBody,
-        row: wp.array(dtype=scalar),
-        beta: scalar,
-        e: square,
-        r: square,
-        direct: scalar,
-        held: scalar,
-        slope: bool,
+        body: ReducedBody, row: Doubles, beta: scalar, e: square, r: square, direct: scalar, held: scalar, slope: bool
     ):
         """T = e L + R J + sum_j beta g_j (e L (G - C) b_j + y_j - R J C b_j) b_j^T.
 
@@ -285,7 +261,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         return out
 
     @wp.func
-    def fit(body: ReducedBody, row: wp.array(dtype=scalar), t: transform):
+    def fit(body: ReducedBody, row: Doubles, t: transform):
         """R of the rotation and A~ of the fit (eq. 3.7, 3.9, 3.14) for the state T, held particles included."""
         a_pq = square()
         for i in range(wp.static(dim)):
@@ -314,7 +290,7 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
         return out
 
     @wp.func
-    def misfit(body: ReducedBody, row: wp.array(dtype=scalar), t: transform, beta: scalar, theta: scalar):
+    def misfit(body: ReducedBody, row: Doubles, t: transform, beta: scalar, theta: scalar):
         """Root mean square of goal - place over all particles of the state T (none taken as held): the equations anew,
         by themselves. And their rotation and linear fit."""
         r, a = fit(body, row, t)
@@ -666,4 +642,4 @@ def reduced_kernels_for(dim: int, terms: int) -> ReducedKernels:
                     place -= metres * body.held_mean[j]
                 result[wp.static(translation_at) + i] = place
 
-    return named(ReducedKernels, locals())
+    return SimpleNamespace(**locals())

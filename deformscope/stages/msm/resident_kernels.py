@@ -3,42 +3,36 @@
 A block of threads keeps to one group of candidates and goes through its passes, meeting at a barrier after each. On a
 GPU that saves the launches between passes, which cost more than a small body's work, and what a pass leaves is still
 near when the next reads it; on a CPU a block is one thread, and there are no launches left to pay for at any size.
-
-Annotations here are read by warp while the closures are made, so they are not postponed (no `__future__` import).
+There every launch, a single evaluation too, goes through one copy of all passes in one module: compiling is what a
+first start waits for.
 """
 
 import functools
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
 from deformscope.stages.msm.cluster_functions import cluster_functions_for
 from deformscope.stages.msm.iteration_kernels import newton_functions_for
-from deformscope.stages.msm.lanes import Sized, module_options, named
+from deformscope.stages.msm.lanes import Doubles, Ints, Sized, module_options
 from deformscope.stages.msm.lattice_kernels import lattice_functions_for
 
 THREADS = {wp.float32: 512, wp.float64: 256}
 """Threads of a block on a GPU, for which the compiler saves registers."""
 
 
-@dataclass(frozen=True, slots=True)
-class ResidentKernels:
-    """The kernels: those of stepping and those of relaxing in a module each, since not all who step relax."""
-
-    steps: Any
-    put_at: Any
-    relax: Any
-    aim: Any
-    reset: Any
-
-
 @functools.cache
-def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> ResidentKernels:
-    """The kernels for lattices of `dim` = 2 or 3, scalar = wp.float32 or wp.float64, and lanes of `width`."""
+def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> SimpleNamespace:
+    """The kernels for lattices of `dim` = 2 or 3, scalar = wp.float32 or wp.float64; lanes of `width`, 1 on a GPU.
+
+    `goals`, a single evaluation, is on a CPU alone (else None): a GPU has `lattice_kernels` for it.
+    """
+    on_cpu = width > 1
+    numbers = wp.array(dtype=scalar)
 
     def kernel_in(name: str) -> Any:
-        module = f"deformscope_{name}_{dim}d_{scalar.__name__}_{width}_{window}"
+        module = f"deformscope_{'lattice' if on_cpu else name}_{dim}d_{scalar.__name__}_{width}_{window}"
         wp.get_module(module).options.update(module_options(scalar))
         return functools.partial(wp.kernel, module=module, enable_backward=False, launch_bounds=THREADS[scalar])
 
@@ -63,7 +57,6 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
     )
     def meet():
         """All threads of the block have come here, and see what the others wrote."""
-        ...
 
     def together(name: str, join: str) -> Any:
         """Joins a number of every thread of a block; on a CPU the block is the thread."""
@@ -94,7 +87,7 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
     total_of_threads = together("sum", "v + other")
     largest_of_threads = together("max", "v > other ? v : other")
 
-    @wp.func
+    @wp.func(inline=False if on_cpu else None)
     def operate(
         grid: Grid,
         site: Site,
@@ -102,12 +95,12 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         kept: cluster.Kept,
         fields: Fields,
         motion: Motion,
-        u: wp.array(dtype=scalar),
+        u: numbers,
         offset: int,
-        before: wp.array(dtype=scalar),
+        before: numbers,
         before_offset: int,
-        out: wp.array(dtype=scalar),
-        ran_away: wp.array(dtype=int),
+        out: numbers,
+        ran_away: Ints,
         changing: int,
         group: int,
         thread: int,
@@ -143,6 +136,28 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
             finish(grid, fields, motion, u, offset, before, before_offset, out, ran_away, group, item)
         meet()
 
+    goals = None
+    if on_cpu:
+
+        @kernel_in("goals")
+        def goals(
+            grid: Grid,
+            site: Site,
+            rest: cluster.FitRest,
+            kept: cluster.Kept,
+            fields: Fields,
+            still: Motion,
+            running: Ints,
+            changing: int,
+            u_in: numbers,
+            out: numbers,
+            nothing: Ints,
+        ):
+            """goal - u of every free particle; with `changing` J u - u where goals were last evaluated."""
+            group = wp.tid()
+            if running[group] != 0:
+                operate(grid, site, rest, kept, fields, still, u_in, 0, u_in, 0, out, nothing, changing, group, 0, 1)
+
     steps_kernel = kernel_in("steps")
 
     @steps_kernel
@@ -157,8 +172,8 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         swapped: int,
         threads: int,
         # In and out:
-        pair: wp.array(dtype=scalar),
-        ran_away: wp.array(dtype=int),
+        pair: numbers,
+        ran_away: Ints,
     ):
         """`count` time steps.
 
@@ -179,7 +194,7 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
     relax_kernel = kernel_in("relax")
 
     @wp.func
-    def keep(span: Span, parts: wp.array(dtype=wp.float64), row: int, groups: int, group: int, thread: int, v: sums):
+    def keep(span: Span, parts: Doubles, row: int, groups: int, group: int, thread: int, v: sums):
         """The group's sums, of which there is one part."""
         if thread == 0:
             put(parts, (row * groups + group) * wp.static(width), v)
@@ -211,16 +226,16 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         limit: int,
         threads: int,
         # In and out: the displacement and the direction, the residual and the direction's change, each as one field
-        pair: wp.array(dtype=scalar),
-        pair_out: wp.array(dtype=scalar),
-        u: wp.array(dtype=scalar),
-        direction: wp.array(dtype=scalar),
-        residual: wp.array(dtype=scalar),
-        changed: wp.array(dtype=scalar),
-        step: wp.array(dtype=scalar),
-        rho: wp.array(dtype=scalar),
-        parts: wp.array(dtype=wp.float64),
-        nothing: wp.array(dtype=int),
+        pair: numbers,
+        pair_out: numbers,
+        u: numbers,
+        direction: numbers,
+        residual: numbers,
+        changed: numbers,
+        step: numbers,
+        rho: numbers,
+        parts: Doubles,
+        nothing: Ints,
     ):
         """Up to `limit` evaluations of a group's Newton steps, or of its linear solve."""
         index = wp.tid()
@@ -275,12 +290,12 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         groups: int,
         threads: int,
         # In:
-        right: wp.array(dtype=scalar),
+        right: numbers,
         # Out:
-        rho: wp.array(dtype=scalar),
-        direction: wp.array(dtype=scalar),
-        step: wp.array(dtype=scalar),
-        parts: wp.array(dtype=wp.float64),
+        rho: numbers,
+        direction: numbers,
+        step: numbers,
+        parts: Doubles,
     ):
         """A linear solve begins, with its right-hand side as the residual."""
         index = wp.tid()
@@ -299,13 +314,7 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         reset_one(state, groups, abreast, reach, outer, inner, wp.tid())
 
     @steps_kernel
-    def put_at(
-        places: wp.array(dtype=int),
-        values: wp.array(dtype=scalar),
-        stride: int,
-        first_out: wp.array(dtype=scalar),
-        second_out: wp.array(dtype=scalar),
-    ):
+    def put_at(places: Ints, values: numbers, stride: int, first_out: numbers, second_out: numbers):
         put_one(places, values, stride, first_out, second_out, wp.tid())
 
-    return named(ResidentKernels, locals())
+    return SimpleNamespace(**locals())

@@ -14,7 +14,7 @@ import warp as wp
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters
+from deformscope.stages.msm.body import Body, BodyRest, Parameters
 from deformscope.stages.msm.cluster_functions import BY_BETA, BY_THETA, NONE, PROJECT, SCALE
 from deformscope.stages.msm.clusters import Clusters, LatticeClusters, held_mask, spacing
 from deformscope.stages.msm.general import GeneralBody
@@ -88,18 +88,18 @@ class Gradient:
 class Moving:
     """The state of time stepping, on the device: displacements now and one step before, for B bodies."""
 
-    def __init__(self, operator: Operator) -> None:
+    def __init__(self, operator: Any) -> None:
         self.last_dt = 0.0
         self._settle_in(operator)
 
-    def _settle_in(self, operator: Operator) -> None:
+    def _settle_in(self, operator: Any) -> None:
         self.operator = operator
         self.layout: Layout = operator.layout
         self.pair = self.layout.field(2 * operator.dim)
         self.swapped = False
         self.ran_away = self.layout.each(np.zeros(1), int)
 
-    def move_to(self, operator: Operator) -> None:
+    def move_to(self, operator: Any) -> None:
         """The same state, stepped by another operator."""
         now, last = (self.layout.get(each, operator.dim) for each in (self.u, self.before))
         ran_away = self.diverged
@@ -553,13 +553,7 @@ class Msm:
         """
         if isinstance(beta, AxisBeta):
             return self._along(beta, theta).step(
-                state,
-                held_position,
-                beta.value[:, None, :],
-                alpha=alpha,
-                dt=dt,
-                acceleration=acceleration,
-                steps=steps,
+                state, held_position, beta.value[:, None, :], alpha=alpha, dt=dt, acceleration=acceleration, steps=steps
             )
         if state.operator.body is not self._body:
             state.move_to(self._body.operator(self._body.layout(state.layout.candidates)))

@@ -181,25 +181,6 @@ def calibrate_compliance(
     return ArmCompliance(slope, float(scale / spread), scale)
 
 
-def threshold_stiffness(
-    time_s: FloatArray,
-    position_m: FloatArray,
-    force_n: FloatArray,
-    normal: FloatArray,
-    *,
-    set_force_n: float = 3.0,
-    threshold_n: float = 0.15,
-    arm: ArmCompliance | None = None,
-) -> float:
-    """Force over depth [N/mm] with contact taken where the force first passes a threshold: biased, to compare with."""
-    arm = arm or ArmCompliance()
-    depth_along, force = _along(time_s, position_m, force_n, normal)
-    force, _, peak, _ = _loaded(force, set_force_n, None)
-    z = depth_along - arm.compliance_m_per_n * force
-    first, last = int(np.argmax(force > threshold_n)), int(np.argmax(force >= min(set_force_n, peak)))
-    return float(1e-3 * force[last] / max(z[last] - z[first], 1e-9))
-
-
 def layer_modulus(
     depth_m: float,
     force_n: float,

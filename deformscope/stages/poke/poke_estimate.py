@@ -156,11 +156,7 @@ def continuum(law: Law, stiffness: float, spacing: float) -> tuple[float, float]
 
 
 def conclude(
-    fit: PokesFit,
-    *,
-    level: float,
-    settings: Mapping[str, object],
-    provenance: Mapping[str, object],
+    fit: PokesFit, *, level: float, settings: Mapping[str, object], provenance: Mapping[str, object]
 ) -> PokesFound:
     """The estimate of beta, whose interval allows for theta, noise and misfit, and the model.
 

@@ -260,13 +260,7 @@ def fit_shape(
     inside = np.minimum(1e-3, 0.1 * (high - low))
     first = np.clip(np.array([-np.log1p(-start[0]), start[1]])[:free], low + inside, high - inside)
     found = least_squares(
-        lambda x: around(x)[0],
-        first,
-        lambda x: around(x)[1],
-        bounds=(low, high),
-        xtol=1e-3,
-        ftol=1e-4,
-        max_nfev=15,
+        lambda x: around(x)[0], first, lambda x: around(x)[1], bounds=(low, high), xtol=1e-3, ftol=1e-4, max_nfev=15
     )
     return law(found.x), around(found.x)[2]
 

@@ -75,14 +75,11 @@ def predict(
                 deviation.append(np.sqrt(variance))
                 weight.append(one.weight[h] / VALUES / len(seen))
     share = np.array(weight) / np.sum(weight)
-    ends = [_quantile(np.array(mean), np.array(deviation), share, q) for q in _tails(level)]
+    tails = 0.5 * (1.0 - level), 0.5, 0.5 * (1.0 + level)
+    ends = [_quantile(np.array(mean), np.array(deviation), share, q) for q in tails]
     for end in ends:
         end[poke.held] = held_position
     return Predicted(ends[1], ends[0], ends[2], level)
-
-
-def _tails(level: float) -> tuple[float, float, float]:
-    return 0.5 * (1.0 - level), 0.5, 0.5 * (1.0 + level)
 
 
 def _motion(deformed: FloatArray, rest: FloatArray, which: BoolArray) -> float:

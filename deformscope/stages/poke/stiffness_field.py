@@ -14,9 +14,6 @@ from typing import Any, Literal
 import numpy as np
 from scipy.spatial.distance import cdist
 from scipy.special import softmax
-from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import ConstantKernel, Matern
-from sklearn.svm import SVC
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
@@ -126,6 +123,8 @@ def _materials(places: FloatArray, value: FloatArray) -> Fitted:
     levels = np.array([np.median(value[label == one]) for one in range(label.max() + 1)])
     if len(levels) == 1:
         return _uniform(places, value)
+    from sklearn.svm import SVC
+
     middle, size = places.mean(axis=0), float(np.ptp(places, axis=0).max()) or 1.0
     classifier: Any = SVC(kernel="linear", C=1e4)
     scaled = (places - middle) / size
@@ -144,6 +143,9 @@ def _levels(value: FloatArray) -> IntArray:
 
 def _gradual(places: FloatArray, value: FloatArray) -> Fitted:
     """A Gaussian process (Matern 3/2) whose length explains the pokes best."""
+    from sklearn.gaussian_process import GaussianProcessRegressor
+    from sklearn.gaussian_process.kernels import ConstantKernel, Matern
+
     size = float(np.ptp(places, axis=0).max()) or 1.0
     spread = max(float(np.var(value)), POKE_NOISE**2)
     found: list[tuple[float, Any]] = []

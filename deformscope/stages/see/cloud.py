@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import cKDTree
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.capsule import Capsule
@@ -128,24 +128,6 @@ def beside_capsules(points: FloatArray, links: Sequence[Capsule], *, margin_m: f
     return outside
 
 
-def beside_hull(points: FloatArray, hull_points: FloatArray, *, margin_m: float = 0.01) -> BoolArray:
-    """(n,) points that lie outside the convex hull of hull_points (k, 3) by more than a margin [m] (Thesis 4.4).
-
-    The margin is measured from the planes of the faces: at edges and corners the hull grows by a little more.
-    Raises InputError for hull points that span no volume.
-    """
-    try:
-        faces = ConvexHull(np.asarray(hull_points, dtype=np.float64)).equations
-    except (QhullError, ValueError) as error:
-        raise InputError(
-            "hull points that span a volume", f"{len(hull_points)} points that do not", "capsules for thin links"
-        ) from error
-    outside = np.zeros(len(points), dtype=bool)
-    for normal in faces:
-        outside |= points @ normal[:3] + normal[3] > margin_m
-    return outside
-
-
 # Noise and touch ------------------------------------------------------------------------------------------------------
 
 
@@ -173,30 +155,23 @@ def height_noise_m(points: FloatArray, T_world_camera: FloatArray) -> FloatArray
 
 
 def tactile_points(
-    lowest_m: FloatArray,
-    radius_m: float,
-    depth_m: float,
-    *,
-    normal: FloatArray | None = None,
-    count: int = TACTILE_POINTS,
+    lowest_m: FloatArray, radius_m: float, depth_m: float, *, normal: FloatArray | None = None
 ) -> FloatArray:
-    """Virtual points (count, 3) [m] where a ball touches: on its surface around its foremost point (Thesis 4.4).
+    """`TACTILE_POINTS` virtual points (n, 3) [m] where a ball touches, around its foremost one (Thesis 4.4).
 
     lowest_m: (3,) the ball's foremost point; depth_m: how far it is below where it first touched
     normal: (3,) unit normal of the surface at rest, away from it, default up
     They cover the cap that touches evenly, the foremost point among them: a ball sunk into an elastic body touches it
     up to about the root of radius times depth beside its axis (Hertz), at most up to its equator.
     """
-    if count < 1 or radius_m <= 0.0 or depth_m < 0.0:
-        raise InputError(
-            "a ball and a depth of 0 or more", f"radius {radius_m:g} m, depth {depth_m:g} m, {count} points"
-        )
+    if radius_m <= 0.0 or depth_m < 0.0:
+        raise InputError("a ball and a depth of 0 or more", f"radius {radius_m:g} m, depth {depth_m:g} m")
     up = np.array([0.0, 0.0, 1.0]) if normal is None else np.asarray(normal, dtype=np.float64)
     up = up / np.linalg.norm(up)
     sink = 1.0 - np.sqrt(1.0 - (contact_radius_m(radius_m, depth_m) / radius_m) ** 2)
-    rise = radius_m * sink * np.arange(count) / max(count - 1, 1)
+    rise = radius_m * sink * np.arange(TACTILE_POINTS) / (TACTILE_POINTS - 1)
     away = np.sqrt(np.maximum(radius_m**2 - (radius_m - rise) ** 2, 0.0))
-    angle = GOLDEN_ANGLE * np.arange(count)
+    angle = GOLDEN_ANGLE * np.arange(TACTILE_POINTS)
     first = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
     first /= np.linalg.norm(first)
     second = np.cross(up, first)
@@ -216,16 +191,13 @@ def perceive(
     box: Box,
     *,
     links: Sequence[Capsule] = (),
-    hulls: Sequence[FloatArray] = (),
     margin_m: float = 0.01,
     cell_m: float | None = None,
-    neighbours: int = 20,
-    ratio: float = 2.0,
 ) -> Perceived:
     """The surface's points in a depth image (H, W) [m]: cropped to a box, without the robot, without lone points, and
     reduced to one point a cell where `cell_m` is given.
 
-    links, hulls: the arm and its stick, as capsules or as points (k, 3) whose convex hulls they fill [m]
+    links: the arm and its stick
     Raises InputError where nothing is left.
     """
     points = back_project(depth_m, camera, T_world_camera)
@@ -233,11 +205,9 @@ def perceive(
     points = points[within(points, box)]
     cropped = seen - len(points)
     kept = beside_capsules(points, links, margin_m=margin_m)
-    for hull in hulls:
-        kept &= beside_hull(points, hull, margin_m=margin_m)
     robot = int(np.count_nonzero(~kept))
     points = points[kept]
-    kept = not_alone(points, neighbours=neighbours, ratio=ratio)
+    kept = not_alone(points)
     outliers = int(np.count_nonzero(~kept))
     points = points[kept]
     if not len(points):

@@ -29,6 +29,8 @@ SMALLEST_SPACING_PX = 2.0
 NOISE_FLOOR_PX = 0.002
 """No flow is trusted further than this [px]."""
 
+RESIDUAL_PX, RESIDUAL_SHARE = 0.3, 0.03
+"""Forward-backward residual [px], and share of the flow more, up to which a particle is never lost."""
 
 MISFIT_LOST = 0.5
 """Share of the surroundings' contrast left unexplained by the flow at which a particle counts as lost."""
@@ -203,7 +205,9 @@ def select_held(grid: ParticleGrid, groups: Sequence[str], contact: Rect | None 
                 raise InputError("a contact rectangle", "none", "give x, y, width, height in px")
             touched = contact.contains(grid.rest_px)
             if not touched.any():
-                raise InputError("particles inside the contact rectangle", f"none in {contact}", "a larger rectangle")
+                raise InputError(
+                    "particles inside the contact rectangle", f"none in {contact.described()}", "a larger rectangle"
+                )
             held |= touched
         elif group == "border":
             held |= np.any(list(sides.values()), axis=0)
@@ -211,10 +215,6 @@ def select_held(grid: ParticleGrid, groups: Sequence[str], contact: Rect | None 
             held |= sides[group]
         else:
             raise InputError(f"held groups out of {', '.join(get_args(HeldGroup))}", repr(group))
-    if "contact" in groups and contact is not None and not contact.contains(grid.rest_px).any():
-        raise InputError(
-            "particles inside the contact rectangle", f"none in {contact.described()}", "a larger rectangle"
-        )
     if not held.any():
         raise InputError("at least one held particle", "none", f"groups out of {', '.join(get_args(HeldGroup))}")
     if held.all():
@@ -248,21 +248,15 @@ def start(grid: ParticleGrid) -> Tracked:
     return Tracked(grid.rest_px.astype(float), np.zeros(count), np.ones(count, dtype=bool), np.zeros(count))
 
 
-def advance(
-    tracked: Tracked,
-    forward: FlowField,
-    backward: FlowField,
-    floor_px: float = 0.3,
-    share: float = 0.03,
-) -> Tracked:
+def advance(tracked: Tracked, forward: FlowField, backward: FlowField) -> Tracked:
     """Carry the particles one image further: x(t+1) = x(t) + flow(x(t)) (Thesis eq. 3.20).
 
     forward: from the present image to the next; backward: from the next to the present
 
     Lost is a particle that leaves the image, whose flow is not finite, whose surroundings do not look alike where the
     flow leads (misfit over one half), or that the backward flow does not bring home: the forward-backward residual
-    e = f(x) + b(x + f(x)) (Kalal 2010) is longer than floor_px + share * |f| and than five times the median of its
-    neighbours; however bad those are, three times the first limit is the end.
+    e = f(x) + b(x + f(x)) (Kalal 2010) is longer than `RESIDUAL_PX` + `RESIDUAL_SHARE` * |f| and than five times the
+    median of its neighbours; however bad those are, three times the first limit is the end.
 
     noise_px of a step is the flow's own noise_px (none known: 0) and the residuals' spread over the nine nearest
     particles, by the median and divided by sqrt(2) since e holds two errors; steps add in quadrature. Measured on 117
@@ -281,7 +275,7 @@ def advance(
     length = np.linalg.norm(residual, axis=1)
     found = tracked.seen & np.isfinite(length)
     typical, spread = _neighbourhood(here, residual, length, found)
-    limit = floor_px + share * np.linalg.norm(step, axis=1)
+    limit = RESIDUAL_PX + RESIDUAL_SHARE * np.linalg.norm(step, axis=1)
     with np.errstate(invalid="ignore"):  # what is not finite is not found either
         seen = found & (length <= np.clip(5.0 * typical, limit, 3.0 * limit))
     if forward.misfit is not None:

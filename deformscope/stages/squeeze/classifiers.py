@@ -7,7 +7,9 @@ posteriors. A class without any training point is never the answer.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -23,6 +25,9 @@ NEIGHBOURS_TRIED: tuple[int, ...] = (1, 3, 5, 7, 9)
 """For any other number of classes: the one that is right most often on training points, each left out in turn."""
 LINEAR_COMPONENTS = 200
 """Largest components that the linear classifier and the raw quadratic one take."""
+
+SHARES = (0.001, 0.01, 0.03, 0.1, 0.2, 0.4, 0.7, 1.0)
+"""Of the unit matrix in the linear classifier's covariance: what is tried."""
 
 Name = Literal["knn", "qda", "knn-raw", "qda-raw", "linear"]
 NAMES: tuple[Name, ...] = ("knn", "qda", "knn-raw", "qda-raw", "linear")
@@ -179,14 +184,51 @@ def fit_quadratic(points: FloatArray, target: IntArray, classes: int) -> Quadrat
     return Quadratic(mean, factor, count > 0)
 
 
-def fit_linear(points: FloatArray, target: IntArray, classes: int) -> Linear:
-    """Linear discriminant analysis with the shrunk pooled covariance, all classes equally likely before; on the largest
-    `LINEAR_COMPONENTS`."""
+def fit_linear(points: FloatArray, target: IntArray, classes: int, share: float | None = None) -> Linear:
+    """Linear discriminant analysis with a shrunk pooled covariance, all classes equally likely before; on the largest
+    `LINEAR_COMPONENTS`. share: of the unit matrix, default `linear_share`"""
+    points = points[:, :LINEAR_COMPONENTS]
+    share = linear_share(points, target, classes) if share is None else share
+    count, mean, about = _moments(points, target, classes)
+    pooled = about.T @ about / max(len(points) - int((count > 0).sum()), 1)
+    level = float(np.trace(pooled)) / max(len(pooled), 1) or 1.0
+    slope = np.linalg.solve((1.0 - share) * pooled + share * level * np.eye(len(pooled)), mean.T)
+    return Linear(slope, -0.5 * (mean.T * slope).sum(axis=0), count > 0)
+
+
+def linear_share(points: FloatArray, target: IntArray, classes: int) -> float:
+    """The share of the unit matrix in the covariance that has the least log loss on points left out one by one.
+
+    Ledoit and Wolf's share, which serves the covariance, is far too small for classification where a few directions
+    have most of the variance. Leaving a point out takes a a^T from the covariance, a being the point about its class,
+    and its inverse follows in closed form (Sherman and Morrison).
+    """
     points = points[:, :LINEAR_COMPONENTS]
     count, mean, about = _moments(points, target, classes)
-    pooled = pooled_covariance(about, len(points) - int((count > 0).sum()))
-    slope = np.linalg.solve(pooled, mean.T)
-    return Linear(slope, -0.5 * (mean.T * slope).sum(axis=0), count > 0)
+    free = max(len(points) - int((count > 0).sum()), 1)
+    variance, directions = np.linalg.eigh(about.T @ about / free)
+    level = float(variance.sum()) / max(len(variance), 1)
+    several = np.flatnonzero(count[target] > 1)
+    if level <= 0.0 or not len(several):
+        return SHARES[-1]
+    own, size = target[several], count[target[several]]
+    row = np.arange(len(several))
+    x, m, a = (one @ directions for one in (points[several], mean, about[several]))
+    loss = []
+    for share in SHARES:
+        white = 1.0 / ((1.0 - share) * np.maximum(variance, 0.0) + share * level)
+        removed = (1.0 - share) * size / ((size - 1.0) * free)
+        itself = ((a * a) @ white) * removed
+        # Squared distances to all means, and products of these differences with a.
+        apart = ((x * x) @ white)[:, None] - 2.0 * (x * white) @ m.T + (m * m) @ white
+        product = ((x * a) @ white)[:, None] - (a * white) @ m.T
+        stretch = size / (size - 1.0)
+        apart[row, own] *= stretch**2
+        product[row, own] *= stretch
+        apart += removed[:, None] * product**2 / np.maximum(1.0 - itself, 1e-9)[:, None]
+        score = np.where(count > 0, -0.5 * apart, -np.inf)
+        loss.append(-floored(score)[row, own].mean())
+    return SHARES[int(np.argmin(loss))]
 
 
 # By name -------------------------------------------------------------------------------------------------------------
@@ -202,12 +244,19 @@ def usable(name: Name, raw: int) -> bool:
     return name != "qda-raw" or raw <= LINEAR_COMPONENTS
 
 
+def fitter(
+    name: Name, points: FloatArray, target: IntArray, classes: int
+) -> Callable[[FloatArray, IntArray, int], Quadratic | Linear]:
+    """What fits a Gaussian classifier of that name to some of the points, with the settings that suit all of them."""
+    if name == "linear":
+        return partial(fit_linear, share=linear_share(points, target, classes))
+    return fit_quadratic
+
+
 def fit(name: Name, points: FloatArray, target: IntArray, classes: int, apart: IntArray | None = None) -> Classifier:
     """A classifier by its name, on the (n, d) points that `columns_of` says. apart: (n,) groups that may not vote for
     each other when the number of neighbours is chosen"""
-    if name in ("qda", "qda-raw"):
-        return fit_quadratic(points, target, classes)
-    if name == "linear":
-        return fit_linear(points, target, classes)
+    if name in ("qda", "qda-raw", "linear"):
+        return fitter(name, points, target, classes)(points, target, classes)
     k = NEIGHBOURS.get(classes) or neighbour_count(left_out(points, apart), target, classes)
     return Neighbours(points, target, k, classes)

@@ -31,8 +31,7 @@ class ContainerModel:
         """size_m: along x, y, z [m]."""
         if min(size_m) <= 0.0 or not np.isfinite(size_m).all():
             raise InputError("a box's three sides above 0 m", str(size_m))
-        mesh = o3d.geometry.TriangleMesh.create_box(*size_m)
-        return cls._of(mesh.translate(-0.5 * np.asarray(size_m)))
+        return cls._of(o3d.geometry.TriangleMesh.create_box(*size_m))
 
     @classmethod
     def cylinder(cls, radius_m: float, height_m: float) -> Self:

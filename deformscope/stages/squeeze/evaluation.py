@@ -31,6 +31,8 @@ CURVE_SHARES = (0.2, 0.4, 0.6, 0.8, 1.0)
 """Of the training side (Thesis fig. 2.11)."""
 GAUSSIAN_PROCESS_TRIALS = 1500
 """The Gaussian process inverts a matrix of that size for each class: not for more trials."""
+KINDS_PAIRED = 4
+"""So many kinds of containers are paired by themselves for transfers."""
 SURE = 0.9
 """A squeeze could stop when one content is so probable."""
 
@@ -262,11 +264,6 @@ def _costly_scores(
 # Transfer ------------------------------------------------------------------------------------------------------------
 
 
-def _kinds(table: LabelledTable) -> list[tuple[str, str]]:
-    """From each kind of container to each other one."""
-    return [] if table.kind is None else list(itertools.permutations(map(str, np.unique(table.kind)), 2))
-
-
 def _transfers(
     table: LabelledTable, wanted: Sequence[tuple[str, str]], notes: list[str]
 ) -> dict[tuple[str, str], Split]:
@@ -277,8 +274,12 @@ def _transfers(
         if wanted:
             raise InputError("`kind` or `group` in the table, for a transfer", "neither")
         return {}
+    kinds = [] if table.kind is None else list(map(str, np.unique(table.kind)))
+    if not wanted and len(kinds) > KINDS_PAIRED:
+        notes.append(f"no transfers between {len(kinds)} kinds unless asked for (--transfer)")
+        kinds = []
     found = {}
-    for pair in wanted or _kinds(table):
+    for pair in wanted or itertools.permutations(kinds, 2):
         train, test = (np.array([fnmatchcase(str(one), pattern) for one in where]) for pattern in pair)
         for side, pattern in ((train, pair[0]), (test, pair[1])):
             if not side.any():

@@ -19,7 +19,7 @@ from deformscope.stages.squeeze.classifiers import (
     Name,
     Neighbours,
     columns_of,
-    fit,
+    fitter,
     left_out,
     log_softmax,
     neighbour_count,
@@ -176,12 +176,13 @@ def fit_expert(
             logs = votes(squared, target, k, classes)
             members.append(Member(name, columns, Neighbours(chosen, target, k, classes)))
         else:
+            fitting = fitter(name, chosen, target, classes)
             logs = np.full((len(target), classes), -np.log(classes))
             for one in np.unique(fold):
                 inside = fold == one
                 if not inside.all():
-                    logs[inside] = fit(name, chosen[~inside], target[~inside], classes).log_posterior(chosen[inside])
-            members.append(Member(name, columns, fit(name, chosen, target, classes)))
+                    logs[inside] = fitting(chosen[~inside], target[~inside], classes).log_posterior(chosen[inside])
+            members.append(Member(name, columns, fitting(chosen, target, classes)))
         said.append(logs)
     stacked = np.stack(said)
     rows = np.ones((len(said), int(known.sum())), dtype=bool)

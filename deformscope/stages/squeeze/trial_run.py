@@ -11,7 +11,7 @@ import numpy as np
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.squeeze.classifiers import NAMES, Name, columns_of, fit, usable
 from deformscope.stages.squeeze.components import Space, fit_scaling, project
-from deformscope.stages.squeeze.fusion import Fitted, fit_expert, fit_pool, fuse
+from deformscope.stages.squeeze.fusion import Fitted, everywhere, fit_expert, fit_pool, fuse
 from deformscope.stages.squeeze.splits import Split
 
 Costly = Literal["boosting", "gaussian-process"]
@@ -139,45 +139,53 @@ def run_split(
     """
     fused = (tuple(features),) if fused is None else fused
     found: dict[Key, Answers] = {}
-    fitted: dict[str, tuple[Sides, Fitted]] = {}
+    fitted: dict[str, tuple[Sides, Fitted, FloatArray]] = {}
     for modality, sides in sides_of(features, missing, split, fused).items():
         space, truth = sides.space, target[sides.train]
-        for name in NAMES:
-            if name not in methods or not usable(name, space.raw) or not space.train.size:
-                continue
-            columns = columns_of(name, space.kept)
-            groups = None if apart is None else apart[sides.train]
-            classifier = fit(name, space.train[:, :columns], truth, classes, groups)
-            logs = classifier.log_posterior(space.test[:, :columns])
-            count = min(columns or space.train.shape[1], space.train.shape[1])
-            found[modality, name] = answers_of(sides.test, logs, target[sides.test], count)
+        if not space.train.size:
+            continue
+        groups = None if apart is None else apart[sides.train]
+        if modality in features and {"pooled", "late-fusion"} & {*methods}:
+            one = fit_expert(space.train, space.kept, space.raw, truth, classes, groups, seed=seed)
+            said = {member.name: member.log_posterior(space.test) for member in one.expert.members}
+            logs = everywhere(one.expert.pool, np.stack(list(said.values())))
+            fitted[modality] = sides, one, logs
+            found[modality, "pooled"] = answers_of(sides.test, logs, target[sides.test], space.train.shape[1])
+        else:
+            said = {}
+            for name in (one for one in NAMES if one in methods and usable(one, space.raw)):
+                columns = columns_of(name, space.kept)
+                classifier = fit(name, space.train[:, :columns], truth, classes, groups)
+                said[name] = classifier.log_posterior(space.test[:, :columns])
+        for name in (one for one in said if one in methods):
+            count = min(columns_of(name, space.kept) or space.train.shape[1], space.train.shape[1])
+            found[modality, name] = answers_of(sides.test, said[name], target[sides.test], count)
         for costly in COSTLY:
             if costly in methods and len(truth) >= 2 * len(np.unique(truth)):
                 found[modality, costly] = _costly(costly, sides, target, classes, seed)
-        if modality in features and space.train.size and {"pooled", "late-fusion"} & {*methods}:
-            groups = None if apart is None else apart[sides.train]
-            one = fit_expert(space.train, space.kept, space.raw, truth, classes, groups, seed=seed)
-            fitted[modality] = sides, one
-            logs = one.expert.log_posterior(space.test)
-            found[modality, "pooled"] = answers_of(sides.test, logs, target[sides.test], space.train.shape[1])
-    late = {name: fitted[name] for name in fused[0] if name in fitted}
+    late = [fitted[name] for name in fused[0] if name in fitted]
     if "late-fusion" in methods and len(late) > 1:
         logs = late_fusion(late, target, classes, split)
         found[joined_name(fused[0]), "late-fusion"] = answers_of(split.test, logs, target[split.test], 0)
     return found
 
 
-def late_fusion(fitted: Mapping[str, tuple[Sides, Fitted]], target: IntArray, classes: int, split: Split) -> FloatArray:
-    """(m, C) fused posteriors of the split's test side; weights are learned from training points left out."""
+def late_fusion(
+    fitted: Sequence[tuple[Sides, Fitted, FloatArray]], target: IntArray, classes: int, split: Split
+) -> FloatArray:
+    """(m, C) fused posteriors of the split's test side; weights are learned from training points left out.
+
+    fitted: of each modality its sides, its expert, and what that says of the test side
+    """
     shape = len(fitted), len(split.train)
     inside, known = np.zeros((*shape, classes)), np.zeros(shape, dtype=bool)
     outside = np.zeros((len(fitted), len(split.test), classes))
     present = np.zeros(outside.shape[:2], dtype=bool)
-    for index, (sides, one) in enumerate(fitted.values()):
+    for index, (sides, one, said) in enumerate(fitted):
         at = np.searchsorted(split.train, sides.train)
         inside[index, at], known[index, at] = one.logs, one.known
         at = np.searchsorted(split.test, sides.test)
-        outside[index, at], present[index, at] = one.expert.log_posterior(sides.space.test), True
+        outside[index, at], present[index, at] = said, True
     usable_rows = known.any(axis=0)
     pool = fit_pool(inside[:, usable_rows], known[:, usable_rows], target[split.train][usable_rows])
     return fuse(pool, outside, present)

@@ -5,18 +5,11 @@ with DepthCamera(DepthCameraConfig(width=640, height=480, fps=30, color=True)) a
         print(picture.stamp.host_ns, picture.depth_m().shape)
 """
 
-from deformscope_drivers.depth_camera.device import DepthCamera, DepthCameraConfig
-from deformscope_drivers.depth_camera.discovery import discover
-from deformscope_drivers.depth_camera.image import DepthImage, Intrinsics
-from deformscope_drivers.depth_camera.synthetic import SyntheticDepthCamera, SyntheticDepthConfig, View
-
-__all__ = [
-    "DepthCamera",
-    "DepthCameraConfig",
-    "DepthImage",
-    "Intrinsics",
-    "SyntheticDepthCamera",
-    "SyntheticDepthConfig",
-    "View",
-    "discover",
-]
+from deformscope_drivers.depth_camera.device import DepthCamera as DepthCamera
+from deformscope_drivers.depth_camera.device import DepthCameraConfig as DepthCameraConfig
+from deformscope_drivers.depth_camera.discovery import discover as discover
+from deformscope_drivers.depth_camera.image import DepthImage as DepthImage
+from deformscope_drivers.depth_camera.image import Intrinsics as Intrinsics
+from deformscope_drivers.depth_camera.synthetic import SyntheticDepthCamera as SyntheticDepthCamera
+from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig as SyntheticDepthConfig
+from deformscope_drivers.depth_camera.synthetic import View as View

@@ -16,33 +16,8 @@ import numpy as np
 
 from deformscope_drivers.clock import Clock, ClockFit, Stamp, Unwrap, monotonic_ns
 from deformscope_drivers.device import RECONNECT, Reconnect, StreamDevice
+from deformscope_drivers.dsa import messages
 from deformscope_drivers.dsa.config import DsaConfig, check_sensitivity, check_threshold
-from deformscope_drivers.dsa.messages import (
-    CHECKSUM,
-    LAYOUT_OF,
-    PENDING,
-    SUCCESS,
-    Ack,
-    Adjust,
-    Command,
-    ControllerInfo,
-    Id,
-    MatrixInfo,
-    QueryController,
-    QueryMatrix,
-    QuerySensitivity,
-    QuerySensor,
-    QueryThreshold,
-    Reading,
-    Reply,
-    SensitivityInfo,
-    SensorInfo,
-    SetSensitivity,
-    SetThreshold,
-    TexelArray,
-    ThresholdInfo,
-    error_name,
-)
 from deformscope_drivers.dsa.pads import Pad
 from deformscope_drivers.dsa.pressure import FloatArray, PadContact, pad_contact, to_pressure
 from deformscope_drivers.dsa.protocol import Decoder, encode, single, stop, stream
@@ -83,7 +58,7 @@ _SINGLE_FRAME_FROM, _SINGLE_FRAME_ALSO = 289, 269
 
 COMMAND_TIMEOUT_S = 30.0
 
-ReplyT = TypeVar("ReplyT", bound=Reply)
+ReplyT = TypeVar("ReplyT", bound=messages.Reply)
 ResultT = TypeVar("ResultT")
 
 
@@ -97,8 +72,8 @@ class TactileReading:
     """
 
     stamp: Stamp
-    texels: TexelArray
-    pads: tuple[TexelArray, ...]
+    texels: messages.TexelArray
+    pads: tuple[messages.TexelArray, ...]
 
 
 @dataclass
@@ -135,9 +110,9 @@ class Dsa(StreamDevice[TactileReading]):
             clock=clock,
         )
         self.config = config
-        self._controller: ControllerInfo | None = None
-        self._sensor: SensorInfo | None = None
-        self._matrices: tuple[MatrixInfo, ...] = ()
+        self._controller: messages.ControllerInfo | None = None
+        self._sensor: messages.SensorInfo | None = None
+        self._matrices: tuple[messages.MatrixInfo, ...] = ()
         self._gate = TimestampGate()
         self._begin()
 
@@ -150,17 +125,17 @@ class Dsa(StreamDevice[TactileReading]):
     # What it is ------------------------------------------------------------------------------------------------------
 
     @property
-    def controller(self) -> ControllerInfo:
+    def controller(self) -> messages.ControllerInfo:
         """Serial number, firmware and state as of the last opening. Raises NotConnected before it."""
         return self._known(self._controller)
 
     @property
-    def sensor(self) -> SensorInfo:
+    def sensor(self) -> messages.SensorInfo:
         """How many matrices, and the sensor's serial number. Raises NotConnected before the first opening."""
         return self._known(self._sensor)
 
     @property
-    def matrices(self) -> tuple[MatrixInfo, ...]:
+    def matrices(self) -> tuple[messages.MatrixInfo, ...]:
         """Each matrix's geometry; matrix = 2 * finger + part, by `Pad.of_matrix`. Empty before opening."""
         return self._matrices
 
@@ -249,10 +224,12 @@ class Dsa(StreamDevice[TactileReading]):
 
         self._command(set_it)
 
-    def sensitivity(self, matrix: int) -> SensitivityInfo:
+    def sensitivity(self, matrix: int) -> messages.SensitivityInfo:
         """A matrix's sensitivity as the controller reports it; firmware up to 218 always reports 0.5."""
         self._check_matrix(matrix)
-        return self._command(lambda: self._query(QuerySensitivity(matrix), SensitivityInfo, "query of sensitivity"))
+        return self._command(
+            lambda: self._query(messages.QuerySensitivity(matrix), messages.SensitivityInfo, "query of sensitivity")
+        )
 
     def threshold(self, matrix: int) -> int:
         """A matrix's threshold as the controller reports it. Needs firmware 268, else raises SettingsRefused."""
@@ -276,8 +253,8 @@ class Dsa(StreamDevice[TactileReading]):
         self._silence_ns = None
         self._acknowledged(stop(), "stop", STOP_TIMEOUT_S, STOP_TRIES)
         self._settle(SETTLE_S)
-        self._controller = self._query(QueryController(), ControllerInfo, "query of the controller")
-        self._sensor = self._query(QuerySensor(), SensorInfo, "query of the sensor")
+        self._controller = self._query(messages.QueryController(), messages.ControllerInfo, "query of the controller")
+        self._sensor = self._query(messages.QuerySensor(), messages.SensorInfo, "query of the sensor")
         matrices = tuple(self._ask_matrix(index) for index in range(self._sensor.matrix_count))
         cells = sum(matrix.cells for matrix in matrices)
         if not 0 < cells <= CELLS_MAX:
@@ -293,8 +270,8 @@ class Dsa(StreamDevice[TactileReading]):
         with contextlib.suppress(DeviceError):
             self._send(encode(stop()))
 
-    def _measure(self, event: Reading | Reply, host_ns: int) -> Iterable[TactileReading]:
-        if not isinstance(event, Reading) or self._packets.cells is None:  # left over from an earlier time
+    def _measure(self, event: messages.Reading | messages.Reply, host_ns: int) -> Iterable[TactileReading]:
+        if not isinstance(event, messages.Reading) or self._packets.cells is None:  # left over from an earlier time
             return []
         verdict = self._gate.check(event.timestamp_ms)
         if verdict is TimestampVerdict.REPEATED:
@@ -327,8 +304,8 @@ class Dsa(StreamDevice[TactileReading]):
 
     # Within: all in the device's thread ------------------------------------------------------------------------------
 
-    def _ask_matrix(self, index: int) -> MatrixInfo:
-        matrix = self._query(QueryMatrix(index), MatrixInfo, f"query of matrix {index}")
+    def _ask_matrix(self, index: int) -> messages.MatrixInfo:
+        matrix = self._query(messages.QueryMatrix(index), messages.MatrixInfo, f"query of matrix {index}")
         sizes = np.array([matrix.texel_width_mm, matrix.texel_height_mm])
         if not matrix.cells or not np.isfinite(sizes).all() or (sizes <= 0).any():
             came = f"{matrix.cells_x} x {matrix.cells_y} of {sizes[0]:g} x {sizes[1]:g} mm"
@@ -353,12 +330,12 @@ class Dsa(StreamDevice[TactileReading]):
         return dict(enumerate(value))
 
     def _apply_sensitivity(self, matrix: int | None, value: float | None, persistent: bool) -> None:
-        command = SetSensitivity(_adjust(matrix, value, persistent), matrix or 0, value or 0.0)
+        command = messages.SetSensitivity(_adjust(matrix, value, persistent), matrix or 0, value or 0.0)
         self._set(command, "set sensitivity", persistent)
         if self.controller.software_version < SENSITIVITY_READ_BACK_FROM:
             return
         for index in self._chosen(matrix):
-            reported = self._query(QuerySensitivity(index), SensitivityInfo, "query of sensitivity")
+            reported = self._query(messages.QuerySensitivity(index), messages.SensitivityInfo, "query of sensitivity")
             wanted = reported.factory if value is None else value
             if not abs(reported.current - wanted) <= SENSITIVITY_TOLERANCE:
                 raise SettingsRefused(
@@ -368,7 +345,9 @@ class Dsa(StreamDevice[TactileReading]):
     def _apply_threshold(self, matrix: int | None, value: int | None, persistent: bool) -> None:
         self._require_thresholds()
         self._set(
-            SetThreshold(_adjust(matrix, value, persistent), matrix or 0, value or 0), "set threshold", persistent
+            messages.SetThreshold(_adjust(matrix, value, persistent), matrix or 0, value or 0),
+            "set threshold",
+            persistent,
         )
         for index in self._chosen(matrix) if value is not None else ():
             reported = self._read_threshold(index)
@@ -377,7 +356,7 @@ class Dsa(StreamDevice[TactileReading]):
 
     def _read_threshold(self, matrix: int) -> int:
         self._require_thresholds()
-        return self._query(QueryThreshold(matrix), ThresholdInfo, "query of threshold").threshold
+        return self._query(messages.QueryThreshold(matrix), messages.ThresholdInfo, "query of threshold").threshold
 
     def _require_thresholds(self) -> None:
         version = self.controller.software_version
@@ -388,7 +367,7 @@ class Dsa(StreamDevice[TactileReading]):
     def _chosen(self, matrix: int | None) -> Sequence[int]:
         return range(len(self._matrices)) if matrix is None else (matrix,)
 
-    def _set(self, command: SetSensitivity | SetThreshold, doing: str, persistent: bool) -> None:
+    def _set(self, command: messages.SetSensitivity | messages.SetThreshold, doing: str, persistent: bool) -> None:
         if persistent:
             self._send(encode(command))
             self._settle(SETTLE_S)  # known firmware does not answer; one that does must not confuse what follows
@@ -405,18 +384,18 @@ class Dsa(StreamDevice[TactileReading]):
     def _take_single(self) -> TactileReading:
         self._forget_time()
 
-        def accept(event: Reading | Reply) -> Any:
-            if isinstance(event, Ack):
-                return event if _is_answer(event, Id.ACQUISITION) and event.error != SUCCESS else None
-            return event if isinstance(event, Reading) else None
+        def accept(event: messages.Reading | messages.Reply) -> Any:
+            if isinstance(event, messages.Ack):
+                return event if _is_answer(event, messages.Id.ACQUISITION) and event.error != messages.SUCCESS else None
+            return event if isinstance(event, messages.Reading) else None
 
         packet = encode(single(rle=self._settings.rle))
         try:
-            found: Reading | Ack = self._ask(packet, accept, REPLY_TIMEOUT_S, what="a frame")
+            found: messages.Reading | messages.Ack = self._ask(packet, accept, REPLY_TIMEOUT_S, what="a frame")
         except NoReply:
             self._stop()
             raise
-        if isinstance(found, Ack):
+        if isinstance(found, messages.Ack):
             raise self._refusal(found.error, "taking one frame")
         reading = next(iter(self._measure(found, self._heard_ns)))
         self._publish(reading)
@@ -427,13 +406,13 @@ class Dsa(StreamDevice[TactileReading]):
         return reading
 
     def _acknowledged(
-        self, command: Command, doing: str, timeout_s: float = REPLY_TIMEOUT_S, tries: int = REPLY_TRIES
+        self, command: messages.Command, doing: str, timeout_s: float = REPLY_TIMEOUT_S, tries: int = REPLY_TRIES
     ) -> None:
-        self._query(command, Ack, doing, timeout_s, tries)
+        self._query(command, messages.Ack, doing, timeout_s, tries)
 
     def _query(
         self,
-        command: Command,
+        command: messages.Command,
         kind: type[ReplyT],
         doing: str,
         timeout_s: float = REPLY_TIMEOUT_S,
@@ -443,29 +422,29 @@ class Dsa(StreamDevice[TactileReading]):
         packet = encode(command)
         id = packet[3]
 
-        def accept(event: Reading | Reply) -> Any:
-            return event if _is_answer(event, id) and not isinstance(event, Reading) else None
+        def accept(event: messages.Reading | messages.Reply) -> Any:
+            return event if _is_answer(event, id) and not isinstance(event, messages.Reading) else None
 
-        error = CHECKSUM
+        error = messages.CHECKSUM
         for tries_left in reversed(range(tries)):
             try:
-                reply: Reply = self._ask(packet, accept, timeout_s, what=f"an answer to {doing}")
+                reply: messages.Reply = self._ask(packet, accept, timeout_s, what=f"an answer to {doing}")
             except NoReply:
                 if not tries_left or self._closing.is_set():
                     raise
                 self._settle(SETTLE_S)
                 continue
-            if reply.error == SUCCESS and isinstance(reply, kind):
+            if reply.error == messages.SUCCESS and isinstance(reply, kind):
                 return reply
             error = reply.error
-            if error != CHECKSUM:
+            if error != messages.CHECKSUM:
                 break
         raise self._refusal(error, doing)
 
     def _refusal(self, code: int, doing: str) -> DeviceError:
-        if code == SUCCESS:
+        if code == messages.SUCCESS:
             return ProtocolViolation(f"what {doing} asks for", "another answer", where=self.name)
-        return CommandRefused(code, error_name(code), doing, where=self.name)
+        return CommandRefused(code, messages.error_name(code), doing, where=self.name)
 
     def _settle(self, wait_s: float) -> None:
         """Let answers that are still in transit come, and discard them; readings are published."""
@@ -475,7 +454,7 @@ class Dsa(StreamDevice[TactileReading]):
                 for reading in self._measure(event, host_ns):
                     self._publish(reading)
 
-    def _cut_up(self, texels: TexelArray) -> tuple[TexelArray, ...]:
+    def _cut_up(self, texels: messages.TexelArray) -> tuple[messages.TexelArray, ...]:
         ends = np.cumsum([matrix.cells for matrix in self._matrices])[:-1]
         shapes = [(matrix.cells_y, matrix.cells_x) for matrix in self._matrices]
         return tuple(part.reshape(shape) for part, shape in zip(np.split(texels, ends), shapes, strict=True))
@@ -508,20 +487,20 @@ class Dsa(StreamDevice[TactileReading]):
         return reported
 
 
-def _is_answer(event: Reading | Reply, id: int) -> bool:
+def _is_answer(event: messages.Reading | messages.Reply, id: int) -> bool:
     """Whether an event ends the wait for the answer to a command; `pending` does not."""
-    if isinstance(event, Reading) or event.error == PENDING:
+    if isinstance(event, messages.Reading) or event.error == messages.PENDING:
         return False
-    return (event.command if isinstance(event, Ack) else LAYOUT_OF[type(event)].id) == id
+    return (event.command if isinstance(event, messages.Ack) else messages.LAYOUT_OF[type(event)].id) == id
 
 
 def _adjust(matrix: int | None, value: float | None, persistent: bool) -> int:
-    flags = Adjust(0)
+    flags = messages.Adjust(0)
     if matrix is None:
-        flags |= Adjust.ALL
+        flags |= messages.Adjust.ALL
     if value is None:
-        flags |= Adjust.FACTORY
-    return flags | (Adjust.PERSISTENT if persistent else 0)
+        flags |= messages.Adjust.FACTORY
+    return flags | (messages.Adjust.PERSISTENT if persistent else 0)
 
 
 def _remember(settings: dict[int | None, ResultT], matrix: int | None, value: ResultT) -> None:

@@ -12,34 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deformscope_drivers.doubles import Line
-from deformscope_drivers.dsa.messages import (
-    FRAME_RLE,
-    INDEX,
-    SUCCESS,
-    UNKNOWN_COMMAND,
-    WRONG_PARAMETER,
-    Ack,
-    Acquisition,
-    Adjust,
-    Command,
-    ConfigureAcquisition,
-    ControllerInfo,
-    Id,
-    MatrixInfo,
-    QueryController,
-    QueryMatrix,
-    QuerySensitivity,
-    QuerySensor,
-    QueryThreshold,
-    Reading,
-    Reply,
-    SensitivityInfo,
-    SensorInfo,
-    SetSensitivity,
-    SetThreshold,
-    TexelArray,
-    ThresholdInfo,
-)
+from deformscope_drivers.dsa import messages
 from deformscope_drivers.dsa.pressure import SCHUNK_PA_PER_COUNT
 from deformscope_drivers.dsa.protocol import CommandDecoder, Faulty, encode
 from deformscope_drivers.dsa.scene import GraspScene, Scene, sdh_matrices
@@ -88,7 +61,7 @@ class DsaDouble:
         *,
         software_version: int = 269,
         serial_number: int = 4321,
-        matrices: list[MatrixInfo] | None = None,
+        matrices: list[messages.MatrixInfo] | None = None,
         scene: Scene | None = None,
         pa_per_count: float = SCHUNK_PA_PER_COUNT,
         noise_counts: float = NOISE_COUNTS,
@@ -147,7 +120,7 @@ class DsaDouble:
 
     # Measuring -------------------------------------------------------------------------------------------------------
 
-    def texels(self, time_s: float) -> TexelArray:
+    def texels(self, time_s: float) -> messages.TexelArray:
         """(cells,) counts of one frame, `time_s` after power-up."""
         counts = []
         for pressure_pa, shape, settings in zip(self._scene(time_s), self._shapes, self._settings, strict=True):
@@ -164,15 +137,15 @@ class DsaDouble:
         while (at_ns := self._next_frame_ns()) is not None and at_ns <= now_ns:
             since_ns = at_ns - self._power_ns
             timestamp_ms = (self._first_timestamp_ms + since_ns // 1_000_000) % (1 << 32)
-            flags = FRAME_RLE if self._acquisition & Acquisition.RLE else 0
-            self._line.send(encode(Reading(timestamp_ms, flags, self.texels(since_ns / 1e9))), at_ns)
+            flags = messages.FRAME_RLE if self._acquisition & messages.Acquisition.RLE else 0
+            self._line.send(encode(messages.Reading(timestamp_ms, flags, self.texels(since_ns / 1e9))), at_ns)
             self._frame_ns = at_ns + FRAME_PERIOD_NS
             if self._once:
                 self._acquisition = 0
 
     def _next_frame_ns(self) -> int | None:
         """As soon as the line is free, but no more than 30 a second."""
-        return max(self._frame_ns, self._line.free_ns) if self._acquisition & Acquisition.ON else None
+        return max(self._frame_ns, self._line.free_ns) if self._acquisition & messages.Acquisition.ON else None
 
     # Commands --------------------------------------------------------------------------------------------------------
 
@@ -185,41 +158,41 @@ class DsaDouble:
         self._once = False
         self._frame_ns = now_ns
 
-    def _carry_out(self, command: Command | Faulty, now_ns: int) -> Reply | None:
+    def _carry_out(self, command: messages.Command | Faulty, now_ns: int) -> messages.Reply | None:
         match command:
             case Faulty():
-                return Ack(command.id, command.error)
-            case ConfigureAcquisition():
+                return messages.Ack(command.id, command.error)
+            case messages.ConfigureAcquisition():
                 return self._acquire(command, now_ns)
-            case QueryController():
+            case messages.QueryController():
                 return self._controller()
-            case QuerySensor():
-                return SensorInfo(SUCCESS, len(self.matrices), 0, 1, self._serial_number, 0)
-            case QueryMatrix():
-                return self._matrix_reply(Id.MATRIX, command.matrix)
-            case QuerySensitivity():
-                return self._matrix_reply(Id.SENSITIVITY, command.matrix)
-            case QueryThreshold():
+            case messages.QuerySensor():
+                return messages.SensorInfo(messages.SUCCESS, len(self.matrices), 0, 1, self._serial_number, 0)
+            case messages.QueryMatrix():
+                return self._matrix_reply(messages.Id.MATRIX, command.matrix)
+            case messages.QuerySensitivity():
+                return self._matrix_reply(messages.Id.SENSITIVITY, command.matrix)
+            case messages.QueryThreshold():
                 if self._software_version < _THRESHOLD_FROM:
-                    return Ack(Id.THRESHOLD, UNKNOWN_COMMAND)
-                return self._matrix_reply(Id.THRESHOLD, command.matrix)
-            case SetSensitivity():
+                    return messages.Ack(messages.Id.THRESHOLD, messages.UNKNOWN_COMMAND)
+                return self._matrix_reply(messages.Id.THRESHOLD, command.matrix)
+            case messages.SetSensitivity():
                 return self._set_sensitivity(command)
-            case SetThreshold():
+            case messages.SetThreshold():
                 return self._set_threshold(command)
 
-    def _acquire(self, command: ConfigureAcquisition, now_ns: int) -> Ack:
+    def _acquire(self, command: messages.ConfigureAcquisition, now_ns: int) -> messages.Ack:
         self._acquisition = command.flags
         quirk = self._software_version <= _SINGLE_FRAME_BROKEN_UP_TO and self._software_version != _SINGLE_FRAME_WORKS
         self._once = command.frame_rate_hz == 0 and not quirk
         self._frame_ns = max(self._frame_ns, now_ns)
-        return Ack(Id.ACQUISITION)
+        return messages.Ack(messages.Id.ACQUISITION)
 
-    def _controller(self) -> ControllerInfo:
-        acquiring = 0x40 if self._acquisition & Acquisition.ON else 0
+    def _controller(self) -> messages.ControllerInfo:
+        acquiring = 0x40 if self._acquisition & messages.Acquisition.ON else 0
         rs232 = 0x10
-        return ControllerInfo(
-            error=SUCCESS,
+        return messages.ControllerInfo(
+            error=messages.SUCCESS,
             serial_number=self._serial_number,
             hardware_version=0x10,
             software_version=self._software_version,
@@ -231,39 +204,39 @@ class DsaDouble:
             can_id=0,
         )
 
-    def _matrix_reply(self, id: Id, matrix: int) -> Reply:
+    def _matrix_reply(self, id: messages.Id, matrix: int) -> messages.Reply:
         if matrix >= len(self.matrices):
-            return Ack(id, INDEX)
+            return messages.Ack(id, messages.INDEX)
         settings = self._settings[matrix]
-        if id == Id.MATRIX:
+        if id == messages.Id.MATRIX:
             return self.matrices[matrix]
-        if id == Id.THRESHOLD:
-            return ThresholdInfo(SUCCESS, settings.threshold)
+        if id == messages.Id.THRESHOLD:
+            return messages.ThresholdInfo(messages.SUCCESS, settings.threshold)
         broken = self._software_version <= _SENSITIVITY_READ_BACK_BROKEN_UP_TO
         current = FACTORY_SENSITIVITY if broken else settings.sensitivity
-        return SensitivityInfo(SUCCESS, 0x02, current, FACTORY_SENSITIVITY)
+        return messages.SensitivityInfo(messages.SUCCESS, 0x02, current, FACTORY_SENSITIVITY)
 
-    def _set_sensitivity(self, command: SetSensitivity) -> Ack | None:
+    def _set_sensitivity(self, command: messages.SetSensitivity) -> messages.Ack | None:
         if not 0.0 <= command.sensitivity <= 1.0:
-            return Ack(Id.SET_SENSITIVITY, WRONG_PARAMETER)
-        value = FACTORY_SENSITIVITY if command.flags & Adjust.FACTORY else command.sensitivity
-        return self._set(Id.SET_SENSITIVITY, command.flags, command.matrix, sensitivity=value)
+            return messages.Ack(messages.Id.SET_SENSITIVITY, messages.WRONG_PARAMETER)
+        value = FACTORY_SENSITIVITY if command.flags & messages.Adjust.FACTORY else command.sensitivity
+        return self._set(messages.Id.SET_SENSITIVITY, command.flags, command.matrix, sensitivity=value)
 
-    def _set_threshold(self, command: SetThreshold) -> Ack | None:
+    def _set_threshold(self, command: messages.SetThreshold) -> messages.Ack | None:
         if self._software_version < _THRESHOLD_FROM:
-            return Ack(Id.SET_THRESHOLD, UNKNOWN_COMMAND)
+            return messages.Ack(messages.Id.SET_THRESHOLD, messages.UNKNOWN_COMMAND)
         if command.threshold > TEXEL_MAX:
-            return Ack(Id.SET_THRESHOLD, WRONG_PARAMETER)
-        value = FACTORY_THRESHOLD if command.flags & Adjust.FACTORY else command.threshold
-        return self._set(Id.SET_THRESHOLD, command.flags, command.matrix, threshold=value)
+            return messages.Ack(messages.Id.SET_THRESHOLD, messages.WRONG_PARAMETER)
+        value = FACTORY_THRESHOLD if command.flags & messages.Adjust.FACTORY else command.threshold
+        return self._set(messages.Id.SET_THRESHOLD, command.flags, command.matrix, threshold=value)
 
-    def _set(self, id: Id, flags: int, matrix: int, **values: float) -> Ack | None:
+    def _set(self, id: messages.Id, flags: int, matrix: int, **values: float) -> messages.Ack | None:
         if matrix >= len(self.matrices):
-            return Ack(id, INDEX)
-        persistent = bool(flags & Adjust.PERSISTENT)
-        chosen = range(len(self.matrices)) if flags & Adjust.ALL else (matrix,)
+            return messages.Ack(id, messages.INDEX)
+        persistent = bool(flags & messages.Adjust.PERSISTENT)
+        chosen = range(len(self.matrices)) if flags & messages.Adjust.ALL else (matrix,)
         for settings in [self._settings, self._kept] if persistent else [self._settings]:
             for index in chosen:
                 for name, value in values.items():
                     setattr(settings[index], name, value)
-        return None if persistent else Ack(id)  # the firmware does not answer what it keeps
+        return None if persistent else messages.Ack(id)  # the firmware does not answer what it keeps

@@ -35,21 +35,9 @@ from deformscope_drivers.dsa.messages import (
     Reply,
 )
 from deformscope_drivers.dsa.texels import decode_raw, decode_rle, encode_raw, encode_rle
-from deformscope_drivers.framing import EventT, Found, FrameDecoder, Refused, Skipped, find_start
+from deformscope_drivers.framing import EventT, Found, FrameDecoder, Refused, find_start
+from deformscope_drivers.framing import Skipped as Skipped
 from deformscope_drivers.weiss_crc import crc16
-
-__all__ = [
-    "SDH_CELLS",
-    "CommandDecoder",
-    "Decoder",
-    "Faulty",
-    "Reading",
-    "Reply",
-    "Skipped",
-    "encode",
-    "stop",
-    "stream",
-]
 
 PREAMBLE = b"\xaa\xaa\xaa"
 SDH_CELLS = 3 * (6 * 14 + 6 * 13)

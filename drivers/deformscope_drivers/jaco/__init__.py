@@ -1,42 +1,22 @@
 """Kinova Jaco2 over the vendor's own library: `from deformscope_drivers.jaco import Jaco, JacoConfig`."""
 
-from deformscope_drivers.jaco.commands import CartesianTarget, CartesianVelocity, JointTarget, JointVelocity
-from deformscope_drivers.jaco.config import EthernetAddresses, JacoConfig, Workspace
-from deformscope_drivers.jaco.device import Jaco
-from deformscope_drivers.jaco.double import JacoDouble
-from deformscope_drivers.jaco.errors import (
-    CommLayerMissing,
-    CommunicationTimeout,
-    MotionStopped,
-    NoDeviceFound,
-    NotReached,
-    NotStopped,
-    SymbolMissing,
-    UnknownCode,
-    VendorError,
-)
-from deformscope_drivers.jaco.state import JacoState
-from deformscope_drivers.jaco.urdf import urdf_path
-
-__all__ = [
-    "CartesianTarget",
-    "CartesianVelocity",
-    "CommLayerMissing",
-    "CommunicationTimeout",
-    "EthernetAddresses",
-    "Jaco",
-    "JacoConfig",
-    "JacoDouble",
-    "JacoState",
-    "JointTarget",
-    "JointVelocity",
-    "MotionStopped",
-    "NoDeviceFound",
-    "NotReached",
-    "NotStopped",
-    "SymbolMissing",
-    "UnknownCode",
-    "VendorError",
-    "Workspace",
-    "urdf_path",
-]
+from deformscope_drivers.jaco.commands import CartesianTarget as CartesianTarget
+from deformscope_drivers.jaco.commands import CartesianVelocity as CartesianVelocity
+from deformscope_drivers.jaco.commands import JointTarget as JointTarget
+from deformscope_drivers.jaco.commands import JointVelocity as JointVelocity
+from deformscope_drivers.jaco.config import EthernetAddresses as EthernetAddresses
+from deformscope_drivers.jaco.config import JacoConfig as JacoConfig
+from deformscope_drivers.jaco.config import Workspace as Workspace
+from deformscope_drivers.jaco.device import Jaco as Jaco
+from deformscope_drivers.jaco.double import JacoDouble as JacoDouble
+from deformscope_drivers.jaco.errors import CommLayerMissing as CommLayerMissing
+from deformscope_drivers.jaco.errors import CommunicationTimeout as CommunicationTimeout
+from deformscope_drivers.jaco.errors import MotionStopped as MotionStopped
+from deformscope_drivers.jaco.errors import NoDeviceFound as NoDeviceFound
+from deformscope_drivers.jaco.errors import NotReached as NotReached
+from deformscope_drivers.jaco.errors import NotStopped as NotStopped
+from deformscope_drivers.jaco.errors import SymbolMissing as SymbolMissing
+from deformscope_drivers.jaco.errors import UnknownCode as UnknownCode
+from deformscope_drivers.jaco.errors import VendorError as VendorError
+from deformscope_drivers.jaco.state import JacoState as JacoState
+from deformscope_drivers.jaco.urdf import urdf_path as urdf_path

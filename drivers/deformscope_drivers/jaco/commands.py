@@ -145,12 +145,7 @@ def finite(what: str, values: Sequence[float], count: int, where: str) -> tuple[
 
 def _at_most(what: str, value: float, limit: float, unit: str, setting: str, where: str) -> None:
     if value > limit * (1 + 1e-9):
-        raise OutOfLimits(
-            f"{what} up to {limit:g} {unit}",
-            f"{value:.4g}",
-            f"slower, or a higher {setting}",
-            where,
-        )
+        raise OutOfLimits(f"{what} up to {limit:g} {unit}", f"{value:.4g}", f"slower, or a higher {setting}", where)
 
 
 def velocity_point(velocity: Velocity) -> TrajectoryPoint:

@@ -424,7 +424,7 @@ class Jaco(Device[JacoState]):
         finally:
             with self._commanded:
                 given_up = True
-            if began and self._link_is_up():
+            if began and self.is_open and self.link is Link.CONNECTED:
                 self.stop()
 
     # Force -----------------------------------------------------------------------------------------------------------
@@ -525,9 +525,6 @@ class Jaco(Device[JacoState]):
             return self.latest(STATE_AGE_S)
         except Stale:
             return self.next(2.0)
-
-    def _link_is_up(self) -> bool:
-        return self.is_open and self.link is Link.CONNECTED
 
     def _require_moves(self) -> None:
         self._require_open()

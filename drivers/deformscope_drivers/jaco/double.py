@@ -16,30 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope_drivers.clock import Clock, monotonic_ns
-from deformscope_drivers.jaco import kinematics
+from deformscope_drivers.jaco import kinematics, structures
 from deformscope_drivers.jaco.errors import OK
 from deformscope_drivers.jaco.kinematics import CHAINS, FloatArray
 from deformscope_drivers.jaco.simulation import FIFO_SIZE, SimulatedArm
-from deformscope_drivers.jaco.structures import (
-    FINGER_COUNT,
-    AngularInfo,
-    AngularPosition,
-    CartesianInfo,
-    CartesianPosition,
-    DeviceType,
-    EthernetCommConfig,
-    ForcesInfo,
-    GeneralInformations,
-    JoystickCommand,
-    KinovaDevice,
-    PositionType,
-    QuickStatus,
-    SensorsInfo,
-    TrajectoryFIFO,
-    TrajectoryPoint,
-    actuator_values,
-    cartesian_values,
-)
 
 CYCLE_NS = 10_000_000
 Floats = ctypes.Array[ctypes.c_float]
@@ -47,7 +27,20 @@ Floats = ctypes.Array[ctypes.c_float]
 _NO_DEVICE, _TIMEOUT, _INVALID, _NOT_INITIALIZED, _NACK = 1015, 1022, 2100, 2101, 9999
 _WITHOUT_INIT = frozenset({"GetAPIVersion", "InitAPI", "InitEthernetAPI", "CloseAPI"})
 _FINDS_DEVICES = frozenset({"InitAPI", "InitEthernetAPI", "RefresDevicesList", "GetDevices"})
-_DEVICE_TYPES = {"j2n6s300": DeviceType.JACO2_6DOF, "j2s7s300": DeviceType.SPHERICAL_7DOF}
+_DEVICE_TYPES = {"j2n6s300": structures.DeviceType.JACO2_6DOF, "j2s7s300": structures.DeviceType.SPHERICAL_7DOF}
+
+_JOINT_READINGS: dict[str, Callable[[SimulatedArm], FloatArray]] = {
+    "GetAngularVelocity": lambda arm: arm.rates_deg_s,
+    "GetAngularForce": SimulatedArm.torque_nm,
+    "GetAngularForceGravityFree": SimulatedArm.external_torque_nm,
+    "GetAngularCurrent": SimulatedArm.currents_a,
+}
+_ADMITTANCE = {
+    "SetCartesianForceMinMax": ("force_min", "force_max"),
+    "SetCartesianInertiaDamping": ("inertia", "damping"),
+    "SetAngularTorqueMinMax": ("torque_min", "torque_max"),
+    "SetAngularInertiaDamping": ("joint_inertia", "joint_damping"),
+}
 
 
 class JacoDouble:
@@ -80,13 +73,12 @@ class JacoDouble:
         self._codes: dict[str, deque[int]] = {}
         self._initialized = False
         self._unplugged = False
-        self._frame = 0
 
     # For who runs the simulation -------------------------------------------------------------------------------------
 
     def function(self, name: str) -> Callable[..., int]:
         """The vendor's function of that name, as `Library.function` gives it."""
-        method: Callable[..., int | None] = getattr(self, name)
+        method: Callable[..., int | None] = self._function(name)
 
         def called(*arguments: Any) -> int:
             with self._lock:
@@ -101,6 +93,14 @@ class JacoDouble:
                 return code
 
         return called
+
+    def _function(self, name: str) -> Callable[..., int | None]:
+        if name in _JOINT_READINGS:
+            return lambda response: _write_joints(response, _JOINT_READINGS[name](self._arm))
+        if name in _ADMITTANCE:
+            return lambda *given: self._set_admittance(_ADMITTANCE[name], given)
+        found: Callable[..., int | None] = getattr(self, name)
+        return found
 
     def inject(self, name: str, code: int, times: int = 1) -> None:
         """Have the next calls of a function return a code instead of doing anything."""
@@ -202,7 +202,7 @@ class JacoDouble:
         self._initialized = self.RefresDevicesList() == OK
         return OK if self._initialized else _NO_DEVICE
 
-    def InitEthernetAPI(self, config: EthernetCommConfig) -> int:
+    def InitEthernetAPI(self, config: structures.EthernetCommConfig) -> int:
         return self.InitAPI() if config.robotIpAddress else _INVALID
 
     def CloseAPI(self) -> None:
@@ -211,28 +211,22 @@ class JacoDouble:
     def RefresDevicesList(self) -> int:
         return OK if self._serials and not self._unplugged else _NO_DEVICE
 
-    def GetDevices(self, devices: ctypes.Array[KinovaDevice], status: ctypes.c_int) -> int:
+    def GetDevices(self, devices: ctypes.Array[structures.KinovaDevice], status: ctypes.c_int) -> int:
         status.value = self.RefresDevicesList()
         if status.value != OK:
             return 0
         for index, serial in enumerate(self._serials):
             model, kind = self.chain.name.encode(), _DEVICE_TYPES[self.chain.name]
-            devices[index] = KinovaDevice(serial.encode(), model, 6, 2, 5, kind, index)
+            devices[index] = structures.KinovaDevice(serial.encode(), model, 6, 2, 5, kind, index)
         return len(self._serials)
 
-    def SetActiveDevice(self, device: KinovaDevice) -> int:
+    def SetActiveDevice(self, device: structures.KinovaDevice) -> int:
         return OK if device.SerialNumber.decode() in self._serials else _NO_DEVICE
 
-    def GetGeneralInformations(self, response: GeneralInformations) -> None:
+    def GetGeneralInformations(self, response: structures.GeneralInformations) -> None:
         response.TimeFromStartup = self._then_ns / 1e9
         response.SupplyVoltage, response.TotalCurrent = 24.0, self._supply_a()
         response.ConnectedActuatorCount = self.chain.joint_count
-
-    def GetSystemErrorCount(self, response: ctypes.c_uint) -> None:
-        response.value = 0
-
-    def ClearErrorLog(self) -> int:
-        return OK
 
     # Control and motion ----------------------------------------------------------------------------------------------
 
@@ -248,46 +242,31 @@ class JacoDouble:
     def SetCartesianControl(self) -> None:
         self._arm.angular_control = False
 
-    def GetControlType(self, response: ctypes.c_int) -> None:
-        response.value = int(self._arm.angular_control)
-
-    def SetFrameType(self, frame: int) -> int:
-        if frame != 0:
-            return _INVALID  # only the fixed frame is modelled
-        self._frame = frame
-        return OK
-
-    def SendBasicTrajectory(self, point: TrajectoryPoint) -> int:
+    def SendBasicTrajectory(self, point: structures.TrajectoryPoint) -> int:
         """A basic point carries no limitations."""
-        kept = TrajectoryPoint.from_buffer_copy(point)
+        kept = structures.TrajectoryPoint.from_buffer_copy(point)
         kept.LimitationsActive = 0
         return self._queue(kept)
 
-    def SendAdvanceTrajectory(self, point: TrajectoryPoint) -> int:
-        return self._queue(TrajectoryPoint.from_buffer_copy(point))
+    def SendAdvanceTrajectory(self, point: structures.TrajectoryPoint) -> int:
+        return self._queue(structures.TrajectoryPoint.from_buffer_copy(point))
 
-    def _queue(self, point: TrajectoryPoint) -> int:
-        if point.Position.Type not in PositionType.__members__.values():
+    def _queue(self, point: structures.TrajectoryPoint) -> int:
+        if point.Position.Type not in structures.PositionType.__members__.values():
             return _INVALID
         return OK if self._arm.queue(point) else _NACK  # what the arm answers when it is full is not public
 
     def EraseAllTrajectories(self) -> None:
         self._arm.erase()
 
-    def GetGlobalTrajectoryInfo(self, response: TrajectoryFIFO) -> None:
+    def GetGlobalTrajectoryInfo(self, response: structures.TrajectoryFIFO) -> None:
         response.TrajectoryCount = len(self._arm.fifo)
         response.UsedPercentage = 100.0 * len(self._arm.fifo) / FIFO_SIZE
         response.MaxSize = FIFO_SIZE
 
-    def GetActualTrajectoryInfo(self, response: TrajectoryPoint) -> None:
-        point = self._arm.fifo[0] if self._arm.fifo else TrajectoryPoint()
+    def GetActualTrajectoryInfo(self, response: structures.TrajectoryPoint) -> None:
+        point = self._arm.fifo[0] if self._arm.fifo else structures.TrajectoryPoint()
         ctypes.memmove(ctypes.byref(response), ctypes.byref(point), ctypes.sizeof(response))
-
-    def SendJoystickCommand(self, command: JoystickCommand) -> int:
-        return OK  # a joystick moves nothing here
-
-    def GetJoystickValue(self, response: JoystickCommand) -> int:
-        return OK
 
     def MoveHome(self) -> None:
         """Returns at once; the arm is moving."""
@@ -296,40 +275,19 @@ class JacoDouble:
     def InitFingers(self) -> None:
         self._arm.open_fingers()
 
-    def SetEndEffectorOffset(self, status: int, x: float, y: float, z: float) -> int:
-        return OK if not any((x, y, z)) else _INVALID  # tools beyond the hand are not modelled
-
     # Readings --------------------------------------------------------------------------------------------------------
 
-    def GetAngularPosition(self, response: AngularPosition) -> None:
+    def GetAngularPosition(self, response: structures.AngularPosition) -> None:
         _write_joints(response, self._arm.joints_deg)
         self._write_fingers(response)
 
-    def GetAngularVelocity(self, response: AngularPosition) -> None:
-        _write_joints(response, self._arm.rates_deg_s)
-
-    def GetAngularCommand(self, response: AngularPosition) -> None:
-        self.GetAngularPosition(response)
-
-    def GetAngularForce(self, response: AngularPosition) -> None:
-        _write_joints(response, self._arm.torque_nm())
-
-    def GetAngularForceGravityFree(self, response: AngularPosition) -> None:
-        _write_joints(response, self._arm.external_torque_nm())
-
-    def GetAngularCurrent(self, response: AngularPosition) -> None:
-        _write_joints(response, self._arm.currents_a())
-
-    def GetCartesianPosition(self, response: CartesianPosition) -> None:
+    def GetCartesianPosition(self, response: structures.CartesianPosition) -> None:
         pose = self._arm.links[-1]
-        response.Coordinates = CartesianInfo(*pose[:3, 3], *kinematics.euler_xyz_from_rotation(pose[:3, :3]))
+        response.Coordinates = structures.CartesianInfo(*pose[:3, 3], *kinematics.euler_xyz_from_rotation(pose[:3, :3]))
         self._write_fingers(response)
 
-    def GetCartesianCommand(self, response: CartesianPosition) -> None:
-        self.GetCartesianPosition(response)
-
-    def GetCartesianForce(self, response: CartesianPosition) -> None:
-        response.Coordinates = CartesianInfo(*self._arm.measured_wrench())
+    def GetCartesianForce(self, response: structures.CartesianPosition) -> None:
+        response.Coordinates = structures.CartesianInfo(*self._arm.measured_wrench())
 
     def GetCommandVelocity(self, cartesian: Floats, angular: Floats) -> None:
         rates_deg_s = self._arm.rates_deg_s
@@ -337,25 +295,24 @@ class JacoDouble:
         cartesian[:] = (kinematics.jacobian_of(self._arm.links) @ np.radians(rates_deg_s)).tolist()
         angular[: len(rates_deg_s)] = rates_deg_s.tolist()
 
-    def GetForcesInfo(self, response: ForcesInfo) -> None:
+    def GetForcesInfo(self, response: structures.ForcesInfo) -> None:
         for index, value in enumerate(self._arm.external_torque_nm(), 1):
             setattr(response, f"Actuator{index}", value)
         for name, value in zip(("X", "Y", "Z", "ThetaX", "ThetaY", "ThetaZ"), self._arm.measured_wrench(), strict=True):
             setattr(response, name, value)
 
-    def GetSensorsInfo(self, response: SensorsInfo) -> None:
+    def GetSensorsInfo(self, response: structures.SensorsInfo) -> None:
         response.Voltage, response.Current = 24.0, self._supply_a()
         response.AccelerationX, response.AccelerationY, response.AccelerationZ = 0.0, 0.0, 1.0
         for index in range(1, self.chain.joint_count + 1):
             setattr(response, f"ActuatorTemp{index}", 30.0)
-        for index in range(1, FINGER_COUNT + 1):
+        for index in range(1, structures.FINGER_COUNT + 1):
             setattr(response, f"FingerTemp{index}", 28.0)
 
-    def GetQuickStatus(self, response: QuickStatus) -> None:
+    def GetQuickStatus(self, response: structures.QuickStatus) -> None:
         response.Finger1Status = response.Finger2Status = response.Finger3Status = int(self._arm.fingers_ready)
         response.ControlEnableStatus = int(not self._arm.control)
         response.ForceControlStatus = int(not self._arm.admittance.active)
-        response.ControlFrameType = self._frame
         response.TorqueSensorsStatus = 1
 
     # Force -----------------------------------------------------------------------------------------------------------
@@ -365,22 +322,6 @@ class JacoDouble:
 
     def StopForceControl(self) -> None:
         self._arm.admittance.active = False
-
-    def SetCartesianForceMinMax(self, least: CartesianInfo, most: CartesianInfo) -> None:
-        admittance = self._arm.admittance
-        admittance.force_min, admittance.force_max = _read_cartesian(least), _read_cartesian(most)
-
-    def SetCartesianInertiaDamping(self, inertia: CartesianInfo, damping: CartesianInfo) -> None:
-        admittance = self._arm.admittance
-        admittance.inertia, admittance.damping = _read_cartesian(inertia), _read_cartesian(damping)
-
-    def SetAngularTorqueMinMax(self, least: AngularInfo, most: AngularInfo) -> None:
-        admittance = self._arm.admittance
-        admittance.torque_min, admittance.torque_max = self._read_joints(least), self._read_joints(most)
-
-    def SetAngularInertiaDamping(self, inertia: AngularInfo, damping: AngularInfo) -> None:
-        admittance = self._arm.admittance
-        admittance.joint_inertia, admittance.joint_damping = self._read_joints(inertia), self._read_joints(damping)
 
     def SetTorqueZero(self, address: int) -> int:
         """Addresses 16 and up are the joints: what their sensors show now, beside gravity, is zero from here on."""
@@ -396,26 +337,25 @@ class JacoDouble:
     def SetGravityType(self, kind: int) -> int:
         return OK if kind in (0, 1) else _INVALID
 
-    def SetGravityPayload(self, payload: Floats) -> int:
-        return OK
+    def _set_admittance(self, names: tuple[str, str], given: Sequence[Any]) -> None:
+        for name, values in zip(names, given, strict=True):
+            cartesian = isinstance(values, structures.CartesianInfo)
+            found = structures.cartesian_values(values) if cartesian else self._joints_of(values)
+            setattr(self._arm.admittance, name, np.array(found))
 
     # Within ----------------------------------------------------------------------------------------------------------
 
     def _supply_a(self) -> float:
         return float(0.7 + np.sum(self._arm.currents_a()))
 
-    def _read_joints(self, actuators: AngularInfo) -> FloatArray:
-        return np.array(actuator_values(actuators, self.chain.joint_count))
+    def _joints_of(self, actuators: structures.AngularInfo) -> tuple[float, ...]:
+        return structures.actuator_values(actuators, self.chain.joint_count)
 
-    def _write_fingers(self, response: AngularPosition | CartesianPosition) -> None:
+    def _write_fingers(self, response: structures.AngularPosition | structures.CartesianPosition) -> None:
         response.Fingers.Finger1, response.Fingers.Finger2, response.Fingers.Finger3 = self._arm.fingers
 
 
-def _read_cartesian(info: CartesianInfo) -> FloatArray:
-    return np.array(cartesian_values(info))
-
-
-def _write_joints(response: AngularPosition, values: FloatArray) -> None:
+def _write_joints(response: structures.AngularPosition, values: FloatArray) -> None:
     """As the arm does: a joint that it has not is not written."""
     for index, value in enumerate(values, 1):
         setattr(response.Actuators, f"Actuator{index}", value)

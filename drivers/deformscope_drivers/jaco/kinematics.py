@@ -71,27 +71,26 @@ class Chain:
         self.upper_deg: FloatArray = np.array([np.inf if j.upper_deg is None else j.upper_deg for j in joints])
         self.velocity_deg_s: FloatArray = np.array([j.velocity_deg_s for j in joints])
         self.effort_nm: FloatArray = np.array([j.effort_nm for j in joints])
+        self._identity = np.eye(self.joint_count)
         self._T_parent_joint = np.array([transform(rotation_from_rpy(*j.rpy_rad), j.xyz_m) for j in joints])
         self.T_last_end_effector: FloatArray = transform(rotation_from_rpy(*end_effector_rpy_rad), end_effector_xyz_m)
 
     def forward(self, joints_deg: npt.ArrayLike) -> FloatArray:
-        """`T_base_link` of every joint's link and, last, of the end effector: (n + 1, 4, 4) [m]; joints_deg (n,)."""
-        angles_rad = np.radians(self._joints(joints_deg))
+        """`T_base_link` of every joint's link and, last, of the end effector: (..., n + 1, 4, 4) [m]; joints_deg
+        (..., n)."""
+        angles_rad = np.radians(self._joints(joints_deg))[..., None]
         cosines, sines = np.cos(angles_rad), np.sin(angles_rad)
-        turned = self._T_parent_joint.copy()
+        x, y = self._T_parent_joint[:, :, 0], self._T_parent_joint[:, :, 1]
+        T_base_links = np.empty((*angles_rad.shape[:-2], self.joint_count + 1, 4, 4))
+        turned = np.empty_like(T_base_links[..., 1:, :, :])
+        turned[...] = self._T_parent_joint
         # a turn about z mixes the first two columns and leaves the others
-        turned[:, :, 0] = (
-            cosines[:, None] * self._T_parent_joint[:, :, 0] + sines[:, None] * self._T_parent_joint[:, :, 1]
-        )
-        turned[:, :, 1] = (
-            cosines[:, None] * self._T_parent_joint[:, :, 1] - sines[:, None] * self._T_parent_joint[:, :, 0]
-        )
-        T_base_links = np.empty((self.joint_count + 1, 4, 4))
-        T_base_link = np.eye(4)
-        for index, T_parent_link in enumerate(turned):
-            T_base_link = T_base_link @ T_parent_link
-            T_base_links[index] = T_base_link
-        T_base_links[-1] = T_base_link @ self.T_last_end_effector
+        turned[..., 0] = cosines * x + sines * y
+        turned[..., 1] = cosines * y - sines * x
+        T_base_link: FloatArray = np.eye(4)
+        for index in range(self.joint_count):
+            T_base_link = np.matmul(T_base_link, turned[..., index, :, :], out=T_base_links[..., index, :, :])
+        np.matmul(T_base_link, self.T_last_end_effector, out=T_base_links[..., -1, :, :])
         return T_base_links
 
     def end_effector(self, joints_deg: npt.ArrayLike) -> FloatArray:
@@ -165,93 +164,119 @@ class Chain:
         taken = tried = 0
         while tried < max(starts, 1):
             tried += 1
-            found, error, used = self._descend(
-                target, joints, margin_deg, position_tolerance_m, rotation_tolerance_rad, iterations
+            (found,), (error,), (used,) = self._descend(
+                target[None], joints[None], margin_deg, position_tolerance_m, rotation_tolerance_rad, iterations
             )
-            taken += used
+            taken += int(used)
             cost = float(error @ error)
             if best is None or cost < best[0]:
                 best = cost, found, error
-            if _within(error, position_tolerance_m, rotation_tolerance_rad):
+            if _within(error, position_tolerance_m, rotation_tolerance_rad).all():
                 break
             joints = rng.uniform(lower, upper)
         assert best is not None
         _, found, error = best
         return InverseResult(
             joints_deg=found,
-            converged=_within(error, position_tolerance_m, rotation_tolerance_rad),
+            converged=bool(_within(error, position_tolerance_m, rotation_tolerance_rad)),
             position_error_m=float(np.linalg.norm(error[:3])),
             rotation_error_rad=float(np.linalg.norm(error[3:])),
             iterations=taken,
             starts=tried,
         )
 
+    def inverse_near(
+        self,
+        T_base_end_effectors: FloatArray,
+        start_deg: npt.ArrayLike,
+        *,
+        position_tolerance_m: float = 1e-5,
+        rotation_tolerance_rad: float = 1e-4,
+        margin_deg: float = 0.0,
+    ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+        """As `inverse` from one start each, for many poses (k, 4, 4) at once: joint angles (k, n), and whether they
+        converged (k,). start_deg: (n,), or (k, n) for each its own"""
+        tolerances = position_tolerance_m, rotation_tolerance_rad
+        start = np.broadcast_to(self.clip(start_deg, margin_deg), (len(T_base_end_effectors), self.joint_count))
+        found, error, _ = self._descend(T_base_end_effectors, start, margin_deg, *tolerances, 100)
+        return found, _within(error, *tolerances)
+
     def _descend(
         self,
         target: FloatArray,
-        joints_deg: FloatArray,
+        start_deg: FloatArray,
         margin_deg: float,
         position_m: float,
         rotation_rad: float,
         iterations: int,
-    ) -> tuple[FloatArray, FloatArray, int]:
-        """Levenberg-Marquardt from one start, joints at a limit held there; returns joints, error twist and steps."""
+    ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.int64]]:
+        """Levenberg-Marquardt from one start (k, n) for each target (k, 4, 4), joints at a limit held there; returns
+        joints (k, n), error twists (k, 6) and steps (k,)."""
         lower, upper = self.lower_deg + margin_deg, self.upper_deg - margin_deg
-        links = self.forward(joints_deg)
-        error = pose_error(links[-1], target)
-        damping = 1e-2
+        ended_deg, ended_error = np.empty(start_deg.shape), np.empty((len(target), 6))
+        steps = np.full(len(target), iterations)
+        going, joints_deg, links = np.arange(len(target)), start_deg, self.forward(start_deg)
+        error, damping = pose_error(links[:, -1], target), np.full(len(target), 1e-2)
         for step in range(iterations):
-            if _within(error, position_m, rotation_rad) or damping > 1e6:
-                return joints_deg, error, step
+            ended = _within(error, position_m, rotation_rad) | (damping > 1e6)
+            if ended.any():
+                steps[going[ended]] = step
+                ended_deg[going[ended]], ended_error[going[ended]] = joints_deg[ended], error[ended]
+                on = ~ended
+                going, target, joints_deg, links = going[on], target[on], joints_deg[on], links[on]
+                error, damping = error[on], damping[on]
+            if not len(going):
+                break
             jacobian = jacobian_of(links)
-            gradient = jacobian.T @ error
+            gradient = (jacobian.swapaxes(1, 2) @ error[..., None])[..., 0]
             # a joint at its limit that the gradient would push further is no freedom in this step
             held = ((joints_deg <= lower) & (gradient < 0)) | ((joints_deg >= upper) & (gradient > 0))
             free = np.where(held, 0.0, 1.0)
-            jacobian = jacobian * free
-            normal = jacobian.T @ jacobian + damping * np.eye(self.joint_count)
-            change_deg = np.degrees(np.linalg.solve(normal, gradient * free))
-            longest = float(np.max(np.abs(change_deg)))
-            if longest > 45.0:
-                change_deg *= 45.0 / longest
+            jacobian = jacobian * free[:, None]
+            normal = jacobian.swapaxes(1, 2) @ jacobian + damping[:, None, None] * self._identity
+            change_deg = np.degrees(np.linalg.solve(normal, (gradient * free)[..., None])[..., 0])
+            longest = np.abs(change_deg).max(axis=1)
+            change_deg *= (45.0 / np.maximum(longest, 45.0))[:, None]
             tried = self.clip(joints_deg + change_deg, margin_deg)
             tried_links = self.forward(tried)
-            tried_error = pose_error(tried_links[-1], target)
-            if tried_error @ tried_error < error @ error:
-                joints_deg, links, error = tried, tried_links, tried_error
-                damping = max(damping / 5.0, 1e-9)
-            else:
-                damping *= 4.0
-        return joints_deg, error, iterations
+            tried_error = pose_error(tried_links[:, -1], target)
+            better = squared(tried_error) < squared(error)
+            joints_deg = np.where(better[:, None], tried, joints_deg)
+            links = np.where(better[:, None, None, None], tried_links, links)
+            error = np.where(better[:, None], tried_error, error)
+            damping = np.where(better, np.maximum(damping / 5.0, 1e-9), damping * 4.0)
+        ended_deg[going], ended_error[going] = joints_deg, error
+        return ended_deg, ended_error, steps
 
     def _joints(self, joints_deg: npt.ArrayLike) -> FloatArray:
         joints = np.asarray(joints_deg, dtype=float)
-        if joints.shape != (self.joint_count,):
+        if joints.shape[-1:] != (self.joint_count,):
             raise ValueError(f"{self.name} has {self.joint_count} joints; came an array of shape {joints.shape}")
         return joints
 
 
 def jacobian_of(T_base_links: FloatArray) -> FloatArray:
-    """Geometric Jacobian (6, n) [m/rad; rad/rad] in the base frame from the poses that `Chain.forward` gives."""
-    axes, origins_m = T_base_links[:-1, :3, 2], T_base_links[:-1, :3, 3]
-    jacobian = np.empty((6, len(axes)))
-    jacobian[:3] = _cross(axes, T_base_links[-1, :3, 3] - origins_m).T
-    jacobian[3:] = axes.T
+    """Geometric Jacobian (..., 6, n) [m/rad; rad/rad] in the base frame from the poses that `Chain.forward` gives."""
+    axes, origins_m = T_base_links[..., :-1, :3, 2], T_base_links[..., :-1, :3, 3]
+    jacobian = np.empty((*axes.shape[:-2], 6, axes.shape[-2]))
+    jacobian[..., :3, :] = cross(axes, T_base_links[..., -1:, :3, 3] - origins_m).swapaxes(-1, -2)
+    jacobian[..., 3:, :] = axes.swapaxes(-1, -2)
     return jacobian
 
 
 def pose_error(T_base_from: FloatArray, T_base_to: FloatArray) -> FloatArray:
-    """Twist (6,) [m, rad] in the base frame that carries one pose (4, 4) to another within unit time."""
-    error = np.empty(6)
-    error[:3] = T_base_to[:3, 3] - T_base_from[:3, 3]
-    error[3:] = rotation_vector(T_base_to[:3, :3] @ T_base_from[:3, :3].T)
+    """Twist (..., 6) [m, rad] in the base frame that carries one pose (..., 4, 4) to another within unit time."""
+    error = np.empty((*T_base_from.shape[:-2], 6))
+    error[..., :3] = T_base_to[..., :3, 3] - T_base_from[..., :3, 3]
+    error[..., 3:] = rotation_vector(T_base_to[..., :3, :3] @ T_base_from[..., :3, :3].swapaxes(-1, -2))
     return error
 
 
 def damped_joint_rates(
     jacobian: FloatArray, twist: FloatArray, damping: float = 0.02, wish_rad_s: FloatArray | None = None
 ) -> FloatArray:
-    """Joint rates (n,) [rad/s] for a twist (6,) [m/s, rad/s]: the pseudo-inverse, damped only near singularities.
+    """Joint rates (..., n) [rad/s] for a twist (..., 6) [m/s, rad/s]: the pseudo-inverse, damped only near
+    singularities.
 
     damping: smallest singular value that is still inverted in full; below it the rates are held down instead of
     growing without end, and the twist is then not met (Nakamura and Hanafusa 1986; Maciejewski and Klein 1988).
@@ -259,21 +284,23 @@ def damped_joint_rates(
     space of an arm with more than six joints (Liegeois 1977), nothing of them with six
     """
     left, values, right = np.linalg.svd(jacobian, full_matrices=wish_rad_s is not None)
-    extra = 0.0 if values[-1] >= damping else (1.0 - (values[-1] / damping) ** 2) * damping**2
-    rates: FloatArray = right[: len(values)].T @ (values / (values**2 + extra) * (left.T @ twist))
+    least = values[..., -1:]
+    extra = np.where(least >= damping, 0.0, (1.0 - (least / damping) ** 2) * damping**2)
+    along = values / (values**2 + extra) * (left.swapaxes(-1, -2) @ twist[..., None])[..., 0]
+    rates: FloatArray = (right[..., : values.shape[-1], :].swapaxes(-1, -2) @ along[..., None])[..., 0]
     if wish_rad_s is not None:
-        free = right[len(values) :]
-        rates = rates + free.T @ (free @ wish_rad_s)
+        free = right[..., values.shape[-1] :, :]
+        rates = rates + (free.swapaxes(-1, -2) @ (free @ wish_rad_s)[..., None])[..., 0]
     return rates
 
 
-def least_singular(jacobian: FloatArray) -> float:
-    """Smallest singular value of a geometric Jacobian (6, n) [m/rad; rad/rad]: 0 at a singularity.
+def least_singular(jacobian: FloatArray) -> FloatArray:
+    """Smallest singular value (...,) of a geometric Jacobian (..., 6, n) [m/rad; rad/rad]: 0 at a singularity.
 
     Joint rates of size r move the end effector by at least `least_singular * r` in every direction, and in the weakest
     by no more than that.
     """
-    return float(np.linalg.svd(jacobian, compute_uv=False)[-1])
+    return np.asarray(np.linalg.svd(jacobian, compute_uv=False)[..., -1])
 
 
 def transform(rotation: FloatArray, translation_m: npt.ArrayLike) -> FloatArray:
@@ -306,35 +333,51 @@ def euler_xyz_from_rotation(rotation: FloatArray) -> FloatArray:
 
 
 def rotation_vector(rotation: FloatArray) -> FloatArray:
-    """Axis times angle (3,) [rad] of a rotation (3, 3), the angle from 0 to pi."""
+    """Axis times angle (..., 3) [rad] of a rotation (..., 3, 3), the angle from 0 to pi."""
+    twice_sine = np.empty(rotation.shape[:-1])
+    twice_sine[..., 0] = rotation[..., 2, 1] - rotation[..., 1, 2]
+    twice_sine[..., 1] = rotation[..., 0, 2] - rotation[..., 2, 0]
+    twice_sine[..., 2] = rotation[..., 1, 0] - rotation[..., 0, 1]
+    sine = 0.5 * np.sqrt(squared(twice_sine))
+    cosine = 0.5 * (rotation[..., 0, 0] + rotation[..., 1, 1] + rotation[..., 2, 2] - 1.0)
+    small = sine <= 1e-6
+    vector: FloatArray = (
+        twice_sine * np.where(small, 0.5, 0.5 * np.arctan2(sine, cosine) / np.where(small, 1.0, sine))[..., None]
+    )
+    if (half := small & (cosine <= 0)).any():
+        vector[half] = [_half_turn(one) for one in rotation[half]]
+    return vector
+
+
+def _half_turn(rotation: FloatArray) -> FloatArray:
+    """As `rotation_vector` (3,), of one (3, 3) by so nearly half a turn that its skew part vanishes: the axis is then
+    the greatest column of R + 1."""
     twice_sine = np.array(
         [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
     )
-    sine = 0.5 * float(np.sqrt(twice_sine @ twice_sine))
-    cosine = 0.5 * (float(rotation[0, 0] + rotation[1, 1] + rotation[2, 2]) - 1.0)
-    angle = float(np.arctan2(sine, cosine))
-    if sine > 1e-6:
-        vector: FloatArray = twice_sine * (0.5 * angle / sine)
-        return vector
-    if cosine > 0:
-        return 0.5 * twice_sine
-    # close to half a turn the skew part vanishes: the axis is then the greatest column of R + 1
+    angle = np.arctan2(0.5 * np.sqrt(squared(twice_sine)), 0.5 * (np.trace(rotation) - 1.0))
     outer = 0.5 * (rotation + np.eye(3))
     column = outer[:, int(np.argmax(np.diag(outer)))]
     side = -1.0 if column @ twice_sine < 0 else 1.0
-    return side * angle * column / np.linalg.norm(column)
+    return np.asarray(side * angle * column / np.linalg.norm(column))
 
 
-def _within(error: FloatArray, position_m: float, rotation_rad: float) -> bool:
-    return bool(error[:3] @ error[:3] <= position_m**2 and error[3:] @ error[3:] <= rotation_rad**2)
+def squared(vector: FloatArray) -> FloatArray:
+    """(...,) squared lengths of vectors (..., n)."""
+    return np.asarray((vector[..., None, :] @ vector[..., None])[..., 0, 0])
 
 
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Cross products of (n, 3) with (n, 3); np.cross costs more than the whole Jacobian at this size."""
-    product = np.empty_like(a)
-    product[:, 0] = a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1]
-    product[:, 1] = a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]
-    product[:, 2] = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+def _within(error: FloatArray, position_m: float, rotation_rad: float) -> npt.NDArray[np.bool_]:
+    """(...,) whether what is left of poses (..., 6) is within tolerances."""
+    return np.asarray((squared(error[..., :3]) <= position_m**2) & (squared(error[..., 3:]) <= rotation_rad**2))
+
+
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Cross products of (..., 3) with (..., 3); np.cross costs more than a whole Jacobian at this size."""
+    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    product[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
+    product[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
+    product[..., 2] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
     return product
 
 

@@ -9,31 +9,13 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from ctypes import POINTER, c_float, c_int, c_uint
+from ctypes import POINTER, c_float, c_int
 from pathlib import Path
 from typing import Any, Literal, Protocol, TypeVar
 
 from deformscope_drivers.errors import LibraryMissing
+from deformscope_drivers.jaco import structures
 from deformscope_drivers.jaco.errors import OK, SymbolMissing, error_of
-from deformscope_drivers.jaco.structures import (
-    AngularInfo,
-    AngularPosition,
-    AngularRates,
-    ApiVersion,
-    CartesianInfo,
-    CartesianPosition,
-    CartesianRates,
-    DeviceList,
-    EthernetCommConfig,
-    ForcesInfo,
-    GeneralInformations,
-    JoystickCommand,
-    KinovaDevice,
-    QuickStatus,
-    SensorsInfo,
-    TrajectoryFIFO,
-    TrajectoryPoint,
-)
 
 Connection = Literal["usb", "ethernet"]
 LIBRARY_NAMES: dict[Connection, str] = {"usb": "USBCommandLayerUbuntu.so", "ethernet": "EthCommandLayerUbuntu.so"}
@@ -44,56 +26,46 @@ S = TypeVar("S", bound=ctypes.Structure)
 # name: argument types; each returns an int, 1 for success (GetDevices: how many devices, its status by pointer)
 SIGNATURES: dict[str, tuple[Any, ...]] = {
     # the library and its devices
-    "GetAPIVersion": (ApiVersion,),
+    "GetAPIVersion": (structures.ApiVersion,),
     "InitAPI": (),
-    "InitEthernetAPI": (POINTER(EthernetCommConfig),),
+    "InitEthernetAPI": (POINTER(structures.EthernetCommConfig),),
     "CloseAPI": (),
     "RefresDevicesList": (),  # the vendor's spelling
-    "GetDevices": (DeviceList, POINTER(c_int)),
-    "SetActiveDevice": (KinovaDevice,),
-    "GetGeneralInformations": (POINTER(GeneralInformations),),
-    "GetSystemErrorCount": (POINTER(c_uint),),
-    "ClearErrorLog": (),
+    "GetDevices": (structures.DeviceList, POINTER(c_int)),
+    "SetActiveDevice": (structures.KinovaDevice,),
+    "GetGeneralInformations": (POINTER(structures.GeneralInformations),),
     # control and motion
     "StartControlAPI": (),
     "StopControlAPI": (),
     "SetAngularControl": (),
     "SetCartesianControl": (),
-    "GetControlType": (POINTER(c_int),),
-    "SetFrameType": (c_int,),
-    "SendBasicTrajectory": (TrajectoryPoint,),
-    "SendAdvanceTrajectory": (TrajectoryPoint,),
+    "SendBasicTrajectory": (structures.TrajectoryPoint,),
+    "SendAdvanceTrajectory": (structures.TrajectoryPoint,),
     "EraseAllTrajectories": (),
-    "GetGlobalTrajectoryInfo": (POINTER(TrajectoryFIFO),),
-    "GetActualTrajectoryInfo": (POINTER(TrajectoryPoint),),
-    "SendJoystickCommand": (JoystickCommand,),
-    "GetJoystickValue": (POINTER(JoystickCommand),),
+    "GetGlobalTrajectoryInfo": (POINTER(structures.TrajectoryFIFO),),
+    "GetActualTrajectoryInfo": (POINTER(structures.TrajectoryPoint),),
     "MoveHome": (),
     "InitFingers": (),
-    "SetEndEffectorOffset": (c_uint, c_float, c_float, c_float),
     # readings
     **{
-        f"GetAngular{what}": (POINTER(AngularPosition),)
-        for what in ("Position", "Velocity", "Command", "Force", "ForceGravityFree", "Current")
+        f"GetAngular{what}": (POINTER(structures.AngularPosition),)
+        for what in ("Position", "Velocity", "Force", "ForceGravityFree", "Current")
     },
-    **dict.fromkeys(
-        ("GetCartesianPosition", "GetCartesianCommand", "GetCartesianForce"), (POINTER(CartesianPosition),)
-    ),
-    "GetCommandVelocity": (CartesianRates, AngularRates),
-    "GetForcesInfo": (POINTER(ForcesInfo),),
-    "GetSensorsInfo": (POINTER(SensorsInfo),),
-    "GetQuickStatus": (POINTER(QuickStatus),),
+    **dict.fromkeys(("GetCartesianPosition", "GetCartesianForce"), (POINTER(structures.CartesianPosition),)),
+    "GetCommandVelocity": (structures.CartesianRates, structures.AngularRates),
+    "GetForcesInfo": (POINTER(structures.ForcesInfo),),
+    "GetSensorsInfo": (POINTER(structures.SensorsInfo),),
+    "GetQuickStatus": (POINTER(structures.QuickStatus),),
     # force
     "StartForceControl": (),
     "StopForceControl": (),
-    "SetCartesianForceMinMax": (CartesianInfo, CartesianInfo),
-    "SetCartesianInertiaDamping": (CartesianInfo, CartesianInfo),
-    "SetAngularTorqueMinMax": (AngularInfo, AngularInfo),
-    "SetAngularInertiaDamping": (AngularInfo, AngularInfo),
+    "SetCartesianForceMinMax": (structures.CartesianInfo, structures.CartesianInfo),
+    "SetCartesianInertiaDamping": (structures.CartesianInfo, structures.CartesianInfo),
+    "SetAngularTorqueMinMax": (structures.AngularInfo, structures.AngularInfo),
+    "SetAngularInertiaDamping": (structures.AngularInfo, structures.AngularInfo),
     "SetTorqueZero": (c_int,),
     "SetTorqueSafetyFactor": (c_float,),
     "SetGravityType": (c_int,),
-    "SetGravityPayload": (c_float * 4,),
 }
 
 
@@ -109,11 +81,9 @@ class Functions(Protocol):
     @property
     def where(self) -> str:
         """What to name in errors: the library's path."""
-        ...
 
     def function(self, name: str) -> Callable[..., int]:
         """The function of that name without prefix, taking the structures of `structures`."""
-        ...
 
 
 class Library:
@@ -183,9 +153,9 @@ def read(functions: Functions, name: str, kind: type[S]) -> S:
     return response
 
 
-def devices(functions: Functions) -> list[KinovaDevice]:
+def devices(functions: Functions) -> list[structures.KinovaDevice]:
     """The arms that the library lists."""
-    listed, status = DeviceList(), c_int(OK)
+    listed, status = structures.DeviceList(), c_int(OK)
     count = functions.function("GetDevices")(listed, status)
     if status.value != OK:
         raise error_of(status.value, "GetDevices", functions.where)
@@ -194,6 +164,6 @@ def devices(functions: Functions) -> list[KinovaDevice]:
 
 def api_version(functions: Functions) -> tuple[int, int, int]:
     """The library's own version."""
-    version = ApiVersion()
+    version = structures.ApiVersion()
     call(functions, "GetAPIVersion", version)
     return (version[0], version[1], version[2])

@@ -14,18 +14,8 @@ from collections import deque
 import numpy as np
 import numpy.typing as npt
 
-from deformscope_drivers.jaco import kinematics
+from deformscope_drivers.jaco import kinematics, structures
 from deformscope_drivers.jaco.kinematics import Chain, FloatArray
-from deformscope_drivers.jaco.structures import (
-    FINGER_CLOSED,
-    FINGER_COUNT,
-    HandMode,
-    PositionType,
-    TrajectoryPoint,
-    actuator_values,
-    cartesian_values,
-    finger_values,
-)
 
 CYCLE_S = 0.01
 FIFO_SIZE = 2000
@@ -48,10 +38,10 @@ class SimulatedArm:
         self.joints_deg: FloatArray = chain.clip(chain.home_deg if start_deg is None else start_deg)
         self.rates_deg_s: FloatArray = np.zeros(chain.joint_count)
         self.links: FloatArray = chain.forward(self.joints_deg)
-        self.fingers: FloatArray = np.zeros(FINGER_COUNT)
+        self.fingers: FloatArray = np.zeros(structures.FINGER_COUNT)
         self.fingers_ready = False
-        self.grip: FloatArray = np.full(FINGER_COUNT, FINGER_CLOSED)
-        self.fifo: deque[TrajectoryPoint] = deque()
+        self.grip: FloatArray = np.full(structures.FINGER_COUNT, structures.FINGER_CLOSED)
+        self.fifo: deque[structures.TrajectoryPoint] = deque()
         self.wrench: FloatArray = np.zeros(6)
         self.torque_bias_nm: FloatArray = np.zeros(chain.joint_count)
         self.angular_control = False
@@ -74,7 +64,7 @@ class SimulatedArm:
         self.control = False
         self._homing = self._opening = False
 
-    def queue(self, point: TrajectoryPoint) -> bool:
+    def queue(self, point: structures.TrajectoryPoint) -> bool:
         """Put a point behind the others; False where there is no more room. Without control it is ignored."""
         if not self.control:
             return True
@@ -123,54 +113,54 @@ class SimulatedArm:
             elif self.fifo:
                 rates = self._follow(self.fifo[0])
             if self._opening:
-                self._move_fingers(np.zeros(FINGER_COUNT))
+                self._move_fingers(np.zeros(structures.FINGER_COUNT))
                 self._opening = bool(np.any(self.fingers))
                 self.fingers_ready = not self._opening
             if self.admittance.active:
                 rates = rates + self._give_way()
         self._turn(rates)
 
-    def _follow(self, point: TrajectoryPoint) -> FloatArray:
+    def _follow(self, point: structures.TrajectoryPoint) -> FloatArray:
         """Joint rates (n,) [deg/s] that the first point asks for; takes it out once it is done."""
         position, done = point.Position, True
         rates = np.zeros(self.chain.joint_count)
         kind = position.Type
-        if kind == PositionType.ANGULAR_VELOCITY:
-            asked = np.array(actuator_values(position.Actuators, self.chain.joint_count))
+        if kind == structures.PositionType.ANGULAR_VELOCITY:
+            asked = np.array(structures.actuator_values(position.Actuators, self.chain.joint_count))
             rates = np.clip(asked, -self.chain.velocity_deg_s, self.chain.velocity_deg_s)
-        elif kind == PositionType.CARTESIAN_VELOCITY:
-            twist = np.array(cartesian_values(position.CartesianPosition))
+        elif kind == structures.PositionType.CARTESIAN_VELOCITY:
+            twist = np.array(structures.cartesian_values(position.CartesianPosition))
             twist[3:] = self.links[-1, :3, :3] @ twist[3:]  # a point's rotation is in the end effector's frame
             rates = self._rates_of(twist)
-        elif kind == PositionType.ANGULAR_POSITION:
-            target = self.chain.clip(actuator_values(position.Actuators, self.chain.joint_count))
+        elif kind == structures.PositionType.ANGULAR_POSITION:
+            target = self.chain.clip(structures.actuator_values(position.Actuators, self.chain.joint_count))
             rates = self._towards(target, self._joint_speeds(point))
             done = not np.any(rates)
-        elif kind == PositionType.CARTESIAN_POSITION:
+        elif kind == structures.PositionType.CARTESIAN_POSITION:
             rates, done = self._towards_pose(point)
-        elif kind == PositionType.DELAY:
+        elif kind == structures.PositionType.DELAY:
             self._delay_left_s = (position.Delay if self._delay_left_s is None else self._delay_left_s) - CYCLE_S
             done = self._delay_left_s <= 1e-9
         fingers_done = self._follow_fingers(point)
-        takes_one_cycle = kind in (PositionType.ANGULAR_VELOCITY, PositionType.CARTESIAN_VELOCITY)
+        takes_one_cycle = kind in (structures.PositionType.ANGULAR_VELOCITY, structures.PositionType.CARTESIAN_VELOCITY)
         if takes_one_cycle or (done and fingers_done):
             self.fifo.popleft()
             self._delay_left_s = None
         return rates
 
-    def _follow_fingers(self, point: TrajectoryPoint) -> bool:
+    def _follow_fingers(self, point: structures.TrajectoryPoint) -> bool:
         """Move the fingers for one cycle as a point asks; whether they have arrived."""
         position = point.Position
-        if position.HandMode == HandMode.POSITION:
-            target = np.clip(finger_values(position.Fingers), 0.0, FINGER_CLOSED)
+        if position.HandMode == structures.HandMode.POSITION:
+            target = np.clip(structures.finger_values(position.Fingers), 0.0, structures.FINGER_CLOSED)
             self._move_fingers(target)
             return bool(np.all(self.fingers == target))
-        if position.HandMode == HandMode.VELOCITY:
-            step = np.clip(finger_values(position.Fingers), -FINGER_SPEED, FINGER_SPEED) * CYCLE_S
+        if position.HandMode == structures.HandMode.VELOCITY:
+            step = np.clip(structures.finger_values(position.Fingers), -FINGER_SPEED, FINGER_SPEED) * CYCLE_S
             self.fingers = np.clip(self.fingers + step, 0.0, self.grip)
         return True
 
-    def _joint_speeds(self, point: TrajectoryPoint) -> FloatArray:
+    def _joint_speeds(self, point: structures.TrajectoryPoint) -> FloatArray:
         """Speeds (n,) [deg/s] of an angular position point: its first limit is for joints 1 to 3."""
         if not point.LimitationsActive:
             return self.chain.velocity_deg_s
@@ -183,9 +173,9 @@ class SimulatedArm:
         """Rates (n,) [deg/s] for one cycle towards joint angles; zero once there."""
         return np.clip((target_deg - self.joints_deg) / CYCLE_S, -speeds_deg_s, speeds_deg_s)
 
-    def _towards_pose(self, point: TrajectoryPoint) -> tuple[FloatArray, bool]:
+    def _towards_pose(self, point: structures.TrajectoryPoint) -> tuple[FloatArray, bool]:
         """Rates (n,) [deg/s] straight towards a pose, and whether it is reached; out of reach it is never done."""
-        x, y, z, *thetas = cartesian_values(point.Position.CartesianPosition)
+        x, y, z, *thetas = structures.cartesian_values(point.Position.CartesianPosition)
         target = kinematics.transform(kinematics.rotation_from_euler_xyz(*thetas), (x, y, z))
         error = kinematics.pose_error(self.links[-1], target)
         if error[:3] @ error[:3] <= REACHED_M**2 and error[3:] @ error[3:] <= REACHED_RAD**2:

@@ -14,7 +14,6 @@ from typing import Any
 
 STRING_LENGTH = 20
 DEVICE_COUNT_MAX = 20
-ACTUATOR_COUNT_MAX = 7
 FINGER_COUNT = 3
 FINGER_CLOSED = 6800.0
 
@@ -114,10 +113,7 @@ class TrajectoryFIFO(ctypes.Structure):
 class JoystickCommand(ctypes.Structure):
     _fields_ = [
         ("ButtonValue", c_short * 16),
-        *_alike(
-            c_float,
-            "InclineLeftRight InclineForwardBackward Rotate MoveLeftRight MoveForwardBackward PushPull",
-        ),
+        *_alike(c_float, "InclineLeftRight InclineForwardBackward Rotate MoveLeftRight MoveForwardBackward PushPull"),
     ]
 
 

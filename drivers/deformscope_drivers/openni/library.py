@@ -26,7 +26,6 @@ REDIST = "OPENNI2_REDIST"
 INSTALL = "sudo apt-get install -y libopenni2-0"
 
 OK = 0
-NO_DEVICE = 6
 TIME_OUT = 102
 DEPTH_TO_COLOR = 1
 END_OF_FILE = 3
@@ -135,30 +134,30 @@ class Openni:
     """The library, loaded and initialised. library: its path or folder; empty = where the system has it"""
 
     def __init__(self, library: str = "") -> None:
-        self._lib = load(library)
+        self.lib = load(library)
         self._events: list[tuple[str, int]] = []
         self._kept: list[Any] = []
-        self.check(self._lib.oniInitialize(API_VERSION), "OpenNI2 with its drivers")
+        self.check(self.lib.oniInitialize(API_VERSION), "OpenNI2 with its drivers")
         self._listen()
 
     def check(self, status: int, expected: str, where: str = "", error: type[DeviceError] = NotConnected) -> None:
         """Raise what a status that is not OK means."""
         if status != OK:
-            words = (self._lib.oniGetExtendedError() or b"").decode(errors="replace")
+            words = (self.lib.oniGetExtendedError() or b"").decode(errors="replace")
             raise error(expected, " ".join(words.split()) or f"status {status}", where=where)
 
     def devices(self) -> list[ListedDevice]:
         """The cameras that are plugged in."""
         first, count = POINTER(_DeviceInfo)(), c_int()
-        self.check(self._lib.oniGetDeviceList(byref(first), byref(count)), "a list of cameras")
+        self.check(self.lib.oniGetDeviceList(byref(first), byref(count)), "a list of cameras")
         found = [_listed(first[index]) for index in range(count.value)]
-        self._lib.oniReleaseDeviceList(first)
+        self.lib.oniReleaseDeviceList(first)
         return found
 
     def open(self, uri: str) -> OpenniDevice:
         """Open a camera, or a recording by its path; an empty uri is the first camera."""
         handle = c_void_p()
-        status = self._lib.oniDeviceOpen(uri.encode() if uri else None, byref(handle))
+        status = self.lib.oniDeviceOpen(uri.encode() if uri else None, byref(handle))
         self.check(status, "a depth camera, or a recording that can be played", uri)
         return OpenniDevice(self, handle, uri)
 
@@ -172,15 +171,11 @@ class Openni:
         handles = (c_void_p * len(streams))(*[stream.handle for stream in streams])
         index = c_int(-1)
         timeout_ms = max(round(timeout_s * 1e3), 1)
-        status = self._lib.oniWaitForAnyStream(handles, len(streams), byref(index), timeout_ms)
+        status = self.lib.oniWaitForAnyStream(handles, len(streams), byref(index), timeout_ms)
         if status == TIME_OUT:
             return None
         self.check(status, "a frame", error=LinkLost)
         return streams[index.value]
-
-    @property
-    def lib(self) -> ctypes.CDLL:
-        return self._lib
 
     def _listen(self) -> None:
         gone = _INFO_CALLBACK(lambda _info, _cookie: self._events.append(("disconnected", 0)))
@@ -188,7 +183,7 @@ class Openni:
         handle = c_void_p()
         callbacks = _Callbacks(None, ctypes.cast(gone, c_void_p), ctypes.cast(state, c_void_p))
         self._kept += [gone, state, callbacks, handle]  # the library calls them from its own threads
-        self._lib.oniRegisterDeviceCallbacks(byref(callbacks), None, byref(handle))
+        self.lib.oniRegisterDeviceCallbacks(byref(callbacks), None, byref(handle))
 
 
 class OpenniDevice:

@@ -13,24 +13,11 @@ from deformscope_drivers.clock import Clock, ClockFit, Stamp, Unwrap, monotonic_
 from deformscope_drivers.device import ROUND_S, StreamDevice
 from deformscope_drivers.errors import CommandRefused, NoReply, SettingsRefused
 from deformscope_drivers.health import Identity, Link
+from deformscope_drivers.optoforce import protocol
 from deformscope_drivers.optoforce.config import OptoforceConfig, filter_of, speed_of
 from deformscope_drivers.optoforce.counter import WRAP, CounterStep, CounterTrack, Gap
 from deformscope_drivers.optoforce.measurement import ForceMeasurement
 from deformscope_drivers.optoforce.plausibility import doubts
-from deformscope_drivers.optoforce.protocol import (
-    ConfigReply,
-    Configure,
-    Decoder,
-    Filter,
-    Kind,
-    Reading,
-    Reply,
-    SerialReply,
-    SerialRequest,
-    Speed,
-    Zero,
-    encode,
-)
 from deformscope_drivers.transport import CAN_FRAME_BYTES, Transport, serial_or_can
 
 REPLY_S = 0.3
@@ -56,8 +43,8 @@ FloatArray = npt.NDArray[np.float64]
 class DaqSettings:
     """The settings last sent to the DAQ, which cannot be read back. zeroed: it subtracts a zero point itself"""
 
-    speed: Speed
-    filter: Filter
+    speed: protocol.Speed
+    filter: protocol.Filter
     zeroed: bool = False
 
 
@@ -70,9 +57,9 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     """
 
     _settings: DaqSettings
-    _kind: Kind | None
+    _kind: protocol.Kind | None
     _offset: FloatArray | None
-    _before: Reading | None
+    _before: protocol.Reading | None
     _unusable: int
     _overloaded: int
     _doubted: int
@@ -108,7 +95,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         return self._settings
 
     @property
-    def kind(self) -> Kind | None:
+    def kind(self) -> protocol.Kind | None:
         """What hangs on the DAQ; None before the first reading."""
         return self._kind
 
@@ -159,8 +146,8 @@ class Optoforce(StreamDevice[ForceMeasurement]):
 
     # What the base class asks for ------------------------------------------------------------------------------------
 
-    def _make_decoder(self) -> Decoder:
-        return Decoder(self._fill_to)
+    def _make_decoder(self) -> protocol.Decoder:
+        return protocol.Decoder(self._fill_to)
 
     def _start(self) -> None:
         if self._link is not Link.LOST:
@@ -181,8 +168,8 @@ class Optoforce(StreamDevice[ForceMeasurement]):
             self._report_link(Link.CONNECTED, f"{reason}; its settings were sent again")
         return super()._receive(timeout_s)
 
-    def _measure(self, event: Reply, host_ns: int) -> Iterable[ForceMeasurement]:
-        if not isinstance(event, Reading):
+    def _measure(self, event: protocol.Reply, host_ns: int) -> Iterable[ForceMeasurement]:
+        if not isinstance(event, protocol.Reading):
             return []
         if self._kind is None:
             self._learn_kind(event.kind)
@@ -261,14 +248,14 @@ class Optoforce(StreamDevice[ForceMeasurement]):
             self._gather(1)
 
     def _send_settings(self, wanted: DaqSettings) -> None:
-        zero = Zero.SET if wanted.zeroed else Zero.CLEAR
-        command = Configure(wanted.speed, wanted.filter, zero)
+        zero = protocol.Zero.SET if wanted.zeroed else protocol.Zero.CLEAR
+        command = protocol.Configure(wanted.speed, wanted.filter, zero)
         self._zero_in_doubt |= wanted.zeroed != self._settings.zeroed
         self._forget_counter(wanted.speed)
         try:
             reply = self._ask(
-                encode(command),
-                lambda event: event if isinstance(event, ConfigReply) else None,
+                protocol.encode(command),
+                lambda event: event if isinstance(event, protocol.ConfigReply) else None,
                 REPLY_S,
                 what="an acknowledgement",
             )
@@ -299,14 +286,14 @@ class Optoforce(StreamDevice[ForceMeasurement]):
                 self._restart = f"nothing for {pause_ns / 1e9:.3g} s: the DAQ may have restarted"
                 self._zero_in_doubt |= self._settings.zeroed
 
-    def _forget_counter(self, speed: Speed) -> None:
+    def _forget_counter(self, speed: protocol.Speed) -> None:
         self._track.restart(speed * 1e6 if speed else None)
         self._unwrap = self._clock_fit = None
 
     def _ask_serial(self) -> str:
         reply = self._ask(
-            encode(SerialRequest()),
-            lambda event: event if isinstance(event, SerialReply) else None,
+            protocol.encode(protocol.SerialRequest()),
+            lambda event: event if isinstance(event, protocol.SerialReply) else None,
             REPLY_S,
             tries=2,
             what="a serial number",
@@ -319,7 +306,9 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         if not rate_hz:
             raise SettingsRefused("a DAQ that sends", "one that is stopped", "set_speed(1000)", self.name)
         count = max(STILL_READINGS, math.ceil(STILL_S * rate_hz))
-        settle = math.ceil((ZERO_REST_S + self._settling_s()) * rate_hz)
+        cutoff_hz = self._settings.filter.cutoff_hz
+        settling_s = 0.0 if cutoff_hz is None else SETTLED / (2.0 * math.pi * cutoff_hz)
+        settle = math.ceil((ZERO_REST_S + settling_s) * rate_hz)
         self._still_mean(count, still_counts, "the zero point is as it was")
         self._offset = None
         self._send_settings(replace(self._settings, zeroed=False))
@@ -339,10 +328,6 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         self._offset = before - after
         self._offset.setflags(write=False)
         return self._offset
-
-    def _settling_s(self) -> float:
-        cutoff_hz = self._settings.filter.cutoff_hz
-        return 0.0 if cutoff_hz is None else SETTLED / (2.0 * math.pi * cutoff_hz)
 
     def _still_mean(self, count: int, still_counts: float, state: str) -> FloatArray:
         """(channels, axes) mean of so many readings; refused where they vary."""
@@ -381,7 +366,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
             raise NoReply(f"{count} readings within {wait_s:.3g} s", str(len(found)), advice, self.name)
         return found
 
-    def _learn_kind(self, kind: Kind) -> None:
+    def _learn_kind(self, kind: protocol.Kind) -> None:
         """Now that it is known what hangs on the DAQ: does what the configuration says of it fit?"""
         reports = self.config.sensitivities
         if reports and (len(reports) != kind.channels or any(report.axes != kind.axes for report in reports)):
@@ -397,7 +382,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         self._per_count = np.stack([report.per_count for report in reports]) if reports else None
         self._nominal_counts = [report.counts_at_nominal for report in reports] or None
 
-    def _compare_clocks(self, reading: Reading, verdict: CounterStep, host_ns: int) -> None:
+    def _compare_clocks(self, reading: protocol.Reading, verdict: CounterStep, host_ns: int) -> None:
         step = self._track.step
         if step is None or verdict in (CounterStep.JUMPED, CounterStep.LATE, CounterStep.REPEATED):
             return

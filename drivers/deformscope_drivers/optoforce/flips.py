@@ -19,20 +19,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from deformscope_drivers.optoforce import protocol
 from deformscope_drivers.optoforce.plausibility import doubts
-from deformscope_drivers.optoforce.protocol import (
-    CONFIG_REPLY,
-    HEADER_SIZE,
-    HEADERS,
-    SERIAL_REPLY,
-    Decoder,
-    Kind,
-    Reading,
-    Status,
-    encode,
-)
 
-KNOWN_HEADERS = {*HEADERS.values(), CONFIG_REPLY, SERIAL_REPLY}
+KNOWN_HEADERS = {*protocol.HEADERS.values(), protocol.CONFIG_REPLY, protocol.SERIAL_REPLY}
 SIZE = 16
 SUM_AT = 14
 IntArray = npt.NDArray[np.int64]
@@ -60,32 +50,36 @@ class DamageCount:
 
 def count(packet: bytes, nominal_counts: float | None) -> dict[str, DamageCount]:
     """What each kind of damage to this packet comes to; with the nominal counts, its load is checked as well."""
+    pairs = combinations(range(SIZE), 2)
+    swaps = [{a: packet[b], b: packet[a]} for a, b in pairs if packet[a] != packet[b]]
     return {
         "1 bit flipped": _tally(packet, _flips(packet, 1), 8 * SIZE, nominal_counts),
         "2 bits flipped": _tally(packet, _flips(packet, 2), math.comb(8 * SIZE, 2), nominal_counts),
         "3 bits flipped": _tally(packet, _flips(packet, 3), math.comb(8 * SIZE, 3), nominal_counts),
         "2 bytes changed": _tally(packet, _changes(packet), math.comb(SIZE, 2) * 255**2, nominal_counts),
-        "2 bytes swapped": _tally(packet, _swaps(packet), _different_pairs(packet), nominal_counts),
+        "2 bytes swapped": _tally(packet, swaps, len(swaps), nominal_counts),
     }
 
 
 def _tally(packet: bytes, patches: Iterable[Patch], possible: int, nominal_counts: float | None) -> DamageCount:
-    (reading,) = Decoder().feed(packet)
-    assert isinstance(reading, Reading)
+    (reading,) = protocol.Decoder().feed(packet)
+    assert isinstance(reading, protocol.Reading)
     behind = b"".join(
-        encode(Reading(reading.kind, (reading.counter + later) % 0x10000, Status(0), reading.counts))
+        protocol.encode(
+            protocol.Reading(reading.kind, (reading.counter + later) % 0x10000, protocol.Status(0), reading.counts)
+        )
         for later in (1, 2, 3)
     )
     limits = None if nominal_counts is None else [[nominal_counts] * 3]
     passed = by_status = by_counter = by_load = 0
-    decoder = Decoder()
+    decoder = protocol.Decoder()
     for patch in patches:
         damaged = bytearray(packet)
         for at, value in patch.items():
             damaged[at] = value
         event = next(decoder.feed(bytes(damaged) + behind))
         decoder.finish()
-        if not isinstance(event, Reading):
+        if not isinstance(event, protocol.Reading):
             continue
         passed += 1
         found = doubts(event, limits) if event.kind is reading.kind else ("kind",)
@@ -102,13 +96,13 @@ def _flips(packet: bytes, bits: int) -> Iterator[Patch]:
     """Every flip of that many bits that leaves the sum right, or makes a header of another; no other can pass."""
     change = _change_of_sum(packet)
     places = np.array(list(combinations(range(8 * SIZE), bits)), np.int64).reshape(-1, bits)
-    in_header = (places < 8 * HEADER_SIZE).any(axis=1)
+    in_header = (places < 8 * protocol.HEADER_SIZE).any(axis=1)
     for flip in places[in_header | (change[places].sum(axis=1) == 0)].tolist():
         patch: Patch = {}
         for place in flip:
             at, bit = divmod(place, 8)
             patch[at] = patch.get(at, packet[at]) ^ 1 << bit
-        if bytes(patch.get(at, packet[at]) for at in range(HEADER_SIZE)) in KNOWN_HEADERS:
+        if bytes(patch.get(at, packet[at]) for at in range(protocol.HEADER_SIZE)) in KNOWN_HEADERS:
             yield patch
 
 
@@ -125,12 +119,12 @@ def _change_of_sum(packet: bytes) -> IntArray:
 def _changes(packet: bytes) -> Iterator[Patch]:
     """Every change of two bytes that leaves the sum right, or makes a header of another; no other can pass."""
     total = int.from_bytes(packet[SUM_AT:], "big")
-    for first, second in combinations(range(HEADER_SIZE, SUM_AT), 2):
+    for first, second in combinations(range(protocol.HEADER_SIZE, SUM_AT), 2):
         both = packet[first] + packet[second]
         for value in range(max(0, both - 255), min(255, both) + 1):
             if value != packet[first]:
                 yield {first: value, second: both - value}
-    for at in range(HEADER_SIZE, SUM_AT):
+    for at in range(protocol.HEADER_SIZE, SUM_AT):
         for value in set(range(256)) - {packet[at]}:
             sent = (total + value - packet[at]).to_bytes(2, "big")
             changed = {SUM_AT + i: byte for i, byte in enumerate(sent) if byte != packet[SUM_AT + i]}
@@ -143,16 +137,6 @@ def _changes(packet: bytes) -> Iterator[Patch]:
         if len(patch) == 1:
             for at in set(range(SIZE)) - set(patch):
                 yield from ({**patch, at: value} for value in range(256) if value != packet[at])
-
-
-def _swaps(packet: bytes) -> Iterator[Patch]:
-    for first, second in combinations(range(SIZE), 2):
-        if packet[first] != packet[second]:
-            yield {first: packet[second], second: packet[first]}
-
-
-def _different_pairs(packet: bytes) -> int:
-    return sum(1 for first, second in combinations(packet, 2) if first != second)
 
 
 def table(packets: list[bytes], nominal_counts: float | None) -> str:
@@ -176,15 +160,15 @@ def table(packets: list[bytes], nominal_counts: float | None) -> str:
 
 def readings_of(path: Path, many: int) -> list[bytes]:
     """The packets of that many 3-axis readings, spread over a raw stream."""
-    found = [event for event in Decoder().feed(path.read_bytes()) if isinstance(event, Reading)]
-    found = [reading for reading in found if reading.kind is Kind.THREE_AXIS]
+    found = [event for event in protocol.Decoder().feed(path.read_bytes()) if isinstance(event, protocol.Reading)]
+    found = [reading for reading in found if reading.kind is protocol.Kind.THREE_AXIS]
     if not found:
         raise SystemExit(f"expected a raw stream with 3-axis readings; there are none in it | {path}")
     picked = np.linspace(0, len(found) - 1, min(many, len(found))).astype(int)
-    return [encode(found[index]) for index in picked]
+    return [protocol.encode(found[index]) for index in picked]
 
 
-AT_REST = Reading(Kind.THREE_AXIS, 0x2D6A, Status(0), ((-9, -5, 7),))
+AT_REST = protocol.Reading(protocol.Kind.THREE_AXIS, 0x2D6A, protocol.Status(0), ((-9, -5, 7),))
 """The first reading of alknemeyer/optoforce's recording."""
 
 
@@ -196,7 +180,7 @@ def main() -> None:
     parser.add_argument("--readings", type=int, default=20, help="of how many of its readings to take the mean")
     parser.add_argument("--nominal-counts", type=float, default=16037, help="what the sensor reads at nominal load")
     options = parser.parse_args()
-    packets = readings_of(options.file, options.readings) if options.file else [encode(AT_REST)]
+    packets = readings_of(options.file, options.readings) if options.file else [protocol.encode(AT_REST)]
     print(table(packets, options.nominal_counts))
 
 

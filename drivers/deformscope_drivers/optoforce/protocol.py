@@ -26,26 +26,8 @@ from enum import Enum, IntEnum
 from functools import lru_cache
 from typing import Generic, TypeVar
 
-from deformscope_drivers.framing import Found, FrameDecoder, Refused, Skipped
-
-__all__ = [
-    "CommandDecoder",
-    "ConfigReply",
-    "Configure",
-    "DaqState",
-    "Decoder",
-    "Filter",
-    "Kind",
-    "Reading",
-    "SensorState",
-    "SerialReply",
-    "SerialRequest",
-    "Skipped",
-    "Speed",
-    "Status",
-    "Zero",
-    "encode",
-]
+from deformscope_drivers.framing import Found, FrameDecoder, Refused
+from deformscope_drivers.framing import Skipped as Skipped
 
 HEADER_SIZE = 4
 CHECKSUM_SIZE = 2
@@ -271,10 +253,8 @@ class _OptoforceDecoder(FrameDecoder[EventT]):
         event = packet.read(buffer, start + HEADER_SIZE)
         if event is None:
             return Refused("content")
-        return Found(event, packet.length + self._filling(buffer, end, -packet.length % self._fill_to))
-
-    def _filling(self, buffer: bytes, at: int, most: int) -> int:
-        return len(buffer[at : at + most]) - len(buffer[at : at + most].lstrip(b"\0")) if most else 0
+        behind = buffer[end : end + -packet.length % self._fill_to]
+        return Found(event, packet.length + len(behind) - len(behind.lstrip(b"\0")))
 
 
 class Decoder(_OptoforceDecoder[Reply]):

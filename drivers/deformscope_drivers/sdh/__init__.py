@@ -1,24 +1,16 @@
 """Schunk's SDH and SDH2 hand: its motion. Its tactile pads have a controller and line of their own (package `dsa`)."""
 
-from deformscope_drivers.sdh.codes import AxisState, Controller, Grasp, VelocityProfile
-from deformscope_drivers.sdh.config import SdhConfig
-from deformscope_drivers.sdh.device import CurrentMode, Sdh, Toward
-from deformscope_drivers.sdh.double import Port, SdhDouble
-from deformscope_drivers.sdh.results import HandReading, MoveResult, Outcome, StopReport
-
-__all__ = [
-    "AxisState",
-    "Controller",
-    "CurrentMode",
-    "Grasp",
-    "HandReading",
-    "MoveResult",
-    "Outcome",
-    "Port",
-    "Sdh",
-    "SdhConfig",
-    "SdhDouble",
-    "StopReport",
-    "Toward",
-    "VelocityProfile",
-]
+from deformscope_drivers.sdh.codes import AxisState as AxisState
+from deformscope_drivers.sdh.codes import Controller as Controller
+from deformscope_drivers.sdh.codes import Grasp as Grasp
+from deformscope_drivers.sdh.codes import VelocityProfile as VelocityProfile
+from deformscope_drivers.sdh.config import SdhConfig as SdhConfig
+from deformscope_drivers.sdh.device import CurrentMode as CurrentMode
+from deformscope_drivers.sdh.device import Sdh as Sdh
+from deformscope_drivers.sdh.device import Toward as Toward
+from deformscope_drivers.sdh.double import Port as Port
+from deformscope_drivers.sdh.double import SdhDouble as SdhDouble
+from deformscope_drivers.sdh.results import HandReading as HandReading
+from deformscope_drivers.sdh.results import MoveResult as MoveResult
+from deformscope_drivers.sdh.results import Outcome as Outcome
+from deformscope_drivers.sdh.results import StopReport as StopReport

@@ -63,9 +63,7 @@ CODES: Final = {name: code for code, name in enumerate(_IN_ORDER.split(), start=
 NAMES: Final = {code: name for name, code in CODES.items()}
 
 # Those that Schunk's library sends in binary; it notes of the others that not all are implemented.
-BINARY_COMMANDS: Final = frozenset(
-    ("v", "tvav", "a", "p", "tpap", "pos", "vel", "rvel", "state", "ilim", "power"),
-)
+BINARY_COMMANDS: Final = frozenset(("v", "tvav", "a", "p", "tpap", "pos", "vel", "rvel", "state", "ilim", "power"))
 TEXT_COMMANDS: Final = frozenset(("id", "sn", "ver", "ver_date", "soc", "soc_date"))
 INTEGER_COMMANDS: Final = frozenset(("con", "vp", "selgrip", "demo", "user_errors", "terminal", "debug"))
 

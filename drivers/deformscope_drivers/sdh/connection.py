@@ -19,32 +19,9 @@ from deformscope_drivers.errors import (
 )
 from deformscope_drivers.framing import NOISE, Skipped
 from deformscope_drivers.health import Identity
-from deformscope_drivers.sdh.codes import (
-    ACCELERATION_LIMITS_SINCE,
-    BINARY_COMMANDS,
-    BINARY_SINCE,
-    VELOCITY_LIMITS_SINCE,
-    VELOCITY_MAX_OLD_DEG_S,
-    AxisState,
-    Release,
-    error_advice,
-    error_name,
-    release,
-)
+from deformscope_drivers.sdh import codes, protocol
 from deformscope_drivers.sdh.config import SdhConfig
 from deformscope_drivers.sdh.limits import ByAxis, Limits
-from deformscope_drivers.sdh.protocol import (
-    END_OF_COMMAND,
-    Command,
-    DebugLine,
-    Decoder,
-    ErrorReply,
-    Event,
-    Reading,
-    TextReply,
-    ValueReply,
-    encode,
-)
 from deformscope_drivers.sdh.results import FloatArray, HandIdentity, HandReading
 from deformscope_drivers.transport import Transport
 
@@ -56,7 +33,7 @@ RESYNC_QUIET_S = 0.03
 LONG_S = 2.0  # answers that take longer than this are not waited for when the device is closed
 _GARBLED = frozenset((10, 33))  # the hand got our bytes with a wrong checksum: worth another try
 
-ReplyT = TypeVar("ReplyT", Reading, ValueReply, TextReply)
+ReplyT = TypeVar("ReplyT", protocol.Reading, protocol.ValueReply, protocol.TextReply)
 
 
 class SdhConnection(StreamDevice[HandReading]):
@@ -65,7 +42,7 @@ class SdhConnection(StreamDevice[HandReading]):
     def __init__(self, config: SdhConfig, *, transport: Transport | None = None, clock: Clock = monotonic_ns) -> None:
         self.config = config
         self._about: HandIdentity | None = None
-        self._release: Release = ()
+        self._release: codes.Release = ()
         self._connections = 0
         self._retries = 0
         self._period_ns = round(1e9 / config.rate_hz)
@@ -92,10 +69,10 @@ class SdhConnection(StreamDevice[HandReading]):
 
     # What the base class asks for ------------------------------------------------------------------------------------
 
-    def _make_decoder(self) -> Decoder:
-        return Decoder(checksummed=self.config.checksummed())
+    def _make_decoder(self) -> protocol.Decoder:
+        return protocol.Decoder(checksummed=self.config.checksummed())
 
-    def _measure(self, event: Event, host_ns: int) -> Iterable[HandReading]:
+    def _measure(self, event: protocol.Event, host_ns: int) -> Iterable[HandReading]:
         return []  # a reading is made of three answers: see _poll
 
     def _fingerprint(self, reading: HandReading) -> Hashable:
@@ -107,14 +84,14 @@ class SdhConnection(StreamDevice[HandReading]):
     def _start(self) -> None:
         """As Schunk's library begins: end a half command, drop what waits, ask for the release."""
         self._release = ()
-        self._send(END_OF_COMMAND)
+        self._send(protocol.END_OF_COMMAND)
         dropped = self._transport.drain(OPEN_QUIET_S, OPEN_QUIET_S, OPEN_DROP_BYTES)
         self._record_raw(dropped, self._clock())
         firmware = self._text("ver", VERSION_TIMEOUT_S)
-        self._release = release(firmware)
+        self._release = codes.release(firmware)
         if not self._release:
             raise ProtocolViolation("a firmware release such as 0.0.2.10", repr(firmware), "a newer cable", self.name)
-        binary = self._release >= BINARY_SINCE and self.config.protocol != "ascii"
+        binary = self._release >= codes.BINARY_SINCE and self.config.protocol != "ascii"
         if self.config.protocol == "binary" and not binary:
             advice = 'protocol = "ascii"'
             raise SettingsRefused("firmware 0.0.2.15 or later for binary", firmware, advice, self.name)
@@ -173,22 +150,22 @@ class SdhConnection(StreamDevice[HandReading]):
         return self._measured("vel")[0]
 
     def _measured(self, quantity: str, targets: ByAxis = ()) -> tuple[FloatArray, Stamp]:
-        reading = self._exchange(Command(quantity, targets), Reading)
+        reading = self._exchange(protocol.Command(quantity, targets), protocol.Reading)
         values = np.array(reading.values, dtype=np.float64)
         values.flags.writeable = False
         return values, Stamp(self._heard_ns)
 
-    def _states(self, values: FloatArray) -> tuple[AxisState, ...]:
+    def _states(self, values: FloatArray) -> tuple[codes.AxisState, ...]:
         try:
-            return tuple(AxisState(int(value)) for value in values)
+            return tuple(codes.AxisState(int(value)) for value in values)
         except ValueError as error:
-            known = ", ".join(f"{state.value} {state.name}" for state in AxisState)
+            known = ", ".join(f"{state.value} {state.name}" for state in codes.AxisState)
             raise ProtocolViolation(f"axis states of {known}", f"{values.tolist()}", where=self.name) from error
 
     # Asking ----------------------------------------------------------------------------------------------------------
 
     def _text(self, name: str, timeout_s: float | None = None) -> str:
-        return self._exchange(Command(name), TextReply, timeout_s).text
+        return self._exchange(protocol.Command(name), protocol.TextReply, timeout_s).text
 
     def _text_if_known(self, name: str) -> str:
         try:
@@ -197,25 +174,35 @@ class SdhConnection(StreamDevice[HandReading]):
             return ""
 
     def _values(self, name: str, *values: float, timeout_s: float | None = None, tries: int = TRIES) -> ByAxis:
-        return self._exchange(Command(name, values), ValueReply, timeout_s, tries).values
+        return self._exchange(protocol.Command(name, values), protocol.ValueReply, timeout_s, tries).values
 
     def _velocity_limits(self) -> ByAxis:
-        return self._values("vlim") if self._release >= VELOCITY_LIMITS_SINCE else VELOCITY_MAX_OLD_DEG_S
+        return self._values("vlim") if self._release >= codes.VELOCITY_LIMITS_SINCE else codes.VELOCITY_MAX_OLD_DEG_S
 
     def _acceleration_limits(self) -> ByAxis:
-        return self._values("alim") if self._release >= ACCELERATION_LIMITS_SINCE else Limits().acceleration_max_deg_s2
+        return (
+            self._values("alim")
+            if self._release >= codes.ACCELERATION_LIMITS_SINCE
+            else Limits().acceleration_max_deg_s2
+        )
 
     def _exchange(
-        self, command: Command, kind: type[ReplyT], timeout_s: float | None = None, tries: int = TRIES
+        self, command: protocol.Command, kind: type[ReplyT], timeout_s: float | None = None, tries: int = TRIES
     ) -> ReplyT:
         """Send a command and take its answer; again, after the line fell silent, when none comes or it is garbled.
 
         Runs in the device's thread. Raises CommandRefused with the hand's error code, NoReply, LinkLost.
         """
         timeout_s = self.config.reply_timeout_s if timeout_s is None else timeout_s
-        in_binary = command.name in BINARY_COMMANDS and command.axis is None and self._speaks_binary()
-        data = encode(command, binary_checksum=self.config.checksummed() if in_binary else None)
-        refusal: ErrorReply | None = None
+        in_binary = (
+            command.name in codes.BINARY_COMMANDS
+            and command.axis is None
+            and self._about is not None
+            and self._about.binary
+            and self._release >= codes.BINARY_SINCE
+        )
+        data = protocol.encode(command, binary_checksum=self.config.checksummed() if in_binary else None)
+        refusal: protocol.ErrorReply | None = None
         for attempt in range(tries):
             if attempt:
                 self._retries += 1
@@ -223,25 +210,29 @@ class SdhConnection(StreamDevice[HandReading]):
             self._overhear(0.0)
             self._send(data)
             reply = self._answer(command, kind, timeout_s)
-            if reply is not None and not isinstance(reply, ErrorReply):
+            if reply is not None and not isinstance(reply, protocol.ErrorReply):
                 return reply
             refusal = reply
             if refusal is not None and refusal.code not in _GARBLED:
                 break
         doing = command.name + (f"={','.join(f'{value:g}' for value in command.values)}" if command.values else "")
         if refusal is not None:
-            raise CommandRefused(refusal.code, error_name(refusal.code), doing, error_advice(refusal.code), self.name)
+            raise CommandRefused(
+                refusal.code, codes.error_name(refusal.code), doing, codes.error_advice(refusal.code), self.name
+            )
         waited = f"{tries} x {timeout_s:g} s" if tries > 1 else f"{timeout_s:g} s"
         raise NoReply(f"an answer to {doing} within {waited}", "none", "look at supply, cable and baud rate", self.name)
 
-    def _answer(self, command: Command, kind: type[ReplyT], timeout_s: float) -> ReplyT | ErrorReply | None:
+    def _answer(
+        self, command: protocol.Command, kind: type[ReplyT], timeout_s: float
+    ) -> ReplyT | protocol.ErrorReply | None:
         until_ns = self._clock() + round(timeout_s * 1e9)
         while (left_ns := until_ns - self._clock()) > 0:
-            found: ReplyT | ErrorReply | None = None
+            found: ReplyT | protocol.ErrorReply | None = None
             for event, _ in self._listen(min(left_ns / 1e9, ROUND_S)):
-                if found is None and isinstance(event, kind | ErrorReply) and _is_about(event, command):
+                if found is None and isinstance(event, kind | protocol.ErrorReply) and _is_about(event, command):
                     found = event
-                elif not isinstance(event, DebugLine):
+                elif not isinstance(event, protocol.DebugLine):
                     self._count_refused("unasked")
             if found is not None:
                 return found
@@ -252,7 +243,7 @@ class SdhConnection(StreamDevice[HandReading]):
     def _overhear(self, timeout_s: float) -> None:
         """Take what comes without having been asked for: debug lines, and answers that came too late."""
         for event, _ in self._listen(timeout_s):
-            if not isinstance(event, DebugLine):
+            if not isinstance(event, protocol.DebugLine):
                 self._count_refused("unasked")
 
     def _resync(self) -> None:
@@ -265,16 +256,13 @@ class SdhConnection(StreamDevice[HandReading]):
             if isinstance(event, Skipped):
                 self._count_skipped(event)
 
-    def _speaks_binary(self) -> bool:
-        return self._about is not None and self._about.binary and self._release >= BINARY_SINCE
 
-
-def _is_about(event: Event, command: Command) -> bool:
+def _is_about(event: protocol.Event, command: protocol.Command) -> bool:
     match event:
-        case ErrorReply(name=name):
+        case protocol.ErrorReply(name=name):
             return name in (None, command.name)  # a line `E<n>` does not say to what
-        case TextReply(name=name):
+        case protocol.TextReply(name=name):
             return name == command.name
-        case Reading(quantity=name, axis=axis) | ValueReply(name=name, axis=axis):
+        case protocol.Reading(quantity=name, axis=axis) | protocol.ValueReply(name=name, axis=axis):
             return (name, axis) == (command.name, command.axis)
     return False

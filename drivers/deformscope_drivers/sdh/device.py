@@ -17,19 +17,7 @@ from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import ROUND_S
 from deformscope_drivers.errors import CommandRefused, DeviceError, LinkLost, OutOfLimits, SettingsRefused, Stale
 from deformscope_drivers.health import Link
-from deformscope_drivers.sdh.codes import (
-    AXIS_COUNT,
-    BLOCKED,
-    CONTROLLERS_SINCE,
-    DURATION_REPLIES_SINCE,
-    GRIP_VELOCITY_MAX_DEG_S,
-    MOVING,
-    POSITION_EPSILON_DEG,
-    AxisState,
-    Controller,
-    Grasp,
-    VelocityProfile,
-)
+from deformscope_drivers.sdh import codes
 from deformscope_drivers.sdh.config import SdhConfig
 from deformscope_drivers.sdh.connection import SdhConnection
 from deformscope_drivers.sdh.limits import ByAxis, within
@@ -44,7 +32,7 @@ REFERENCE_TIMEOUT_S = 10.0
 GRIP_VELOCITY_MIN_DEG_S = 0.1
 COMMAND_TIMEOUT_S = 10.0
 ECHO_TOLERANCE = 0.06
-STILL: ByAxis = (0.0,) * AXIS_COUNT
+STILL: ByAxis = (0.0,) * codes.AXIS_COUNT
 
 
 class CurrentMode(StrEnum):
@@ -82,8 +70,8 @@ class Sdh(SdhConnection):
 
     def __init__(self, config: SdhConfig, *, transport: Transport | None = None, clock: Clock = monotonic_ns) -> None:
         super().__init__(config, transport=transport, clock=clock)
-        self._controller: Controller | None = None
-        self._profile: VelocityProfile | None = None
+        self._controller: codes.Controller | None = None
+        self._profile: codes.VelocityProfile | None = None
         self._grip_until_ns = 0
         self._drive_until_ns: int | None = None
         self._driven: ByAxis = STILL
@@ -99,7 +87,7 @@ class Sdh(SdhConnection):
         *,
         velocity_deg_s: Sequence[float] | float = 40.0,
         acceleration_deg_s2: Sequence[float] | float = 100.0,
-        profile: VelocityProfile = VelocityProfile.SIN_SQUARE,
+        profile: codes.VelocityProfile = codes.VelocityProfile.SIN_SQUARE,
         wait: bool = True,
         timeout_s: float | None = None,
     ) -> MoveResult:
@@ -116,12 +104,12 @@ class Sdh(SdhConnection):
         targets = self._targets(targets_deg)
 
         def start() -> _Started:
-            self._take_up(Controller.POSE, VelocityProfile(profile))
+            self._take_up(codes.Controller.POSE, codes.VelocityProfile(profile))
             full = self._filled(targets)
             self._set("p", full)
             self._set("v", speeds)
             self._set("a", accelerations)
-            planned = () if self._release >= DURATION_REPLIES_SINCE else self._values("get_duration")
+            planned = () if self._release >= codes.DURATION_REPLIES_SINCE else self._values("get_duration")
             self._switched_on = True
             sent_ns = self._clock()
             reported = self._values("m") or planned
@@ -129,9 +117,9 @@ class Sdh(SdhConnection):
 
         return self._run_motion(start, wait, timeout_s)
 
-    def select_grip(self, grasp: Grasp, *, wait: bool = True, timeout_s: float | None = None) -> MoveResult:
+    def select_grip(self, grasp: codes.Grasp, *, wait: bool = True, timeout_s: float | None = None) -> MoveResult:
         """Turn the fingers to where a grasp needs them. `stop` does not end this."""
-        grasp = Grasp(grasp)
+        grasp = codes.Grasp(grasp)
         return self._run_motion(lambda: self._grip("selgrip", float(grasp)), wait, timeout_s)
 
     def grip(
@@ -139,7 +127,9 @@ class Sdh(SdhConnection):
     ) -> MoveResult:
         """Close the grasp that was selected: 0 open to 1 closed, at up to 100 deg/s. `stop` does not end this."""
         within("closing", "", close, 0.0, 1.0, self.name)
-        within("grip velocity", "deg/s", velocity_deg_s, GRIP_VELOCITY_MIN_DEG_S, GRIP_VELOCITY_MAX_DEG_S, self.name)
+        within(
+            "grip velocity", "deg/s", velocity_deg_s, GRIP_VELOCITY_MIN_DEG_S, codes.GRIP_VELOCITY_MAX_DEG_S, self.name
+        )
         return self._run_motion(lambda: self._grip("grip", close, velocity_deg_s), wait, timeout_s)
 
     def wait_until_still(self, timeout_s: float) -> MoveResult:
@@ -169,14 +159,14 @@ class Sdh(SdhConnection):
         within("time to keep a velocity", "s", keep_s, 0.0, 2.0, self.name)
 
         def start() -> None:
-            if self._release < CONTROLLERS_SINCE:
+            if self._release < codes.CONTROLLERS_SINCE:
                 raise SettingsRefused("firmware 0.0.2.6 or later for velocities", self.about.firmware, where=self.name)
-            with_ramp = ramp is not None or self._controller is Controller.VELOCITY_ACCELERATION
-            wanted = Controller.VELOCITY_ACCELERATION if with_ramp else Controller.VELOCITY
+            with_ramp = ramp is not None or self._controller is codes.Controller.VELOCITY_ACCELERATION
+            wanted = codes.Controller.VELOCITY_ACCELERATION if with_ramp else codes.Controller.VELOCITY
             if self._controller is not wanted:
                 self._take_up(wanted, None)
                 self._switched_on = True
-                self._set("power", (1.0,) * AXIS_COUNT)
+                self._set("power", (1.0,) * codes.AXIS_COUNT)
             if ramp is not None:
                 self._set("a", ramp)
             self._set("v", velocities)
@@ -192,9 +182,9 @@ class Sdh(SdhConnection):
 
         Raises SettingsRefused when the hand reports another value than was set, as during a grip.
         """
-        wanted = (on,) * AXIS_COUNT if isinstance(on, bool) else tuple(on)
-        if len(wanted) != AXIS_COUNT:
-            raise OutOfLimits(f"{AXIS_COUNT} values, one an axis", f"{len(wanted)}", where=self.name)
+        wanted = (on,) * codes.AXIS_COUNT if isinstance(on, bool) else tuple(on)
+        if len(wanted) != codes.AXIS_COUNT:
+            raise OutOfLimits(f"{codes.AXIS_COUNT} values, one an axis", f"{len(wanted)}", where=self.name)
 
         def switch() -> None:
             self._controller = None  # the next motion takes it up again, and with it the axes
@@ -221,9 +211,9 @@ class Sdh(SdhConnection):
 
         The hand answers when it is done, after up to 10 s in which no readings come and nothing stops it.
         """
-        if not toward or any(axis not in range(AXIS_COUNT) for axis in toward):
-            raise OutOfLimits(f"axes of 0 to {AXIS_COUNT - 1}", f"{sorted(toward)}", where=self.name)
-        senses = tuple(float(Toward(toward[axis])) if axis in toward else 0.0 for axis in range(AXIS_COUNT))
+        if not toward or any(axis not in range(codes.AXIS_COUNT) for axis in toward):
+            raise OutOfLimits(f"axes of 0 to {codes.AXIS_COUNT - 1}", f"{sorted(toward)}", where=self.name)
+        senses = tuple(float(Toward(toward[axis])) if axis in toward else 0.0 for axis in range(codes.AXIS_COUNT))
 
         def run() -> None:
             self._switched_on = True
@@ -236,10 +226,10 @@ class Sdh(SdhConnection):
     def _targets(self, targets_deg: Sequence[float] | Mapping[int, float]) -> dict[int, float]:
         if not isinstance(targets_deg, Mapping):
             return dict(enumerate(self.limits.positions(targets_deg, self.name)))
-        if not targets_deg or any(axis not in range(AXIS_COUNT) for axis in targets_deg):
-            raise OutOfLimits(f"axes of 0 to {AXIS_COUNT - 1}", f"{sorted(targets_deg)}", where=self.name)
+        if not targets_deg or any(axis not in range(codes.AXIS_COUNT) for axis in targets_deg):
+            raise OutOfLimits(f"axes of 0 to {codes.AXIS_COUNT - 1}", f"{sorted(targets_deg)}", where=self.name)
         low = self.limits.position_min_deg
-        self.limits.positions([targets_deg.get(axis, low[axis]) for axis in range(AXIS_COUNT)], self.name)
+        self.limits.positions([targets_deg.get(axis, low[axis]) for axis in range(codes.AXIS_COUNT)], self.name)
         return {axis: float(target) for axis, target in targets_deg.items()}
 
     def _run_motion(self, start: Callable[[], _Started], wait: bool, timeout_s: float | None) -> MoveResult:
@@ -276,7 +266,7 @@ class Sdh(SdhConnection):
             if reading is None:
                 continue
             last = reading
-            moving = any(state in MOVING for state in reading.state)
+            moving = any(state in codes.MOVING for state in reading.state)
             seen_moving |= moving
             believed = seen_moving or reading.stamp.host_ns - started.sent_ns >= SETTLE_S * 1e9
             if believed and not moving:
@@ -295,14 +285,14 @@ class Sdh(SdhConnection):
 
     def _result(self, started: _Started, reading: HandReading, timed_out: bool) -> MoveResult:
         elapsed_s = (reading.stamp.host_ns - started.sent_ns) / 1e9
-        axes = range(AXIS_COUNT) if started.targets_deg is None else sorted(started.targets_deg)
-        blocked = tuple(axis for axis in axes if reading.state[axis] in BLOCKED)
-        limited = tuple(axis for axis in axes if reading.state[axis] is AxisState.LIMITS_REACHED)
-        disabled = tuple(axis for axis in axes if reading.state[axis] is AxisState.DISABLED)
+        axes = range(codes.AXIS_COUNT) if started.targets_deg is None else sorted(started.targets_deg)
+        blocked = tuple(axis for axis in axes if reading.state[axis] in codes.BLOCKED)
+        limited = tuple(axis for axis in axes if reading.state[axis] is codes.AxisState.LIMITS_REACHED)
+        disabled = tuple(axis for axis in axes if reading.state[axis] is codes.AxisState.DISABLED)
         error_deg: float | None = None
         if started.targets_deg is not None:
             error_deg = max(abs(float(reading.position_deg[axis]) - started.targets_deg[axis]) for axis in axes)
-        arrived = error_deg is not None and error_deg <= POSITION_EPSILON_DEG
+        arrived = error_deg is not None and error_deg <= codes.POSITION_EPSILON_DEG
         if timed_out:
             outcome = Outcome.TIMED_OUT
         elif self._stops != started.stops and not arrived:
@@ -326,7 +316,7 @@ class Sdh(SdhConnection):
         self._controller = self._profile = None
         self._grip_until_ns, self._drive_until_ns = 0, None
         if again:
-            if self._release >= CONTROLLERS_SINCE and self._values("con") != (float(Controller.POSE),):
+            if self._release >= codes.CONTROLLERS_SINCE and self._values("con") != (float(codes.Controller.POSE),):
                 self._set("v", STILL)
             self._values("stop")
             self._stops += 1
@@ -376,12 +366,12 @@ class Sdh(SdhConnection):
             self._drive_until_ns = None
             self._set("v", STILL)
 
-    def _take_up(self, controller: Controller, profile: VelocityProfile | None) -> None:
+    def _take_up(self, controller: codes.Controller, profile: codes.VelocityProfile | None) -> None:
         """Choose how targets are followed, where that is not so yet."""
-        if controller is Controller.POSE:
+        if controller is codes.Controller.POSE:
             self._halt()
         if self._controller is not controller:
-            if self._release >= CONTROLLERS_SINCE:
+            if self._release >= codes.CONTROLLERS_SINCE:
                 self._set("con", (float(controller),))
             self._controller = controller
         if profile is not None and self._profile is not profile:
@@ -390,16 +380,16 @@ class Sdh(SdhConnection):
 
     def _filled(self, targets: Mapping[int, float]) -> ByAxis:
         """Targets of all axes; those without one stay where they are, within the range (readings go 0.5 deg beyond)."""
-        if len(targets) == AXIS_COUNT:
-            return tuple(targets[axis] for axis in range(AXIS_COUNT))
+        if len(targets) == codes.AXIS_COUNT:
+            return tuple(targets[axis] for axis in range(codes.AXIS_COUNT))
         limits = self.limits
         actual = np.clip(self._measured("pos")[0], limits.position_min_deg, limits.position_max_deg)
-        return tuple(targets.get(axis, float(actual[axis])) for axis in range(AXIS_COUNT))
+        return tuple(targets.get(axis, float(actual[axis])) for axis in range(codes.AXIS_COUNT))
 
     def _grip(self, name: str, *values: float) -> _Started:
         """Sent once only: a second one may come while the first is in progress."""
-        self._take_up(Controller.POSE, VelocityProfile.SIN_SQUARE)
-        reports_duration = self._release >= DURATION_REPLIES_SINCE
+        self._take_up(codes.Controller.POSE, codes.VelocityProfile.SIN_SQUARE)
+        reports_duration = self._release >= codes.DURATION_REPLIES_SINCE
         timeout_s = None if reports_duration else LONGEST_MOTION_S  # older firmware answers when it is done
         self._switched_on = True
         sent_ns = self._clock()

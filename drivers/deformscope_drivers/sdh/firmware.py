@@ -9,28 +9,22 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from deformscope_drivers.sdh.codes import (
-    ACCELERATION_LIMITS_SINCE,
-    AXIS_COUNT,
-    CONTROLLERS_SINCE,
-    CURRENT_MAX_A,
-    DURATION_REPLIES_SINCE,
-    GRIP_VELOCITY_MAX_DEG_S,
-    INTEGER_COMMANDS,
-    MEASURED_COUNT,
-    REFERENCE_VELOCITY_DEG_S,
-    TEXT_COMMANDS,
-    VELOCITY_LIMITS_SINCE,
-    AxisState,
-    Controller,
-    Grasp,
-    VelocityProfile,
-    release,
-)
+from deformscope_drivers.sdh import codes
 from deformscope_drivers.sdh.motion import Axis, Motion, grasp_angles_deg
 from deformscope_drivers.sdh.protocol import Command, DebugLine, Event, Reading, TextReply, ValueReply
 
 UNKNOWN, FORMAT, RANGE, INDEX, FAILED, FEW, NONE_EXPECTED = 13, 14, 24, 26, 17, 11, 12
+
+SETTINGS = {
+    **dict.fromkeys(("p", "tpap"), "target_deg"),
+    **dict.fromkeys(("v", "tvav"), "target_velocity_deg_s"),
+    "a": "target_acceleration_deg_s2",
+    "ilim": "move_current_a",
+    "igrip": "grip_current_a",
+    "ihold": "hold_current_a",
+    "power": "powered",
+}
+"""What of an `Axis` a command sets or reports."""
 
 
 class Refusal(Exception):
@@ -49,7 +43,7 @@ class Firmware:
     """
 
     def __init__(self, version: str, texts: dict[str, str], state_lag_s: float) -> None:
-        self.release = release(version)
+        self.release = codes.release(version)
         self._texts = {"ver": version, **texts}
         self._state_lag_ns = round(state_lag_s * 1e9)
         self.motion = Motion()
@@ -65,14 +59,14 @@ class Firmware:
         self.refusals: deque[int] = deque()
         self.busy_until_ns = 0
         self.last_line: Event | None = None
-        self._grasp = Grasp.CENTRICAL
+        self._grasp = codes.Grasp.CENTRICAL
         self._gripping_until_ns = 0
         self._after_grip: Callable[[], None] | None = None
         self._lag_until_ns = 0
         self._reported_states = tuple(axis.state for axis in self.motion.axes)
-        self._integers = dict.fromkeys(INTEGER_COMMANDS, 0)
-        self._pid = [(1.0, 0.0, 0.0)] * AXIS_COUNT
-        self._kv = [0.0] * AXIS_COUNT
+        self._integers = dict.fromkeys(codes.INTEGER_COMMANDS, 0)
+        self._pid = [(1.0, 0.0, 0.0)] * codes.AXIS_COUNT
+        self._kv = [0.0] * codes.AXIS_COUNT
 
     def advance(self, now_ns: int) -> None:
         """Everything that happens until then without a command."""
@@ -87,14 +81,14 @@ class Firmware:
         if self.refusals:
             raise Refusal(self.refusals.popleft())
         name, values = command.name, command.values
-        if name in TEXT_COMMANDS:
+        if name in codes.TEXT_COMMANDS:
             return [TextReply(name, self._texts[name])]
         if name in ("vel", "rvel", "pos", "state", "temp"):
             if values:
                 raise Refusal(NONE_EXPECTED)
             return [self._measured(command, now_ns)]
         match name:
-            case "p" | "v" | "a" | "ilim" | "igrip" | "ihold" | "power" | "tpap" | "tvav":
+            case _ if name in SETTINGS:
                 return [self._setting(command, now_ns)]
             case "vlim" | "alim":
                 return [self._limit(command)]
@@ -119,7 +113,7 @@ class Firmware:
                 _check(command.values, lambda value: value in (0.0, 1.0))
                 return [ValueReply(name, values, command.axis)]
             case "numaxis":
-                return [ValueReply(name, (float(AXIS_COUNT),))]
+                return [ValueReply(name, (float(codes.AXIS_COUNT),))]
         raise Refusal(UNKNOWN)  # `demo` too: nothing here moves without a target
 
     def _axes(self, command: Command) -> list[tuple[int, Axis]]:
@@ -128,7 +122,7 @@ class Firmware:
 
     def _measured(self, command: Command, now_ns: int) -> Reading:
         name = command.name
-        if name == "rvel" and self.release < CONTROLLERS_SINCE:
+        if name == "rvel" and self.release < codes.CONTROLLERS_SINCE:
             raise Refusal(UNKNOWN)
         axes = self.motion.axes
         measured: dict[str, Callable[[], tuple[float, ...]]] = {
@@ -143,7 +137,7 @@ class Firmware:
         values = measured[name]()
         return Reading(name, values if command.axis is None else (values[command.axis],), command.axis)
 
-    def _states(self, now_ns: int) -> tuple[AxisState, ...]:
+    def _states(self, now_ns: int) -> tuple[codes.AxisState, ...]:
         if now_ns < self._lag_until_ns:
             return self._reported_states
         return tuple(axis.state for axis in self.motion.axes)
@@ -166,15 +160,15 @@ class Firmware:
                 self._check_setting(name, axis, value)
             for (index, axis), value in zip(axes, values, strict=True):
                 self._set(name, index, axis, value, now_ns)
-            if name in ("v", "tvav") and self.motion.controller is not Controller.POSE:
+            if name in ("v", "tvav") and self.motion.controller is not codes.Controller.POSE:
                 self._keep_reporting(now_ns)
                 self.motion.follow_velocities()
-        if name in MEASURED_COUNT:
+        if name in codes.MEASURED_COUNT:
             return self._measured(command, now_ns)
-        return ValueReply(name, tuple(self._get(name, axis) for _, axis in axes), command.axis)
+        return ValueReply(name, tuple(float(getattr(axis, SETTINGS[name])) for _, axis in axes), command.axis)
 
     def _check_setting(self, name: str, axis: Axis, value: float) -> None:
-        lowest = 0.0 if self.motion.controller is Controller.POSE else -axis.velocity_max_deg_s
+        lowest = 0.0 if self.motion.controller is codes.Controller.POSE else -axis.velocity_max_deg_s
         match name:
             case "p" | "tpap":
                 good = axis.low_deg <= value <= axis.high_deg
@@ -185,47 +179,20 @@ class Firmware:
             case "power":
                 good = value in (0.0, 1.0)
             case _:
-                good = 0.0 <= value <= CURRENT_MAX_A
+                good = 0.0 <= value <= codes.CURRENT_MAX_A
         if not good:
             raise Refusal(RANGE)
 
     def _set(self, name: str, index: int, axis: Axis, value: float, now_ns: int) -> None:
-        match name:
-            case "p" | "tpap":
-                axis.target_deg = value
-            case "v" | "tvav":
-                axis.target_velocity_deg_s = value
-            case "a":
-                axis.target_acceleration_deg_s2 = value
-            case "ilim":
-                axis.move_current_a = value
-            case "igrip":
-                axis.grip_current_a = value
-            case "ihold":
-                axis.hold_current_a = value
-            case "power" if now_ns >= self._gripping_until_ns:  # a grip cannot be switched off either
-                self.motion.power(index, bool(value))
-
-    def _get(self, name: str, axis: Axis) -> float:
-        match name:
-            case "p":
-                return axis.target_deg
-            case "v":
-                return axis.target_velocity_deg_s
-            case "a":
-                return axis.target_acceleration_deg_s2
-            case "ilim":
-                return axis.move_current_a
-            case "igrip":
-                return axis.grip_current_a
-            case "ihold":
-                return axis.hold_current_a
-        return float(axis.powered)
+        if name != "power":
+            setattr(axis, SETTINGS[name], value)
+        elif now_ns >= self._gripping_until_ns:  # a grip cannot be switched off either
+            self.motion.power(index, bool(value))
 
     def _limit(self, command: Command) -> Event:
         if command.values:
             raise Refusal(NONE_EXPECTED)
-        since = VELOCITY_LIMITS_SINCE if command.name == "vlim" else ACCELERATION_LIMITS_SINCE
+        since = codes.VELOCITY_LIMITS_SINCE if command.name == "vlim" else codes.ACCELERATION_LIMITS_SINCE
         if self.release < since:
             raise Refusal(UNKNOWN)
         values = (
@@ -236,7 +203,7 @@ class Firmware:
 
     @property
     def _reports_duration(self) -> bool:
-        return self.release >= DURATION_REPLIES_SINCE
+        return self.release >= codes.DURATION_REPLIES_SINCE
 
     def _debug(self, *lines: str) -> list[Event]:
         return [] if self._reports_duration else [DebugLine(line) for line in lines]
@@ -250,7 +217,7 @@ class Firmware:
         return f"max distance={distance:.2f}, T={duration_s:.2f}s, num_points: {points}"
 
     def _move(self, name: str, now_ns: int) -> list[Event]:
-        if self.motion.controller is not Controller.POSE or now_ns < self._gripping_until_ns:
+        if self.motion.controller is not codes.Controller.POSE or now_ns < self._gripping_until_ns:
             raise Refusal(FAILED)  # assumed
         targets = [axis.target_deg for axis in self.motion.axes]
         velocities = [axis.target_velocity_deg_s for axis in self.motion.axes]
@@ -259,7 +226,7 @@ class Firmware:
         if name == "get_duration":
             return [*self._debug(plan), ValueReply(name, (duration_s,))]
         self._keep_reporting(now_ns)
-        for index in range(AXIS_COUNT):
+        for index in range(codes.AXIS_COUNT):
             self.motion.power(index, True)
         self.motion.start(targets, velocities)
         if self._reports_duration:
@@ -267,27 +234,30 @@ class Firmware:
         return [DebugLine("Enabling all axis"), DebugLine(plan), ValueReply(name)]
 
     def _grip(self, command: Command, now_ns: int) -> list[Event]:
-        if self.motion.profile is not VelocityProfile.SIN_SQUARE or self.motion.controller is not Controller.POSE:
+        if (
+            self.motion.profile is not codes.VelocityProfile.SIN_SQUARE
+            or self.motion.controller is not codes.Controller.POSE
+        ):
             raise Refusal(FAILED)  # assumed
         if now_ns < self._gripping_until_ns:
             raise Refusal(FAILED)  # assumed
         axes = self.motion.axes
         if command.name == "selgrip":
             (number,) = _exactly(command.values, 1)
-            if number not in tuple(Grasp):
+            if number not in tuple(codes.Grasp):
                 raise Refusal(RANGE)
-            self._grasp = Grasp(int(number))
+            self._grasp = codes.Grasp(int(number))
             base_deg = grasp_angles_deg(self._grasp, 0.0)[0]
-            targets: list[float | None] = [base_deg, *[None] * (AXIS_COUNT - 1)]
+            targets: list[float | None] = [base_deg, *[None] * (codes.AXIS_COUNT - 1)]
             velocities = [axis.target_velocity_deg_s for axis in axes]
-            moved, first, reported = range(AXIS_COUNT), "Enabling all axis", (number,)
+            moved, first, reported = range(codes.AXIS_COUNT), "Enabling all axis", (number,)
         else:
             close, velocity = _exactly(command.values, 2)
-            if not 0.0 <= close <= 1.0 or not 0.0 < velocity <= GRIP_VELOCITY_MAX_DEG_S:
+            if not 0.0 <= close <= 1.0 or not 0.0 < velocity <= codes.GRIP_VELOCITY_MAX_DEG_S:
                 raise Refusal(RANGE)
             targets = [None, *grasp_angles_deg(self._grasp, close)[1:]]
-            velocities = [velocity] * AXIS_COUNT
-            moved, first, reported = range(1, AXIS_COUNT), "Enabling finger axis", (close,)
+            velocities = [velocity] * codes.AXIS_COUNT
+            moved, first, reported = range(1, codes.AXIS_COUNT), "Enabling finger axis", (close,)
         self._keep_reporting(now_ns)
         for index in moved:
             self.motion.power(index, True)
@@ -304,24 +274,24 @@ class Firmware:
         return self._debug(first, currents, plan)
 
     def _controller(self, values: tuple[float, ...], now_ns: int) -> Event:
-        if self.release < CONTROLLERS_SINCE:
+        if self.release < codes.CONTROLLERS_SINCE:
             raise Refusal(UNKNOWN)
         if values:
             (number,) = _exactly(values, 1)
-            if number not in tuple(Controller):
+            if number not in tuple(codes.Controller):
                 raise Refusal(RANGE)
             self._keep_reporting(now_ns, lag=False)
-            self.motion.set_controller(Controller(int(number)))
+            self.motion.set_controller(codes.Controller(int(number)))
         return ValueReply("con", (float(self.motion.controller),))
 
     def _integer(self, name: str, values: tuple[float, ...]) -> Event:
         if values:
             (number,) = _exactly(values, 1)
-            if not float(number).is_integer() or (name == "vp" and number not in tuple(VelocityProfile)):
+            if not float(number).is_integer() or (name == "vp" and number not in tuple(codes.VelocityProfile)):
                 raise Refusal(RANGE)
             self._integers[name] = int(number)
             if name == "vp":
-                self.motion.profile = VelocityProfile(int(number))
+                self.motion.profile = codes.VelocityProfile(int(number))
         return ValueReply(name, (float(self._integers[name]),))
 
     def _gains(self, command: Command) -> Event:
@@ -341,13 +311,13 @@ class Firmware:
         axes = self._axes(command)
         senses = _exactly(command.values, len(axes))
         _check(senses, lambda value: value in (0.0, 1.0, 2.0))
-        targets: list[float | None] = [None] * AXIS_COUNT
+        targets: list[float | None] = [None] * codes.AXIS_COUNT
         for (index, axis), sense in zip(axes, senses, strict=True):
             if sense:
                 self.motion.power(index, True)
                 targets[index] = axis.high_deg if sense == 1.0 else axis.low_deg
         self._keep_reporting(now_ns)
-        duration_s = self.motion.start(targets, [REFERENCE_VELOCITY_DEG_S] * AXIS_COUNT)
+        duration_s = self.motion.start(targets, [codes.REFERENCE_VELOCITY_DEG_S] * codes.AXIS_COUNT)
         self.busy_until_ns = now_ns + round(duration_s * 1e9)
         self.last_line = ValueReply("ref", command.values, command.axis)
         return []

@@ -31,17 +31,6 @@ AXIS_NAMES: Final = (
     "finger 2, proximal",
     "finger 2, distal",
 )
-# The names of the joints in IPA's description of the hand, in the order of IPA's driver; that this is the order of the
-# axes (so that its fingers 2 and 1 are Schunk's 0 and 2) is an assumption.
-IPA_JOINT_NAMES: Final = (
-    "sdh_knuckle_joint",
-    "sdh_finger_22_joint",
-    "sdh_finger_23_joint",
-    "sdh_thumb_2_joint",
-    "sdh_thumb_3_joint",
-    "sdh_finger_12_joint",
-    "sdh_finger_13_joint",
-)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,14 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from deformscope_drivers.errors import OutOfLimits
-from deformscope_drivers.sdh.codes import (
-    ACCELERATION_MAX_DEG_S2,
-    AXIS_COUNT,
-    CURRENT_MAX_A,
-    POSITION_MAX_DEG,
-    POSITION_MIN_DEG,
-    VELOCITY_MAX_DEG_S,
-)
+from deformscope_drivers.sdh import codes
 
 ByAxis = tuple[float, ...]
 
@@ -26,11 +19,11 @@ class Limits:
     position_min_deg, position_max_deg, velocity_max_deg_s, acceleration_max_deg_s2, current_max_a: (7,) each
     """
 
-    position_min_deg: ByAxis = POSITION_MIN_DEG
-    position_max_deg: ByAxis = POSITION_MAX_DEG
-    velocity_max_deg_s: ByAxis = VELOCITY_MAX_DEG_S
-    acceleration_max_deg_s2: ByAxis = ACCELERATION_MAX_DEG_S2
-    current_max_a: ByAxis = (CURRENT_MAX_A,) * AXIS_COUNT
+    position_min_deg: ByAxis = codes.POSITION_MIN_DEG
+    position_max_deg: ByAxis = codes.POSITION_MAX_DEG
+    velocity_max_deg_s: ByAxis = codes.VELOCITY_MAX_DEG_S
+    acceleration_max_deg_s2: ByAxis = codes.ACCELERATION_MAX_DEG_S2
+    current_max_a: ByAxis = (codes.CURRENT_MAX_A,) * codes.AXIS_COUNT
 
     def positions(self, values_deg: Sequence[float], where: object = "") -> ByAxis:
         """Target angles, (7,). Raises OutOfLimits."""
@@ -53,7 +46,7 @@ class Limits:
 
     def currents(self, values_a: Sequence[float] | float, where: object = "") -> ByAxis:
         """Limits of motor currents; one for all or (7,). Raises OutOfLimits."""
-        return _checked("motor current", "A", _for_all(values_a), (0.0,) * AXIS_COUNT, self.current_max_a, where)
+        return _checked("motor current", "A", _for_all(values_a), (0.0,) * codes.AXIS_COUNT, self.current_max_a, where)
 
 
 def within(name: str, unit: str, value: float, low: float, high: float, where: object = "") -> float:
@@ -64,11 +57,11 @@ def within(name: str, unit: str, value: float, low: float, high: float, where: o
 
 
 def _for_all(values: Sequence[float] | float) -> Sequence[float]:
-    return (float(values),) * AXIS_COUNT if isinstance(values, int | float) else values
+    return (float(values),) * codes.AXIS_COUNT if isinstance(values, int | float) else values
 
 
 def _positive(name: str, unit: str, values: Sequence[float], highs: ByAxis, where: object) -> ByAxis:
-    checked = _checked(name, unit, values, (0.0,) * AXIS_COUNT, highs, where)
+    checked = _checked(name, unit, values, (0.0,) * codes.AXIS_COUNT, highs, where)
     for axis, value in enumerate(checked):
         if value == 0.0:
             raise OutOfLimits(f"{name} of axis {axis} above 0 {unit}", "0", where=where)
@@ -76,8 +69,8 @@ def _positive(name: str, unit: str, values: Sequence[float], highs: ByAxis, wher
 
 
 def _checked(name: str, unit: str, values: Sequence[float], lows: ByAxis, highs: ByAxis, where: object) -> ByAxis:
-    if len(values) != AXIS_COUNT:
-        raise OutOfLimits(f"{AXIS_COUNT} values, one an axis, for {name}", f"{len(values)}", where=where)
+    if len(values) != codes.AXIS_COUNT:
+        raise OutOfLimits(f"{codes.AXIS_COUNT} values, one an axis, for {name}", f"{len(values)}", where=where)
     for axis, (value, low, high) in enumerate(zip(values, lows, highs, strict=True)):
         if not math.isfinite(value) or not low <= value <= high:
             raise OutOfLimits(f"{name} of axis {axis} within {low:g} to {high:g} {unit}", f"{value:g}", where=where)

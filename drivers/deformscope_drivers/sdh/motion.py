@@ -16,21 +16,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final, Protocol
 
-from deformscope_drivers.sdh.codes import (
-    ACCELERATION_MAX_DEG_S2,
-    AXIS_COUNT,
-    DEFAULT_ACCELERATION_DEG_S2,
-    DEFAULT_VELOCITY_DEG_S,
-    HOLD_CURRENT_A,
-    MOVE_CURRENT_A,
-    POSITION_MAX_DEG,
-    POSITION_MIN_DEG,
-    VELOCITY_MAX_DEG_S,
-    AxisState,
-    Controller,
-    Grasp,
-    VelocityProfile,
-)
+from deformscope_drivers.sdh import codes
 
 CYCLE_NS: Final = 10_000_000
 _CYCLE_S: Final = CYCLE_NS / 1e9
@@ -38,10 +24,10 @@ _CYCLE_S: Final = CYCLE_NS / 1e9
 # Base axis; proximal and distal axes when open; when closed [deg]. Rounded from angles that a public ROS node
 # (sdh2_hand) notes of a real hand; they also give the `Grip vector` of -66.8 and 66.8 that Schunk's trace shows.
 GRASPS: Final = {
-    Grasp.CENTRICAL: (60.0, (-75.0, 75.0), (7.0, -7.0)),
-    Grasp.PARALLEL: (0.0, (-75.0, 75.0), (7.0, -7.0)),
-    Grasp.CYLINDRICAL: (0.0, (-30.0, 30.0), (0.0, 75.0)),
-    Grasp.SPHERICAL: (60.0, (-40.0, 40.0), (-15.0, 55.0)),
+    codes.Grasp.CENTRICAL: (60.0, (-75.0, 75.0), (7.0, -7.0)),
+    codes.Grasp.PARALLEL: (0.0, (-75.0, 75.0), (7.0, -7.0)),
+    codes.Grasp.CYLINDRICAL: (0.0, (-30.0, 30.0), (0.0, 75.0)),
+    codes.Grasp.SPHERICAL: (60.0, (-40.0, 40.0), (-15.0, 55.0)),
 }
 
 AMBIENT_C: Final = 24.0
@@ -62,7 +48,7 @@ class Compliance(Protocol):
         currents of at most `current_a`. Called in each cycle, also when no axis moves."""
 
 
-def grasp_angles_deg(grasp: Grasp, close: float) -> tuple[float, ...]:
+def grasp_angles_deg(grasp: codes.Grasp, close: float) -> tuple[float, ...]:
     """The angles of all axes, (7,), for a grasp closed by 0 (open) to 1."""
     base, (open_proximal, open_distal), (closed_proximal, closed_distal) = GRASPS[grasp]
     proximal = open_proximal + close * (closed_proximal - open_proximal)
@@ -118,33 +104,37 @@ class Axis:
     velocity_deg_s: float = 0.0
     reference_deg_s: float = 0.0
     target_deg: float = 0.0
-    target_velocity_deg_s: float = DEFAULT_VELOCITY_DEG_S
-    target_acceleration_deg_s2: float = DEFAULT_ACCELERATION_DEG_S2
+    target_velocity_deg_s: float = codes.DEFAULT_VELOCITY_DEG_S
+    target_acceleration_deg_s2: float = codes.DEFAULT_ACCELERATION_DEG_S2
     powered: bool = False
     temperature_c: float = AMBIENT_C
     obstacle_low_deg: float = -math.inf
     obstacle_high_deg: float = math.inf
-    state: AxisState = AxisState.DISABLED
+    state: codes.AxisState = codes.AxisState.DISABLED
     mode: _Mode = field(default=_Mode.HOLD)
     from_deg: float = 0.0
     to_deg: float = 0.0
     ramp_part: float | None = None  # of a pose move with ramp profile
 
-    def advance_to(self, wanted_deg: float) -> AxisState | None:
+    def advance_to(self, wanted_deg: float) -> codes.AxisState | None:
         """Go there, as far as obstacles and the range let; what was met."""
         low = max(self.low_deg, self.obstacle_low_deg)
         high = min(self.high_deg, self.obstacle_high_deg)
         met = None
         if wanted_deg > self.position_deg and wanted_deg > high:
             wanted_deg = max(self.position_deg, high)
-            met = AxisState.CW_BLOCKED if self.obstacle_high_deg < self.high_deg else AxisState.LIMITS_REACHED
+            met = (
+                codes.AxisState.CW_BLOCKED if self.obstacle_high_deg < self.high_deg else codes.AxisState.LIMITS_REACHED
+            )
         elif wanted_deg < self.position_deg and wanted_deg < low:
             wanted_deg = min(self.position_deg, low)
-            met = AxisState.CCW_BLOCKED if self.obstacle_low_deg > self.low_deg else AxisState.LIMITS_REACHED
+            met = (
+                codes.AxisState.CCW_BLOCKED if self.obstacle_low_deg > self.low_deg else codes.AxisState.LIMITS_REACHED
+            )
         self.position_deg = wanted_deg
         return met
 
-    def halt(self, state: AxisState) -> None:
+    def halt(self, state: codes.AxisState) -> None:
         self.mode, self.state = _Mode.HOLD, state
         self.velocity_deg_s = self.reference_deg_s = 0.0
 
@@ -152,7 +142,7 @@ class Axis:
         """What the motor draws: an assumption that only warms it."""
         if not self.powered:
             return 0.0
-        if self.state in (AxisState.CW_BLOCKED, AxisState.CCW_BLOCKED):
+        if self.state in (codes.AxisState.CW_BLOCKED, codes.AxisState.CCW_BLOCKED):
             return self.move_current_a
         return self.hold_current_a if self.mode is _Mode.HOLD else max(self.hold_current_a, self.move_current_a / 2)
 
@@ -163,18 +153,18 @@ class Motion:
     def __init__(self, now_ns: int = 0) -> None:
         self.axes = [
             Axis(
-                low_deg=POSITION_MIN_DEG[axis],
-                high_deg=POSITION_MAX_DEG[axis],
-                velocity_max_deg_s=VELOCITY_MAX_DEG_S[axis],
-                acceleration_max_deg_s2=ACCELERATION_MAX_DEG_S2[axis],
-                move_current_a=MOVE_CURRENT_A[axis],
-                hold_current_a=HOLD_CURRENT_A[axis],
-                grip_current_a=MOVE_CURRENT_A[axis],
+                low_deg=codes.POSITION_MIN_DEG[axis],
+                high_deg=codes.POSITION_MAX_DEG[axis],
+                velocity_max_deg_s=codes.VELOCITY_MAX_DEG_S[axis],
+                acceleration_max_deg_s2=codes.ACCELERATION_MAX_DEG_S2[axis],
+                move_current_a=codes.MOVE_CURRENT_A[axis],
+                hold_current_a=codes.HOLD_CURRENT_A[axis],
+                grip_current_a=codes.MOVE_CURRENT_A[axis],
             )
-            for axis in range(AXIS_COUNT)
+            for axis in range(codes.AXIS_COUNT)
         ]
-        self.controller = Controller.POSE
-        self.profile = VelocityProfile.SIN_SQUARE
+        self.controller = codes.Controller.POSE
+        self.profile = codes.VelocityProfile.SIN_SQUARE
         self.temperatures_electronics_c = tuple(AMBIENT_C + above for above in _ELECTRONICS_K)
         self.compliance: Compliance | None = None
         self._now_ns = now_ns
@@ -219,36 +209,36 @@ class Motion:
         for axis, target, velocity in zip(self.axes, targets, velocities, strict=True):
             if target is None and axis.mode is not _Mode.HOLD:
                 continue
-            axis.halt(AxisState.IDLE if axis.powered else AxisState.DISABLED)
+            axis.halt(codes.AxisState.IDLE if axis.powered else codes.AxisState.DISABLED)
             if target is None:
                 continue
             if not axis.powered or not velocity or target == axis.position_deg:
                 continue
-            axis.mode, axis.state = _Mode.POSE, AxisState.POSITIONING
+            axis.mode, axis.state = _Mode.POSE, codes.AxisState.POSITIONING
             axis.from_deg, axis.to_deg = axis.position_deg, target
             axis.ramp_part = None
-            if self.profile is VelocityProfile.RAMP:
+            if self.profile is codes.VelocityProfile.RAMP:
                 own_s = ramp_duration_s(target - axis.position_deg, velocity, axis.target_acceleration_deg_s2)
                 distance = abs(target - axis.position_deg)
                 top = min(velocity, math.sqrt(distance * axis.target_acceleration_deg_s2))
                 axis.ramp_part = top / axis.target_acceleration_deg_s2 / own_s
         return duration_s
 
-    def set_controller(self, controller: Controller) -> None:
+    def set_controller(self, controller: codes.Controller) -> None:
         """Its defaults come with it, as since firmware 0.0.2.7."""
         self.controller = controller
-        pose = controller is Controller.POSE
+        pose = controller is codes.Controller.POSE
         for axis in self.axes:
-            axis.target_velocity_deg_s = DEFAULT_VELOCITY_DEG_S if pose else 0.0
-            axis.target_acceleration_deg_s2 = DEFAULT_ACCELERATION_DEG_S2
+            axis.target_velocity_deg_s = codes.DEFAULT_VELOCITY_DEG_S if pose else 0.0
+            axis.target_acceleration_deg_s2 = codes.DEFAULT_ACCELERATION_DEG_S2
             if pose:
                 axis.target_deg = 0.0
             if axis.powered:
-                axis.halt(AxisState.IDLE)
+                axis.halt(codes.AxisState.IDLE)
 
     def follow_velocities(self) -> None:
         """Under velocity control every powered axis takes up its target velocity at once."""
-        if self.controller is Controller.POSE:
+        if self.controller is codes.Controller.POSE:
             return
         for axis in self.axes:
             if axis.powered and (axis.target_velocity_deg_s or axis.mode is _Mode.SPEED):
@@ -260,24 +250,24 @@ class Motion:
             if axis.mode is not _Mode.HOLD:
                 axis.mode = _Mode.STOPPING
             elif axis.powered:
-                axis.state = AxisState.IDLE
-            if self.controller is not Controller.POSE:
+                axis.state = codes.AxisState.IDLE
+            if self.controller is not codes.Controller.POSE:
                 axis.target_velocity_deg_s = 0.0
 
     def power(self, axis: int, on: bool) -> None:
         """Switch an axis on, holding its place, or off."""
         if on != self.axes[axis].powered:
             self.axes[axis].powered = on
-            self.axes[axis].halt(AxisState.IDLE if on else AxisState.DISABLED)
+            self.axes[axis].halt(codes.AxisState.IDLE if on else codes.AxisState.DISABLED)
 
     def _axis_duration_s(self, axis: Axis, distance_deg: float, velocity_deg_s: float) -> float:
-        if self.profile is VelocityProfile.SIN_SQUARE:
+        if self.profile is codes.VelocityProfile.SIN_SQUARE:
             return sin_square_duration_s(distance_deg, velocity_deg_s)
         return ramp_duration_s(distance_deg, velocity_deg_s, axis.target_acceleration_deg_s2)
 
     def _step(self, axis: Axis) -> None:
         before = axis.position_deg
-        met: AxisState | None = None
+        met: codes.AxisState | None = None
         ended = False
         match axis.mode:
             case _Mode.HOLD:
@@ -303,7 +293,7 @@ class Motion:
         if met is not None and axis.mode is not _Mode.SPEED:
             axis.halt(met)
         elif ended:
-            axis.halt(AxisState.IDLE)
+            axis.halt(codes.AxisState.IDLE)
 
     def _press(self, compliance: Compliance, before: list[tuple[float, _Mode]]) -> None:
         """Take the axes back to where what they press, and their currents, let them come to."""
@@ -315,19 +305,21 @@ class Motion:
                 continue
             axis.position_deg, axis.velocity_deg_s = float(reach), (float(reach) - position) / _CYCLE_S
             axis.reference_deg_s = axis.velocity_deg_s
-            blocked = AxisState.CW_BLOCKED if want > reach else AxisState.CCW_BLOCKED
-            free = AxisState.SPEED_MODE if mode is _Mode.SPEED else AxisState.POSITIONING
+            blocked = codes.AxisState.CW_BLOCKED if want > reach else codes.AxisState.CCW_BLOCKED
+            free = codes.AxisState.SPEED_MODE if mode is _Mode.SPEED else codes.AxisState.POSITIONING
             axis.state = blocked if abs(axis.velocity_deg_s) < _HARDLY_DEG_S else free
             if mode in (_Mode.POSE, _Mode.PRESSING):
                 axis.mode = _Mode.PRESSING
 
-    def _step_speed(self, axis: Axis) -> AxisState | None:
+    def _step_speed(self, axis: Axis) -> codes.AxisState | None:
         target = axis.target_velocity_deg_s
         change = target - axis.reference_deg_s
-        if self.controller is Controller.VELOCITY_ACCELERATION:
+        if self.controller is codes.Controller.VELOCITY_ACCELERATION:
             most = axis.target_acceleration_deg_s2 * _CYCLE_S
             change = max(-most, min(most, change))
-        mean = axis.reference_deg_s + change / 2 if self.controller is Controller.VELOCITY_ACCELERATION else target
+        mean = (
+            axis.reference_deg_s + change / 2 if self.controller is codes.Controller.VELOCITY_ACCELERATION else target
+        )
         before = axis.position_deg
         axis.reference_deg_s += change
         met = axis.advance_to(axis.position_deg + mean * _CYCLE_S)
@@ -335,12 +327,12 @@ class Motion:
         if met is not None:
             axis.state, axis.reference_deg_s = met, 0.0
         elif axis.reference_deg_s == 0.0 and target == 0.0:
-            axis.halt(AxisState.IDLE)
+            axis.halt(codes.AxisState.IDLE)
         else:
-            axis.state = AxisState.SPEED_MODE
+            axis.state = codes.AxisState.SPEED_MODE
         return met
 
-    def _coast(self, axis: Axis, ends: bool) -> AxisState | None:
+    def _coast(self, axis: Axis, ends: bool) -> codes.AxisState | None:
         velocity, slower = axis.velocity_deg_s, axis.target_acceleration_deg_s2
         if ends:
             axis.velocity_deg_s = 0.0

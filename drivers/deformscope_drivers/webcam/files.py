@@ -104,7 +104,9 @@ class Playback(Device[ColorImage]):
         if not self._real_time and not self._wanted():
             self._pacer.wait_until(self._clock() + 1_000_000, timeout_s)
             return []
-        if self._real_time and not self._pacer.wait_until(self._moment_ns(self._shown), timeout_s):
+        if self._real_time and not self._pacer.wait_until(
+            self._started_ns + round(self._shown * 1e9 / self._fps), timeout_s
+        ):
             return []
         picture = self._next_picture()
         media_us = round(self._shown / self._fps * 1e6)
@@ -133,9 +135,6 @@ class Playback(Device[ColorImage]):
 
     def _wake(self) -> None:
         self._pacer.wake()
-
-    def _moment_ns(self, index: int) -> int:
-        return self._started_ns + round(index * 1e9 / self._fps)
 
 
 class VideoFile(Playback):

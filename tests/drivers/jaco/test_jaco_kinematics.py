@@ -149,6 +149,18 @@ def test_inverse_says_honestly_when_the_target_is_out_of_reach(chain: Chain) -> 
     assert chain.within_limits(found.joints_deg)
 
 
+def test_many_poses_at_once_give_what_each_gives_alone(chain: Chain) -> None:
+    joints_deg = chain.clip(np.random.default_rng(4).uniform(0.0, 360.0, (12, chain.joint_count)))
+    targets, starts = chain.forward(joints_deg)[:, -1], joints_deg[::-1]
+
+    found, converged = chain.inverse_near(targets, starts)
+
+    each = [chain.inverse(target, start, starts=1) for target, start in zip(targets, starts, strict=True)]
+    assert np.array_equal(found, [one.joints_deg for one in each])
+    assert converged.tolist() == [one.converged for one in each]
+    assert 0 < np.count_nonzero(converged) < len(targets)
+
+
 def test_inverse_repeats_under_its_seed() -> None:
     target = J2N6S300.end_effector(random_joints(J2N6S300, 1, seed=3)[0])
     once, again = J2N6S300.inverse(target, seed=5), J2N6S300.inverse(target, seed=5)

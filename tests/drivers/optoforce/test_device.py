@@ -28,6 +28,7 @@ from deformscope_drivers.optoforce import (
 )
 from deformscope_drivers.optoforce.protocol import Configure, Filter, Reading, Speed, Status, encode
 from deformscope_drivers.wires import CanWire, PtyWire, Wire
+from tests.cases import slow_but
 from tests.drivers.buses import udp_bus
 from tests.patience import PATIENCE_S
 
@@ -150,7 +151,7 @@ def test_a_daq_may_be_opened_stopped() -> None:
 
 
 @pytest.mark.parametrize("acknowledges", [True, False])
-@pytest.mark.parametrize("rate_hz", [1000, 10])
+@pytest.mark.parametrize("rate_hz", slow_but([10], [1000, 10]))
 def test_zeroing_takes_the_load_away(rate_hz: float, acknowledges: bool) -> None:
     sensors = Sensors(scene=lambda _: (0.5, -1.0, 3.0), acknowledges=acknowledges)
     simulation = Simulation(sensors, rate_hz=rate_hz, filter_hz=15)
@@ -315,7 +316,7 @@ def test_lost_readings_are_counted_where_they_are_missing() -> None:
         assert sum(one.lost_before for one in measured) == device.health().lost == 7
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", slow_but([0], range(3)))
 def test_on_a_bad_wire_every_whole_reading_comes_and_the_rest_is_counted(seed: int) -> None:
     faults = Faults(noise=0.05, flip=0.05, cut=0.05, twice=0.02, split=0.1)
     simulation = Simulation(faults=faults, seed=seed)
@@ -391,6 +392,7 @@ def test_a_report_for_another_kind_of_sensor_is_refused() -> None:
     assert not simulation.device.is_open
 
 
+@pytest.mark.slow
 def test_the_daqs_clock_is_fitted() -> None:
     simulation = Simulation(Sensors(clock_ppm=80.0), rate_hz=100)
     with simulation as device:
@@ -436,6 +438,7 @@ def test_what_the_host_sends_and_hears_is_there_to_be_recorded() -> None:
         assert bytes.fromhex("aa 00 50 01 00 00 fb") in heard
 
 
+@pytest.mark.slow
 def test_a_simulated_session_repeats_bit_for_bit() -> None:
     def session() -> list:
         simulation = Simulation(Sensors(seed=3), Faults(flip=0.1, noise=0.1))

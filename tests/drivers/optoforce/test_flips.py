@@ -31,6 +31,7 @@ def test_every_flip_of_one_bit_is_refused(text: str) -> None:
         assert [event for event in events if not isinstance(event, Skipped)] == [FROM_DAQ[1][1]] * 3
 
 
+@pytest.mark.slow
 def test_flips_of_two_bits_are_counted_as_brute_force_counts_them() -> None:
     packet = EXAMPLES[0]
     decoder, passed = Decoder(), 0
@@ -44,6 +45,7 @@ def test_flips_of_two_bits_are_counted_as_brute_force_counts_them() -> None:
     assert count(packet, None)["2 bits flipped"].passed == passed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("packet", EXAMPLES)
 def test_flips_of_two_bits_by_hand(packet: bytes) -> None:
     """They pass at the same place in two bytes of the body, one set and one cleared, or in one of them and the low
@@ -85,6 +87,7 @@ def test_changes_of_two_bytes_are_counted_as_brute_force_counts_them() -> None:
     assert count(packet, None)["2 bytes changed"].passed == passed
 
 
+@pytest.mark.slow
 def test_the_published_counts_of_a_sensor_at_rest() -> None:
     found = count(bytes.fromhex(FROM_DAQ[3][0]), 16037)
 
@@ -97,6 +100,7 @@ def test_the_published_counts_of_a_sensor_at_rest() -> None:
     }
 
 
+@pytest.mark.slow
 def test_the_checks_catch_what_touches_status_counter_and_size_and_nothing_else() -> None:
     without, within = count(EXAMPLES[0], None), count(EXAMPLES[0], 16037)
     for damage, tally in within.items():

@@ -30,6 +30,7 @@ def truth(body: Pushed, beta: float, theta: float) -> FloatArray:
     return state
 
 
+@pytest.mark.slow
 def test_exact_data_give_both_values() -> None:
     body = pushed((5, 5), np.random.default_rng(2))
     found, comparisons = calibrate_both([observation(body, truth(body, 0.7, 0.4))], JointOptions())

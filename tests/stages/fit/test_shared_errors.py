@@ -148,6 +148,7 @@ def test_noise_of_its_own_in_each_frame_averages_out() -> None:
     assert covered >= 5 / 8  # 90 % less 2.6 binomial standard deviations
 
 
+@pytest.mark.slow
 def test_noise_that_frames_share_does_not() -> None:
     covered, whole, last, width = rate("shared", 8)
     assert covered >= 5 / 8

@@ -46,6 +46,7 @@ def test_slopes_of_the_likelihood_are_its_differences() -> None:
     np.testing.assert_allclose(fit.likelihood(x)[1], differences, rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("touches", [3, 8, 30])
 def test_nine_in_ten_true_values_lie_in_the_90_per_cent_bands_however_few_the_touches(touches: int) -> None:
     """Truth drawn from the priors, hyper-parameters too."""

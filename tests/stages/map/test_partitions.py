@@ -8,6 +8,7 @@ from scipy.ndimage import gaussian_filter
 
 from deformscope.stages.map.partitions import LATENTS, LEAST_AREA_M2, Family, Partitions, draw, propose
 from deformscope.stages.map.touches import MapGrid
+from tests.cases import slow_but
 
 SIZE = (0.6, 0.4)
 
@@ -30,7 +31,7 @@ def test_the_same_seed_gives_the_same_maps() -> None:
     np.testing.assert_array_equal(first.family, again.family)
 
 
-@pytest.mark.parametrize("regions", [2, 3])
+@pytest.mark.parametrize("regions", slow_but([2], [2, 3]))
 def test_a_contact_s_shares_are_the_map_blurred(regions: int) -> None:
     """Against a Gaussian filter of the labels; the shares take each curve as straight within the blur."""
     maps = draw(np.random.default_rng(1), regions, SIZE, 200)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 from scipy.stats import norm
@@ -23,7 +25,7 @@ from deformscope.stages.map.plan import (
     label_gain,
     plan_touch,
 )
-from deformscope.stages.map.regions import RegionHypotheses, RegionPosterior, map_regions
+from deformscope.stages.map.regions import RegionHypotheses, RegionPosterior
 from deformscope.stages.map.touches import MapGrid, StiffnessSample
 
 GRID = MapGrid(cell_m=0.01)
@@ -31,15 +33,19 @@ KERNEL = FieldKernel()
 SPREAD = ((0.1, 0.1), (0.5, 0.3), (0.1, 0.3), (0.5, 0.1), (0.22, 0.2), (0.38, 0.22))
 
 
+def mapped(touches: list[StiffnessSample]) -> RegionPosterior:
+    return functools.reduce(RegionPosterior.with_touch, touches, RegionPosterior.before_touches(GRID))
+
+
 @pytest.fixture(scope="module")
 def halves() -> RegionPosterior:
     """Left soft, right stiff; where between x = 0.22 and 0.38 m the boundary runs is open."""
-    return map_regions([StiffnessSample(np.array(xy), 0.9 * (xy[0] > 0.3), 0.08) for xy in SPREAD], GRID)
+    return mapped([StiffnessSample(np.array(xy), 0.9 * (xy[0] > 0.3), 0.08) for xy in SPREAD])
 
 
 @pytest.fixture(scope="module")
 def one_material() -> RegionPosterior:
-    return map_regions([StiffnessSample(np.array(xy), 0.02 * (-1.0) ** i, 0.08) for i, xy in enumerate(SPREAD)], GRID)
+    return mapped([StiffnessSample(np.array(xy), 0.02 * (-1.0) ** i, 0.08) for i, xy in enumerate(SPREAD)])
 
 
 @pytest.mark.parametrize("planner", PLANNERS)

@@ -13,6 +13,7 @@ from deformscope.stages.map import marginal_likelihood
 from deformscope.stages.map.gaussian_process import Kernel
 from deformscope.stages.map.surface import HeightProcess, fit_surface
 from deformscope.stages.map.touches import MapGrid
+from tests.cases import slow_but
 
 KERNEL = Kernel.of_length(0.008, 0.06)
 SIZE = np.array([0.6, 0.4])
@@ -49,7 +50,7 @@ def log_likelihood(kernel: Kernel, places: FloatArray, value: FloatArray, noise:
     return float(-0.5 * (value @ np.linalg.solve(covariance, value) + log_det + len(value) * np.log(2 * np.pi)))
 
 
-@pytest.mark.parametrize("length_m", [0.03, 0.06, 0.25])
+@pytest.mark.parametrize("length_m", slow_but([0.06], [0.03, 0.06, 0.25]))
 def test_mean_and_deviation_are_an_exact_processs_also_in_a_hole(length_m: float) -> None:
     rng = np.random.default_rng(1)
     places = with_a_hole(rng, 900)
@@ -104,6 +105,7 @@ def test_known_hyper_parameters_come_back_from_all_points() -> None:
     assert surface.learned.at_bound == ()
 
 
+@pytest.mark.slow
 def test_nine_in_ten_true_heights_lie_in_the_90_per_cent_bands() -> None:
     inside = []
     for seed in range(12):

@@ -75,6 +75,7 @@ def test_a_known_beta_comes_back_from_heights_alone(level: HeightProcess, beta: 
     assert np.abs(sunk[away > 0.06]).max() < 5e-4  # and still far away
 
 
+@pytest.mark.slow
 def test_noise_widens_the_interval_and_it_still_holds_the_truth(level: HeightProcess) -> None:
     widths = []
     for noise in (1e-4, 1e-3):

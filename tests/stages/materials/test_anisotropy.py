@@ -15,6 +15,7 @@ from deformscope.lab.elasticity import ElasticBox
 from deformscope.stages.fit.calibrate import Model, Observation
 from deformscope.stages.materials.anisotropy import fit_axes
 from deformscope.stages.msm.materials import AxisBeta
+from tests.cases import slow
 from tests.stages.bodies import SPACING_M, lattice
 
 
@@ -48,7 +49,7 @@ def _turned(dim: int) -> FloatArray:
     return np.asarray(q)
 
 
-@pytest.mark.parametrize(("shape", "beta"), [((6, 7), [0.3, 0.85]), ((4, 4, 4), [0.2, 0.6, 0.9])])
+@pytest.mark.parametrize(("shape", "beta"), [((6, 7), [0.3, 0.85]), slow((4, 4, 4), [0.2, 0.6, 0.9])])
 def test_known_betas_are_found_again(shape: tuple[int, ...], beta: list[float]) -> None:
     axes = _turned(len(shape))
     found = fit_axes([_observed(shape, np.array(beta), axes, 0.0, 1)], Model(), axes=axes)
@@ -104,6 +105,7 @@ def test_what_tells_nothing_is_not_identified() -> None:
     assert claimed <= 1
 
 
+@pytest.mark.slow
 def test_an_isotropic_body_that_is_no_such_model_claims_nothing() -> None:
     """A cube of finite elements (nu 0.25), pressed between plates: it has no betas, and sideways none is identified."""
     axis = np.linspace(0.0, 0.1, 5)

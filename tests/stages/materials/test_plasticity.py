@@ -17,6 +17,7 @@ from deformscope.stages.msm import clusters
 from deformscope.stages.msm.materials import Plasticity
 from deformscope.stages.msm.plastic import PlasticMsm
 from deformscope.stages.msm.solver import Msm
+from tests.cases import slow_but
 from tests.stages.bodies import SPACING_M, lattice
 
 BETA = 0.7
@@ -108,7 +109,7 @@ def test_creep_is_found_where_time_is_known() -> None:
     assert given.yield_strain.value == pytest.approx(0.06, rel=0.05)
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", slow_but([0], range(2)))
 def test_where_nothing_yielded_only_a_lower_end_is_reported(seed: int) -> None:
     found = fit_yield(pressed((6, 4), 5.0, seed=seed), YieldOptions(beta=BETA))
     assert found.verdict == "unidentified"
@@ -118,6 +119,7 @@ def test_where_nothing_yielded_only_a_lower_end_is_reported(seed: int) -> None:
     assert found.deviation == pytest.approx(found.elastic_deviation, rel=0.02)
 
 
+@pytest.mark.slow
 def test_without_noise_the_truth_is_within_the_interval() -> None:
     found = fit_yield(pressed((6, 4), 0.07, noise=0.0), YieldOptions(beta=BETA))
     low, high = found.yield_strain.interval
@@ -126,6 +128,7 @@ def test_without_noise_the_truth_is_within_the_interval() -> None:
     assert found.yield_strain.value == pytest.approx(0.07, rel=3e-3)
 
 
+@pytest.mark.slow
 def test_particles_that_were_not_seen_do_not_count() -> None:
     motion = pressed((6, 4), 0.07)
     lost = motion.position.copy()

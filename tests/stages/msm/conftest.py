@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
+
+from tests.cases import slow
+
+if TYPE_CHECKING:
+    from deformscope.stages.msm.solver import Precision
 
 MOST_SHARE = 0.5
 """Of the allowed iterations: a solve that needs more hangs on the rounding of the processor and its libraries."""
@@ -29,6 +34,13 @@ class Effort:
     @property
     def most(self) -> float:
         return max((share for _, share in self.shares), default=0.0)
+
+
+@pytest.fixture(params=["float64", slow("float32")])
+def precision(request: pytest.FixtureRequest) -> Precision:
+    """Single precision is slow, for the time that its kernels take to compile; pokes and statics have a case of it."""
+    found: Precision = request.param
+    return found
 
 
 @pytest.fixture(autouse=True)

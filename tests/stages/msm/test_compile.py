@@ -60,7 +60,7 @@ def _case(kind: str, dim: int, terms: int, scalar: Any, window: int = 0, *, slow
     return pytest.param(kind, dim, terms, scalar, window, marks=[pytest.mark.slow] if slow else [], id=name)
 
 
-QUICK = ("lattice", "steps")
+QUICK = ("steps",)
 """What a quick run compiles, in space, in float32 and for the windows of most bodies."""
 
 SCALARS = (wp.float32, wp.float64)

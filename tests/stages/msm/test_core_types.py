@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[3]
 NEEDS = {"Haswell": "avx2", "SkylakeX": "avx512f"}
 """What a processor must have for the kernels that OpenBLAS has for a core type."""
 
-HANG_ON_CONVERGENCE = "cpu and quadratic and scale and 0.3"
+HANG_ON_CONVERGENCE = "cpu and 3D and quadratic and scale and 0.3"
 """Tests of derivatives whose solves have no energy, the hardest of all; `make test-cores` runs every test of stages."""
 
 RUN = """
@@ -39,6 +39,7 @@ def _flags() -> set[str]:
     return set(next((line for line in lines if line.startswith("flags")), "").split())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("core", NEEDS)
 def test_solves_converge_with_every_kernel_of_the_blas(core: str) -> None:
     if platform.machine() not in ("x86_64", "AMD64") or NEEDS[core] not in _flags():

@@ -18,6 +18,7 @@ from deformscope.stages.msm.general import GeneralBody
 from deformscope.stages.msm.lattice import LatticeBody
 from deformscope.stages.msm.reference import Basis, Volume
 from deformscope.stages.msm.solver import Msm
+from tests.cases import slow_but
 from tests.stages.bodies import lattice, pushed
 
 STEP = 2e-4
@@ -70,6 +71,18 @@ SINGLE = [
     for basis in ("linear", "quadratic")
     for volume, theta in HOW
 ]
+
+QUICK = [
+    Case(PLANE, 3, "lattice", "project", 0.3),
+    Case(PLANE, 3, "lattice", "scale", 0.3),
+    Case(SPACE, 3, "lattice", "scale", 0.3),
+    Case(SPACE, 3, "lists", "project", 0.9),
+    Case(SPACE, 3, "lattice", "project", 0.3, "quadratic"),
+    Case(PLANE, 3, "lists", "scale", 0.0, mass=True),
+    Case(SPACE, 2, "lattice", "project", 0.6, mass=True),
+]
+QUICK_SINGLE = [Case(SPACE, 9, "single", how, 0.3, "quadratic") for how in ("scale", "project")]
+"""Of each kind of body and of conservation one."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +146,7 @@ def _close(found: FloatArray, expected: FloatArray) -> None:
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=TOLERANCE * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("case", [*CASES, *SINGLE], ids=_name)
+@pytest.mark.parametrize("case", slow_but([*QUICK, *QUICK_SINGLE], [*CASES, *SINGLE]), ids=_name)
 def test_sensitivity_is_the_slope_of_static_states(device: str, case: Case) -> None:
     made = _build(case, device)
     beta = 0.6
@@ -145,7 +158,7 @@ def test_sensitivity_is_the_slope_of_static_states(device: str, case: Case) -> N
     assert np.all(found.theta[:, made.held] == 0.0)
 
 
-@pytest.mark.parametrize("case", [*CASES, *SINGLE], ids=_name)
+@pytest.mark.parametrize("case", slow_but([*QUICK, *QUICK_SINGLE], [*CASES, *SINGLE]), ids=_name)
 def test_gradient_is_the_slope_of_a_function_of_static_states(device: str, case: Case) -> None:
     """By beta and theta; the function does not care for held particles, though its own gradient names them."""
     made = _build(case, device)
@@ -168,7 +181,13 @@ def test_gradient_is_the_slope_of_a_function_of_static_states(device: str, case:
         np.testing.assert_allclose(found.beta_by_cluster.sum(axis=1), found.beta, rtol=1e-9)
 
 
-@pytest.mark.parametrize("case", [c for c in CASES if c.volume == "project" or c.theta == 0.0], ids=_name)
+@pytest.mark.parametrize(
+    "case",
+    slow_but(
+        [c for c in QUICK if c.volume == "project"], [c for c in CASES if c.volume == "project" or c.theta == 0.0]
+    ),
+    ids=_name,
+)
 def test_gradient_by_the_beta_of_each_cluster(device: str, case: Case) -> None:
     made = _build(case, device)
     count = made.cluster_count
@@ -198,7 +217,7 @@ ROUNDING = 2e-15
 """Relative noise of what goes in: as much as other kernels of a BLAS change what they give."""
 
 
-@pytest.mark.parametrize("case", CASES, ids=_name)
+@pytest.mark.parametrize("case", slow_but(QUICK[1:4], CASES), ids=_name)
 def test_every_solve_has_margin_to_rounding(device: str, case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever the last digits are, states and derivatives converge even to a hundredth of the default tolerances."""
     monkeypatch.setattr(solver, "LINEAR_TOLERANCE", {"float64": 0.01 * solver.LINEAR_TOLERANCE["float64"]})
@@ -224,7 +243,7 @@ BATCH = [
 
 
 @pytest.mark.parametrize("size", [2, 5])
-@pytest.mark.parametrize("case", BATCH, ids=_name)
+@pytest.mark.parametrize("case", slow_but(BATCH[:4], BATCH), ids=_name)
 def test_derivatives_of_candidates_are_those_of_each_alone(device: str, case: Case, size: int) -> None:
     made = _build(case, device)
     beta = np.linspace(0.3, 0.9, size)

@@ -16,6 +16,7 @@ from deformscope.stages.msm.general import GeneralBody
 from deformscope.stages.msm.lattice import LatticeBody
 from deformscope.stages.msm.reference import Rest, Volume
 from deformscope.stages.msm.solver import Msm, Precision
+from tests.cases import slow, slow_but
 from tests.stages.bodies import SPACING_M, lattice
 
 KERNEL_TOLERANCE: dict[Precision, float] = {"float64": 1e-11, "float32": 1e-5}
@@ -26,12 +27,6 @@ ROUNDING: dict[Precision, float] = {"float64": 2.0**-53, "float32": 2.0**-24}
 
 RUN = 64
 """A sum slides over at most so many windows before it is taken anew: each of them adds its rounding."""
-
-
-@pytest.fixture(params=["float64", "float32"])
-def precision(request: pytest.FixtureRequest) -> Precision:
-    found: Precision = request.param
-    return found
 
 
 @dataclass(frozen=True)
@@ -173,7 +168,23 @@ def _expected(states: FloatArray, spec: Rest, beta: FloatArray, theta: FloatArra
     return np.stack(rows)
 
 
-@pytest.mark.parametrize("name", CASES)
+QUICK = [
+    "plane, width 3",
+    "plane, width 8",
+    "space, width 3",
+    "wide windows that slide along both axes",
+    "plane, long",
+    "sheet across the fast axis",
+    "rod along the middle axis",
+    "space with holes",
+    "masses, holes, shuffled",
+    "oblique, masses, holes, shuffled",
+    "oblique sheet",
+]
+"""Of each kind of lattice one."""
+
+
+@pytest.mark.parametrize("name", slow_but(QUICK, CASES))
 def test_goals_are_the_references_and_those_of_the_same_clusters_as_lists(
     device: str, precision: Precision, name: str
 ) -> None:
@@ -192,9 +203,13 @@ def test_goals_are_the_references_and_those_of_the_same_clusters_as_lists(
             assert np.all(found[:, body.held] == 0.0)
 
 
-@pytest.mark.parametrize("count", [1, 2, 5, 17, 40])
+@pytest.mark.parametrize("count", slow_but([2, 17], [1, 2, 5, 17, 40]))
 @pytest.mark.parametrize(
-    "name", ["plane with holes", "space without corners", "masses, holes, shuffled", "space, as wide as two axes"]
+    "name",
+    slow_but(
+        ["plane with holes", "masses, holes, shuffled"],
+        ["plane with holes", "space without corners", "masses, holes, shuffled", "space, as wide as two axes"],
+    ),
 )
 def test_any_number_of_candidates_gives_each_its_own_goals(
     device: str, precision: Precision, name: str, count: int
@@ -212,7 +227,11 @@ def test_any_number_of_candidates_gives_each_its_own_goals(
 
 @pytest.mark.parametrize("count", [1, 5])
 @pytest.mark.parametrize(
-    "name", ["plane with holes", "masses, holes, shuffled", "wide windows that slide along both axes", "oblique sheet"]
+    "name",
+    slow_but(
+        ["plane with holes", "masses, holes, shuffled"],
+        ["plane with holes", "masses, holes, shuffled", "wide windows that slide along both axes", "oblique sheet"],
+    ),
 )
 def test_a_beta_for_each_cluster(device: str, precision: Precision, name: str, count: int) -> None:
     body = CASES[name].build()
@@ -234,8 +253,14 @@ def test_a_beta_for_each_cluster(device: str, precision: Precision, name: str, c
         np.testing.assert_allclose(even, engine.residual(states, 0.6), rtol=0.0, atol=1e-3 * limit)
 
 
-@pytest.mark.parametrize("count", [1, 5])
-@pytest.mark.parametrize("name", ["plane, width 4", "space with holes", "masses on a sheet", "oblique in space"])
+@pytest.mark.parametrize("count", slow_but([1], [1, 5]))  # a step of five is below
+@pytest.mark.parametrize(
+    "name",
+    slow_but(
+        ["plane, width 4", "masses on a sheet"],
+        ["plane, width 4", "space with holes", "masses on a sheet", "oblique in space"],
+    ),
+)
 def test_steps_are_the_references(device: str, precision: Precision, name: str, count: int) -> None:
     body = CASES[name].build()
     dim = body.rest.shape[1]
@@ -303,7 +328,10 @@ def test_static_states_are_those_of_the_same_clusters_as_lists(device: str, name
 @pytest.mark.parametrize("count", [1, 5])
 @pytest.mark.parametrize(
     ("shape", "size"),
-    [((200, 3, 3), 9), ((3, 200, 3), 9), ((3, 3, 200), 9), ((300, 2), 9), ((2, 300), 9), ((300, 3), 4)],
+    slow_but(
+        [((3, 200, 3), 9), ((300, 2), 9)],
+        [((200, 3, 3), 9), ((3, 200, 3), 9), ((3, 3, 200), 9), ((300, 2), 9), ((2, 300), 9), ((300, 3), 4)],
+    ),
 )
 def test_running_sums_do_not_drift_along_long_lattices(
     device: str, precision: Precision, shape: tuple[int, ...], size: int, count: int
@@ -316,7 +344,12 @@ def test_running_sums_do_not_drift_along_long_lattices(
 
 
 @pytest.mark.parametrize("count", [1, 5])
-@pytest.mark.parametrize("name", ["plane, width 7", "space, width 4", "plane, long", "space with holes"])
+@pytest.mark.parametrize(
+    "name",
+    slow_but(
+        ["plane, long", "space with holes"], ["plane, width 7", "space, width 4", "plane, long", "space with holes"]
+    ),
+)
 def test_far_away_and_turned_half_round_goals_keep_their_digits(
     device: str, precision: Precision, name: str, count: int
 ) -> None:
@@ -393,21 +426,21 @@ def test_runs_repeat_bit_for_bit(device: str, precision: Precision) -> None:
 # -- which bodies are lattices ----------------------------------------------------------------------------------------
 
 
-def test_uneven_and_quadratic_bodies_are_taken_as_lists_and_agree_with_the_reference(device: str) -> None:
+@pytest.mark.parametrize("kind", ["uneven", slow("quadratic")])
+def test_uneven_and_quadratic_bodies_are_taken_as_lists_and_agree_with_the_reference(device: str, kind: str) -> None:
     shape = (5, 6)
     rng = np.random.default_rng(1)
     even = lattice(shape)
-    uneven = even + rng.normal(0, 1e-3 * SPACING_M, even.shape)
+    rest = even + rng.normal(0, 1e-3 * SPACING_M, even.shape) if kind == "uneven" else even
+    basis: reference.Basis = "linear" if kind == "uneven" else "quadratic"
     held = np.array([0])
     x = even + rng.normal(0, 0.2 * SPACING_M, even.shape)
-    bases: tuple[tuple[FloatArray, reference.Basis], ...] = ((uneven, "linear"), (even, "quadratic"))
-    for rest, basis in bases:
-        grouped = clusters.lattice(rest, shape, np.arange(30), 3)
-        assert isinstance(grouped, LatticeClusters)
-        engine = Msm(rest, grouped, held, basis=basis, device=device)
-        assert isinstance(engine._body, GeneralBody)
-        expected = reference.goals(x, reference.build_rest(rest, grouped, held, basis=basis), 0.6) - x
-        np.testing.assert_allclose(engine.residual(x, 0.6)[0], expected, rtol=0.0, atol=1e-11 * SPACING_M)
+    grouped = clusters.lattice(rest, shape, np.arange(30), 3)
+    assert isinstance(grouped, LatticeClusters)
+    engine = Msm(rest, grouped, held, basis=basis, device=device)
+    assert isinstance(engine._body, GeneralBody)
+    expected = reference.goals(x, reference.build_rest(rest, grouped, held, basis=basis), 0.6) - x
+    np.testing.assert_allclose(engine.residual(x, 0.6)[0], expected, rtol=0.0, atol=1e-11 * SPACING_M)
 
 
 def test_a_particle_that_no_window_keeps_makes_a_body_of_lists(device: str) -> None:

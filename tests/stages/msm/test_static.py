@@ -15,6 +15,7 @@ from deformscope.stages.msm import clusters, reference
 from deformscope.stages.msm.clusters import Clusters
 from deformscope.stages.msm.reference import Rest, Volume
 from deformscope.stages.msm.solver import Msm, Precision, Relaxed
+from tests.cases import slow_but
 from tests.stages.bodies import SPACING_M, lattice, pushed
 
 TIGHT = 1e-13
@@ -22,12 +23,6 @@ TIGHT = 1e-13
 
 MODES: tuple[tuple[Volume, float], ...] = (("scale", 0.0), ("project", 0.6))
 """The two with an energy: their states are its minima."""
-
-
-@pytest.fixture(params=["float64", "float32"])
-def precision(request: pytest.FixtureRequest) -> Precision:
-    found: Precision = request.param
-    return found
 
 
 def _turn(rng: np.random.Generator, dim: int) -> FloatArray:
@@ -98,7 +93,7 @@ def _left(press: Press, found: Relaxed, rows: BoolArray, volume: Volume) -> Floa
     )
 
 
-@pytest.mark.parametrize(("shape", "size"), [*PRESSED[:3], PRESSED[3]])
+@pytest.mark.parametrize(("shape", "size"), slow_but([PRESSED[0], PRESSED[2]], PRESSED))
 def test_with_projection_every_pressed_body_converges_to_what_the_equations_hold(
     device: str, shape: tuple[int, ...], size: int
 ) -> None:
@@ -119,7 +114,7 @@ def _as_held(engine: Msm, press: Press) -> FloatArray:
     return rest + (press.held_position - rest) / engine.scale * engine.scale
 
 
-@pytest.mark.parametrize(("shape", "size"), PRESSED)
+@pytest.mark.parametrize(("shape", "size"), slow_but([PRESSED[2]], PRESSED))
 def test_pressed_bodies_with_eq_3_17_converge_or_say_that_they_did_not(
     device: str, shape: tuple[int, ...], size: int
 ) -> None:
@@ -140,7 +135,7 @@ def test_pressed_bodies_that_converged_with_eq_3_17_are_as_near_as_they_say(devi
 
 
 @pytest.mark.parametrize("volume", ["project", "scale"])
-@pytest.mark.parametrize(("shape", "size"), PRESSED)
+@pytest.mark.parametrize(("shape", "size"), slow_but([PRESSED[2]], PRESSED))
 def test_single_precision_is_never_silently_wrong(
     device: str, shape: tuple[int, ...], size: int, volume: Volume
 ) -> None:
@@ -157,7 +152,7 @@ def test_single_precision_is_never_silently_wrong(
 
 
 @pytest.mark.parametrize("volume", ["project", "scale"])
-@pytest.mark.parametrize(("shape", "size"), [PRESSED[0], PRESSED[3]])
+@pytest.mark.parametrize(("shape", "size"), slow_but([], [PRESSED[0], PRESSED[3]]))
 def test_what_converged_in_single_precision_is_near_what_double_precision_makes_of_it(
     device: str, shape: tuple[int, ...], size: int, volume: Volume
 ) -> None:
@@ -314,7 +309,7 @@ ERROR_CASES = 30
 
 
 @pytest.mark.parametrize(("volume", "theta"), [*MODES, ("scale", 0.2)])
-@pytest.mark.parametrize("tolerance", [1e-3, 1e-5, 1e-7])
+@pytest.mark.parametrize("tolerance", slow_but([1e-5], [1e-3, 1e-5, 1e-7]))
 def test_error_is_no_smaller_than_the_error(device: str, tolerance: float, volume: Volume, theta: float) -> None:
     rng = np.random.default_rng(16)
     for case in range(ERROR_CASES):

@@ -13,7 +13,6 @@ from deformscope.stages.poke.contact import (
     calibrate_compliance,
     fit_approach,
     layer_modulus,
-    threshold_stiffness,
 )
 
 NORMAL = np.array([0.3, -0.2, 1.2])
@@ -46,6 +45,15 @@ def approach(
     position = np.array([0.4, 0.1, 0.3]) - along[:, None] * out + np.cross(out, side) * time[:, None]
     noise = force_sd_n * rng.standard_normal((len(time), 3))
     return time, position, force[:, None] * out + noise + 0.04 * out, NORMAL  # an offset that the tare left
+
+
+def threshold_stiffness(time_s: FloatArray, position_m: FloatArray, force_n: FloatArray, normal: FloatArray) -> float:
+    """Force over depth [N/mm] with contact taken where the force first passes 0.15 N."""
+    out = normal / np.linalg.norm(normal)
+    depth, force = -position_m @ out, force_n @ out
+    force = force - np.median(force[time_s < 0.5])
+    first, last = int(np.argmax(force > 0.15)), int(np.argmax(force >= 3.0))
+    return float(1e-3 * force[last] / (depth[last] - depth[first]))
 
 
 @pytest.mark.parametrize(("tip", "depth_m", "spread"), [("sphere", 0.0066, 0.025), ("flat", 0.004, 0.02)])

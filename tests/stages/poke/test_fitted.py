@@ -149,10 +149,14 @@ def test_particles_of_a_pair_can_be_poked_where_they_were_not() -> None:
     assert made.tip is not None
     assert made.tip.size == pytest.approx((0.02,))
     assert not made.tip.slips
-    same = predict(made, Poke(np.array([0.06, 0.05]), Tip("flat", (0.02,), slips=False), depth=0.004))
+    same = predict(
+        made, Poke(np.array([0.06, 0.05]), Tip("flat", (0.02,), slips=False), depth=0.004), precision="float64"
+    )
     np.testing.assert_allclose(same.position, seen.deformed, atol=1e-7)
     assert same.force == pytest.approx(40.0 * force, rel=1e-3)
-    aside = predict(made, Poke(np.array([0.03, 0.05]), Tip("flat", (0.02,), slips=False), depth=0.004))
+    aside = predict(
+        made, Poke(np.array([0.03, 0.05]), Tip("flat", (0.02,), slips=False), depth=0.004), precision="float64"
+    )
     np.testing.assert_allclose(made.rest[aside.touched, 0], [0.02, 0.03, 0.04])
     assert aside.position[aside.touched, 1].max() == pytest.approx(0.046)
     with pytest.raises(InputError, match="layers below a surface"):

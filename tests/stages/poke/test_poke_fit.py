@@ -66,6 +66,7 @@ def test_each_poke_has_its_stiffness_and_the_field_is_judged_by_pokes_left_out()
     assert np.abs(reported.model.left_out).max() < 0.05
 
 
+@pytest.mark.slow
 def test_the_interval_holds_the_truth_under_noise_and_shrinks_with_it() -> None:
     widths = []
     for noise in (2e-5, 1e-4):

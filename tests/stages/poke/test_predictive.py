@@ -47,6 +47,7 @@ def test_quantiles_of_a_mixture_are_those_of_its_draws() -> None:
         )
 
 
+@pytest.mark.slow
 def test_an_unseen_poke_of_the_model_itself_lies_within_its_intervals() -> None:
     hits = total = 0
     for case in range(12):

@@ -7,6 +7,7 @@ import pytest
 
 from deformscope.errors import InputError
 from deformscope.stages.poke.stiffness_field import fit_field
+from tests.cases import slow_but
 
 
 def places(count: int, seed: int = 0) -> np.ndarray:
@@ -76,7 +77,7 @@ def test_a_stiffness_that_is_none_is_refused(bad: float) -> None:
         fit_field(places(2), np.array([20.0, bad]))
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", slow_but([0, 5, 9], range(12)))
 def test_a_stiff_inclusion_under_three_of_twelve_pokes_is_never_denied(seed: int) -> None:
     """At the pokes on it the field is near what they met, and beside them near it or unsure enough to hold it."""
     rng = np.random.default_rng(seed)

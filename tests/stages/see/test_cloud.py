@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from deformscope.arrays import FloatArray
 from deformscope.capsule import Capsule
@@ -16,7 +14,6 @@ from deformscope.stages.see.cloud import (
     axial_noise_m,
     back_project,
     beside_capsules,
-    beside_hull,
     contact_radius_m,
     height_noise_m,
     not_alone,
@@ -100,32 +97,6 @@ def test_links_take_exactly_the_points_of_the_arm() -> None:
         True,
         False,
     ]
-
-
-@settings(max_examples=25, deadline=None)
-@given(st.integers(0, 10_000))
-def test_a_hull_takes_exactly_the_points_of_the_arm(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    corners = rng.normal(size=(12, 3)) * 0.05
-    share = rng.dirichlet(np.ones(12), size=200)
-    inside = share @ corners
-    way = rng.normal(size=(100, 3))
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
-    # 0.02 beyond the farthest corner along each direction: outside whatever the shape
-    outside = way * ((corners @ way.T).max(axis=0)[:, None] + 0.02)
-    assert (
-        not beside_hull(inside, corners, margin_m=0.0).any() or beside_hull(inside, corners, margin_m=1e-12).sum() == 0
-    )
-    assert beside_hull(outside, corners, margin_m=0.0).all()
-    assert not beside_hull(corners, corners, margin_m=1e-9).any()
-
-
-def test_a_hulls_margin_is_measured_from_its_faces() -> None:
-    cube = np.array(np.meshgrid([0, 0.1], [0, 0.1], [0, 0.1])).reshape(3, -1).T
-    points = np.array([[0.05, 0.05, 0.109], [0.05, 0.05, 0.111]])
-    assert beside_hull(points, cube, margin_m=0.01).tolist() == [False, True]
-    with pytest.raises(InputError, match="span a volume"):
-        beside_hull(points, cube[:3])
 
 
 def test_noise_grows_with_distance_and_angle() -> None:

@@ -13,6 +13,7 @@ import scipy.io
 
 from deformscope.errors import InputError
 from deformscope.stages.see.flow import SMALLEST_PX, dense_flow, grey
+from tests.cases import slow_but
 
 Array = npt.NDArray[np.float64]
 Motion = Callable[[Array, Array], tuple[Array, Array]]
@@ -104,14 +105,17 @@ MOTIONS = {
 }
 
 
-@pytest.mark.parametrize("name", MOTIONS)
+@pytest.mark.parametrize(
+    "name",
+    slow_but(["rest", "part of a pixel", "strain of 18 %", "turn by 10 degrees", "small waves"], MOTIONS),
+)
 def test_finds_known_motion(name: str) -> None:
     motion, bound = MOTIONS[name]
     before, after, truth = pair(motion)
     assert rms(dense_flow(eight_bit(before), eight_bit(after)).flow_px, truth) < bound
 
 
-@pytest.mark.parametrize("name", ["a few pixels", "strain of 5 %", "turn by 3 degrees", "waves"])
+@pytest.mark.parametrize("name", slow_but(["waves"], ["a few pixels", "strain of 5 %", "turn by 3 degrees", "waves"]))
 def test_is_more_accurate_than_dis_alone(name: str) -> None:
     before, after, truth = pair(MOTIONS[name][0])
     a, b = eight_bit(before), eight_bit(after)
@@ -125,6 +129,7 @@ def test_light_may_change() -> None:
     assert rms(dense_flow(eight_bit(before), eight_bit(0.8 * after + 20 + slope)).flow_px, truth) < 0.05
 
 
+@pytest.mark.slow
 def test_meets_the_dic_challenge() -> None:
     if not CHALLENGE.is_dir():
         pytest.skip("needs the DIC Challenge images in ../shared/data/dic_challenge14")

@@ -21,6 +21,7 @@ from deformscope.stages.see.particles import (
     select_held,
     start,
 )
+from tests.cases import slow
 
 Array = npt.NDArray[np.float64]
 IMAGE = (120, 200)
@@ -281,7 +282,7 @@ def film(stretch: float, noise: float, seed: int) -> npt.NDArray[np.uint8]:
 
 
 @pytest.mark.parametrize("noise", [1.0, 6.0])
-@pytest.mark.parametrize("steps", [(0.002,), (0.03, 0.06, 0.09)])
+@pytest.mark.parametrize("steps", [(0.002,), slow((0.03, 0.06, 0.09))])
 def test_noise_is_honest_on_images(noise: float, steps: tuple[float, ...]) -> None:
     grid = seed_grid((220, 220), Rect(35, 35, 150, 150), shape=(10, 10))
     tracked, last = start(grid), film(0, noise, 0)

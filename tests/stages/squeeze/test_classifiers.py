@@ -13,11 +13,13 @@ from sklearn.preprocessing import StandardScaler
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.squeeze.classifiers import (
     NAMES,
+    SHARES,
     Neighbours,
     fit,
     fit_linear,
     fit_quadratic,
     left_out,
+    linear_share,
     neighbour_count,
 )
 from deformscope.stages.squeeze.components import fit_scaling, loadings, project
@@ -101,6 +103,23 @@ def test_of_many_points_the_gaussians_are_scikit_learns() -> None:
     # The clouds' covariance is the unit matrix, to which ours is shrunk; theirs has the errors of the sample.
     ours = np.exp(fit_linear(points, target, 3).log_posterior(points))
     np.testing.assert_allclose(ours, linear.predict_proba(points), atol=0.04)
+
+
+def test_the_share_of_the_unit_matrix_is_that_of_the_least_loss_when_points_are_left_out_one_by_one() -> None:
+    table = blobs(classes=3, each=9, columns=14, apart=3.0, seed=4)
+    points, target = table.modalities["touch"], table.target
+    points[:, 0] *= 5.0
+    loss = []
+    for share in SHARES:
+        one_by_one = []
+        for row in range(len(points)):
+            others = np.arange(len(points)) != row
+            fitted = fit_linear(points[others], target[others], 3, share)
+            one_by_one.append(-fitted.log_posterior(points[row : row + 1])[0, target[row]])
+        loss.append(np.mean(one_by_one))
+
+    assert linear_share(points, target, 3) == SHARES[int(np.argmin(loss))]
+    assert 0 < int(np.argmin(loss)) < len(SHARES) - 1
 
 
 @pytest.mark.parametrize("name", NAMES)

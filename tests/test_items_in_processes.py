@@ -6,8 +6,8 @@ import os
 
 import pytest
 
-from deformscope.cli.workers import in_processes
 from deformscope.errors import InputError
+from deformscope.processes import in_processes
 
 
 def whose(number: int) -> tuple[int, int]:

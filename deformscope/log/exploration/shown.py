@@ -1,0 +1,89 @@
+"""Results as pictures, which `deformscope.pictures.exploration` draws, as lanes over time and as lines of text."""
+
+from __future__ import annotations
+
+import rerun as rr
+
+from deformscope.arrays import FloatArray
+from deformscope.log.exploration.moment import ResultBatch
+from deformscope.log.rig.columns import Sink, states
+from deformscope.pictures import exploration as pictures
+from deformscope.pictures.palette import BAD, Rgb
+from deformscope.pictures.words import failed_words
+from deformscope.rows import ENTITIES
+from deformscope.stages.map.exploration import (
+    ExplorationStop,
+    MapEstimate,
+    PhaseStart,
+    PlannedTouch,
+    StageFailure,
+    SurfaceEstimate,
+    TouchEstimate,
+)
+
+HEIGHT, GAIN = "display/surface/height", "display/plan/gain"
+FORCE, SECTION = "display/touch/force", "display/touch/section"
+MAPS = {f"display/maps/{quantity}": quantity for quantity in pictures.MAP_DRAWINGS}
+
+PHASES: dict[str, Rgb] = {
+    "look": (86, 180, 233),
+    "plan": (150, 120, 220),
+    "travel": (110, 115, 125),
+    "tare": (120, 160, 160),
+    "approach": (230, 159, 0),
+    "press": (213, 94, 0),
+    "dwell": (0, 158, 115),
+    "press more": (180, 70, 0),
+    "dwell more": (0, 120, 90),
+    "back off": (200, 60, 120),
+    "retreat": (150, 155, 165),
+    "stopped": BAD,
+}
+"""What the robot does, each with its colour."""
+
+
+def log_nothing_known(now: ResultBatch) -> None:
+    """Words where there will be pictures."""
+    for path, words in {**dict.fromkeys([*MAPS, FORCE, SECTION], "no touch yet"), GAIN: "no plan yet"}.items():
+        now.show_png(path, pictures.words_png(words))
+
+
+def log_height(now: ResultBatch, surface: SurfaceEstimate) -> None:
+    now.show_png(HEIGHT, pictures.height_png(surface))
+
+
+def log_maps(now: ResultBatch, maps: MapEstimate) -> None:
+    for path, quantity in MAPS.items():
+        now.show_png(path, pictures.map_png(quantity, maps))
+
+
+def log_gain(now: ResultBatch, plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None) -> None:
+    now.show_png(GAIN, pictures.gain_png(plan, cell_m, contacts_m))
+
+
+def log_curves(now: ResultBatch, touch: TouchEstimate) -> None:
+    now.show_png(FORCE, pictures.force_png(touch))
+    now.show_png(SECTION, pictures.section_png(touch))
+
+
+def log_phase_colors(rec: Sink) -> None:
+    rec.log(ENTITIES[PhaseStart], states(PHASES), static=True)
+
+
+def log_phase(now: ResultBatch, phase: PhaseStart) -> None:
+    if phase.name.startswith("stopped"):  # its name says why, so that its colour is not among those known before
+        now.log_static(ENTITIES[PhaseStart], states(PHASES | {phase.name: BAD}))
+    now.show(ENTITIES[PhaseStart], rr.StateChange(state=phase.name))
+
+
+def log_failed(now: ResultBatch, failed: StageFailure) -> None:
+    """What failed on a touch, with where in the code."""
+    _error(now, StageFailure, f"{failed_words(failed)}\n{failed.trace}".strip())
+
+
+def log_stopped(now: ResultBatch, stop: ExplorationStop) -> None:
+    _error(now, ExplorationStop, f"{stop.kind}: {stop.reason}")
+
+
+def _error(now: ResultBatch, kind: type, text: str) -> None:
+    now.show(ENTITIES[kind], rr.TextLog(text, level="ERROR"))

@@ -1,0 +1,19 @@
+"""Cases of parametrised tests: which of them a default run takes, and which are left to `make test-slow`."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from typing import Any
+
+import pytest
+
+
+def slow(*values: Any) -> Any:
+    """One case that is slow."""
+    return pytest.param(*values, marks=pytest.mark.slow)
+
+
+def slow_but(quick: Collection[Any], cases: Iterable[Any]) -> list[Any]:
+    """All cases, slow but for the quick ones; a tuple is a case of several arguments."""
+    assert all(case in list(cases) for case in quick)
+    return [case if case in quick else slow(*(case if isinstance(case, tuple) else (case,))) for case in cases]
