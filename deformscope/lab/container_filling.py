@@ -27,7 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deformscope.arrays import FloatArray
+from deformscope.arrays import BoolArray, FloatArray
 from deformscope.lab.container_constants import AIR_PRESSURE_PA, BEARING_FACTOR, GRAVITY_M_S2, ROOM_K, Content
 
 ITERATIONS = 12
@@ -111,7 +111,7 @@ class Patches:
         return self.most_pa * np.where(self.half_m > 0.0, hardening, 1.0)
 
     def _grow(
-        self, at: FloatArray, trial: FloatArray, plastic_m: FloatArray, over: FloatArray, step_s: float
+        self, at: BoolArray, trial: FloatArray, plastic_m: FloatArray, over: FloatArray, step_s: float
     ) -> tuple[FloatArray, FloatArray]:
         """How much the plastic displacement grows, and the traction's slope: Newton from below, where the residual is
         convex and falls, so that it never passes the root."""
@@ -119,7 +119,10 @@ class Patches:
         rate = viscous / step_s**self.index
         harden = np.where(half > 0.0, most * half / np.maximum(plastic_m + half, 1e-12) ** 2, 0.0)
         x = over / (3.0 * np.maximum(k, harden))
-        x = np.where(rate > 0.0, np.minimum(x, (over / (3.0 * np.maximum(rate, 1e-300))) ** (1.0 / self.index)), x)
+        x = np.where(
+            rate > 0.0, np.minimum(x, (over / (3.0 * np.where(rate > 0.0, rate, 1.0))) ** (1.0 / self.index)), x
+        )
+        falls = k
         for _ in range(ITERATIONS):
             yields = np.where(half > 0.0, most * (plastic_m + x) / np.maximum(plastic_m + x + half, 1e-12), most)
             hardens = np.where(half > 0.0, most * half / np.maximum(plastic_m + x + half, 1e-12) ** 2, 0.0)

@@ -50,8 +50,8 @@ class ContainerView(RayCamera):
         T_hand_container: FloatArray,
         config: DepthViewConfig = CAMERA,
     ) -> None:
-        """nodes_m: along s and z, at which `render` is given displacements; T_hand_container: (4, 4) where the container
-        stands before, on its table; the camera is where it is seen well in a level hand, however it stands"""
+        """nodes_m: along s and z, at which `render` is given displacements; T_hand_container: (4, 4) where the
+        container stands before, on its table; the camera is where it is seen well in a level hand, however it stands"""
         looking = looking_at(np.zeros(3), config.distance_m, config.elevation_deg, config.azimuth_deg)
         super().__init__(config, hand_from_container() @ looking)
         self.shape = shape
@@ -76,7 +76,7 @@ class ContainerView(RayCamera):
             seen,
             facing,
         )
-        self._still = (depth, seen, facing)
+        self._still = Rendered(depth, _colors(seen, facing), seen, facing)
 
     def mesh(self, inward_m: FloatArray) -> tuple[FloatArray, npt.NDArray[np.uint32]]:
         """Vertices (n, 3) of the container in its own frame, and its triangles. inward_m: (nodes along s, along z)"""
@@ -86,12 +86,15 @@ class ContainerView(RayCamera):
         high = wall[self._rows - 1 :: self._rows]
         return np.vstack([wall, high.mean(axis=0)]), self._triangles
 
-    def render(self, inward_m: FloatArray, T_hand_container: FloatArray, position_deg: FloatArray) -> Rendered:
+    def render(
+        self, inward_m: FloatArray, T_hand_container: FloatArray, position_deg: npt.NDArray[np.float64]
+    ) -> Rendered:
         """The exact picture.
 
         inward_m: (nodes along s, along z) displacement of the wall; position_deg: (7,) of the hand
         """
-        depth, seen, facing = (array.copy() for array in self._still)
+        still = self._still
+        depth, seen, facing = still.depth_m.copy(), still.seen.copy(), still.facing.copy()
         vertex, triangle = self.mesh(inward_m)
         placed = vertex @ T_hand_container[:3, :3].T + T_hand_container[:3, 3]
         part = self.part(self.pixels(placed), AROUND_PX)
@@ -99,13 +102,21 @@ class ContainerView(RayCamera):
         nearer = own < np.where(np.isnan(depth[part]), np.inf, depth[part])
         for whole, value in ((depth, own), (seen, np.full(own.shape, CONTAINER, np.uint8)), (facing, cosine)):
             whole[part] = np.where(nearer, value, whole[part])
-        for capsule in finger_capsules(position_deg):
+        capsules = finger_capsules(position_deg)
+        for capsule in capsules:
             self.cover(capsule, depth, seen, facing)
-        color = COLOR[seen] * (0.35 + 0.65 * np.abs(facing))[..., None]
-        return Rendered(depth, np.rint(color).astype(np.uint8), seen, facing)
+        color = still.color.copy()
+        for window in (part, *(self.window(capsule) for capsule in capsules)):
+            color[window] = _colors(seen[window], facing[window])
+        return Rendered(depth, color, seen, facing)
 
 
-def finger_capsules(position_deg: FloatArray) -> list[Capsule]:
+def _colors(seen: npt.NDArray[np.uint8], facing: FloatArray) -> npt.NDArray[np.uint8]:
+    """(..., 3) RGB, lit along the view."""
+    return np.rint(COLOR[seen] * (0.35 + 0.65 * np.abs(facing))[..., None]).astype(np.uint8)
+
+
+def finger_capsules(position_deg: npt.NDArray[np.float64]) -> list[Capsule]:
     """The links of the three fingers in the hand frame, as wide as their pads are far from their axes."""
     capsules = []
     for finger in range(len(FINGERS)):

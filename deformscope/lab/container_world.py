@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deformscope.arrays import FloatArray
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.lab.container_constants import (
     FILL,
     FILL_SD,
@@ -59,7 +59,7 @@ TEXELS = ROWS_DISTAL * COLUMNS
 NEAR_M = 0.004
 """A finger is near when a texel's surface is within this of where the wall bulges to at rest."""
 TABLE_STIFFNESS_N_M = 2e4
-NEWTON_STEPS = 25
+NEWTON_STEPS, DAMPED_FROM = 40, 8
 CLOSE_M = 1e-8
 CLOSE_N = 1e-4
 CORRECTIONS = 3
@@ -68,7 +68,7 @@ TORQUE_CLOSE = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class SqueezeDraw:
+class ContainerDraw:
     """What varies from squeeze to squeeze and between instances.
 
     T_hand_container: (4, 4) where it stands before [m]; fill: share of the height; softness: of the wall over nominal
@@ -86,7 +86,7 @@ class SqueezeDraw:
     @classmethod
     def draw(
         cls, shape: ContainerShape, seed: int, instance: int, session: int = 0, grasp: FloatArray | None = None
-    ) -> SqueezeDraw:
+    ) -> ContainerDraw:
         """One at random; the wall belongs to the instance, the temperature to the session, and none of it to what is
         within. grasp: (4, 4) container to hand as it was meant to be; None = that is drawn too"""
         own = np.random.default_rng([seed, 0x15])
@@ -199,7 +199,7 @@ class _Tangent:
 
     matrix: FloatArray
     compliance: FloatArray
-    pressed: FloatArray
+    pressed: IntArray
     aside: FloatArray
 
 
@@ -209,7 +209,7 @@ class ContainerWorld:
     shape, content, trial: as given; mass_kg: of all of it
     """
 
-    def __init__(self, shape: ContainerShape, content: Content, trial: SqueezeDraw) -> None:
+    def __init__(self, shape: ContainerShape, content: Content, trial: ContainerDraw) -> None:
         self.shape, self.content, self.trial = shape, content, trial
         self._shell = shell_of(shape)
         level = trial.fill * shape.height_m
@@ -309,20 +309,18 @@ class ContainerWorld:
         if not any(finger.normal is not None for finger in self._fingers):
             return goal
         before = self._state.y
-        for turn in range(CORRECTIONS + 1):
-            state, tangent = self._solved(depth, slope, step_s)
-            off = self._off(state, step, torque_nm)
-            room = {
-                axis: by
-                for axis, by in off.items()
-                if not math.isclose(
-                    goal[axis], (wanted_deg if by * step[axis] > 0.0 else position_deg)[axis], abs_tol=1e-9
-                )
-            }
-            if not room or turn == CORRECTIONS:
+        state, tangent = self._solved(depth, slope, step_s)
+        for _ in range(CORRECTIONS):
+            room = {}
+            for axis, by in self._off(state, step, torque_nm).items():
+                end_deg = wanted_deg[axis] if by * step[axis] > 0.0 else position_deg[axis]
+                if not math.isclose(goal[axis], end_deg, abs_tol=1e-9):
+                    room[axis] = by
+            if not room:
                 break
             goal = self._corrected(goal, room, self._torque_slope(tangent, slope), position_deg, wanted_deg)
             depth, slope = self._reached(goal)
+            state, tangent = self._solved(depth, slope, step_s)
         moves = np.abs(state.y - before).max() >= CLOSE_M or (goal - position_deg)[list(LOADED)].any()
         self._still = None if moves else asked
         self._state = state
@@ -393,7 +391,8 @@ class ContainerWorld:
         y, slid = before.y.copy(), before.slid_m
         cover = PAD_STIFFNESS_PA_M * TEXEL_M2
         filled = count + np.arange(len(self._area) if patches.resist else 0)
-        for _ in range(NEWTON_STEPS):
+        slips = 0.0  # the direction in which the table rubs, once the container does not stick
+        for turn in range(NEWTON_STEPS):
             deep = depth + self._across * slid - y[:count]
             pressed = np.flatnonzero(deep > 0.0)
             aside, touched = self._across[pressed], len(pressed)
@@ -403,7 +402,9 @@ class ContainerWorld:
             traction, plastic, stiff = patches.moved(moved, before.traction_pa, before.plastic_m, step_s)
             gas, gas_slope = self._gas.pressure_pa(float(y[-1]))
             loads = np.concatenate([force, -traction * self._area, [-gas]])
-            rub, rub_slope = self._rub(slid - before.held_m)
+            rub, rub_slope = TABLE_STIFFNESS_N_M * (slid - before.held_m), TABLE_STIFFNESS_N_M
+            if slips:
+                rub, rub_slope = slips * self._friction_n, 1.0  # 1 N/m, so that there is one solution
             at = np.concatenate([pressed, filled, [len(y) - 1]])
             residual = np.append(y[at] - self._compliance[at] @ loads, -(force @ self._across) - rub)
             part = self._compliance[np.ix_(at, at)]
@@ -415,23 +416,21 @@ class ContainerWorld:
             matrix[-1, :touched] = cover * aside
             matrix[-1, -1] = -cover * float(aside @ aside) - rub_slope
             if np.abs(residual[:-1]).max() < CLOSE_M and abs(residual[-1]) < CLOSE_N:
-                break
+                if slips or abs(rub) <= self._friction_n:
+                    held = slid - rub / TABLE_STIFFNESS_N_M
+                    found = _Balance(y, slid, held, traction, plastic, force, loads, slope.T @ force)
+                    return found, _Tangent(matrix, part[:, :touched], pressed, aside)
+                slips = math.copysign(1.0, rub)
+                continue
             change = np.linalg.solve(matrix, -residual)
-            slid += change[-1]
+            # damped where it jumps between texels that touch and do not
+            part_way = 1.0 if turn < DAMPED_FROM else 0.5
             grown = loads.copy()
             grown[at] += slopes * change[:-1]
             grown[pressed] += cover * aside * change[-1]
-            y = self._compliance @ grown
-        held = slid - rub / TABLE_STIFFNESS_N_M
-        state = _Balance(y, slid, held, traction, plastic, force, loads, slope.T @ force)
-        return state, _Tangent(matrix, part[:, :touched], pressed, aside)
-
-    def _rub(self, sheared_m: float) -> tuple[float, float]:
-        """The table's friction, and its slope."""
-        sticking = TABLE_STIFFNESS_N_M * sheared_m
-        if abs(sticking) <= self._friction_n:
-            return sticking, TABLE_STIFFNESS_N_M
-        return math.copysign(self._friction_n, sticking), 1.0  # 1 N/m, so that there is one solution
+            y = y + part_way * (self._compliance @ grown - y)
+            slid += part_way * change[-1]
+        raise ArithmeticError(f"no balance of a squeezed container within {NEWTON_STEPS} steps")
 
     @staticmethod
     def _torque_slope(tangent: _Tangent, slope: FloatArray) -> FloatArray:

@@ -25,6 +25,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
@@ -40,11 +41,13 @@ from deformscope.lab.container_constants import (
 )
 from deformscope.lab.container_shell import BOX, CYLINDER, ContainerShape
 from deformscope.lab.container_view import CAMERA, ContainerView
-from deformscope.lab.container_world import LOADED, SQUEEZING, ContainerWorld, SqueezeDraw
+from deformscope.lab.container_world import LOADED, SQUEEZING, ContainerDraw, ContainerWorld
 from deformscope.lab.ray_camera import DepthViewConfig
 from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.source import RigMember, RigSource
+from deformscope_drivers.clock import Clock
 from deformscope_drivers.depth_camera import SyntheticDepthCamera, View
+from deformscope_drivers.depth_camera.image import Intrinsics
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
 from deformscope_drivers.device import Device
 from deformscope_drivers.dsa import Dsa, DsaConfig, DsaDouble
@@ -95,11 +98,110 @@ class ContainerTruth:
     nodes_m: tuple[FloatArray, FloatArray]
 
 
+class SqueezedContainer:
+    """A container between the fingers of a simulated hand, in a camera's view: what the doubles are over.
+
+    hand, pads: the doubles; shape, world, view: the container's form, what the fingers press, the camera
+    """
+
+    def __init__(
+        self,
+        content: str,
+        container: str = "box-01",
+        *,
+        clock: Clock,
+        port: Port,
+        seed: int = 0,
+        session: int = 0,
+        grasp: FloatArray | None = None,
+        alike: bool = False,
+        camera: DepthViewConfig = CAMERA,
+    ) -> None:
+        """clock: that the hand's double runs on; port: what the hand hangs on; others as for `SqueezeLab`"""
+        if content not in CONTENTS:
+            raise InputError(f"a content of {', '.join(CONTENTS)}", repr(content))
+        self.content, self.container, self._clock = content, container, clock
+        self.shape, instance = container_of(container)
+        self.draw = ContainerDraw.draw(self.shape, seed, instance, session, grasp)
+        self.world = ContainerWorld(self.shape, WATER if alike else CONTENTS[content], self.draw)
+        self.view = ContainerView(self.shape, self.world.nodes_m, self.draw.T_hand_container, camera)
+        self._contact_ns: int | None = None
+        self._speeds: list[tuple[int, float]] = []
+        self.hand = SdhDouble(port)
+        self.hand.place(OPEN_DEG)
+        self.hand.press(self)
+        drift = 1.0 + PAD_DRIFT_PER_K * self.draw.room_k
+        own = np.random.default_rng(0x19)  # the hand is always the same
+        self._gain = drift * (1.0 + TEXEL_GAIN_SD * own.standard_normal(self.world.pressure_pa.shape))
+        self.pads = DsaDouble(scene=self._felt, pa_per_count=PA_PER_COUNT, noise_counts=NOISE_COUNTS, seed=seed)
+
+    def truth(self) -> ContainerTruth:
+        """What is simulated, up to now."""
+        return ContainerTruth(
+            content=self.content,
+            container=self.container,
+            fill=self.draw.fill,
+            mass_kg=self.world.mass_kg,
+            contact_ns=self._contact_ns,
+            steady_ns=self._steady_ns(),
+            T_hand_container_rest=self.draw.T_hand_container,
+            T_hand_container=self.world.T_hand_container,
+            T_hand_camera=self.view.T_world_camera,
+            force_n=self.world.force_n,
+            dent_m=self.world.dent_m,
+            inward_m=self.world.inward_m(),
+            nodes_m=self.world.nodes_m,
+        )
+
+    def seen(self) -> View:
+        """What the camera is to show now, without what it adds itself."""
+        position = np.array([axis.position_deg for axis in self.hand.motion.axes])
+        exact = self.view.render(self.world.inward_m(), self.world.T_hand_container, position)
+        flat = np.abs(exact.facing) < np.sin(np.radians(self.view.config.grazing_deg))
+        return View(np.where(flat, np.nan, exact.depth_m), exact.color)
+
+    def reach_deg(
+        self, position_deg: Sequence[float], wanted_deg: Sequence[float], current_a: Sequence[float], step_s: float
+    ) -> Sequence[float]:
+        """The hand's double presses the container (`deformscope_drivers.sdh.motion.Compliance`)."""
+        warm_k = np.array([axis.temperature_c for axis in self.hand.motion.axes]) - AMBIENT_C
+        loss = self.draw.gear_loss + GEAR_LOSS_PER_K * (warm_k + self.draw.room_k)
+        torque_nm = np.array(TORQUE_NM_PER_A) * current_a * (1.0 - loss)
+        before = np.array(position_deg)
+        reached = self.world.reach_deg(before, np.array(wanted_deg), torque_nm, step_s)
+        now_ns = self._clock() // CYCLE_NS * CYCLE_NS
+        if self._contact_ns is None and self.world.force_n.any():
+            self._contact_ns = now_ns
+        if self._contact_ns is not None:
+            turned = (reached - before)[list(LOADED)] / step_s
+            self._speeds.append((now_ns, float(turned[np.argmax(np.abs(turned))])))
+        return [float(angle) for angle in reached]
+
+    def _steady_ns(self) -> int | None:
+        """From the end of the pressing backwards, the first cycle of those in which the joints are still."""
+        steady_ns: int | None = None
+        pressed = list(self._speeds)
+        opened = next((i for i, (_, speed) in enumerate(pressed) if speed < -STILL_DEG_S), len(pressed))
+        for at_ns, speed in reversed(pressed[:opened]):
+            if abs(speed) >= STILL_DEG_S:
+                break
+            steady_ns = at_ns
+        return steady_ns
+
+    def _felt(self, _: float) -> list[npt.NDArray[np.float64]]:
+        """Pressures on the six pads."""
+        pads: list[npt.NDArray[np.float64]] = [
+            np.zeros((matrix.cells_y, matrix.cells_x)) for matrix in self.pads.matrices
+        ]
+        for finger, pressure, gain in zip(SQUEEZING, self.world.pressure_pa, self._gain, strict=True):
+            pads[Pad(finger, Part.DISTAL).matrix] = np.asarray(pressure * gain, np.float64)
+        return pads
+
+
 class SqueezeLab:
     """The laboratory with one container in it, closed.
 
-    hand, pads, camera: the real drivers' devices, to be opened by `open`; hand_double, pads_double: behind them
-    shape: the container's outer form; world: what the fingers press; view: the camera
+    hand, pads, camera: the real drivers' devices, to be opened by `open`; simulated: what is behind them
     """
 
     def __init__(
@@ -122,38 +224,43 @@ class SqueezeLab:
         random one
         alike: every content has the physics of water, whatever it is called
         """
-        if content not in CONTENTS:
-            raise InputError(f"a content of {', '.join(CONTENTS)}", repr(content))
-        self.content, self.container = content, container
-        self.shape, instance = container_of(container)
         self.clock = SimulatedClock(1_000_000_000)
-        self.trial = SqueezeDraw.draw(self.shape, seed, instance, session, grasp)
-        self.world = ContainerWorld(self.shape, WATER if alike else CONTENTS[content], self.trial)
-        self._contact_ns: int | None = None
-        self._speeds: list[tuple[int, float]] = []
-        self._noise = np.random.default_rng([seed, 0x18])
-        self.hand_double = SdhDouble(Port.TCP)
-        self.hand_double.place(OPEN_DEG)
-        self.hand_double.press(self)
-        drift = 1.0 + PAD_DRIFT_PER_K * self.trial.room_k
-        own = np.random.default_rng(0x19)  # the hand is always the same
-        self._gain = drift * (1.0 + TEXEL_GAIN_SD * own.standard_normal(self.world.pressure_pa.shape))
-        self.pads_double = DsaDouble(scene=self._felt, pa_per_count=PA_PER_COUNT, noise_counts=NOISE_COUNTS, seed=seed)
+        self.simulated = SqueezedContainer(
+            content,
+            container,
+            clock=self.clock,
+            port=Port.TCP,
+            seed=seed,
+            session=session,
+            grasp=grasp,
+            alike=alike,
+            camera=camera,
+        )
         self.hand = Sdh(
             SdhConfig(port="socket://simulated-hand:23", rate_hz=hand_hz),
-            transport=MemoryTransport(self.hand_double, self.clock, "simulated hand"),
+            transport=MemoryTransport(self.simulated.hand, self.clock, "simulated hand"),
             clock=self.clock,
         )
         self.pads = Dsa(
             DsaConfig(port="simulated-pads", calibration=(PA_PER_COUNT,)),
-            transport=MemoryTransport(self.pads_double, self.clock, "simulated pads"),
+            transport=MemoryTransport(self.simulated.pads, self.clock, "simulated pads"),
             clock=self.clock,
         )
-        self.view = ContainerView(self.shape, self.world.nodes_m, self.trial.T_hand_container, camera)
-        synthetic = SyntheticDepthConfig(
-            name="simulated camera", rate_hz=camera_hz, missing=0.02, seed=seed, intrinsics=self.view.intrinsics
+        self.camera = SyntheticDepthCamera(
+            lambda _: self.simulated.seen(),
+            camera_config(self.simulated.view.intrinsics, camera_hz, seed),
+            clock=self.clock,
         )
-        self.camera = SyntheticDepthCamera(self._seen, synthetic, clock=self.clock)
+
+    @property
+    def shape(self) -> ContainerShape:
+        """The container's outer form."""
+        return self.simulated.shape
+
+    @property
+    def view(self) -> ContainerView:
+        """The camera's, exact."""
+        return self.simulated.view
 
     def open(self) -> None:
         """Open the devices on the laboratory's clock."""
@@ -175,18 +282,13 @@ class SqueezeLab:
 
     def source(self) -> RigSource:
         """The devices as a source, named as in `NAMES`; entering it opens them."""
-        drivers = ("sdh", "dsa", "depth_camera")
-        members = [
-            RigMember(name, DRIVERS[driver], device, simulated=True)
-            for name, driver, device in zip(NAMES, drivers, self._devices, strict=True)
-        ]
-        return RigSource(members, clock=self.clock, opener=self.open)
+        return RigSource(members(*self._devices), clock=self.clock, opener=self.open)
 
     def wait_until(self, until_ns: int) -> None:
         """Let time pass: the hand goes on in each of its cycles, and every device is polled at its moments."""
         while (now_ns := self.clock()) < until_ns:
             self.clock.advance_to(min((now_ns // POLL_NS + 1) * POLL_NS, until_ns))
-            self.hand_double.position_deg(self.clock())
+            self.simulated.hand.position_deg(self.clock())
             for device in self._devices:
                 if device.is_open:
                     with contextlib.suppress(DeviceError):  # a link that is lost is reported by its device
@@ -194,68 +296,27 @@ class SqueezeLab:
 
     def truth(self) -> ContainerTruth:
         """What is simulated, up to now."""
-        return ContainerTruth(
-            content=self.content,
-            container=self.container,
-            fill=self.trial.fill,
-            mass_kg=self.world.mass_kg,
-            contact_ns=self._contact_ns,
-            steady_ns=self._steady_ns(),
-            T_hand_container_rest=self.trial.T_hand_container,
-            T_hand_container=self.world.T_hand_container,
-            T_hand_camera=self.view.T_world_camera,
-            force_n=self.world.force_n,
-            dent_m=self.world.dent_m,
-            inward_m=self.world.inward_m(),
-            nodes_m=self.world.nodes_m,
-        )
+        return self.simulated.truth()
 
     @property
-    def _devices(self) -> tuple[Device[Any], ...]:
+    def _devices(self) -> tuple[Device[Any], Device[Any], Device[Any]]:
         return self.hand, self.pads, self.camera
 
-    # What the doubles ask --------------------------------------------------------------------------------------------
 
-    def reach_deg(
-        self, position_deg: Sequence[float], wanted_deg: Sequence[float], current_a: Sequence[float], step_s: float
-    ) -> Sequence[float]:
-        """The hand's double presses the container (`deformscope_drivers.sdh.motion.Compliance`)."""
-        warm_k = np.array([axis.temperature_c for axis in self.hand_double.motion.axes]) - AMBIENT_C
-        loss = self.trial.gear_loss + GEAR_LOSS_PER_K * (warm_k + self.trial.room_k)
-        torque_nm = np.array(TORQUE_NM_PER_A) * current_a * (1.0 - loss)
-        before = np.array(position_deg)
-        reached = self.world.reach_deg(before, np.array(wanted_deg), torque_nm, step_s)
-        now_ns = self.clock() // CYCLE_NS * CYCLE_NS
-        if self._contact_ns is None and self.world.force_n.any():
-            self._contact_ns = now_ns
-        if self._contact_ns is not None:
-            turned = (reached - before)[list(LOADED)] / step_s
-            self._speeds.append((now_ns, float(turned[np.argmax(np.abs(turned))])))
-        return [float(angle) for angle in reached]
+def members(hand: Device[Any], pads: Device[Any], camera: Device[Any]) -> list[RigMember]:
+    """Simulated devices as members of a rig, named as in `NAMES`."""
+    kinds = ("sdh", "dsa", "depth_camera")
+    return [
+        RigMember(name, DRIVERS[kind], device, simulated=True)
+        for name, kind, device in zip(NAMES, kinds, (hand, pads, camera), strict=True)
+    ]
 
-    def _steady_ns(self) -> int | None:
-        """From the end of the pressing backwards, the first cycle of those in which the joints are still."""
-        steady_ns: int | None = None
-        pressed = self._speeds
-        opened = next((i for i, (_, speed) in enumerate(pressed) if speed < -STILL_DEG_S), len(pressed))
-        for at_ns, speed in reversed(pressed[:opened]):
-            if abs(speed) >= STILL_DEG_S:
-                break
-            steady_ns = at_ns
-        return steady_ns
 
-    def _felt(self, _: float) -> list[FloatArray]:
-        """Pressures on the six pads."""
-        pads = [np.zeros((matrix.cells_y, matrix.cells_x)) for matrix in self.pads_double.matrices]
-        for finger, pressure, gain in zip(SQUEEZING, self.world.pressure_pa, self._gain, strict=True):
-            pads[Pad(finger, Part.DISTAL).matrix] = pressure * gain
-        return pads
-
-    def _seen(self, _: float) -> View:
-        position = np.array([axis.position_deg for axis in self.hand_double.motion.axes])
-        exact = self.view.render(self.world.inward_m(), self.world.T_hand_container, position)
-        flat = np.abs(exact.facing) < np.sin(np.radians(self.view.config.grazing_deg))
-        return View(np.where(flat, np.nan, exact.depth_m), exact.color)  # the camera adds its own noise
+def camera_config(intrinsics: Intrinsics, rate_hz: float, seed: int) -> SyntheticDepthConfig:
+    """What the camera's double adds to a view."""
+    return SyntheticDepthConfig(
+        name="simulated camera", rate_hz=rate_hz, missing=0.02, seed=seed, intrinsics=intrinsics
+    )
 
 
 def container_of(name: str) -> tuple[ContainerShape, int]:

@@ -66,7 +66,7 @@ def _wrench(reading: Any, index: int, name: str, device: Any) -> Frame:
 def _arm(reading: Any, index: int, name: str, device: Any) -> Frame:
     joints = reading.joints_deg, reading.rates_deg_s, reading.torques_nm
     pose = reading.position_m, reading.theta_rad, reading.wrench[:3], reading.wrench[3:]
-    measured = [np.array(one) for one in (*joints, *pose, reading.fingers)]
+    measured: Any = [np.array(one) for one in (*joints, *pose, reading.fingers)]
     measured[-1] = measured[-1] / FINGER_CLOSED
     return ArmFrame(reading.stamp, index, *measured, queued=reading.fifo_count, device=name)
 

@@ -9,7 +9,7 @@ import pytest
 
 from deformscope.lab.container_constants import CONTENTS, EMPTY, PAD_STIFFNESS_PA_M, RICE, WATER, Content
 from deformscope.lab.container_shell import BOX, CYLINDER, ContainerShape, shell_of
-from deformscope.lab.container_world import TEXEL_M2, ContainerWorld, SqueezeDraw, hand_from_container, misplaced
+from deformscope.lab.container_world import TEXEL_M2, ContainerDraw, ContainerWorld, hand_from_container, misplaced
 
 OPEN_DEG = np.array([90.0, -14.0, 5.3, -70.0, 0.0, -14.0, 5.3])
 TORQUE_NM = np.array([0.0, 0.5, 1.0, 0.5, 1.0, 0.5, 1.0])
@@ -17,9 +17,9 @@ STEP_S = 0.01
 SPEED_DEG_S = 10.0
 
 
-def nominal(**changes: object) -> SqueezeDraw:
+def nominal(**changes: object) -> ContainerDraw:
     """A trial without any chance in it."""
-    plain = SqueezeDraw(hand_from_container(), 0.9, 1.0, 0.0, 0.0, np.zeros(7))
+    plain = ContainerDraw(hand_from_container(), 0.9, 1.0, 0.0, 0.0, np.zeros(7))
     return dataclasses.replace(plain, **changes)  # type: ignore[arg-type]
 
 
@@ -29,7 +29,7 @@ class Squeezed:
     def __init__(
         self,
         content: Content,
-        trial: SqueezeDraw | None = None,
+        trial: ContainerDraw | None = None,
         shape: ContainerShape = BOX,
         speed: float = SPEED_DEG_S,
         steps: int = 150,
@@ -149,14 +149,14 @@ def test_a_warm_container_stands_under_pressure_as_its_walls_allow() -> None:
 
 
 def test_draws_depend_on_seed_instance_and_session_and_repeat() -> None:
-    first, again = (SqueezeDraw.draw(BOX, 3, instance=7, session=1) for _ in range(2))
+    first, again = (ContainerDraw.draw(BOX, 3, instance=7, session=1) for _ in range(2))
     np.testing.assert_array_equal(first.T_hand_container, again.T_hand_container)
-    other = SqueezeDraw.draw(BOX, 4, instance=7, session=1)
+    other = ContainerDraw.draw(BOX, 4, instance=7, session=1)
     assert other.softness == first.softness
     assert other.fill != first.fill
-    assert SqueezeDraw.draw(BOX, 3, instance=8, session=1).softness != first.softness
-    assert SqueezeDraw.draw(BOX, 3, instance=7, session=2).room_k != first.room_k
+    assert ContainerDraw.draw(BOX, 3, instance=8, session=1).softness != first.softness
+    assert ContainerDraw.draw(BOX, 3, instance=7, session=2).room_k != first.room_k
     given = hand_from_container(along_m=0.02)
-    placed = SqueezeDraw.draw(BOX, 3, instance=7, grasp=given).T_hand_container
+    placed = ContainerDraw.draw(BOX, 3, instance=7, grasp=given).T_hand_container
     assert np.abs(placed[:3, 3] - given[:3, 3]).max() <= 0.004
     np.testing.assert_allclose(placed[:3, :3] @ placed[:3, :3].T, np.eye(3), atol=1e-12)
