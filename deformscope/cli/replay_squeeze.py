@@ -34,17 +34,17 @@ def replay_squeeze(recording: Replay, config: ReplayConfig) -> None:
     """Compute and compare; raises Different."""
     import numpy as np
 
-    from deformscope.recording.results import read_results
+    from deformscope.recording.items import read_results
     from deformscope.rows import to_components
     from deformscope.stages.squeeze.trial import SqueezeStop
 
     path = config.recording
     again = squeeze_again(recording)
     kinds = tuple(dict.fromkeys(map(type, again.results)))
-    stops = [one.result for one in read_results(path, (SqueezeStop,), trust=True)]
+    stops = [one.item for one in read_results(path, (SqueezeStop,), trust=True)]
     compared = 0
     for kind in kinds:
-        before = _by_frame([one.result for one in read_results(path, (kind,), trust=True)])
+        before = _by_frame([one.item for one in read_results(path, (kind,), trust=True)])
         now = _by_frame([one for one in again.results if type(one) is kind])
         last = max(before, default=-1)
         if any(frame not in now for frame in before) or any(frame not in before for frame in now if frame <= last):

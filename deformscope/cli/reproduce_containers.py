@@ -6,15 +6,11 @@ deformscope reproduce containers --trials 100 --cylinders 0 --quick
 
 from __future__ import annotations
 
-import time
 from typing import TYPE_CHECKING, Any
 
 from deformscope.cli.common import (
-    SAY_EVERY_S,
-    console,
     fit_progress,
     make_folder,
-    progress,
     recorder_of,
     replacing,
     say,
@@ -82,18 +78,14 @@ def _squeeze(dataset: SqueezeDataset, jobs: list[SqueezeJob], config: Containers
         return
     writing = SqueezeDataset(dataset.folder, feature_settings(container_lab().setup))
     waiting: list[TrialRow] = []
-    said, shown = time.monotonic(), console().is_terminal
     try:
-        with progress("squeezing", len(left)) as done:
+        with fit_progress() as note:
             for count, (_, row) in enumerate(in_processes(run_squeeze, left, config.workers), start=1):
                 waiting.append(row)
                 if len(waiting) >= KEPT_TOGETHER:
                     writing.add(waiting)
                     waiting = []
-                done(1)
-                if not shown and time.monotonic() - said > SAY_EVERY_S:
-                    said = time.monotonic()
-                    say(f"squeezing: {count} of {len(left)}")
+                note("squeezing", count, len(left))
     finally:
         if waiting:
             writing.add(waiting)

@@ -15,7 +15,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import EXIT_LOSSES, resolve_viewer, say, show_table, status_line, write_json
+from deformscope.api.result import open_recorder
+from deformscope.cli.common import EXIT_LOSSES, say, show_table, status_line, write_json
 from deformscope.cli.exploring import POLL_S, Watch, signal_word
 from deformscope.cli.rigs import until_interrupted
 from deformscope.cli.setups import LAB, squeeze_setup_of
@@ -46,7 +47,6 @@ def run(config: SqueezeConfig) -> int:
     from deformscope.experiments.squeeze import Squeezed
     from deformscope.experiments.squeeze_trial import entry_of, feature_settings, recorded_settings, row_of
     from deformscope.files.squeeze_dataset import SqueezeDataset
-    from deformscope.recording.recorder import Recorder
 
     session = config.session or ("lab-0" if config.rig.startswith(LAB) else f"{datetime.date.today():%Y%m%d}")
     dataset = None if config.dataset is None else SqueezeDataset(config.dataset)
@@ -67,12 +67,10 @@ def run(config: SqueezeConfig) -> int:
     settings = {"seed": seed, **opening.settings, "trial": dataclasses.asdict(entry)}
     with (
         until_interrupted() as asked,
-        Recorder(
-            file,
-            resolve_viewer(config.output.viewer),
+        open_recorder(
+            dataclasses.replace(config.output, record=file),
             settings | recorded_settings(opening.setup),
-            layout="squeeze",
-            overwrite=config.output.overwrite,
+            "squeeze",
             real_time=opening.setup.runs_itself,
         ) as recorder,
     ):

@@ -133,7 +133,6 @@ class MergeConfig(CommandOptions):
     json: flags.JsonFlag = None
 
 
-
 @dataclass(frozen=True, slots=True)
 class RepairConfig(CommandOptions):
     """Take in the recordings in a data set's folder that its index lacks, as after a run that was cut short: their

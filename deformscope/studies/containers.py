@@ -103,9 +103,7 @@ def run_squeeze(job: SqueezeJob) -> TrialRow:
         tactile = TactileSource.of(source.streams, setup.names.tactile, setup.hand.fingers)
         frames = SqueezeFrames(tactile, setup.names.hand, setup.names.camera, rule_of(setup))
         observer = SqueezeObserver(frames, setup.hand.tactile_end, None)
-        recorder.start_squeeze(
-            source.streams, source.start_ns, setup.names.tactile, tactile.pads, setup.names.camera
-        )
+        recorder.start_squeeze(source.streams, source.start_ns, setup.names.tactile, tactile.pads, setup.names.camera)
         hand = SqueezingHand(setup, source, observer)
         run(source, squeeze(setup.clock, observer, SqueezeGeometry.of(setup), found), recorder, hand)
         finish(source, recorder)

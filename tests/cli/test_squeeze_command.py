@@ -151,10 +151,10 @@ def test_a_model_names_the_content_while_it_is_squeezed(tmp_path: Path) -> None:
     assert status == 0
     assert sum(found["posterior"].values()) == pytest.approx(1.0)
     assert found["named"] in ("empty", "rice")
-    from deformscope.recording.results import read_results
+    from deformscope.recording.items import read_results
     from deformscope.stages.squeeze.trial import ContentPosterior
 
-    shown = [one.result for one in read_results(file, (ContentPosterior,))]
+    shown = [one.item for one in read_results(file, (ContentPosterior,))]
     assert len(shown) >= 4
     assert shown[-1].index == -1 or shown[0].index == -1  # type: ignore[union-attr]
     assert main(["replay", str(file)]) == 0

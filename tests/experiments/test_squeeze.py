@@ -12,9 +12,10 @@ from deformscope.experiments.squeeze import Squeezed, squeeze
 from deformscope.experiments.squeeze_features import SqueezeGeometry, trial_features
 from deformscope.experiments.squeeze_frames import SqueezeFrames, SqueezeObserver, TactileSource
 from deformscope.experiments.squeezing_hand import SqueezingHand, rule_of
+from deformscope.recording.recorder import Recorder
 from deformscope.robot.squeeze_robot import SQUEEZE_PERIOD_NS
 from deformscope.robot.squeeze_supervisor import SqueezeFault
-from deformscope.session import NotRecorded, run
+from deformscope.session import run
 from tests.experiments.toy_squeeze import ToySqueeze, closing, limits
 
 BEFORE_A = (1.0, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5)
@@ -44,7 +45,7 @@ class Session:
 
             hand.on_phase = began
             self.geometry = SqueezeGeometry.of(setup)
-            run(source, squeeze(setup.clock, observer, self.geometry, self.found), NotRecorded(), hand)
+            run(source, squeeze(setup.clock, observer, self.geometry, self.found), Recorder(None), hand)
             self.hand = hand
         return self.found
 

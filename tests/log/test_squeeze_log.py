@@ -12,8 +12,9 @@ import rerun as rr
 from deformscope.frames import Pad, Stream
 from deformscope.log.squeeze import Fingertips, prepare_squeeze_results, squeeze_blueprint
 from deformscope.pictures.depth_change import depth_change_png
+from deformscope.recording.items import read_results
 from deformscope.recording.recorder import Recorder
-from deformscope.recording.results import read_results
+from deformscope.session import Moment, Step
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.trial import (
     ContentPosterior,
@@ -63,8 +64,8 @@ def test_every_result_comes_back_to_the_last_bit(tmp_path: Path) -> None:
     file = tmp_path / "r.rrd"
     with Recorder(file, "none", {"squeezed": {}}, layout="squeeze") as recorder:
         recorder.start_squeeze([STREAM], 1_000, "pads", (1, 5), "")
-        recorder.write(RESULTS, now_ns=2_000)
-    read = [one.result for one in read_results(file, tuple(map(type, RESULTS)))]
+        recorder.write(Step(RESULTS, moment=Moment(2_000)))
+    read = [one.item for one in read_results(file, tuple(map(type, RESULTS)))]
 
     assert len(read) == len(RESULTS)
     for before in RESULTS:

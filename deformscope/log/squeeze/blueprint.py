@@ -9,7 +9,7 @@ import rerun.blueprint as rrb
 from deformscope.frames import Stream
 from deformscope.log.rig.blueprint import blueprint_of, plot_view, rig_views, tactile_view
 from deformscope.log.rig.columns import root
-from deformscope.log.rig.plotted import plotted
+from deformscope.log.rig.numbers import plotted
 from deformscope.log.squeeze.change import CHANGE
 from deformscope.log.squeeze.container import CONTAINER
 from deformscope.log.squeeze.content import CONTENT
