@@ -128,7 +128,7 @@ def _run(
             None if setup.placed else _placed(config, setup, asked),
         )
         try:
-            with watch.halts(hand), computing_beside(setup, hand) as beside:
+            with computing_beside(setup, hand) as beside, watch.halts(hand):
                 run_session(source, experiment, recorder, hand, beside)
         finally:
             told |= {"hand_stands": hand.stands, "limits_restored": hand.restored}

@@ -140,7 +140,9 @@ class SqueezingHand:
         self._robot.ask_to_stop(reason)
 
     def halt(self, reason: str) -> bool:
-        """Stop the hand and set its current limits as they were; whether it confirmed both."""
+        """Stop the hand and set its current limits as they were; whether it confirmed both. From any thread: a command
+        that is under way ends in its next control period."""
+        self._robot.ask_to_stop(reason)
         self.stands = self._robot.halt()
         self.restored = self._robot.restore()
         return self.stands and self.restored

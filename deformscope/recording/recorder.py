@@ -583,7 +583,7 @@ class Recorder:
     def _holds_something(self) -> bool:
         """Whether an unfinished recording is worth keeping."""
         # an exploration whose checks have not passed holds nothing but that its devices were there
-        return bool(self._steps or self._inputs or (self._frames and self._layout != "exploration"))
+        return bool(self._steps or self._inputs or (self._frames and self._layout not in ("exploration", "squeeze")))
 
 
 def _send_shown(show: Callable[..., Batch], live: LiveStream) -> None:
