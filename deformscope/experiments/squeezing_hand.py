@@ -21,7 +21,7 @@ from deformscope.stages.squeeze.trial import SqueezePhase, SqueezeStop
 
 KEEP_EVERY = 5
 """Control periods of a simulated clock between two portions of the recording."""
-AIR_FRAMES = BASELINE_FRAMES + 3
+AIR_FRAMES = BASELINE_FRAMES
 """Tactile frames in the air, the fingers open and at rest, before they close."""
 AIR_TIMEOUT_S = 3.0
 AFTER_S = 0.5

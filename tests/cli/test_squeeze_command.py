@@ -164,7 +164,7 @@ def test_a_model_names_the_content_while_it_is_squeezed(tmp_path: Path) -> None:
     ("given", "expected"),
     [
         ([], "--content NAME, or --model MODEL"),
-        (["--content", "rice", "--dataset", "d"], "--container NAME with --dataset"),
+        (["--content", "rice", "--dataset", "d"], "--content and --container with --dataset"),
         (["--content", "a/b"], "a name of letters, digits"),
     ],
 )

@@ -14,6 +14,6 @@ CHANGE = "display/squeeze/change"
 def log_change(now: ResultBatch, features: SqueezeFeatures) -> None:
     if features.vision is None:
         words = f"no visual feature: {features.reason or 'no camera'}"
-        now.send(f"{CHANGE}/words", rr.TextLog.columns(text=[words], level=["WARN"]))
+        now.show(f"{CHANGE}/words", rr.TextLog(words, level="WARN"))
         return
     now.show_png(CHANGE, depth_change_png(features.vision, features.patch_width_m, features.missing))

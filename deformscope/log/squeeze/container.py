@@ -15,14 +15,11 @@ WIDTH_PX = 1.2
 
 def log_container(now: ResultBatch, tracked: TrackedContainer) -> None:
     """Red like all that is simulated; darker where the track is bad."""
-    many = len(tracked.edges_px)
     color = SIMULATED if tracked.good else BAD
     words = f"{100 * tracked.agreeing:.0f} % of the pixels agree"
     label = words if tracked.good else f"not used: {tracked.reason}"
-    strips = rr.LineStrips2D.columns(
-        strips=tracked.edges_px.astype(np.float32), radii=[WIDTH_PX] * many, colors=[color] * many
-    ).partition([many])
-    now.send(CONTAINER, [*strips, *rr.LineStrips2D.columns(draw_order=[80.0])])
-    place = tracked.edges_px.reshape(-1, 2).min(axis=0) if many else np.zeros(2)
-    text = rr.Points2D.columns(positions=[place], radii=[0.01], colors=[color], labels=[label])
-    now.send(f"{CONTAINER}/words", [*text, *rr.Points2D.columns(show_labels=[True], draw_order=[81.0])])
+    edges = tracked.edges_px.astype(np.float32)
+    now.show(CONTAINER, rr.LineStrips2D(edges, radii=WIDTH_PX, colors=color, draw_order=80.0))
+    place = edges.reshape(-1, 2).min(axis=0) if len(edges) else np.zeros(2)
+    named = rr.Points2D([place], radii=0.01, colors=color, labels=[label], show_labels=True, draw_order=81.0)
+    now.show(f"{CONTAINER}/words", named)

@@ -6,7 +6,6 @@ import numpy as np
 import rerun as rr
 
 from deformscope.log.exploration.moment import ResultBatch
-from deformscope.log.rig.columns import scalars
 from deformscope.log.squeeze.summary import SQUEEZE_SUMMARY
 from deformscope.pictures.palette import JOINTS
 from deformscope.stages.squeeze.trial import ContentPosterior
@@ -19,9 +18,9 @@ def log_content(now: ResultBatch, posterior: ContentPosterior) -> None:
     tints = [JOINTS[at % len(JOINTS)] for at in range(len(posterior.labels))]
     names = rr.SeriesLines(names=list(posterior.labels), colors=tints, widths=[2.0] * len(tints))
     now.log_static(path, names)
-    now.send(path, scalars([np.asarray(posterior.probability, np.float64)]))
+    now.show(path, rr.Scalars(posterior.probability))
     order = np.argsort(posterior.probability)[::-1]
     rows = [f"| {posterior.labels[at]} | {100 * posterior.probability[at]:.0f} % |" for at in order]
     head = [f"# {posterior.content}", "", f"{posterior.since_s:.1f} s after first contact, by {posterior.modality}", ""]
     text = "\n".join([*head, "| content | probability |", "| --- | --- |", *rows])
-    now.send(SQUEEZE_SUMMARY, rr.TextDocument.columns(text=[text], media_type=["text/markdown"]))
+    now.show(SQUEEZE_SUMMARY, rr.TextDocument(text, media_type="text/markdown"))

@@ -9,7 +9,7 @@ import rerun as rr
 
 from deformscope.frames import Stream
 from deformscope.log.exploration.moment import ResultBatch
-from deformscope.log.rig.columns import root, scalars
+from deformscope.log.rig.columns import root
 from deformscope.log.rig.tactile import Hand
 from deformscope.log.stages.pads import CENTER, MARK_MM
 from deformscope.stages.squeeze.trial import FingertipPressure
@@ -28,7 +28,7 @@ class Fingertips:
 
 
 def log_fingertips(now: ResultBatch, felt: FingertipPressure, fingertips: Fingertips) -> None:
-    now.send(FORCE, scalars([felt.force_n]))
+    now.show(FORCE, rr.Scalars(felt.force_n))
     hand = Hand.of(fingertips.stream.pads)
     touched = [at for at in range(len(fingertips.pads)) if felt.area_m2[at] > 0.0]
     centers, lines, labels = [], [], []
@@ -39,16 +39,11 @@ def log_fingertips(now: ResultBatch, felt: FingertipPressure, fingertips: Finger
         centers.append(center)
         lines.append(np.nan_to_num(np.stack([center - half, center + half]), nan=0.0))
         labels.append(f"{felt.force_n[at]:.2f} N, {felt.area_m2[at] * 1e4:.1f} cm2")
-    many = len(touched)
     path = root("display/tactile", fingertips.stream.device)
-    points = rr.Points2D.columns(
-        positions=np.array(centers).reshape(many, 2),
-        radii=[MARK_MM] * many,
-        colors=[CENTER] * many,
-        labels=labels,
-    ).partition([many])
-    now.send(f"{path}/contact", [*points, *rr.Points2D.columns(show_labels=[True], draw_order=[70.0])])
-    strips = rr.LineStrips2D.columns(
-        strips=np.array(lines).reshape(many, 2, 2), radii=[0.4 * MARK_MM] * many, colors=[CENTER] * many
-    ).partition([many])
-    now.send(f"{path}/axis", [*strips, *rr.LineStrips2D.columns(draw_order=[65.0])])
+    points = np.array(centers).reshape(-1, 2)
+    now.show(
+        f"{path}/contact",
+        rr.Points2D(points, radii=MARK_MM, colors=CENTER, labels=labels, show_labels=True, draw_order=70.0),
+    )
+    strips = np.array(lines).reshape(-1, 2, 2)
+    now.show(f"{path}/axis", rr.LineStrips2D(strips, radii=0.4 * MARK_MM, colors=CENTER, draw_order=65.0))

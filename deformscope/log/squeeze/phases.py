@@ -32,8 +32,8 @@ def log_squeeze_phase(now: ResultBatch, phase: SqueezePhase) -> None:
         colors = SQUEEZE_PHASES | {phase.name: BAD}
         shown = rr.StateConfiguration(values=list(colors), colors=list(colors.values()))
         now.log_static(ENTITIES[SqueezePhase], shown)
-    now.send(ENTITIES[SqueezePhase], rr.StateChange.columns(state=[phase.name]))
+    now.show(ENTITIES[SqueezePhase], rr.StateChange(state=phase.name))
 
 
 def log_squeeze_stop(now: ResultBatch, stop: SqueezeStop) -> None:
-    now.send(ENTITIES[SqueezeStop], rr.TextLog.columns(text=[f"{stop.kind}: {stop.reason}"], level=["ERROR"]))
+    now.show(ENTITIES[SqueezeStop], rr.TextLog(f"{stop.kind}: {stop.reason}", level="ERROR"))

@@ -13,7 +13,7 @@ EVENTS = "display/squeeze/events"
 
 def log_no_squeeze(now: ResultBatch) -> None:
     text = "# Not squeezed yet"
-    now.send(SQUEEZE_SUMMARY, rr.TextDocument.columns(text=[text], media_type=["text/markdown"]))
+    now.show(SQUEEZE_SUMMARY, rr.TextDocument(text, media_type="text/markdown"))
 
 
 def log_events_summary(now: ResultBatch, events: SqueezeEvents) -> None:
@@ -21,4 +21,4 @@ def log_events_summary(now: ResultBatch, events: SqueezeEvents) -> None:
     took_s = (events.steady_ns - events.first_ns) / 1e9
     wide = [(high - low) / 1e6 for low, high in (events.first_interval_ns, events.steady_interval_ns)]
     text = f"steady {took_s:.2f} s after first contact (known to {wide[0]:.0f} ms and {wide[1]:.0f} ms)"
-    now.send(EVENTS, rr.TextLog.columns(text=[text], level=["INFO"]))
+    now.show(EVENTS, rr.TextLog(text, level="INFO"))

@@ -19,8 +19,8 @@ from deformscope.errors import InputError
 
 PERIODS = 2.0
 """An event is known to so many sample periods."""
-BASELINE_FRAMES = 3
-"""Frames without contact that a baseline takes at least."""
+BASELINE_FRAMES = 6
+"""The first frames, in the air, are the baseline."""
 DEVIATIONS = 6.0
 """Of the baseline: a sum that is farther above it is no noise, where that is more than `onset_counts`."""
 
@@ -90,8 +90,6 @@ class OnsetDetector:
             self._count[finger] += 1
             if self._count[finger] >= self._rule.onset_frames and not self.finger_ns[finger]:
                 self.finger_ns[finger] = self._since[finger]
-        if not over.any() and not self.first_ns:
-            self._air.append(np.asarray(sums, np.float64))
         return self.first_ns > 0
 
 
@@ -158,10 +156,10 @@ def squeeze_events(
 
 
 def _interval(event_ns: int, sample_ns: IntArray, period_s: float) -> tuple[int, int]:
-    """It was after the sample before the last one without it, which may lie far back where samples were lost, and a
-    period after it at most."""
+    """It was after the last sample without it, which may lie far back where samples were lost, and within two sample
+    periods around it otherwise."""
     if not event_ns:
         return 0, 0
     at = int(np.searchsorted(sample_ns, event_ns))
     before = int(sample_ns[max(at - 1, 0)])
-    return min(before, event_ns - round(PERIODS * period_s * 1e9)), event_ns + round(period_s * 1e9)
+    return min(before, event_ns - round(PERIODS * period_s * 1e9)), event_ns + round(PERIODS * period_s * 1e9)

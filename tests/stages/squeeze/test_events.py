@@ -90,5 +90,5 @@ def test_the_rule_can_be_tuned() -> None:
 def test_too_little_is_refused() -> None:
     few = np.arange(2) * 40_000_000
 
-    with pytest.raises(InputError, match="more than 3 frames"):
+    with pytest.raises(InputError, match="more than 6 frames"):
         squeeze_events(few, np.zeros((2, 2)), few, np.zeros((2, 2)), RULE)
