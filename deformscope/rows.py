@@ -47,6 +47,15 @@ from deformscope.stages.map.exploration import (
     TouchEstimate,
 )
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
+from deformscope.stages.squeeze.events import SqueezeEvents
+from deformscope.stages.squeeze.trial import (
+    ContentPosterior,
+    FingertipPressure,
+    SqueezeFeatures,
+    SqueezePhase,
+    SqueezeStop,
+    TrackedContainer,
+)
 
 FORMAT = 1
 """Of a recording, in its properties: which entities and components it has. Any change that a reader of the old format
@@ -57,6 +66,16 @@ Input = LookFrames | TouchFrames | SurfaceMeasurement | TouchMeasurement
 Result = (
     SurfaceEstimate | TouchEstimate | MapEstimate | PlannedTouch | StageFailure | PhaseStart | ExplorationStop | Input
 )
+SqueezeResult = (
+    SqueezePhase
+    | SqueezeStop
+    | SqueezeEvents
+    | SqueezeFeatures
+    | FingertipPressure
+    | TrackedContainer
+    | ContentPosterior
+)
+"""What comes of a squeeze."""
 
 ENTITIES: dict[type, str] = {
     SurfaceEstimate: "exploration/surface",
@@ -70,6 +89,13 @@ ENTITIES: dict[type, str] = {
     TouchFrames: "exploration/input/touch",
     SurfaceMeasurement: "exploration/input/surface",
     TouchMeasurement: "exploration/input/measured",
+    SqueezePhase: "squeeze/phase",
+    SqueezeStop: "squeeze/stopped",
+    SqueezeEvents: "squeeze/events",
+    SqueezeFeatures: "squeeze/features",
+    FingertipPressure: "squeeze/fingertips",
+    TrackedContainer: "squeeze/container",
+    ContentPosterior: "squeeze/content",
     HealthReport: "health",
     InputFile: "input",
 }

@@ -43,7 +43,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     # The simulated world must not share the model that is fitted to it.
     "lab": ("arrays", "capsule", "errors", "processes", "rig", "robot"),
     "session": ("frames",),
-    "rows": ("arrays", "frames", "images", "stages.map"),
+    "rows": ("arrays", "frames", "images", "stages.map", "stages.squeeze"),
     "recording": ("arrays", "errors", "frames", "images", "log", "rows", "session", *STAGES),
     "files": ("arrays", "errors", "file_io", "frames", "images", "recording", *STAGES),
     "experiments": (

@@ -70,11 +70,20 @@ COMMANDS: dict[str, Command] = {
     "reproduce table41": _command(
         "maps of simulated tables over seeds (Thesis table 4.1)", "Table41Config", "reproduce_table41"
     ),
+    "reproduce containers": _command(
+        "contents of squeezed containers (Thesis chapter 2)", "ContainersConfig", "reproduce_containers"
+    ),
     "coverage": _command("how often the intervals hold the truth", "CoverageConfig", "coverage"),
     "explore": _command("map how soft a surface is, by touching it", "ExploreConfig", "explore"),
     "classify": _command(
         "what is in a container, from squeezing it: how well it is known", "ClassifyConfig", "classify"
     ),
+    "squeeze": _command("squeeze a container: one trial, or the name of its content", "SqueezeConfig", "squeeze"),
+    "dataset list": _command("the trials of a data set of squeezes", "DatasetConfig", "dataset", "listing"),
+    "dataset relabel": _command("correct what its index says of trials", "RelabelConfig", "dataset", "relabel"),
+    "dataset discard": _command("leave trials out, with the reason", "DiscardConfig", "dataset", "discard"),
+    "dataset merge": _command("take over the trials of other data sets", "MergeConfig", "dataset", "merge"),
+    "dataset repair": _command("take in recordings that the index lacks", "RepairConfig", "dataset", "repair"),
     "devices": _command("what is plugged in, and its health", "DevicesConfig", "devices"),
     "doctor": _command("whether a rig would work, and what to do if not", "DoctorConfig", "doctor"),
     "record": _command("record all devices of a rig", "RecordConfig", "record", "record"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from deformscope.cli.common import say
 from deformscope.errors import InputError
@@ -28,13 +28,24 @@ SHOW_EVERY = 10
 POLL_S = 0.1
 
 
+class WatchedRobot(Protocol):
+    """What a watch needs of a robot. doing: what it does now, in words"""
+
+    @property
+    def doing(self) -> str: ...
+
+    def ask_to_stop(self, reason: str) -> None: ...
+
+    def halt(self, reason: str) -> bool: ...
+
+
 class Watch:
     """Called in every control period: ends it when somebody asks, and shows what the robot does. robot: once there is
     one; arm_stopped: whether the arm could be stopped, in the end"""
 
     def __init__(self, asked: Interruption, show: Callable[[str], None]) -> None:
         """asked: set when somebody wants it to end; show: one line that the next replaces"""
-        self.robot: TouchingRobot | None = None
+        self.robot: WatchedRobot | None = None
         self.arm_stopped = True
         self._asked, self._show = asked, show
         self._periods = 0
@@ -49,7 +60,7 @@ class Watch:
             self._show(self.robot.doing)
 
     @contextlib.contextmanager
-    def halts(self, robot: TouchingRobot) -> Iterator[None]:
+    def halts(self, robot: WatchedRobot) -> Iterator[None]:
         """Whatever ends this, the arm is then halted, also where halting it was interrupted. Beyond it are the
         end of each velocity after 40 ms, and the driver, which erases the arm's trajectories as it closes."""
         self.robot = robot

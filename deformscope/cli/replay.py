@@ -52,6 +52,11 @@ def run(config: ReplayConfig) -> None:
 
         replay_exploration(recording, config)
         return
+    if "squeezed" in settings:
+        from deformscope.cli.replay_squeeze import replay_squeeze
+
+        replay_squeeze(recording, config)
+        return
     if config.set:
         raise InputError("--set with a recorded exploration", "a recording of another kind", where=config.recording)
     if "rig" in settings:

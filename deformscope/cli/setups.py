@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from deformscope.lab.touch_lab import TouchLab
     from deformscope.rig.rig_file import Rig
     from deformscope.robot.setup import Setup
+    from deformscope.robot.squeeze_setup import SqueezeSetup
 
 LAB = "lab:"
 
@@ -88,6 +89,40 @@ def setup_of_rig(rig: Rig, seed: int = 0) -> Setup:
         model=parts.devices[0].config.model,
     )
     return rig_setup(parts, member_of, table, (1.0 / ARM_STIFFNESS_N_M, ARM_DOUBT / ARM_STIFFNESS_N_M))
+
+
+CONTAINERS = f"{LAB}containers"
+
+
+@dataclasses.dataclass(frozen=True, slots=True, eq=False)
+class SqueezeOpening:
+    """A setup to squeeze with, closed; settings: for its recording; content, container: what stands there, as asked for
+    or, in the laboratory, as drawn"""
+
+    setup: SqueezeSetup
+    settings: dict[str, Any]
+    content: str
+    container: str
+
+
+def squeeze_setup_of(
+    name: str, content: str, container: str, session: str, seed: int, *, trusted: bool
+) -> SqueezeOpening:
+    """The setup of lab:containers or of a rig file. content, container: empty = drawn, in the laboratory"""
+    if name == CONTAINERS:
+        from deformscope.lab.container_setup import container_lab
+
+        made = container_lab(content, container, session, seed)
+        return SqueezeOpening(made.setup, {"lab": CONTAINERS}, made.content, made.container)
+    if name.startswith(LAB):
+        raise InputError(CONTAINERS + ", or a rig file", repr(name), CONTAINERS)
+    from deformscope.cli.rigs import member_of
+    from deformscope.rig.rig_file import load_rig
+    from deformscope.robot.squeeze_setup import squeeze_setup
+
+    rig = load_rig(name, trusted=trusted)
+    settings = {"rig": rig.text, "rig_name": rig.name}
+    return SqueezeOpening(squeeze_setup(rig, member_of, seed), settings, content, container)
 
 
 def _is_scene(name: str) -> bool:

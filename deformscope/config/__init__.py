@@ -23,6 +23,7 @@ from deformscope.config.images import FlowConfig, ImageOptions
 from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions
 from deformscope.config.reproduce import (
     BenchConfig,
+    ContainersConfig,
     CoverageConfig,
     CubesConfig,
     FoamsConfig,
@@ -43,4 +44,12 @@ from deformscope.config.rigs import (
     ReplayConfig,
     RigRunOptions,
     VerifyConfig,
+)
+from deformscope.config.squeeze import (
+    DatasetConfig,
+    DiscardConfig,
+    MergeConfig,
+    RelabelConfig,
+    RepairConfig,
+    SqueezeConfig,
 )

@@ -30,7 +30,8 @@ class ClassifyConfig(RecordedOptions):
     modality, and from all of them fused. Everything is learned inside the training side of each split."""
 
     table: Annotated[Path, Positional, arg(metavar="DATASET|TABLE"), flags.Reads()]
-    """A table (.npz, .csv or .parquet) with a label for each trial, and features by modality."""
+    """A data set of `deformscope squeeze`, or a table (.npz, .csv or .parquet) with a label for each trial, and its
+    features by modality."""
     modalities: NamesFlag = None
     """Take these alone, in that order; default: all."""
     merge: Annotated[

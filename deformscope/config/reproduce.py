@@ -129,3 +129,24 @@ class BenchConfig(CommandOptions):
     """Where the simulation runs; auto: on the GPU where there is one."""
     json: flags.JsonFlag = None
     """Write all of it as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+
+
+@dataclass(frozen=True, slots=True)
+class ContainersConfig(RecordedOptions):
+    """Thesis chapter 2 in the laboratory: squeeze boxes with five contents, evaluate touch, vision and both, and draw
+    its figures, with its statements beside ours. Trials that the folder has already are taken from there, so that a
+    command that was cut off goes on."""
+
+    out: flags.Folder = Path("runs/containers")
+    """Folder of the data set (squeezes/) and of the reports (five/, three/); made where it is not there."""
+    trials: Annotated[int, flags.least(20)] = 731
+    """Squeezes of cardboard boxes, in the thesis's proportions."""
+    cylinders: Annotated[int, flags.least(0)] = 100
+    """Squeezes of plastic cylinders besides, on which what was learned from boxes is tested."""
+    whole: Annotated[int, flags.least(0)] = 20
+    """Trials whose whole recordings are kept, at the camera's full rate."""
+    quick: bool = False
+    """At most 30 splits, and neither costly classifiers nor a learning curve."""
+    workers: flags.SomeFlag = None
+    """Processes at once; default: the cores of this machine."""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)

@@ -39,10 +39,11 @@ if TYPE_CHECKING:
 
     from deformscope.log.blueprint import Layout
 
-    RecordingLayout = Layout | Literal["rig", "exploration", "findings"]
+    RecordingLayout = Layout | Literal["rig", "exploration", "squeeze", "findings"]
     from deformscope.log.canvas import Canvas
     from deformscope.log.live_stream import LiveStream
     from deformscope.log.rig import Batch, Place
+    from deformscope.log.squeeze import Fingertips
 
 APPLICATIONS: dict[RecordingLayout, str] = {
     "images": "deformscope",
@@ -51,6 +52,7 @@ APPLICATIONS: dict[RecordingLayout, str] = {
     "pair-3d": "deformscope-pair-3d",
     "rig": "deformscope-rig",
     "exploration": "deformscope-exploration",
+    "squeeze": "deformscope-squeeze",
     "findings": "deformscope-findings",
 }
 """rerun's application of each layout: a viewer keeps one set of views an application, and these differ."""
@@ -125,6 +127,7 @@ class Recorder:
         self._counts: dict[str, int] = {}
         self._losses: dict[str, dict[str, float]] = {}
         self._streams: tuple[Stream, ...] = ()
+        self._fingertips: Fingertips | None = None
         self._lossless: frozenset[str] = frozenset()
         # what the writer's thread alone touches, until it has ended
         self._writer: Writer | None = None
@@ -226,6 +229,20 @@ class Recorder:
             given = self._streams
             self._put(lambda: self._emit(lambda rec: log_exploration_start(rec, given, base_from_surface), 0), 0)
 
+    def start_squeeze(
+        self, streams: Sequence[Stream], start_ns: int, tactile: str, pads: Sequence[int], camera: str
+    ) -> None:
+        """From here on it is a squeeze that is recorded, and its devices.
+
+        tactile, pads: the device and the pads of the fingertips that squeeze; camera: the depth camera, or empty
+        """
+        if self.active:
+            from deformscope.log.squeeze import fingertips_of, log_squeeze_start, squeeze_blueprint
+
+            self._start(streams, start_ns, squeeze_blueprint(streams, tactile, camera))
+            self._fingertips = fingertips = fingertips_of(streams, tactile, pads)
+            self._put(lambda: self._emit(lambda rec: log_squeeze_start(rec, fingertips), 0), 0)
+
     def write(self, items: object) -> None:
         """Record one thing, or a sequence of things, without loss; an empty one asks whether it can go on.
 
@@ -262,7 +279,7 @@ class Recorder:
 
     @property
     def _of_devices(self) -> bool:
-        return self._layout in ("rig", "exploration")
+        return self._layout in ("rig", "exploration", "squeeze")
 
     def _start(self, streams: Sequence[Stream], start_ns: int, views: rr.blueprint.Blueprint) -> None:
         from deformscope.log.rig import log_streams
@@ -300,7 +317,7 @@ class Recorder:
             self._put(lambda: self._write_step(step, times, size), size)
 
     def _take_results(self, results: tuple[object, ...], moment: Moment) -> None:
-        """Of an exploration."""
+        """Of an exploration, or of a squeeze."""
         # what the devices give from the plan of a touch on belongs to that touch
         self._touch = moment.touch + any(
             isinstance(result, PlannedTouch) and result.target_m is not None for result in results
@@ -311,10 +328,15 @@ class Recorder:
         size, session_ns = sum(map(arrays_size, results)), moment.now_ns - self._first_ns
 
         def write() -> None:
-            from deformscope.log.exploration import prepare_results
+            if self._layout == "squeeze":
+                from deformscope.log.squeeze import prepare_squeeze_results
 
-            place = self._place(moment.touch, moment.seen_ns)
-            batch = prepare_results(results, session_ns, place, cell_m=moment.cell_m, failed=self._not_shown)
+                batch = prepare_squeeze_results(results, session_ns, self._fingertips)
+            else:
+                from deformscope.log.exploration import prepare_results
+
+                place = self._place(moment.touch, moment.seen_ns)
+                batch = prepare_results(results, session_ns, place, cell_m=moment.cell_m, failed=self._not_shown)
             if self._file is not None:
                 self._file.send(batch)
             self._show(lambda live: live.send(batch), size, lasting=True)
@@ -427,7 +449,7 @@ class Recorder:
         from deformscope.log.blueprint import blueprint
 
         layout = self._layout
-        if layout == "rig" or layout == "exploration" or layout == "findings":
+        if layout == "rig" or layout == "exploration" or layout == "squeeze" or layout == "findings":
             return  # these views come with what they show
         if not self._arranged and self._canvas is not None:
             self._arranged = True
@@ -561,7 +583,7 @@ class Recorder:
     def _holds_something(self) -> bool:
         """Whether an unfinished recording is worth keeping."""
         # an exploration whose checks have not passed holds nothing but that its devices were there
-        return bool(self._steps or self._inputs or (self._frames and self._layout != "exploration"))
+        return bool(self._steps or self._inputs or (self._frames and self._layout not in ("exploration", "squeeze")))
 
 
 def _send_shown(show: Callable[..., Batch], live: LiveStream) -> None:

@@ -7,7 +7,6 @@ TOML, read strictly: a key that nobody knows is an error, since a limit with a t
 from __future__ import annotations
 
 import dataclasses
-import math
 import os
 import stat
 import sys
@@ -18,10 +17,10 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from deformscope.errors import InputError
+from deformscope.rig.checks import check, check_transform
 from deformscope.rig.driver_table import DRIVERS, Driver
+from deformscope.rig.squeeze_sections import ContainerSection, HandSection, SqueezeSection
 from deformscope.rig.vendor_library import system_library
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
@@ -82,11 +81,11 @@ class Camera:
     doubt_m: float = 0.0
 
     def __post_init__(self) -> None:
-        _check(0 <= self.doubt_m <= 0.03, "doubt_m between 0 and 0.03", self.doubt_m)
+        check(0 <= self.doubt_m <= 0.03, "doubt_m between 0 and 0.03", self.doubt_m)
         if self.focal_px is not None:
-            _check(min(self.focal_px) > 0, "focal_px above 0", self.focal_px)
+            check(min(self.focal_px) > 0, "focal_px above 0", self.focal_px)
         if self.T_arm_camera is not None:
-            _check_transform("T_arm_camera", self.T_arm_camera)
+            check_transform("T_arm_camera", self.T_arm_camera)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,15 +109,15 @@ class Tool:
     stick_radius_m: float = 0.008
 
     def __post_init__(self) -> None:
-        _check(0 <= self.length_m <= 1, "length_m between 0 and 1", self.length_m)
-        _check(self.tip in ("sphere", "disc", "flat"), 'tip = "sphere", "disc" or "flat"', repr(self.tip))
-        _check(0 < self.stick_radius_m <= 0.1, "stick_radius_m above 0 and up to 0.1", self.stick_radius_m)
-        _check(0 < self.radius_m <= 0.2, "radius_m above 0 and up to 0.2", self.radius_m)
+        check(0 <= self.length_m <= 1, "length_m between 0 and 1", self.length_m)
+        check(self.tip in ("sphere", "disc", "flat"), 'tip = "sphere", "disc" or "flat"', repr(self.tip))
+        check(0 < self.stick_radius_m <= 0.1, "stick_radius_m above 0 and up to 0.1", self.stick_radius_m)
+        check(0 < self.radius_m <= 0.2, "radius_m above 0 and up to 0.2", self.radius_m)
         if self.T_ee_tip is not None:
-            _check_transform("T_ee_tip", self.T_ee_tip)
+            check_transform("T_ee_tip", self.T_ee_tip)
         given = self.compliance_m_per_n
-        _check(given is None or 0 <= given < 0.01, "compliance_m_per_n between 0 and 0.01", given)
-        _check(0 <= self.compliance_sd < 0.01, "compliance_sd between 0 and 0.01", self.compliance_sd)
+        check(given is None or 0 <= given < 0.01, "compliance_m_per_n between 0 and 0.01", given)
+        check(0 <= self.compliance_sd < 0.01, "compliance_sd between 0 and 0.01", self.compliance_sd)
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,10 +135,10 @@ class SurfaceSection:
     scene: str = ""
 
     def __post_init__(self) -> None:
-        _check(all(0.05 <= side <= 2 for side in self.size_m), "size_m between 0.05 and 2", self.size_m)
-        _check(0.005 <= self.thickness_m <= 0.5, "thickness_m between 0.005 and 0.5", self.thickness_m)
+        check(all(0.05 <= side <= 2 for side in self.size_m), "size_m between 0.05 and 2", self.size_m)
+        check(0.005 <= self.thickness_m <= 0.5, "thickness_m between 0.005 and 0.5", self.thickness_m)
         if self.T_arm_surface is not None:
-            _check_transform("T_arm_surface", self.T_arm_surface)
+            check_transform("T_arm_surface", self.T_arm_surface)
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,18 +165,18 @@ class Workspace:
     camera_silent_s: float | None = None
 
     def __post_init__(self) -> None:
-        _check((self.low_m is None) == (self.high_m is None), "both low_m and high_m, or neither", "one of them")
+        check((self.low_m is None) == (self.high_m is None), "both low_m and high_m, or neither", "one of them")
         if self.low_m is not None and self.high_m is not None:
             rising = all(low < high for low, high in zip(self.low_m, self.high_m, strict=True))
-            _check(rising, "low_m below high_m in every axis", f"{self.low_m}, {self.high_m}")
+            check(rising, "low_m below high_m in every axis", f"{self.low_m}, {self.high_m}")
         forces = self.target_force_n, self.soft_stop_n, self.hard_stop_n
-        _check(0 < forces[0] < forces[1] < forces[2], "0 < target_force_n < soft_stop_n < hard_stop_n", forces)
-        _check(forces[2] <= 50, "hard_stop_n up to 50", forces[2])
+        check(0 < forces[0] < forces[1] < forces[2], "0 < target_force_n < soft_stop_n < hard_stop_n", forces)
+        check(forces[2] <= 50, "hard_stop_n up to 50", forces[2])
         speeds = self.contact_speed_m_s, self.travel_speed_m_s
-        _check(0 < speeds[0] <= speeds[1] <= 0.2, "0 < contact_speed_m_s <= travel_speed_m_s <= 0.2", speeds)
+        check(0 < speeds[0] <= speeds[1] <= 0.2, "0 < contact_speed_m_s <= travel_speed_m_s <= 0.2", speeds)
         for name in ("force_silent_s", "arm_silent_s", "camera_silent_s"):
             given_s = getattr(self, name)
-            _check(given_s is None or 0.01 <= given_s <= 0.5, f"{name} between 0.01 and 0.5", given_s)
+            check(given_s is None or 0.01 <= given_s <= 0.5, f"{name} between 0.01 and 0.5", given_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,6 +190,19 @@ class Record:
     folder: str = "runs"
     raw: bool = True
     lossless: tuple[str, ...] = ()
+
+
+SECTIONS: dict[str, Any] = {
+    "camera": Camera,
+    "tool": Tool,
+    "surface": SurfaceSection,
+    "workspace": Workspace,
+    "hand": HandSection,
+    "container": ContainerSection,
+    "squeeze": SqueezeSection,
+    "record": Record,
+}
+"""What a rig file may have beside its devices."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,6 +219,9 @@ class Rig:
     tool: Tool = field(default_factory=Tool)
     surface: SurfaceSection = field(default_factory=SurfaceSection)
     workspace: Workspace = field(default_factory=Workspace)
+    hand: HandSection = field(default_factory=HandSection)
+    container: ContainerSection = field(default_factory=ContainerSection)
+    squeeze: SqueezeSection = field(default_factory=SqueezeSection)
     record: Record = field(default_factory=Record)
 
 
@@ -267,7 +282,7 @@ def _check_values(content: dict[str, Any]) -> None:
     while waiting:
         place, value, depth = waiting.pop()
         if isinstance(value, dict | list):
-            _check(depth < DEEPEST, f"at most {DEEPEST} levels of tables and lists", f"more in {place}")
+            check(depth < DEEPEST, f"at most {DEEPEST} levels of tables and lists", f"more in {place}")
             inner = dict(enumerate(value)) if isinstance(value, list) else value
             if odd := [key for key in inner if not str(key).isprintable()]:
                 raise InputError("keys without control characters", repr(str(odd[0])[:PLACE_CHARACTERS]))
@@ -275,20 +290,19 @@ def _check_values(content: dict[str, Any]) -> None:
                 (f"{place}.{key}"[-PLACE_CHARACTERS:].lstrip("."), one, depth + 1) for key, one in inner.items()
             )
         elif isinstance(value, int | float):
-            _check(abs(value) <= sys.float_info.max, f"{place} that is finite", "inf, nan, or a number beyond all use")
+            check(abs(value) <= sys.float_info.max, f"{place} that is finite", "inf, nan, or a number beyond all use")
         elif isinstance(value, str):
-            _check(value.isprintable(), f"{place} without control characters", repr(value[:PLACE_CHARACTERS]))
+            check(value.isprintable(), f"{place} without control characters", repr(value[:PLACE_CHARACTERS]))
 
 
 def _rig(content: dict[str, Any], text: str, where: str, trusted: bool) -> Rig:
-    sections = {"camera": Camera, "tool": Tool, "surface": SurfaceSection, "workspace": Workspace, "record": Record}
-    _check_keys(content, ("devices", *sections), "the rig file")
+    _check_keys(content, ("devices", *SECTIONS), "the rig file")
     devices = content.get("devices")
     if not isinstance(devices, dict) or not devices:
         raise InputError("at least one [devices.NAME] section", "none")
     read = {
         name: _read(kind, content[name], f"[{name}]")
-        for name, kind in sections.items()
+        for name, kind in SECTIONS.items()
         if content.get(name) is not None
     }
     rig = Rig(Path(where).stem, text, tuple(_device(name, given, trusted) for name, given in devices.items()), **read)
@@ -355,24 +369,6 @@ def _words(error: Exception) -> str:
     text = str(error)
     what, at, place = text.partition(" - at `$.")
     return f"{place.rstrip('`')}: {what[0].lower()}{what[1:]}" if at else text
-
-
-def _check(right: object, expected: str, came: object) -> None:
-    if not right:
-        raise InputError(expected, str(came))
-
-
-def _check_transform(name: str, rows: tuple[tuple[float, ...], ...]) -> None:
-    """A rigid 4x4: rows of a rotation, a translation within 10 m, and 0 0 0 1."""
-    _check(len(rows) == 4 and all(len(row) == 4 for row in rows), f"{name} of 4 rows of 4 numbers", rows)
-    _check(all(math.isfinite(value) for row in rows for value in row), f"{name} of finite numbers", rows)
-    _check(tuple(rows[3]) == (0, 0, 0, 1), f"{name} whose last row is 0 0 0 1", rows[3])
-    turn = np.array(rows, np.float64)[:3, :3]
-    with np.errstate(over="ignore", invalid="ignore"):  # of numbers beyond all use
-        turned, mirrored = np.abs(turn @ turn.T - np.eye(3)).max() < 1e-3, np.linalg.det(turn) <= 0
-    _check(turned, f"{name} whose rotation is one", f"rows {turn.tolist()}")
-    _check(not mirrored, f"{name} that is no mirror image", f"rows {turn.tolist()}")
-    _check(max(abs(row[3]) for row in rows[:3]) < 10, f"{name} in metres", [row[3] for row in rows[:3]])
 
 
 def _scenario(name: str) -> str:

@@ -158,6 +158,8 @@ def test_a_name_that_ffmpeg_takes_for_a_protocol_is_a_file(tmp_path: Path, monke
         TIP + "[camera]\ndistortion = [0, VALUE]",
         TIP + "[camera]\nT_arm_camera = [[1, 0, 0, VALUE], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]",
         TIP + "[surface]\nsize_m = [VALUE, 1]",
+        TIP + "[container]\nsize_m = [VALUE, 0.1, 0.2]",
+        TIP + "[squeeze]\ncurrent_a = VALUE",
         TIP + "stuck_after_s = VALUE",
         TIP + "sensitivity = { counts_at_nominal = [VALUE, 1, 1], nominal = [1, 1, 1] }",
         '[devices.a]\ndriver = "webcam"\nfps = VALUE',
@@ -210,7 +212,7 @@ def rig_texts(draw: st.DrawFn) -> str:
     """Sections and keys that a rig file may have, with values that it may not."""
     import dataclasses
 
-    from deformscope.rig.rig_file import Camera, Record, SurfaceSection, Tool, Workspace
+    from deformscope.rig.rig_file import SECTIONS
 
     def toml(value: object) -> str:
         if isinstance(value, bool):
@@ -223,14 +225,13 @@ def rig_texts(draw: st.DrawFn) -> str:
 
     values = st.one_of(LEAVES, st.lists(LEAVES, max_size=4), st.lists(st.lists(LEAVES, max_size=4), max_size=4))
     driver = draw(st.sampled_from(sorted(DRIVERS)))
-    sections = {"camera": Camera, "tool": Tool, "surface": SurfaceSection, "workspace": Workspace, "record": Record}
-    section = draw(st.sampled_from(sorted(sections)))
+    section = draw(st.sampled_from(sorted(SECTIONS)))
     lines = ["[devices.a]", f'driver = "{driver}"']
-    for kind, keys in ((DRIVERS[driver].config_class(), 3), (sections[section], 2)):
+    for kind, keys in ((DRIVERS[driver].config_class(), 3), (SECTIONS[section], 2)):
         names = [field.name for field in dataclasses.fields(kind)]
         chosen = draw(st.lists(st.sampled_from(names), max_size=keys, unique=True))
         lines += [f"{name} = {toml(draw(values))}" for name in chosen]
-        if kind is not sections[section]:
+        if kind is not SECTIONS[section]:
             lines.append(f"[{section}]")
     return "\n".join(lines)
 

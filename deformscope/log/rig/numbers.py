@@ -75,5 +75,5 @@ def plotted(stream: Stream) -> list[tuple[str, str]]:
 
 def visible_in(streams: Sequence[Stream]) -> Callable[[str], bool]:
     """Whether an entity is in a view that a rig or an exploration opens with: pictures, plots, states."""
-    single = {path for stream in streams for path, _ in plotted(stream)} | {"exploration/phase"}
+    single = {path for stream in streams for path, _ in plotted(stream)} | {"exploration/phase", "squeeze/phase"}
     return lambda path: path in single or path.split("/")[0] in ("color", "depth", "display", "health")

@@ -1,1 +1,1 @@
-"""From a squeezed container's images and pressures to features and the name of its content (Thesis ch. 2)."""
+"""From squeezing a container: images and pressures to features, features to the name of its content (Thesis ch. 2)."""

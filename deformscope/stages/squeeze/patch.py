@@ -43,12 +43,12 @@ class DepthChange:
     @property
     def filled_m(self) -> FloatArray:
         """(3721,) row by row; a missing pixel has the value of the nearest measured one."""
-        return _filled(self.change_m).ravel()
+        return filled(self.change_m).ravel()
 
     @property
     def small_filled_m(self) -> FloatArray:
         """(121,) row by row; a block without a measurement has the value of the nearest one that has."""
-        return _filled(self.small_m).ravel()
+        return filled(self.small_m).ravel()
 
 
 def depth_change(
@@ -119,6 +119,7 @@ def _block_means(change: FloatArray) -> FloatArray:
     return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
 
 
-def _filled(values: FloatArray) -> FloatArray:
+def filled(values: FloatArray) -> FloatArray:
+    """The same, a missing value (NaN) that of the nearest measured one; at least one has to be measured."""
     nearest = distance_transform_edt(~np.isfinite(values), return_distances=False, return_indices=True)
     return np.asarray(values[tuple(nearest)])

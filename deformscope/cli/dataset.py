@@ -1,0 +1,116 @@
+"""`deformscope dataset`: look at a data set of squeezes, correct it, and make one of several.
+
+deformscope dataset list squeezes
+deformscope dataset relabel squeezes lab-0-box-07-00003 --content flour
+deformscope dataset discard squeezes lab-0-box-07-00003 --reason "it leaked"
+deformscope dataset merge all squeezes others/squeezes
+deformscope dataset repair squeezes
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deformscope.cli.common import say, show_table, write_json
+from deformscope.config import DatasetConfig, DiscardConfig, MergeConfig, RelabelConfig, RepairConfig
+from deformscope.errors import InputError
+
+if TYPE_CHECKING:
+    from deformscope.files.squeeze_dataset import SqueezeDataset, TrialEntry, TrialRow
+
+
+def listing(config: DatasetConfig) -> None:
+    """Print the trials by content and container."""
+    _show(config.folder, config.json, trials=config.trials)
+
+
+def relabel(config: RelabelConfig) -> None:
+    """Correct what the index says of trials."""
+    _dataset(config.folder).change(config.trial, **config.changes())
+    _show(config.folder, config.json)
+
+
+def discard(config: DiscardConfig) -> None:
+    """Leave trials out, or take them back."""
+    _dataset(config.folder).change(config.trial, discarded=None if config.restore else config.reason)
+    _show(config.folder, config.json)
+
+
+def merge(config: MergeConfig) -> None:
+    """Take over the trials of other data sets."""
+    target = _dataset(config.folder)
+    for source in config.sources:
+        say(f"{target.merge(_dataset(source))} trials from {source}")
+    _show(config.folder, config.json)
+
+
+def repair(config: RepairConfig) -> None:
+    """Take in recordings that the index lacks."""
+    from deformscope.files.squeeze_dataset import TRIALS
+
+    dataset = _dataset(config.folder)
+    known = {one.trial for one in dataset.entries()} if dataset.exists else set()
+    files = sorted((config.folder / TRIALS).glob("*.rrd"))
+    if not files and not known:
+        raise InputError("a data set of squeezes, or a folder with its trials/", "neither", where=config.folder)
+    for file in files:
+        if file.name.endswith(".part.rrd"):
+            say(f"{file.name} is unfinished: deformscope recover {file}")
+        elif file.stem not in known:
+            row, settings = _recorded(file)
+            _dataset(config.folder, settings).add([row])
+            say(f"taken in: {file.stem}")
+    _show(config.folder, config.json)
+
+
+def _recorded(file: Path) -> tuple[TrialRow, dict[str, Any]]:
+    """A recorded trial and its features, computed again; and the features' settings."""
+    import msgspec
+
+    from deformscope.cli.replay_squeeze import squeeze_again
+    from deformscope.files.squeeze_dataset import TRIALS, TrialEntry, TrialRow
+    from deformscope.recording.reader import Replay
+
+    recording = Replay(file)
+    if "squeezed" not in recording.settings:
+        raise InputError("the recording of a squeeze", "another one", where=file)
+    again = squeeze_again(recording)
+    entry = msgspec.convert(recording.settings["trial"], TrialEntry)
+    stopped = recording.outcome.get("stopped") or again.failure or None
+    entry = dataclasses.replace(entry, trial=file.stem, recording=f"{TRIALS}/{file.name}", discarded=stopped)
+    settings: dict[str, Any] = recording.settings["squeezed"]["features"]
+    if again.features is None:
+        return TrialRow(entry), settings
+    return TrialRow(entry, again.features.modalities, again.features.features.series), settings
+
+
+def _dataset(folder: Path, settings: dict[str, Any] | None = None) -> SqueezeDataset:
+    from deformscope.files.squeeze_dataset import SqueezeDataset
+
+    return SqueezeDataset(folder, settings)
+
+
+def _show(folder: Path, target: str | None, *, trials: bool = False) -> None:
+    entries = _dataset(folder).entries()
+    good = [one for one in entries if one.discarded is None]
+    contents = Counter(one.content for one in good)
+    containers = {content: len({one.container for one in good if one.content == content}) for content in contents}
+    rows = [
+        (content, f"{count} trials, {containers[content]} containers") for content, count in sorted(contents.items())
+    ]
+    reasons = Counter(str(one.discarded).partition(":")[0] for one in entries if one.discarded is not None)
+    rows += [("left out", f"{count} ({reason})") for reason, count in reasons.most_common()]
+    recorded = sum(bool(one.recording) for one in entries)
+    rows.append(("in all", f"{len(entries)} trials, {recorded} with recordings"))
+    if trials:
+        rows += [(one.trial, _words(one)) for one in entries]
+    show_table(str(folder), rows)
+    write_json([dataclasses.asdict(one) for one in entries], target)
+
+
+def _words(entry: TrialEntry) -> str:
+    left_out = "" if entry.discarded is None else f", left out: {entry.discarded}"
+    return f"{entry.content} in {entry.container}, {entry.recorded_at}{left_out}"

@@ -1,0 +1,129 @@
+"""`deformscope replay` of a squeeze: from its recorded tactile frames, angles and depth images, once more all that was
+computed of them: pressures, events, tracked container, features, posteriors; each equal to the last bit."""
+
+from __future__ import annotations
+
+import dataclasses
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deformscope.cli.common import Different, console, write_json
+from deformscope.errors import InputError
+
+if TYPE_CHECKING:
+    from deformscope.config import ReplayConfig
+    from deformscope.experiments.squeeze_features import TrialFeatures
+    from deformscope.recording.reader import Replay
+    from deformscope.stages.squeeze.model import ContentModel
+
+
+@dataclasses.dataclass
+class SqueezeAgain:
+    """What a recorded squeeze gives once more. features: None where it has none, and `failure` says why
+
+    results: of every kind, in the order in which they are computed
+    """
+
+    results: list[object] = dataclasses.field(default_factory=list)
+    features: TrialFeatures | None = None
+    failure: str = ""
+
+
+def replay_squeeze(recording: Replay, config: ReplayConfig) -> None:
+    """Compute and compare; raises Different."""
+    import numpy as np
+
+    from deformscope.recording.items import read_results
+    from deformscope.rows import to_components
+    from deformscope.stages.squeeze.trial import SqueezeStop
+
+    path = config.recording
+    again = squeeze_again(recording)
+    kinds = tuple(dict.fromkeys(map(type, again.results)))
+    stops = [one.item for one in read_results(path, (SqueezeStop,), trust=True)]
+    compared = 0
+    for kind in kinds:
+        before = _by_frame([one.item for one in read_results(path, (kind,), trust=True)])
+        now = _by_frame([one for one in again.results if type(one) is kind])
+        last = max(before, default=-1)
+        if any(frame not in now for frame in before) or any(frame not in before for frame in now if frame <= last):
+            raise Different(f"{len(before)} {kind.__name__} as recorded", str(len(now)), where=path)
+        for frame, first in before.items():
+            ours, theirs = to_components(first), to_components(now[frame])
+            for name in sorted(set(ours) | set(theirs)):
+                same = name in ours and name in theirs
+                if not same or not np.array_equal(ours[name], theirs[name], equal_nan=ours[name].dtype.kind == "f"):
+                    came = f"another {name} of {kind.__name__}"
+                    raise Different("the recorded numbers, to the last bit", came, where=path)
+        compared += len(before)
+    if again.failure and not stops:
+        raise Different("the recorded features", again.failure, where=path)
+    for stop in stops:
+        console().print(f"stopped when it was recorded: {stop.kind}: {stop.reason}", markup=False)  # type: ignore[union-attr]
+    counted = ", ".join(kind.__name__ for kind in kinds)
+    console().print(f"replay: {compared} results from raw frames ({counted}), identical to the recorded numbers")
+    write_json({"results": compared, "identical": True, "stopped": stops}, config.output.json)
+
+
+def _by_frame(results: list[Any]) -> dict[int, Any]:
+    """Results by the frame that they are of, or their order. What came after the hand had opened was recorded, but no
+    longer looked at: recorded results may be fewer at the end."""
+    return {getattr(one, "index", order): one for order, one in enumerate(results)}
+
+
+def squeeze_again(recording: Replay) -> SqueezeAgain:
+    """All results of a recorded squeeze, computed from its raw frames. Raises InputError where it is no such recording,
+    or a phase is not there."""
+    import msgspec
+
+    from deformscope.cli.squeeze import final_posterior, tactile_posterior
+    from deformscope.experiments.squeeze import posterior_of
+    from deformscope.experiments.squeeze_features import SqueezeGeometry, trial_features
+    from deformscope.experiments.squeeze_frames import SqueezeFrames, SqueezeObserver, TactileSource
+    from deformscope.frames import ArmFrame, DepthFrame, HandFrame, TactileFrame
+    from deformscope.recording.items import read_rows, read_streams
+    from deformscope.stages.squeeze.events import EventRule
+    from deformscope.stages.squeeze.trial import SqueezePhase
+
+    told, path = recording.settings["squeezed"], recording.path
+    geometry = SqueezeGeometry.from_json(told["geometry"])
+    names = told["names"]
+    source = TactileSource.of(read_streams(path, trust=True), names["tactile"], geometry.hand.fingers)
+    frames = SqueezeFrames(source, names["hand"], names["camera"], msgspec.convert(told["rule"], EventRule))
+    model = _recorded_model(recording)
+    predict = None if model is None else tactile_posterior(model)
+    observer = SqueezeObserver(frames, geometry.hand.tactile_end, predict)
+    rows = list(read_rows(recording, (SqueezePhase, TactileFrame, HandFrame, DepthFrame, ArmFrame)))
+    start_ns = next(
+        (row.item.stamp.host_ns - row.session_ns for row in rows if not isinstance(row.item, SqueezePhase)), 0
+    )
+    for row in rows:
+        if isinstance(row.item, SqueezePhase):
+            observer.phase(row.item.name, row.session_ns + start_ns)
+    for row in rows:
+        if not isinstance(row.item, SqueezePhase):
+            observer.observe([row.item])
+    found = SqueezeAgain([result for step in observer.reports() for result in step.results])
+    try:
+        found.features = trial_features(frames, geometry)
+    except InputError as error:
+        found.failure = str(error)
+        return found
+    found.results += [result for _, results in found.features.steps() for result in results]
+    if model is not None:
+        found.results.append(posterior_of(found.features, final_posterior(model)))
+    return found
+
+
+def _recorded_model(recording: Replay) -> ContentModel | None:
+    from deformscope.cli.squeeze import MODEL_INPUT
+    from deformscope.files.classifier_file import load_classifier
+
+    content: Any = recording.read_inputs().get(MODEL_INPUT)
+    if content is None:
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / MODEL_INPUT
+        file.write_bytes(content)
+        return load_classifier(file)

@@ -1,0 +1,118 @@
+"""Thesis chapter 2: squeeze a container, and take the features of its content.
+
+`squeeze` is an experiment (`deformscope.session`): it commands a hand, has the features computed, and yields them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from deformscope.arrays import FloatArray
+from deformscope.errors import InputError
+from deformscope.experiments.squeeze_features import SqueezeGeometry, TrialFeatures, trial_features
+from deformscope.experiments.squeeze_frames import SqueezeFrames, SqueezeObserver
+from deformscope.experiments.squeezing_hand import AFTER_S, HandWait, PreShape, SqueezeEnded, SqueezeOnce
+from deformscope.session import Compute, Moment, RigExperiment, Step, ask
+from deformscope.stages.squeeze.trial import ContentPosterior, SqueezePhase, SqueezeStop
+
+Name = Callable[[dict[str, FloatArray]], tuple[str, tuple[str, ...], FloatArray]]
+"""Of all features by modality: the modalities used, labels, and their probabilities (k,)."""
+
+FEATURES_FAILED = "features not computed"
+
+
+@dataclass
+class Squeezed:
+    """What came of it so far, whatever ends it.
+
+    features: with its events, None where there are none; posterior: what a model takes its content for
+    stop, stop_ns: why and when it ended before its time
+    """
+
+    features: TrialFeatures | None = None
+    posterior: ContentPosterior | None = None
+    stop: SqueezeStop | None = None
+    stop_ns: int = 0
+
+
+def squeeze(
+    clock: Callable[[], int],
+    observer: SqueezeObserver,
+    geometry: SqueezeGeometry,
+    found: Squeezed,
+    name: Name | None = None,
+    permitted: RigExperiment[None] | None = None,
+    placed: RigExperiment[None] | None = None,
+) -> RigExperiment[None]:
+    """Pre-shape, squeeze once, compute the features; `found` holds what was found.
+
+    clock: the devices' [ns]; name: what names the content, None = nothing does
+    permitted: what comes before the hand may move; placed: before it closes
+    It returns also where the hand must not go on: `found.stop` says why.
+    """
+    return _observed(_squeeze(clock, observer.frames, geometry, found, name, permitted, placed), observer)
+
+
+def _squeeze(
+    clock: Callable[[], int],
+    frames: SqueezeFrames,
+    geometry: SqueezeGeometry,
+    found: Squeezed,
+    name: Name | None,
+    permitted: RigExperiment[None] | None,
+    placed: RigExperiment[None] | None,
+) -> RigExperiment[None]:
+    try:
+        if permitted is not None:
+            yield from permitted
+        yield from ask(PreShape())
+        if placed is not None:
+            yield from placed
+        yield from ask(SqueezeOnce())
+    except SqueezeEnded as ended:
+        found.stop, found.stop_ns = ended.stop, ended.time_ns
+        stopped = SqueezePhase(f"stopped: {ended.stop.kind}"), ended.stop
+        yield from ask(HandWait(AFTER_S), stopped, Moment(ended.time_ns))
+        return
+    yield from ask(HandWait(0.0))  # what the devices gave last is taken in
+    try:
+        computed: TrialFeatures = yield from ask(Compute(trial_features, (frames, geometry)))
+        posterior = None if name is None else posterior_of(computed, name)
+    except Exception as error:
+        words = " ".join(str(error).split())
+        reason = words if isinstance(error, InputError) else f"{type(error).__name__}: {words}"
+        found.stop = SqueezeStop(FEATURES_FAILED, reason, "the recording: deformscope replay", True, True)
+        found.stop_ns = clock()
+        yield Step((found.stop,), moment=Moment(found.stop_ns))
+        return
+    found.features, found.posterior = computed, posterior
+    for when_ns, results in computed.steps():
+        yield Step(results, moment=Moment(when_ns))
+    if posterior is not None:
+        yield Step((posterior,), moment=Moment(computed.events.steady_ns))
+
+
+def posterior_of(computed: TrialFeatures, name: Name) -> ContentPosterior:
+    """What a model takes the content for, by all features."""
+    events = computed.events
+    modalities, labels, probability = name(computed.modalities)
+    return ContentPosterior((events.steady_ns - events.first_ns) / 1e9, modalities, labels, probability, -1)
+
+
+def _observed(experiment: RigExperiment[None], observer: SqueezeObserver) -> RigExperiment[None]:
+    """The same experiment; what devices give passes the observer, whose results the hand reports."""
+    given: Any = None
+    answer: Callable[[Any], Step] = experiment.send
+    while True:
+        try:
+            step = answer(given)
+        except StopIteration:
+            return
+        try:
+            given, answer = (yield step), experiment.send
+        except Exception as error:
+            given, answer = error, experiment.throw
+        if isinstance(given, Sequence):
+            observer.observe(given)

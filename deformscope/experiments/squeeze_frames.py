@@ -1,0 +1,187 @@
+"""What devices gave during a squeeze, kept for its features; the same while it runs and when it is replayed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+import numpy as np
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.frames import ArmFrame, DepthFrame, Frame, HandFrame, Item, Pad, Stream, TactileFrame
+from deformscope.robot.squeeze_plan import CLOSING_AXES
+from deformscope.session import Moment, Step
+from deformscope.stages.see.tactile import tactile_contact
+from deformscope.stages.squeeze.events import EventRule, OnsetDetector, SqueezeEvents, squeeze_events
+from deformscope.stages.squeeze.tactile import End, tactile_feature
+from deformscope.stages.squeeze.trial import ContentPosterior, FingertipPressure
+
+BEFORE_S = 1.0
+"""Depth images are kept from so long before the first contact."""
+AIR, OPEN = "air", "open"
+"""The phases in which the open fingertips are in the air, at rest, and in which they open again."""
+POSTERIOR_S = 0.1
+"""The posterior is computed so often."""
+
+FrameT = TypeVar("FrameT", TactileFrame, HandFrame, DepthFrame)
+
+Predict = Callable[[float, FloatArray], tuple[tuple[str, ...], FloatArray]]
+"""Labels and their probabilities (k,) of a time since first contact [s] and the tactile feature (72,) then."""
+
+
+@dataclass(frozen=True, slots=True)
+class TactileSource:
+    """The squeezing fingertips among a device's pads. pads: their places among them; texel_m: (width, height) [m]"""
+
+    device: str
+    pads: tuple[int, ...]
+    texel_m: tuple[float, float]
+
+    @classmethod
+    def of(cls, streams: Sequence[Stream], device: str, fingers: Sequence[int]) -> TactileSource:
+        """Raises InputError where the device lacks such pads."""
+        known = next(stream.pads for stream in streams if stream.device == device and stream.kind == "tactile")
+        places = [_distal(known, finger, device) for finger in fingers]
+        return cls(device, tuple(places), known[places[0]].texel_m)
+
+    def counts(self, frame: TactileFrame) -> list[IntArray]:
+        """(rows, columns) of each fingertip."""
+        sizes = np.cumsum([0, *(pad.size for pad in frame.pressure_pa)])
+        return [frame.counts[sizes[at] : sizes[at + 1]].reshape(frame.pressure_pa[at].shape) for at in self.pads]
+
+    def pressure_pa(self, frame: TactileFrame) -> list[FloatArray]:
+        """(rows, columns) of each fingertip [Pa]."""
+        return [frame.pressure_pa[at] for at in self.pads]
+
+
+def _distal(pads: Sequence[Pad], finger: int, device: str) -> int:
+    for pad in pads:
+        if pad.finger == finger and pad.part == 1:
+            return pad.index
+    raise InputError(f"a fingertip array of finger {finger}", f"{len(pads)} others", where=device)
+
+
+@dataclass
+class SqueezeFrames:
+    """Of one squeeze, in the order in which they came. air_ns: from when on the open fingertips were in the air, at
+    rest; open_ns: from when on they opened again, after which nothing is of interest; 0 = not yet
+    arm: the last state before it of the arm that carries the hand
+    """
+
+    tactile_source: TactileSource
+    hand: str
+    camera: str
+    rule: EventRule
+    air_ns: int = 0
+    open_ns: int = 0
+    tactile: list[TactileFrame] = field(default_factory=list)
+    hands: list[HandFrame] = field(default_factory=list)
+    depth: list[DepthFrame] = field(default_factory=list)
+    arm: ArmFrame | None = None
+
+    def add(self, item: Item, first_ns: int) -> None:
+        """Keep what belongs to it. first_ns: of the first contact, 0 = not yet"""
+        if isinstance(item, TactileFrame) and item.device == self.tactile_source.device:
+            self.tactile.append(item)
+        elif isinstance(item, HandFrame) and item.device == self.hand:
+            self.hands.append(item)
+        elif isinstance(item, ArmFrame) and (not self.air_ns or item.stamp.host_ns < self.air_ns):
+            self.arm = item
+        elif isinstance(item, DepthFrame) and item.device == self.camera:
+            self.depth.append(item)
+            oldest_ns = (first_ns or item.stamp.host_ns) - BEFORE_S * 1e9
+            while not first_ns and self.depth[0].stamp.host_ns < oldest_ns:
+                self.depth.pop(0)
+
+    def during(self, frames: Sequence[FrameT]) -> list[FrameT]:
+        """Those from when the fingertips were in the air until they opened, in order of time."""
+        until_ns = self.open_ns or np.inf
+        return sorted((one for one in frames if self.air_ns <= frame_ns(one) < until_ns), key=frame_ns)
+
+    def events(self) -> SqueezeEvents:
+        """First contact and steady state, from all frames since the fingers were to close, in order of time."""
+        tactile, hands = self.during(self.tactile), self.during(self.hands)
+        sums = [[float(pad.sum(dtype=np.int64)) for pad in self.tactile_source.counts(one)] for one in tactile]
+        return squeeze_events(
+            np.array([frame_ns(one) for one in tactile], np.int64),
+            np.array(sums).reshape(len(tactile), -1),
+            np.array([frame_ns(one) for one in hands], np.int64),
+            np.array([one.position_deg[list(CLOSING_AXES)] for one in hands]).reshape(len(hands), -1),
+            self.rule,
+        )
+
+
+def frame_ns(frame: Frame) -> int:
+    """When it came, on the host's clock [ns]."""
+    return frame.stamp.host_ns
+
+
+class SqueezeObserver:
+    """Takes what devices give, in order of time, keeps it for the features, and has results to show of each frame.
+
+    predict: what a model makes of a tactile feature, None = no model. The results are functions of the frames and of
+    when the fingers were open in the air (`phase`), so that a recording gives them again.
+    """
+
+    def __init__(self, frames: SqueezeFrames, end: End, predict: Predict | None) -> None:
+        self.frames = frames
+        self._end, self._predict = end, predict
+        self._onset = OnsetDetector(frames.rule)
+        self._shown_s = -np.inf
+        self._steps: list[Step] = []
+        self.latest: ContentPosterior | None = None
+
+    def phase(self, name: str, now_ns: int) -> None:
+        """The hand begins with something."""
+        if name == AIR:
+            self.frames.air_ns = now_ns
+        elif name == OPEN:
+            self.frames.open_ns = now_ns
+
+    def observe(self, items: Sequence[Item]) -> None:
+        """Take items in; `reports` has what there is to show of them."""
+        for item in items:
+            self.frames.add(item, self._onset.first_ns)
+            source = self.frames.tactile_source
+            if isinstance(item, TactileFrame) and item.device == source.device:
+                self._steps.append(Step(self._felt(item), moment=Moment(item.stamp.host_ns)))
+
+    def reports(self) -> list[Step]:
+        """What there is to show since the last call."""
+        taken, self._steps = self._steps, []
+        return taken
+
+    def _felt(self, frame: TactileFrame) -> tuple[object, ...]:
+        source = self.frames.tactile_source
+        counts = source.counts(frame)
+        results: list[object] = [fingertip_pressure(frame, source)]
+        now_ns, air_ns = frame.stamp.host_ns, self.frames.air_ns
+        if not air_ns or now_ns < air_ns:
+            return tuple(results)
+        self._onset.feed(now_ns, np.array([float(pad.sum(dtype=np.int64)) for pad in counts]))
+        since_s = (now_ns - self._onset.first_ns) / 1e9
+        if self._predict is None or not self._onset.first_ns or since_s - self._shown_s < POSTERIOR_S:
+            return tuple(results)
+        self._shown_s = since_s
+        labels, probability = self._predict(since_s, tactile_feature(counts, self._end))
+        self.latest = ContentPosterior(since_s, "tactile", labels, probability, frame.index)
+        return (*results, self.latest)
+
+
+def fingertip_pressure(frame: TactileFrame, source: TactileSource) -> FingertipPressure:
+    """Centre, orientation, force and area of each fingertip's pressure."""
+    from deformscope.stages.squeeze.physical import pressure_axis
+
+    pressures = source.pressure_pa(frame)
+    contact = tactile_contact(pressures, [source.texel_m] * len(pressures))
+    axes = [pressure_axis(pressure, source.texel_m) for pressure in pressures]
+    return FingertipPressure(
+        frame.index,
+        contact.center_m,
+        np.array([angle for angle, _ in axes]),
+        np.array([elongation for _, elongation in axes]),
+        contact.force_n,
+        contact.area_m2,
+    )

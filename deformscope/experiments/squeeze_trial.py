@@ -1,0 +1,49 @@
+"""A squeeze as a trial of a data set, and as the settings of its recording."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+from typing import Any
+
+from deformscope import __version__
+from deformscope.experiments.squeeze_features import SqueezeGeometry, TrialFeatures
+from deformscope.experiments.squeezing_hand import rule_of
+from deformscope.files.squeeze_dataset import TrialEntry, TrialRow
+from deformscope.robot.squeeze_setup import SqueezeSetup
+from deformscope.stages.squeeze.patch import SIDE_PX
+from deformscope.stages.squeeze.physical import PHYSICAL
+
+
+def feature_settings(setup: SqueezeSetup) -> dict[str, Any]:
+    """What the features of a data set were computed with: they compare only where these are equal."""
+    return {"tactile_end": setup.hand.tactile_end, "patch_px": SIDE_PX, "physical": list(PHYSICAL)}
+
+
+def recorded_settings(setup: SqueezeSetup) -> dict[str, Any]:
+    """What a recording has to keep so that all can be computed again."""
+    told = {"names": dataclasses.asdict(setup.names), "rule": dataclasses.asdict(rule_of(setup))}
+    told |= {"squeeze": dataclasses.asdict(setup.squeeze), "features": feature_settings(setup)}
+    return {"squeezed": told | {"geometry": SqueezeGeometry.of(setup).as_json()}, "simulated": setup.simulated}
+
+
+def entry_of(setup: SqueezeSetup, content: str, container: str, session: str, seed: int) -> TrialEntry:
+    """The trial's entry before it was squeezed."""
+    return TrialEntry(
+        trial=f"{session}-{container or 'container'}-{seed:05d}",
+        content=content,
+        container=container,
+        container_type=setup.container.kind,
+        session=session,
+        T_hand_container=tuple(map(float, setup.grasp.T_hand_container.ravel())),
+        seed=seed,
+        software=f"deformscope {__version__}",
+        recorded_at=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+    )
+
+
+def row_of(entry: TrialEntry, features: TrialFeatures | None) -> TrialRow:
+    """The entry with its features, if there are any."""
+    if features is None:
+        return TrialRow(entry)
+    return TrialRow(entry, features.modalities, features.features.series)

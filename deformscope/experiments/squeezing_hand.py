@@ -1,0 +1,244 @@
+"""Opened devices that squeeze: on hardware, on doubles, and in the laboratory on one simulated clock."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+from deformscope.errors import InputError
+from deformscope.experiments.squeeze_frames import AIR, OPEN, SqueezeObserver
+from deformscope.rig.source import RigSource
+from deformscope.robot.squeeze_plan import CLOSING_AXES, GripShape
+from deformscope.robot.squeeze_robot import SqueezeRobot, SqueezeStopped
+from deformscope.robot.squeeze_setup import SqueezeSetup
+from deformscope.robot.squeeze_supervisor import ADVICE, SqueezeFault
+from deformscope.session import Inline, Moment, Step
+from deformscope.stages.squeeze.events import BASELINE_FRAMES, EventRule, OnsetDetector, StillDetector
+from deformscope.stages.squeeze.trial import SqueezePhase, SqueezeStop
+
+KEEP_EVERY = 5
+"""Control periods of a simulated clock between two portions of the recording."""
+AIR_FRAMES = BASELINE_FRAMES
+"""Tactile frames in the air, the fingers open and at rest, before they close."""
+AIR_TIMEOUT_S = 3.0
+AFTER_S = 0.5
+"""A recording goes on for so long after the hand was stopped."""
+RELEASES = (
+    SqueezeFault.SATURATED,
+    SqueezeFault.OVER_SQUEEZED,
+    SqueezeFault.JOINT_RANGE,
+    SqueezeFault.NO_CONTACT,
+    SqueezeFault.NOT_STILL,
+)
+"""After these the hand, once it stands, opens again: what it holds is not to be pressed any longer."""
+
+
+@dataclass(frozen=True, slots=True)
+class PreShape:
+    """A command: open the fingers, park the thumb."""
+
+
+@dataclass(frozen=True, slots=True)
+class SqueezeOnce:
+    """A command: close until the fingers stand still, hold, open."""
+
+
+@dataclass(frozen=True, slots=True)
+class HandWait:
+    """A command: stand still and let the devices be recorded, stopped or not."""
+
+    seconds: float
+
+
+class SqueezeEnded(InputError):
+    """The squeeze must not go on. stop: why; time_ns: when, on the devices' clock"""
+
+    def __init__(self, stop: SqueezeStop, time_ns: int) -> None:
+        super().__init__("a squeeze that comes to its steady state", f"{stop.kind}: {stop.reason}", stop.advice)
+        self.stop, self.time_ns = stop, time_ns
+
+
+@contextlib.contextmanager
+def computing_beside(setup: SqueezeSetup, hand: SqueezingHand) -> Iterator[Executor]:
+    """What computes the features. Devices that go on by themselves are not waited for: hand and features then have a
+    thread each."""
+    if not setup.runs_itself:
+        yield Inline()
+        return
+    with hand.in_a_thread(), ThreadPoolExecutor(1, "features") as beside:
+        yield beside
+
+
+def rule_of(setup: SqueezeSetup) -> EventRule:
+    """The rule of its events, as the rig file says."""
+    squeeze = setup.squeeze
+    return EventRule(squeeze.onset_counts, squeeze.onset_frames, squeeze.still_deg, squeeze.still_s)
+
+
+class SqueezingHand:
+    """The hand over the devices of an open source; a `SessionRobot`.
+
+    on_cycle: called in every control period; on_phase: with each phase as it begins
+    observer: is informed of each phase, and takes what devices gave while nothing runs by itself
+    """
+
+    def __init__(
+        self,
+        setup: SqueezeSetup,
+        source: RigSource,
+        observer: SqueezeObserver,
+        on_cycle: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.on_phase: Callable[[str], None] = lambda phase: None
+        self.stopped: Future[None] = Future()
+        self.doing = ""
+        self.stands = self.restored = True
+        self._setup, self._observer, self._on_cycle = setup, observer, on_cycle
+        self._keep: Callable[[], object] | None = None
+        self._pool: ThreadPoolExecutor | None = None
+        self._reports: list[Step] = []
+        self._periods = 0
+        self._robot = SqueezeRobot(
+            source.device(setup.names.hand),  # type: ignore[arg-type]
+            source.device(setup.names.tactile),  # type: ignore[arg-type]
+            setup.hand,
+            setup.squeeze,
+            GripShape.of(setup.container, setup.squeeze),
+            clock=setup.clock,
+            wait_until=setup.wait_until,
+            on_cycle=self._cycled,
+        )
+
+    # Commands ---------------------------------------------------------------------------------------------------------
+
+    def carry_out(self, command: object, keep: Callable[[], object]) -> Future[Any]:
+        """Begin with a `PreShape`, `SqueezeOnce` or `HandWait`: in the hand's thread, else at once.
+
+        What stops it is a SqueezeEnded.
+        """
+        if self._pool is not None:
+            return self._pool.submit(self._do, command)
+        self._keep = keep
+        return Inline().submit(self._do, command)
+
+    def reports(self) -> list[Step]:
+        """What began, and what there is to show, since the last call."""
+        taken, self._reports = self._reports, []
+        return [*taken, *self._observer.reports()]
+
+    @contextlib.contextmanager
+    def in_a_thread(self) -> Iterator[None]:
+        """Carry commands out in a thread of their own: devices that run by themselves are recorded meanwhile."""
+        with ThreadPoolExecutor(1, "hand") as self._pool:
+            yield
+
+    def ask_to_stop(self, reason: str) -> None:
+        """A person wants it to stop: the hand stands within a control period."""
+        self._robot.ask_to_stop(reason)
+
+    def halt(self, reason: str) -> bool:
+        """Stop the hand and set its current limits as they were; whether it confirmed both. From any thread: a command
+        that is under way ends in its next control period."""
+        self._robot.ask_to_stop(reason)
+        self.stands = self._robot.halt()
+        self.restored = self._robot.restore()
+        return self.stands and self.restored
+
+    def _do(self, command: object) -> None:
+        try:
+            match command:
+                case PreShape():
+                    self._begin("pre-shape")
+                    self._robot.preshape()
+                    self.doing = ""
+                case SqueezeOnce():
+                    self._squeeze()
+                case HandWait():
+                    self._robot.look_on(command.seconds)
+                case _:
+                    raise TypeError(f"no command of this hand: {command!r}")
+        except SqueezeStopped as stopped:
+            raise self._ended(stopped) from stopped
+
+    def _squeeze(self) -> None:
+        """Close, hold, open; the events end the phases."""
+        robot, squeeze = self._robot, self._setup.squeeze
+        onset, still = OnsetDetector(rule_of(self._setup)), StillDetector(rule_of(self._setup))
+        robot.start()
+        self._begin(AIR)
+        self._wait_in_the_air(onset)
+        with robot.low_current():
+            self._begin("close")
+            until_ns = self._clock() + round(1e9 * squeeze.contact_timeout_s)
+            while not onset.first_ns:
+                robot.cycle(squeeze.speed_deg_s)
+                for frame in robot.tactile_frames:
+                    onset.feed(frame.time_ns, frame.sums)
+                if self._clock() > until_ns:
+                    robot.fail(SqueezeFault.NO_CONTACT, f"in {squeeze.contact_timeout_s:g} s of closing")
+            robot.supervisor.in_contact()
+            self._begin("squeeze")
+            until_ns = self._clock() + round(1e9 * squeeze.still_timeout_s)
+            while not still.steady_ns:
+                robot.cycle(squeeze.speed_deg_s)
+                for reading in robot.hand_readings:
+                    if reading.stamp.host_ns >= onset.first_ns:
+                        still.feed(reading.stamp.host_ns, reading.position_deg[list(CLOSING_AXES)])
+                if self._clock() > until_ns:
+                    robot.fail(SqueezeFault.NOT_STILL, f"in {squeeze.still_timeout_s:g} s from first contact")
+            self._begin("hold")
+            until_ns = self._clock() + round(1e9 * squeeze.hold_s)
+            while self._clock() < until_ns:
+                robot.cycle(squeeze.speed_deg_s)
+        self.restored = robot.restore()
+        self._begin(OPEN)
+        robot.preshape()
+        self.doing = ""
+
+    def _wait_in_the_air(self, onset: OnsetDetector) -> None:
+        """Take the fingertips' baseline. What already touches them would be taken for nothing."""
+        robot, seen = self._robot, 0
+        until_ns = self._clock() + round(1e9 * AIR_TIMEOUT_S)
+        while seen < AIR_FRAMES:
+            robot.cycle()
+            for frame in robot.tactile_frames:
+                onset.feed(frame.time_ns, frame.sums)
+                seen += 1
+                if frame.sums.max() > self._setup.squeeze.onset_counts:
+                    reason = f"{frame.sums.max():.0f} counts before the fingers closed"
+                    robot.fail(SqueezeFault.TOUCHED_BEFORE, reason)
+            if self._clock() > until_ns:
+                robot.fail(SqueezeFault.TACTILE_SILENT, f"{seen} frames in {AIR_TIMEOUT_S:g} s")
+
+    def _ended(self, stopped: SqueezeStopped) -> SqueezeEnded:
+        """The hand stands, its limits are as they were; it opens where what it holds must not be pressed longer."""
+        verdict, robot = stopped.verdict, self._robot
+        self.halt(str(verdict.fault))
+        self._begin("stopped")
+        if verdict.fault in RELEASES and self.stands and self.restored:
+            with contextlib.suppress(SqueezeStopped):
+                robot.release()
+        self.doing = ""
+        advice = ADVICE.get(verdict.fault, "")
+        stop = SqueezeStop(str(verdict.fault), verdict.reason, advice, self.stands, self.restored)
+        return SqueezeEnded(stop, verdict.time_ns)
+
+    def _begin(self, phase: str) -> None:
+        self.doing, now_ns = phase, self._clock()
+        self._observer.phase(phase, now_ns)
+        self._reports.append(Step((SqueezePhase(phase),), moment=Moment(now_ns)))
+        self.on_phase(phase)
+
+    def _clock(self) -> int:
+        return self._setup.clock()
+
+    def _cycled(self) -> None:
+        """In each control period."""
+        self._on_cycle()
+        self._periods += 1
+        if self._keep is not None and self._periods % KEEP_EVERY == 0:
+            given: Any = self._keep()
+            self._observer.observe(given or ())

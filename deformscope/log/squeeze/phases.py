@@ -1,0 +1,39 @@
+"""What the hand does, as a lane over time, and why it was stopped."""
+
+from __future__ import annotations
+
+import rerun as rr
+
+from deformscope.log.exploration.moment import ResultBatch
+from deformscope.log.rig.columns import Sink
+from deformscope.pictures.palette import BAD, Rgb
+from deformscope.rows import ENTITIES
+from deformscope.stages.squeeze.trial import SqueezePhase, SqueezeStop
+
+SQUEEZE_PHASES: dict[str, Rgb] = {
+    "pre-shape": (110, 115, 125),
+    "place": (150, 120, 220),
+    "air": (86, 180, 233),
+    "close": (230, 159, 0),
+    "squeeze": (213, 94, 0),
+    "hold": (0, 158, 115),
+    "open": (150, 155, 165),
+    "stopped": BAD,
+}
+
+
+def log_squeeze_phases(rec: Sink) -> None:
+    shown = rr.StateConfiguration(values=list(SQUEEZE_PHASES), colors=list(SQUEEZE_PHASES.values()))
+    rec.log(ENTITIES[SqueezePhase], shown, static=True)
+
+
+def log_squeeze_phase(now: ResultBatch, phase: SqueezePhase) -> None:
+    if phase.name not in SQUEEZE_PHASES:  # a stop's name says why
+        colors = SQUEEZE_PHASES | {phase.name: BAD}
+        shown = rr.StateConfiguration(values=list(colors), colors=list(colors.values()))
+        now.log_static(ENTITIES[SqueezePhase], shown)
+    now.show(ENTITIES[SqueezePhase], rr.StateChange(state=phase.name))
+
+
+def log_squeeze_stop(now: ResultBatch, stop: SqueezeStop) -> None:
+    now.show(ENTITIES[SqueezeStop], rr.TextLog(f"{stop.kind}: {stop.reason}", level="ERROR"))

@@ -1,0 +1,118 @@
+"""The sections of a rig file that say how a container is squeezed: the hand, the container, the squeeze."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from deformscope.rig.checks import check, check_transform
+
+Rows = tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class HandSection:
+    """Where the hand is, and how its fingertips are read.
+
+    T_camera_hand: 4x4, hand to depth camera [m], where the hand stands still; or T_arm_hand: 4x4, hand to the end of
+    the arm that carries it (with `[camera] T_arm_camera`). The hand's frame is that of `deformscope_drivers.sdh`
+    fingers: the two that squeeze; tactile_end: which 36 cells of their fingertip arrays are the feature: the first
+    ones as the controller sends them (the thesis), or the last
+    tactile: name of the tactile device, where the rig has several
+    """
+
+    T_camera_hand: Rows | None = None
+    T_arm_hand: Rows | None = None
+    fingers: tuple[int, int] = (0, 2)
+    tactile_end: Literal["first", "last"] = "first"
+    tactile: str = ""
+
+    def __post_init__(self) -> None:
+        check(self.T_camera_hand is None or self.T_arm_hand is None, "T_camera_hand or T_arm_hand", "both")
+        for name in ("T_camera_hand", "T_arm_hand"):
+            if (rows := getattr(self, name)) is not None:
+                check_transform(name, rows)
+        check(self.fingers == (0, 2), "fingers = [0, 2], which face each other at 90 deg", self.fingers)
+
+
+@dataclass(frozen=True, slots=True)
+class ContainerSection:
+    """What is squeezed. Its frame: origin in the middle of its bounding box, z along its height.
+
+    shape: box (size_m along x, y, z), cylinder (size_m: diameter, diameter, height) or mesh (file, in metres); the
+    fingers close along x. wall_m: thickness of its wall; kind: in words (cardboard box, plastic cylinder)
+    T_hand_container: 4x4, container to hand for the middle grasp [m]; None = gripped from the side: the container's
+    middle between the fingertips, its z along the hand's y
+    """
+
+    shape: Literal["box", "cylinder", "mesh"] = "box"
+    size_m: tuple[float, float, float] = (0.06, 0.09, 0.16)
+    wall_m: float = 0.00045
+    kind: str = ""
+    mesh: str = ""
+    T_hand_container: Rows | None = None
+
+    def __post_init__(self) -> None:
+        check(all(0.01 <= side <= 0.5 for side in self.size_m), "size_m between 0.01 and 0.5", self.size_m)
+        check(0.0 < self.wall_m <= 0.02, "wall_m above 0 and up to 0.02", self.wall_m)
+        check((self.shape == "mesh") == bool(self.mesh), 'mesh = FILE with shape = "mesh" alone', repr(self.mesh))
+        if self.shape == "cylinder":
+            check(self.size_m[0] == self.size_m[1], "size_m = [diameter, diameter, height]", self.size_m)
+        if self.T_hand_container is not None:
+            check_transform("T_hand_container", self.T_hand_container)
+
+
+@dataclass(frozen=True, slots=True)
+class SqueezeSection:
+    """How it is squeezed: the proximal axes of both fingers close at a low speed under a low current limit, until they
+    stand still.
+
+    current_a: limit of the motor currents while it closes [A]; speed_deg_s: of the proximal axes
+    open_deg: of the proximal axes in the pre-shape; None = 20 deg before the contact that the container's width gives
+    distal_deg: of the distal axes throughout; None = so that the fingertips are upright at that contact
+    thumb_deg: proximal and distal angle at which the thumb is parked
+    onset_counts: the sum of a fingertip's texels is so much above what it was in the air: contact
+    onset_frames: so many frames one after the other
+    still_deg, still_s: the closing axes stay within still_deg for still_s under the constant current: steady state
+    hold_s: the current is kept for so long after that, for the relaxation
+    over_squeeze_m: the fingertips may come closer by so much after the first contact
+    contact_timeout_s, still_timeout_s: to the first contact, and from there to the steady state
+    saturation_counts: a texel that reaches it ends the squeeze
+    spread_m, tilt_deg: standard deviation of a random grasp along the container's longest edge, about its middle, and
+    of its tilt
+    """
+
+    current_a: float = 0.3
+    speed_deg_s: float = 6.0
+    open_deg: float | None = None
+    distal_deg: float | None = None
+    thumb_deg: tuple[float, float] = (-70.0, 0.0)
+    onset_counts: float = 40.0
+    onset_frames: int = 2
+    still_deg: float = 0.15
+    still_s: float = 0.3
+    hold_s: float = 0.5
+    over_squeeze_m: float = 0.03
+    contact_timeout_s: float = 12.0
+    still_timeout_s: float = 8.0
+    saturation_counts: int = 4095
+    spread_m: float = 0.01
+    tilt_deg: float = 3.0
+
+    def __post_init__(self) -> None:
+        check(0.0 < self.current_a <= 0.5, "current_a above 0 and up to 0.5", self.current_a)
+        check(0.0 < self.speed_deg_s <= 20.0, "speed_deg_s above 0 and up to 20", self.speed_deg_s)
+        for name in ("open_deg", "distal_deg"):
+            given = getattr(self, name)
+            check(given is None or -90.0 <= given <= 90.0, f"{name} between -90 and 90", given)
+        check(all(-90.0 <= angle <= 0.0 for angle in self.thumb_deg[:1]), "thumb_deg of -90 to 0", self.thumb_deg)
+        check(abs(self.thumb_deg[1]) <= 90.0, "thumb_deg within -90 and 90", self.thumb_deg)
+        check(self.onset_counts > 0 and self.onset_frames >= 1, "an onset above 0", self.onset_counts)
+        check(0.0 < self.still_deg <= 2.0, "still_deg above 0 and up to 2", self.still_deg)
+        for name, most in (("still_s", 5.0), ("contact_timeout_s", 60.0), ("still_timeout_s", 60.0)):
+            check(0.05 <= getattr(self, name) <= most, f"{name} between 0.05 and {most:g}", getattr(self, name))
+        check(0.0 <= self.hold_s <= 10.0, "hold_s between 0 and 10", self.hold_s)
+        check(0.0 < self.over_squeeze_m <= 0.1, "over_squeeze_m above 0 and up to 0.1", self.over_squeeze_m)
+        check(1 <= self.saturation_counts <= 4095, "saturation_counts between 1 and 4095", self.saturation_counts)
+        check(0.0 <= self.spread_m <= 0.1, "spread_m between 0 and 0.1", self.spread_m)
+        check(0.0 <= self.tilt_deg <= 20.0, "tilt_deg between 0 and 20", self.tilt_deg)

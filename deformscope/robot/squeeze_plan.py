@@ -1,0 +1,115 @@
+"""How a container is gripped: the hand's pre-shape, and where on the container it stands, drawn at random."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.errors import InputError
+from deformscope.rig.squeeze_sections import ContainerSection, SqueezeSection
+from deformscope_drivers.jaco.kinematics import transform
+from deformscope_drivers.sdh.kinematics import BASE_HEIGHT_M, BASE_SIDE_M, DISTAL_LINK_M, PROXIMAL_LINK_M
+
+BASE_DEG = 90.0
+"""The two fingers on the common base face each other there: `deformscope_drivers.sdh.kinematics`."""
+PAD_M = 0.011
+"""From the axis of a distal link to its pad's surface: half of a link some 22 mm thick. Assumed, not measured."""
+OPENING_DEG = 12.0
+"""The proximal axes begin so far before the contact that the container's width gives: the fingertips then stand some
+3 cm away. Chosen."""
+CLOSING_AXES = (1, 5)
+"""The proximal axes of fingers 0 and 2 (Schunk's order of axes)."""
+PAD_ALONG_M = 0.6 * DISTAL_LINK_M
+"""Where along the distal link the middle of its pad is. Assumed."""
+
+
+@dataclass(frozen=True, slots=True)
+class GripShape:
+    """Angles of the axes, (7,) each [deg]. open_deg: before and after; contact_deg: where both fingertips touch a
+    container of the width given; reach_m: from the palm's origin to the middle of the pads there [m]"""
+
+    open_deg: tuple[float, ...]
+    contact_deg: tuple[float, ...]
+    reach_m: float
+
+    @classmethod
+    def of(cls, container: ContainerSection, squeeze: SqueezeSection) -> GripShape:
+        """Raises InputError for a container that the fingers cannot close on."""
+        half_m = container.size_m[0] / 2 + PAD_M
+        lean = (BASE_SIDE_M / 2 - half_m) / PROXIMAL_LINK_M
+        if not abs(lean) < 0.95:
+            widest = 2 * (BASE_SIDE_M / 2 + 0.95 * PROXIMAL_LINK_M - PAD_M)
+            raise InputError(f"a container up to {widest:.3f} m wide along x", f"{container.size_m[0]:g} m")
+        touching = math.degrees(math.asin(lean))
+        distal = -touching if squeeze.distal_deg is None else squeeze.distal_deg
+        opened = touching - OPENING_DEG if squeeze.open_deg is None else squeeze.open_deg
+        if squeeze.distal_deg is not None:
+            touching = _contact_deg(half_m, distal)
+        if not opened < touching:
+            came = f"{opened:g}, contact at {touching:.1f} deg"
+            raise InputError("[squeeze] open_deg below the angle of contact", came)
+        upright = PROXIMAL_LINK_M * math.cos(math.radians(touching))
+        reach_m = BASE_HEIGHT_M + upright + PAD_ALONG_M * math.cos(math.radians(touching + distal))
+        return cls(_angles(opened, distal, squeeze), _angles(touching, distal, squeeze), reach_m)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RandomGrasp:
+    """Where the hand stands on the container.
+
+    along_m: of the middle of the pads from the container's middle, along its longest edge; tilt_deg: of the hand about
+    the axis of closing; T_hand_container: (4, 4) container to hand [m]
+    """
+
+    along_m: float
+    tilt_deg: float
+    T_hand_container: FloatArray
+
+
+def draw_grasp(container: ContainerSection, squeeze: SqueezeSection, seed: int) -> RandomGrasp:
+    """A grasp around the middle of the container's longest edge (Thesis 5.1), the same for the same seed; within two
+    standard deviations."""
+    random = np.random.default_rng([seed, 0x5E])
+    along, tilt = np.clip(random.standard_normal(2), -2.0, 2.0)
+    along_m, tilt_deg = float(along * squeeze.spread_m), float(tilt * squeeze.tilt_deg)
+    size = container.size_m
+    edge = 1 if size[1] > size[2] else 2
+    middle = grasp_middle(container, squeeze)
+    angle = math.radians(tilt_deg)
+    turn = np.array(
+        [[1.0, 0.0, 0.0], [0.0, math.cos(angle), -math.sin(angle)], [0.0, math.sin(angle), math.cos(angle)]]
+    )
+    offset = np.zeros(3)
+    offset[edge] = -along_m
+    # about the middle between the pads, which stays on the container's axis of closing
+    pads = np.array([0.0, 0.0, GripShape.of(container, squeeze).reach_m])
+    about = transform(np.eye(3), pads) @ transform(turn, np.zeros(3)) @ transform(np.eye(3), -pads)
+    return RandomGrasp(along_m, tilt_deg, np.asarray(about @ middle @ transform(np.eye(3), offset)))
+
+
+def grasp_middle(container: ContainerSection, squeeze: SqueezeSection) -> FloatArray:
+    """(4, 4) container to hand for the grasp in its middle [m]: as the rig file says, else from the side, its middle
+    between the pads, its x and the hand's alike, its z along the hand's y."""
+    if container.T_hand_container is not None:
+        return np.array(container.T_hand_container, np.float64)
+    from_side = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+    return np.asarray(transform(from_side, (0.0, 0.0, GripShape.of(container, squeeze).reach_m)))
+
+
+def _contact_deg(half_m: float, distal_deg: float) -> float:
+    """The proximal angle at which the fingertip is half_m from the middle, by bisection: it closes with the angle."""
+    low, high = -80.0, 80.0
+    for _ in range(40):
+        middle = (low + high) / 2
+        lean = PROXIMAL_LINK_M * math.sin(math.radians(middle))
+        lean += DISTAL_LINK_M * math.sin(math.radians(middle + distal_deg))
+        low, high = (middle, high) if BASE_SIDE_M / 2 - lean > half_m else (low, middle)
+    return low
+
+
+def _angles(proximal: float, distal: float, squeeze: SqueezeSection) -> tuple[float, ...]:
+    thumb = squeeze.thumb_deg
+    return (BASE_DEG, proximal, distal, thumb[0], thumb[1], proximal, distal)

@@ -1,0 +1,169 @@
+"""Whether the hand may go on squeezing: a pure state machine fed with readings and times, once in a control period.
+
+It is no safety function (no Python program is): a hand that squeezes has to have a switch within reach. It never resets
+itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.rig.squeeze_sections import SqueezeSection
+from deformscope.robot.squeeze_plan import CLOSING_AXES
+from deformscope_drivers.sdh.kinematics import fingertips
+
+HAND_SILENT_S = 0.2
+"""Five periods of the hand's 25 Hz."""
+TACTILE_SILENT_S = 0.35
+"""Of pads that give 11 frames a second at worst (raw frames of all six arrays on RS-232): nearly four periods."""
+LIMIT_DEG = 1.0
+"""An axis that comes so near to the end of its range is at it: reported angles are precise to 0.5 deg."""
+TOO_HOT_C = 70.0
+"""Of a motor. Assumed: Schunk's firmware switches off by itself somewhere above (error 29), no source gives where."""
+LATE_S = 0.1
+"""A judgement so long after the last one came late: no silence is held against a device then, once."""
+
+
+class SqueezeFault(StrEnum):
+    """Why it must not go on."""
+
+    NONE = "none"
+    SATURATED = "tactile array saturated"
+    OVER_SQUEEZED = "container over-squeezed"
+    JOINT_RANGE = "finger at the end of its range"
+    HAND_SILENT = "hand silent"
+    HAND_LOST = "hand lost"
+    TACTILE_SILENT = "tactile arrays silent"
+    TACTILE_LOST = "tactile arrays lost"
+    TOO_HOT = "motor too hot"
+    REFUSED = "hand takes no commands"
+    PRESHAPE = "pre-shape not reached"
+    TOUCHED_BEFORE = "fingertips touched before they closed"
+    NO_CONTACT = "no contact"
+    NOT_STILL = "no steady state"
+    ASKED = "a person asked"
+
+
+ADVICE: dict[SqueezeFault, str] = {
+    SqueezeFault.SATURATED: "a lower current_a in [squeeze], or a lower sensitivity of the arrays",
+    SqueezeFault.OVER_SQUEEZED: "a lower current_a in [squeeze], or a larger over_squeeze_m",
+    SqueezeFault.JOINT_RANGE: "the container's size in [container], and where it stands",
+    SqueezeFault.HAND_SILENT: "the hand's supply and cable",
+    SqueezeFault.HAND_LOST: "the hand's supply and cable; it may still press with the current that was set",
+    SqueezeFault.TACTILE_SILENT: "the tactile controller's supply and cable",
+    SqueezeFault.TACTILE_LOST: "the tactile controller's supply and cable",
+    SqueezeFault.TOO_HOT: "a pause, until the motors have cooled",
+    SqueezeFault.REFUSED: "the axis states: deformscope doctor",
+    SqueezeFault.PRESHAPE: "what is in the fingers' way",
+    SqueezeFault.TOUCHED_BEFORE: "what touches the fingertips; open_deg in [squeeze]",
+    SqueezeFault.NO_CONTACT: "where the container stands between the fingers; onset_counts in [squeeze]",
+    SqueezeFault.NOT_STILL: "still_deg, still_s and still_timeout_s in [squeeze]",
+}
+"""What to look at."""
+
+
+@dataclass(frozen=True, slots=True)
+class SqueezeObservation:
+    """What came since the last control period, oldest first.
+
+    position_deg: (n, 7) of the hand's readings, hand_ns: (n,) their times; hottest_c: of the motors, None = not known
+    peak_counts: (m,) the highest texel of the squeezing fingertips in each tactile frame; tactile_ns: (m,)
+    lost: names of devices whose link is down, and why
+    """
+
+    now_ns: int
+    hand_ns: tuple[int, ...] = ()
+    position_deg: tuple[tuple[float, ...], ...] = ()
+    hottest_c: float | None = None
+    tactile_ns: tuple[int, ...] = ()
+    peak_counts: tuple[int, ...] = ()
+    lost: tuple[tuple[SqueezeFault, str], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class SqueezeVerdict:
+    """fault: NONE = go on; reason: in numbers; time_ns: when it was noticed"""
+
+    fault: SqueezeFault = SqueezeFault.NONE
+    reason: str = ""
+    time_ns: int = 0
+
+
+class SqueezeSupervisor:
+    """`judge` once in each control period; the first fault stays.
+
+    closing: False where the hand only opens: it then needs no tactile arrays, and may come from the end of its range
+    """
+
+    def __init__(self, squeeze: SqueezeSection, fingers: tuple[int, int], now_ns: int, *, closing: bool = True) -> None:
+        self._closing = closing
+        self.verdict = SqueezeVerdict()
+        self._squeeze, self._fingers = squeeze, fingers
+        self._contact_gap_m: float | None = None
+        self._gap_m = np.inf
+        self.start(now_ns)
+
+    def start(self, now_ns: int) -> None:
+        """Ages count from now on, as after a pause in which nobody looked."""
+        self._hand_ns = self._tactile_ns = self._judged_ns = now_ns
+        self._excused = False
+
+    def in_contact(self) -> None:
+        """The fingertips come closer from here on: what they may is counted."""
+        self._contact_gap_m = self._gap_m
+
+    def stop(self, fault: SqueezeFault, reason: str, now_ns: int) -> None:
+        """It must not go on, for a reason that is not in the readings."""
+        if self.verdict.fault is SqueezeFault.NONE:
+            self.verdict = SqueezeVerdict(fault, reason, now_ns)
+
+    def judge(self, seen: SqueezeObservation) -> SqueezeVerdict:
+        """Whether it may go on."""
+        late = seen.now_ns - self._judged_ns > LATE_S * 1e9
+        self._excused = late and not self._excused
+        self._judged_ns = seen.now_ns
+        tactile = self._tactile(seen) if self._closing else []
+        lost = [one for one in seen.lost if self._closing or one[0] is SqueezeFault.HAND_LOST]
+        for fault, reason in (*lost, *self._hand(seen), *tactile):
+            self.stop(fault, reason, seen.now_ns)
+        return self.verdict
+
+    def _hand(self, seen: SqueezeObservation) -> list[tuple[SqueezeFault, str]]:
+        found: list[tuple[SqueezeFault, str]] = []
+        for when, angles in zip(seen.hand_ns, seen.position_deg, strict=True):
+            self._hand_ns = when
+            self._gap_m = gap_m(np.array(angles), self._fingers)
+            closer_m = 0.0 if self._contact_gap_m is None else self._contact_gap_m - self._gap_m
+            if closer_m > self._squeeze.over_squeeze_m:
+                most_mm = 1e3 * self._squeeze.over_squeeze_m
+                found.append(
+                    (SqueezeFault.OVER_SQUEEZED, f"{1e3 * closer_m:.1f} mm since contact, limit {most_mm:g} mm")
+                )
+            for axis in CLOSING_AXES:
+                if self._closing and angles[axis] > 90.0 - LIMIT_DEG:
+                    found.append((SqueezeFault.JOINT_RANGE, f"axis {axis} at {angles[axis]:.1f} deg"))
+        if seen.hottest_c is not None and seen.hottest_c > TOO_HOT_C:
+            found.append((SqueezeFault.TOO_HOT, f"{seen.hottest_c:.0f} degC, limit {TOO_HOT_C:g} degC"))
+        if (age_s := (seen.now_ns - self._hand_ns) / 1e9) > HAND_SILENT_S and not self._excused:
+            found.append((SqueezeFault.HAND_SILENT, f"no reading for {1e3 * age_s:.0f} ms"))
+        return found
+
+    def _tactile(self, seen: SqueezeObservation) -> list[tuple[SqueezeFault, str]]:
+        found: list[tuple[SqueezeFault, str]] = []
+        for when, peak in zip(seen.tactile_ns, seen.peak_counts, strict=True):
+            self._tactile_ns = when
+            if peak >= self._squeeze.saturation_counts:
+                found.append((SqueezeFault.SATURATED, f"a texel at {peak} counts"))
+        if (age_s := (seen.now_ns - self._tactile_ns) / 1e9) > TACTILE_SILENT_S and not self._excused:
+            found.append((SqueezeFault.TACTILE_SILENT, f"no frame for {1e3 * age_s:.0f} ms"))
+        return found
+
+
+def gap_m(position_deg: FloatArray, fingers: tuple[int, int]) -> float:
+    """Between the two fingertips along the axis of closing [m]. position_deg: (7,)"""
+    tips = fingertips(position_deg)
+    return float(tips[fingers[0], 0] - tips[fingers[1], 0])

@@ -1,0 +1,165 @@
+"""When the fingers first touch the container, and when they stand still (Thesis ch. 2: F_first and F_steady).
+
+    rule = EventRule()
+    found = squeeze_events(tactile_ns, sums, hand_ns, closing_deg, rule)
+
+Both rules work on one reading after the other, so that the squeeze itself ends by them; `squeeze_events` applies them
+once more to all that was recorded, in order of time.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.errors import InputError
+
+PERIODS = 2.0
+"""An event is known to so many sample periods."""
+BASELINE_FRAMES = 6
+"""The first frames, in the air, are the baseline."""
+DEVIATIONS = 6.0
+"""Of the baseline: a sum that is farther above it is no noise, where that is more than `onset_counts`."""
+
+
+@dataclass(frozen=True, slots=True)
+class EventRule:
+    """onset_counts: the sum of a fingertip's texels above its baseline in the air that is contact, and the same in
+    onset_frames frames one after the other; still_deg, still_s: all closing axes stay within still_deg for still_s"""
+
+    onset_counts: float = 40.0
+    onset_frames: int = 2
+    still_deg: float = 0.15
+    still_s: float = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class SqueezeEvents:
+    """First contact and steady state, on the host's clock [ns], each with the interval in which it was.
+
+    first_ns: of the first frame that shows contact, by any of the fingers; steady_ns: of the first reading from which
+    on the closing axes stood still; 0 = it did not happen. finger_ns: (fingers,) first contact of each, 0 = none
+    first_interval_ns, steady_interval_ns: (low, high), two sample periods wide at least
+    tactile_period_s, hand_period_s: median of the sample periods; onset_counts: the sums' threshold over the baseline
+    """
+
+    first_ns: int
+    first_interval_ns: tuple[int, int]
+    steady_ns: int
+    steady_interval_ns: tuple[int, int]
+    finger_ns: IntArray
+    tactile_period_s: float
+    hand_period_s: float
+    onset_counts: float
+
+
+class OnsetDetector:
+    """Feed each tactile frame's sums; `first_ns` is set once contact is certain, at the frame in which it began."""
+
+    def __init__(self, rule: EventRule) -> None:
+        self._rule = rule
+        self._air: list[FloatArray] = []
+        self._since: list[int] = []
+        self._count: list[int] = []
+        self.finger_ns: list[int] = []
+        self.threshold = rule.onset_counts
+
+    @property
+    def first_ns(self) -> int:
+        """Of the first finger in contact, 0 before."""
+        return min((one for one in self.finger_ns if one), default=0)
+
+    def feed(self, time_ns: int, sums: FloatArray) -> bool:
+        """Whether there is contact. sums: (fingers,) of a frame's texels [counts]; baseline frames come first"""
+        if len(self._air) < BASELINE_FRAMES:
+            self._air.append(np.asarray(sums, np.float64))
+            self._since, self._count, self.finger_ns = ([0] * len(sums) for _ in range(3))
+            return False
+        air = np.stack(self._air)
+        self.threshold = max(self._rule.onset_counts, DEVIATIONS * float(air.std(axis=0).max()))
+        over = np.asarray(sums) - np.median(air, axis=0) > self.threshold
+        for finger, above in enumerate(over):
+            if not above:
+                self._count[finger] = 0
+                continue
+            if self._count[finger] == 0:
+                self._since[finger] = time_ns
+            self._count[finger] += 1
+            if self._count[finger] >= self._rule.onset_frames and not self.finger_ns[finger]:
+                self.finger_ns[finger] = self._since[finger]
+        return self.first_ns > 0
+
+
+class StillDetector:
+    """Feed the closing axes' angles once they have begun to move; `steady_ns` is set once they stood still for long
+    enough, at the reading from which on they did."""
+
+    def __init__(self, rule: EventRule) -> None:
+        self._rule = rule
+        self._window: deque[tuple[int, FloatArray]] = deque()
+        self.steady_ns = 0
+
+    def feed(self, time_ns: int, position_deg: FloatArray) -> bool:
+        """Whether they stand still. position_deg: (axes,)"""
+        if self.steady_ns:
+            return True
+        now = np.asarray(position_deg, np.float64)
+        while self._window and self._moved(now):
+            self._window.popleft()
+        self._window.append((time_ns, now))
+        if time_ns - self._window[0][0] >= self._rule.still_s * 1e9:
+            self.steady_ns = self._window[0][0]
+        return self.steady_ns > 0
+
+    def _moved(self, now: FloatArray) -> bool:
+        every = np.stack([now, *(one for _, one in self._window)])
+        return bool((np.ptp(every, axis=0) > self._rule.still_deg).any())
+
+
+def squeeze_events(
+    tactile_ns: IntArray,
+    sums: FloatArray,
+    hand_ns: IntArray,
+    closing_deg: FloatArray,
+    rule: EventRule,
+) -> SqueezeEvents:
+    """The events of a recorded squeeze.
+
+    tactile_ns: (n,) times of frames from before the fingers closed; sums: (n, fingers) [counts]
+    hand_ns: (m,) times of readings; closing_deg: (m, axes) of the axes that close
+    Raises InputError where there are too few frames for a baseline.
+    """
+    if len(tactile_ns) <= BASELINE_FRAMES or len(hand_ns) < 2:
+        came = f"{len(tactile_ns)} tactile frames and {len(hand_ns)} readings of the hand"
+        raise InputError(f"more than {BASELINE_FRAMES} frames and 2 readings", came, "a longer recording")
+    onset, still = OnsetDetector(rule), StillDetector(rule)
+    for when, felt in zip(tactile_ns, sums, strict=True):
+        onset.feed(int(when), felt)
+    first_ns = onset.first_ns
+    for when, angles in zip(hand_ns, closing_deg, strict=True):
+        if first_ns and when >= first_ns:
+            still.feed(int(when), angles)
+    tactile_s, hand_s = (float(np.median(np.diff(when))) / 1e9 for when in (tactile_ns, hand_ns))
+    return SqueezeEvents(
+        first_ns=first_ns,
+        first_interval_ns=_interval(first_ns, tactile_ns, tactile_s),
+        steady_ns=still.steady_ns,
+        steady_interval_ns=_interval(still.steady_ns, hand_ns, hand_s),
+        finger_ns=np.array(onset.finger_ns, np.int64),
+        tactile_period_s=tactile_s,
+        hand_period_s=hand_s,
+        onset_counts=onset.threshold,
+    )
+
+
+def _interval(event_ns: int, sample_ns: IntArray, period_s: float) -> tuple[int, int]:
+    """It was after the last sample without it, which may lie far back where samples were lost, and within two sample
+    periods around it otherwise."""
+    if not event_ns:
+        return 0, 0
+    at = int(np.searchsorted(sample_ns, event_ns))
+    before = int(sample_ns[max(at - 1, 0)])
+    return min(before, event_ns - round(PERIODS * period_s * 1e9)), event_ns + round(PERIODS * period_s * 1e9)

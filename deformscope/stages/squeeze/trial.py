@@ -1,0 +1,110 @@
+"""What is recorded of one squeeze: its phases, what the fingertips feel, the tracked container, its features, and what
+its content is taken for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from deformscope.arrays import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class SqueezePhase:
+    """The hand begins with something: pre-shape, close, squeeze, hold, open, stopped."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class FingertipPressure:
+    """What the squeezing fingertips feel in one tactile frame (as drawn in Thesis fig. 2.4); the last axis or all of
+    each array is by finger.
+
+    index: the frame's place in its stream; center_m: (2, 2) centre of pressure (x along the columns, y along the rows)
+    from the outer corner of the array's first texel [m], NaN without contact; axis_rad: (2,) orientation of the
+    pressure's principal axis, from the columns towards the rows; elongation: (2,) 0 round to 1 a line
+    force_n: (2,); area_m2: (2,) of the texels in contact
+    """
+
+    index: int
+    center_m: FloatArray
+    axis_rad: FloatArray
+    elongation: FloatArray
+    force_n: FloatArray
+    area_m2: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class TrackedContainer:
+    """The rigid model's pose in a depth image. index: the image's place in its stream; T_camera_container: (4, 4)
+
+    good, reason: whether features may be taken from it, and why not; observed: (6,) which directions of motion the
+    image observes; agreeing: share of the compared pixels within the noise
+    edges_px: (n, 2, 2) ends of the model's visible edges in the image
+    """
+
+    index: int
+    T_camera_container: FloatArray
+    good: bool
+    reason: str
+    observed: FloatArray
+    agreeing: float
+    edges_px: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class SqueezeFeatures:
+    """The features of one squeeze, float64.
+
+    tactile: (72,) cells at F_steady [counts]
+    vision: (61, 61) depth change data minus model at F_steady [m], NaN where nothing was measured; vision_small: (11,
+    11) means of its blocks; None where there is none. missing: share of NaN in vision; reason: why there is none
+    patch_px: (2,) column and row of its middle; patch_width_m: on the container's surface
+    physical: (n,) in the order of `physical.PHYSICAL`, NaN where it could not be measured
+    series_s: (k,) times since F_first, every 0.1 s [s]; series: (k, 72) tactile cells then
+    """
+
+    tactile: FloatArray
+    physical: FloatArray
+    series_s: FloatArray
+    series: FloatArray
+    vision: FloatArray | None = None
+    vision_small: FloatArray | None = None
+    missing: float = 1.0
+    patch_px: FloatArray | None = None
+    patch_width_m: float = 0.0
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ContentPosterior:
+    """What a model takes the content for.
+
+    since_s: since the first contact [s]; modality: what it is computed from; labels; probability: (k,) of each
+    index: the newest tactile frame's place in its stream, -1 = it is of all features at steady state
+    """
+
+    since_s: float
+    modality: str
+    labels: tuple[str, ...]
+    probability: FloatArray
+    index: int
+
+    @property
+    def content(self) -> str:
+        """The most probable one."""
+        return self.labels[int(self.probability.argmax())]
+
+
+@dataclass(frozen=True, slots=True)
+class SqueezeStop:
+    """Why a squeeze ended before its time. kind: in a few words; reason: in numbers; advice: what to see to
+
+    stands: the hand confirmed that it stopped; restored: the limits of its currents are what they were
+    """
+
+    kind: str
+    reason: str
+    advice: str
+    stands: bool
+    restored: bool

@@ -1,0 +1,186 @@
+"""`squeeze`, `dataset` and `replay` of a squeeze, on a simulated clock."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deformscope.cli import main
+from deformscope.cli.setups import SqueezeOpening
+from deformscope.files.classifier_file import save_classifier
+from deformscope.files.squeeze_dataset import SqueezeDataset
+from deformscope.robot.squeeze_plan import draw_grasp
+from deformscope.robot.squeeze_setup import SqueezeSetup
+from deformscope.stages.squeeze.model import ContentModel, fit_model
+from deformscope.stages.squeeze.table import LabelledTable
+from tests.experiments.toy_squeeze import ToySqueeze, limits
+
+LABS: list[ToySqueeze] = []
+
+
+@pytest.fixture(autouse=True)
+def toy(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """The command squeezes toy containers: a content is a stiffness."""
+    changes: dict[str, Any] = {"setup": {}, "lab": {"camera": True}}
+
+    def opening(name: str, content: str, container: str, session: str, seed: int, *, trusted: bool) -> SqueezeOpening:
+        stiffness = {"rice": 400.0, "empty": 100.0}.get(content, 250.0)
+        lab = ToySqueeze(stiffness_pa_deg=stiffness, gives_deg=2.0 + 0.1 * (seed % 7), **changes["lab"])
+        LABS.append(lab)
+        grasp = draw_grasp(lab.container, lab.squeeze, seed)
+        setup: SqueezeSetup = dataclasses.replace(lab.setup, **changes["setup"])
+        if not lab.camera:
+            setup = dataclasses.replace(setup, grasp=grasp)
+        return SqueezeOpening(setup, {"lab": "toy"}, content or "rice", container or "box-01")
+
+    monkeypatch.setattr("deformscope.cli.squeeze.squeeze_setup_of", opening)
+    return changes
+
+
+def squeeze(tmp_path: Path, *more: str) -> tuple[int, dict[str, Any]]:
+    """Exit status and JSON of one."""
+    target = tmp_path / "found.json"
+    target.unlink(missing_ok=True)
+    status = main(["squeeze", "lab:containers", "--viewer", "none", "--json", str(target), *more])
+    return status, json.loads(target.read_text()) if target.exists() else {}
+
+
+def test_a_recorded_squeeze_replays_to_the_last_bit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "r.rrd"
+    status, found = squeeze(tmp_path, "--content", "rice", "--container", "box-07", "--record", str(file))
+
+    assert status == 0
+    assert found["discarded"] is None
+    assert found["hand_stands"]
+    assert found["limits_restored"]
+    assert found["features"] == {"tactile": 72, "physical": 13, "vision": 3721, "vision_small": 121}
+    assert found["vision_reason"] == ""
+    low, high = found["events"]["first_interval_s"]
+    assert low <= (found["truth"]["first_ns"] - 1e9) / 1e9 <= high
+    assert main(["verify", str(file)]) == 0
+    assert main(["replay", str(file)]) == 0
+    assert "identical to the recorded numbers" in capsys.readouterr().err
+
+    from deformscope.experiments import squeeze_features
+    from deformscope.stages.squeeze.tactile import tactile_feature
+
+    monkeypatch.setattr(squeeze_features, "tactile_feature", lambda pads, end: tactile_feature(pads, end) + 1.0)
+    assert main(["replay", str(file)]) == 2
+    assert "another" in capsys.readouterr().err
+
+
+def test_a_data_set_grows_and_is_corrected(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "d"
+    for content in ("rice", "empty"):
+        where = ["--dataset", str(folder), "--session", "s", "--keep", "features"]
+        assert squeeze(tmp_path, "--content", content, "--container", "box-01", *where)[0] == 0
+    dataset = SqueezeDataset(folder)
+    assert [one.trial for one in dataset.entries()] == ["s-box-01-00000", "s-box-01-00001"]
+    assert [one.seed for one in dataset.entries()] == [0, 1]
+    assert not list(folder.glob("trials/*.rrd"))
+
+    assert main(["dataset", "relabel", str(folder), "s-box-01-00001", "--content", "water"]) == 0
+    assert main(["dataset", "discard", str(folder), "s-box-01-00000", "--reason", "it leaked"]) == 0
+    assert "left out  1 (it leaked)" in capsys.readouterr().out
+    assert main(["dataset", "merge", str(tmp_path / "all"), str(folder)]) == 0
+    merged = SqueezeDataset(tmp_path / "all").entries()
+    assert [(one.content, one.discarded) for one in merged] == [("rice", "it leaked"), ("water", None)]
+
+
+def test_a_recording_that_the_index_lacks_is_taken_in_again(tmp_path: Path) -> None:
+    folder = tmp_path / "d"
+    given = ["--content", "rice", "--container", "box-01", "--dataset", str(folder), "--session", "s"]
+    assert squeeze(tmp_path, *given)[0] == 0
+    before = SqueezeDataset(folder).rows()[0]
+    assert SqueezeDataset(folder).recording_path("s-box-01-00000").is_file()
+    for name in ("index.parquet", "features.parquet"):
+        (folder / name).unlink()
+
+    assert main(["dataset", "repair", str(folder)]) == 0
+    after = SqueezeDataset(folder).rows()[0]
+    for name, values in before.features.items():
+        np.testing.assert_array_equal(after.features[name], values)
+    assert after.entry.content == "rice"
+    assert after.entry.discarded is None
+
+
+def test_a_stopped_squeeze_is_kept_as_discarded_with_its_reason(
+    tmp_path: Path, toy: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    toy["lab"] = {"camera": False}
+    toy["setup"] = {"squeeze": dataclasses.replace(ToySqueeze().squeeze, saturation_counts=200)}
+    folder = tmp_path / "d"
+    given = ["--content", "rice", "--container", "box-01", "--dataset", str(folder), "--session", "s"]
+    status, found = squeeze(tmp_path, *given)
+
+    assert status == 2
+    assert "tactile array saturated" in capsys.readouterr().err
+    assert found["discarded"]["kind"] == "tactile array saturated"
+    assert found["hand_stands"]
+    assert limits(LABS[-1])[1] == 0.5
+    (entry,) = SqueezeDataset(folder).entries()
+    assert entry.discarded is not None
+    assert entry.discarded.startswith("tactile array saturated: a texel at ")
+    recording = SqueezeDataset(folder).recording_path(entry.trial)
+    assert main(["verify", str(recording)]) == 0
+    assert main(["replay", str(recording)]) == 0
+
+
+def small_model() -> ContentModel:
+    """Of two contents that differ by how hard the fingertips feel them."""
+    random = np.random.default_rng(0)
+    mean = np.repeat([[300.0], [1200.0]], 12, axis=0)
+    table = LabelledTable(
+        np.repeat(["empty", "rice"], 12), None, {"tactile": mean + random.normal(0.0, 100.0, (24, 72))}
+    )
+    return fit_model(table, by_group=False)
+
+
+def test_a_model_names_the_content_while_it_is_squeezed(tmp_path: Path) -> None:
+    model, file = tmp_path / "m.npz", tmp_path / "r.rrd"
+    save_classifier(small_model(), model)
+    status, found = squeeze(tmp_path, "--model", str(model), "--record", str(file))
+
+    assert status == 0
+    assert sum(found["posterior"].values()) == pytest.approx(1.0)
+    assert found["named"] in ("empty", "rice")
+    from deformscope.recording.items import read_results
+    from deformscope.stages.squeeze.trial import ContentPosterior
+
+    shown = [one.item for one in read_results(file, (ContentPosterior,))]
+    assert len(shown) >= 4
+    assert shown[-1].index == -1 or shown[0].index == -1  # type: ignore[union-attr]
+    assert main(["replay", str(file)]) == 0
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ([], "--content NAME, or --model MODEL"),
+        (["--content", "rice", "--dataset", "d"], "--content and --container with --dataset"),
+        (["--content", "a/b"], "a name of letters, digits"),
+    ],
+)
+def test_what_makes_no_trial_is_refused_in_one_line(
+    given: list[str], expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["squeeze", "lab:containers", *given]) == 2
+    assert expected in capsys.readouterr().err
+
+
+def test_a_real_hand_waits_for_somebody_who_says_yes(
+    tmp_path: Path, toy: dict[str, Any], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    toy["setup"] = {"simulated": False}
+    monkeypatch.setattr("sys.stdin.isatty", lambda: False, raising=False)
+
+    assert squeeze(tmp_path, "--content", "rice")[0] == 2
+    assert "somebody who says yes" in capsys.readouterr().err
+    assert LABS[-1].hand_double.motion.axes[0].position_deg == 60.0  # nothing has moved

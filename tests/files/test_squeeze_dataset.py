@@ -1,0 +1,119 @@
+"""The data set of squeezes: what is added comes back, and nothing twice."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from deformscope.errors import InputError
+from deformscope.files.squeeze_dataset import FEATURES, INDEX, SqueezeDataset, TrialEntry, TrialRow
+
+SETTINGS = {"tactile_end": "first"}
+
+
+def trial(number: int, content: str = "rice", container: str = "box-01", **changes: object) -> TrialRow:
+    random = np.random.default_rng(number)
+    features = {"tactile": random.uniform(0, 4095, 72), "physical": np.array([1.0, np.nan, number])}
+    if number % 2:
+        features["vision"] = random.normal(size=3721)
+    entry = TrialEntry(
+        f"s-{container}-{number:05d}", content, container, seed=number, T_hand_container=tuple(np.eye(4).ravel())
+    )
+    return TrialRow(dataclasses.replace(entry, **changes), features, random.normal(size=(3 + number, 72)))  # type: ignore[arg-type]
+
+
+def dataset(folder: Path, *rows: TrialRow) -> SqueezeDataset:
+    made = SqueezeDataset(folder, SETTINGS)
+    made.add(rows)
+    return SqueezeDataset(folder)
+
+
+def test_what_is_added_comes_back_to_the_last_bit(tmp_path: Path) -> None:
+    given = [trial(1), trial(2, "empty"), TrialRow(dataclasses.replace(trial(3).entry, discarded="saturated"))]
+    found = dataset(tmp_path / "d", *given).rows()
+
+    for before, after in zip(given, found, strict=True):
+        np.testing.assert_equal(dataclasses.asdict(after.entry), dataclasses.asdict(before.entry))
+        assert after.features.keys() == before.features.keys()
+        for name, values in before.features.items():
+            np.testing.assert_array_equal(after.features[name], values)
+    np.testing.assert_array_equal(found[0].series, given[0].series)  # type: ignore[arg-type]
+    assert found[2].features == {}
+
+
+def test_a_table_leaves_discarded_trials_out_and_marks_a_missing_modality(tmp_path: Path) -> None:
+    made = dataset(tmp_path, trial(1), trial(2, "empty", "box-02"), trial(3, discarded="over-squeezed"))
+    table = made.table()
+
+    assert list(table.label) == ["rice", "empty"]
+    assert list(table.group) == ["box-01", "box-02"]  # type: ignore[arg-type]
+    assert np.isnan(table.modalities["vision"]).all(axis=1).tolist() == [False, True]
+    assert table.series["tactile"].shape == (2, 5, 72)
+    assert np.isnan(table.series["tactile"][0, 4:]).all()
+
+
+def test_nothing_is_in_it_twice(tmp_path: Path) -> None:
+    made = dataset(tmp_path, trial(1))
+
+    with pytest.raises(InputError, match="s-box-01-00001, which is there"):
+        made.add([trial(1)])
+    again = trial(1)
+    renamed = dataclasses.replace(again, entry=dataclasses.replace(again.entry, trial="other"))
+    with pytest.raises(InputError, match="other, whose tactile features are those of s-box-01-00001"):
+        made.add([renamed])
+    assert len(made.rows()) == 1
+
+
+def test_labels_are_corrected_and_trials_discarded_and_taken_back(tmp_path: Path) -> None:
+    made = dataset(tmp_path, trial(1), trial(2))
+    name = made.entries()[0].trial
+
+    made.change([name], content="flour")
+    made.change([name], discarded="it leaked")
+    assert (made.entries()[0].content, made.entries()[0].discarded) == ("flour", "it leaked")
+    made.change([name], discarded=None)
+    assert made.entries()[0].discarded is None
+    np.testing.assert_array_equal(made.rows()[0].features["tactile"], trial(1).features["tactile"])
+    with pytest.raises(InputError, match=r"a trial of .*; got 'nobody'"):
+        made.change(["nobody"], content="rice")
+
+
+def test_two_sets_become_one_with_their_recordings(tmp_path: Path) -> None:
+    one = dataset(tmp_path / "a", trial(1))
+    other = dataset(tmp_path / "b", trial(1), trial(2, recording="trials/s-box-01-00002.rrd"))
+    (tmp_path / "b" / "trials").mkdir()
+    (tmp_path / "b" / "trials" / "s-box-01-00002.rrd").write_bytes(b"bytes")
+
+    assert one.merge(other) == 1
+    assert [entry.seed for entry in one.entries()] == [1, 2]
+    assert one.recording_path("s-box-01-00002").read_bytes() == b"bytes"
+    changed = trial(2)
+    differs = dataset(tmp_path / "c", dataclasses.replace(changed, features={"tactile": np.zeros(72)}))
+    with pytest.raises(InputError, match="another trial s-box-01-00002"):
+        one.merge(differs)
+
+
+def test_other_settings_are_refused(tmp_path: Path) -> None:
+    dataset(tmp_path, trial(1))
+
+    with pytest.raises(InputError, match="settings of the data set; got others"):
+        SqueezeDataset(tmp_path, {"tactile_end": "last"}).add([trial(2)])
+
+
+def test_a_missing_trial_and_what_is_no_data_set_are_refused_in_one_line(tmp_path: Path) -> None:
+    made = dataset(tmp_path / "d", trial(1), trial(2))
+    path = tmp_path / "d" / FEATURES
+    table = pq.read_table(path)
+    pq.write_table(table.slice(0, 1), path)
+    with pytest.raises(InputError, match="features of s-box-01-00002; got none"):
+        made.table()
+
+    with pytest.raises(InputError, match=r"with its index\.parquet; got none"):
+        SqueezeDataset(tmp_path).entries()
+    (tmp_path / "d" / INDEX).write_bytes(b"PAR1 damaged")
+    with pytest.raises(InputError, match=r"a damaged index\.parquet"):
+        made.entries()

@@ -1,0 +1,103 @@
+"""What is shown of a squeeze, and that every result comes back as it was."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rerun as rr
+
+from deformscope.frames import Pad, Stream
+from deformscope.log.squeeze import Fingertips, prepare_squeeze_results, squeeze_blueprint
+from deformscope.pictures.depth_change import depth_change_png
+from deformscope.recording.items import read_results
+from deformscope.recording.recorder import Recorder
+from deformscope.session import Moment, Step
+from deformscope.stages.squeeze.events import SqueezeEvents
+from deformscope.stages.squeeze.trial import (
+    ContentPosterior,
+    FingertipPressure,
+    SqueezeFeatures,
+    SqueezePhase,
+    SqueezeStop,
+    TrackedContainer,
+)
+
+PADS = tuple(
+    Pad(f"finger_{finger}_{part}", 13, 6, (0.0034, 0.0034), 2 * finger + at, finger, at)
+    for finger in range(3)
+    for at, part in enumerate(("proximal", "distal"))
+)
+STREAM = Stream("pads", "tactile", "dsa", True, pads=PADS)
+CHANGE = np.where(np.arange(3721).reshape(61, 61) % 7 == 0, np.nan, 0.004)
+RESULTS = (
+    SqueezePhase("close"),
+    SqueezeEvents(5, (1, 6), 9, (7, 12), np.array([5, 0]), 0.04, 0.02, 40.0),
+    FingertipPressure(
+        3,
+        np.array([[0.01, 0.02], [np.nan, np.nan]]),
+        np.array([0.5, np.nan]),
+        np.array([0.6, np.nan]),
+        np.array([1.5, 0.0]),
+        np.array([2e-4, 0.0]),
+    ),
+    TrackedContainer(7, np.eye(4), False, "too few pixels", np.ones(6), 0.7, np.arange(8.0).reshape(2, 2, 2)),
+    SqueezeFeatures(
+        np.arange(72.0),
+        np.array([1.0, np.nan]),
+        np.arange(2.0),
+        np.zeros((2, 72)),
+        CHANGE,
+        CHANGE[:11, :11],
+        0.14,
+        np.array([30.0, 40.0]),
+        0.11,
+    ),
+    ContentPosterior(0.4, "tactile", ("empty", "rice"), np.array([0.25, 0.75]), 12),
+    SqueezeStop("tactile array saturated", "a texel at 4095 counts", "a lower current", True, False),
+)
+
+
+def test_every_result_comes_back_to_the_last_bit(tmp_path: Path) -> None:
+    file = tmp_path / "r.rrd"
+    with Recorder(file, "none", {"squeezed": {}}, layout="squeeze") as recorder:
+        recorder.start_squeeze([STREAM], 1_000, "pads", (1, 5), "")
+        recorder.write(Step(RESULTS, moment=Moment(2_000)))
+    read = [one.item for one in read_results(file, tuple(map(type, RESULTS)))]
+
+    assert len(read) == len(RESULTS)
+    for before in RESULTS:
+        after = next(one for one in read if type(one) is type(before))
+        np.testing.assert_equal(dataclasses.asdict(after), dataclasses.asdict(before))
+
+
+def test_what_is_no_result_of_a_squeeze_is_refused() -> None:
+    with pytest.raises(TypeError, match=r"no twin in deformscope\.log\.squeeze shows a int"):
+        prepare_squeeze_results((5,), 0, None)
+
+
+def test_features_without_vision_are_shown_as_words() -> None:
+    features = dataclasses.replace(RESULTS[4], vision=None, vision_small=None, reason="no camera")  # type: ignore[type-var]
+    batch = prepare_squeeze_results((features,), 0, Fingertips(STREAM, (1, 5)))
+
+    assert "display/squeeze/change/words" in [path for path, _ in batch.parts]
+
+
+def test_the_views_are_one_window_with_the_devices_behind() -> None:
+    views = squeeze_blueprint([STREAM], "pads", "")
+
+    assert isinstance(views, rr.blueprint.Blueprint)
+
+
+def test_a_depth_change_is_drawn_on_one_scale() -> None:
+    import cv2
+
+    png = np.frombuffer(depth_change_png(CHANGE, 0.11, 0.14), np.uint8)
+    picture = cv2.imdecode(png, cv2.IMREAD_COLOR)
+
+    assert picture is not None
+    dent, missing = picture[3, 9], picture[3, 3]  # blue, green, red
+    assert dent[2] > dent[0]
+    assert len(set(map(int, missing))) > 1 or int(missing[0]) < 120

@@ -1,0 +1,51 @@
+"""Where the fingers touch a container, and where on it the hand is to stand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from deformscope.errors import InputError
+from deformscope.rig.squeeze_sections import ContainerSection, SqueezeSection
+from deformscope.robot.squeeze_plan import PAD_M, GripShape, draw_grasp
+from deformscope_drivers.sdh.kinematics import fingertips
+
+SQUEEZE = SqueezeSection()
+
+
+@pytest.mark.parametrize("width_m", [0.03, 0.06, 0.12])
+def test_both_fingertips_touch_the_container_upright(width_m: float) -> None:
+    shape = GripShape.of(ContainerSection(size_m=(width_m, 0.09, 0.16)), SQUEEZE)
+    tips = fingertips(shape.contact_deg)
+
+    assert tips[0, 0] - PAD_M == pytest.approx(width_m / 2, abs=1e-6)
+    assert tips[2, 0] + PAD_M == pytest.approx(-width_m / 2, abs=1e-6)
+    assert shape.contact_deg[1] + shape.contact_deg[2] == pytest.approx(0.0)
+    opened = fingertips(shape.open_deg)
+    assert opened[0, 0] - tips[0, 0] > 0.02
+
+
+def test_a_given_distal_angle_is_kept() -> None:
+    shape = GripShape.of(ContainerSection(), SqueezeSection(distal_deg=20.0))
+
+    assert shape.contact_deg[2] == 20.0
+    assert fingertips(shape.contact_deg)[0, 0] - PAD_M == pytest.approx(0.03, abs=1e-6)
+
+
+def test_what_the_fingers_cannot_close_on_is_refused() -> None:
+    with pytest.raises(InputError, match=r"a container up to 0\.208 m wide"):
+        GripShape.of(ContainerSection(size_m=(0.3, 0.1, 0.2)), SQUEEZE)
+
+
+def test_a_grasp_is_drawn_from_the_seed_around_the_middle_of_the_longest_edge() -> None:
+    container = ContainerSection()
+    drawn = [draw_grasp(container, SQUEEZE, seed) for seed in range(200)]
+
+    np.testing.assert_array_equal(drawn[3].T_hand_container, draw_grasp(container, SQUEEZE, 3).T_hand_container)
+    along_m = np.array([one.along_m for one in drawn])
+    assert np.abs(along_m).max() <= 2 * SQUEEZE.spread_m
+    assert along_m.std() == pytest.approx(SQUEEZE.spread_m, rel=0.2)
+    pads = np.array([0.0, 0.0, GripShape.of(container, SQUEEZE).reach_m, 1.0])
+    for one in drawn[:20]:
+        at = np.linalg.inv(one.T_hand_container) @ pads  # of the pads, in the container's frame
+        np.testing.assert_allclose(at[:3], [0.0, 0.0, one.along_m], atol=1e-9)
