@@ -7,6 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from deformscope.arrays import BoolArray
 from deformscope.errors import InputError
 from deformscope.robot.placement import TURNED_RAD, best_joints, follow, towards
 from deformscope.robot.robot import JointRates, Robot, TipVelocity
@@ -25,6 +26,8 @@ REACHED_M, REACHED_RAD, REACHED_DEG = 3e-4, 3e-3, 0.1
 """Within these a pose counts as reached. Chosen."""
 PASSED_M, PASSED_RAD = 3e-3, 0.05
 """Within these a point in between counts as passed. Chosen."""
+SAG_M = 0.01
+"""Joint by joint the tip may sink by so much below the height at which it crosses. Chosen."""
 SLACK = 3.0
 """A way may take so many times longer than its length says, and two seconds, before it counts as not possible."""
 
@@ -87,51 +90,71 @@ def move_joints(robot: Robot, joints_deg: npt.ArrayLike) -> None:
 def to_above(
     robot: Robot, center_m: FloatArray, normal: FloatArray, *, height_m: float, deepest_m: FloatArray, speed_m_s: float
 ) -> None:
-    """To a place above the surface: up to height_m, across no lower, and down to it; the first time joint by joint.
+    """To a place above the surface: up to height_m, across no lower, and down to it.
 
+    Straight where the arm can follow; joint by joint the first time, and where a straight way leads near a joint's
+    limit or a singularity: its other joint angles for the same pose are then sought.
     height_m: z of the tip's centre while it crosses; deepest_m: (3,) where a straight way goes on to from there [m,
-    surface frame]. Raises NotThere, before it moves, where a way leads near a joint's limit or a singularity.
+    surface frame]. Raises NotThere, before it goes across, where neither is possible.
     """
     here = robot.placement.T_surface_center(robot.pose.T_base_ee)
     goal = robot.placement.T_base_ee(center_m, normal)
-    turn = pose_error(robot.pose.T_base_ee, goal)[3:]
     high_m = max(height_m, float(center_m[2]))
     over = np.array([center_m[0], center_m[1], high_m])
-    if np.linalg.norm(turn) > TURNED_RAD:
-        joints_deg = best_joints(
-            robot.arm.chain, [robot.placement.T_base_ee(place_m, normal) for place_m in (over, center_m, deepest_m)]
-        )
-        if joints_deg is None:
-            raise NotThere(
-                f"the tip at {np.round(over, 4)} m", "no joint angles for it", "a place that the arm reaches"
-            )
-        move_joints(robot, joints_deg)
+    up = np.array([here[0, 3], here[1, 3], high_m + PASSED_M])
+    if np.linalg.norm(pose_error(robot.pose.T_base_ee, goal)[3:]) > TURNED_RAD:
+        move_joints(robot, _joints_above(robot, over, center_m, deepest_m, normal))
     else:
-        up = np.array([here[0, 3], here[1, 3], high_m + PASSED_M])
-        _require_clear(robot, np.array([here[:3, 3], up, over, center_m, deepest_m]), normal)
+        straight = _followed(robot, np.array([here[:3, 3], up, over, center_m, deepest_m]), normal)
         if here[2, 3] < high_m:
-            move_tip(robot, up, -here[:3, 2], speed_m_s, passing=True)
-        if high_m > float(center_m[2]) + REACHED_M:
+            if not straight[0]:
+                raise _no_way(up)
+            move_tip(robot, up, -here[:3, 2], speed_m_s, passing=straight.all())
+        if not straight.all():
+            joints_deg = _joints_above(robot, over, center_m, deepest_m, normal)
+            if lowest_m(robot, joints_deg) < high_m - SAG_M:
+                raise _no_way(over)
+            move_joints(robot, joints_deg)
+        elif high_m > float(center_m[2]) + REACHED_M:
             move_tip(robot, over, normal, speed_m_s, passing=True)
     move_tip(robot, center_m, normal, speed_m_s)
 
 
-def _require_clear(robot: Robot, centers_m: FloatArray, normal: FloatArray) -> None:
-    """That the arm can follow straight ways from place to place (n, 3) [m, surface frame] as it stands."""
+def lowest_m(robot: Robot, joints_deg: npt.ArrayLike) -> float:
+    """Least z of the tip's centre [m, surface frame] while all joints turn evenly to angles (n,)."""
+    turn = towards(robot.pose.joints_deg, joints_deg, ~np.isfinite(robot.arm.chain.upper_deg))
+    share = np.linspace(0.0, 1.0, 1 + math.ceil(float(np.max(np.abs(turn)))))[:, None]
+    poses = robot.arm.chain.forward(np.asarray(robot.pose.joints_deg) + share * turn)[:, -1]
+    return float(robot.placement.T_surface_center(poses)[:, 2, 3].min())
+
+
+def _joints_above(robot: Robot, *ways: FloatArray) -> FloatArray:
+    """(n,) joint angles for the first of some places (3,) [m], from which a straight way leads through the others with
+    the stick along the last of `ways`, the normal."""
+    *places, normal = ways
+    found = best_joints(robot.arm.chain, [robot.placement.T_base_ee(place_m, normal) for place_m in places])
+    if found is None:
+        where = f"the tip at {np.round(places[0], 4)} m"
+        raise NotThere(where, "no joint angles for it", "a place that the arm reaches")
+    return found
+
+
+def _followed(robot: Robot, centers_m: FloatArray, normal: FloatArray) -> BoolArray:
+    """(n - 1,) whether the arm can follow a straight way from place to place (n, 3) [m, surface frame] as it stands."""
     here, there = -robot.placement.T_surface_center(robot.pose.T_base_ee)[:3, 2], normal
-    normals = np.array([here, here, *[there] * (len(centers_m) - 2)])
-    led = follow(
+    return follow(
         robot.arm.chain,
         robot.placement,
         centers_m[1:],
-        normals[1:],
+        np.array([here, here, *[there] * (len(centers_m) - 2)])[1:],
         start_deg=robot.pose.joints_deg,
         meanwhile=robot.keep_up,
     )
-    if not led.all():
-        where = np.round(centers_m[1:][~led][0], 3)
-        came = f"a way to {where} m that leads near a joint's limit or a singularity"
-        raise NotThere("a way that the arm can follow straight", came, "another place, or move arm or surface")
+
+
+def _no_way(to_m: FloatArray) -> NotThere:
+    came = f"a way to {np.round(to_m, 3)} m that leads near a joint's limit or a singularity"
+    return NotThere("a way that the arm can follow", came, "another place, or move arm or surface")
 
 
 def step(robot: Robot, command: TipVelocity | JointRates) -> None:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
 
+from deformscope.robot import travel
+from deformscope.robot.placement import best_joints
 from deformscope.robot.readings import RobotObservation
 from deformscope.robot.supervisor import SafetyVerdict
 from deformscope.robot.touch import Phase, TouchPlan, run_touch
-from deformscope.robot.travel import PASSED_M, REACHED_M
+from deformscope.robot.travel import PASSED_M, REACHED_M, NotThere, lowest_m, to_above
 from deformscope.studies.fault_study import FaultScene, make_scene
 
 STANDOFF_M = 0.05
@@ -73,3 +76,42 @@ def test_a_plan_crosses_at_its_height_or_above_the_point() -> None:
 
     assert low.places_m(0.01)[0] == pytest.approx([0.3, 0.2, 0.11])
     assert high.places_m(0.01)[0] == pytest.approx([0.3, 0.2, 0.2])
+
+
+def _above(scene: FaultScene) -> tuple[np.ndarray, dict[str, Any]]:
+    """A place beside where the tip stands, and how to go there."""
+    robot, up = scene.robot, np.array([0.0, 0.0, 1.0])
+    side = 1.0 if robot.center_m[0] < 0.3 else -1.0
+    at = np.array([robot.center_m[0] + 0.08 * side, robot.center_m[1], scene.plan.point_m[2] + 0.06])
+    return up, {"center_m": at, "height_m": at[2] + 0.02, "deepest_m": at - 0.05 * up, "speed_m_s": 0.05}
+
+
+def test_where_no_straight_way_leads_it_turns_its_joints_above_the_surface(
+    scene: FaultScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    normal, way = _above(scene)
+    monkeypatch.setattr(travel, "follow", lambda *_, **__: np.array([True, False, True, True]))
+    lows: list[float] = []
+    scene.robot.watch = lambda seen, verdict: lows.append(scene.robot.center_m[2])
+    to_above(scene.robot, normal=normal, **way)
+    scene.robot.watch = None
+
+    assert np.linalg.norm(scene.robot.center_m - way["center_m"]) < 2 * REACHED_M
+    begin = next(index for index, z in enumerate(lows) if z > way["height_m"])
+    assert min(lows[begin:]) > way["center_m"][2] - 2 * REACHED_M
+
+
+def test_joints_that_would_sink_on_their_way_are_not_turned(scene: FaultScene, monkeypatch: pytest.MonkeyPatch) -> None:
+    normal, way = _above(scene)
+    low = best_joints(scene.robot.arm.chain, [scene.robot.placement.T_base_ee(way["deepest_m"], normal)])
+    assert low is not None
+    assert lowest_m(scene.robot, scene.robot.pose.joints_deg) == pytest.approx(scene.robot.center_m[2], abs=1e-6)
+    assert lowest_m(scene.robot, low) <= way["deepest_m"][2] + 1e-3
+    monkeypatch.setattr(travel, "follow", lambda *_, **__: np.array([True, False, True, True]))
+    monkeypatch.setattr(travel, "best_joints", lambda *_: low)
+    across = scene.robot.center_m[:2]
+
+    with pytest.raises(NotThere, match="a way that the arm can follow"):
+        to_above(scene.robot, normal=normal, **way)
+
+    assert np.linalg.norm(scene.robot.center_m[:2] - across) < 2 * PASSED_M
