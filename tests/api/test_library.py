@@ -105,6 +105,7 @@ def test_images_as_arrays_give_what_their_files_give(tmp_path: Path) -> None:
     assert from_arrays.to_dict()["aee_px"] > 0.0
 
 
+@pytest.mark.slow  # the command proves the same
 def test_a_fitted_pair_can_be_poked(arrays: dict[str, np.ndarray], tmp_path: Path) -> None:
     fitted = ds.calibrate_beta(arrays, candidates=12)
     fitted.save(tmp_path / "model.npz")

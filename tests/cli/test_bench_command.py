@@ -85,10 +85,9 @@ def test_json_has_stdout_to_itself(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     "case",
     [
-        *("sweep", "cold"),
         *(
             pytest.param(case, marks=pytest.mark.slow)
-            for case in ("relax", "theta", "gradient", "fit", "cold, compiling")
+            for case in ("cold", "sweep", "relax", "theta", "gradient", "fit", "cold, compiling")
         ),
     ],
 )

@@ -121,6 +121,7 @@ def test_images_give_pixels_and_with_a_scale_metres(frames: Path, capsys: pytest
     assert scaled["aee_m"] == pytest.approx(found["aee_px"] * 0.01 / 20)
 
 
+@pytest.mark.slow  # the whole fit of theta
 def test_image_files_in_the_order_given_stride_and_theta(frames: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = [str(frames / f"img{n}.png") for n in (8, 9, 10, 11)]
     found = run_json(["calibrate", "theta", *files, "--stride", "3", "--grid", "5x5"], capsys)

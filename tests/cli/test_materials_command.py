@@ -69,6 +69,7 @@ def test_axes_tells_a_beta_for_each(pair: Path, tmp_path: Path, capsys: pytest.C
     assert "100% of the motion beyond a rigid one" in shown
 
 
+@pytest.mark.slow  # stages/materials proves the numbers
 def test_yield_tells_the_strain_and_draws(press: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture = tmp_path / "press.png"
     files = ["--picture", str(picture), "--record", str(tmp_path / "r.rrd")]

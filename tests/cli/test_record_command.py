@@ -183,6 +183,7 @@ def test_what_was_written_before_a_kill_is_readable(
     assert "cut short" in capsys.readouterr().err
 
 
+@pytest.mark.slow  # two processes on doubles
 def test_two_recordings_of_one_device_do_not_mix(
     tmp_path: Path, started: list[subprocess.Popen[str]], capsys: pytest.CaptureFixture[str]
 ) -> None:

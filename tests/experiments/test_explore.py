@@ -239,6 +239,7 @@ def test_beta_comes_with_a_verdict_and_the_maps_with_its_field() -> None:
         assert 0.0 <= low <= one.beta <= high < 1.0  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow  # kernels of lists in single precision
 def test_the_thesis_way_says_what_its_trend_is() -> None:
     _, moments = explored("homogeneous-60", budget=1, beta_model="thesis")
     (told,) = of(TouchEstimate, moments)
@@ -247,6 +248,7 @@ def test_the_thesis_way_says_what_its_trend_is() -> None:
     assert "contact patch" in told.beta_verdict  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow  # several whole touches
 def test_it_goes_on_where_it_is_told_to() -> None:
     """A gradient is soon known; the plan still says that it would stop."""
     _, moments = explored("gradient", budget=6, go_on=True)
@@ -257,6 +259,7 @@ def test_it_goes_on_where_it_is_told_to() -> None:
     assert any(plan.stop_reason and plan.target_m is not None for plan in plans)  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow  # a second touch, for its way
 def test_the_way_to_the_next_touch_is_as_high_as_what_it_leads_over() -> None:
     explorer, _ = explored("bumpy", budget=2)
     scene = built_in("bumpy", 0)

@@ -165,6 +165,7 @@ def test_every_kind_comes_back_equal(tmp_path: Path, name: str, known: bool) -> 
     assert_same(back(tmp_path / "run.rrd"), sorted(expected, key=rig.host_ns))
 
 
+@pytest.mark.slow  # rerun compacts as many streams as a rig has
 def test_a_compacted_recording_is_the_same(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """rerun's own tool cuts an entity's rows into portions by size, and puts small ones together."""
     pieces: list[Item] = [RawBytes(rig.ns(0.2), bytes([piece]), False, "fingertip") for piece in range(50)]

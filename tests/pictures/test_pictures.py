@@ -115,6 +115,7 @@ def test_evidence_with_and_without_posterior_and_very_narrow() -> None:
     assert "0.56 to 0.69" in headline(with_it)
 
 
+@pytest.mark.slow  # many pictures
 def test_several_pairs_are_rows_and_the_worst_of_many(monkeypatch: pytest.MonkeyPatch) -> None:
     pair = synthetic.pair_in_plane()
     better = dataclasses.replace(pair, simulated=pair.observed)

@@ -53,6 +53,7 @@ def test_it_crosses_no_lower_than_told_and_hardly_higher(scene: FaultScene, abov
         assert told_ns / 1e9 == pytest.approx(span.start_s)
 
 
+@pytest.mark.slow  # a whole touch; the crossing above sees its phases
 def test_phases_are_told_as_they_begin() -> None:
     scene = make_scene(5, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
     told: list[tuple[Phase, int, int]] = []

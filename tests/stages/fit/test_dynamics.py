@@ -70,6 +70,7 @@ def test_a_moving_search_over_some_frames_steps_through_all() -> None:
     np.testing.assert_allclose(every.relax(every.bodies[0], state[held][None], 0.7, state).position[0], state)
 
 
+@pytest.mark.slow  # two whole motions
 def test_moved_evenly_or_at_once_a_body_ends_in_the_same_state() -> None:
     body = pushed((4, 4), np.random.default_rng(4))
     msm = Msm(body.rest, clusters.single(16), body.held)

@@ -195,6 +195,7 @@ def test_a_free_body_follows_where_it_is_put(device: str) -> None:
 
 
 @pytest.mark.parametrize("basis", ["linear", "quadratic"])
+@pytest.mark.slow  # quadratic kernels in space
 def test_sheets_that_are_not_quite_flat_agree_with_the_reference(device: str, basis: Basis) -> None:
     """Their pseudo-inverse drops a direction that is there: what it leaves undetermined must turn with the cluster."""
     rng = np.random.default_rng(10)
@@ -232,6 +233,7 @@ def test_a_rod_turns_without_resistance(device: str) -> None:
     np.testing.assert_allclose(engine.residual(upright, 0.0), 0.0, atol=1e-9)
 
 
+@pytest.mark.slow  # kernels of lists
 def test_free_form_clusters_in_any_order(device: str) -> None:
     rng = np.random.default_rng(6)
     rest = rng.uniform(0, 0.1, (40, 3))
