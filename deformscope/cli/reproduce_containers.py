@@ -12,10 +12,10 @@ from deformscope.cli.common import (
     fit_progress,
     make_folder,
     recorder_of,
-    replacing,
     say,
     settings_of,
     show,
+    write_file,
     write_json,
 )
 from deformscope.config import ContainersConfig
@@ -95,17 +95,18 @@ def _evaluated(table: LabelledTable, config: ContainersConfig, name: str) -> Cla
     """Accuracies, figures and the page of one set of classes."""
     from deformscope.api.classification import classify
     from deformscope.api.classification_report import classification_page, classification_pictures
+    from deformscope.files.classifier_file import save_classifier
 
     few = {"splits": QUICK_SPLITS, "costly_splits": 0, "curve_splits": 0} if config.quick else {}
     with fit_progress() as bar:
         result = classify(table, seed=config.output.seed, progress=bar, **few)
+        model = result.model(bar)
     drawn = classification_pictures(result)
     folder = config.out / name
     make_folder(folder)
     for picture, png in drawn.items():
-        with replacing(folder / f"{picture}.png") as file:
-            file.write(png)
-    with replacing(folder / "index.html") as file:
-        file.write(classification_page(result, drawn, settings_of(config)).encode())
+        write_file(folder / f"{picture}.png", png)
+    write_file(folder / "index.html", classification_page(result, model, drawn, settings_of(config)).encode())
+    save_classifier(model, folder / "contents.npz")
     say(f"report: {folder / 'index.html'}")
     return result

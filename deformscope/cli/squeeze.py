@@ -98,7 +98,7 @@ def _run(
     """Open the devices, squeeze, close them; what is known beside `found`."""
     from deformscope.experiments.squeeze import squeeze
     from deformscope.experiments.squeeze_features import SqueezeGeometry
-    from deformscope.experiments.squeeze_frames import SqueezeFrames, SqueezeObserver, TactileSource
+    from deformscope.experiments.squeeze_frames import ObservedRecorder, SqueezeFrames, SqueezeObserver, TactileSource
     from deformscope.experiments.squeezing_hand import SqueezingHand, computing_beside, rule_of
     from deformscope.frames import InputFile
     from deformscope.recording.losses import losses_of
@@ -116,6 +116,7 @@ def _run(
         recorder.start_squeeze(source.streams, source.start_ns, names.tactile, tactile.pads, names.camera)
         if config.model is not None:
             recorder.write(InputFile(MODEL_INPUT, config.model.read_bytes()))
+        observed = ObservedRecorder(recorder, observer)
         watch = Watch(asked, show)
         hand = SqueezingHand(setup, source, observer, watch)
         experiment = squeeze(
@@ -129,12 +130,13 @@ def _run(
         )
         try:
             with computing_beside(setup, hand) as beside, watch.halts(hand):
-                run_session(source, experiment, recorder, hand, beside)
+                run_session(source, experiment, observed, hand, beside)
         finally:
             told |= {"hand_stands": hand.stands, "limits_restored": hand.restored}
         if setup.truth is not None:
             told["truth"] = dataclasses.asdict(setup.truth())
-        told["losses"] = losses_of(finish(source, recorder))
+        told["losses"] = losses_of(finish(source, observed))
+        observed.rest()
     for name, reason in source.failures.items():
         say(f"deformscope: device {name} failed: {reason}")
     return told

@@ -5,14 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.squeeze_features import SqueezeGeometry, TrialFeatures, trial_features
-from deformscope.experiments.squeeze_frames import SqueezeFrames, SqueezeObserver
+from deformscope.experiments.squeeze_frames import SqueezeObserver
 from deformscope.experiments.squeezing_hand import AFTER_S, HandWait, PreShape, SqueezeEnded, SqueezeOnce
 from deformscope.session import Compute, Moment, RigExperiment, Step, ask
 from deformscope.stages.squeeze.trial import ContentPosterior, SqueezePhase, SqueezeStop
@@ -52,18 +51,7 @@ def squeeze(
     permitted: what comes before the hand may move; placed: before it closes
     It returns also where the hand must not go on: `found.stop` says why.
     """
-    return _observed(_squeeze(clock, observer.frames, geometry, found, name, permitted, placed), observer)
-
-
-def _squeeze(
-    clock: Callable[[], int],
-    frames: SqueezeFrames,
-    geometry: SqueezeGeometry,
-    found: Squeezed,
-    name: Name | None,
-    permitted: RigExperiment[None] | None,
-    placed: RigExperiment[None] | None,
-) -> RigExperiment[None]:
+    frames = observer.frames
     try:
         if permitted is not None:
             yield from permitted
@@ -99,20 +87,3 @@ def posterior_of(computed: TrialFeatures, name: Name) -> ContentPosterior:
     events = computed.events
     modalities, labels, probability = name(computed.modalities)
     return ContentPosterior((events.steady_ns - events.first_ns) / 1e9, modalities, labels, probability, -1)
-
-
-def _observed(experiment: RigExperiment[None], observer: SqueezeObserver) -> RigExperiment[None]:
-    """The same experiment; what devices give passes the observer, whose results the hand reports."""
-    given: Any = None
-    answer: Callable[[Any], Step] = experiment.send
-    while True:
-        try:
-            step = answer(given)
-        except StopIteration:
-            return
-        try:
-            given, answer = (yield step), experiment.send
-        except Exception as error:
-            given, answer = error, experiment.throw
-        if isinstance(given, Sequence):
-            observer.observe(given)

@@ -12,7 +12,7 @@ from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.frames import ArmFrame, DepthFrame, Frame, HandFrame, Item, Pad, Stream, TactileFrame
 from deformscope.robot.squeeze_plan import CLOSING_AXES
-from deformscope.session import Moment, Step
+from deformscope.session import Moment, SessionRecorder, Step
 from deformscope.stages.see.tactile import tactile_contact
 from deformscope.stages.squeeze.events import EventRule, OnsetDetector, SqueezeEvents, squeeze_events
 from deformscope.stages.squeeze.tactile import End, tactile_feature
@@ -168,6 +168,24 @@ class SqueezeObserver:
         labels, probability = self._predict(since_s, tactile_feature(counts, self._end))
         self.latest = ContentPosterior(since_s, "tactile", labels, probability, frame.index)
         return (*results, self.latest)
+
+
+class ObservedRecorder:
+    """A recorder that passes all that devices gave on to an observer, in the order in which it is recorded."""
+
+    def __init__(self, recorder: SessionRecorder, observer: SqueezeObserver) -> None:
+        self._recorder, self._observer = recorder, observer
+
+    def write(self, items: object) -> None:
+        """As `Recorder.write`."""
+        self._recorder.write(items)
+        if isinstance(items, Sequence):
+            self._observer.observe([one for one in items if isinstance(one, Item)])
+
+    def rest(self) -> None:
+        """Write what there is to show of the last items."""
+        for step in self._observer.reports():
+            self._recorder.write(step)
 
 
 def fingertip_pressure(frame: TactileFrame, source: TactileSource) -> FingertipPressure:

@@ -240,5 +240,4 @@ class SqueezingHand:
         self._on_cycle()
         self._periods += 1
         if self._keep is not None and self._periods % KEEP_EVERY == 0:
-            given: Any = self._keep()
-            self._observer.observe(given or ())
+            self._keep()

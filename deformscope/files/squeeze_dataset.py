@@ -260,7 +260,8 @@ class SqueezeDataset:
         try:
             table = pq.read_table(path)
         except FileNotFoundError as error:
-            raise InputError(f"a data set of squeezes, with its {name}", "none", NEW, self.folder) from error
+            came = "a folder without it" if self.folder.is_dir() else "no such folder"
+            raise InputError(f"a data set of squeezes, with its {name}", came, NEW, self.folder) from error
         except (OSError, pa.ArrowException) as error:
             raise InputError("a data set of squeezes", f"a damaged {name}", "a copy of it", path) from error
         told = self._told(table)

@@ -10,7 +10,7 @@ import numpy as np
 
 from deformscope.experiments.squeeze import Squeezed, squeeze
 from deformscope.experiments.squeeze_features import SqueezeGeometry
-from deformscope.experiments.squeeze_frames import SqueezeFrames, SqueezeObserver, TactileSource
+from deformscope.experiments.squeeze_frames import ObservedRecorder, SqueezeFrames, SqueezeObserver, TactileSource
 from deformscope.experiments.squeeze_trial import entry_of, recorded_settings, row_of
 from deformscope.experiments.squeezing_hand import SqueezingHand, rule_of
 from deformscope.files.squeeze_dataset import TRIALS, TrialRow
@@ -104,9 +104,11 @@ def run_squeeze(job: SqueezeJob) -> TrialRow:
         frames = SqueezeFrames(tactile, setup.names.hand, setup.names.camera, rule_of(setup))
         observer = SqueezeObserver(frames, setup.hand.tactile_end, None)
         recorder.start_squeeze(source.streams, source.start_ns, setup.names.tactile, tactile.pads, setup.names.camera)
+        observed = ObservedRecorder(recorder, observer)
         hand = SqueezingHand(setup, source, observer)
-        run(source, squeeze(setup.clock, observer, SqueezeGeometry.of(setup), found), recorder, hand)
-        finish(source, recorder)
+        run(source, squeeze(setup.clock, observer, SqueezeGeometry.of(setup), found), observed, hand)
+        finish(source, observed)
+        observed.rest()
     if found.features is not None:
         events = found.features.events
         entry = dataclasses.replace(

@@ -131,7 +131,7 @@ def test_what_cannot_be_used_is_refused_in_one_line(tmp_path: Path, capsys: pyte
         ([good, "--save", good], "a file after --save that is no input"),
         ([good, "--save", "m.pkl"], "ends in .npz after --save"),
         ([good, "--report", "r.pdf"], "ends in .html after --report"),
-        ([str(tmp_path)], "got a folder"),
+        ([str(tmp_path)], "a data set of squeezes, with its index.parquet; got a folder without it"),
     ):
         assert main(["classify", *FAST, *arguments]) == 2, arguments
         refusal = capsys.readouterr().err

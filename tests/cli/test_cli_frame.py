@@ -90,8 +90,9 @@ def test_every_command_exists_and_has_help(capsys: pytest.CaptureFixture[str]) -
         assert callable(getattr(__import__(command.module, fromlist=["_"]), command.function))
 
 
-ONLY_LOOK = {"devices", "doctor", "verify", "recover", "double", "bench", "export", "report"}
-"""Commands that compute nothing of a thing: they list, check, convert, or measure this machine."""
+DATASET = {f"dataset {what}" for what in ("list", "relabel", "discard", "merge", "repair")}
+ONLY_LOOK = {"devices", "doctor", "verify", "recover", "double", "bench", "export", "report"} | DATASET
+"""Commands that compute nothing of a thing: they list, check, convert, keep a data set, or measure this machine."""
 
 
 def test_every_command_that_computes_records_and_shows() -> None:
@@ -108,7 +109,11 @@ def test_an_existing_recording_is_not_written_over(
 ) -> None:
     kept = tmp_path / "kept.rrd"
     kept.write_bytes(b"kept")
-    needed = {"flow": ["a.png", "b.png", "--out", "f.npz"], "predict": ["m.npz", "--poke", "at=0,0 depth=0.001"]}
+    needed = {
+        "flow": ["a.png", "b.png", "--out", "f.npz"],
+        "predict": ["m.npz", "--poke", "at=0,0 depth=0.001"],
+        "squeeze": ["lab:containers", "--content", "rice"],
+    }
     positional = [] if name.startswith(("reproduce", "demo", "coverage")) else ["x.npz"]
     args = [*name.split(), *needed.get(name, positional)]
 

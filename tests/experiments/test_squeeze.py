@@ -10,7 +10,7 @@ import pytest
 
 from deformscope.experiments.squeeze import Squeezed, squeeze
 from deformscope.experiments.squeeze_features import SqueezeGeometry, trial_features
-from deformscope.experiments.squeeze_frames import SqueezeFrames, SqueezeObserver, TactileSource
+from deformscope.experiments.squeeze_frames import ObservedRecorder, SqueezeFrames, SqueezeObserver, TactileSource
 from deformscope.experiments.squeezing_hand import SqueezingHand, rule_of
 from deformscope.recording.recorder import Recorder
 from deformscope.robot.squeeze_robot import SQUEEZE_PERIOD_NS
@@ -45,7 +45,12 @@ class Session:
 
             hand.on_phase = began
             self.geometry = SqueezeGeometry.of(setup)
-            run(source, squeeze(setup.clock, observer, self.geometry, self.found), Recorder(None), hand)
+            run(
+                source,
+                squeeze(setup.clock, observer, self.geometry, self.found),
+                ObservedRecorder(Recorder(None), observer),
+                hand,
+            )
             self.hand = hand
         return self.found
 

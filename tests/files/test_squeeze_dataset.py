@@ -112,7 +112,7 @@ def test_a_missing_trial_and_what_is_no_data_set_are_refused_in_one_line(tmp_pat
     with pytest.raises(InputError, match="features of s-box-01-00002; got none"):
         made.table()
 
-    with pytest.raises(InputError, match=r"with its index\.parquet; got none"):
+    with pytest.raises(InputError, match=r"with its index\.parquet; got a folder without it"):
         SqueezeDataset(tmp_path).entries()
     (tmp_path / "d" / INDEX).write_bytes(b"PAR1 damaged")
     with pytest.raises(InputError, match=r"a damaged index\.parquet"):
