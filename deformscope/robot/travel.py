@@ -95,23 +95,29 @@ def to_above(
     Straight where the arm can follow; joint by joint the first time, and where a straight way leads near a joint's
     limit or a singularity: its other joint angles for the same pose are then sought.
     height_m: z of the tip's centre while it crosses; deepest_m: (3,) where a straight way goes on to from there [m,
-    surface frame]. Raises NotThere, before it goes across, where neither is possible.
+    surface frame]. Raises NotThere where neither is possible: before it moves, or high
+    above where it was.
     """
     here = robot.placement.T_surface_center(robot.pose.T_base_ee)
     goal = robot.placement.T_base_ee(center_m, normal)
     high_m = max(height_m, float(center_m[2]))
     over = np.array([center_m[0], center_m[1], high_m])
     up = np.array([here[0, 3], here[1, 3], high_m + PASSED_M])
+    places = [robot.placement.T_base_ee(place_m, normal) for place_m in (over, center_m, deepest_m)]
     if np.linalg.norm(pose_error(robot.pose.T_base_ee, goal)[3:]) > TURNED_RAD:
-        move_joints(robot, _joints_above(robot, over, center_m, deepest_m, normal))
+        joints_deg = best_joints(robot.arm.chain, places)
+        if joints_deg is None:
+            where = f"the tip at {np.round(over, 4)} m"
+            raise NotThere(where, "no joint angles for it", "a place that the arm reaches")
+        move_joints(robot, joints_deg)
     else:
         straight = _followed(robot, np.array([here[:3, 3], up, over, center_m, deepest_m]), normal)
+        joints_deg = None if straight.all() else best_joints(robot.arm.chain, places)
+        if not straight.all() and (joints_deg is None or not straight[0]):
+            raise _no_way((up, over, center_m, deepest_m)[int(straight.argmin())])
         if here[2, 3] < high_m:
-            if not straight[0]:
-                raise _no_way(up)
-            move_tip(robot, up, -here[:3, 2], speed_m_s, passing=straight.all())
-        if not straight.all():
-            joints_deg = _joints_above(robot, over, center_m, deepest_m, normal)
+            move_tip(robot, up, -here[:3, 2], speed_m_s, passing=joints_deg is None)
+        if joints_deg is not None:
             if lowest_m(robot, joints_deg) < high_m - SAG_M:
                 raise _no_way(over)
             move_joints(robot, joints_deg)
@@ -126,17 +132,6 @@ def lowest_m(robot: Robot, joints_deg: npt.ArrayLike) -> float:
     share = np.linspace(0.0, 1.0, 1 + math.ceil(float(np.max(np.abs(turn)))))[:, None]
     poses = robot.arm.chain.forward(np.asarray(robot.pose.joints_deg) + share * turn)[:, -1]
     return float(robot.placement.T_surface_center(poses)[:, 2, 3].min())
-
-
-def _joints_above(robot: Robot, *ways: FloatArray) -> FloatArray:
-    """(n,) joint angles for the first of some places (3,) [m], from which a straight way leads through the others with
-    the stick along the last of `ways`, the normal."""
-    *places, normal = ways
-    found = best_joints(robot.arm.chain, [robot.placement.T_base_ee(place_m, normal) for place_m in places])
-    if found is None:
-        where = f"the tip at {np.round(places[0], 4)} m"
-        raise NotThere(where, "no joint angles for it", "a place that the arm reaches")
-    return found
 
 
 def _followed(robot: Robot, centers_m: FloatArray, normal: FloatArray) -> BoolArray:

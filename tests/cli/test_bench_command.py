@@ -54,6 +54,7 @@ def run_module(*args: str, without: tuple[str, ...] = ()) -> subprocess.Complete
     )
 
 
+@pytest.mark.slow  # the step in NumPy beside ours, three rounds
 def test_a_table_and_all_of_it_as_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*SHORT, "--only", "step", "--json", "bench.json"]) == 0
     out, err = capsys.readouterr()

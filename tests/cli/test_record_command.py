@@ -335,6 +335,7 @@ def test_a_device_that_is_gone_is_named_with_what_it_cost(
     assert "tip: " in said.err
 
 
+@pytest.mark.slow  # Ctrl-C below ends one as early
 def test_a_rig_that_is_ended_early_says_so(
     rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -67,6 +67,7 @@ def test_pair(pair: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsy
     assert f"picture: {tmp_path / 'p.png'}" in shown.err
 
 
+@pytest.mark.slow  # one pair and pokes have the same tables
 def test_several_pairs(pair: Path, tmp_path: Path) -> None:
     other = tmp_path / "other.npz"
     shutil.copy(pair, other)

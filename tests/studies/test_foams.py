@@ -30,6 +30,7 @@ def test_flow_finds_the_true_positions(seen: FoamResult) -> None:
     assert seen.image.shape == (COARSE.view.height, COARSE.view.width)
 
 
+@pytest.mark.slow  # images of two foams
 def test_flow_and_truth_agree_on_beta(seen: FoamResult) -> None:
     for held in foams.HELD:
         flow, true = (seen.fit(source, held, 2).estimate for source in foams.SOURCES)

@@ -132,6 +132,7 @@ def test_goals_agree_with_the_reference(device: str, precision: Precision, shape
 
 
 @pytest.mark.parametrize("values", [(1.0, 0.0), (1.0, 1.0), (1.0, 0.3, 0.0), (1.0, 1.0, 0.3), (1.0, 1.0, 1.0)])
+@pytest.mark.slow  # a limit, at several values
 def test_free_axes_are_the_limit_of_soft_ones(device: str, values: tuple[float, ...]) -> None:
     rng = np.random.default_rng(11)
     body = pushed((4,) * len(values), rng)

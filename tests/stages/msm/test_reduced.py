@@ -108,6 +108,7 @@ def test_static_states_are_those_of_the_reference(
                 np.testing.assert_allclose(x, expected, atol=SAME * extent)
 
 
+@pytest.mark.slow  # kernels of lists; the reference above judges both
 def test_static_states_are_those_of_the_engine(device: str) -> None:
     rest = lattice((5, 5, 5))
     held, position = pressed(rest, 0.3, 0.2)
