@@ -60,7 +60,7 @@ def replay_squeeze(recording: Replay, config: ReplayConfig) -> None:
     if again.failure and not stops:
         raise Different("the recorded features", again.failure, where=path)
     for stop in stops:
-        console().print(f"stopped when it was recorded: {stop.kind}: {stop.reason}", markup=False)  # type: ignore[union-attr]
+        console().print(f"stopped when it was recorded: {stop.kind}: {stop.reason}", markup=False)
     counted = ", ".join(kind.__name__ for kind in kinds)
     console().print(f"replay: {compared} results from raw frames ({counted}), identical to the recorded numbers")
     write_json({"results": compared, "identical": True, "stopped": stops}, config.output.json)

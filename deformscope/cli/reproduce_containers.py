@@ -97,7 +97,7 @@ def _evaluated(table: LabelledTable, config: ContainersConfig, name: str) -> Cla
     from deformscope.api.classification_report import classification_page, classification_pictures
     from deformscope.files.classifier_file import save_classifier
 
-    few = {"splits": QUICK_SPLITS, "costly_splits": 0, "curve_splits": 0} if config.quick else {}
+    few: dict[str, Any] = {"splits": QUICK_SPLITS, "costly_splits": 0, "curve_splits": 0} if config.quick else {}
     with fit_progress() as bar:
         result = classify(table, seed=config.output.seed, progress=bar, **few)
         model = result.model(bar)

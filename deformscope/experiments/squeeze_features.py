@@ -5,10 +5,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.capsule import Capsule
@@ -81,15 +83,19 @@ class SqueezeGeometry:
     def from_json(cls, told: Mapping[str, Any]) -> SqueezeGeometry:
         """The reverse of `as_json`. Raises InputError where something is missing."""
         try:
-            arrays = {name: value for name, value in told.items() if name.startswith("T_")}
-            camera = {
+            poses: dict[str, Any] = {
+                name: None if value is None else np.array(value)
+                for name, value in told.items()
+                if name.startswith("T_")
+            }
+            camera: dict[str, Any] = {
                 name: tuple(value) if isinstance(value, list) else value for name, value in told["camera"].items()
             }
             return cls(
                 msgspec.convert(told["hand"], HandSection),
                 msgspec.convert(told["container"], ContainerSection),
                 CameraView(**camera),
-                **{name: None if value is None else np.array(value) for name, value in arrays.items()},
+                **poses,
             )
         except (KeyError, TypeError, ValueError) as error:
             raise InputError("a recorded squeeze with its setup", f"{type(error).__name__}: {error}") from error
@@ -162,7 +168,7 @@ def _gaps(hands: Sequence[HandFrame], geometry: SqueezeGeometry, when_ns: Sequen
     """(n,) between the fingertips at these times, straight between the hand's readings [m]."""
     known = np.array([frame_ns(one) for one in hands], np.float64)
     gaps = np.array([gap_m(np.asarray(one.position_deg, np.float64), geometry.hand.fingers) for one in hands])
-    return np.interp(np.array(when_ns, np.float64) - known[0], known - known[0], gaps)
+    return np.asarray(np.interp(np.array(when_ns, np.float64) - known[0], known - known[0], gaps))
 
 
 # Vision --------------------------------------------------------------------------------------------------------------
@@ -177,7 +183,7 @@ def container_model(section: ContainerSection) -> ContainerModel:
         return ContainerModel.cylinder(size[0] / 2, size[2])
     import open3d as o3d
 
-    mesh = o3d.io.read_triangle_mesh(section.mesh)
+    mesh = o3d.io.read_triangle_mesh(Path(section.mesh))
     if not len(mesh.triangles):
         raise InputError("a mesh of triangles in [container] mesh", "none", where=section.mesh)
     return ContainerModel.mesh(np.asarray(mesh.vertices), np.asarray(mesh.triangles))
@@ -201,7 +207,7 @@ class _Seen:
         self._hands = hands
         self._hand_ns = np.array([frame_ns(one) for one in hands])
 
-    def angles(self, when_ns: int) -> FloatArray:
+    def angles(self, when_ns: int) -> npt.NDArray[np.float64]:
         """(7,) of the hand's last reading then [deg]."""
         at = max(int(np.searchsorted(self._hand_ns, when_ns, side="right")) - 1, 0)
         return np.asarray(self._hands[at].position_deg, np.float64)

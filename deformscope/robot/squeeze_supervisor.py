@@ -165,5 +165,5 @@ class SqueezeSupervisor:
 
 def gap_m(position_deg: FloatArray, fingers: tuple[int, int]) -> float:
     """Between the two fingertips along the axis of closing [m]. position_deg: (7,)"""
-    tips = fingertips(position_deg)
+    tips = fingertips(np.asarray(position_deg, np.float64))
     return float(tips[fingers[0], 0] - tips[fingers[1], 0])

@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 
 from deformscope.log.rig.columns import Batch, moments, recorded
-from deformscope.rows import ENTITIES, Result
+from deformscope.rows import ENTITIES, Result, SqueezeResult
 
 
 class ResultBatch:
@@ -26,7 +26,7 @@ class ResultBatch:
         """What holds throughout, known only now."""
         self._batch.log(path, entity, static=True)
 
-    def record(self, result: Result) -> None:
+    def record(self, result: Result | SqueezeResult) -> None:
         """Every field of a result, without loss."""
         self._batch.send_columns(ENTITIES[type(result)], self._times, recorded([result]))
 

@@ -73,10 +73,10 @@ def described(table: LabelledTable) -> dict[str, tuple[IntArray, FloatArray, Flo
         joined = [fit_scaling(table.modalities[one][shared]).apply(table.modalities[one][shared]) for one in names]
         found[joined_name(names)] = shared, np.concatenate(joined, axis=1)
     made: dict[str, tuple[IntArray, FloatArray, FloatArray]] = {}
-    for name, (rows, scaled) in found.items():
+    for name, (of_rows, scaled) in found.items():
         directions, variance = loadings(scaled)
         kept = max(kept_of(variance), min(2, directions.shape[1]))
-        made[name] = rows, (scaled - scaled.mean(axis=0)) @ directions[:, :kept], variance
+        made[name] = of_rows, (scaled - scaled.mean(axis=0)) @ directions[:, :kept], variance
     return made
 
 
