@@ -41,7 +41,7 @@ def test_memory_is_flat(seconds: int, more: list[str], tmp_path: Path) -> None:
     assert max(settled) - settled[0] < MOST_MB, (told, looks)
     assert looks[-1][0] == seconds
 
-    assert main(["verify", str(path)]) == 0
+    assert main(["verify", str(path)]) == 3  # whole, with the losses that the health reports in it name
     counts = read_counts(path)
     assert counts["fingertip/frames"] == counts["fingertip/received"] == 1000 * seconds
     assert counts["jaco/frames"] == 100 * seconds
