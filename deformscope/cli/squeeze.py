@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 MODEL_INPUT = "model.npz"
 """The model, as an input in the recording."""
-TACTILE_BYTES, DEPTH_SHARE, TRIAL_S = 4_000, 0.6, 12.0
+TACTILE_BYTES, DEPTH_SHARE, TRIAL_S = 4_000, 0.19, 4.6
 """Of a recorded tactile frame; of a depth image's pixels two bytes each as PNG; of a trial. Estimates, measured on
 recordings of lab:containers."""
 
