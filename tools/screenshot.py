@@ -104,13 +104,16 @@ def shoot(
     complaints = []
     for view in viewer.get_state().views:
         name = "".join(letter if letter.isalnum() else "_" for letter in view.name)[:40]
-        viewer.save_screenshot(str(out / f"{prefix}{name}.png"), view_id=view.view_id)
+        with contextlib.suppress(ConnectionError):  # not found: it is behind another tab
+            viewer.save_screenshot(str(out / f"{prefix}{name}.png"), view_id=view.view_id)
     time.sleep(NOTICES_S)  # until the notices over the window are gone
     viewer.save_screenshot(str(out / f"{prefix}window.png"))
     for view in viewer.get_state().views:
         complaints += [f"{view.name}: {report.severity}: {report.summary}" for report in view.reports]
     for entry in viewer.get_logs():
         text = str(entry)
+        if "not found for screenshot" in text:
+            continue
         if ("WARN" in text.upper() or "ERROR" in text.upper()) and "rasterizer" not in text:
             complaints.append(text)
     return complaints

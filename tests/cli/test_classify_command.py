@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ pytest.importorskip("tyro")
 
 import deformscope as ds
 from deformscope.cli import main
+from deformscope.pictures.figures import canvas
 from tests.pictures.test_report import Page
 from tests.stages.squeeze.trials import blobs, two_modalities
 
@@ -23,6 +25,15 @@ def write(path: Path, **more: Any) -> Path:
     table = two_modalities()
     np.savez(path, label=table.label, group=table.group, **table.modalities, **more)  # type: ignore[arg-type]
     return path
+
+
+@pytest.fixture(scope="module", autouse=True)
+def drawn_roughly() -> Iterator[None]:
+    """Most of the time would go into the layout of pictures, which tests/pictures see to."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("deformscope.pictures.classification.DPI", 30)
+        patch.setattr("deformscope.pictures.classification.canvas", lambda width, height, **_: canvas(width, height))
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +113,7 @@ def test_arrays_of_a_script_with_one_modality_and_merged_classes() -> None:
 
 
 def test_many_classes_of_few_trials_and_a_page_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    table = blobs(classes=32, each=4, columns=12, apart=6.0)
+    table = blobs(classes=16, each=4, columns=12, apart=6.0)
     np.savez(tmp_path / "t.npz", label=table.label, touch=table.modalities["touch"])
     page = tmp_path / "r.html"
     assert main(["classify", str(tmp_path / "t.npz"), *FAST, "--quick", "--report", str(page), "--json", "-"]) == 0

@@ -26,7 +26,7 @@ LABS: list[ToySqueeze] = []
 @pytest.fixture(autouse=True)
 def toy(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """The command squeezes toy containers: a content is a stiffness."""
-    changes: dict[str, Any] = {"setup": {}, "lab": {"camera": True}}
+    changes: dict[str, Any] = {"setup": {}, "lab": {"camera": False}}
 
     def opening(name: str, content: str, container: str, session: str, seed: int, *, trusted: bool) -> SqueezeOpening:
         stiffness = {"rice": 400.0, "empty": 100.0}.get(content, 250.0)
@@ -51,8 +51,9 @@ def squeeze(tmp_path: Path, *more: str) -> tuple[int, dict[str, Any]]:
 
 
 def test_a_recorded_squeeze_replays_to_the_last_bit(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, toy: dict[str, Any], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    toy["lab"] = {"camera": True}
     file = tmp_path / "r.rrd"
     status, found = squeeze(tmp_path, "--content", "rice", "--container", "box-07", "--record", str(file))
 
@@ -114,7 +115,6 @@ def test_a_recording_that_the_index_lacks_is_taken_in_again(tmp_path: Path) -> N
 def test_a_stopped_squeeze_is_kept_as_discarded_with_its_reason(
     tmp_path: Path, toy: dict[str, Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    toy["lab"] = {"camera": False}
     toy["setup"] = {"squeeze": dataclasses.replace(ToySqueeze().squeeze, saturation_counts=200)}
     folder = tmp_path / "d"
     given = ["--content", "rice", "--container", "box-01", "--dataset", str(folder), "--session", "s"]

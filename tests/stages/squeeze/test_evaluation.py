@@ -36,7 +36,7 @@ def missing(table: LabelledTable) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize(("classes", "columns"), [(2, 5), (4, 80)])
 def test_random_labels_give_every_classifier_the_no_information_rate(classes: int, columns: int) -> None:
-    options = dataclasses.replace(FAST, splits=30, costly_splits=6, level=0.99, protocols=("random", "stratified"))
+    options = dataclasses.replace(FAST, splits=16, costly_splits=3, level=0.99, protocols=("random", "stratified"))
     found = evaluate(noise(classes, 24, columns, seed=classes), options)
     assert {one.method for one in found.scores} == {*ALL} - {"late-fusion"}
     for score in found.scores:
