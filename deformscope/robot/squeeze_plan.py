@@ -24,6 +24,8 @@ CLOSING_AXES = (1, 5)
 """The proximal axes of fingers 0 and 2 (Schunk's order of axes)."""
 PAD_ALONG_M = 0.6 * DISTAL_LINK_M
 """Where along the distal link the middle of its pad is. Assumed."""
+BESIDE_M = BASE_SIDE_M / 2 * math.tan(math.radians(30.0))
+"""Along the hand's y: fingers 0 and 2 stand so far beside its z axis, and so do their pads when they face each other."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +87,7 @@ def draw_grasp(container: ContainerSection, squeeze: SqueezeSection, seed: int) 
     offset = np.zeros(3)
     offset[edge] = -along_m
     # about the middle between the pads, which stays on the container's axis of closing
-    pads = np.array([0.0, 0.0, GripShape.of(container, squeeze).reach_m])
+    pads = pads_middle(container, squeeze)
     about = transform(np.eye(3), pads) @ transform(turn, np.zeros(3)) @ transform(np.eye(3), -pads)
     return RandomGrasp(along_m, tilt_deg, np.asarray(about @ middle @ transform(np.eye(3), offset)))
 
@@ -96,7 +98,12 @@ def grasp_middle(container: ContainerSection, squeeze: SqueezeSection) -> FloatA
     if container.T_hand_container is not None:
         return np.array(container.T_hand_container, np.float64)
     from_side = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-    return np.asarray(transform(from_side, (0.0, 0.0, GripShape.of(container, squeeze).reach_m)))
+    return np.asarray(transform(from_side, pads_middle(container, squeeze)))
+
+
+def pads_middle(container: ContainerSection, squeeze: SqueezeSection) -> FloatArray:
+    """(3,) between the middles of both pads when they touch the container, hand frame [m]."""
+    return np.array([0.0, BESIDE_M, GripShape.of(container, squeeze).reach_m])
 
 
 def _contact_deg(half_m: float, distal_deg: float) -> float:

@@ -7,8 +7,8 @@ import pytest
 
 from deformscope.errors import InputError
 from deformscope.rig.squeeze_sections import ContainerSection, SqueezeSection
-from deformscope.robot.squeeze_plan import PAD_M, GripShape, draw_grasp
-from deformscope_drivers.sdh.kinematics import fingertips
+from deformscope.robot.squeeze_plan import PAD_ALONG_M, PAD_M, GripShape, draw_grasp
+from deformscope_drivers.sdh.kinematics import DISTAL_LINK_M, finger_points, fingertips
 
 SQUEEZE = SqueezeSection()
 
@@ -45,7 +45,8 @@ def test_a_grasp_is_drawn_from_the_seed_around_the_middle_of_the_longest_edge() 
     along_m = np.array([one.along_m for one in drawn])
     assert np.abs(along_m).max() <= 2 * SQUEEZE.spread_m
     assert along_m.std() == pytest.approx(SQUEEZE.spread_m, rel=0.2)
-    pads = np.array([0.0, 0.0, GripShape.of(container, SQUEEZE).reach_m, 1.0])
+    links = [finger_points(GripShape.of(container, SQUEEZE).contact_deg, finger)[1:] for finger in (0, 2)]
+    pads = np.mean([joint + PAD_ALONG_M / DISTAL_LINK_M * (tip - joint) for joint, tip in links], axis=0)
     for one in drawn[:20]:
-        at = np.linalg.inv(one.T_hand_container) @ pads  # of the pads, in the container's frame
+        at = np.linalg.inv(one.T_hand_container) @ [*pads, 1.0]  # between the pads, in the container's frame
         np.testing.assert_allclose(at[:3], [0.0, 0.0, one.along_m], atol=1e-9)
