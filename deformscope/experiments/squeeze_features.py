@@ -112,11 +112,13 @@ class SqueezeGeometry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrialFeatures:
-    """What was computed of a squeeze. tracked: each with its image's time [ns], in order"""
+    """What was computed of a squeeze. tracked: each with its image's time [ns], in order; poses: the same with all that
+    is known of them"""
 
     events: SqueezeEvents
     features: SqueezeFeatures
     tracked: tuple[tuple[int, TrackedContainer], ...] = ()
+    poses: tuple[PoseEstimate, ...] = ()
 
     @property
     def modalities(self) -> dict[str, FloatArray]:
@@ -271,6 +273,7 @@ def _with_vision(
     if not before or not steady:
         raise InputError("depth images before first contact and at steady state", f"{len(before)} and {len(steady)}")
     tracked: list[tuple[int, TrackedContainer]] = []
+    poses: list[PoseEstimate] = []
 
     def keep(image: DepthFrame, pose: PoseEstimate) -> None:
         edges = outline_px(renderer.model, seen.camera, pose.T_camera_container)
@@ -284,6 +287,10 @@ def _with_vision(
             edges,
         )
         tracked.append((frame_ns(image), told))
+        poses.append(pose)
+
+    def found(features: SqueezeFeatures) -> TrialFeatures:
+        return TrialFeatures(events, features, tuple(tracked), tuple(poses))
 
     depth = seen.median_m(before)
     when_ns = frame_ns(before[-1])
@@ -291,7 +298,7 @@ def _with_vision(
     rest = locate(renderer, depth, guess, yaws_deg=(0.0,), excluded=seen.excluded(depth, when_ns, dent=False))
     keep(before[-1], rest)
     if not rest.good:
-        return TrialFeatures(events, dataclasses.replace(features, reason=f"before: {rest.reason}"), tuple(tracked))
+        return found(dataclasses.replace(features, reason=f"before: {rest.reason}"))
     pose = rest
     for image in _between(seen.images, events):
         depth = seen.median_m([image])
@@ -301,7 +308,7 @@ def _with_vision(
     pose = _next_pose(renderer, seen, depth, frame_ns(steady[0]), pose, rest)
     keep(steady[0], pose)
     if not pose.good:
-        return TrialFeatures(events, dataclasses.replace(features, reason=pose.reason), tuple(tracked))
+        return found(dataclasses.replace(features, reason=pose.reason))
     when_ns = frame_ns(steady[0])
     change = depth_change(
         renderer,
@@ -310,7 +317,7 @@ def _with_vision(
         seen.fingertip(when_ns),
         excluded=hand_pixels(depth, seen.camera, seen.links(when_ns)),
     )
-    return TrialFeatures(events, _seen_features(features, change), tuple(tracked))
+    return found(_seen_features(features, change))
 
 
 def _seen_features(features: SqueezeFeatures, change: DepthChange) -> SqueezeFeatures:

@@ -168,7 +168,8 @@ class SqueezeDataset:
     # Writing ---------------------------------------------------------------------------------------------------------
 
     def add(self, rows: Sequence[TrialRow]) -> None:
-        """Append trials. Raises InputError for one that is there already, by name or by its tactile features."""
+        """Append trials. Raises InputError for one that is there already, by name or with the same features in all
+        modalities."""
         self.folder.mkdir(parents=True, exist_ok=True)
         with one_at_a_time(self.folder):
             known = self.rows() if self.exists else []
@@ -222,15 +223,15 @@ class SqueezeDataset:
 
     def _refuse_duplicates(self, known: Sequence[TrialRow], rows: Sequence[TrialRow]) -> None:
         names = {one.entry.trial for one in known}
-        felt = {one.features["tactile"].tobytes(): one.entry.trial for one in known if "tactile" in one.features}
+        measured = {_features_of(one): one.entry.trial for one in known if one.features}
         for row in rows:
             name = row.entry.trial
             if name in names:
                 raise InputError("a trial of another name", f"{name}, which is there", "another --seed", self.folder)
-            if "tactile" in row.features:
-                same = felt.setdefault(row.features["tactile"].tobytes(), name)
+            if row.features:
+                same = measured.setdefault(_features_of(row), name)
                 if same != name:
-                    came = f"{name}, whose tactile features are those of {same}"
+                    came = f"{name}, whose features are those of {same}"
                     raise InputError("a trial that is not there yet", came, "another --seed", self.folder)
             names.add(name)
 
@@ -290,6 +291,11 @@ def _matrix(table: pa.Table, modality: str) -> FloatArray:
     count = sum(name.startswith(f"{modality}.") for name in table.column_names)
     columns = [table[f"{modality}.{at}"].to_numpy(zero_copy_only=False) for at in range(count)]
     return np.stack(columns, axis=1) if columns else np.full((len(table), 0), np.nan)
+
+
+def _features_of(row: TrialRow) -> tuple[tuple[str, bytes], ...]:
+    """All of them; touch alone may be the same where the cells of the feature were not touched."""
+    return tuple((name, values.tobytes()) for name, values in sorted(row.features.items()))
 
 
 def _alike(one: TrialRow, other: TrialRow) -> bool:

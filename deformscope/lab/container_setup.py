@@ -21,11 +21,12 @@ CAMERA_HZ = 30.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContainerLab:
-    """A setup, closed, and what stands there."""
+    """A setup, closed, what stands there, and the laboratory behind it, which has the truth."""
 
     setup: SqueezeSetup
     content: str
     container: str
+    lab: SqueezeLab
 
 
 def container_lab(
@@ -82,4 +83,4 @@ def container_lab(
         clock=lab.clock,
         wait_until=lab.wait_until,
     )
-    return ContainerLab(setup, content, container)
+    return ContainerLab(setup, content, container, lab)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,8 +14,8 @@ from deformscope.experiments.squeeze_features import SqueezeGeometry
 from deformscope.experiments.squeeze_frames import ObservedRecorder, SqueezeFrames, SqueezeObserver, TactileSource
 from deformscope.experiments.squeeze_trial import entry_of, recorded_settings, row_of
 from deformscope.experiments.squeezing_hand import SqueezingHand, rule_of
-from deformscope.files.squeeze_dataset import TRIALS, TrialRow
-from deformscope.lab.container_setup import CAMERA_HZ, container_lab
+from deformscope.files.squeeze_dataset import TRIALS, TrialEntry, TrialRow
+from deformscope.lab.container_setup import CAMERA_HZ, ContainerLab, container_lab
 from deformscope.recording.recorder import Recorder
 from deformscope.session import finish, run
 
@@ -80,8 +81,25 @@ def squeeze_jobs(folder: Path, trials: int, cylinders: int, whole: int, seed: in
     ]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SqueezedTrial:
+    """One squeeze with all that is known of it. made: the laboratory, closed; frames: what the devices gave"""
+
+    entry: TrialEntry
+    made: ContainerLab
+    geometry: SqueezeGeometry
+    frames: SqueezeFrames
+    found: Squeezed
+
+
 def run_squeeze(job: SqueezeJob) -> TrialRow:
     """One trial on its own simulated clock; in any process."""
+    trial = squeeze_trial(job)
+    return row_of(trial.entry, trial.found.features)
+
+
+def squeeze_trial(job: SqueezeJob, on_cycle: Callable[[ContainerLab], None] = lambda made: None) -> SqueezedTrial:
+    """The same with all that is known of it. on_cycle: called in each control period"""
     made = container_lab(
         job.content,
         job.container,
@@ -95,7 +113,7 @@ def run_squeeze(job: SqueezeJob) -> TrialRow:
     if file is not None:
         file.parent.mkdir(parents=True, exist_ok=True)
     settings = {"seed": job.seed, "lab": "lab:containers", "trial": dataclasses.asdict(entry)}
-    found = Squeezed()
+    found, geometry = Squeezed(), SqueezeGeometry.of(setup)
     with (
         Recorder(file, "none", settings | recorded_settings(setup), layout="squeeze", overwrite=True) as recorder,
         setup.open_source() as source,
@@ -105,8 +123,8 @@ def run_squeeze(job: SqueezeJob) -> TrialRow:
         observer = SqueezeObserver(frames, setup.hand.tactile_end, None)
         recorder.start_squeeze(source.streams, source.start_ns, setup.names.tactile, tactile.pads, setup.names.camera)
         observed = ObservedRecorder(recorder, observer)
-        hand = SqueezingHand(setup, source, observer)
-        run(source, squeeze(setup.clock, observer, SqueezeGeometry.of(setup), found), observed, hand)
+        hand = SqueezingHand(setup, source, observer, lambda: on_cycle(made))
+        run(source, squeeze(setup.clock, observer, geometry, found), observed, hand)
         finish(source, observed)
         observed.rest()
     if found.features is not None:
@@ -118,4 +136,5 @@ def run_squeeze(job: SqueezeJob) -> TrialRow:
         )
     reason = None if found.stop is None else f"{found.stop.kind}: {found.stop.reason}"
     recording = "" if file is None else f"{TRIALS}/{file.name}"
-    return row_of(dataclasses.replace(entry, discarded=reason, recording=recording), found.features)
+    entry = dataclasses.replace(entry, discarded=reason, recording=recording)
+    return SqueezedTrial(entry, made, geometry, frames, found)

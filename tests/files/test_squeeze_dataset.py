@@ -63,7 +63,7 @@ def test_nothing_is_in_it_twice(tmp_path: Path) -> None:
         made.add([trial(1)])
     again = trial(1)
     renamed = dataclasses.replace(again, entry=dataclasses.replace(again.entry, trial="other"))
-    with pytest.raises(InputError, match="other, whose tactile features are those of s-box-01-00001"):
+    with pytest.raises(InputError, match="other, whose features are those of s-box-01-00001"):
         made.add([renamed])
     assert len(made.rows()) == 1
 
