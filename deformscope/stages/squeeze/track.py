@@ -8,7 +8,8 @@
 Each pixel of the container's rendering is compared with the data's pixel, along the surface's normal (point-to-plane
 distances with projective data association: Blais and Levine 1995), and the rendering's outline with jumps of depth.
 Flat faces slide along themselves: directions of motion that the data do not observe keep the rest pose, and are
-reported. What stands before the container, or dents it, has little or no weight (Tukey).
+reported. What stands before the container, or dents it, has little or no weight (Tukey). How far its walls bulge is
+found beside the pose (`bulge`), so that a full container is not taken for one that stands nearer.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from scipy.spatial.transform import Rotation
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.see.cloud import axial_noise_m
+from deformscope.stages.squeeze.bulge import BULGE_M, bulge_shapes
 from deformscope.stages.squeeze.container import ModelRenderer, ModelView
 
 CORRELATED_PX = 3.0
@@ -88,12 +90,13 @@ class PoseEstimate:
 @dataclass(frozen=True, slots=True)
 class _Rows:
     """Linearised equations. jacobian: (n, 6) of a motion in the camera frame, rotation about the container's origin;
-    residual: (n,) [m]; deviation: (n,) [m]; share: independent of one another, of all"""
+    residual: (n,) [m]; deviation: (n,) [m]; share: independent of one another, of all; bulge: (n, k) of the walls'"""
 
     jacobian: FloatArray
     residual: FloatArray
     deviation: FloatArray
     share: float
+    bulge: FloatArray
 
 
 def track(
@@ -181,7 +184,10 @@ def _equations(
         return []
     view = renderer.render(pose, pixels)
     thin = (slice(None, None, 2), slice(None, None, 2)) if fine else (slice(None), slice(None))
-    rows = [_surface_rows(renderer, depth, usable, pose, pixels[thin], view.part(thin), reach_m, 2 if fine else 4)]
+    bulge = bulge_shapes(view)[thin] if fine else np.zeros((*pixels.shape[:2], 0))
+    rows = [
+        _surface_rows(renderer, depth, usable, pose, pixels[thin], view.part(thin), bulge, reach_m, 2 if fine else 4)
+    ]
     if fine:
         rows.append(_edge_rows(renderer, depth, usable, pose, view.depth_m, (left, top)))
     if table is not None:
@@ -196,6 +202,7 @@ def _surface_rows(
     pose: FloatArray,
     pixels: IntArray,
     view: ModelView,
+    bulge: FloatArray,
     reach_m: float,
     every: int,
 ) -> _Rows:
@@ -211,7 +218,7 @@ def _surface_rows(
     jacobian = np.column_stack([n, np.cross(z[:, None] * ray - pose[:3, 3], n)])
     noise = axial_noise_m(z, np.arccos(np.clip(np.abs(facing), 0.0, 1.0)))
     share = min((every / CORRELATED_PX) ** 2, 1.0)
-    return _Rows(jacobian, along * (data - z), np.abs(along) * noise, share)
+    return _Rows(jacobian, along * (data - z), np.abs(along) * noise, share, bulge[near][flat])
 
 
 def _edge_rows(
@@ -223,7 +230,7 @@ def _edge_rows(
     corner: tuple[int, int],
 ) -> _Rows:
     """Where the data's depth jumps along the normals of the rendering's outline, against where the rendering ends."""
-    nothing = _Rows(np.zeros((0, 6)), np.zeros(0), np.zeros(0), 1.0)
+    nothing = _rigid(np.zeros((0, 6)), np.zeros(0), np.zeros(0), 1.0)
     inside = np.isfinite(model_m)
     outlines, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not outlines or max(map(len, outlines)) < 8 * EDGE_RUN_PX:
@@ -252,7 +259,7 @@ def _edge_rows(
     across = np.column_stack([outward, -np.einsum("ij,ij->i", outward, aside)])
     point = np.column_stack([aside * z[:, None], z])
     jacobian = np.column_stack([across, np.cross(point - pose[:3, 3], across)])
-    return _Rows(jacobian, metres * offset_px[found], metres * EDGE_NOISE_PX, min(EDGE_EVERY_PX / CORRELATED_PX, 1.0))
+    return _rigid(jacobian, metres * offset_px[found], metres * EDGE_NOISE_PX, min(EDGE_EVERY_PX / CORRELATED_PX, 1.0))
 
 
 def _jumps(
@@ -295,7 +302,11 @@ def _table_rows(renderer: ModelRenderer, pose: FloatArray, table: FloatArray) ->
     normal = np.broadcast_to(np.asarray(table[:3], dtype=np.float64), foot.shape)
     residual = -((foot + pose[:3, 3]) @ np.asarray(table[:3]) + float(table[3]))
     deviation = np.full(len(foot), TABLE_NOISE_M * np.sqrt(len(foot)))
-    return _Rows(np.column_stack([normal, np.cross(foot, normal)]), residual, deviation, 1.0)
+    return _rigid(np.column_stack([normal, np.cross(foot, normal)]), residual, deviation, 1.0)
+
+
+def _rigid(jacobian: FloatArray, residual: FloatArray, deviation: FloatArray, share: float) -> _Rows:
+    return _Rows(jacobian, residual, deviation, share, np.zeros((len(residual), 0)))
 
 
 def _solve(
@@ -311,10 +322,9 @@ def _solve(
     for number, part in enumerate(rows):
         jacobian = part.jacobian @ turn / part.deviation[:, None]
         residual = part.residual / part.deviation
-        weight = part.share * _tukey(residual)
-        square = jacobian.T @ (weight[:, None] * jacobian)
+        square, along = _normal_equations(jacobian, residual, part.bulge / part.deviation[:, None], part.share)
         total += square
-        right += jacobian.T @ (weight * residual)
+        right += along
         if not (table and number == len(rows) - 1):
             images += square
     strength, directions = np.linalg.eigh(total)
@@ -323,6 +333,26 @@ def _solve(
     along = np.where(known, (directions.T @ right) / np.maximum(strength, 1e-12), directions.T @ to_rest)
     strength_of_images, axes = np.linalg.eigh(images)
     return turn @ (directions @ along), axes.T, 1.0 / np.sqrt(np.maximum(strength_of_images, 1e-12))
+
+
+def _normal_equations(
+    jacobian: FloatArray, residual: FloatArray, bulge: FloatArray, share: float
+) -> tuple[FloatArray, FloatArray]:
+    """(6, 6) and (6,) of the motion, without the bulges (n, k), which are found and taken out; all in deviations."""
+    weight = share * _tukey(residual)
+    if bulge.shape[1]:
+        # once more with weights of what is left: a wall that bulges is no outlier
+        every = np.hstack([jacobian, bulge])
+        prior = np.diag([1e-9] * 6 + [BULGE_M**-2] * bulge.shape[1])
+        first = np.linalg.solve(every.T @ (weight[:, None] * every) + prior, every.T @ (weight * residual))
+        weight = share * _tukey(residual - bulge @ first[6:])
+    square, along = jacobian.T @ (weight[:, None] * jacobian), jacobian.T @ (weight * residual)
+    if bulge.shape[1]:
+        mixed = jacobian.T @ (weight[:, None] * bulge)
+        own = bulge.T @ (weight[:, None] * bulge) + np.eye(bulge.shape[1]) / BULGE_M**2
+        square -= mixed @ np.linalg.solve(own, mixed.T)
+        along -= mixed @ np.linalg.solve(own, bulge.T @ (weight * residual))
+    return square, along
 
 
 def _tukey(residual: FloatArray, cut: float = 4.685) -> FloatArray:

@@ -1,0 +1,51 @@
+"""Walls that bulge or are pressed in: by what fills a container, by the air in it, by fingers.
+
+A wall stands still where another one holds it, at the container's edges, and moves most in its middle. A tracker that
+takes it for rigid would follow it; so how far each wall that is seen stands out is found beside the pose.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from deformscope.arrays import BoolArray, FloatArray
+from deformscope.stages.squeeze.container import ModelView
+
+BULGE_M = 0.003
+"""Deviation of how far the middle of a wall stands out, before any data. Chosen: a carton's walls."""
+CREASE_DEG = 30.0
+"""Between neighbouring pixels of different walls; a round wall turns less."""
+LEAST_PIXELS = 150
+"""Of a wall: a smaller one is taken as rigid."""
+MOST = 4
+"""Walls, the largest ones."""
+
+
+def bulge_shapes(view: ModelView) -> FloatArray:
+    """(H, W, k) how the k largest walls of a rendering (H, W) move along their normals when their middle moves by 1: 0
+    at the edges and on other walls."""
+    seen = np.isfinite(view.depth_m)
+    inner = seen & ~_creases(view.outward, seen)
+    count, label, size, _ = cv2.connectedComponentsWithStats(inner.astype(np.uint8), connectivity=4)
+    walls = [one for one in np.argsort(-size[1:, cv2.CC_STAT_AREA]) + 1 if size[one, cv2.CC_STAT_AREA] >= LEAST_PIXELS]
+    away = cv2.distanceTransform(inner.astype(np.uint8), cv2.DIST_L2, 3).astype(np.float64)
+    shapes = np.zeros((*seen.shape, min(len(walls), MOST)))
+    for number, wall in enumerate(walls[:MOST]):
+        share = np.where(label == wall, away, 0.0) / away[label == wall].max()
+        shapes[..., number] = share * (2.0 - share)
+    return shapes
+
+
+def _creases(normal: FloatArray, seen: BoolArray) -> BoolArray:
+    """(H, W) pixels beside one of another wall."""
+    found = np.zeros(seen.shape, dtype=bool)
+    least = np.cos(np.radians(CREASE_DEG))
+    for axis in (0, 1):
+        first = tuple(slice(None, -1) if one == axis else slice(None) for one in (0, 1))
+        second = tuple(slice(1, None) if one == axis else slice(None) for one in (0, 1))
+        apart = np.einsum("hwi,hwi->hw", normal[first], normal[second]) < least
+        apart &= seen[first] & seen[second]
+        found[first] |= apart
+        found[second] |= apart
+    return found
