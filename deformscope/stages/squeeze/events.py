@@ -23,6 +23,9 @@ BASELINE_FRAMES = 6
 """The first frames, in the air, are the baseline."""
 DEVIATIONS = 6.0
 """Of the baseline: a sum that is farther above it is no noise, where that is more than `onset_counts`."""
+AT_REST = 1.0 / 3.0
+"""Of `still_deg`: axes that stand still began to do so when they were within this of where they stand. `still_deg`
+itself is what they turn in a period or two while they still close."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +43,9 @@ class EventRule:
 class SqueezeEvents:
     """First contact and steady state, on the host's clock [ns], each with the interval in which it was.
 
-    first_ns: of the first frame that shows contact, by any of the fingers; steady_ns: of the first reading from which
-    on the closing axes stood still; 0 = it did not happen. finger_ns: (fingers,) first contact of each, 0 = none
+    first_ns: midway between the last frame without contact and the first with it, by any of the fingers
+    steady_ns: of the first reading from which on the closing axes stood still; 0 = it did not happen
+    finger_ns: (fingers,) first contact of each, 0 = none
     first_interval_ns, steady_interval_ns: (low, high), two sample periods wide at least
     tactile_period_s, hand_period_s: median of the sample periods; onset_counts: the sums' threshold over the baseline
     """
@@ -57,11 +61,13 @@ class SqueezeEvents:
 
 
 class OnsetDetector:
-    """Feed each tactile frame's sums; `first_ns` is set once contact is certain, at the frame in which it began."""
+    """Feed each tactile frame's sums; `first_ns` is set once contact is certain, midway between the last frame without
+    it and the first with it."""
 
     def __init__(self, rule: EventRule) -> None:
         self._rule = rule
         self._air: list[FloatArray] = []
+        self._last_ns = 0
         self._since: list[int] = []
         self._count: list[int] = []
         self.finger_ns: list[int] = []
@@ -69,11 +75,12 @@ class OnsetDetector:
 
     @property
     def first_ns(self) -> int:
-        """Of the first finger in contact, 0 before."""
+        """By the first finger in contact, 0 before."""
         return min((one for one in self.finger_ns if one), default=0)
 
     def feed(self, time_ns: int, sums: FloatArray) -> bool:
         """Whether there is contact. sums: (fingers,) of a frame's texels [counts]; baseline frames come first"""
+        before_ns, self._last_ns = self._last_ns, time_ns
         if len(self._air) < BASELINE_FRAMES:
             self._air.append(np.asarray(sums, np.float64))
             self._since, self._count, self.finger_ns = ([0] * len(sums) for _ in range(3))
@@ -86,7 +93,7 @@ class OnsetDetector:
                 self._count[finger] = 0
                 continue
             if self._count[finger] == 0:
-                self._since[finger] = time_ns
+                self._since[finger] = before_ns + (time_ns - before_ns) // 2
             self._count[finger] += 1
             if self._count[finger] >= self._rule.onset_frames and not self.finger_ns[finger]:
                 self.finger_ns[finger] = self._since[finger]
@@ -95,7 +102,7 @@ class OnsetDetector:
 
 class StillDetector:
     """Feed the closing axes' angles once they have begun to move; `steady_ns` is set once they stood still for long
-    enough, at the reading from which on they did."""
+    enough, at the reading from which on they were within `AT_REST` of the tolerance of where they stand."""
 
     def __init__(self, rule: EventRule) -> None:
         self._rule = rule
@@ -111,7 +118,9 @@ class StillDetector:
             self._window.popleft()
         self._window.append((time_ns, now))
         if time_ns - self._window[0][0] >= self._rule.still_s * 1e9:
-            self.steady_ns = self._window[0][0]
+            off = np.abs(np.stack([one for _, one in self._window]) - now).max(axis=1)
+            moved = np.flatnonzero(off > AT_REST * self._rule.still_deg)
+            self.steady_ns = self._window[int(moved[-1]) + 1 if len(moved) else 0][0]
         return self.steady_ns > 0
 
     def _moved(self, now: FloatArray) -> bool:
@@ -156,10 +165,11 @@ def squeeze_events(
 
 
 def _interval(event_ns: int, sample_ns: IntArray, period_s: float) -> tuple[int, int]:
-    """It was after the last sample without it, which may lie far back where samples were lost, and within two sample
-    periods around it otherwise."""
+    """It was between the samples beside it, which may lie far apart where some were lost, and within two sample periods
+    otherwise."""
     if not event_ns:
         return 0, 0
     at = int(np.searchsorted(sample_ns, event_ns))
-    before = int(sample_ns[max(at - 1, 0)])
-    return min(before, event_ns - round(PERIODS * period_s * 1e9)), event_ns + round(PERIODS * period_s * 1e9)
+    before, after = int(sample_ns[max(at - 1, 0)]), int(sample_ns[min(at, len(sample_ns) - 1)])
+    apart_ns = round(PERIODS * period_s * 1e9)
+    return min(before, event_ns - apart_ns), max(after, event_ns + apart_ns)

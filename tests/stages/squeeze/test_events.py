@@ -73,7 +73,7 @@ def test_a_single_frame_is_no_contact_and_a_finger_that_goes_on_is_not_steady() 
 
     sums[60:] = 500.0
     found = squeeze_events(when, sums, when, moving, RULE)
-    assert found.first_ns == when[60]
+    assert found.first_ns == (when[59] + when[60]) // 2
     assert found.steady_ns == 0
 
 
@@ -83,8 +83,26 @@ def test_the_rule_can_be_tuned() -> None:
     sums[:20] = 0.0
     still = np.zeros((100, 2))
 
-    assert squeeze_events(when, sums, when, still, EventRule(onset_counts=100.0)).first_ns == when[51]
-    assert squeeze_events(when, sums, when, still, EventRule(onset_counts=60.0)).first_ns == when[31]
+    assert squeeze_events(when, sums, when, still, EventRule(onset_counts=100.0)).first_ns == (when[50] + when[51]) // 2
+    assert squeeze_events(when, sums, when, still, EventRule(onset_counts=60.0)).first_ns == (when[30] + when[31]) // 2
+
+
+def test_axes_that_close_within_the_tolerance_are_not_still_yet() -> None:
+    when = np.arange(1, 101) * 20_000_000
+    sums = np.full((100, 2), 500.0)
+    sums[:10] = 0.0
+    closing = np.stack([0.12 * np.minimum(np.arange(100.0), 60.0)] * 2, axis=1)  # a reading within 0.15 deg of the next
+
+    assert squeeze_events(when, sums, when, closing, RULE).steady_ns == when[60]
+
+
+def test_a_run_of_lost_frames_widens_the_interval_around_the_middle_of_the_gap() -> None:
+    when = np.delete(np.arange(1, 101) * 40_000_000, np.arange(50, 55))
+    sums = np.where(when[:, None] > 51 * 40_000_000, 500.0, 0.0) * [1.0, 1.0]
+
+    found = squeeze_events(when, sums, when, np.zeros((len(when), 2)), RULE)
+    assert found.first_ns == (when[49] + when[50]) // 2
+    assert found.first_interval_ns == (when[49], when[50])
 
 
 def test_too_little_is_refused() -> None:
