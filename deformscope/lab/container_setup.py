@@ -17,6 +17,9 @@ from deformscope.robot.squeeze_setup import SqueezeNames, SqueezeSetup, SqueezeT
 KINDS = {"box": "cardboard box", "cylinder": "plastic cylinder"}
 """In words, by the form of a container."""
 CAMERA_HZ = 30.0
+DISTAL_DEG = 32.0
+"""Of the distal axes: the fingertips lean in by some 15 deg when they touch, and press with their first six rows, which
+are the feature. Upright ones would press with the middle of their pads."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +51,7 @@ def container_lab(
     shape, _ = container_of(container)
     x, y, z = (2.0 * float(half_m) for half_m in shape.half_m)
     section = ContainerSection(shape.kind, (x, y, z), shape.wall.thickness_m, KINDS[shape.kind])
-    squeeze = SqueezeSection()
+    squeeze = SqueezeSection(distal_deg=DISTAL_DEG)
     grasp = draw_grasp(section, squeeze, seed)
     digits = session.rpartition("-")[2]
     number = int(digits) if digits.isdecimal() else zlib.crc32(session.encode())
