@@ -24,11 +24,13 @@ MOST = 4
 
 def bulge_shapes(view: ModelView) -> FloatArray:
     """(H, W, k) how the k largest walls of a rendering (H, W) move along their normals when their middle moves by 1: 0
-    at the edges and on other walls."""
+    at the edges and on other walls. A wall of which not all is in the image is taken as rigid."""
     seen = np.isfinite(view.depth_m)
     inner = seen & ~_creases(view.outward, seen)
-    count, label, size, _ = cv2.connectedComponentsWithStats(inner.astype(np.uint8), connectivity=4)
-    walls = [one for one in np.argsort(-size[1:, cv2.CC_STAT_AREA]) + 1 if size[one, cv2.CC_STAT_AREA] >= LEAST_PIXELS]
+    _, label, size, _ = cv2.connectedComponentsWithStats(inner.astype(np.uint8), connectivity=4)
+    beyond = np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]])  # their edges are not seen
+    large = np.flatnonzero(size[:, cv2.CC_STAT_AREA] >= LEAST_PIXELS)
+    walls = sorted(set(large) - {0, *beyond}, key=lambda wall: -size[wall, cv2.CC_STAT_AREA])
     away = cv2.distanceTransform(inner.astype(np.uint8), cv2.DIST_L2, 3).astype(np.float64)
     shapes = np.zeros((*seen.shape, min(len(walls), MOST)))
     for number, wall in enumerate(walls[:MOST]):

@@ -153,3 +153,20 @@ def test_words_of_what_is_wrong() -> None:
         ContainerModel.cylinder(0.1, float("nan"))
     with pytest.raises(InputError, match="a mask of its size"):
         track(ModelRenderer(BOX, CAMERA), np.ones(SHAPE), np.eye(4), excluded=np.zeros((3, 3), dtype=bool))
+
+
+def test_a_full_carton_whose_walls_bulge_is_not_taken_for_one_that_stands_nearer() -> None:
+    rest = looking(0.9, 25.0, 60.0)
+    renderer = ModelRenderer(BOX, CAMERA)
+    view, ray = renderer.render(rest, PIXELS), renderer.rays(PIXELS)
+    on = np.isfinite(view.depth_m)
+    point = (ray * np.nan_to_num(view.depth_m)[..., None] - rest[:3, 3]) @ rest[:3, :3] / (0.5 * BOX.size_m)
+    out = np.where(np.abs(view.outward) > 0.5, 1.0, 1.0 - point**2).prod(axis=-1)  # 0 at edges, 1 in the middle
+    side = on & (np.abs(view.outward[..., 2]) < 0.5)  # the lid is flat
+    along = np.abs(np.einsum("hwi,hwi->hw", view.outward @ rest[:3, :3].T, ray))
+    bulging = view.depth_m - np.where(side, 0.003 * out / np.maximum(along, 0.2), 0.0)
+
+    found = track(renderer, bulging, rest)
+
+    assert found.good, found.reason
+    assert np.linalg.norm(found.T_camera_container[:3, 3] - rest[:3, 3]) < 6e-4
