@@ -126,11 +126,12 @@ class ClassificationResult(LibraryResult):
                 for one in found.curve
                 if (one.modality, one.method) == key
             ]
-            if score.method == "pooled":
+            if score.method in ("pooled", "late-fusion"):
+                steps = score.modality if score.method == "pooled" else joined_name(tuple(found.table.series))
                 entry["steps"] = [
-                    {"time_s": one.time_s, "stopped": one.stopped, "right": one.right}
+                    {"time_s": one.time_s, "modality": steps, "stopped": one.stopped, "right": one.right}
                     | _estimated("accuracy", one.accuracy)
-                    for one in found.steps.get(score.modality, ())
+                    for one in found.steps.get(steps, ())
                 ]
             if score.method == "knn" and score.modality in found.clusters:
                 rand = found.clusters[score.modality].rand

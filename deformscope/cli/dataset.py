@@ -84,7 +84,7 @@ def _recorded(file: Path) -> tuple[TrialRow, dict[str, Any]]:
     settings: dict[str, Any] = recording.settings["squeezed"]["features"]
     if again.features is None:
         return TrialRow(entry), settings
-    return TrialRow(entry, again.features.modalities, again.features.features.series), settings
+    return TrialRow(entry, again.features.modalities, again.features.series), settings
 
 
 def _dataset(folder: Path, settings: dict[str, Any] | None = None) -> SqueezeDataset:

@@ -113,12 +113,19 @@ class SqueezeGeometry:
 @dataclass(frozen=True, slots=True, eq=False)
 class TrialFeatures:
     """What was computed of a squeeze. tracked: each with its image's time [ns], in order; poses: the same with all that
-    is known of them"""
+    is known of them; vision_series: (k, 121) the small change of depth every 0.1 s since first contact, None = none"""
 
     events: SqueezeEvents
     features: SqueezeFeatures
     tracked: tuple[tuple[int, TrackedContainer], ...] = ()
     poses: tuple[PoseEstimate, ...] = ()
+    vision_series: FloatArray | None = None
+
+    @property
+    def series(self) -> dict[str, FloatArray]:
+        """Features every 0.1 s since first contact, by modality (k, p)."""
+        seen = {} if self.vision_series is None else {"vision_small": self.vision_series}
+        return {"tactile": self.features.series, **seen}
 
     @property
     def modalities(self) -> dict[str, FloatArray]:
@@ -274,6 +281,7 @@ def _with_vision(
         raise InputError("depth images before first contact and at steady state", f"{len(before)} and {len(steady)}")
     tracked: list[tuple[int, TrackedContainer]] = []
     poses: list[PoseEstimate] = []
+    small: list[tuple[int, FloatArray]] = []
 
     def keep(image: DepthFrame, pose: PoseEstimate) -> None:
         edges = outline_px(renderer.model, seen.camera, pose.T_camera_container)
@@ -290,7 +298,13 @@ def _with_vision(
         poses.append(pose)
 
     def found(features: SqueezeFeatures) -> TrialFeatures:
-        return TrialFeatures(events, features, tuple(tracked), tuple(poses))
+        return TrialFeatures(events, features, tuple(tracked), tuple(poses), _small_series(small, events))
+
+    def changed(depth: FloatArray, when_ns: int, pose: PoseEstimate) -> DepthChange:
+        covered = hand_pixels(depth, seen.camera, seen.links(when_ns))
+        change = depth_change(renderer, pose.T_camera_container, depth, seen.fingertip(when_ns), excluded=covered)
+        small.append((when_ns, filled(change.small_m).ravel()))
+        return change
 
     depth = seen.median_m(before)
     when_ns = frame_ns(before[-1])
@@ -299,25 +313,29 @@ def _with_vision(
     keep(before[-1], rest)
     if not rest.good:
         return found(dataclasses.replace(features, reason=f"before: {rest.reason}"))
+    changed(depth, when_ns, rest)
     pose = rest
     for image in _between(seen.images, events):
         depth = seen.median_m([image])
         pose = _next_pose(renderer, seen, depth, frame_ns(image), pose, rest)
         keep(image, pose)
+        if pose.good:
+            changed(depth, frame_ns(image), pose)
     depth = seen.median_m(steady)
     pose = _next_pose(renderer, seen, depth, frame_ns(steady[0]), pose, rest)
     keep(steady[0], pose)
     if not pose.good:
         return found(dataclasses.replace(features, reason=pose.reason))
-    when_ns = frame_ns(steady[0])
-    change = depth_change(
-        renderer,
-        pose.T_camera_container,
-        depth,
-        seen.fingertip(when_ns),
-        excluded=hand_pixels(depth, seen.camera, seen.links(when_ns)),
-    )
+    change = changed(depth, frame_ns(steady[0]), pose)
     return found(_seen_features(features, change))
+
+
+def _small_series(small: Sequence[tuple[int, FloatArray]], events: SqueezeEvents) -> FloatArray | None:
+    """(k, 121) the newest small change of depth at each step since first contact."""
+    if not small or small[-1][0] < events.first_ns:
+        return None
+    time_s = np.array([(when_ns - events.first_ns) / 1e9 for when_ns, _ in small])
+    return series_of(time_s, np.stack([one for _, one in small]))[1]
 
 
 def _seen_features(features: SqueezeFeatures, change: DepthChange) -> SqueezeFeatures:

@@ -46,4 +46,4 @@ def row_of(entry: TrialEntry, features: TrialFeatures | None) -> TrialRow:
     """The entry with its features, if there are any."""
     if features is None:
         return TrialRow(entry)
-    return TrialRow(entry, features.modalities, features.features.series)
+    return TrialRow(entry, features.modalities, features.series)

@@ -2,8 +2,9 @@
 
     trials/ID.rrd       recordings; may be absent where only features are kept
     index.parquet       one row a trial: what was squeezed, when, how, and why it is left out, if it is
-    features.parquet    trial, then tactile.0..., vision.0..., vision_small.0..., physical.0..., and `series`: tactile
-                        features every 0.1 s since first contact, flat; a row of null where a modality is missing
+    features.parquet    trial, then tactile.0..., vision.0..., vision_small.0..., physical.0...; a row of null where a
+                        modality is missing; `series` and `series_vision_small`: tactile features and small changes of
+                        depth every 0.1 s since first contact, flat
 
 Both files carry `deformscope` in their metadata: format, and the settings that the features were computed with.
 """
@@ -35,6 +36,8 @@ META = b"deformscope"
 STEP_S = 0.1
 MODALITIES = ("tactile", "vision", "vision_small", "physical")
 """In this order."""
+SERIES = {"tactile": "series", "vision_small": "series_vision_small"}
+"""Columns of the modalities that are kept over the squeeze."""
 NEW = "deformscope squeeze ... --dataset FOLDER"
 
 
@@ -70,12 +73,12 @@ class TrialEntry:
 class TrialRow:
     """A squeeze and its features by modality; one that is missing was not measured, as in a discarded trial.
 
-    series: (k, p) tactile features every 0.1 s since first contact
+    series: by modality (k, p) features every 0.1 s since first contact
     """
 
     entry: TrialEntry
     features: Mapping[str, FloatArray] = field(default_factory=dict)
-    series: FloatArray | None = None
+    series: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
 class SqueezeDataset:
@@ -119,7 +122,7 @@ class SqueezeDataset:
             more = f" and of {len(missing) - 1} more" if len(missing) > 1 else ""
             raise InputError(f"features of {missing[0]}{more}", "none", "deformscope dataset repair", self.folder)
         arrays = {name: _matrix(table, name) for name in MODALITIES}
-        series = table["series"].to_pylist() if "series" in table.column_names else [None] * len(table)
+        series = {name: table[column].to_pylist() for name, column in SERIES.items() if column in table.column_names}
         found = []
         for entry in entries:
             row = at.get(entry.trial)
@@ -127,10 +130,12 @@ class SqueezeDataset:
                 found.append(TrialRow(entry))
                 continue
             own = {name: values[row] for name, values in arrays.items() if not np.isnan(values[row]).all()}
-            flat = series[row]
-            width = arrays["tactile"].shape[1]
-            taken = None if flat is None or not width else np.array(flat, np.float64).reshape(-1, width)
-            found.append(TrialRow(entry, own, taken))
+            over = {
+                name: np.array(flat[row], np.float64).reshape(-1, arrays[name].shape[1])
+                for name, flat in series.items()
+                if flat[row] is not None and arrays[name].shape[1]
+            }
+            found.append(TrialRow(entry, own, over))
         return found
 
     def table(self) -> LabelledTable:
@@ -146,14 +151,14 @@ class SqueezeDataset:
         }
         about = [one.entry for one in rows]
         kinds = np.array([one.container_type or "" for one in about])
-        longest = max((len(one.series) for one in rows if one.series is not None), default=0)
         series = {}
-        if longest and "tactile" in widths:
-            over = np.full((len(rows), longest, widths["tactile"]), np.nan)
-            for row, one in enumerate(rows):
-                if one.series is not None:
-                    over[row, : len(one.series)] = one.series
-            series["tactile"] = over
+        for name in SERIES:
+            longest = max((len(one.series[name]) for one in rows if name in one.series), default=0)
+            if longest and name in widths:
+                series[name] = np.full((len(rows), longest, widths[name]), np.nan)
+                for row, one in enumerate(rows):
+                    if name in one.series:
+                        series[name][row, : len(one.series[name])] = one.series[name]
         return LabelledTable(
             np.array([one.content for one in about]),
             np.array([one.container for one in about]),
@@ -246,8 +251,9 @@ class SqueezeDataset:
             nothing = np.full(width, np.nan)
             values = np.array([one.features.get(name, nothing) for one in measured]).reshape(len(measured), width)
             columns |= {f"{name}.{column}": values[:, column] for column in range(width)}
-        series = [None if one.series is None else one.series.ravel() for one in measured]
-        columns["series"] = pa.array(series, pa.list_(pa.float64()))
+        for name, column in SERIES.items():
+            flat = [one.series[name].ravel() if name in one.series else None for one in measured]
+            columns[column] = pa.array(flat, pa.list_(pa.float64()))
         self._replace(FEATURES, pa.table(columns).replace_schema_metadata(meta))
         entries = [dataclasses.asdict(one.entry) for one in rows]
         self._replace(INDEX, pa.Table.from_pylist(entries, schema=_index_schema()).replace_schema_metadata(meta))

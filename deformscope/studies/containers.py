@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -95,7 +96,10 @@ class SqueezedTrial:
 def run_squeeze(job: SqueezeJob) -> TrialRow:
     """One trial on its own simulated clock; in any process."""
     trial = squeeze_trial(job)
-    return row_of(trial.entry, trial.found.features)
+    row = row_of(trial.entry, trial.found.features)
+    del trial
+    gc.collect()  # laboratory and images hold each other: some 20 MB a trial
+    return row
 
 
 def squeeze_trial(job: SqueezeJob, on_cycle: Callable[[ContainerLab], None] = lambda made: None) -> SqueezedTrial:

@@ -14,7 +14,7 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from deformscope.arrays import FloatArray
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.squeeze import groupings
 from deformscope.stages.squeeze.classifiers import NAMES
@@ -361,41 +361,62 @@ def _curve(
 def _time_steps(
     table: LabelledTable, options: EvaluationOptions, runner: _Runner, protocol: Protocol, splits: Sequence[Split]
 ) -> dict[str, tuple[TimePoint, ...]]:
-    """The posterior over the squeeze: at each step a classifier of that step, on the same splits."""
-    found = {}
+    """The posterior over the squeeze: at each step a classifier of that step, on the same splits; where several
+    modalities have steps, also all of them fused late."""
     splits = splits[: options.curve_splits]
-    ratio = split_ratio(splits)
-    for name, series in table.series.items():
-        held = held_values(series)
-        points = []
-        ended = [np.zeros(len(split.test), dtype=bool) for split in splits]
-        named = [np.full(len(split.test), -1) for split in splits]
-        for step in range(series.shape[1]):
-            what = f"{name} at {step * table.step_s:.1f} s"
-            outcomes = runner.run(
-                what, splits, ("pooled",), by_group=protocol == "group", features={name: held[:, step]}
-            ).get((name, "pooled"))
-            if outcomes is None:
-                continue
-            for index, one in enumerate(outcomes):
-                at = np.searchsorted(splits[index].test, one.rows)
-                fresh = at[(one.sure >= SURE) & ~ended[index][at]]
-                ended[index][fresh] = True
-                named[index][fresh] = one.answer[np.searchsorted(at, fresh)]
-            stopped = np.concatenate(ended)
-            truth = np.concatenate([table.target[split.test] for split in splits])
-            right = np.concatenate(named)[stopped] == truth[stopped]
-            accuracy = np.array([accuracy_of(one, table.target) for one in outcomes])
-            points.append(
-                TimePoint(
-                    step * table.step_s,
-                    over_splits(accuracy, ratio, options.level, len(table)),
-                    float(stopped.mean()),
-                    float(right.mean()) if right.size else float("nan"),
-                )
-            )
-        found[name] = tuple(points)
-    return found
+    held = {name: held_values(series) for name, series in table.series.items()}
+    longest = max((values.shape[1] for values in held.values()), default=0)
+    points: dict[str, list[TimePoint]] = {}
+    stops: dict[str, _Stops] = {}
+    for step in range(longest):
+        now = {name: values[:, min(step, values.shape[1] - 1)] for name, values in held.items()}
+        outcomes = runner.run(
+            f"at {step * table.step_s:.1f} s",
+            splits,
+            ("pooled", "late-fusion"),
+            by_group=protocol == "group",
+            features={name: values for name, values in now.items() if not np.isnan(values).all()},
+        )
+        for (name, _), answers in outcomes.items():
+            stopped = stops.setdefault(name, _Stops.of(splits))
+            stopped.note(splits, answers)
+            points.setdefault(name, []).append(stopped.point(step * table.step_s, table, options.level, splits, answers))
+    return {name: tuple(found) for name, found in points.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class _Stops:
+    """Where a squeeze could have stopped by now. named: for each split (m,) the class then, -1 = not yet"""
+
+    named: list[IntArray]
+
+    @classmethod
+    def of(cls, splits: Sequence[Split]) -> _Stops:
+        return cls([np.full(len(split.test), -1) for split in splits])
+
+    def note(self, splits: Sequence[Split], answers: Sequence[Answers]) -> None:
+        for split, named, one in zip(splits, self.named, answers, strict=True):
+            at = np.searchsorted(split.test, one.rows)
+            fresh = (one.sure >= SURE) & (named[at] < 0)
+            named[at[fresh]] = one.answer[fresh]
+
+    def point(
+        self,
+        time_s: float,
+        table: LabelledTable,
+        level: float,
+        splits: Sequence[Split],
+        answers: Sequence[Answers],
+    ) -> TimePoint:
+        named = np.concatenate(self.named)
+        right = (named == np.concatenate([table.target[split.test] for split in splits]))[named >= 0]
+        accuracy = np.array([accuracy_of(one, table.target) for one in answers])
+        return TimePoint(
+            time_s,
+            over_splits(accuracy, split_ratio(splits), level, len(table)),
+            float((named >= 0).mean()),
+            float(right.mean()) if right.size else float("nan"),
+        )
 
 
 def held_values(series: FloatArray) -> FloatArray:

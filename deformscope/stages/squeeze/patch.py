@@ -98,12 +98,31 @@ def hand_pixels(
 ) -> BoolArray:
     """(H, W) pixels whose points lie in the hand's links, camera frame, or within a margin of them [m]."""
     depth = np.asarray(depth_m, dtype=np.float64)
-    row, column = np.nonzero(np.isfinite(depth) & (depth > 0.0))
-    z = depth[row, column]
-    point = np.column_stack([(np.column_stack([column, row]) - camera.centre_px) / camera.focal_px * z[:, None], z])
     covered = np.zeros(depth.shape, dtype=bool)
-    covered[row, column] = ~beside_capsules(point, links, margin_m=margin_m)
+    for link in links:
+        part = _window(link, camera, margin_m, (depth.shape[0], depth.shape[1]))
+        row, column = np.nonzero(np.isfinite(depth[part]) & (depth[part] > 0.0))
+        row, column = row + part[0].start, column + part[1].start
+        z = depth[row, column]
+        pixel = np.column_stack([column, row])
+        point = np.column_stack([(pixel - camera.centre_px) / camera.focal_px * z[:, None], z])
+        covered[row, column] |= ~beside_capsules(point, [link], margin_m=margin_m)
     return covered
+
+
+def _window(link: Capsule, camera: Intrinsics, margin_m: float, shape: tuple[int, int]) -> tuple[slice, slice]:
+    """Rows and columns of an image (H, W) in which a link can be seen: all of them where it is beside the camera."""
+    ends, reach = np.stack([link.start_m, link.end_m]), link.radius_m + margin_m
+    if (ends[:, 2] <= 2.0 * reach).any():
+        return slice(0, shape[0]), slice(0, shape[1])
+    found = []
+    for axis in (1, 0):
+        across = ends[:, [axis, 2]]
+        middle, half = np.arctan2(*across.T), np.arcsin(reach / np.linalg.norm(across, axis=1))
+        low, high = np.tan((middle - half).min()), np.tan((middle + half).max())
+        first, last = np.array([low, high]) * camera.focal_px[axis] + camera.centre_px[axis]
+        found.append(slice(max(int(first), 0), min(max(int(last) + 2, 0), shape[1 - axis])))
+    return found[0], found[1]
 
 
 def around(center_px: FloatArray, shape: tuple[int, int], radius_px: float) -> BoolArray:

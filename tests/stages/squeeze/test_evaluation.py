@@ -255,6 +255,18 @@ def test_the_learning_curve_rises_and_a_squeeze_is_known_better_with_time() -> N
     assert times[2].right > 0.8
 
 
+def test_modalities_are_fused_in_each_step_and_one_that_is_missing_there_leaves_the_other() -> None:
+    table = two_modalities()
+    over = {name: np.stack([0.3 * values, values], axis=1) for name, values in table.modalities.items()}
+    over["vision"][:, 0] = np.nan
+    found = evaluate(dataclasses.replace(table, series=over), dataclasses.replace(FAST, splits=6, curve_splits=6))
+
+    assert [one.time_s for one in found.steps["vision"]] == pytest.approx([0.1])
+    fused = found.steps["touch+vision"]
+    assert [one.time_s for one in fused] == pytest.approx([0.1])
+    assert fused[0].accuracy.value >= max(found.steps[one][-1].accuracy.value for one in ("touch", "vision")) - 0.02
+
+
 def test_the_same_table_and_seed_give_the_same_numbers_in_threads() -> None:
     few = dataclasses.replace(FAST, splits=5)
     one = evaluate(two_modalities(), few)

@@ -7,6 +7,7 @@ import pytest
 
 from deformscope.capsule import Capsule
 from deformscope.errors import InputError
+from deformscope.stages.see.cloud import Intrinsics, beside_capsules
 from deformscope.stages.squeeze.container import ModelRenderer
 from deformscope.stages.squeeze.patch import depth_change, hand_pixels
 from tests.stages.squeeze.views import BOX, CAMERA, CYLINDER, NOISE, PIXELS, SHAPE, looking, squeezed
@@ -68,3 +69,18 @@ def test_words_of_what_is_wrong() -> None:
         depth_change(renderer, REST, np.zeros(SHAPE), np.array([0.0, 0.0, 0.9]))
     with pytest.raises(InputError, match="an odd number"):
         depth_change(renderer, REST, np.ones(SHAPE), np.array([0.0, 0.0, 0.9]), side_px=60)
+
+
+def test_a_links_pixels_are_those_of_its_points_wherever_it_is() -> None:
+    random = np.random.default_rng(3)
+    row, column = np.mgrid[:120, :160]
+    camera = Intrinsics((140.0, 140.0), (79.5, 59.5))
+    for _ in range(40):
+        depth = random.uniform(0.3, 1.5, (120, 160))
+        ends = random.uniform((-0.6, -0.5, 0.2), (0.6, 0.5, 1.4), (2, 3))
+        link = Capsule(ends[0], ends[1], random.uniform(0.01, 0.2))
+        aside = (np.stack([column, row], axis=-1) - camera.centre_px) / camera.focal_px
+        point = np.concatenate([aside, np.ones((120, 160, 1))], axis=-1) * depth[..., None]
+        within = ~beside_capsules(point.reshape(-1, 3), [link], margin_m=0.008).reshape(120, 160)
+
+        np.testing.assert_array_equal(hand_pixels(depth, camera, [link]), within)
