@@ -270,13 +270,18 @@ def cores() -> int:
 
 
 def classify_table(
-    table: LabelledTable, name: str, options: EvaluationOptions, progress: Progress | None = None
+    table: LabelledTable,
+    name: str,
+    options: EvaluationOptions,
+    progress: Progress | None = None,
+    beyond: LabelledTable | None = None,
 ) -> ClassificationResult:
-    """`classify` on a table; linear algebra in one thread each, since splits run beside each other."""
+    """`classify` on a table; linear algebra in one thread each, since splits run beside each other. beyond: as
+    `evaluate` takes it"""
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1):
-        found = evaluate(table, dataclasses.replace(options, workers=cores()), progress)
+        found = evaluate(table, dataclasses.replace(options, workers=cores()), progress, beyond)
     return ClassificationResult(found, name)
 
 

@@ -71,14 +71,20 @@ def _pictures(found: Evaluation) -> Iterator[tuple[str, bytes]]:
 
 
 def classification_page(
-    result: ClassificationResult, model: ContentModel, drawn: Mapping[str, bytes], settings: Mapping[str, object]
+    result: ClassificationResult,
+    model: ContentModel,
+    drawn: Mapping[str, bytes],
+    settings: Mapping[str, object],
+    *besides: Section,
 ) -> str:
     """All that was found as one HTML page.
 
     model: trained on all trials; drawn: of `classification_pictures`; settings: of the command
+    besides: sections that come after the first
     """
     title = f"Contents of containers: {result.name}" if result.name else "Contents of containers"
-    return html_report(title, _sections(result, model, drawn, settings))
+    first, *others = _sections(result, model, drawn, settings)
+    return html_report(title, [first, *besides, *others])
 
 
 def _sections(

@@ -26,6 +26,10 @@ NAMED = 30
 """So many classes are named in a legend."""
 SHOWN_IMAGES = 15
 """Classes of which a mean image is shown."""
+ABREAST = 4
+"""Confusion matrices in a row."""
+UNITS = {"tactile": (1.0, "counts"), "vision": (1e3, "mm"), "vision_small": (1e3, "mm")}
+"""Of the features of a data set of squeezes: factor and unit as they are drawn."""
 PADS, PAD_SIDE = 36, 6
 """Cells of a fingertip's tactile array in a feature, 6 by 6 (Thesis 2.5.1)."""
 
@@ -59,8 +63,13 @@ def mean_images_png(table: LabelledTable, modality: str) -> bytes:
     with np.errstate(invalid="ignore"):
         means = [image_of(_mean(values[table.label == one])) for one in classes]
     if means[0].shape[0] == 1:
-        return _profiles_png(means, classes, modality)
+        return _profiles_png(table, modality)
+    scale, unit = UNITS.get(modality, (1.0, "")) if "tactile_end" in table.settings else (1.0, "")
+    means = [scale * one for one in means]
     low, high = np.nanmin(means), np.nanmax(means)
+    signed = low < 0.0 < high
+    if signed:
+        low, high = -max(-low, high), max(-low, high)
     columns = min(5, len(means))
     rows = math.ceil(len(means) / columns)
     wide = means[0].shape[1] / means[0].shape[0]
@@ -69,11 +78,12 @@ def mean_images_png(table: LabelledTable, modality: str) -> bytes:
     axes = figure.subplots(rows, columns, squeeze=False, gridspec_kw={"wspace": 0.12})
     shown: Any = None
     for axis, one, mean in zip(axes.flat, classes, means, strict=False):
-        shown = axis.imshow(mean, vmin=low, vmax=high, cmap="viridis", interpolation="nearest")
+        colors = "RdBu_r" if signed else "viridis"
+        shown = axis.imshow(mean, vmin=low, vmax=high, cmap=colors, interpolation="nearest")
         axis.set_title(one, fontsize=10)
     for axis in axes.flat:
         axis.set_axis_off()
-    figure.colorbar(shown, ax=axes, shrink=0.8, label=f"{modality}, mean")
+    figure.colorbar(shown, ax=axes, shrink=0.8, label=f"{modality}, mean{unit and f' [{unit}]'}")
     return png_of(figure, DPI)
 
 
@@ -83,12 +93,23 @@ def _mean(values: FloatArray) -> FloatArray:
     return np.where(count > 0, np.where(known, values, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
 
 
-def _profiles_png(means: Sequence[FloatArray], classes: Sequence[str], modality: str) -> bytes:
-    figure = canvas(7.6, 3.8, layout="constrained")
+def _profiles_png(table: LabelledTable, modality: str) -> bytes:
+    """Features that are no picture, each on the scale of its own deviation over all trials."""
+    values, classes = table.modalities[modality], table.classes[:SHOWN_IMAGES]
+    known = np.where(np.isnan(values), _mean(values), values)
+    deviation = known.std(axis=0)
+    scaled = (known - known.mean(axis=0)) / np.where(deviation > 0.0, deviation, 1.0)
+    names = table.settings.get(modality)
+    figure = canvas(7.6, 4.6 if isinstance(names, list) else 3.8, layout="constrained")
     axis = figure.subplots()
-    for color, one, mean in zip(class_colors(len(classes)), classes, means, strict=True):
-        axis.plot(mean[0], "o-" if mean.size < 30 else "-", color=color, label=one, markersize=4)
-    axis.set(xlabel=f"feature of {modality}", ylabel="mean")
+    for color, one in zip(class_colors(len(classes)), classes, strict=True):
+        mean = scaled[table.label == one].mean(axis=0)
+        axis.plot(mean, "o-" if mean.size < 30 else "-", color=color, label=one, markersize=4)
+    if isinstance(names, list) and len(names) == values.shape[1]:
+        axis.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=8)
+    else:
+        axis.set_xlabel(f"feature of {modality}")
+    axis.set_ylabel(f"{modality}, mean\n[deviations of all trials]")
     axis.grid(alpha=0.25)
     _legend(axis, len(classes))
     return png_of(figure, DPI)
@@ -177,8 +198,13 @@ def confusion_png(scores: Sequence[ClassificationScore], labels: Sequence[str]) 
     classes are few."""
     count = len(labels)
     side = 3.6 if count <= 6 else 4.8 if count <= NUMBERED else 5.6 if count <= NAMED else 7.5
-    figure = canvas(side * len(scores) + 0.9, side + 0.7, layout="constrained")
-    axes = figure.subplots(1, len(scores), squeeze=False)[0]
+    columns = min(len(scores), ABREAST)
+    rows = math.ceil(len(scores) / columns)
+    figure = canvas(side * columns + 0.9, (side + 0.7) * rows, layout="constrained")
+    grid = figure.subplots(rows, columns, squeeze=False)
+    axes = list(grid.flat)[: len(scores)]
+    for axis in list(grid.flat)[len(scores) :]:
+        axis.set_axis_off()
     shown: Any = None
     for index, (axis, score) in enumerate(zip(axes, scores, strict=True)):
         shown = axis.imshow(score.shares, vmin=0.0, vmax=1.0, cmap="Blues")
@@ -187,12 +213,13 @@ def confusion_png(scores: Sequence[ClassificationScore], labels: Sequence[str]) 
         axis.set_title(title, fontsize=10)
         size = 8 if count <= NAMED else 360 / count * 0.75
         axis.set_xticks(range(count), labels, rotation=45 if count <= NUMBERED else 90, fontsize=size)
-        axis.set_yticks(range(count), labels if index == 0 else [""] * count, fontsize=size)
+        axis.set_yticks(range(count), [""] * count if index % columns else labels, fontsize=size)
         axis.set_xlabel("named")
+        if index % columns == 0:
+            axis.set_ylabel("true")
         if count <= NUMBERED:
             _numbers(axis, score)
-    axes[0].set_ylabel("true")
-    figure.colorbar(shown, ax=axes, shrink=0.75, format=lambda share, _: f"{share:.0%}")
+    figure.colorbar(shown, ax=axes, shrink=0.75 / rows, format=lambda share, _: f"{share:.0%}")
     return png_of(figure, DPI)
 
 
@@ -272,7 +299,7 @@ def transfer_png(found: Evaluation) -> bytes:
     figure = canvas(9.0, 1.2 + 0.22 * len(keys) * (len(pairs) + 1), layout="constrained")
     axis = figure.subplots()
     sets: list[tuple[str, list[ClassificationScore]]] = [
-        (f"all kinds, {found.protocol} splits", [found.score(modality, method) for modality, method in keys])
+        (f"no transfer, {found.protocol} splits", [found.score(modality, method) for modality, method in keys])
     ]
     for pair in pairs:
         mine = {(one.modality, one.method): one for one in transfers if one.pair == pair}

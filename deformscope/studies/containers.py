@@ -27,16 +27,6 @@ BOXES, SESSIONS = 10, 5
 """Identical boxes, each of which had every content in turn; days with their own temperature. Chosen."""
 FAST_CAMERA_HZ = 10.0
 """Images a second where features alone are kept: the container is tracked at the events and at 5 Hz between."""
-STATEMENTS = (
-    "Vision is best for water; touch is better for empty and granular contents.",
-    "Yogurt is felt as flour or as water.",
-    "Contents next to one another in hardness (empty, water, yogurt, flour, rice) are confused with one another.",
-    "Early fusion does not always help: where vision is worse, it takes touch down with it.",
-    "Raw small visual and tactile features together gain 4.6 points.",
-)
-"""What the thesis reports by class and fusion; beside ours, never tuned to."""
-
-
 @dataclass(frozen=True, slots=True)
 class SqueezeJob:
     """One trial. folder: of the data set; whole: its recording is kept, at the camera's full rate"""

@@ -137,20 +137,28 @@ def allowed_protocols(table: LabelledTable) -> tuple[tuple[Protocol, ...], list[
 
 
 def evaluate(
-    table: LabelledTable, options: EvaluationOptions | None = None, progress: Progress | None = None
+    table: LabelledTable,
+    options: EvaluationOptions | None = None,
+    progress: Progress | None = None,
+    beyond: LabelledTable | None = None,
 ) -> Evaluation:
     """Evaluate every modality by itself, all of them fused early and late.
 
+    beyond: the same trials and others, of other kinds of containers, that serve transfers alone; None = `table`
     Raises InputError for trials that stand there twice and for a table that cannot be split as asked.
     """
     options = options or EvaluationOptions()
     progress = progress or (lambda what, done, total: None)
-    refuse_duplicates(table)
+    beyond = table if beyond is None else beyond
+    refuse_duplicates(beyond)
+    if beyond.classes != table.classes:
+        raise InputError(f"the contents {', '.join(table.classes)} for transfers", ", ".join(beyond.classes))
     allowed, notes = allowed_protocols(table)
     protocols = options.protocols or allowed
     strictest = max(protocols, key=PROTOCOLS.index)
-    transfers = _transfers(table, options.transfer, notes)
+    transfers = _transfers(beyond, options.transfer, notes)
     runner = _Runner(table, options, progress)
+    others = _Runner(beyond, options, progress)
     fast: tuple[Method, ...] = (*NAMES, "pooled", "late-fusion")
     scores: list[ClassificationScore] = []
     outcomes: dict[Key, list[Answers]] = {}
@@ -165,8 +173,8 @@ def evaluate(
     scores += _costly_scores(table, options, runner, strictest, drawn, notes)
     for pair, split in transfers.items():
         what = f"transfer {pair[0]} to {pair[1]}"
-        found = runner.run(what, [split], fast, by_group=table.group is not None)
-        scores += [score_of(table, key, "transfer", [split], one, options.level, pair) for key, one in found.items()]
+        found = others.run(what, [split], fast, by_group=beyond.group is not None)
+        scores += [score_of(beyond, key, "transfer", [split], one, options.level, pair) for key, one in found.items()]
     steps = {} if not options.curve_splits else _time_steps(table, options, runner, strictest, drawn)
     curve = () if not options.curve_splits else _curve(table, options, runner, strictest, drawn)
     progress("natural groupings", 0, 0)

@@ -16,6 +16,8 @@ TextArray = npt.NDArray[np.str_]
 
 SMALL = "_small"
 """Ends the name of a modality that is another one in fewer pixels."""
+DERIVED = "physical"
+"""A modality that is computed from the others' measurements: these are also joined without it, as in the thesis."""
 LISTED = 4
 """So many names are listed in a message; of the others there is the number."""
 
@@ -77,14 +79,17 @@ class LabelledTable:
     @property
     def fused(self) -> tuple[tuple[str, ...], ...]:
         """Modalities that are fused, the ones of late fusion first; NAME_small is NAME in fewer pixels and takes its
-        place in a set of its own, as in Thesis 2.5.4. A single modality by itself where there is nothing to fuse."""
+        place in a set of its own, as in Thesis 2.5.4; both once more without what is `DERIVED`. A single modality by
+        itself where there is nothing to fuse."""
         small = {
             one.removesuffix(SMALL): one
             for one in self.modalities
             if one.endswith(SMALL) and one.removesuffix(SMALL) in self.modalities
         }
         whole = tuple(one for one in self.modalities if one not in small.values())
-        return (whole, tuple(small.get(one, one) for one in whole)) if small and len(whole) > 1 else (whole,)
+        sets = (whole, tuple(small.get(one, one) for one in whole)) if small and len(whole) > 1 else (whole,)
+        measured = tuple(tuple(one for one in names if one != DERIVED) for names in sets)
+        return (*sets, *(names for names in measured if len(names) > 1 and names not in sets))
 
     def name(self, row: int) -> str:
         """How a message names a trial."""
