@@ -17,8 +17,8 @@ from deformscope.robot.squeeze_setup import SqueezeNames, SqueezeSetup, SqueezeT
 KINDS = {"box": "cardboard box", "cylinder": "plastic cylinder"}
 """In words, by the form of a container."""
 CAMERA_HZ = 30.0
-DISTAL_DEG = 32.0
-"""Of the distal axes: the fingertips lean in by some 15 deg when they touch, and press with their first six rows, which
+OPEN_DEG, DISTAL_DEG = -24.0, 32.0
+"""Of the proximal axes, a centimetre or more from the containers of this laboratory, and of the distal axes: the fingertips lean in by some 15 deg when they touch, and press with their first six rows, which
 are the feature. Upright ones would press with the middle of their pads."""
 
 
@@ -51,7 +51,7 @@ def container_lab(
     shape, _ = container_of(container)
     x, y, z = (2.0 * float(half_m) for half_m in shape.half_m)
     section = ContainerSection(shape.kind, (x, y, z), shape.wall.thickness_m, KINDS[shape.kind])
-    squeeze = SqueezeSection(distal_deg=DISTAL_DEG)
+    squeeze = SqueezeSection(open_deg=OPEN_DEG, distal_deg=DISTAL_DEG)
     grasp = draw_grasp(section, squeeze, seed)
     digits = session.rpartition("-")[2]
     number = int(digits) if digits.isdecimal() else zlib.crc32(session.encode())

@@ -47,9 +47,9 @@ class GripShape:
             raise InputError(f"a container up to {widest:.3f} m wide along x", f"{container.size_m[0]:g} m")
         touching = math.degrees(math.asin(lean))
         distal = -touching if squeeze.distal_deg is None else squeeze.distal_deg
-        opened = touching - OPENING_DEG if squeeze.open_deg is None else squeeze.open_deg
         if squeeze.distal_deg is not None:
             touching = _contact_deg(half_m, distal)
+        opened = touching - OPENING_DEG if squeeze.open_deg is None else squeeze.open_deg
         if not opened < touching:
             came = f"{opened:g}, contact at {touching:.1f} deg"
             raise InputError("[squeeze] open_deg below the angle of contact", came)

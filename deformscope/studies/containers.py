@@ -44,22 +44,31 @@ class SqueezeJob:
         return f"{self.session}-{self.container}-{self.seed:05d}"
 
 
-def squeeze_jobs(folder: Path, trials: int, cylinders: int, whole: int, seed: int) -> list[SqueezeJob]:
-    """All trials in the thesis's proportions, contents, boxes and sessions mixed. cylinders: as many of plastic"""
+NEW = 100
+"""Containers, sessions and seeds (a thousand times as many) of new trials begin there."""
+
+
+def squeeze_jobs(
+    folder: Path, trials: int, cylinders: int, whole: int, seed: int, *, new: bool = False
+) -> list[SqueezeJob]:
+    """All trials in the thesis's proportions, contents, boxes and sessions mixed. cylinders: as many of plastic; new:
+    other containers, sessions and seeds than otherwise"""
+    first = NEW if new else 0
+    seed += 1000 * first
     contents = [content for content, count in THESIS_COUNTS.items() for _ in range(count)]
     order = np.random.default_rng([seed, 0xB0]).permutation(len(contents))
     mixed = [contents[at] for at in order]
     drawn = [mixed[round(at * len(mixed) / trials) % len(mixed)] for at in range(trials)]
     places = list(THESIS_COUNTS)
     jobs = [
-        SqueezeJob(content, f"box-{at % BOXES + 1:02d}", f"lab-{at * SESSIONS // trials + 1}", seed + at, folder)
+        SqueezeJob(content, f"box-{first + at % BOXES + 1:02d}", f"lab-{first + at * SESSIONS // trials + 1}", seed + at, folder)
         for at, content in enumerate(drawn)
     ]
     jobs += [
         SqueezeJob(
             places[at % len(places)],
-            f"cylinder-{at // len(places) % BOXES + 1:02d}",
-            f"lab-{at * SESSIONS // max(cylinders, 1) + 1}",
+            f"cylinder-{first + at // len(places) % BOXES + 1:02d}",
+            f"lab-{first + at * SESSIONS // max(cylinders, 1) + 1}",
             seed + trials + at,
             folder,
         )

@@ -3,82 +3,59 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import gc
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import FloatArray
-from deformscope.experiments.squeeze_features import (
-    SqueezeGeometry,
-    TrialFeatures,
-    container_model,
-    frame_ns,
-    trial_features,
-)
-from deformscope.experiments.squeeze_frames import SqueezeFrames
-from deformscope.files.squeeze_dataset import TrialRow
+from deformscope.experiments.squeeze_features import SqueezeGeometry, TrialFeatures, container_model, trial_features
+from deformscope.experiments.squeeze_frames import SqueezeFrames, frame_ns
 from deformscope.experiments.squeeze_trial import row_of
+from deformscope.files.squeeze_dataset import TrialRow
 from deformscope.lab.container_setup import ContainerLab
 from deformscope.stages.see.cloud import Intrinsics
 from deformscope.stages.squeeze.container import ModelRenderer
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.patch import SIDE_PX
 from deformscope.stages.squeeze.track import PoseEstimate
-from deformscope.studies.containers import SqueezeJob, squeeze_trial
+from deformscope.studies.containers import SqueezedTrial, SqueezeJob, squeeze_trial
+
+T = TypeVar("T")
 
 LOST_SHARE = 0.1
 """Of the frames and readings of each device, at random, and besides one run of `LOST_RUN` of them."""
 LOST_RUN = 5
+PERIODS, SHIFT_M, TURN_DEG = 2.0, 0.002, 1.0
+"""An event, and a pose in the directions that are observed, may be off by so much."""
+LARGER = 1.15
+NEAR_MM = 500
+NAN = float("nan")
 
-
-@dataclass(frozen=True, slots=True)
-class EventError:
-    """How far an event was found from the truth. periods: after it, in sample periods of its device; held: whether its
-    interval held the truth"""
-
-    periods: float
-    held: bool
+Numbers = dict[str, float | str]
+"""What is known of one squeeze, by name."""
 
 
 @dataclass(frozen=True, slots=True)
 class PoseError:
-    """How far a tracked pose was from the truth in the directions that the tracker reports as observed.
-
-    shift_m, turn_deg: in these; observed: how many of the 6; good, reason: the tracker's own verdict
-    """
+    """How far a tracked pose is from the truth in the directions that the tracker reports as observed. good: its own
+    verdict"""
 
     shift_m: float
     turn_deg: float
-    observed: int
     good: bool
-    reason: str
 
-
-@dataclass(frozen=True, slots=True)
-class SqueezeErrors:
-    """One squeeze beside its truth. row: as a data set keeps it
-
-    first, steady: of the events with all frames; first_lost, steady_lost: with frames lost; None = not found
-    poses: of each tracked image
-    depth_rms_m, depth_mean_m: of the change of depth over the patch, measured less true; noise_m: deviation of one
-    pixel of the camera there; NaN where there was no visual feature
-    """
-
-    row: TrialRow
-    first: EventError | None
-    steady: EventError | None
-    first_lost: EventError | None
-    steady_lost: EventError | None
-    poses: tuple[PoseError, ...]
-    depth_rms_m: float
-    depth_mean_m: float
-    noise_m: float
+    @property
+    def off(self) -> bool:
+        """Farther than it may be."""
+        return self.shift_m > SHIFT_M or self.turn_deg > TURN_DEG
 
 
 @dataclass
-class _True:
+class SimulatedSqueeze:
     """What was simulated in each control period."""
 
     when_ns: list[int] = field(default_factory=list)
@@ -86,6 +63,7 @@ class _True:
     inward_m: list[FloatArray] = field(default_factory=list)
 
     def note(self, made: ContainerLab) -> None:
+        """Take what is simulated now."""
         now = made.lab.simulated.world
         self.when_ns.append(made.lab.clock())
         self.T_hand_container.append(now.T_hand_container)
@@ -96,60 +74,97 @@ class _True:
         return int(np.abs(np.array(self.when_ns) - when_ns).argmin())
 
 
-def squeeze_errors(job: SqueezeJob) -> SqueezeErrors:
-    """One squeeze of the laboratory, compared; in any process."""
-    true = _True()
-    trial = squeeze_trial(job, true.note)
-    row, found = row_of(trial.entry, trial.found.features), trial.found.features
-    nan = float("nan")
+def squeeze_errors(job: SqueezeJob) -> tuple[TrialRow, Numbers]:
+    """One squeeze of the laboratory as a data set keeps it, and its errors; in any process.
+
+    first, steady: events less truth in sample periods of their device; the same with frames lost; held: 1 where the
+    interval holds the truth. tracked, refused, used_off: images tracked, of these refused, and not refused but off
+    shift_mm, turn_deg: largest of those not refused. depth_rms_mm, depth_mean_mm: measured change of depth less the
+    true one over the patch; noise_mm: of one pixel of the camera. wrong_..., hidden_...: as tracked, refused, used_off,
+    where the model is 15 % larger than the container, and where something hides its lower half
+    """
+    simulated = SimulatedSqueeze()
+    trial = squeeze_trial(job, simulated.note)
+    row, numbers = row_of(trial.entry, trial.found.features), _numbers(trial, simulated, job.seed)
+    del trial, simulated
+    gc.collect()  # laboratory and images hold each other: some 20 MB a trial
+    return row, numbers
+
+
+def _numbers(trial: SqueezedTrial, simulated: SimulatedSqueeze, seed: int) -> Numbers:
+    entry, found = trial.entry, trial.found.features
+    told: Numbers = {"trial": entry.trial, "content": entry.content, "container": entry.container_type}
     if found is None:
-        return SqueezeErrors(row, None, None, None, None, (), nan, nan, nan)
+        return told | {"stopped": entry.discarded or "no features"}
     truth = trial.made.lab.truth()
-    first_ns, steady_ns = truth.contact_ns or 0, truth.steady_ns or 0
-    all_of = _event_errors(found.events, first_ns, steady_ns)
-    periods = found.events.tactile_period_s, found.events.hand_period_s
-    lost = _event_errors(with_losses(trial.frames, job.seed).events(), first_ns, steady_ns, periods)
-    T_camera_hand = np.linalg.inv(truth.T_hand_camera)
-    poses = tuple(
-        pose_error(pose, T_camera_hand @ true.T_hand_container[true.at(when_ns)])
-        for (when_ns, _), pose in zip(found.tracked, found.poses, strict=True)
-    )
-    return SqueezeErrors(row, *all_of, *lost, poses, *_depth_errors(trial.made, trial.geometry, trial.frames, found, true))
+    true_ns = truth.contact_ns or 0, truth.steady_ns or 0
+    periods_s = found.events.tactile_period_s, found.events.hand_period_s
+    told |= event_errors(found.events, true_ns, periods_s, "")
+    told |= event_errors(with_losses(trial.frames, seed).events(), true_ns, periods_s, "_lost")
+    poses = pose_errors(found, truth.T_hand_camera, simulated)
+    told |= _tracked("", poses)
+    good = [one for one in poses if one.good]
+    told |= {
+        "shift_mm": max((1e3 * one.shift_m for one in good), default=NAN),
+        "turn_deg": max((one.turn_deg for one in good), default=NAN),
+    }
+    told |= _depth_errors(trial, found, simulated)
+    for name, spoil in SPOILED.items():
+        spoiled = trial_features(*spoil(trial.frames, trial.geometry))
+        told |= _tracked(f"{name}_", pose_errors(spoiled, truth.T_hand_camera, simulated))
+    return told
+
+
+def _tracked(start: str, poses: Sequence[PoseError]) -> Numbers:
+    return {
+        f"{start}tracked": len(poses),
+        f"{start}refused": sum(not one.good for one in poses),
+        f"{start}used_off": sum(one.good and one.off for one in poses),
+    }
+
+
+# Events --------------------------------------------------------------------------------------------------------------
 
 
 def with_losses(frames: SqueezeFrames, seed: int) -> SqueezeFrames:
     """The same squeeze without `LOST_SHARE` of what each device gave, and without a run of `LOST_RUN`."""
     random = np.random.default_rng([seed, 0x105])
 
-    def thinned(given: Sequence[object]) -> list[object]:
+    def thinned(given: Sequence[T]) -> list[T]:
         lost = random.random(len(given)) < LOST_SHARE
         begin = int(random.integers(max(len(given) - LOST_RUN, 1)))
         lost[begin : begin + LOST_RUN] = True
         return [one for one, gone in zip(given, lost, strict=True) if not gone]
 
-    return dataclasses.replace(
-        frames,
-        tactile=thinned(frames.tactile),  # type: ignore[arg-type]
-        hands=thinned(frames.hands),  # type: ignore[arg-type]
-        depth=thinned(frames.depth),  # type: ignore[arg-type]
-    )
+    kept = thinned(frames.tactile), thinned(frames.hands), thinned(frames.depth)
+    return dataclasses.replace(frames, tactile=kept[0], hands=kept[1], depth=kept[2])
 
 
-def _event_errors(
-    found: SqueezeEvents, first_ns: int, steady_ns: int, periods_s: tuple[float, float] | None = None
-) -> tuple[EventError | None, EventError | None]:
-    """periods_s: of tactile frames and of the hand's readings, None = as found"""
-    tactile_s, hand_s = periods_s or (found.tactile_period_s, found.hand_period_s)
-    return (
-        _event_error(found.first_ns, found.first_interval_ns, first_ns, tactile_s),
-        _event_error(found.steady_ns, found.steady_interval_ns, steady_ns, hand_s),
-    )
+def event_errors(
+    found: SqueezeEvents, true_ns: tuple[int, int], periods_s: tuple[float, float], ending: str
+) -> Numbers:
+    """Of first contact and steady state, each with its true time and its device's period; NaN = not found."""
+    told: Numbers = {}
+    for name, when_ns, interval_ns, at_ns, period_s in (
+        ("first", found.first_ns, found.first_interval_ns, true_ns[0], periods_s[0]),
+        ("steady", found.steady_ns, found.steady_interval_ns, true_ns[1], periods_s[1]),
+    ):
+        known = bool(when_ns and at_ns)
+        told[f"{name}{ending}"] = (when_ns - at_ns) / 1e9 / period_s if known else NAN
+        told[f"{name}_held{ending}"] = float(known and interval_ns[0] <= at_ns <= interval_ns[1])
+    return told
 
 
-def _event_error(found_ns: int, interval_ns: tuple[int, int], true_ns: int, period_s: float) -> EventError | None:
-    if not found_ns or not true_ns:
-        return None
-    return EventError((found_ns - true_ns) / 1e9 / period_s, interval_ns[0] <= true_ns <= interval_ns[1])
+# Poses ---------------------------------------------------------------------------------------------------------------
+
+
+def pose_errors(found: TrialFeatures, T_hand_camera: FloatArray, simulated: SimulatedSqueeze) -> list[PoseError]:
+    """Of each tracked image."""
+    T_camera_hand = np.linalg.inv(T_hand_camera)
+    return [
+        pose_error(pose, T_camera_hand @ simulated.T_hand_container[simulated.at(when_ns)])
+        for (when_ns, _), pose in zip(found.tracked, found.poses, strict=True)
+    ]
 
 
 def pose_error(found: PoseEstimate, true: FloatArray) -> PoseError:
@@ -158,33 +173,53 @@ def pose_error(found: PoseEstimate, true: FloatArray) -> PoseError:
     turn = Rotation.from_matrix(off[:3, :3]).as_rotvec() * found.lever_m
     known = found.directions[found.observed]
     seen = known.T @ (known @ np.concatenate([off[:3, 3], turn]))
-    return PoseError(
-        float(np.linalg.norm(seen[:3])),
-        float(np.degrees(np.linalg.norm(seen[3:]) / found.lever_m)),
-        int(found.observed.sum()),
-        found.good,
-        found.reason,
-    )
+    turned = float(np.degrees(np.linalg.norm(seen[3:]) / found.lever_m))
+    return PoseError(float(np.linalg.norm(seen[:3])), turned, found.good)
 
 
-def _depth_errors(
-    made: ContainerLab, geometry: SqueezeGeometry, frames: SqueezeFrames, found: TrialFeatures, true: _True
-) -> tuple[float, float, float]:
-    """Root mean square and mean of the patch's change of depth, measured less true, and the camera's noise there."""
-    features, view = found.features, made.lab.view
+def wrong_model(frames: SqueezeFrames, geometry: SqueezeGeometry) -> tuple[SqueezeFrames, SqueezeGeometry]:
+    """The rig file names a container that is larger than the one that stands there."""
+    x, y, z = (LARGER * side for side in geometry.container.size_m)
+    return frames, dataclasses.replace(geometry, container=dataclasses.replace(geometry.container, size_m=(x, y, z)))
+
+
+def hidden(frames: SqueezeFrames, geometry: SqueezeGeometry) -> tuple[SqueezeFrames, SqueezeGeometry]:
+    """Something stands before the lower half of the container."""
+    depth = []
+    for one in frames.depth:
+        image = one.depth.copy()
+        image[image.shape[0] // 2 :] = NEAR_MM
+        depth.append(dataclasses.replace(one, depth=image))
+    return dataclasses.replace(frames, depth=depth), geometry
+
+
+Spoil = Callable[[SqueezeFrames, SqueezeGeometry], tuple[SqueezeFrames, SqueezeGeometry]]
+SPOILED: Mapping[str, Spoil] = {"wrong": wrong_model, "hidden": hidden}
+
+
+# Depth ---------------------------------------------------------------------------------------------------------------
+
+
+def _depth_errors(trial: SqueezedTrial, found: TrialFeatures, simulated: SimulatedSqueeze) -> Numbers:
+    features, view = found.features, trial.made.lab.view
     if features.vision is None or features.patch_px is None:
-        return (float("nan"),) * 3
-    at = true.at(next(frame_ns(one) for one in frames.during(frames.depth) if frame_ns(one) >= found.events.steady_ns))
-    pose = np.linalg.inv(view.T_world_camera) @ true.T_hand_container[at]
-    hand = min(frames.hands, key=lambda one: abs(frame_ns(one) - true.when_ns[at]))
-    exact = view.render(true.inward_m[at], true.T_hand_container[at], np.asarray(hand.position_deg, np.float64)).depth_m
+        return {"no_vision": features.reason}
+    images = trial.frames.during(trial.frames.depth)
+    at = simulated.at(next(frame_ns(one) for one in images if frame_ns(one) >= found.events.steady_ns))
+    now = simulated.T_hand_container[at]
+    hand = min(trial.frames.hands, key=lambda one: abs(frame_ns(one) - simulated.when_ns[at]))
+    exact = view.render(simulated.inward_m[at], now, np.asarray(hand.position_deg, np.float64)).depth_m
     seen = view.intrinsics
     camera = Intrinsics((seen.fx_px, seen.fy_px), (seen.cx_px, seen.cy_px))
     offset = np.arange(SIDE_PX) - SIDE_PX // 2
     column, row = np.meshgrid(offset + int(features.patch_px[0]), offset + int(features.patch_px[1]))
-    rigid = ModelRenderer(container_model(geometry.container), camera).render(pose, np.stack([column, row], axis=-1))
-    measured = np.isfinite(features.vision)
-    error = (features.vision - (exact[row, column] - rigid.depth_m))[measured]
-    error = error[np.isfinite(error)]
-    distance = float(np.nanmedian(exact[row, column][measured]))
-    return float(np.sqrt(np.mean(error**2))), float(error.mean()), view.config.noise_per_m * distance**2
+    model = ModelRenderer(container_model(trial.geometry.container), camera)
+    rigid = model.render(np.linalg.inv(view.T_world_camera) @ now, np.stack([column, row], axis=-1)).depth_m
+    error = features.vision - (exact[row, column] - rigid)
+    known = np.isfinite(error)
+    noise_m = view.config.noise_m + view.config.noise_per_m * float(np.median(exact[row, column][known])) ** 2
+    return {
+        "depth_rms_mm": 1e3 * float(np.sqrt(np.mean(error[known] ** 2))),
+        "depth_mean_mm": 1e3 * float(error[known].mean()),
+        "noise_mm": 1e3 * noise_m,
+    }

@@ -30,6 +30,7 @@ def test_a_given_distal_angle_is_kept() -> None:
 
     assert shape.contact_deg[2] == 20.0
     assert fingertips(shape.contact_deg)[0, 0] - PAD_M == pytest.approx(0.03, abs=1e-6)
+    assert fingertips(shape.open_deg)[0, 0] - PAD_M > 0.05  # as far from the container as with upright fingertips
 
 
 def test_what_the_fingers_cannot_close_on_is_refused() -> None:

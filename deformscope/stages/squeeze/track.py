@@ -59,7 +59,7 @@ class TrackOptions:
     reach_m: float = 0.02
     steps: int = 15
     least_pixels: int = 150
-    least_agreeing: float = 0.6
+    least_agreeing: float = 0.85
     farthest_m: float = 0.05
     farthest_deg: float = 20.0
 
