@@ -73,6 +73,9 @@ COMMANDS: dict[str, Command] = {
     "reproduce containers": _command(
         "contents of squeezed containers (Thesis chapter 2)", "ContainersConfig", "reproduce_containers"
     ),
+    "reproduce squeezes": _command(
+        "new squeezes beside what was simulated: events, poses, depth", "SqueezesConfig", "reproduce_squeezes"
+    ),
     "coverage": _command("how often the intervals hold the truth", "CoverageConfig", "coverage"),
     "explore": _command("map how soft a surface is, by touching it", "ExploreConfig", "explore"),
     "classify": _command(

@@ -28,6 +28,7 @@ from deformscope.config.reproduce import (
     CubesConfig,
     FoamsConfig,
     PokesConfig,
+    SqueezesConfig,
     Table41Config,
 )
 from deformscope.config.rigs import (

@@ -150,3 +150,20 @@ class ContainersConfig(RecordedOptions):
     workers: flags.SomeFlag = None
     """Processes at once; default: the cores of this machine."""
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+
+@dataclass(frozen=True, slots=True)
+class SqueezesConfig(RecordedOptions):
+    """Squeeze containers of the laboratory that `reproduce containers` does not have, and compare events, tracked poses
+    and changes of depth with what was simulated. Trials that the folder has already are taken from there."""
+
+    out: flags.Folder = Path("runs/squeezes")
+    """Folder of the data set (squeezes/), of each trial's errors (squeezes.jsonl) and of the figure; made where it is
+    not there."""
+    trials: Annotated[int, flags.least(1)] = 300
+    """Squeezes of cardboard boxes, in the thesis's proportions."""
+    cylinders: Annotated[int, flags.least(0)] = 0
+    """Squeezes of plastic cylinders besides."""
+    workers: flags.SomeFlag = None
+    """Processes at once; default: the cores of this machine."""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)

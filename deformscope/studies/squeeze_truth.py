@@ -223,3 +223,40 @@ def _depth_errors(trial: SqueezedTrial, found: TrialFeatures, simulated: Simulat
         "depth_mean_mm": 1e3 * float(error[known].mean()),
         "noise_mm": 1e3 * noise_m,
     }
+
+
+# All of them ---------------------------------------------------------------------------------------------------------
+
+
+def truth_rows(every: Sequence[Numbers]) -> list[tuple[str, str]]:
+    """What many squeezes come to."""
+    squeezed = [one for one in every if "stopped" not in one]
+    rows = [("squeezes", f"{len(every)}, {len(every) - len(squeezed)} of them stopped before their time")]
+    for ending, frames in (("", "all frames"), ("_lost", f"{LOST_SHARE:.0%} of the frames and a run of {LOST_RUN} lost")):
+        for name, event in (("first", "first contact"), ("steady", "steady state")):
+            off = numbers_of(squeezed, f"{name}{ending}")
+            held = numbers_of(squeezed, f"{name}_held{ending}")
+            words = f"{np.mean(np.abs(off) <= PERIODS):.1%} within {PERIODS:g} sample periods, "
+            words += f"mean {np.nanmean(off):+.2f}, largest {np.nanmax(np.abs(off)):.2f}; "
+            rows.append((f"{event}, {frames}", f"{words}interval holds the truth in {np.mean(held):.1%}"))
+    shift, turn = numbers_of(squeezed, "shift_mm"), numbers_of(squeezed, "turn_deg")
+    within = np.mean((shift <= 1e3 * SHIFT_M) & (turn <= TURN_DEG))
+    words = f"{within:.1%} within {1e3 * SHIFT_M:g} mm and {TURN_DEG:g} deg where observed, "
+    rows.append(("pose", f"{words}largest {np.nanmax(shift):.2f} mm and {np.nanmax(turn):.2f} deg"))
+    depth, noise = numbers_of(squeezed, "depth_rms_mm"), numbers_of(squeezed, "noise_mm")
+    mean = numbers_of(squeezed, "depth_mean_mm")
+    words = f"{np.mean(depth <= noise):.1%} within the noise of a pixel ({np.nanmean(noise):.2f} mm): root mean square "
+    words += f"{np.nanmean(depth):.2f} mm, largest {np.nanmax(depth):.2f}; mean {np.nanmean(mean):+.2f} mm"
+    rows.append(("change of depth", words))
+    names = {"": "tracks", "wrong_": "tracks, model 15 % too large", "hidden_": "tracks, lower half hidden"}
+    for start, name in names.items():
+        tracked, refused, used = (
+            int(numbers_of(squeezed, start + one).sum()) for one in ("tracked", "refused", "used_off")
+        )
+        rows.append((name, f"{tracked}, {refused} refused, {used} not refused and off by more"))
+    return rows
+
+
+def numbers_of(every: Sequence[Numbers], name: str) -> FloatArray:
+    """(n,) of each squeeze, NaN where there is none."""
+    return np.array([float(one.get(name, NAN)) for one in every])

@@ -1,0 +1,88 @@
+"""`deformscope reproduce squeezes`: squeezes of the laboratory beside what was simulated, as a new data set.
+
+deformscope reproduce squeezes --out runs/squeezes
+deformscope classify runs/squeezes/squeezes --model runs/containers/five/contents.npz
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from deformscope.cli.common import fit_progress, make_folder, recorder_of, say, show, write_file, write_json
+from deformscope.config import SqueezesConfig
+
+if TYPE_CHECKING:
+    from deformscope.files.squeeze_dataset import TrialRow
+    from deformscope.studies.squeeze_truth import Numbers
+
+KEPT_TOGETHER = 20
+"""Trials that are written together."""
+
+
+def run(config: SqueezesConfig) -> None:
+    """Squeeze what is not there yet, compare, draw."""
+    from deformscope.pictures.findings import Findings
+    from deformscope.pictures.report import Figure, Table
+    from deformscope.session import Step
+    from deformscope.studies.squeeze_truth import truth_rows
+    from deformscope.studies.squeeze_truth_figure import truth_png
+
+    make_folder(config.out)
+    with recorder_of(config) as recorder:
+        every = _squeezed(config)
+        png = truth_png(every)
+        caption = "Squeezes of the laboratory beside what was simulated"
+        found = Findings((Table(truth_rows(every), caption=caption),), (Figure(png, caption),))
+        recorder.write(Step((found,), frame=0))
+    show(found)
+    write_file(config.out / "squeezes.png", png)
+    say(f"figure and data set: {config.out}")
+    summary = dict(truth_rows(every))
+    write_json({"summary": summary, "squeezes": every}, config.output.json)
+
+
+def _squeezed(config: SqueezesConfig) -> list[Numbers]:
+    """Of all trials; those that the folder lacks are squeezed."""
+    from deformscope.experiments.squeeze_trial import feature_settings
+    from deformscope.files.squeeze_dataset import SqueezeDataset
+    from deformscope.lab.container_setup import container_lab
+    from deformscope.processes import in_processes
+    from deformscope.studies.containers import squeeze_jobs
+    from deformscope.studies.squeeze_truth import squeeze_errors
+
+    folder = config.out / "squeezes"
+    jobs = squeeze_jobs(folder, config.trials, config.cylinders, 0, config.output.seed, new=True)
+    dataset = SqueezeDataset(folder, feature_settings(container_lab().setup))
+    notes = config.out / "squeezes.jsonl"
+    known = _known(notes, {one.trial for one in dataset.entries()} if dataset.exists else set())
+    left = [job for job in jobs if job.trial not in known]
+    waiting: list[tuple[TrialRow, Numbers]] = []
+
+    def keep() -> None:
+        """Errors first: a trial of the data set has its errors."""
+        with notes.open("a", encoding="utf-8") as file:
+            file.writelines(json.dumps(numbers) + "\n" for _, numbers in waiting)
+        dataset.add([row for row, _ in waiting])
+        known.update({str(numbers["trial"]): numbers for _, numbers in waiting})
+        waiting.clear()
+
+    try:
+        with fit_progress() as note:
+            for count, (_, one) in enumerate(in_processes(squeeze_errors, left, config.workers), start=1):
+                waiting.append(one)
+                if len(waiting) >= KEPT_TOGETHER:
+                    keep()
+                note("squeezing", count, len(left))
+    finally:
+        if waiting:
+            keep()
+    return [known[job.trial] for job in jobs]
+
+
+def _known(notes: Path, kept: set[str]) -> dict[str, Numbers]:
+    """Errors by trial, of those that the data set has."""
+    lines = notes.read_text(encoding="utf-8").splitlines() if notes.is_file() else []
+    every = [json.loads(line) for line in lines]
+    return {one["trial"]: one for one in every if one["trial"] in kept}
