@@ -3,9 +3,14 @@
 deformscope classify squeezes.npz --json -
 deformscope classify squeezes.csv --modalities tactile,vision --report report --save contents.npz
 deformscope classify squeezes.npz --merge liquid=water,yogurt --merge granular=flour,rice --quick
+deformscope classify more.npz --model contents.npz
 """
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from deformscope.cli.common import (
     fit_progress,
@@ -19,6 +24,9 @@ from deformscope.cli.common import (
 )
 from deformscope.config import ClassifyConfig
 from deformscope.config.classify import parse_merges, parse_transfers
+
+if TYPE_CHECKING:
+    from deformscope.stages.squeeze.table import LabelledTable
 
 
 def run(config: ClassifyConfig) -> None:
@@ -35,6 +43,9 @@ def run(config: ClassifyConfig) -> None:
     )
     if config.report is not None and config.report.suffix != ".html":
         make_folder(config.report)
+    if config.model is not None:
+        _check(config, config.model, table)
+        return
     options = options_of(config, parse_transfers(config.transfer))
     with recorder_of(config) as recorder:
         with fit_progress() as progress:
@@ -53,9 +64,31 @@ def run(config: ClassifyConfig) -> None:
         from deformscope.api.classification_report import classification_page, classification_pictures
 
         drawn = classification_pictures(result)
-        if config.report is not None and config.report.suffix != ".html":
-            for name, png in drawn.items():
-                write_file(config.report / f"{name}.png", png)
-        write_file(config.page, classification_page(result, model, drawn, settings_of(config)).encode())
-        say(f"report: {config.page}")
+        _write_report(config, config.page, drawn, classification_page(result, model, drawn, settings_of(config)))
     write_json(result.entries(), config.output.json)
+
+
+def _check(config: ClassifyConfig, path: Path, table: LabelledTable) -> None:
+    """How a saved classifier does on trials that it has not seen."""
+    from deformscope.api.classification import load_classifier
+    from deformscope.api.classifier_check import ClassifierCheckResult, check_page
+    from deformscope.session import Step
+    from deformscope.stages.squeeze.model_check import check_model
+
+    model = load_classifier(path)
+    with recorder_of(config) as recorder:
+        found = check_model(model, table, level=config.level, seed=config.output.seed)
+        result = ClassifierCheckResult(found, len(table), f"{config.table} by {path}")
+        show(result)
+        recorder.write(Step((result.findings(),), frame=0))
+    if config.page is not None:
+        _write_report(config, config.page, result.pictures(), check_page(result, config.output.seed, settings_of(config)))
+    write_json(result.entries(), config.output.json)
+
+
+def _write_report(config: ClassifyConfig, page: Path, drawn: Mapping[str, bytes], text: str) -> None:
+    if config.report is not None and config.report.suffix != ".html":
+        for name, png in drawn.items():
+            write_file(config.report / f"{name}.png", png)
+    write_file(page, text.encode())
+    say(f"report: {page}")

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from deformscope.config import flags
-from deformscope.config.options import OutputOptions, RecordedOptions, Written
+from deformscope.config.options import OutputOptions, RecordedOptions, Written, either
 from deformscope.errors import InputError
 
 NamesFlag = Annotated[
@@ -55,6 +55,9 @@ class ClassifyConfig(RecordedOptions):
     """What happens to trials with the same features: they would be recognised across a split."""
     level: flags.LevelFlag = 0.9
     """Confidence level of the intervals."""
+    model: Annotated[Path | None, flags.one_word("MODEL.npz", Path), flags.unset, flags.Reads()] = None
+    """Train nothing: name these trials, which must be new, by a classifier that was saved, and find out whether it keeps
+    its promise."""
     save: flags.ModelFlag = None
     """Write the classifier, trained on all trials (.npz, no pickle): late fusion of the modalities."""
     report: Annotated[Path | None, flags.one_word("FOLDER|FILE.html", Path), flags.unset, PLACE] = None
@@ -65,6 +68,8 @@ class ClassifyConfig(RecordedOptions):
     def check(self) -> None:
         parse_merges(self.merge)
         parse_transfers(self.transfer)
+        either("--model", "--save", self.model, self.save)
+        either("--model", "--transfer", self.model, self.transfer)
 
     @property
     def page(self) -> Path | None:

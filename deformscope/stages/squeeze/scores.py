@@ -46,7 +46,7 @@ class ClassificationScore:
 
     modality: str
     method: Method
-    protocol: Protocol | Literal["transfer"]
+    protocol: Protocol | Literal["transfer", "new"]
     fusion: Literal["none", "early", "late"]
     accuracy: Estimated
     balanced: Estimated

@@ -1,0 +1,136 @@
+"""What comes of a saved classifier on new trials: `deformscope classify TABLE --model MODEL`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from deformscope.api.calibration_report import provenance_sections
+from deformscope.api.result import LibraryResult
+from deformscope.pictures import classification as pictures
+from deformscope.pictures.palette import GOOD, WARN, hexadecimal
+from deformscope.pictures.report import Figure, ReportVerdict, Section, Table, html_report
+from deformscope.stages.squeeze.model_check import ModelCheck
+from deformscope.stages.squeeze.scores import ClassificationScore
+
+
+@dataclass(frozen=True, slots=True)
+class ClassifierCheckResult(LibraryResult):
+    """How a trained classifier does on trials that it has not seen. trials: their number; name: of table and model"""
+
+    check: ModelCheck
+    trials: int
+    name: str = ""
+
+    def tables(self) -> tuple[Table, ...]:
+        check, score = self.check, self.check.score
+        rows = [
+            ("accuracy", f"{_words(score)}, chance {score.chance:.1%}, {score.trials.sum()} of {self.trials} trials"),
+            ("promised", promise_words(check)),
+            ("calibration", calibration_words(check)),
+            *((f"{name} alone", _words(one)) for name, one in check.alone.items()),
+        ]
+        return (
+            Table(rows, caption=self.name),
+            Table(
+                [
+                    (label, f"{score.shares[at, at]:.1%}", "{:.1%} to {:.1%}".format(*score.share_interval(at, at)))
+                    for at, label in enumerate(check.labels)
+                    if score.trials[at]
+                ],
+                ("content", "named rightly", "interval"),
+                "Content by content",
+            ),
+        )
+
+    def pictures(self) -> dict[str, bytes]:
+        """As PNG, by names that are good for files."""
+        scores = [self.check.score, *self.check.alone.values()]
+        return {
+            "reliability": pictures.reliability_png(scores),
+            "confusion": pictures.confusion_png(scores, self.check.labels),
+        }
+
+    def figures(self) -> tuple[Figure, ...]:
+        captions = {
+            "reliability": "How often answers of a probability are right; shaded, a perfectly calibrated classifier",
+            "confusion": "Confusion: rows are the true contents",
+        }
+        return tuple(Figure(png, captions[name]) for name, png in self.pictures().items())
+
+    def entries(self) -> list[dict[str, Any]]:
+        """As the entries of an evaluation: one for all modalities, one for each by itself."""
+        return [self._entry(one) for one in (self.check.score, *self.check.alone.values())]
+
+    def as_json(self) -> dict[str, Any]:
+        return {"classification": self.entries()}
+
+    def _entry(self, score: ClassificationScore) -> dict[str, Any]:
+        entry: dict[str, Any] = {
+            "modality": score.modality,
+            "method": score.method,
+            "accuracy": score.accuracy.value,
+            "interval": score.accuracy.interval,
+            "chance": score.chance,
+            "confusion": score.confusion,
+            "labels": self.check.labels,
+            "splits": 1,
+            "protocol": score.protocol,
+            "fusion": score.fusion,
+            "level": score.level,
+            "balanced_accuracy": score.balanced.value,
+            "balanced_interval": score.balanced.interval,
+            "calibration_error": score.calibration_error,
+            "overconfidence": score.overconfidence.value,
+            "overconfidence_interval": score.overconfidence.interval,
+            "log_loss": score.log_loss,
+            "reliability": score.reliability,
+            "recommended": score is self.check.score,
+        }
+        if score is not self.check.score:
+            return entry
+        promised = self.check.promised
+        return entry | {
+            "promised": None if promised is None else promised.value,
+            "promised_interval": None if promised is None else promised.interval,
+            "promise_kept": None if promised is None else self.check.kept,
+            "bins_inside": self.check.inside[0],
+            "bins": self.check.inside[1],
+            "calibrated_p": self.check.calibrated,
+        }
+
+
+def _words(score: ClassificationScore) -> str:
+    return "{:.1%} right ({:.0%} interval {:.1%} to {:.1%})".format(
+        score.accuracy.value, score.level, *score.accuracy.interval
+    )
+
+
+def promise_words(check: ModelCheck) -> str:
+    """Whether the accuracy is what the model's file promises."""
+    if check.promised is None:
+        return "nothing: the file holds no accuracy"
+    low, high = check.promised.interval
+    better = check.score.accuracy.value > high
+    verdict = "kept" if check.kept else "NOT kept, it does better" if better else "NOT kept"
+    return f"{verdict}: {check.promised.value:.1%} ({low:.1%} to {high:.1%})"
+
+
+def calibration_words(check: ModelCheck) -> str:
+    """Whether the posteriors mean what they say."""
+    verdict = "inside" if check.calibration_kept else "NOT inside"
+    return (
+        f"{verdict} the {check.score.level:.0%} band of a perfectly calibrated classifier: {check.calibrated:.0%} of such "
+        f"stray farther; {check.inside[0]} of {check.inside[1]} bins lie in theirs, error {check.score.calibration_error:.1%}"
+    )
+
+
+def check_page(result: ClassifierCheckResult, seed: int, settings: Mapping[str, object]) -> str:
+    """As one HTML page."""
+    check = result.check
+    well = check.calibration_kept and (check.promised is None or check.kept)
+    words = (f"Promised: {promise_words(check)}.", f"Calibration: {calibration_words(check)}.")
+    verdict = ReportVerdict(_words(check.score), words, hexadecimal(GOOD if well else WARN))
+    sections = [Section("", [verdict, *result.tables()]), Section("Answers", list(result.figures()))]
+    return html_report(f"A classifier on new trials: {result.name}", [*sections, *provenance_sections(seed=seed, settings=settings)])

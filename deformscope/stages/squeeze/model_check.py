@@ -1,0 +1,147 @@
+"""Whether a trained classifier keeps its promise on labelled trials that it has never seen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.stages.squeeze.intervals import Estimated, wilson
+from deformscope.stages.squeeze.model import ContentModel
+from deformscope.stages.squeeze.scores import ClassificationScore, independent, reliability_of
+from deformscope.stages.squeeze.table import LabelledTable
+from deformscope.stages.squeeze.trial_run import joined_name
+
+DRAWS = 4000
+"""Perfectly calibrated classifiers that are drawn: a share of 0.1 is then known within 0.01."""
+
+
+@dataclass(frozen=True, slots=True)
+class ModelCheck:
+    """labels: C contents that the model knows; score: of all its modalities; alone: of each by itself
+
+    promised: accuracy with its interval that the model carries, None = none
+    inside: of the bins of the reliability diagram that have answers, how many are inside the band, and of how many
+    calibrated: share of perfectly calibrated classifiers with the same posteriors that stray as far or farther
+    """
+
+    labels: tuple[str, ...]
+    score: ClassificationScore
+    alone: Mapping[str, ClassificationScore]
+    promised: Estimated | None
+    inside: tuple[int, int]
+    calibrated: float
+
+    @property
+    def kept(self) -> bool:
+        """Whether the accuracy lies within what was promised."""
+        if self.promised is None:
+            return False
+        low, high = self.promised.interval
+        return low <= self.score.accuracy.value <= high
+
+    @property
+    def calibration_kept(self) -> bool:
+        """Whether the reliability diagram, as a whole, lies where a perfectly calibrated classifier's would."""
+        return self.calibrated >= 1.0 - self.score.level
+
+
+def check_model(model: ContentModel, table: LabelledTable, *, level: float = 0.9, seed: int = 0) -> ModelCheck:
+    """How a model does on a table of new trials.
+
+    Raises InputError for labels and for columns that the model does not know, and where its modalities are missing.
+    """
+    if unknown := [one for one in table.classes if one not in model.labels]:
+        raise InputError(f"labels out of {', '.join(model.labels)}", ", ".join(map(repr, unknown)), "--merge, or relabel")
+    features = {name: table.modalities[name] for name in model.modalities if name in table.modalities}
+    if model.settings and table.settings and model.settings != table.settings:
+        raise InputError("features computed as those that the model was trained on", "others", "the same [hand] section")
+    rows = np.flatnonzero(~np.all([np.isnan(values).all(axis=1) for values in features.values()], axis=0))
+    if not features or not len(rows):
+        raise InputError(f"features of {' or '.join(model.modalities)}", "none")
+    posterior = model.predict_proba({name: values[rows] for name, values in features.items()})
+    score = _score(model, table, posterior, rows, tuple(features), level)
+    alone = {}
+    for name, values in features.items() if len(features) > 1 else ():
+        own = np.flatnonzero(~np.isnan(values).all(axis=1))
+        if len(own):
+            alone[name] = _score(model, table, model.predict_proba({name: values[own]}), own, (name,), level)
+    found = score.reliability
+    filled = found.count > 0
+    within = (found.right >= found.band[:, 0]) & (found.right <= found.band[:, 1])
+    bins = int((within & filled).sum()), int(filled.sum())
+    return ModelCheck(model.labels, score, alone, _promised(model), bins, _calibrated(posterior, score, seed))
+
+
+def _promised(model: ContentModel) -> Estimated | None:
+    told = model.promised
+    if "accuracy" not in told or "interval" not in told:
+        return None
+    low, high = told["interval"]  # type: ignore[misc]
+    return Estimated(float(told["accuracy"]), (float(low), float(high)))  # type: ignore[arg-type]
+
+
+def _score(
+    model: ContentModel,
+    table: LabelledTable,
+    posterior: FloatArray,
+    rows: IntArray,
+    names: tuple[str, ...],
+    level: float,
+) -> ClassificationScore:
+    """As that of an evaluation, for trials that each were answered once."""
+    target = np.array([model.labels.index(one) for one in table.label[rows]])
+    answer = posterior.argmax(axis=1)
+    right, sure = answer == target, posterior.max(axis=1)
+    classes = len(model.labels)
+    confusion = np.zeros((classes, classes), dtype=np.int64)
+    np.add.at(confusion, (target, answer), 1)
+    trials = confusion.sum(axis=1)
+    seen = trials > 0
+    recall = np.diagonal(confusion)[seen] / trials[seen]
+    units = independent(right.astype(np.float64), None if table.group is None else table.group[rows])
+    reliability = reliability_of(sure, right, 1.0, level)
+    filled = reliability.count > 0
+    error = np.abs(reliability.sure - reliability.right)[filled] @ reliability.count[filled] / len(rows)
+    over = float(sure.mean() - right.mean())
+    accuracy, balanced = float(right.mean()), float(recall.mean())
+    half = float(stats.norm.ppf(0.5 + level / 2) * (sure - right).std() / np.sqrt(len(rows)))
+    return ClassificationScore(
+        modality=joined_name(names),
+        method="late-fusion" if len(names) > 1 else "pooled",
+        protocol="new",
+        fusion="late" if len(names) > 1 else "none",
+        accuracy=Estimated(accuracy, wilson(accuracy, units, level)),
+        balanced=Estimated(balanced, wilson(balanced, units, level)),
+        chance=float(trials.max() / len(rows)),
+        confusion=confusion,
+        trials=trials,
+        calibration_error=float(error),
+        overconfidence=Estimated(over, (over - half, over + half)),
+        log_loss=float(-np.log(posterior[np.arange(len(rows)), target]).mean()),
+        reliability=reliability,
+        components=float("nan"),
+        level=level,
+        pair=None,
+        split_accuracy=np.array([accuracy]),
+    )
+
+
+def _calibrated(posterior: FloatArray, score: ClassificationScore, seed: int) -> float:
+    """Answers are drawn that are right as often as their posteriors say. The distance from the diagonal is the sum over
+    the bins of (right - expected)^2 over its variance."""
+    sure = posterior.max(axis=1)
+    bins = len(score.reliability.count)
+    place = np.minimum((sure * bins).astype(int), bins - 1)
+    variance = np.maximum(np.bincount(place, sure * (1.0 - sure), bins), 1e-12)
+    expected = np.bincount(place, sure, bins)
+    count = score.reliability.count
+    found = np.where(count > 0, np.nan_to_num(score.reliability.right) * count, 0.0)
+    random = np.random.default_rng([seed, 0xCA])
+    drawn = np.stack([np.bincount(place, random.random(len(sure)) < sure, bins) for _ in range(DRAWS)])
+    away = ((drawn - expected) ** 2 / variance).sum(axis=1)
+    return float((1 + (away >= ((found - expected) ** 2 / variance).sum() - 1e-9).sum()) / (1 + DRAWS))
