@@ -1,0 +1,89 @@
+"""Squeezes of the laboratory are found as they were simulated: events, poses, changes of depth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deformscope.processes import in_processes
+from deformscope.stages.squeeze.events import SqueezeEvents
+from deformscope.stages.squeeze.track import PoseEstimate
+from deformscope.studies.containers import SqueezeJob, squeeze_jobs
+from deformscope.studies.squeeze_truth import Numbers, event_errors, numbers_of, pose_error, squeeze_errors, truth_rows
+from deformscope.studies.squeeze_truth_figure import truth_png
+
+MS = 1_000_000
+
+
+def estimate(observed: list[bool]) -> PoseEstimate:
+    """At the origin; directions along the axes, rotation with a lever of 0.1 m."""
+    deviation = np.where(observed, 1e-4, 1.0)
+    known = np.array(observed)
+    return PoseEstimate(np.eye(4), np.eye(6), deviation, known, 0.1, 1000, 0.99, 1e-3, 50, True, "")
+
+
+def test_a_pose_is_wrong_by_what_it_is_off_in_the_directions_that_are_observed() -> None:
+    true = np.eye(4)
+    turn = np.radians(0.5)
+    true[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+    true[:3, 3] = [0.003, 0.004, 0.0]
+
+    whole = pose_error(estimate([True] * 6), true)
+    assert (1e3 * whole.shift_m, whole.turn_deg) == pytest.approx((5.0, 0.5))
+    assert whole.off
+    part = pose_error(estimate([False, False, True, True, True, True]), true)
+    assert (1e3 * part.shift_m, part.turn_deg) == pytest.approx((0.0, 0.5))
+    assert not part.off
+
+
+def test_events_are_off_in_periods_of_their_device() -> None:
+    found = SqueezeEvents(1000 * MS, (930 * MS, 1070 * MS), 0, (0, 0), np.zeros(2, np.int64), 0.035, 0.02, 40.0)
+    told = event_errors(found, (930 * MS, 1500 * MS), (0.035, 0.02), "_lost")
+
+    assert told["first_lost"] == pytest.approx(2.0)
+    assert told["first_held_lost"] == 1.0
+    assert np.isnan(told["steady_lost"])
+    assert told["steady_held_lost"] == 0.0
+
+
+@pytest.fixture(scope="module")
+def rice(tmp_path_factory: pytest.TempPathFactory) -> Numbers:
+    return squeeze_errors(SqueezeJob("rice", "box-103", "lab-102", 4, tmp_path_factory.mktemp("d")))[1]
+
+
+def test_a_squeeze_is_found_as_it_was(rice: Numbers) -> None:
+    for name in ("first", "steady", "first_lost", "steady_lost"):
+        assert abs(float(rice[name])) <= 2.0, name
+    assert float(rice["shift_mm"]) < 1.0
+    assert float(rice["turn_deg"]) < 1.0
+    assert float(rice["depth_rms_mm"]) < float(rice["noise_mm"])
+    assert abs(float(rice["depth_mean_mm"])) < 0.4
+    assert (rice["refused"], rice["used_off"], rice["hidden_used_off"], rice["wrong_used_off"]) == (0, 0, 0, 0)
+    assert rice["wrong_refused"] == rice["wrong_tracked"]
+
+
+def test_many_are_summed_up_and_drawn(rice: Numbers) -> None:
+    late = {**rice, "first": 5.0, "shift_mm": 4.0}
+    rows = dict(truth_rows([rice, late, {"trial": "x", "content": "rice", "stopped": "saturated"}]))
+
+    assert rows["squeezes"] == "3, 1 of them stopped before their time"
+    assert rows["first contact, all frames"].startswith("50.0% within 2 sample periods")
+    assert rows["pose"].startswith("50.0% within 2 mm and 1 deg")
+    assert truth_png([rice, late]).startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+def test_of_a_hundred_squeezes_nearly_all_are_found_as_they_were() -> None:
+    jobs = squeeze_jobs(Path("nowhere"), 80, 20, 0, 0, new=True)
+    every = [numbers for _, (_, numbers) in in_processes(squeeze_errors, jobs)]
+
+    assert not any("stopped" in one for one in every)
+    for name in ("first", "steady", "first_lost", "steady_lost"):
+        assert np.mean(np.abs(numbers_of(every, name)) <= 2.0) >= 0.95, name
+    assert numbers_of(every, "shift_mm").max() <= 2.0
+    assert numbers_of(every, "turn_deg").max() <= 1.0
+    assert (numbers_of(every, "depth_rms_mm") <= numbers_of(every, "noise_mm")).all()
+    for start in ("", "wrong_", "hidden_"):
+        assert numbers_of(every, f"{start}used_off").sum() == 0
