@@ -121,8 +121,9 @@ def calibration_words(check: ModelCheck) -> str:
     """Whether the posteriors mean what they say."""
     verdict = "inside" if check.calibration_kept else "NOT inside"
     return (
-        f"{verdict} the {check.score.level:.0%} band of a perfectly calibrated classifier: {check.calibrated:.0%} of such "
-        f"stray farther; {check.inside[0]} of {check.inside[1]} bins lie in theirs, error {check.score.calibration_error:.1%}"
+        f"{verdict} the {check.score.level:.0%} band of a perfectly calibrated classifier: {check.calibrated:.0%} of "
+        f"such stray farther; {check.inside[0]} of {check.inside[1]} bins lie in theirs, "
+        f"error {check.score.calibration_error:.1%}"
     )
 
 
@@ -133,4 +134,6 @@ def check_page(result: ClassifierCheckResult, seed: int, settings: Mapping[str, 
     words = (f"Promised: {promise_words(check)}.", f"Calibration: {calibration_words(check)}.")
     verdict = ReportVerdict(_words(check.score), words, hexadecimal(GOOD if well else WARN))
     sections = [Section("", [verdict, *result.tables()]), Section("Answers", list(result.figures()))]
-    return html_report(f"A classifier on new trials: {result.name}", [*sections, *provenance_sections(seed=seed, settings=settings)])
+    return html_report(
+        f"A classifier on new trials: {result.name}", [*sections, *provenance_sections(seed=seed, settings=settings)]
+    )

@@ -82,7 +82,9 @@ def _check(config: ClassifyConfig, path: Path, table: LabelledTable) -> None:
         show(result)
         recorder.write(Step((result.findings(),), frame=0))
     if config.page is not None:
-        _write_report(config, config.page, result.pictures(), check_page(result, config.output.seed, settings_of(config)))
+        _write_report(
+            config, config.page, result.pictures(), check_page(result, config.output.seed, settings_of(config))
+        )
     write_json(result.entries(), config.output.json)
 
 

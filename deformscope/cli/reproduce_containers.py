@@ -33,9 +33,9 @@ KEPT_TOGETHER = 40
 THREE = {"liquid": ("water", "yogurt"), "granular": ("flour", "rice")}
 """The thesis's three classes, beside `empty`."""
 BESIDE_WORDS = (
-    "The thesis squeezed real cartons; these are simulated ones, whose constants come from handbooks and were fixed before "
-    "any classifier ran on them. Nearest neighbours on components as in the thesis, with 90 % intervals; unlike there, "
-    "whole containers are left out of the training."
+    "The thesis squeezed real cartons; these are simulated ones, whose constants come from handbooks and were fixed "
+    "before any classifier ran on them. Nearest neighbours on components as in the thesis, with 90 % intervals; unlike "
+    "there, whole containers are left out of the training."
 )
 
 
@@ -113,9 +113,7 @@ def _evaluated(table: LabelledTable, config: ContainersConfig, name: str) -> Cla
         return classify_table(boxes, f"lab:containers, {name} classes", options, bar, beyond=table)
 
 
-def _report(
-    result: ClassificationResult, config: ContainersConfig, name: str, beside: Sequence[FindingBeside]
-) -> None:
+def _report(result: ClassificationResult, config: ContainersConfig, name: str, beside: Sequence[FindingBeside]) -> None:
     """Figures, the page and the classifier of one set of classes."""
     from deformscope.api.classification_report import classification_page, classification_pictures
     from deformscope.files.classifier_file import save_classifier

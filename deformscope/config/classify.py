@@ -56,8 +56,8 @@ class ClassifyConfig(RecordedOptions):
     level: flags.LevelFlag = 0.9
     """Confidence level of the intervals."""
     model: Annotated[Path | None, flags.one_word("MODEL.npz", Path), flags.unset, flags.Reads()] = None
-    """Train nothing: name these trials, which must be new, by a classifier that was saved, and find out whether it keeps
-    its promise."""
+    """Train nothing: name these trials, which must be new, by a classifier that was saved, and find out whether it
+    keeps its promise."""
     save: flags.ModelFlag = None
     """Write the classifier, trained on all trials (.npz, no pickle): late fusion of the modalities."""
     report: Annotated[Path | None, flags.one_word("FOLDER|FILE.html", Path), flags.unset, PLACE] = None

@@ -18,8 +18,9 @@ KINDS = {"box": "cardboard box", "cylinder": "plastic cylinder"}
 """In words, by the form of a container."""
 CAMERA_HZ = 30.0
 OPEN_DEG, DISTAL_DEG = -24.0, 32.0
-"""Of the proximal axes, a centimetre or more from the containers of this laboratory, and of the distal axes: the fingertips lean in by some 15 deg when they touch, and press with their first six rows, which
-are the feature. Upright ones would press with the middle of their pads."""
+"""Of the proximal axes: the open fingertips are a centimetre or more from the containers of this laboratory. Of the
+distal ones: the fingertips lean in by some 15 deg when they touch, and press with their first six rows, which are the
+feature. Upright ones would press with the middle of their pads."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -25,7 +25,8 @@ CLOSING_AXES = (1, 5)
 PAD_ALONG_M = 0.6 * DISTAL_LINK_M
 """Where along the distal link the middle of its pad is. Assumed."""
 BESIDE_M = BASE_SIDE_M / 2 * math.tan(math.radians(30.0))
-"""Along the hand's y: fingers 0 and 2 stand so far beside its z axis, and so do their pads when they face each other."""
+"""Along the hand's y: fingers 0 and 2 stand so far beside its z axis, and so do their pads when they face each
+other."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,7 +39,9 @@ def findings_beside(five: Evaluation, three: Evaluation) -> list[FindingBeside]:
             _better(three, three.score(TOUCH, "knn"), three.score(VISION, "knn"), ("empty", "granular")),
         ),
         FindingBeside("Yogurt is felt as flour or as water.", _named(five, touch, "yogurt")),
-        FindingBeside("Rice and flour are seen as yogurt.", f"{_named(five, vision, 'rice')} {_named(five, vision, 'flour')}"),
+        FindingBeside(
+            "Rice and flour are seen as yogurt.", f"{_named(five, vision, 'rice')} {_named(five, vision, 'flour')}"
+        ),
         FindingBeside(
             f"Contents next to one another ({', '.join(HARDNESS)}) are confused with one another.",
             f"By touch {_neighbours(five, touch)}, by vision {_neighbours(five, vision)}; 40 % is chance.",
@@ -51,7 +53,10 @@ def findings_beside(five: Evaluation, three: Evaluation) -> list[FindingBeside]:
         FindingBeside(
             "Early fusion does not always help: it gains for water, and loses 4 points of touch for yogurt and empty.",
             f"{_versus(five, (BOTH, 'knn'), (TOUCH, 'knn'))}; of touch, "
-            + ", ".join(f"{one} {_recall(five, touch, one)} becomes {_recall(five, both, one)}" for one in ("water", "yogurt", "empty"))
+            + ", ".join(
+                f"{one} {_recall(five, touch, one)} becomes {_recall(five, both, one)}"
+                for one in ("water", "yogurt", "empty")
+            )
             + ".",
         ),
         FindingBeside(
@@ -73,8 +78,16 @@ def _better(found: Evaluation, touch: ClassificationScore, vision: Classificatio
     for label in labels:
         at = found.table.classes.index(label)
         felt, seen = touch.share_interval(at, at), vision.share_interval(at, at)
-        verdict = "touch is better" if felt[0] > seen[1] else "vision is better" if seen[0] > felt[1] else "no clear difference"
-        words.append(f"{label}: {verdict}, touch {_recall(found, touch, label)}, vision {_recall(found, vision, label)}.")
+        verdict = (
+            "touch is better"
+            if felt[0] > seen[1]
+            else "vision is better"
+            if seen[0] > felt[1]
+            else "no clear difference"
+        )
+        words.append(
+            f"{label}: {verdict}, touch {_recall(found, touch, label)}, vision {_recall(found, vision, label)}."
+        )
     seen_best = found.table.classes[int(np.nanargmax(np.diagonal(vision.shares)))]
     return " ".join(f"{one[0].upper()}{one[1:]}" for one in words) + f" Vision is best for {seen_best}."
 
@@ -84,7 +97,8 @@ def _named(found: Evaluation, score: ClassificationScore, label: str) -> str:
     at = found.table.classes.index(label)
     named = [(float(score.shares[at, one]), answer) for one, answer in enumerate(found.table.classes) if one != at]
     wrong = ", ".join(f"{answer} {share:.0%}" for share, answer in sorted(named, reverse=True) if share >= 0.005)
-    return f"{label[0].upper()}{label[1:]} is named rightly in {_recall(found, score, label)}, else as {wrong or 'nothing'}."
+    rightly = f"{label[0].upper()}{label[1:]} is named rightly in {_recall(found, score, label)}"
+    return f"{rightly}, else as {wrong or 'nothing'}."
 
 
 def _neighbours(found: Evaluation, score: ClassificationScore) -> str:
@@ -92,7 +106,11 @@ def _neighbours(found: Evaluation, score: ClassificationScore) -> str:
     place = [HARDNESS.index(label) for label in found.table.classes]
     apart = np.abs(np.subtract.outer(place, place))
     wrong = float(score.confusion[apart > 0].sum())
-    return f"{score.confusion[apart == 1].sum() / wrong:.0%} of the errors name a neighbour" if wrong else "nothing is confused"
+    return (
+        f"{score.confusion[apart == 1].sum() / wrong:.0%} of the errors name a neighbour"
+        if wrong
+        else "nothing is confused"
+    )
 
 
 def _versus(found: Evaluation, one: tuple[str, Method], other: tuple[str, Method]) -> str:
@@ -101,5 +119,7 @@ def _versus(found: Evaluation, one: tuple[str, Method], other: tuple[str, Method
     gain, _ = difference(first.split_accuracy, second.split_accuracy, TEST_OVER_TRAIN, first.level)
     low, high = gain.interval
     verdict = "gains" if low > 0.0 else "loses" if high < 0.0 else "no clear difference"
-    ends = f"{first.accuracy.value:.1%} against {second.accuracy.value:.1%}"
-    return f"{one[0]}, {one[1]} over {other[0]}, {other[1]}: {verdict}, {ends} ({100 * low:+.1f} to {100 * high:+.1f} points)"
+    ends = (
+        f"{first.accuracy.value:.1%} against {second.accuracy.value:.1%} ({100 * low:+.1f} to {100 * high:+.1f} points)"
+    )
+    return f"{one[0]}, {one[1]} over {other[0]}, {other[1]}: {verdict}, {ends}"

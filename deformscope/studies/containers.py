@@ -27,6 +27,8 @@ BOXES, SESSIONS = 10, 5
 """Identical boxes, each of which had every content in turn; days with their own temperature. Chosen."""
 FAST_CAMERA_HZ = 10.0
 """Images a second where features alone are kept: the container is tracked at the events and at 5 Hz between."""
+
+
 @dataclass(frozen=True, slots=True)
 class SqueezeJob:
     """One trial. folder: of the data set; whole: its recording is kept, at the camera's full rate"""
@@ -61,7 +63,13 @@ def squeeze_jobs(
     drawn = [mixed[round(at * len(mixed) / trials) % len(mixed)] for at in range(trials)]
     places = list(THESIS_COUNTS)
     jobs = [
-        SqueezeJob(content, f"box-{first + at % BOXES + 1:02d}", f"lab-{first + at * SESSIONS // trials + 1}", seed + at, folder)
+        SqueezeJob(
+            content,
+            f"box-{first + at % BOXES + 1:02d}",
+            f"lab-{first + at * SESSIONS // trials + 1}",
+            seed + at,
+            folder,
+        )
         for at, content in enumerate(drawn)
     ]
     jobs += [

@@ -232,7 +232,10 @@ def truth_rows(every: Sequence[Numbers]) -> list[tuple[str, str]]:
     """What many squeezes come to."""
     squeezed = [one for one in every if "stopped" not in one]
     rows = [("squeezes", f"{len(every)}, {len(every) - len(squeezed)} of them stopped before their time")]
-    for ending, frames in (("", "all frames"), ("_lost", f"{LOST_SHARE:.0%} of the frames and a run of {LOST_RUN} lost")):
+    for ending, frames in (
+        ("", "all frames"),
+        ("_lost", f"{LOST_SHARE:.0%} of the frames and a run of {LOST_RUN} lost"),
+    ):
         for name, event in (("first", "first contact"), ("steady", "steady state")):
             off = numbers_of(squeezed, f"{name}{ending}")
             held = numbers_of(squeezed, f"{name}_held{ending}")

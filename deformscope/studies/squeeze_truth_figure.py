@@ -27,7 +27,9 @@ def truth_png(every: Sequence[Numbers]) -> bytes:
     poses.scatter(numbers_of(squeezed, "shift_mm"), numbers_of(squeezed, "turn_deg"), s=14, color=COLOURS[0])
     poses.axvline(1e3 * SHIFT_M, color="tab:gray", linestyle=":")
     poses.axhline(TURN_DEG, color="tab:gray", linestyle=":")
-    poses.set(xlabel="shift where observed [mm]", ylabel="turn where observed [deg]", title="Worst pose of each squeeze")
+    poses.set(
+        xlabel="shift where observed [mm]", ylabel="turn where observed [deg]", title="Worst pose of each squeeze"
+    )
     poses.set(xlim=(0, None), ylim=(0, None))
     noise = numbers_of(squeezed, "noise_mm")
     for index, content in enumerate(sorted({str(one["content"]) for one in squeezed})):
@@ -36,7 +38,9 @@ def truth_png(every: Sequence[Numbers]) -> bytes:
         depth.scatter(mean, rms, s=14, color=COLOURS[index % len(COLOURS)], label=content)
     if np.isfinite(noise).any():
         depth.axhline(float(np.nanmean(noise)), color="tab:gray", linestyle=":", label="noise of a pixel")
-    depth.set(xlabel="mean [mm]", ylabel="root mean square [mm]", title="Change of depth, measured less true", ylim=(0, None))
+    depth.set(
+        xlabel="mean [mm]", ylabel="root mean square [mm]", title="Change of depth, measured less true", ylim=(0, None)
+    )
     depth.legend(fontsize=8)
     for axis in (events, lost, poses, depth):
         axis.grid(alpha=0.25)

@@ -388,7 +388,9 @@ def _time_steps(
         for (name, _), answers in outcomes.items():
             stopped = stops.setdefault(name, _Stops.of(splits))
             stopped.note(splits, answers)
-            points.setdefault(name, []).append(stopped.point(step * table.step_s, table, options.level, splits, answers))
+            points.setdefault(name, []).append(
+                stopped.point(step * table.step_s, table, options.level, splits, answers)
+            )
     return {name: tuple(found) for name, found in points.items()}
 
 

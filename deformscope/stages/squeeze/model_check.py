@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,10 +56,14 @@ def check_model(model: ContentModel, table: LabelledTable, *, level: float = 0.9
     Raises InputError for labels and for columns that the model does not know, and where its modalities are missing.
     """
     if unknown := [one for one in table.classes if one not in model.labels]:
-        raise InputError(f"labels out of {', '.join(model.labels)}", ", ".join(map(repr, unknown)), "--merge, or relabel")
+        raise InputError(
+            f"labels out of {', '.join(model.labels)}", ", ".join(map(repr, unknown)), "--merge, or relabel"
+        )
     features = {name: table.modalities[name] for name in model.modalities if name in table.modalities}
     if model.settings and table.settings and model.settings != table.settings:
-        raise InputError("features computed as those that the model was trained on", "others", "the same [hand] section")
+        raise InputError(
+            "features computed as those that the model was trained on", "others", "the same [hand] section"
+        )
     rows = np.flatnonzero(~np.all([np.isnan(values).all(axis=1) for values in features.values()], axis=0))
     if not features or not len(rows):
         raise InputError(f"features of {' or '.join(model.modalities)}", "none")
@@ -78,11 +82,11 @@ def check_model(model: ContentModel, table: LabelledTable, *, level: float = 0.9
 
 
 def _promised(model: ContentModel) -> Estimated | None:
-    told = model.promised
-    if "accuracy" not in told or "interval" not in told:
+    value, interval = model.promised.get("accuracy"), model.promised.get("interval")
+    if not isinstance(value, float | int) or not isinstance(interval, Sequence):
         return None
-    low, high = told["interval"]  # type: ignore[misc]
-    return Estimated(float(told["accuracy"]), (float(low), float(high)))  # type: ignore[arg-type]
+    low, high = map(float, interval)
+    return Estimated(float(value), (low, high))
 
 
 def _score(
