@@ -22,9 +22,12 @@ MOST = 4
 """Walls, the largest ones."""
 
 
-def bulge_shapes(view: ModelView) -> FloatArray:
-    """(H, W, k) how the k largest walls of a rendering (H, W) move along their normals when their middle moves by 1: 0
-    at the edges and on other walls. A wall of which not all is in the image is taken as rigid."""
+def bulge_shapes(view: ModelView, height_m: FloatArray) -> FloatArray:
+    """(H, W, 2 k) how the k largest walls of a rendering (H, W) move along their normals when their middle moves by 1,
+    and when they move more below than above, as under a liquid's pressure: 0 at the edges and on other walls.
+
+    height_m: (H, W) of what each pixel sees, container frame. A wall of which not all is in the image is taken as rigid
+    """
     seen = np.isfinite(view.depth_m)
     inner = seen & ~_creases(view.outward, seen)
     _, label, size, _ = cv2.connectedComponentsWithStats(inner.astype(np.uint8), connectivity=4)
@@ -32,10 +35,13 @@ def bulge_shapes(view: ModelView) -> FloatArray:
     large = np.flatnonzero(size[:, cv2.CC_STAT_AREA] >= LEAST_PIXELS)
     walls = sorted(set(large) - {0, *beyond}, key=lambda wall: -size[wall, cv2.CC_STAT_AREA])
     away = cv2.distanceTransform(inner.astype(np.uint8), cv2.DIST_L2, 3).astype(np.float64)
-    shapes = np.zeros((*seen.shape, min(len(walls), MOST)))
+    shapes = np.zeros((*seen.shape, 2 * min(len(walls), MOST)))
     for number, wall in enumerate(walls[:MOST]):
         share = np.where(label == wall, away, 0.0) / away[label == wall].max()
-        shapes[..., number] = share * (2.0 - share)
+        low, high = height_m[label == wall].min(), height_m[label == wall].max()
+        above = np.where(label == wall, 2.0 * height_m - low - high, 0.0) / max(high - low, 1e-6)
+        shapes[..., 2 * number] = share * (2.0 - share)
+        shapes[..., 2 * number + 1] = shapes[..., 2 * number] * above
     return shapes
 
 

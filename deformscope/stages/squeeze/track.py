@@ -184,7 +184,7 @@ def _equations(
         return []
     view = renderer.render(pose, pixels)
     thin = (slice(None, None, 2), slice(None, None, 2)) if fine else (slice(None), slice(None))
-    bulge = bulge_shapes(view)[thin] if fine else np.zeros((*pixels.shape[:2], 0))
+    bulge = _shapes(renderer, view, pixels, pose)[thin] if fine else np.zeros((*pixels.shape[:2], 0))
     rows = [
         _surface_rows(renderer, depth, usable, pose, pixels[thin], view.part(thin), bulge, reach_m, 2 if fine else 4)
     ]
@@ -193,6 +193,12 @@ def _equations(
     if table is not None:
         rows.append(_table_rows(renderer, pose, table))
     return rows
+
+
+def _shapes(renderer: ModelRenderer, view: ModelView, pixels: IntArray, pose: FloatArray) -> FloatArray:
+    """(H, W, k) of the walls' bulges."""
+    height_m = (renderer.rays(pixels) * view.depth_m[..., None] - pose[:3, 3]) @ pose[:3, 2]
+    return bulge_shapes(view, height_m)
 
 
 def _surface_rows(
@@ -342,10 +348,7 @@ def _normal_equations(
     weight = share * _tukey(residual)
     if bulge.shape[1]:
         # once more with weights of what is left: a wall that bulges is no outlier
-        every = np.hstack([jacobian, bulge])
-        prior = np.diag([1e-9] * 6 + [BULGE_M**-2] * bulge.shape[1])
-        first = np.linalg.solve(every.T @ (weight[:, None] * every) + prior, every.T @ (weight * residual))
-        weight = share * _tukey(residual - bulge @ first[6:])
+        weight = share * _tukey(residual - bulge @ _bulges(jacobian, residual, bulge, weight))
     square, along = jacobian.T @ (weight[:, None] * jacobian), jacobian.T @ (weight * residual)
     if bulge.shape[1]:
         mixed = jacobian.T @ (weight[:, None] * bulge)
@@ -353,6 +356,14 @@ def _normal_equations(
         square -= mixed @ np.linalg.solve(own, mixed.T)
         along -= mixed @ np.linalg.solve(own, bulge.T @ (weight * residual))
     return square, along
+
+
+def _bulges(jacobian: FloatArray, residual: FloatArray, bulge: FloatArray, weight: FloatArray) -> FloatArray:
+    """(k,) how far the walls bulge [m], whatever the motion is; all in deviations."""
+    every = np.hstack([jacobian, bulge])
+    prior = np.diag([1e-9] * 6 + [BULGE_M**-2] * bulge.shape[1])
+    found = np.linalg.solve(every.T @ (weight[:, None] * every) + prior, every.T @ (weight * residual))
+    return np.asarray(found[6:])
 
 
 def _tukey(residual: FloatArray, cut: float = 4.685) -> FloatArray:
@@ -390,7 +401,7 @@ def _judged(
 ) -> PoseEstimate:
     rows = _equations(renderer, depth, usable, pose, table, options.reach_m, fine=True)
     _, directions, deviation = _solve(rows, pose, rest, lever, table is not None)
-    shown = _compared(renderer, depth, usable, pose)
+    shown = _compared(renderer, depth, usable, pose, rows)
     agreeing = float(np.mean(np.abs(shown) < 4.0)) if len(shown) else 0.0
     rms = float(np.sqrt(np.mean(rows[0].residual ** 2))) if rows and len(rows[0].residual) else float("nan")
     away = _between(rest, pose)
@@ -419,15 +430,30 @@ def _judged(
     )
 
 
-def _compared(renderer: ModelRenderer, depth: FloatArray, usable: BoolArray, pose: FloatArray) -> FloatArray:
+def _compared(
+    renderer: ModelRenderer, depth: FloatArray, usable: BoolArray, pose: FloatArray, rows: list[_Rows]
+) -> FloatArray:
     """Differences of depth in deviations at the container's pixels, those of the background included: where the model
-    is and the container is not, the track is wrong. What stands before it, as a cable, is left out."""
-    left, top, right, bottom = renderer.window(pose, (depth.shape[0], depth.shape[1]))
-    column, row = np.meshgrid(np.arange(left, right, 2), np.arange(top, bottom, 2))
-    if not column.size:
+    is and the container is not, the track is wrong. What stands before it, as a cable, is left out, and how far walls
+    bulge is taken into account. rows: the equations there"""
+    left, top, right, bottom = renderer.window(pose, (depth.shape[0], depth.shape[1]), EDGE_REACH_PX)
+    column, row = np.meshgrid(np.arange(left, right), np.arange(top, bottom))
+    if not column.size or not rows:
         return np.zeros(0)
-    view = renderer.render(pose, np.stack([column, row], axis=-1))
-    here = np.isfinite(view.depth_m) & usable[row, column]
-    difference, z = depth[row, column][here] - view.depth_m[here], view.depth_m[here]
+    pixels = np.stack([column, row], axis=-1)
+    view, surface = renderer.render(pose, pixels), rows[0]
+    expected = view.depth_m
+    if len(surface.residual) and surface.bulge.shape[1]:
+        jacobian, residual, bulge = (
+            one / surface.deviation.reshape(-1, *[1] * (one.ndim - 1))
+            for one in (surface.jacobian, surface.residual, surface.bulge)
+        )
+        out_m = _shapes(renderer, view, pixels, pose) @ _bulges(jacobian, residual, bulge, _tukey(residual))
+        along = np.einsum("hwi,hwi->hw", view.outward @ pose[:3, :3].T, renderer.rays(pixels))
+        expected = expected + out_m / np.minimum(along, -FLATTEST)
+    thin = (slice(None, None, 2), slice(None, None, 2))
+    row, column, expected = row[thin], column[thin], expected[thin]
+    here = np.isfinite(expected) & usable[row, column]
+    difference, z = depth[row, column][here] - expected[here], expected[here]
     scaled = difference / np.maximum(axial_noise_m(z), 0.001)
     return np.asarray(scaled[difference > -JUMP_M])
