@@ -41,8 +41,8 @@ def run(config: ClassifyConfig) -> None:
             result = classify_table(table, str(config.table), options, progress)
         show(result)
         recorder.write(Step((result.findings(),), frame=0))
+    write_json(result.entries(), config.output.json)
     if config.save is None and config.page is None:
-        write_json(result.entries(), config.output.json)
         return
     with fit_progress() as progress:
         model = result.model(progress)
@@ -58,4 +58,3 @@ def run(config: ClassifyConfig) -> None:
                 write_file(config.report / f"{name}.png", png)
         write_file(config.page, classification_page(result, model, drawn, settings_of(config)).encode())
         say(f"report: {config.page}")
-    write_json(result.entries(), config.output.json)

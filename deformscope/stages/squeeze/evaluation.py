@@ -146,6 +146,8 @@ def evaluate(
     options = options or EvaluationOptions()
     progress = progress or (lambda what, done, total: None)
     refuse_duplicates(table)
+    if np.bincount(table.target).max() < 2:
+        raise InputError("two trials of a label at least", "one of each", "more trials")
     allowed, notes = allowed_protocols(table)
     protocols = options.protocols or allowed
     strictest = max(protocols, key=PROTOCOLS.index)
