@@ -58,10 +58,11 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "bench": ("arrays", "errors", "plain", *STAGES),
     "config": ("bench", "errors"),
     "file_io": ("errors",),
-    # What the commands compute; exploring and recording still go through the commands themselves.
+    "terminal": (),
+    # What the commands compute, with doubles from the laboratory where they are asked for.
     "api": (
-        *("arrays", "cli", "config", "errors", "experiments", "file_io", "files", "frames", "images", "log"),
-        *("pictures", "plain", "recording", "session", "studies", *STAGES),
+        *("arrays", "config", "errors", "experiments", "file_io", "files", "frames", "images", "lab", "log"),
+        *("pictures", "plain", "recording", "rig", "robot", "session", "studies", "terminal", *STAGES),
     ),
 }
 """What each folder may import of the others, also inside functions and for type checking. Nothing imports `cli`."""

@@ -15,18 +15,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from deformscope.api.moving import POLL_S, Watch, signal_word
 from deformscope.api.result import open_recorder
+from deformscope.api.rigs import until_interrupted
+from deformscope.api.setups import LAB, squeeze_setup_of
 from deformscope.cli.common import EXIT_LOSSES, say, show_table, status_line, write_json
-from deformscope.cli.exploring import POLL_S, Watch, signal_word
-from deformscope.cli.rigs import until_interrupted
-from deformscope.cli.setups import LAB, squeeze_setup_of
 from deformscope.config import SqueezeConfig
 from deformscope.errors import InputError
 
 if TYPE_CHECKING:
+    from deformscope.api.rigs import Interruption
+    from deformscope.api.setups import SqueezeOpening
     from deformscope.arrays import FloatArray
-    from deformscope.cli.rigs import Interruption
-    from deformscope.cli.setups import SqueezeOpening
     from deformscope.experiments.squeeze import Squeezed
     from deformscope.experiments.squeeze_frames import Predict
     from deformscope.files.squeeze_dataset import SqueezeDataset, TrialEntry

@@ -162,9 +162,9 @@ def test_failures_without_end_end_it_in_order(
 
 ROBOT = [f"tests.cli.fake_bench.FakeRobot.{name}" for name in ("look", "touch", "let_move", "carry_out", "reports")]
 RECORDER = [f"deformscope.recording.recorder.Recorder.{name}" for name in ("_take_results", "_take_items")]
-WATCH = ["deformscope.cli.exploring.Watch.__call__"]
+WATCH = ["deformscope.api.moving.Watch.__call__"]
 COMMAND = [
-    "deformscope.cli.explore._remarks",
+    "deformscope.api.exploration_run._remarks",
     "deformscope.experiments.explore.Exploration.add",
     f"{EXPLORER}.ExplorationStages.touch",
 ]

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from deformscope.api.setups import setup_of_rig
 from deformscope.cli import main
-from deformscope.cli.setups import setup_of_rig
 from deformscope.recording.items import read_items
 from deformscope.rig.rig_file import parse_rig
 from deformscope.robot.placement import reach

@@ -7,14 +7,14 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Protocol
 
-from deformscope.cli.common import say
 from deformscope.errors import InputError
+from deformscope.terminal import say
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from deformscope.api.rigs import Interruption
     from deformscope.arrays import FloatArray
-    from deformscope.cli.rigs import Interruption
     from deformscope.experiments.options import ExploreOptions
     from deformscope.experiments.touching_robot import TouchingRobot
     from deformscope.robot.setup import Setup
