@@ -6,14 +6,15 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from deformscope.api.result import LibraryResult, ViewerChoice, python_names
 from deformscope.config import OutputOptions, RecordConfig
 from deformscope.frames import ColorFrame, Item
 from deformscope.pictures.findings import cell_text
 from deformscope.pictures.report import Table
-from deformscope.recording.items import read_items, read_results
+from deformscope.plain import plain
+from deformscope.recording.items import read_estimates, read_items, read_results
 from deformscope.recording.reader import Replay
 
 
@@ -53,7 +54,7 @@ class OpenRecording(LibraryResult):
 
     def estimates(self) -> list[dict[str, Any]]:
         """The recorded estimates of a calibration, as the JSON of the command line has them."""
-        return self._replay.read_results()
+        return [cast("dict[str, Any]", plain(one.as_json())) for one in read_estimates(self._replay)]
 
     def results(self) -> Iterator[object]:
         """The recorded results of an exploration, in the order in which they came."""

@@ -15,7 +15,7 @@ from deformscope.errors import InputError
 if TYPE_CHECKING:
     from deformscope.recording.reader import Replay
 
-TRUTH = {"truth_labels", "truth_labels_shape", "iou", "boundary_m"}
+TRUTH = ("truth_labels", "iou", "boundary_m")
 """Not computed again: it is no input."""
 
 
@@ -23,7 +23,6 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
     """Compute and compare; raises Different. A stage that failed when it was recorded is reported, not computed again:
     whether it fails may hang on the machine."""
     import msgspec
-    import numpy as np
 
     from deformscope.experiments.explore import AtOnce, Exploration, RecordedRobot, explore, within_loop
     from deformscope.experiments.explorer import AsMeasured, ExplorationStages, Explorer, FromFrames
@@ -31,7 +30,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
     from deformscope.experiments.options import ExploreOptions
     from deformscope.pictures.words import failed_words
     from deformscope.recording.items import read_results
-    from deformscope.rows import to_components
+    from deformscope.rows import differing
     from deformscope.session import run
     from deformscope.stages.map.exploration import (
         MapEstimate,
@@ -67,12 +66,9 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
     for before, now in zip(recorded, again, strict=False):
         if type(before) is not type(now):
             raise Different(f"a {type(before).__name__}, as recorded", f"a {type(now).__name__}", where=path)
-        first, second = to_components(before), to_components(now)
-        for name in sorted((set(first) | set(second)) - TRUTH):
-            same = name in first and name in second
-            if not same or not np.array_equal(first[name], second[name], equal_nan=first[name].dtype.kind == "f"):
-                came = f"another {name} of {type(before).__name__}"
-                raise Different("the recorded numbers, to the last bit", came, where=path)
+        if (name := differing(before, now, TRUTH)) is not None:
+            came = f"another {name} of {type(before).__name__}"
+            raise Different("the recorded numbers, to the last bit", came, where=path)
     for one in failed:
         console().print(f"failed when it was recorded: {failed_words(one)}", markup=False)
     start = "measurements" if measured else "depth images, forces and states of the arm"

@@ -32,10 +32,9 @@ class SqueezeAgain:
 
 def replay_squeeze(recording: Replay, config: ReplayConfig) -> None:
     """Compute and compare; raises Different."""
-    import numpy as np
 
     from deformscope.recording.items import read_results
-    from deformscope.rows import to_components
+    from deformscope.rows import differing
     from deformscope.stages.squeeze.trial import SqueezeStop
 
     path = config.recording
@@ -50,12 +49,9 @@ def replay_squeeze(recording: Replay, config: ReplayConfig) -> None:
         if any(frame not in now for frame in before) or any(frame not in before for frame in now if frame <= last):
             raise Different(f"{len(before)} {kind.__name__} as recorded", str(len(now)), where=path)
         for frame, first in before.items():
-            ours, theirs = to_components(first), to_components(now[frame])
-            for name in sorted(set(ours) | set(theirs)):
-                same = name in ours and name in theirs
-                if not same or not np.array_equal(ours[name], theirs[name], equal_nan=ours[name].dtype.kind == "f"):
-                    came = f"another {name} of {kind.__name__}"
-                    raise Different("the recorded numbers, to the last bit", came, where=path)
+            if (name := differing(first, now[frame])) is not None:
+                came = f"another {name} of {kind.__name__}"
+                raise Different("the recorded numbers, to the last bit", came, where=path)
         compared += len(before)
     if again.failure and not stops:
         raise Different("the recorded features", again.failure, where=path)

@@ -16,7 +16,8 @@ from deformscope.errors import InputError
 from deformscope.frames import HealthReport, Item, StageResult, Stream
 from deformscope.images import decode_image
 from deformscope.recording.reader import Replay
-from deformscope.rows import ENTITIES, FRAMES, IMAGES, OF_DEVICES, from_components, from_json
+from deformscope.rows import ENTITIES, FORMAT, FRAMES, IMAGES, OF_DEVICES, from_components, from_json
+from deformscope.stages.fit.estimate import Estimate
 from deformscope.stages.fit.moment import MomentFit
 from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, TouchEstimate
 from deformscope.stages.see.arrows import FlowArrows
@@ -66,6 +67,27 @@ def read_results(path: Path, kinds: Sequence[type] = (), *, trust: bool = False)
     """The results of a recorded exploration, or those of some kinds, as they came: equal to the last bit."""
     every = [kind for kind, entity in ENTITIES.items() if entity.startswith("exploration/")]
     return read_rows(Replay(path, trust=trust), kinds or every)
+
+
+def read_estimates(replay: Replay) -> list[Estimate]:
+    """The estimates of a calibration in the order of their frames, equal to what was recorded.
+
+    Raises InputError where they were recorded in format 1.
+    """
+    found: list[tuple[int, Estimate]] = []
+    for chunk in replay.chunks("/calibration/estimate"):
+        batch = chunk.to_record_batch()
+        names = batch.schema.names
+        if "json" in names:
+            hint = "calibrate its images or pairs again, or use the version that made it"
+            raise InputError(f"estimates as format {FORMAT} has them", "those of format 1", hint, replay.path)
+        columns = {field: _cells(batch.column(name)) for name in names if (field := _field_of(name, Estimate))}
+        frames = batch.column("frame").to_pylist() if "frame" in names else [-1] * batch.num_rows
+        for row, frame in enumerate(frames):
+            cells = {field: column[row] for field, column in columns.items() if column[row] is not None}
+            if cells:
+                found.append((frame, from_components(Estimate, cells)))
+    return [one for _, one in sorted(found, key=lambda row: row[0])]
 
 
 def read_rows(
