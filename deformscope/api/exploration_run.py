@@ -88,7 +88,7 @@ class Explored:
 
 
 def explore_on(config: ExploreConfig, report: Callable[[Explored], None]) -> Explored | None:
-    """Explore a simulated scene, or with the devices of a rig file; None where nothing was begun.
+    """Explore a simulated scene, or with the devices of a rig file; None where it ended before the arm could move.
 
     Whatever ends it, the arm is halted, and what is known is reported before the recording is closed.
     """

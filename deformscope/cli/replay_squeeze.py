@@ -82,11 +82,11 @@ def squeeze_again(recording: Replay) -> SqueezeAgain:
     from deformscope.stages.squeeze.events import EventRule
     from deformscope.stages.squeeze.trial import SqueezePhase
 
-    told, path = recording.settings["squeezed"], recording.path
-    geometry = SqueezeGeometry.from_json(told["geometry"])
-    names = told["names"]
+    squeezed, path = recording.settings["squeezed"], recording.path
+    geometry = SqueezeGeometry.from_json(squeezed["geometry"])
+    names = squeezed["names"]
     source = TactileSource.of(read_streams(path, trust=True), names["tactile"], geometry.hand.fingers)
-    frames = SqueezeFrames(source, names["hand"], names["camera"], msgspec.convert(told["rule"], EventRule))
+    frames = SqueezeFrames(source, names["hand"], names["camera"], msgspec.convert(squeezed["rule"], EventRule))
     model = _recorded_model(recording)
     predict = None if model is None else tactile_posterior(model)
     observer = SqueezeObserver(frames, geometry.hand.tactile_end, predict)

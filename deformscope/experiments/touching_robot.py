@@ -148,7 +148,7 @@ class TouchingRobot:
             case CheckFirst():
                 return self.preflight(command.calibrated, command.places_m)
             case Wait():
-                self._robot.look_on(command.seconds)
+                self._robot.stand_by(command.seconds)
                 return None
         raise TypeError(f"no command of this robot: {command!r}")
 

@@ -144,8 +144,8 @@ class LiveLab:
         if entry.driver.name == "optoforce":
             sensitivity = (config.sensitivities or (OMD_20_SE_40N,))[0]
             pipe = stack.enter_context(beside("simulated table", _feel, self._table, self._shared, sensitivity))
-            told = dataclasses.replace(config, port=_first(pipe), bus="", serial="", sensitivity=sensitivity)
-            return entry.driver.make(told)  # type: ignore[no-any-return]
+            on_pipe = dataclasses.replace(config, port=_first(pipe), bus="", serial="", sensitivity=sensitivity)
+            return entry.driver.make(on_pipe)  # type: ignore[no-any-return]
         rate_hz = float(config.fps or PICTURES_HZ)
         pipe = stack.enter_context(beside("simulated table", _look, self._table, self._shared, rate_hz))
         synthetic = SyntheticDepthConfig(
@@ -157,7 +157,7 @@ class LiveLab:
         return camera
 
     def _move(self) -> None:
-        """The table is told where the arm is, and the arm what pushes it."""
+        """The table gets where the arm is, and the arm what pushes it."""
         shared = self._shared
         while not shared.over:
             joints_deg = self.arm.joints_deg

@@ -137,7 +137,7 @@ class SqueezeRobot:
             self.halt()
             raise SqueezeStopped(verdict)
 
-    def look_on(self, duration_s: float) -> None:
+    def stand_by(self, duration_s: float) -> None:
         """Let time pass, stopped or not: for a recording that shows what came after."""
         until_ns = self._clock() + round(duration_s * 1e9)
         while (now_ns := self._clock()) < until_ns:
