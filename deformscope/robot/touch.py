@@ -373,9 +373,9 @@ def run_touch(
     """Travel above the place, take the tare, touch, and come back above it.
 
     still_seen: whether what watches the dent (a camera) sees no change; asked while it dwells, when the camera must be
-    alive too. on_phase: called with each phase as it begins, and when [ns on the robot's clock]. Never raises for what happens
-    to the robot: `ending`, `fault` and `reason` say it, and the supervisor's verdict holds until somebody acknowledges
-    it. Raises RobotStopped where it holds already, and InputError where no preflight has passed.
+    alive too. on_phase: called with each phase as it begins, and when [ns on the robot's clock]. Never raises for what
+    happens to the robot: `ending`, `fault` and `reason` say it, and the supervisor's verdict holds until somebody
+    acknowledges it. Raises RobotStopped where it holds already, and InputError where no preflight has passed.
     """
     run = _Run(robot, plan, on_phase)
     try:
