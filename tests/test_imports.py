@@ -19,7 +19,7 @@ from tests.patience import PATIENCE_S
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {"deformscope": ROOT / "deformscope", "deformscope_drivers": ROOT / "drivers" / "deformscope_drivers"}
 
-STAGES = tuple(f"stages.{name}" for name in ("msm", "see", "fit", "poke", "materials", "map", "squeeze"))
+STAGES = tuple(f"stages.{name}" for name in ("msm", "see", "fit", "regions", "poke", "materials", "map", "squeeze"))
 LAYERS: dict[str, tuple[str, ...]] = {
     "arrays": (),
     "errors": (),
@@ -32,9 +32,10 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "stages.msm": ("arrays", "errors"),
     "stages.see": ("arrays", "capsule", "errors"),
     "stages.fit": ("arrays", "errors", "stages.msm"),
-    "stages.poke": ("arrays", "errors", "stages.msm", "stages.fit"),
+    "stages.regions": ("arrays", "errors"),
+    "stages.poke": ("arrays", "errors", "stages.msm", "stages.fit", "stages.regions"),
     "stages.materials": ("arrays", "errors", "stages.msm", "stages.fit"),
-    "stages.map": ("arrays", "errors", "stages.msm", "stages.see", "stages.fit", "stages.poke"),
+    "stages.map": ("arrays", "errors", "stages.msm", "stages.see", "stages.fit", "stages.regions", "stages.poke"),
     "stages.squeeze": ("arrays", "capsule", "errors", "stages.see"),
     "pictures": ("arrays", "errors", "images", "plain", *STAGES),
     "log": ("arrays", "frames", "images", "pictures", "plain", "rows", *STAGES),

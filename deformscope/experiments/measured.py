@@ -23,8 +23,8 @@ from deformscope.robot.setup import CameraView, Setup
 from deformscope.robot.shape import arm_shape
 from deformscope.robot.touch import TouchPlan, centers_of, forces_at
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
-from deformscope.stages.map.touches import MapGrid
 from deformscope.stages.poke.contact import ArmCompliance
+from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.cloud import Box, Intrinsics, Perceived, perceive
 from deformscope_drivers.jaco.kinematics import CHAINS, Chain
 

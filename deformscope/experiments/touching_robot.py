@@ -30,7 +30,7 @@ from deformscope.robot.touch import Phase, PhaseSpan, TouchEnding, TouchPlan, To
 from deformscope.session import Inline, Moment, Step
 from deformscope.stages.map.exploration import ExplorationStop, PhaseStart
 from deformscope.stages.map.measured import LookFrames, TouchFrames
-from deformscope.stages.map.touches import MapGrid
+from deformscope.stages.regions.touches import MapGrid
 from deformscope_drivers.depth_camera.image import DepthImage
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.subscription import Subscription

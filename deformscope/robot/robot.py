@@ -360,9 +360,9 @@ class Robot:
         return True
 
     def _look(self) -> RobotObservation:
-        forces: list[ForceMeasurement] = _taken(self._forces)
-        states: list[JacoState] = _taken(self._states)
-        pictures: list[DepthImage] = _taken(self._pictures) if self._pictures is not None else []
+        forces: list[ForceMeasurement] = taken(self._forces)
+        states: list[JacoState] = taken(self._states)
+        pictures: list[DepthImage] = taken(self._pictures) if self._pictures is not None else []
         arms = tuple(map(ArmSample.of, states))
         if arms:
             self._pose = arms[-1]
@@ -390,7 +390,7 @@ class Robot:
             self._pictures = self.camera.readings() if self.camera is not None else None
 
 
-def _taken(queue: Any) -> list[Any]:
+def taken(queue: Any) -> list[Any]:
     """What waits; nothing of a device that has failed, whose link says so."""
     try:
         return list(queue.take())

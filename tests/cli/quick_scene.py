@@ -18,7 +18,7 @@ from deformscope.images import encode_png
 from deformscope.lab.layer_world import LayerWorld
 from deformscope.lab.scenes import Scene
 from deformscope.lab.slab import RigidTip
-from deformscope.stages.map.regions import RegionPosterior
+from deformscope.stages.regions.posterior import RegionPosterior
 
 CELL_M = 0.02
 """Of the maps."""
