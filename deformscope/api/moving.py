@@ -29,7 +29,7 @@ POLL_S = 0.1
 
 
 class WatchedRobot(Protocol):
-    """What a watch needs of a robot. doing: what it does now, in words"""
+    """What a watch needs of a robot. doing: its present action, in words"""
 
     @property
     def doing(self) -> str: ...

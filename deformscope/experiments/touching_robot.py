@@ -315,7 +315,7 @@ class TouchingRobot:
 
     @property
     def doing(self) -> str:
-        """What it does now, in words; empty between touches."""
+        """The present action, in words; empty between touches."""
         if self._phase is None:
             return ""
         words = f"touch {self._touches + 1}: {self._phase}"

@@ -159,7 +159,7 @@ class SqueezeRobot:
         """Stop the hand; whether it confirmed that, or was never commanded."""
         return not self._commanded or self._insist(self.hand.stop)
 
-    # What it does ----------------------------------------------------------------------------------------------------
+    # Commands --------------------------------------------------------------------------------------------------------
 
     def preshape(self) -> None:
         """Open the fingers, turn them towards each other, park the thumb. Raises SqueezeStopped."""
