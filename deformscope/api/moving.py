@@ -111,7 +111,7 @@ def permitted(
         if not yes and not sys.stdin.isatty():
             raise InputError("somebody who says yes", "no terminal to ask at", "--yes")
         if not yes:
-            answered = yield from _answer(asked)
+            answered = yield from ask_line("Type yes to begin: ", asked)
             if asked.is_set():
                 robot.ask_to_stop(signal_word(asked.signal_number))
             elif answered != "yes":
@@ -122,13 +122,13 @@ def permitted(
     robot.let_move(preflight)
 
 
-def _answer(asked: Interruption) -> RigExperiment[str]:
+def ask_line(prompt: str, asked: Interruption) -> RigExperiment[str]:
     """What somebody at the terminal says; frames pass meanwhile. Empty once they end it by Ctrl-C, or hang up."""
     import select
 
     from deformscope.session import Step
 
-    print("Type yes to begin: ", end="", file=sys.stderr, flush=True)
+    print(prompt, end="", file=sys.stderr, flush=True)
     while not asked.is_set():
         if select.select([sys.stdin], [], [], POLL_S)[0]:
             return sys.stdin.readline().strip().lower()

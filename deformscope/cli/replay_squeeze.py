@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import Different, console, write_json
+from deformscope.cli.common import Different, check_same, console, write_json
 from deformscope.errors import InputError
 
 if TYPE_CHECKING:
@@ -34,7 +34,6 @@ def replay_squeeze(recording: Replay, config: ReplayConfig) -> None:
     """Compute and compare; raises Different."""
 
     from deformscope.recording.items import read_results
-    from deformscope.rows import differing
     from deformscope.stages.squeeze.trial import SqueezeStop
 
     path = config.recording
@@ -49,9 +48,7 @@ def replay_squeeze(recording: Replay, config: ReplayConfig) -> None:
         if any(frame not in now for frame in before) or any(frame not in before for frame in now if frame <= last):
             raise Different(f"{len(before)} {kind.__name__} as recorded", str(len(now)), where=path)
         for frame, first in before.items():
-            if (name := differing(first, now[frame])) is not None:
-                came = f"another {name} of {kind.__name__}"
-                raise Different("the recorded numbers, to the last bit", came, where=path)
+            check_same(first, now[frame], path)
         compared += len(before)
     if again.failure and not stops:
         raise Different("the recorded features", again.failure, where=path)

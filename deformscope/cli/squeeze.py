@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-import select
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.api.moving import POLL_S, Watch, signal_word
+from deformscope.api.moving import Watch, ask_line, signal_word
 from deformscope.api.result import open_recorder
 from deformscope.api.rigs import until_interrupted
 from deformscope.api.setups import LAB, squeeze_setup_of
@@ -158,7 +157,7 @@ def _permitted(setup: SqueezeSetup, asked: Interruption, *, yes: bool) -> RigExp
         return
     if not sys.stdin.isatty():
         raise InputError("somebody who says yes", "no terminal to ask at", "--yes")
-    answered = yield from _line("Type yes to begin: ", asked)
+    answered = yield from ask_line("Type yes to begin: ", asked)
     if answered != "yes":
         raise InputError("yes", "something else: nothing has moved")
 
@@ -179,19 +178,7 @@ def _placed(config: SqueezeConfig, setup: SqueezeSetup, asked: Interruption) -> 
         f"longest edge, tilted by {grasp.tilt_deg:.0f} deg; nothing may touch the fingertips."
     )
     if not config.yes or sys.stdin.isatty():
-        yield from _line("Press Enter when it stands still: ", asked)
-
-
-def _line(prompt: str, asked: Interruption) -> RigExperiment[str]:
-    """What somebody at the terminal says; frames pass meanwhile. Empty once they end it by Ctrl-C, or hang up."""
-    from deformscope.session import Step
-
-    print(prompt, end="", file=sys.stderr, flush=True)
-    while not asked.is_set():
-        if select.select([sys.stdin], [], [], POLL_S)[0]:
-            return sys.stdin.readline().strip().lower()
-        yield Step()
-    return ""
+        yield from ask_line("Press Enter when it stands still: ", asked)
 
 
 # A model -------------------------------------------------------------------------------------------------------------
