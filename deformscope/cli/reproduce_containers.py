@@ -59,9 +59,9 @@ def run(config: ContainersConfig) -> None:
     say("the thesis:")
     for statement in STATEMENTS:
         say(f"  {statement}")
-    told: dict[str, Any] = {name: result.entries() for name, result in found.items()}
-    told |= {"thesis": STATEMENTS, "discarded": len(left_out), "trials": len(table), "dataset": folder}
-    write_json(told, config.output.json)
+    report: dict[str, Any] = {name: result.entries() for name, result in found.items()}
+    report |= {"thesis": STATEMENTS, "discarded": len(left_out), "trials": len(table), "dataset": folder}
+    write_json(report, config.output.json)
 
 
 def _squeeze(dataset: SqueezeDataset, jobs: list[SqueezeJob], config: ContainersConfig) -> None:

@@ -9,24 +9,23 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-import select
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from deformscope.api.moving import Watch, ask_line, signal_word
 from deformscope.api.result import open_recorder
+from deformscope.api.rigs import until_interrupted
+from deformscope.api.setups import LAB, squeeze_setup_of
 from deformscope.cli.common import EXIT_LOSSES, say, show_table, status_line, write_json
-from deformscope.cli.exploring import POLL_S, Watch, signal_word
-from deformscope.cli.rigs import until_interrupted
-from deformscope.cli.setups import LAB, squeeze_setup_of
 from deformscope.config import SqueezeConfig
 from deformscope.errors import InputError
 
 if TYPE_CHECKING:
+    from deformscope.api.rigs import Interruption
+    from deformscope.api.setups import SqueezeOpening
     from deformscope.arrays import FloatArray
-    from deformscope.cli.rigs import Interruption
-    from deformscope.cli.setups import SqueezeOpening
     from deformscope.experiments.squeeze import Squeezed
     from deformscope.experiments.squeeze_frames import Predict
     from deformscope.files.squeeze_dataset import SqueezeDataset, TrialEntry
@@ -74,17 +73,17 @@ def run(config: SqueezeConfig) -> int:
             real_time=opening.setup.runs_itself,
         ) as recorder,
     ):
-        told = _run(config, opening, model, found, recorder, asked)
+        ended = _run(config, opening, model, found, recorder, asked)
         if found.stop is not None:
             recorder.stopped_because(f"{found.stop.kind}: {found.stop.reason}")
     path = recorder.summary().path
-    entry = _finished(entry, found, told, dataset, path)
+    entry = _finished(entry, found, ended, dataset, path)
     if dataset is not None:
         SqueezeDataset(dataset.folder, feature_settings(opening.setup)).add([row_of(entry, found.features)])
-    _report(config, opening, entry, found, told, path)
+    _report(config, opening, entry, found, ended, path)
     if found.stop is not None:
-        return _leave(found, asked, path, told)
-    return EXIT_LOSSES if told["losses"] and path is not None else 0
+        return _leave(found, asked, path, ended)
+    return EXIT_LOSSES if ended["losses"] and path is not None else 0
 
 
 def _run(
@@ -106,9 +105,9 @@ def _run(
     from deformscope.session import run as run_session
 
     setup = opening.setup
-    told: dict[str, Any] = {"losses": {}, "start_ns": 0}
+    ended: dict[str, Any] = {"losses": {}, "start_ns": 0}
     with setup.open_source() as source, status_line() as show:
-        told["start_ns"] = source.start_ns
+        ended["start_ns"] = source.start_ns
         names = setup.names
         tactile = TactileSource.of(source.streams, names.tactile, setup.hand.fingers)
         frames = SqueezeFrames(tactile, names.hand, names.camera, rule_of(setup))
@@ -132,14 +131,14 @@ def _run(
             with computing_beside(setup, hand) as beside, watch.halts(hand):
                 run_session(source, experiment, observed, hand, beside)
         finally:
-            told |= {"hand_stands": hand.stands, "limits_restored": hand.restored}
+            ended |= {"hand_stands": hand.stands, "limits_restored": hand.restored}
         if setup.truth is not None:
-            told["truth"] = dataclasses.asdict(setup.truth())
-        told["losses"] = losses_of(finish(source, observed))
+            ended["truth"] = dataclasses.asdict(setup.truth())
+        ended["losses"] = losses_of(finish(source, observed))
         observed.rest()
     for name, reason in source.failures.items():
         say(f"deformscope: device {name} failed: {reason}")
-    return told
+    return ended
 
 
 # Who decides --------------------------------------------------------------------------------------------------------
@@ -158,7 +157,7 @@ def _permitted(setup: SqueezeSetup, asked: Interruption, *, yes: bool) -> RigExp
         return
     if not sys.stdin.isatty():
         raise InputError("somebody who says yes", "no terminal to ask at", "--yes")
-    answered = yield from _line("Type yes to begin: ", asked)
+    answered = yield from ask_line("Type yes to begin: ", asked)
     if answered != "yes":
         raise InputError("yes", "something else: nothing has moved")
 
@@ -179,19 +178,7 @@ def _placed(config: SqueezeConfig, setup: SqueezeSetup, asked: Interruption) -> 
         f"longest edge, tilted by {grasp.tilt_deg:.0f} deg; nothing may touch the fingertips."
     )
     if not config.yes or sys.stdin.isatty():
-        yield from _line("Press Enter when it stands still: ", asked)
-
-
-def _line(prompt: str, asked: Interruption) -> RigExperiment[str]:
-    """What somebody at the terminal says; frames pass meanwhile. Empty once they end it by Ctrl-C, or hang up."""
-    from deformscope.session import Step
-
-    print(prompt, end="", file=sys.stderr, flush=True)
-    while not asked.is_set():
-        if select.select([sys.stdin], [], [], POLL_S)[0]:
-            return sys.stdin.readline().strip().lower()
-        yield Step()
-    return ""
+        yield from ask_line("Press Enter when it stands still: ", asked)
 
 
 # A model -------------------------------------------------------------------------------------------------------------
@@ -242,14 +229,14 @@ def _trials_before(dataset: SqueezeDataset | None, container: str, session: str)
 
 
 def _finished(
-    entry: TrialEntry, found: Squeezed, told: dict[str, Any], dataset: SqueezeDataset | None, path: Path | None
+    entry: TrialEntry, found: Squeezed, ended: dict[str, Any], dataset: SqueezeDataset | None, path: Path | None
 ) -> TrialEntry:
     """The entry with what came of the squeeze."""
     recording = ""
     if path is not None and dataset is not None:
         inside = path.is_relative_to(dataset.folder)
         recording = str(path.relative_to(dataset.folder) if inside else path.resolve())
-    start_ns = told["start_ns"]
+    start_ns = ended["start_ns"]
     events = found.features.events if found.features is not None else None
     return dataclasses.replace(
         entry,
@@ -272,7 +259,7 @@ def _report(
     opening: SqueezeOpening,
     entry: TrialEntry,
     found: Squeezed,
-    told: dict[str, Any],
+    ended: dict[str, Any],
     path: Path | None,
 ) -> None:
     from deformscope.stages.squeeze.physical import PHYSICAL
@@ -294,7 +281,7 @@ def _report(
         rows.append(("force of a finger", f"{physical['force_n']:.2f} N, {physical['stiffness_n_per_m']:.0f} N/m"))
         seen = f"{1e2 * features.patch_width_m:.1f} cm wide, {100 * features.missing:.0f} % missing"
         rows.append(("depth change", f"none: {features.reason}" if features.vision is None else seen))
-        start_ns = told["start_ns"]
+        start_ns = ended["start_ns"]
         result["events"] = {
             "first_s": entry.first_s,
             "first_interval_s": [(when - start_ns) / 1e9 for when in events.first_interval_ns],
@@ -317,28 +304,28 @@ def _report(
         rows.append(("truth", opening.content))
     if stop is not None:
         rows.append(("discarded", f"{stop.kind}: {stop.reason}"))
-    rows.append(("hand", hand_words(told)))
-    result |= {name: told[name] for name in ("hand_stands", "limits_restored", "losses")}
-    result |= {"truth": told.get("truth"), "dataset": config.dataset, "recording": path}
+    rows.append(("hand", hand_words(ended)))
+    result |= {name: ended[name] for name in ("hand_stands", "limits_restored", "losses")}
+    result |= {"truth": ended.get("truth"), "dataset": config.dataset, "recording": path}
     rows += [(name, str(where)) for name, where in (("data set", config.dataset), ("recording", path)) if where]
     write_json(result, config.output.json)
     show_table(f"{config.rig} (simulated)" if opening.setup.simulated else config.rig, rows)
 
 
-def hand_words(told: dict[str, Any]) -> str:
+def hand_words(ended: dict[str, Any]) -> str:
     """Whether the hand stands, and may be used again as it was."""
-    if not told["hand_stands"]:
+    if not ended["hand_stands"]:
         return "COULD NOT BE STOPPED: it may still press; switch it off"
-    return "stands" if told["limits_restored"] else "stands; ITS CURRENT LIMITS ARE NOT AS THEY WERE: switch it off"
+    return "stands" if ended["limits_restored"] else "stands; ITS CURRENT LIMITS ARE NOT AS THEY WERE: switch it off"
 
 
-def _leave(found: Squeezed, asked: Interruption, path: Path | None, told: dict[str, Any]) -> int:
+def _leave(found: Squeezed, asked: Interruption, path: Path | None, ended: dict[str, Any]) -> int:
     """End the command as the stop demands. Raises InputError with the reason and what to see to."""
     assert found.stop is not None
     if asked.is_set():
         kept = "" if path is None else f"; the recording is whole: {path}"
-        say(f"deformscope: ended by {signal_word(asked.signal_number)}; the hand {hand_words(told)}{kept}")
+        say(f"deformscope: ended by {signal_word(asked.signal_number)}; the hand {hand_words(ended)}{kept}")
         return 128 + asked.signal_number
-    came = f"{found.stop.kind} ({found.stop.reason.split(' | ')[0]}); the hand {hand_words(told)}"
+    came = f"{found.stop.kind} ({found.stop.reason.split(' | ')[0]}); the hand {hand_words(ended)}"
     hint = f"see to {found.stop.advice}, then squeeze again" if found.stop.advice else "squeeze again"
     raise InputError("a squeeze that comes to its steady state", came, hint, path or "")

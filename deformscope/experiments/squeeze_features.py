@@ -76,24 +76,24 @@ class SqueezeGeometry:
 
     def as_json(self) -> dict[str, Any]:
         """For a recording's settings."""
-        told = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return msgspec.json.decode(msgspec.json.encode(told, enc_hook=lambda array: array.tolist()))  # type: ignore[no-any-return]
+        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return msgspec.json.decode(msgspec.json.encode(values, enc_hook=lambda array: array.tolist()))  # type: ignore[no-any-return]
 
     @classmethod
-    def from_json(cls, told: Mapping[str, Any]) -> SqueezeGeometry:
+    def from_json(cls, given: Mapping[str, Any]) -> SqueezeGeometry:
         """The reverse of `as_json`. Raises InputError where something is missing."""
         try:
             poses: dict[str, Any] = {
                 name: None if value is None else np.array(value)
-                for name, value in told.items()
+                for name, value in given.items()
                 if name.startswith("T_")
             }
             camera: dict[str, Any] = {
-                name: tuple(value) if isinstance(value, list) else value for name, value in told["camera"].items()
+                name: tuple(value) if isinstance(value, list) else value for name, value in given["camera"].items()
             }
             return cls(
-                msgspec.convert(told["hand"], HandSection),
-                msgspec.convert(told["container"], ContainerSection),
+                msgspec.convert(given["hand"], HandSection),
+                msgspec.convert(given["container"], ContainerSection),
                 CameraView(**camera),
                 **poses,
             )
@@ -274,7 +274,7 @@ def _with_vision(
 
     def keep(image: DepthFrame, pose: PoseEstimate) -> None:
         edges = outline_px(renderer.model, seen.camera, pose.T_camera_container)
-        told = TrackedContainer(
+        found = TrackedContainer(
             image.index,
             pose.T_camera_container,
             pose.good,
@@ -283,7 +283,7 @@ def _with_vision(
             pose.agreeing,
             edges,
         )
-        tracked.append((frame_ns(image), told))
+        tracked.append((frame_ns(image), found))
 
     depth = seen.median_m(before)
     when_ns = frame_ns(before[-1])

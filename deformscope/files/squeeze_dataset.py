@@ -108,7 +108,7 @@ class SqueezeDataset:
 
     def settings(self) -> dict[str, Any]:
         """What the features were computed with."""
-        found: dict[str, Any] = self._told(self._read(INDEX))["settings"]
+        found: dict[str, Any] = self._metadata(self._read(INDEX))["settings"]
         return found
 
     def rows(self) -> list[TrialRow]:
@@ -265,9 +265,9 @@ class SqueezeDataset:
             raise InputError(f"a data set of squeezes, with its {name}", came, NEW, self.folder) from error
         except (OSError, pa.ArrowException) as error:
             raise InputError("a data set of squeezes", f"a damaged {name}", "a copy of it", path) from error
-        told = self._told(table)
-        if told.get("format") != DATASET_FORMAT:
-            came = f"format {told.get('format')}"
+        metadata = self._metadata(table)
+        if metadata.get("format") != DATASET_FORMAT:
+            came = f"format {metadata.get('format')}"
             raise InputError(f"a data set of format {DATASET_FORMAT}", came, "a newer deformscope", path)
         there = set(table.column_names)
         wanted = _index_schema().names if name == INDEX else _feature_columns(there)
@@ -275,7 +275,7 @@ class SqueezeDataset:
             raise InputError("a data set of squeezes", f"a {name} without {missing[0]}", "a copy of it", path)
         return table
 
-    def _told(self, table: pa.Table) -> dict[str, Any]:
+    def _metadata(self, table: pa.Table) -> dict[str, Any]:
         try:
             found = json.loads((table.schema.metadata or {})[META])
         except (KeyError, ValueError) as error:

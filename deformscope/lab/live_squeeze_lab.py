@@ -17,16 +17,16 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.lab.container_constants import PA_PER_COUNT
 from deformscope.lab.container_view import CAMERA
+from deformscope.lab.live_lab import pass_pictures
 from deformscope.lab.ray_camera import DepthViewConfig
 from deformscope.lab.squeeze_lab import ContainerTruth, SqueezedContainer, camera_config, members
 from deformscope.processes import SPAWN, follow_parent, starting
 from deformscope.rig.source import RigSource
 from deformscope.robot.robot import sleep_until
 from deformscope_drivers.clock import monotonic_ns
-from deformscope_drivers.depth_camera import SyntheticDepthCamera, View
+from deformscope_drivers.depth_camera import SyntheticDepthCamera
 from deformscope_drivers.depth_camera.image import Intrinsics
 from deformscope_drivers.dsa import Dsa, DsaConfig
-from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.sdh import Sdh, SdhConfig
 from deformscope_drivers.sdh.double import Port
 from deformscope_drivers.wires import PtyWire
@@ -88,7 +88,12 @@ class LiveSqueezeLab:
             self.pads = Dsa(DsaConfig(port=standing.pads, calibration=(PA_PER_COUNT,)))
             config = camera_config(standing.intrinsics, self._asked.camera_hz, self._asked.seed)
             self.camera = SyntheticDepthCamera(None, config)
-            passing = threading.Thread(target=self._pass_on, args=(pictures,), name="simulated pictures", daemon=True)
+            passing = threading.Thread(
+                target=pass_pictures,
+                args=(pictures, self.camera, self._over.is_set),
+                name="simulated pictures",
+                daemon=True,
+            )
             passing.start()
             stack.callback(passing.join)
             stack.callback(self._over.set)
@@ -130,18 +135,6 @@ class LiveSqueezeLab:
                 process.kill()
             pictures.close()
             questions.close()
-
-    def _pass_on(self, pictures: Connection) -> None:
-        """Pictures that the process has drawn, to the camera."""
-        while not self._over.is_set():
-            try:
-                if not pictures.poll(0.1):
-                    continue
-                view: View = pictures.recv()
-            except (EOFError, OSError):
-                return
-            with contextlib.suppress(DeviceError):  # not open yet, or not any more
-                self.camera.push(view)
 
 
 def _answer(questions: Connection) -> _Standing:

@@ -18,7 +18,7 @@ from deformscope.errors import InputError
 from deformscope.frames import ColorFrame, DepthFrame, InputFile
 from deformscope.images import decode_image
 from deformscope.recording.ledger import check_ledger
-from deformscope.rows import FORMAT
+from deformscope.rows import FORMAT, READABLE
 
 if TYPE_CHECKING:
     from rerun.chunk import Chunk, RrdReader
@@ -27,7 +27,6 @@ Pace = Literal["fast", "real", "step"]
 RRD_MAGIC = b"RRF"
 APPLICATION_PREFIX = "deformscope"
 """Every layout of ours has an application of its own (`deformscope.recording.recorder.APPLICATIONS`)."""
-ESTIMATE = "/calibration/estimate"
 BLOB = "EncodedImage:blob"
 IMAGE_FIELDS = {BLOB: "image", "EncodedDepthImage:blob": "depth", "DepthFrame:color": "color"}
 """What the images in each component are."""
@@ -125,17 +124,6 @@ class Replay:
         prefix = f"{folder}/" if folder else ""
         return {name.removeprefix(prefix): found[name] for name in sorted(found) if name.startswith(prefix)}
 
-    def read_results(self) -> list[dict[str, Any]]:
-        """The recorded estimates, as the JSON objects that they were recorded as, in the order of their frames."""
-        found: list[tuple[int, list[str]]] = []
-        for chunk in self.chunks(ESTIMATE):
-            batch = chunk.to_record_batch()
-            if "json" in batch.schema.names:
-                many = "frame" in batch.schema.names
-                frames = batch.column("frame").to_pylist() if many else [-1] * batch.num_rows
-                found += zip(frames, batch.column("json").to_pylist(), strict=True)
-        return [json.loads(cell[0]) for _, cell in sorted(found) if cell]
-
     def frames(
         self, pace: Pace = "fast", wait: Callable[[ColorFrame], None] | None = None, camera: str | None = None
     ) -> Iterator[ColorFrame]:
@@ -190,7 +178,7 @@ class Replay:
         """Refuse what this version would misread."""
         if "format" not in self.properties:
             came, hint = "one without, made by an earlier version", "record it again, or read it with that version"
-        elif (number := self.properties["format"]) != FORMAT:
+        elif (number := self.properties["format"]) not in READABLE:
             came, hint = f"one of format {number}", "the version of deformscope that made it, or a newer one"
         else:
             return

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from deformscope.api.setups import SqueezeOpening
 from deformscope.cli import main
-from deformscope.cli.setups import SqueezeOpening
 from deformscope.files.classifier_file import save_classifier
 from deformscope.files.squeeze_dataset import SqueezeDataset
 from deformscope.robot.squeeze_plan import draw_grasp

@@ -29,7 +29,7 @@ def squeeze_blueprint(streams: Sequence[Stream], tactile: str, camera: str) -> r
         pictures.append(rrb.Spatial2DView(contents=contents, name=f"{camera}: depth and tracked model{said}"))
         pictures.append(rrb.Spatial2DView(contents=[f"+ /{CHANGE}"], name="Depth change, data minus model"))
     hands = [path for stream in streams if stream.kind == "hand" for path, _ in plotted(stream)]
-    lanes = rrb.StateTimelineView(contents=[f"+ /{ENTITIES[SqueezePhase]}"], origin="squeeze", name="What it does")
+    lanes = rrb.StateTimelineView(contents=[f"+ /{ENTITIES[SqueezePhase]}"], origin="squeeze", name="Phases")
     summary = rrb.TextDocumentView(contents=[f"+ /{SQUEEZE_SUMMARY}"], origin=SQUEEZE_SUMMARY, name="What is in it")
     over_time = rrb.Vertical(
         rrb.Horizontal(

@@ -73,7 +73,7 @@ def setup_of(name: str, options: ExploreOptions, set_force_n: float | None, *, t
 
 def setup_of_rig(rig: Rig, seed: int = 0) -> Setup:
     """The setup of a rig file, closed. Raises InputError, which names what it lacks."""
-    from deformscope.cli.rigs import member_of
+    from deformscope.api.rigs import member_of
     from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
     from deformscope.lab.live_lab import LiveLab
     from deformscope.lab.scenes import built_in
@@ -116,7 +116,7 @@ def squeeze_setup_of(
         return SqueezeOpening(made.setup, {"lab": CONTAINERS}, made.content, made.container)
     if name.startswith(LAB):
         raise InputError(CONTAINERS + ", or a rig file", repr(name), CONTAINERS)
-    from deformscope.cli.rigs import member_of
+    from deformscope.api.rigs import member_of
     from deformscope.rig.rig_file import load_rig
     from deformscope.robot.squeeze_setup import squeeze_setup
 
