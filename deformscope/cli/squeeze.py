@@ -134,7 +134,11 @@ def _run(
         finally:
             told |= {"hand_stands": hand.stands, "limits_restored": hand.restored}
         if setup.truth is not None:
-            told["truth"] = dataclasses.asdict(setup.truth())
+            truth = setup.truth()
+            told["truth"] = {
+                name: (when_ns - source.start_ns) / 1e9 if when_ns else None
+                for name, when_ns in (("first_s", truth.first_ns), ("steady_s", truth.steady_ns))
+            }
         told["losses"] = losses_of(finish(source, observed))
         observed.rest()
     for name, reason in source.failures.items():

@@ -65,6 +65,6 @@ def pads_at_contact(container: ContainerSection, squeeze: SqueezeSection = SQUEE
     angles, found = GripShape.of(container, squeeze).contact_deg, []
     for finger, inwards in ((0, -1.0), (2, 1.0)):
         _, joint, tip = finger_points(angles, finger)
-        middle = joint + PAD_ALONG_M / DISTAL_LINK_M * (tip - joint)
-        found.append([*(middle + [inwards * PAD_M, 0.0, 0.0]), 1.0])
+        x, y, z = joint + PAD_ALONG_M / DISTAL_LINK_M * (tip - joint)
+        found.append([x + inwards * PAD_M, y, z, 1.0])
     return np.array(found)
