@@ -172,11 +172,9 @@ def _placed(config: SqueezeConfig, setup: SqueezeSetup, asked: Interruption) -> 
     from deformscope.session import Moment, Step
     from deformscope.stages.squeeze.trial import SqueezePhase
 
-    if config.place == "jaco" and not setup.names.arm:
-        raise InputError('[hand] T_arm_hand and a device with driver = "jaco", for --place jaco', "none")
     grasp = setup.grasp
     yield Step((SqueezePhase("place"),), moment=Moment(setup.clock()))
-    how = "move the arm by its joystick" if config.place == "jaco" else "place the hand"
+    how = "move the arm by its joystick" if setup.names.arm else "place the hand"
     side = "above" if grasp.along_m > 0 else "below"
     say(
         f"Now {how}, the container between the fingertips: {abs(1e3 * grasp.along_m):.0f} mm {side} the middle of its "
