@@ -97,7 +97,7 @@ def _run(
 ) -> dict[str, Any]:
     """Open the devices, squeeze, close them; what is known beside `found`."""
     from deformscope.experiments.squeeze import squeeze
-    from deformscope.experiments.squeeze_features import SqueezeGeometry
+    from deformscope.experiments.squeeze_features import SqueezeGeometry, around_px
     from deformscope.experiments.squeeze_frames import ObservedRecorder, SqueezeFrames, SqueezeObserver, TactileSource
     from deformscope.experiments.squeezing_hand import SqueezingHand, computing_beside, rule_of
     from deformscope.frames import InputFile
@@ -113,7 +113,16 @@ def _run(
         tactile = TactileSource.of(source.streams, names.tactile, setup.hand.fingers)
         frames = SqueezeFrames(tactile, names.hand, names.camera, rule_of(setup))
         observer = SqueezeObserver(frames, setup.hand.tactile_end, None if model is None else tactile_posterior(model))
-        recorder.start_squeeze(source.streams, source.start_ns, names.tactile, tactile.pads, names.camera)
+        geometry = SqueezeGeometry.of(setup)
+        recorder.start_squeeze(
+            source.streams,
+            source.start_ns,
+            names.tactile,
+            tactile.pads,
+            names.camera,
+            around_px=around_px(geometry),
+            named=model is not None,
+        )
         if config.model is not None:
             recorder.write(InputFile(MODEL_INPUT, config.model.read_bytes()))
         observed = ObservedRecorder(recorder, observer)
@@ -122,7 +131,7 @@ def _run(
         experiment = squeeze(
             setup.clock,
             observer,
-            SqueezeGeometry.of(setup),
+            geometry,
             found,
             None if model is None else final_posterior(model),
             _permitted(setup, asked, yes=config.yes),
