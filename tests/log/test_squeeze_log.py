@@ -99,7 +99,7 @@ def test_what_was_measured_stands_in_a_table() -> None:
     (chunk,) = [part for path, part in batch.parts if path == "display/squeeze/measured" and isinstance(part, Chunk)]
 
     ((text,),) = chunk.to_record_batch()["TextDocument:text"].to_pylist()
-    for words in ("known to", "force of a finger | 1 N", "contact area | not measured", "86 % of 11.0 cm seen"):
+    for words in ("within", "force of a finger | 1 N", "contact area | not measured", "86 % of 11.0 cm"):
         assert words in text
 
 
@@ -116,7 +116,7 @@ def test_a_plot_of_contents_is_there_where_a_model_names_them(named: bool) -> No
 
     look(views.root_container)
     assert ("probability of each content, by touch" in seen) == named
-    assert any("tracked model" in name for name in seen)
+    assert any("model before" in name for name in seen)
 
 
 def test_the_views_are_one_window_with_the_devices_behind() -> None:

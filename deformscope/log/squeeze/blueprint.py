@@ -49,9 +49,9 @@ def squeeze_blueprint(
         if around_px is not None:
             left, top, right, bottom = around_px
             bounds = rrb.VisualBounds2D(x_range=[left, right], y_range=[top, bottom])
-        name = f"{camera}: depth [m] where you point, tracked model before (green) and after (red){said}"
+        name = f"{camera}: depth [m], model before (green), after (red){said}"
         pictures.append(rrb.Spatial2DView(contents=contents, name=name, visual_bounds=bounds))
-        about = f"depth change at steady state, data minus model{said}"
+        about = f"depth change: data minus model{said}"
         pictures.append(rrb.Spatial2DView(contents=[f"+ /{CHANGE}"], name=about, background=list(BACKGROUND)))
         shares += [1.1, 0.9]
     hands = [
@@ -78,7 +78,7 @@ def squeeze_blueprint(
     numbers = rrb.Horizontal(
         rrb.Vertical(rrb.Horizontal(*plots), lanes, row_shares=[3.0, 1.0]),
         *below,
-        column_shares=[1.2 * len(plots), *[1.0] * len(below)],
+        column_shares=[1.1 * len(plots), *[1.1, 0.9][: len(below)]],
     )
     above = rrb.Horizontal(*pictures, column_shares=shares)
     shown = rrb.Vertical(above, numbers, row_shares=[3.0, 2.2], name="Squeeze")

@@ -28,14 +28,14 @@ def log_measured(now: ResultBatch, results: Sequence[object]) -> None:
             first_ms, steady_ms = (
                 0.5e-6 * (high - low) for low, high in (one.first_interval_ns, one.steady_interval_ns)
             )
-            rows.append(("first contact", f"known to \u00b1{first_ms:.0f} ms"))
+            rows.append(("first contact", f"within \u00b1{first_ms:.0f} ms"))
             took_s = (one.steady_ns - one.first_ns) / 1e9
-            rows.append(("steady state", f"{took_s:.2f} s later, known to \u00b1{steady_ms:.0f} ms"))
+            rows.append(("steady state", f"{took_s:.2f} s later, \u00b1{steady_ms:.0f} ms"))
         if isinstance(one, SqueezeFeatures):
             rows += _physical(dict(zip(PHYSICAL, one.physical.tolist(), strict=True)))
             change = f"none: {one.reason or 'no camera'}"
             if one.vision is not None:
-                change = f"{100 * (1.0 - one.missing):.0f} % of {100 * one.patch_width_m:.1f} cm seen"
+                change = f"{100 * (1.0 - one.missing):.0f} % of {100 * one.patch_width_m:.1f} cm"
             rows.append(("depth change", change))
     if rows:
         table = "\n".join(["| measured | |", "| --- | --- |", *(f"| {name} | {value} |" for name, value in rows)])
