@@ -16,24 +16,28 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deformscope.api.result import open_recorder
-from deformscope.cli.common import EXIT_LOSSES, say, show_table, status_line, write_json
+from deformscope.api.squeezing import hand_words, squeeze_table
+from deformscope.cli.common import EXIT_LOSSES, say, show, status_line, write_json
 from deformscope.cli.exploring import POLL_S, Watch, signal_word
 from deformscope.cli.rigs import until_interrupted
 from deformscope.cli.setups import LAB, squeeze_setup_of
 from deformscope.config import SqueezeConfig
 from deformscope.errors import InputError
+from deformscope.pictures.findings import table_text
 
 if TYPE_CHECKING:
     from deformscope.arrays import FloatArray
     from deformscope.cli.rigs import Interruption
     from deformscope.cli.setups import SqueezeOpening
     from deformscope.experiments.squeeze import Squeezed
+    from deformscope.experiments.squeeze_features import TrialFeatures
     from deformscope.experiments.squeeze_frames import Predict
     from deformscope.files.squeeze_dataset import SqueezeDataset, TrialEntry
     from deformscope.recording.recorder import Recorder
     from deformscope.robot.squeeze_setup import SqueezeSetup
     from deformscope.session import RigExperiment
     from deformscope.stages.squeeze.model import ContentModel
+    from deformscope.stages.squeeze.trial import SqueezeStop
 
 MODEL_INPUT = "model.npz"
 """The model, as an input in the recording."""
@@ -42,8 +46,33 @@ TACTILE_BYTES, DEPTH_SHARE, TRIAL_S = 4_000, 0.19, 4.6
 recordings of lab:containers."""
 
 
+@dataclasses.dataclass(frozen=True, slots=True)
+class SqueezeOutcome:
+    """What a squeeze left. found: as in the JSON; features: None where it was stopped; stop: why it was
+
+    signal_number: of who ended it, 0 = nobody
+    """
+
+    found: dict[str, Any]
+    features: TrialFeatures | None
+    stop: SqueezeStop | None
+    signal_number: int
+
+
 def run(config: SqueezeConfig) -> int:
     """Squeeze, keep, report. Returns the command's exit status."""
+    squeezed = squeeze_on(config)
+    if squeezed.signal_number and squeezed.stop is not None:
+        path = squeezed.found["recording"]
+        kept = "" if path is None else f"; the recording is whole: {path}"
+        say(f"deformscope: ended by {signal_word(squeezed.signal_number)}; the hand {hand_words(squeezed.found)}{kept}")
+        return 128 + squeezed.signal_number
+    leave(squeezed)
+    return EXIT_LOSSES if squeezed.found["losses"] and squeezed.found["recording"] is not None else 0
+
+
+def squeeze_on(config: SqueezeConfig) -> SqueezeOutcome:
+    """Squeeze, with the laboratory or the devices of a rig file; keep the trial; report it."""
     from deformscope.experiments.squeeze import Squeezed
     from deformscope.experiments.squeeze_trial import entry_of, feature_settings, recorded_settings, row_of
     from deformscope.files.squeeze_dataset import SqueezeDataset
@@ -81,10 +110,10 @@ def run(config: SqueezeConfig) -> int:
     entry = _finished(entry, found, told, dataset, path)
     if dataset is not None:
         SqueezeDataset(dataset.folder, feature_settings(opening.setup)).add([row_of(entry, found.features)])
-    _report(config, opening, entry, found, told, path)
-    if found.stop is not None:
-        return _leave(found, asked, path, told)
-    return EXIT_LOSSES if told["losses"] and path is not None else 0
+    result = _found(config, opening, entry, found, told) | {"dataset": config.dataset, "recording": path}
+    write_json(result, config.output.json)
+    show(table_text(squeeze_table(result)))
+    return SqueezeOutcome(result, found.features, found.stop, asked.signal_number)
 
 
 def _run(
@@ -278,34 +307,24 @@ def _size_words(setup: SqueezeSetup) -> str:
     return f"a recording of some {TRIAL_S:g} s will take about {bytes_s * TRIAL_S / 1e6:.0f} MB"
 
 
-def _report(
-    config: SqueezeConfig,
-    opening: SqueezeOpening,
-    entry: TrialEntry,
-    found: Squeezed,
-    told: dict[str, Any],
-    path: Path | None,
-) -> None:
+def _found(
+    config: SqueezeConfig, opening: SqueezeOpening, entry: TrialEntry, found: Squeezed, told: dict[str, Any]
+) -> dict[str, Any]:
+    """What the JSON says of a squeeze."""
     from deformscope.stages.squeeze.physical import PHYSICAL
 
     computed, posterior, stop = found.features, found.posterior, found.stop
-    rows = [
-        ("content", entry.content if config.content else "not given"),
-        ("container", entry.container or "not given"),
-    ]
-    result: dict[str, Any] = {"trial": entry.trial, "content": entry.content, "container": entry.container}
-    result["discarded"] = None if stop is None else dataclasses.asdict(stop)
+    result: dict[str, Any] = {
+        "rig": config.rig,
+        "simulated": opening.setup.simulated,
+        "trial": entry.trial,
+        "content": entry.content,
+        "content_given": bool(config.content),
+        "container": entry.container,
+        "discarded": None if stop is None else dataclasses.asdict(stop),
+    }
     if computed is not None:
-        events, features = computed.events, computed.features
-        took_s = (events.steady_ns - events.first_ns) / 1e9
-        wide_ms = [(high - low) / 1e6 for low, high in (events.first_interval_ns, events.steady_interval_ns)]
-        rows.append(("first contact", f"at {entry.first_s:.2f} s, known to {wide_ms[0]:.0f} ms"))
-        rows.append(("steady state", f"{took_s:.2f} s later, known to {wide_ms[1]:.0f} ms"))
-        physical = dict(zip(PHYSICAL, features.physical.tolist(), strict=True))
-        rows.append(("force of a finger", f"{physical['force_n']:.2f} N, {physical['stiffness_n_per_m']:.0f} N/m"))
-        seen = f"{1e2 * features.patch_width_m:.1f} cm wide, {100 * features.missing:.0f} % missing"
-        rows.append(("depth change", f"none: {features.reason}" if features.vision is None else seen))
-        start_ns = told["start_ns"]
+        events, features, start_ns = computed.events, computed.features, told["start_ns"]
         result["events"] = {
             "first_s": entry.first_s,
             "first_interval_s": [(when - start_ns) / 1e9 for when in events.first_interval_ns],
@@ -313,43 +332,21 @@ def _report(
             "steady_interval_s": [(when - start_ns) / 1e9 for when in events.steady_interval_ns],
         }
         result["features"] = {name: len(values) for name, values in computed.modalities.items()}
-        result |= {"physical": physical, "vision_missing": features.missing, "vision_reason": features.reason}
+        result["physical"] = dict(zip(PHYSICAL, features.physical.tolist(), strict=True))
+        result |= {"vision_missing": features.missing, "vision_reason": features.reason}
+        result["patch_width_m"] = features.patch_width_m
     if posterior is not None:
-        words = ", ".join(
-            f"{label} {100 * share:.0f} %"
-            for label, share in sorted(
-                zip(posterior.labels, posterior.probability, strict=True), key=lambda one: -one[1]
-            )
-        )
-        rows.append(("named", f"{posterior.content} by {posterior.modality} ({words})"))
-        result["named"] = posterior.content
+        result |= {"named": posterior.content, "named_by": posterior.modality}
         result["posterior"] = dict(zip(posterior.labels, posterior.probability.tolist(), strict=True))
-    if config.model is not None and opening.setup.simulated and not config.content:
-        rows.append(("truth", opening.content))
-    if stop is not None:
-        rows.append(("discarded", f"{stop.kind}: {stop.reason}"))
-    rows.append(("hand", hand_words(told)))
     result |= {name: told[name] for name in ("hand_stands", "limits_restored", "losses")}
-    result |= {"truth": told.get("truth"), "dataset": config.dataset, "recording": path}
-    rows += [(name, str(where)) for name, where in (("data set", config.dataset), ("recording", path)) if where]
-    write_json(result, config.output.json)
-    show_table(f"{config.rig} (simulated)" if opening.setup.simulated else config.rig, rows)
+    return result | {"truth": told.get("truth")}
 
 
-def hand_words(told: dict[str, Any]) -> str:
-    """Whether the hand stands, and may be used again as it was."""
-    if not told["hand_stands"]:
-        return "COULD NOT BE STOPPED: it may still press; switch it off"
-    return "stands" if told["limits_restored"] else "stands; ITS CURRENT LIMITS ARE NOT AS THEY WERE: switch it off"
-
-
-def _leave(found: Squeezed, asked: Interruption, path: Path | None, told: dict[str, Any]) -> int:
-    """End the command as the stop demands. Raises InputError with the reason and what to see to."""
-    assert found.stop is not None
-    if asked.is_set():
-        kept = "" if path is None else f"; the recording is whole: {path}"
-        say(f"deformscope: ended by {signal_word(asked.signal_number)}; the hand {hand_words(told)}{kept}")
-        return 128 + asked.signal_number
-    came = f"{found.stop.kind} ({found.stop.reason.split(' | ')[0]}); the hand {hand_words(told)}"
-    hint = f"see to {found.stop.advice}, then squeeze again" if found.stop.advice else "squeeze again"
-    raise InputError("a squeeze that comes to its steady state", came, hint, path or "")
+def leave(squeezed: SqueezeOutcome) -> None:
+    """Raises InputError with the reason and what to see to, where it was stopped."""
+    stop = squeezed.stop
+    if stop is None:
+        return
+    came = f"{stop.kind} ({stop.reason.split(' | ')[0]}); the hand {hand_words(squeezed.found)}"
+    hint = f"see to {stop.advice}, then squeeze again" if stop.advice else "squeeze again"
+    raise InputError("a squeeze that comes to its steady state", came, hint, squeezed.found["recording"] or "")
