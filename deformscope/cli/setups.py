@@ -129,8 +129,9 @@ def squeeze_setup_of(
     parts = SqueezeParts.of(rig, seed)
     if not parts.simulated:
         return SqueezeOpening(squeeze_setup(parts, member_of), settings, content, container)
-    made = rig_container(parts, content, container, session, seed)
-    return SqueezeOpening(squeeze_setup(parts, member_of, made.simulated), settings, made.content, made.container)
+    between = rig_container(parts, content, container, session, seed)
+    setup = squeeze_setup(parts, member_of, between.simulated)
+    return SqueezeOpening(setup, settings, between.content, between.container)
 
 
 def _is_scene(name: str) -> bool:

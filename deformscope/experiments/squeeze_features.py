@@ -187,8 +187,7 @@ def around_px(geometry: SqueezeGeometry) -> tuple[float, float, float, float] | 
     pixels = seen[:, :2] / seen[:, 2:3] * camera.focal_px + camera.center_px
     low, high = pixels.min(axis=0), pixels.max(axis=0)
     more = AROUND * float((high - low).max())
-    left, top, right, bottom = *(low - more), *(high + more)
-    return float(left), float(top), float(right), float(bottom)
+    return float(low[0] - more), float(low[1] - more), float(high[0] + more), float(high[1] + more)
 
 
 # Vision --------------------------------------------------------------------------------------------------------------
