@@ -58,6 +58,8 @@ def test_the_middle_grasp_has_the_pads_on_the_middle_of_both_walls(squeeze: Sque
     at = (np.linalg.inv(grasp_middle(container, squeeze)) @ pads_at_contact(container, squeeze).T).T
 
     np.testing.assert_allclose(at[:, 1:3], 0.0, atol=1e-9)
+    # both fingers stand there in another model of the hand: ipa320/schunk_modular_robotics, sdh.urdf.xacro
+    assert GripShape.of(container, squeeze).middle_m[:2] == pytest.approx((0.0, 0.01905), abs=1e-5)
 
 
 def pads_at_contact(container: ContainerSection, squeeze: SqueezeSection = SQUEEZE) -> FloatArray:
