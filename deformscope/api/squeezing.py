@@ -168,7 +168,7 @@ def _squeezed(config: SqueezeConfig, *, quiet: bool) -> SqueezeResult:
             silence.enter_context(contextlib.redirect_stdout(io.StringIO()))
             silence.enter_context(contextlib.redirect_stderr(io.StringIO()))
         squeezed = squeeze_on(config)
-        if squeezed.signal_number and squeezed.stop is not None:
+        if squeezed.interrupted:
             raise KeyboardInterrupt
         leave(squeezed)
     computed = squeezed.features

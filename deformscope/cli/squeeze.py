@@ -58,11 +58,18 @@ class SqueezeOutcome:
     stop: SqueezeStop | None
     signal_number: int
 
+    @property
+    def interrupted(self) -> bool:
+        """Whether that is why it ended."""
+        from deformscope.robot.squeeze_supervisor import SqueezeFault
+
+        return self.signal_number != 0 and self.stop is not None and self.stop.kind == SqueezeFault.ASKED
+
 
 def run(config: SqueezeConfig) -> int:
     """Squeeze, keep, report. Returns the command's exit status."""
     squeezed = squeeze_on(config)
-    if squeezed.signal_number and squeezed.stop is not None:
+    if squeezed.interrupted:
         path = squeezed.found["recording"]
         kept = "" if path is None else f"; the recording is whole: {path}"
         say(f"deformscope: ended by {signal_word(squeezed.signal_number)}; the hand {hand_words(squeezed.found)}{kept}")

@@ -36,6 +36,9 @@ fps = 5
 kind = "cardboard box"
 [squeeze]
 hold_s = 0.3
+# doubles share a busy machine with what reads them
+hand_silent_s = 0.8
+tactile_silent_s = 1.0
 """
 BEFORE_A = (1.0, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5)
 """Limits of the currents as the hand has them when it is switched on."""

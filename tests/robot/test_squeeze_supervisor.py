@@ -7,7 +7,6 @@ import pytest
 from deformscope.rig.squeeze_sections import ContainerSection, SqueezeSection
 from deformscope.robot.squeeze_plan import GripShape
 from deformscope.robot.squeeze_supervisor import (
-    HAND_SILENT_S,
     SqueezeFault,
     SqueezeObservation,
     SqueezeSupervisor,
@@ -66,7 +65,7 @@ def test_the_way_counts_from_the_first_contact_on(supervisor: SqueezeSupervisor)
 )
 def test_silence_stops_it_in_time_but_not_one_late_look(missing: dict[str, object], fault: SqueezeFault) -> None:
     late = SqueezeSupervisor(SqueezeSection(), (0, 2), 0)
-    assert late.judge(seen(10 * round(1e9 * HAND_SILENT_S), **missing)).fault is SqueezeFault.NONE
+    assert late.judge(seen(10 * round(1e9 * SqueezeSection().hand_silent_s), **missing)).fault is SqueezeFault.NONE
 
     supervisor = SqueezeSupervisor(SqueezeSection(), (0, 2), 0)
     for period in range(1, 50):
