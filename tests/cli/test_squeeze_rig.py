@@ -158,6 +158,24 @@ def test_a_saturated_texel_while_it_squeezes(
     kept_as_discarded(made[0], found, "tactile array saturated: a texel at ")
 
 
+def test_a_ctrl_c_that_comes_later_is_not_the_reason(
+    rig: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig.write_text(rig.read_text() + "saturation_counts = 60\n")
+
+    def soon(lab: SimulatedSqueezeRig) -> None:
+        lab.at_contact = lambda: lab.later.append((lab.clock() + 600 * MS, interrupt))
+
+    made = use_simulated_squeeze_rigs(monkeypatch, soon)
+    status, found = squeeze(rig, "--dataset", "d")
+
+    assert status == 2
+    said = capsys.readouterr().err
+    assert "ending; Ctrl-C again" in said
+    assert "tactile array saturated" in said
+    kept_as_discarded(made[0], found, "tactile array saturated: a texel at ")
+
+
 @pytest.mark.realtime
 def test_ctrl_c_on_the_hosts_clock(
     rig: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

@@ -76,6 +76,17 @@ def test_silence_stops_it_in_time_but_not_one_late_look(missing: dict[str, objec
     assert verdict.time_ns <= 0.4e9
 
 
+@pytest.mark.parametrize(("silent_s", "stopped_s"), [(0.2, 0.22), (0.8, 0.82)])
+def test_the_rig_file_says_how_long_the_hand_may_be_silent(silent_s: float, stopped_s: float) -> None:
+    supervisor = SqueezeSupervisor(SqueezeSection(hand_silent_s=silent_s), (0, 2), 0)
+    period = 0
+    while supervisor.verdict.fault is SqueezeFault.NONE:
+        period += 1
+        supervisor.judge(seen(period * PERIOD_NS, hand_ns=(), position_deg=()))
+
+    assert supervisor.verdict.time_ns == round(1e9 * stopped_s)
+
+
 def test_the_first_fault_stays(supervisor: SqueezeSupervisor) -> None:
     supervisor.stop(SqueezeFault.ASKED, "Ctrl-C", 5)
     verdict = supervisor.judge(seen(PERIOD_NS, peak=4095))
