@@ -70,7 +70,7 @@ def squeeze_again(recording: Replay) -> SqueezeAgain:
     or a phase is not there."""
     import msgspec
 
-    from deformscope.cli.squeeze import final_posterior, tactile_posterior
+    from deformscope.api.squeeze_run import final_posterior, tactile_posterior
     from deformscope.experiments.squeeze import posterior_of
     from deformscope.experiments.squeeze_features import SqueezeGeometry, trial_features
     from deformscope.experiments.squeeze_frames import SqueezeFrames, SqueezeObserver, TactileSource
@@ -110,7 +110,7 @@ def squeeze_again(recording: Replay) -> SqueezeAgain:
 
 
 def _recorded_model(recording: Replay) -> ContentModel | None:
-    from deformscope.cli.squeeze import MODEL_INPUT
+    from deformscope.api.squeeze_run import MODEL_INPUT
     from deformscope.files.classifier_file import load_classifier
 
     content: Any = recording.read_inputs().get(MODEL_INPUT)
