@@ -35,6 +35,14 @@ SESSION, OUTCOME = "/__properties/session", "/__properties/outcome"
 _logger = logging.getLogger(__name__)
 
 
+def check_magic(path: Path) -> None:
+    """Raises InputError for a file that does not begin as rerun's recordings do."""
+    with path.open("rb") as file:
+        magic = file.read(len(RRD_MAGIC))
+    if magic != RRD_MAGIC:
+        raise InputError("a recording (.rrd)", "a file that is none" if magic else "an empty file", where=path)
+
+
 class Replay:
     """What a recording holds, read when asked for.
 
@@ -158,11 +166,7 @@ class Replay:
         path = self.path
         if not path.is_file():
             raise InputError("a recording", "a folder" if path.is_dir() else "nothing there", where=path)
-        with path.open("rb") as file:
-            magic = file.read(len(RRD_MAGIC))
-        if magic != RRD_MAGIC:
-            came = "a file that is none" if magic else "an empty file"
-            raise InputError("a recording (.rrd)", came, where=path)
+        check_magic(path)
         if not trust:
             self._check_ledger()
         try:
