@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from deformscope.api.exploration import ExplorationResult, explore
     from deformscope.api.prediction import PredictionResult, predict
     from deformscope.api.recordings import OpenRecording, RecordResult, open_recording, record
+    from deformscope.api.squeezing import OpenDataset, SqueezeResult, open_dataset, squeeze
     from deformscope.errors import InputError
     from deformscope.stages.msm.solver import Msm
     from deformscope.stages.see.flow import dense_flow
@@ -33,6 +34,7 @@ _NAMES = {
     "api.exploration": ("ExplorationResult", "explore"),
     "api.prediction": ("PredictionResult", "predict"),
     "api.recordings": ("OpenRecording", "RecordResult", "open_recording", "record"),
+    "api.squeezing": ("OpenDataset", "SqueezeResult", "open_dataset", "squeeze"),
     "errors": ("InputError",),
     "stages.msm.solver": ("Msm",),
     "stages.see.flow": ("dense_flow",),
@@ -46,18 +48,22 @@ __all__ = [
     "ExplorationResult",
     "InputError",
     "Msm",
+    "OpenDataset",
     "OpenRecording",
     "PredictionResult",
     "RecordResult",
+    "SqueezeResult",
     "calibrate_beta",
     "calibrate_theta",
     "classify",
     "dense_flow",
     "explore",
     "load_classifier",
+    "open_dataset",
     "open_recording",
     "predict",
     "record",
+    "squeeze",
 ]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
 from typing import BinaryIO
 
@@ -36,3 +37,26 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
         draft.replace(path)
     finally:
         draft.unlink(missing_ok=True)
+
+
+def make_folder(path: Path) -> None:
+    """Make the folder after --out where it is not there, and find out before the work whether it can be written to."""
+    probe = path / f".{os.getpid()}.part"
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        probe.open("xb").close()
+        probe.unlink()
+    except OSError as error:
+        came = (error.strerror or str(error)).lower()
+        raise InputError("a folder that can be written to", came, where=path) from error
+
+
+def new_recording(folder: Path, name: str) -> Path:
+    """A path in the folder, made where it is not there, that no earlier run took: NAME-<stamp>.rrd."""
+    make_folder(folder)
+    first = folder / f"{name}-{datetime.now():%Y%m%d-%H%M%S}.rrd"
+    for number in range(1, 100):
+        path = first if number == 1 else first.with_stem(f"{first.stem}-{number}")
+        if not path.exists():
+            return path
+    raise InputError("fewer recordings in one second", "100", where=first)

@@ -27,14 +27,17 @@ BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 @contextlib.contextmanager
 def starting() -> Iterator[None]:
     """Processes that are made within have one thread of BLAS, and do not import the user's script: it would run again
-    in each, unless it guards itself by `if __name__ == "__main__"`."""
+    in each, unless it guards itself by `if __name__ == "__main__"`. A Ctrl-C does not end them while they begin, which
+    takes seconds; this process takes it when they are made."""
     kept = {name: os.environ.get(name) for name in BLAS_THREADS}
     main = sys.modules["__main__"]
     os.environ.update(dict.fromkeys(BLAS_THREADS, "1"))
     sys.modules["__main__"] = ModuleType("__main__")
+    passed_on = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, passed_on)
         sys.modules["__main__"] = main
         for name, value in kept.items():
             if value is None:

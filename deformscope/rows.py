@@ -2,8 +2,9 @@
 
 An object is one row of one entity; each field is a component `CLASS:FIELD`, a field of a dataclass inside it
 `CLASS:FIELD.INNER`. Numbers, words and tuples of them are lists of values, enums their names, bytes and arrays flat, an
-array's shape beside it as `FIELD_shape` where it is not (n,). What is None is left out. Anything else, as a mapping, is
-JSON. An image is encoded by its twin in `deformscope.log`; `IMAGES` says where it stands.
+array's shape beside it as `FIELD_shape` where it is not (n,). What is None is left out; a dataclass that may be None
+has at least one value. Anything else, as a mapping, is JSON. An image is encoded by its twin in `deformscope.log`;
+`IMAGES` says where it stands.
 """
 
 from __future__ import annotations
@@ -57,9 +58,11 @@ from deformscope.stages.squeeze.trial import (
     TrackedContainer,
 )
 
-FORMAT = 1
+FORMAT = 2
 """Of a recording, in its properties: which entities and components it has. Any change that a reader of the old format
 would misread makes the next number."""
+READABLE = (1, FORMAT)
+"""Formats that are read. Format 1 has estimates of calibrations as JSON text, which are refused; all else is alike."""
 
 Input = LookFrames | TouchFrames | SurfaceMeasurement | TouchMeasurement
 """What an exploration is computed from."""
@@ -180,18 +183,31 @@ def from_components(
     for field in _fields(cast("Any", kind)):
         if field.name in made:
             continue
-        if field.form == "nested":
+        if field.optional and not _is_there(field, components):
+            made[field.name] = None
+        elif field.form == "nested":
             prefix = field.name + "."
             inner = {name.removeprefix(prefix): v for name, v in components.items() if name.startswith(prefix)}
             made[field.name] = from_components(field.kind, inner)
-        elif field.optional and not _is_there(field, components):
-            made[field.name] = None
         elif field.form == "image":
             where = f"{field.name} {made.get('index', '')} of {made.get('device', kind.__name__)}"
             made[field.name] = read_image(np.asarray(components[field.name], np.uint8).tobytes(), where)
         else:
             made[field.name] = _DECODERS[field.form](field, components)
     return kind(**made)
+
+
+def differing(before: object, now: object, leave_out: Collection[str] = ()) -> str | None:
+    """The first component in which two objects of a class differ, to the last bit; None where there is none.
+
+    leave_out: fields, or components of them, that may differ
+    """
+    first, second = to_components(before, leave_out), to_components(now, leave_out)
+    for name in sorted((first.keys() | second.keys()) - set(leave_out)):
+        one, other = first.get(name), second.get(name)
+        if one is None or other is None or not np.array_equal(one, other, equal_nan=one.dtype.kind == "f"):
+            return name
+    return None
 
 
 def to_json(value: object) -> str:
@@ -201,7 +217,11 @@ def to_json(value: object) -> str:
 
 def from_json(kind: type[T], text: str) -> T:
     """What `to_json` made, of this kind."""
-    return msgspec.convert(json.loads(text), kind, dec_hook=lambda wanted, value: wanted(value))
+    return msgspec.convert(json.loads(text), kind, dec_hook=_as_given)
+
+
+def _as_given(wanted: type[Any], value: Any) -> Any:
+    return value if wanted is object else wanted(value)
 
 
 def _plain(value: Any) -> Any:
@@ -227,9 +247,11 @@ def _field(name: str, hint: Any) -> _Field:
         return _Field(name, "array", kind, optional)
     if kind is bytes and not optional:
         return _Field(name, "bytes", kind, optional)
+    if get_origin(kind) is Literal and set(map(type, inner)) == {str}:
+        return _Field(name, "value", str, optional)
     if kind in _ARROW or _is_enum(kind):
         return _Field(name, "value", kind, optional)
-    if dataclasses.is_dataclass(kind) and not optional:
+    if dataclasses.is_dataclass(kind):
         return _Field(name, "nested", kind, optional)
     if get_origin(kind) is tuple and not (optional and varied):  # None and () would be one
         if inner[0] in _ARROW and set(inner) <= {inner[0], Ellipsis}:
@@ -249,6 +271,8 @@ def _is_enum(kind: Any) -> bool:
 
 def _is_there(field: _Field, components: Mapping[str, Any]) -> bool:
     """Whether an optional field is not None: it has a value, or the shape of none."""
+    if field.form == "nested":
+        return any(len(value) > 0 for name, value in components.items() if name.startswith(field.name + "."))
     name = field.name + SHAPE if field.form == "array" else field.name
     return name in components and len(components[name]) > 0
 
@@ -294,7 +318,13 @@ def _tuples_of_arrays(field: _Field, values: Sequence[Sequence[Any]]) -> dict[st
 
 
 def _nested(field: _Field, values: Sequence[object]) -> dict[str, Column]:
-    return {f"{field.name}.{name}": column for name, column in to_columns(values).items()}
+    there = np.array([value is not None for value in values])
+    found = {}
+    for name, column in to_columns([value for value in values if value is not None]).items():
+        lengths = np.zeros(len(values), np.int64)
+        lengths[there] = column.lengths
+        found[f"{field.name}.{name}"] = Column(column.values, lengths)
+    return found
 
 
 def _as_json(field: _Field, values: Sequence[object]) -> dict[str, Column]:

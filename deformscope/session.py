@@ -161,7 +161,7 @@ def run(
         while True:
             write(step)
             if isinstance(step.command, Compute):
-                waiting = _begun(beside, step.command)
+                waiting = _started(beside, step.command)
             elif step.command is not None and robot is not None:
                 waiting = robot.carry_out(step.command, keep)
             if waiting is None:
@@ -182,7 +182,7 @@ def run(
         return summary
 
 
-def _begun(beside: Executor, command: Compute) -> Future[Any]:
+def _started(beside: Executor, command: Compute) -> Future[Any]:
     """A computation under way; one that cannot begin has failed."""
     try:
         return beside.submit(command.call, *command.arguments)

@@ -58,6 +58,13 @@ def test_commands_exist(page: Path) -> None:
                 assert name in COMMANDS, f"{page_name(page)}: {line}"
 
 
+def test_every_command_is_in_the_table_of_commands() -> None:
+    text = (ROOT / "docs" / "recording.md").read_text(encoding="utf-8")
+    named = " ".join(re.findall(r"^\| (`.*?) \|", text.replace(r"\|", "/"), re.MULTILINE))
+
+    assert [name for name in COMMANDS if not re.search(rf"`{name}[` ]", named)] == []
+
+
 def test_every_page_is_reached_from_the_readme() -> None:
     reached = set(re.findall(r"docs/\w+\.md", README.read_text(encoding="utf-8")))
 

@@ -19,7 +19,7 @@ from tests.patience import PATIENCE_S
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {"deformscope": ROOT / "deformscope", "deformscope_drivers": ROOT / "drivers" / "deformscope_drivers"}
 
-STAGES = tuple(f"stages.{name}" for name in ("msm", "see", "fit", "poke", "materials", "map", "squeeze"))
+STAGES = tuple(f"stages.{name}" for name in ("msm", "see", "fit", "regions", "poke", "materials", "map", "squeeze"))
 LAYERS: dict[str, tuple[str, ...]] = {
     "arrays": (),
     "errors": (),
@@ -32,9 +32,10 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "stages.msm": ("arrays", "errors"),
     "stages.see": ("arrays", "capsule", "errors"),
     "stages.fit": ("arrays", "errors", "stages.msm"),
-    "stages.poke": ("arrays", "errors", "stages.msm", "stages.fit"),
+    "stages.regions": ("arrays", "errors"),
+    "stages.poke": ("arrays", "errors", "stages.msm", "stages.fit", "stages.regions"),
     "stages.materials": ("arrays", "errors", "stages.msm", "stages.fit"),
-    "stages.map": ("arrays", "errors", "stages.msm", "stages.see", "stages.fit", "stages.poke"),
+    "stages.map": ("arrays", "errors", "stages.msm", "stages.see", "stages.fit", "stages.regions", "stages.poke"),
     "stages.squeeze": ("arrays", "capsule", "errors", "stages.see"),
     "pictures": ("arrays", "errors", "images", "plain", *STAGES),
     "log": ("arrays", "frames", "images", "pictures", "plain", "rows", *STAGES),
@@ -58,10 +59,11 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "bench": ("arrays", "errors", "plain", *STAGES),
     "config": ("bench", "errors"),
     "file_io": ("errors",),
-    # What the commands compute; exploring and recording still go through the commands themselves.
+    "terminal": (),
+    # What the commands compute, with doubles from the laboratory where they are asked for.
     "api": (
-        *("arrays", "cli", "config", "errors", "experiments", "file_io", "files", "frames", "images", "log"),
-        *("pictures", "plain", "recording", "session", "studies", *STAGES),
+        *("arrays", "config", "errors", "experiments", "file_io", "files", "frames", "images", "lab", "log"),
+        *("pictures", "plain", "recording", "rig", "robot", "session", "studies", "terminal", *STAGES),
     ),
 }
 """What each folder may import of the others, also inside functions and for type checking. Nothing imports `cli`."""

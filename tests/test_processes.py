@@ -58,3 +58,18 @@ def test_they_have_one_thread_of_blas_leave_signals_to_their_parent_and_the_pare
     assert sys.modules["__main__"] is main
     assert (os.environ["OMP_NUM_THREADS"], os.environ.get("MKL_NUM_THREADS")) == ("2", None)
     pool.shutdown()
+
+
+def blocked() -> bool:
+    """Whether a Ctrl-C waits."""
+    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
+def test_a_ctrl_c_does_not_end_them_while_they_begin() -> None:
+    with starting():
+        pool = ProcessPoolExecutor(1, SPAWN)
+        begun = pool.submit(blocked)
+
+    assert begun.result(PATIENCE_S)
+    assert not blocked()
+    pool.shutdown()

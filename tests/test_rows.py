@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -53,6 +53,7 @@ class Everything:
     counts: Mapping[str, int] = field(default_factory=dict)
     looks: tuple[tuple[str, Inner], ...] = ()
     maybe_inner: Inner | None = None
+    choice: Literal["left", "right"] = "right"
 
 
 FULL = Everything(

@@ -154,17 +154,14 @@ def explore(
 
 
 def _explored(config: ExploreConfig, *, quiet: bool) -> ExplorationResult:
-    from deformscope.cli.explore import explore_on
-    from deformscope.cli.explored import map_arrays
+    from deformscope.api.exploration_run import explore_on, map_arrays
 
     with contextlib.ExitStack() as silence:
         if quiet:
-            silence.enter_context(contextlib.redirect_stdout(io.StringIO()))
             silence.enter_context(contextlib.redirect_stderr(io.StringIO()))
-        explored = explore_on(config)
+        explored = explore_on(config, lambda explored: None)
     if explored is None:
         raise InputError("an exploration", "none: it ended before the arm could move")
-    found, maps = explored
-    if maps is None:
-        return ExplorationResult(found, {})
-    return ExplorationResult(found, map_arrays(maps), result_png(maps, config.rig))
+    if (maps := explored.maps) is None:
+        return ExplorationResult(explored.found, {})
+    return ExplorationResult(explored.found, map_arrays(maps), result_png(maps, config.rig))

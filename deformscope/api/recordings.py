@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +14,7 @@ from deformscope.frames import ColorFrame, Item
 from deformscope.pictures.findings import cell_text
 from deformscope.pictures.report import Table
 from deformscope.plain import plain
-from deformscope.recording.items import read_items, read_results
+from deformscope.recording.items import read_estimates, read_items, read_results
 from deformscope.recording.reader import Replay
 
 
@@ -56,7 +54,7 @@ class OpenRecording(LibraryResult):
 
     def estimates(self) -> list[dict[str, Any]]:
         """The recorded estimates of a calibration, as the JSON of the command line has them."""
-        return self._replay.read_results()
+        return [cast("dict[str, Any]", plain(one.as_json())) for one in read_estimates(self._replay)]
 
     def results(self) -> Iterator[object]:
         """The recorded results of an exploration, in the order in which they came."""
@@ -79,9 +77,10 @@ class OpenRecording(LibraryResult):
 
 @dataclass(frozen=True, slots=True)
 class RecordResult(LibraryResult):
-    """What `record` left. found: the JSON of `deformscope record`"""
+    """What `record` left. found: the JSON of `deformscope record`; table: the same for people"""
 
     found: Mapping[str, Any]
+    table: Table
 
     @property
     def path(self) -> Path:
@@ -99,10 +98,7 @@ class RecordResult(LibraryResult):
         return dict(self.found)
 
     def tables(self) -> tuple[Table, ...]:
-        rows = [(name, f"{one['received']} readings") for name, one in self.found["devices"].items()]
-        rows += [(f"{name} lost", cell_text(list(lost.items()))) for name, lost in self.found["losses"].items()]
-        rows += [("ended", self.found["ended"]), ("recording", f"{self.path} ({self.found['bytes'] / 1e6:.1f} MB)")]
-        return (Table(rows, caption="Recorded"),)
+        return (self.table,)
 
 
 def open_recording(path: Path | str) -> OpenRecording:
@@ -128,7 +124,7 @@ def record(
     with python_names():
         output = OutputOptions(None, None if file is None else Path(file), viewer, overwrite)
         config = RecordConfig(str(rig), seconds, label, trust_rig, output=output)
-    from deformscope.cli.record import run_rig
+    from deformscope.api.rig_run import run_rig
 
-    with python_names(), contextlib.redirect_stdout(io.StringIO()):
-        return RecordResult(cast("dict[str, Any]", plain(run_rig(config, "none", always_record=True)[0])))
+    with python_names():
+        return run_rig(config, "none", always_record=True).result

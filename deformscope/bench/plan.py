@@ -21,7 +21,7 @@ MIDDLE = 11
 BETA = 0.7
 
 Note = Callable[[str], None]
-"""Told what is being measured."""
+"""Gets what is being measured, in words."""
 
 
 @dataclass(frozen=True, slots=True)

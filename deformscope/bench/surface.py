@@ -31,7 +31,7 @@ def surface(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
     """Fit and map of one cloud; the exact process at places 2 cm apart, with the same hyper-parameters given to it."""
     try:
         from deformscope.stages.map.surface import fit_surface
-        from deformscope.stages.map.touches import MapGrid
+        from deformscope.stages.regions.touches import MapGrid
     except ImportError:  # a machine with numpy, scipy and warp alone
         return
     count = QUICK_POINTS if plan.quick else POINTS

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from deformscope.api.moving import Watch, leave, permitted
+from deformscope.api.rigs import until_interrupted
+from deformscope.api.setups import setup_of
 from deformscope.cli.common import quiet_warp, recorder_of, say, show, status_line, write_json
-from deformscope.cli.exploring import Watch, leave, permitted
-from deformscope.cli.rigs import until_interrupted
-from deformscope.cli.setups import setup_of
 from deformscope.config import ArmConfig
 from deformscope.errors import InputError
 from deformscope.experiments.arm_compliance import SURE_SD, ArmGive, GiveTouch, arm_give, touch_rigid

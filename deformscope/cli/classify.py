@@ -52,8 +52,8 @@ def run(config: ClassifyConfig) -> None:
             result = classify_table(table, str(config.table), options, progress)
         show(result)
         recorder.write(Step((result.findings(),), frame=0))
+    write_json(result.entries(), config.output.json)
     if config.save is None and config.page is None:
-        write_json(result.entries(), config.output.json)
         return
     with fit_progress() as progress:
         model = result.model(progress)

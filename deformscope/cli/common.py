@@ -6,7 +6,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, TextIO, TypeVar, cast
 
 from deformscope.api.result import open_recorder
 from deformscope.errors import InputError
+from deformscope.file_io import make_folder as make_folder
 from deformscope.file_io import read_file as read_file
 from deformscope.file_io import replacing as replacing
 from deformscope.pictures.findings import table_text
@@ -21,6 +22,8 @@ from deformscope.pictures.report import Figure, Table
 from deformscope.plain import plain
 from deformscope.processes import in_processes
 from deformscope.stages.msm.quiet import quiet_warp as quiet_warp
+from deformscope.terminal import say as say
+from deformscope.terminal import status_line as status_line
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -51,16 +54,22 @@ class Different(InputError):
     """What was computed again is not what was recorded."""
 
 
+def check_same(before: object, now: object, recording: Path, leave_out: Collection[str] = ()) -> None:
+    """Raises Different where two results differ in a bit. leave_out: fields that may"""
+    from deformscope.rows import differing
+
+    if type(before) is not type(now):
+        raise Different(f"a {type(before).__name__}, as recorded", f"a {type(now).__name__}", where=recording)
+    if (name := differing(before, now, leave_out)) is not None:
+        came = f"another {name} of {type(before).__name__}"
+        raise Different("the recorded numbers, to the last bit", came, where=recording)
+
+
 def console() -> Console:
     """Where progress and remarks go: stderr."""
     from rich.console import Console
 
     return Console(stderr=True, highlight=False)
-
-
-def say(remark: str) -> None:
-    """One line of progress or a remark, on stderr; never folded."""
-    print(remark, file=sys.stderr, flush=True)
 
 
 def show(*found: object) -> None:
@@ -99,24 +108,6 @@ def settings_of(config: RecordedOptions) -> dict[str, object]:
     """All flags of a command, as its recording keeps them."""
     command = type(config).__name__.removesuffix("Config").lower()
     return {"command": command, **cast("dict[str, object]", plain(config))}
-
-
-@contextmanager
-def status_line() -> Iterator[Callable[[str], None]]:
-    """A line on stderr that the next one replaces, gone at the end; nothing where stderr is no terminal. Yields what
-    shows one: an empty one before anything else is said."""
-    shown = False
-
-    def show(text: str) -> None:
-        nonlocal shown
-        if sys.stderr.isatty() and (text or shown):
-            print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
-            shown = bool(text)
-
-    try:
-        yield show
-    finally:
-        show("")
 
 
 @contextmanager
@@ -234,18 +225,6 @@ def write_file(path: Path | None, content: bytes) -> None:
     if path is not None:
         with replacing(path) as file:
             file.write(content)
-
-
-def make_folder(path: Path) -> None:
-    """Make the folder after --out where it is not there, and find out before the work whether it can be written to."""
-    probe = path / f".{os.getpid()}.part"
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        probe.open("xb").close()
-        probe.unlink()
-    except OSError as error:
-        came = (error.strerror or str(error)).lower()
-        raise InputError("a folder that can be written to", came, where=path) from error
 
 
 def check_writable(path: Path, flag: str, *, replace: bool = True) -> None:

@@ -48,7 +48,7 @@ def run(config: CoverageConfig) -> None:
     if config.out is not None:
         make_folder(config.out)
     quiet_warp()
-    begun, seed, level = time.monotonic(), config.output.seed, config.level
+    started, seed, level = time.monotonic(), config.output.seed, config.level
     cases, nothing = plan(config.objects, seed, level, quick=config.quick)
     bodies = -(-(QUICK_OBJECTS if config.quick else config.objects) // PART_APART)
     pokes = [PokeCase(number, seed, level) for number in range(bodies)]
@@ -66,7 +66,7 @@ def run(config: CoverageConfig) -> None:
         ranks = rank_counts([one for one, case in zip(outcomes, cases, strict=True) if case.truth == "prior"])
         groups = prediction_groups(predictions)
         fit_s = {f"{dim}D": median([one.seconds for one in outcomes if one.dim == dim]) for dim in (2, 3)}
-        seconds, png = time.monotonic() - begun, ranks_png(ranks)
+        seconds, png = time.monotonic() - started, ranks_png(ranks)
         picture = None if config.out is None else config.out / "coverage.png"
         took = [(f"a fit in {dim}", f"{one:.2g} s") for dim, one in fit_s.items()] + [("all", f"{seconds:.0f} s")]
         found = Findings(

@@ -10,16 +10,15 @@ deformscope dataset repair squeezes
 from __future__ import annotations
 
 import dataclasses
-from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import say, show_table, write_json
+from deformscope.cli.common import say, show, write_json
 from deformscope.config import DatasetConfig, DiscardConfig, MergeConfig, RelabelConfig, RepairConfig
 from deformscope.errors import InputError
 
 if TYPE_CHECKING:
-    from deformscope.files.squeeze_dataset import SqueezeDataset, TrialEntry, TrialRow
+    from deformscope.files.squeeze_dataset import SqueezeDataset, TrialRow
 
 
 def listing(config: DatasetConfig) -> None:
@@ -94,23 +93,9 @@ def _dataset(folder: Path, settings: dict[str, Any] | None = None) -> SqueezeDat
 
 
 def _show(folder: Path, target: str | None, *, trials: bool = False) -> None:
+    from deformscope.api.squeezing import dataset_table
+    from deformscope.pictures.findings import table_text
+
     entries = _dataset(folder).entries()
-    good = [one for one in entries if one.discarded is None]
-    contents = Counter(one.content for one in good)
-    containers = {content: len({one.container for one in good if one.content == content}) for content in contents}
-    rows = [
-        (content, f"{count} trials, {containers[content]} containers") for content, count in sorted(contents.items())
-    ]
-    reasons = Counter(str(one.discarded).partition(":")[0] for one in entries if one.discarded is not None)
-    rows += [("left out", f"{count} ({reason})") for reason, count in reasons.most_common()]
-    recorded = sum(bool(one.recording) for one in entries)
-    rows.append(("in all", f"{len(entries)} trials, {recorded} with recordings"))
-    if trials:
-        rows += [(one.trial, _words(one)) for one in entries]
-    show_table(str(folder), rows)
+    show(table_text(dataset_table(folder, entries, trials=trials)))
     write_json([dataclasses.asdict(one) for one in entries], target)
-
-
-def _words(entry: TrialEntry) -> str:
-    left_out = "" if entry.discarded is None else f", left out: {entry.discarded}"
-    return f"{entry.content} in {entry.container}, {entry.recorded_at}{left_out}"

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import dataclasses
 import shlex
-from datetime import datetime
 from pathlib import Path
 
 from deformscope.api.calibration import rerun_command
 from deformscope.cli.calibrate import run as calibrate
-from deformscope.cli.common import make_folder, quiet_warp, say
+from deformscope.cli.common import quiet_warp, say
 from deformscope.cli.explore import run as explore
-from deformscope.cli.record import unused
 from deformscope.config import BetaConfig, DemoConfig, ExploreConfig
+from deformscope.file_io import new_recording
 
 FOLDER = Path("runs")
 SAMPLE = "tension"
@@ -29,9 +28,7 @@ def run(config: DemoConfig) -> None:
     quiet_warp()
     output = config.output
     if output.record is None:
-        make_folder(FOLDER)
-        new = unused(FOLDER / f"demo-{datetime.now():%Y%m%d-%H%M%S}.rrd", Path.exists)
-        output = dataclasses.replace(output, record=new)
+        output = dataclasses.replace(output, record=new_recording(FOLDER, "demo"))
     if config.images:
         calibrate(BetaConfig((f"sample:{SAMPLE}",), output=output))
     else:

@@ -15,8 +15,8 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from deformscope.api.rigs import member_of
 from deformscope.cli.common import say, write_json
-from deformscope.cli.rigs import member_of
 from deformscope.config import DoctorConfig
 from deformscope.errors import InputError
 
@@ -118,7 +118,7 @@ def _exploring(rig: Rig) -> list[Finding]:
     kinds = {entry.driver.kind for entry in rig.devices}
     if "[surface]" not in rig.text or not {"arm", "wrench", "depth"} <= kinds:
         return []
-    from deformscope.cli.setups import setup_of_rig
+    from deformscope.api.setups import setup_of_rig
 
     try:
         setup = setup_of_rig(rig)

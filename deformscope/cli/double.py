@@ -10,8 +10,8 @@ import contextlib
 from collections.abc import Iterator
 from typing import Any
 
+from deformscope.api.rigs import until_interrupted
 from deformscope.cli.common import say
-from deformscope.cli.rigs import until_interrupted
 from deformscope.config import DoubleConfig
 from deformscope.errors import InputError
 from deformscope.lab.stand_in import WIRED, wire_of

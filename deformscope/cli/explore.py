@@ -7,28 +7,19 @@ deformscope explore lab:two-60-150 --fault force-silent@2 --record stopped.rrd
 
 from __future__ import annotations
 
-import dataclasses
-import time
-from collections.abc import Callable, Iterator
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.api.result import open_recorder
-from deformscope.cli.common import EXIT_LOSSES, quiet_warp, say, status_line
-from deformscope.cli.explored import ExplorationEnd, report
-from deformscope.cli.exploring import Watch, leave, permitted
-from deformscope.cli.rigs import until_interrupted
-from deformscope.cli.setups import setup_of
+from deformscope import __version__
+from deformscope.cli.common import EXIT_LOSSES, say, show_table, write_file, write_json
 from deformscope.config import ExploreConfig
+from deformscope.errors import InputError
 
 if TYPE_CHECKING:
-    from deformscope.cli.rigs import Interruption
-    from deformscope.experiments.explore import Exploration
-    from deformscope.experiments.options import ExploreOptions
-    from deformscope.experiments.touching_robot import TouchingRobot
-    from deformscope.lab.faults import FaultsToCome
-    from deformscope.recording.recorder import Recorder
-    from deformscope.robot.setup import Setup
-    from deformscope.session import RigExperiment, Step
+    from deformscope.api.exploration_run import Explored
     from deformscope.stages.map.exploration import MapEstimate
 
 
@@ -37,162 +28,71 @@ def run(config: ExploreConfig) -> int:
     if config.list_scenarios:
         _list()
         return 0
-    found, _ = explore_on(config) or ({}, None)
-    if not found.get("losses") or config.output.record is None:
-        return 0
+    from deformscope.api.exploration_run import explore_on
     from deformscope.recording.losses import named
 
-    say(f"deformscope: the recording is whole, with losses: {named(found['losses'])}")
+    outputs = _Outputs(config)
+    explored = explore_on(config, outputs.write)
+    if outputs.unwritten:
+        raise outputs.unwritten[0]
+    losses = explored.found["losses"] if explored is not None else {}
+    if not losses or config.output.record is None:
+        return 0
+    say(f"deformscope: the recording is whole, with losses: {named(losses)}")
     return EXIT_LOSSES
 
 
-def explore_on(config: ExploreConfig) -> tuple[dict[str, Any], MapEstimate | None] | None:
-    """Explore a simulated scene, or with the devices of a rig file; what was found, as in the JSON, and the maps; None
-    where nothing was begun. Whatever ends it, the arm is halted, and what is known is reported before the recording is
-    closed."""
-    from deformscope.experiments.explore import Exploration
-    from deformscope.experiments.measured import SetupGeometry
-    from deformscope.experiments.options import ExploreOptions
-    from deformscope.lab.faults import FaultAt, FaultsToCome
+class _Outputs:
+    """The files and the table of an exploration. unwritten: files that could not be written, which keeps none of the
+    others from being written"""
 
-    quiet_warp()
-    options = ExploreOptions(
-        planner=config.planner,
-        budget=config.touches,
-        threshold=config.threshold,
-        beta_model=config.beta_model,
-        seed=config.output.seed,
-    )
-    faults = [FaultAt.parse(text, options.budget) for text in config.fault]
-    opening = setup_of(config.rig, options, config.set_force, trusted=config.trust_rig)
-    setup, options = opening.setup, opening.options
-    to_come = FaultsToCome(opening.faulty_lab, faults, options.seed) if faults else None
-    settings = {"explore": dataclasses.asdict(options), "seed": options.seed, "simulated": setup.simulated}
-    settings |= {"setup": SetupGeometry.of(setup).as_json(), **opening.settings}
-    found, ending = Exploration(), ExplorationEnd()
-    with (
-        until_interrupted() as asked,
-        open_recorder(config.output, settings, "exploration", real_time=setup.runs_itself) as recorder,
-    ):
+    def __init__(self, config: ExploreConfig) -> None:
+        self.config = config
+        self.unwritten: list[InputError] = []
+
+    def write(self, explored: Explored) -> None:
+        """Write and print what was found."""
+        from deformscope.api.exploration import exploration_rows
+        from deformscope.pictures.exploration import result_png
+
+        config, found, written = self.config, explored.found, []
+        if (maps := explored.maps) is not None:
+            if config.map is not None and self._write(config.map, lambda: _map_file(config, maps)):
+                written.append(("map", str(config.map)))
+            if config.picture is not None and self._write(config.picture, lambda: result_png(maps, config.rig)):
+                written.append(("picture", str(config.picture)))
         try:
-            _run(config, setup, options, found, recorder, asked, to_come, ending)
-        except BaseException as error:
-            ending.error = error
-        if found.stop is not None:
-            recorder.stopped_because(f"{found.stop.kind}: {found.stop.reason}")
-        worth = ending.began_s > 0.0 or found.stop is not None
-        reported = report(config, setup, options, found, recorder, ending, to_come) if worth else None
-        if ending.error is not None:
-            raise ending.error
-    for fault in to_come.waiting if to_come is not None else ():
-        say(f"--fault {fault.injected.word}@{fault.touch} did not strike: there was no such moment")
-    if found.stop is not None or asked.is_set():
-        recording = recorder.summary().path
-        leave(found.stop, len(found.touches), asked.signal_number, recording, arm_stopped=ending.arm_stopped)
-    ending.raise_unwritten()
-    return None if reported is None else (reported, found.maps)
+            write_json(found, config.output.json)
+        except OSError as error:
+            self.unwritten.append(_unwritten(config.output.json or "", error))
+        title = f"{config.rig} (simulated)" if explored.simulated else config.rig
+        show_table(title, [*exploration_rows(found), *written])
+        for one in self.unwritten:
+            say(f"deformscope: not written: {one}")
 
-
-def _run(
-    config: ExploreConfig,
-    setup: Setup,
-    options: ExploreOptions,
-    found: Exploration,
-    recorder: Recorder,
-    asked: Interruption,
-    to_come: FaultsToCome | None,
-    ending: ExplorationEnd,
-) -> None:
-    """Open the devices, explore, close them; `found` and `ending` hold what is known, also where this raises."""
-    from deformscope.experiments.beside import stages_beside
-    from deformscope.experiments.explore import explore
-    from deformscope.experiments.touching_robot import touching_robot
-    from deformscope.recording.losses import losses_of
-    from deformscope.session import finish, run
-
-    with setup.open_source() as source, status_line() as show:
-        ending.start_ns = source.start_ns
-        truth = setup.truth is not None and setup.truth.labels is not None
-        place = setup.size_m, setup.placement.T_base_surface
-        recorder.start_exploration(source.streams, source.start_ns, *place, truth=truth)
-        watch = Watch(asked, show)
-        with touching_robot(setup, source, options, watch) as robot, stages_beside(setup, options) as (beside, stage):
-            try:
-                with watch.halts(robot):
-                    if to_come is not None:
-                        robot.on_phase = to_come.phase_began
-                    permit = _permitted(robot, setup, options, asked, ending, yes=config.yes)
-                    experiment = _said(explore(setup.clock, stage, found, permit), show)
-                    run(source, experiment, recorder, robot, beside)
-            finally:
-                ending.arm_stopped, ending.gaps_s = watch.arm_stopped, robot.gaps_s
-                ending.session_s = (setup.clock() - source.start_ns) / 1e9
-        ending.losses = losses_of(finish(source, recorder))
-    for name, reason in source.failures.items():
-        say(f"deformscope: device {name} failed: {reason}")
-
-
-def _permitted(
-    robot: TouchingRobot,
-    setup: Setup,
-    options: ExploreOptions,
-    asked: Interruption,
-    ending: ExplorationEnd,
-    *,
-    yes: bool,
-) -> RigExperiment[None]:
-    yield from permitted(robot, setup, options, setup.calibrated, asked, yes=yes)
-    ending.began_s = time.perf_counter()
-
-
-def _said(experiment: RigExperiment[None], show: Callable[[str], None]) -> RigExperiment[None]:
-    """The same experiment; what it finds is printed as it comes."""
-    given: Any = None
-    answer: Callable[[Any], Step] = experiment.send
-    while True:
+    def _write(self, path: Path, make: Callable[[], bytes]) -> bool:
         try:
-            step = answer(given)
-        except StopIteration:
-            return
-        if lines := [line for result in step.results for line in _remarks(result)]:
-            show("")
-            for line in lines:
-                say(line)
-        try:
-            given, answer = (yield step), experiment.send
+            write_file(path, make())
         except Exception as error:
-            given, answer = error, experiment.throw
+            self.unwritten.append(_unwritten(path, error))
+            return False
+        return True
 
 
-def _remarks(result: object) -> Iterator[str]:
-    from deformscope.pictures.words import (
-        dent_words,
-        failed_words,
-        interval_words,
-        iou_words,
-        stiffness_words,
-        verdict_words,
-    )
-    from deformscope.stages.map.exploration import MapEstimate, PlannedTouch, StageFailure, TouchEstimate
-
-    if isinstance(result, PlannedTouch):
-        where = "" if result.target_m is None else f"next touch at {_cm(result.target_m)} cm: "
-        yield where + result.reason
-    elif isinstance(result, TouchEstimate):
-        between = interval_words(result)
-        yield (
-            f"touch {result.number + 1} at {_cm(result.xyz_m[:2])} cm: {stiffness_words(result)}"
-            + (f" ({between})" if between else "")
-            + f", dent {dent_words(result)}"
-        )
-    elif isinstance(result, MapEstimate):
-        yield "  map: " + ", ".join(one for one in (verdict_words(result), iou_words(result)) if one)
-    elif isinstance(result, StageFailure):
-        yield f"deformscope: {failed_words(result)}"
+def _unwritten(path: Path | str, error: Exception) -> InputError:
+    words = error.strerror if isinstance(error, OSError) and error.strerror else f"{type(error).__name__}: {error}"
+    return InputError("an output that can be written", " ".join(words.split()).lower(), where=path)
 
 
-def _cm(xy_m: Any) -> str:
-    return f"({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f})"
+def _map_file(config: ExploreConfig, maps: MapEstimate) -> bytes:
+    made_by: dict[str, Any] = {"scenario": config.rig, "seed": config.output.seed, "version": __version__}
+    import numpy as np
+
+    from deformscope.api.exploration_run import MAP_UNITS, map_arrays
+
+    file = io.BytesIO()
+    np.savez_compressed(file, allow_pickle=False, units=json.dumps(MAP_UNITS), **map_arrays(maps), **made_by)
+    return file.getvalue()
 
 
 def _list() -> None:

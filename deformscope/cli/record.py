@@ -8,223 +8,32 @@ deformscope live lab:bench --stage tactile --stage beta --viewer page
 
 from __future__ import annotations
 
-import contextlib
-import dataclasses
-import hashlib
-import signal
-import time
-from collections.abc import Callable, Mapping, Sequence
-from datetime import datetime
-from pathlib import Path
-from typing import TYPE_CHECKING, Literal
-
-from deformscope.api.result import open_recorder
-from deformscope.cli.common import EXIT_LOSSES, make_folder, quiet_warp, say, show_table, write_json
-from deformscope.cli.exploring import signal_word
-from deformscope.cli.rigs import Interruption, members_of, until_interrupted
+from deformscope.api.rig_run import RigRun, run_rig
+from deformscope.cli.common import EXIT_LOSSES, say, show, write_json
 from deformscope.config import LiveConfig, RecordConfig, RigRunOptions
-from deformscope.config.rigs import StageOptions
-from deformscope.errors import InputError
-from deformscope.experiments.live_stages import StageCounts, live_stages
-from deformscope.frames import HealthReport, Item, LinkChange, Stream
-from deformscope.recording.losses import in_words, losses_of, lost_by, named
-from deformscope.recording.recorder import RecordingSummary
-from deformscope.rig.rig_file import Rig, load_rig
-from deformscope.rig.source import RigSource
-from deformscope.session import finish
-from deformscope.session import run as run_session
-from deformscope_drivers.health import Health
-
-if TYPE_CHECKING:
-    from deformscope.experiments.device_stages import LiveOptions, Stage, StageName
-    from deformscope.experiments.stage_processes import StageProcesses
-
-REPORT_EVERY_S = 10.0
+from deformscope.recording.losses import named
 
 
 def record(config: RecordConfig) -> int:
     """Record a rig, headless unless a viewer is asked for. Returns the command's exit status."""
-    return run_rig(config, "none", always_record=True)[1]
+    return _shown(run_rig(config, "none", always_record=True), config)
 
 
 def live(config: LiveConfig) -> int:
     """Watch a rig in rerun's window, and record it if asked to. Returns the command's exit status."""
-    return run_rig(config, "native", always_record=False)[1]
+    return _shown(run_rig(config, "native", always_record=False), config)
 
 
-def run_rig(
-    config: RigRunOptions, auto: Literal["none", "native"], *, always_record: bool
-) -> tuple[dict[str, object], int]:
-    """What was recorded, as in the JSON, and the command's exit status. auto: the viewer where none is asked for"""
-    rig = load_rig(config.rig, trusted=config.trust_rig)
-    file = config.output.record
-    if file is None and always_record:
-        file = _new_file(rig)
-    viewer = auto if config.output.viewer == "auto" else config.output.viewer
-    output = dataclasses.replace(config.output, record=file, viewer=viewer)
-    settings = {"rig": rig.text, "rig_name": rig.name, "label": config.label, "seed": config.output.seed}
-    settings["simulated"] = [entry.name for entry in rig.devices if entry.double]
-    names = config.stages.names
-    options = _live_options(config.stages, rig) if names else None
-    if options is not None:
-        settings["stages"] = dataclasses.asdict(options)
-    with (
-        until_interrupted() as asked,
-        open_recorder(output, settings, "rig", variant=_variant(rig, names), real_time=True) as recorder,
-        _processes(names) if names else contextlib.nullcontext({}) as beside,
-        members_of(rig) as members,
-    ):
-        say(f"opening {', '.join(member.name for member in members)}")
-        with RigSource(members, raw=rig.record.raw) as source:
-            stages = () if options is None else _stages(options, source.streams)
-            shown = [(stage.name, stage.device) for stage in stages]
-            recorder.start_rig(source.streams, source.start_ns, rig.record.lossless, shown)
-            where = "" if file is None else f" into {file}"
-            say(f"recording{where}: Ctrl-C ends it" if file else "watching: Ctrl-C ends it")
-            end = _Ending(asked, config.seconds, source)
-            lossless = options is not None and options.lossless
-            counts = run_session(source, live_stages(stages, beside, end, lossless=lossless), recorder)
-            last = finish(source, recorder)
-            failures = dict(source.failures)
-            why = end.reason + "".join(f"; {name} failed: {reason}" for name, reason in failures.items())
-            recorder.stopped_because(why)
-    found = _report(config, recorder.summary(), last, failures, why, counts)
-    if (losses := losses_of(last)) and file is not None:
+def _shown(run: RigRun, config: RigRunOptions) -> int:
+    """Print what was recorded; the command's exit status."""
+    show(run.result)
+    write_json(run.result.as_json(), config.output.json)
+    recorded, losses = run.result.found["recording"] is not None, run.result.found["losses"]
+    if losses and recorded:
         say(f"deformscope: the recording is whole, with losses: {named(losses)}")
-    for name, reason in failures.items():
+    for name, reason in run.failures.items():
         say(f"deformscope: device {name} failed: {reason}")
-    if end.early_by:
-        say(f"deformscope: ended {end.reason}")
-        return found, 128 + end.early_by
-    return found, EXIT_LOSSES if failures or (losses and file is not None) else 0
-
-
-def _live_options(flags: StageOptions, rig: Rig) -> LiveOptions:
-    """How the stages run that were asked for. Raises InputError where the rig lacks what one of them needs."""
-    from deformscope.experiments.device_stages import LiveOptions, for_rig
-    from deformscope.experiments.foam_video import ParticleOptions
-
-    particles = ParticleOptions(flags.roi, flags.grid, flags.spacing_px, flags.held_parts(), flags.contact)
-    options = LiveOptions(
-        flags.names,
-        color=flags.camera,
-        particles=particles,
-        cluster_size=flags.cluster_size,
-        longest_px=flags.longest_px,
-    )
-    return for_rig(options, rig)
-
-
-# What stages need takes seconds to load: only where there are some.
-
-
-def _processes(names: Sequence[StageName]) -> StageProcesses:
-    from deformscope.experiments.stage_processes import StageProcesses
-
-    return StageProcesses(names, quiet_warp)
-
-
-def _stages(options: LiveOptions, streams: Sequence[Stream]) -> tuple[Stage, ...]:
-    from deformscope.experiments.device_stages import stages_of
-
-    return stages_of(options, streams)
-
-
-class _Ending:
-    """Whether a recording's time is over; reports now and then how it goes. reason: why it ended"""
-
-    def __init__(self, asked: Interruption, seconds: float | None, source: RigSource) -> None:
-        self._source = source
-        self._last: HealthReport | None = None
-        self._asked = asked
-        self._seconds = seconds
-        self._began = self._reported_at = time.monotonic()
-        self.reason = ""
-
-    @property
-    def early_by(self) -> int:
-        """The signal that ended it before its end; 0 = none did. Ctrl-C is the end of what has no other."""
-        number = self._asked.signal_number
-        return 0 if number == signal.SIGINT and self._seconds is None else number
-
-    def __call__(self, items: Sequence[Item]) -> bool:
-        for item in items:
-            if isinstance(item, HealthReport):
-                self._last = item
-            elif isinstance(item, LinkChange):
-                reason = f": {item.event.reason}" if item.event.reason else ""
-                say(f"{item.device}: {item.event.link}{reason}")
-        if self._last is not None and time.monotonic() - self._reported_at > REPORT_EVERY_S:
-            self._reported_at = time.monotonic()
-            rates = ", ".join(f"{name} {health.rate_hz:.4g}/s" for name, health in self._last.devices)
-            say(rates)
-        lasted_s = time.monotonic() - self._began
-        early = "" if self._seconds is None else f", earlier than the {self._seconds:g} s asked for"
-        if self._asked.is_set():
-            self.reason = f"by {signal_word(self._asked.signal_number)} after {lasted_s:.1f} s{early}"
-        elif self._source.ended:
-            self.reason = f"after {lasted_s:.1f} s{early}: every device has come to its end"
-            say("every device has come to its end")
-        elif self._seconds is not None and lasted_s >= self._seconds:
-            self.reason = f"after {self._seconds:g} s, as asked for"
-        return bool(self.reason)
-
-
-def _report(
-    config: RigRunOptions,
-    summary: RecordingSummary,
-    last: HealthReport,
-    failures: Mapping[str, str],
-    ended: str,
-    stages: Mapping[str, StageCounts],
-) -> dict[str, object]:
-    """What was recorded, device by device, on the screen and as JSON."""
-    devices = dict(last.devices)
-    rows = [(name, _in_words(health, failures.get(name))) for name, health in devices.items()]
-    rows += [(f"stage {name}", counts.in_words()) for name, counts in stages.items()]
-    rows.append(("ended", ended))
-    if summary.path is not None:
-        rows.append(("recording", f"{summary.path} ({summary.bytes / 1e6:.1f} MB)"))
-    show_table(config.label or config.rig, rows)
-    found: dict[str, object] = {
-        "recording": summary.path,
-        "frames": summary.frames,
-        "bytes": summary.bytes,
-        "live_dropped": summary.dropped,
-        "devices": devices,
-        "losses": losses_of(last),
-        "failures": failures,
-        "ended": ended,
-    }
-    if stages:
-        found["stages"] = {name: counts.as_json() for name, counts in stages.items()}
-    write_json(found, config.output.json)
-    return found
-
-
-def _in_words(health: Health, failure: str | None) -> str:
-    """What came of a device, what it lost, and why where it is known."""
-    why = f"FAILED: {failure}" if failure else health.reason
-    return ", ".join(part for part in (f"{health.received} readings", in_words(lost_by(health)), why) if part)
-
-
-def _variant(rig: Rig, stages: Sequence[str]) -> str:
-    """The same for rigs with the same devices and stages, which have the same views."""
-    devices = repr([*((entry.name, entry.driver.name) for entry in rig.devices), *stages])
-    return hashlib.sha256(devices.encode()).hexdigest()[:8]
-
-
-def _new_file(rig: Rig) -> Path:
-    """A name that no earlier run took."""
-    folder = Path(rig.record.folder)
-    make_folder(folder)
-    return unused(folder / f"{rig.name.replace(':', '-')}-{datetime.now():%Y%m%d-%H%M%S}.rrd", Path.exists)
-
-
-def unused(path: Path, taken: Callable[[Path], bool]) -> Path:
-    """The path, or with a number where it is taken."""
-    for number in range(1, 100):
-        found = path if number == 1 else path.with_stem(f"{path.stem}-{number}")
-        if not taken(found):
-            return found
-    raise InputError("fewer recordings in one second", "100", where=path)
+    if run.early_by:
+        say(f"deformscope: ended {run.why}")
+        return 128 + run.early_by
+    return EXIT_LOSSES if run.failures or (losses and recorded) else 0

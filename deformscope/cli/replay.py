@@ -18,13 +18,15 @@ from deformscope.config import ReplayConfig
 from deformscope.errors import InputError
 from deformscope.experiments.replay_stages import replay_stages
 from deformscope.pictures.words import failed_words
-from deformscope.recording.items import ITEMS, read_rows, read_streams
+from deformscope.recording.items import ITEMS, read_estimates, read_rows, read_streams
 from deformscope.recording.reader import Replay
 from deformscope.rig.decoded import compare_with_bytes
 from deformscope.rig.rig_file import parse_rig
+from deformscope.rows import differing
 
 if TYPE_CHECKING:
     from deformscope.frames import ColorFrame
+    from deformscope.stages.fit.estimate import Estimate
 
 CLOSE = 0.01
 """Largest difference that another machine's arithmetic may make: of the value and its interval as a share of the
@@ -70,6 +72,7 @@ def run(config: ReplayConfig) -> None:
         raise InputError(
             "a recording of a calibration", f"settings of another kind ({error})", where=config.recording
         ) from error
+    recorded = read_estimates(recording)
     if fit.model.device != "cpu":  # the recording's GPU may not be here
         fit = dataclasses.replace(fit, model=dataclasses.replace(fit.model, device=pick_device("auto")))
     pairs = recording.read_pair_bytes()
@@ -94,8 +97,7 @@ def run(config: ReplayConfig) -> None:
     show(*found)
     every = [one.to_dict() for one in found]
     write_json(every[0] if len(every) == 1 else every, config.output.json)
-    estimates = [one.estimate.as_json() for one in found]
-    _compare(recording.read_results(), estimates, config)
+    _compare(recorded, [one.estimate for one in found], config)
 
 
 def _wait(frame: ColorFrame) -> None:
@@ -105,34 +107,33 @@ def _wait(frame: ColorFrame) -> None:
         raise InputError("Enter on the standard input for every frame", "its end", "--pace fast")
 
 
-def _compare(recorded: list[dict[str, Any]], computed: list[dict[str, Any]], config: ReplayConfig) -> None:
+def _compare(recorded: list[Estimate], computed: list[Estimate], config: ReplayConfig) -> None:
     if not recorded:
         console().print("the recording holds no result (its run was cut short): nothing to compare with")
         return
     if len(recorded) != len(computed):
         raise Different(f"{len(recorded)} results as recorded", str(len(computed)), where=config.recording)
-    worst = max(_difference(before, now) for before, now in zip(recorded, computed, strict=True))
+    pairs = list(zip(recorded, computed, strict=True))
+    worst = max(_difference(before, now) for before, now in pairs)
     if worst > CLOSE:
         came = f"numbers that differ by {worst:.1%} of the interval or error"
         raise Different("the recorded numbers", came, "the versions in the recording's properties", config.recording)
-    same = "identical to" if worst == 0.0 else f"within {worst:.1g} (of the interval or error) of"
+    # the settings name the machine's own device
+    identical = all(differing(before, now, ("settings",)) is None for before, now in pairs)
+    same = "identical to" if identical else f"within {worst:.1g} (of the interval or error) of"
     console().print(f"replay: {same} the recorded numbers")
 
 
-def _difference(before: dict[str, Any], now: dict[str, Any]) -> float:
-    """The largest difference of two estimates' numbers, in the units of `CLOSE`."""
-    low, high = before["interval"]
+def _difference(before: Estimate, now: Estimate) -> float:
+    """The largest difference of two estimates' headline numbers, in the units of `CLOSE`."""
+    same = ("parameter", "unit", "metres_per_unit")
+    if any(getattr(before, name) != getattr(now, name) for name in same):
+        return math.inf
+    low, high = before.interval
     width = max(high - low, 1e-6)
-    found = [
-        abs(b - n) / width for b, n in zip([before["value"], low, high], [now["value"], *now["interval"]], strict=True)
-    ]
-    for name in ("aee_m", "aee_px", "aee_free_m", "aee_free_px"):
-        b, n = before[name], now[name]
-        if (b is None) != (n is None):
-            return math.inf
-        if b is not None:
-            found.append(abs(b - n) / max(abs(b), 1e-12))
-    return float(max(found))
+    ends = zip((before.value, low, high), (now.value, *now.interval), strict=True)
+    errors = ((before.aee, now.aee), (before.aee_free, now.aee_free))
+    return max(*(abs(b - n) / width for b, n in ends), *(abs(b - n) / max(abs(b), 1e-12) for b, n in errors))
 
 
 def replay_rig(recording: Replay, settings: dict[str, Any], config: ReplayConfig) -> None:

@@ -8,14 +8,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
-from deformscope.cli.common import Different, console, show_table, write_json
+from deformscope.cli.common import Different, check_same, console, show_table, write_json
 from deformscope.config import ReplayConfig
 from deformscope.errors import InputError
 
 if TYPE_CHECKING:
     from deformscope.recording.reader import Replay
 
-TRUTH = {"truth_labels", "truth_labels_shape", "iou", "boundary_m"}
+TRUTH = ("truth_labels", "iou", "boundary_m")
 """Not computed again: it is no input."""
 
 
@@ -23,7 +23,6 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
     """Compute and compare; raises Different. A stage that failed when it was recorded is reported, not computed again:
     whether it fails may hang on the machine."""
     import msgspec
-    import numpy as np
 
     from deformscope.experiments.explore import AtOnce, Exploration, RecordedRobot, explore, within_loop
     from deformscope.experiments.explorer import AsMeasured, ExplorationStages, Explorer, FromFrames
@@ -31,7 +30,6 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
     from deformscope.experiments.options import ExploreOptions
     from deformscope.pictures.words import failed_words
     from deformscope.recording.items import read_results
-    from deformscope.rows import to_components
     from deformscope.session import run
     from deformscope.stages.map.exploration import (
         MapEstimate,
@@ -65,14 +63,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
     if len(recorded) > len(again) or (len(recorded) < len(again) and not recording.outcome.get("stopped")):
         raise Different(f"{len(recorded)} results as recorded", str(len(again)), where=path)
     for before, now in zip(recorded, again, strict=False):
-        if type(before) is not type(now):
-            raise Different(f"a {type(before).__name__}, as recorded", f"a {type(now).__name__}", where=path)
-        first, second = to_components(before), to_components(now)
-        for name in sorted((set(first) | set(second)) - TRUTH):
-            same = name in first and name in second
-            if not same or not np.array_equal(first[name], second[name], equal_nan=first[name].dtype.kind == "f"):
-                came = f"another {name} of {type(before).__name__}"
-                raise Different("the recorded numbers, to the last bit", came, where=path)
+        check_same(before, now, path, TRUTH)
     for one in failed:
         console().print(f"failed when it was recorded: {failed_words(one)}", markup=False)
     start = "measurements" if measured else "depth images, forces and states of the arm"

@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import Different, console, write_json
+from deformscope.cli.common import Different, check_same, console, write_json
 from deformscope.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,10 +32,8 @@ class SqueezeAgain:
 
 def replay_squeeze(recording: Replay, config: ReplayConfig) -> None:
     """Compute and compare; raises Different."""
-    import numpy as np
 
     from deformscope.recording.items import read_results
-    from deformscope.rows import to_components
     from deformscope.stages.squeeze.trial import SqueezeStop
 
     path = config.recording
@@ -50,12 +48,7 @@ def replay_squeeze(recording: Replay, config: ReplayConfig) -> None:
         if any(frame not in now for frame in before) or any(frame not in before for frame in now if frame <= last):
             raise Different(f"{len(before)} {kind.__name__} as recorded", str(len(now)), where=path)
         for frame, first in before.items():
-            ours, theirs = to_components(first), to_components(now[frame])
-            for name in sorted(set(ours) | set(theirs)):
-                same = name in ours and name in theirs
-                if not same or not np.array_equal(ours[name], theirs[name], equal_nan=ours[name].dtype.kind == "f"):
-                    came = f"another {name} of {kind.__name__}"
-                    raise Different("the recorded numbers, to the last bit", came, where=path)
+            check_same(first, now[frame], path)
         compared += len(before)
     if again.failure and not stops:
         raise Different("the recorded features", again.failure, where=path)
@@ -77,7 +70,7 @@ def squeeze_again(recording: Replay) -> SqueezeAgain:
     or a phase is not there."""
     import msgspec
 
-    from deformscope.cli.squeeze import final_posterior, tactile_posterior
+    from deformscope.api.squeeze_run import final_posterior, tactile_posterior
     from deformscope.experiments.squeeze import posterior_of
     from deformscope.experiments.squeeze_features import SqueezeGeometry, trial_features
     from deformscope.experiments.squeeze_frames import SqueezeFrames, SqueezeObserver, TactileSource
@@ -86,11 +79,11 @@ def squeeze_again(recording: Replay) -> SqueezeAgain:
     from deformscope.stages.squeeze.events import EventRule
     from deformscope.stages.squeeze.trial import SqueezePhase
 
-    told, path = recording.settings["squeezed"], recording.path
-    geometry = SqueezeGeometry.from_json(told["geometry"])
-    names = told["names"]
+    squeezed, path = recording.settings["squeezed"], recording.path
+    geometry = SqueezeGeometry.from_json(squeezed["geometry"])
+    names = squeezed["names"]
     source = TactileSource.of(read_streams(path, trust=True), names["tactile"], geometry.hand.fingers)
-    frames = SqueezeFrames(source, names["hand"], names["camera"], msgspec.convert(told["rule"], EventRule))
+    frames = SqueezeFrames(source, names["hand"], names["camera"], msgspec.convert(squeezed["rule"], EventRule))
     model = _recorded_model(recording)
     predict = None if model is None else tactile_posterior(model)
     observer = SqueezeObserver(frames, geometry.hand.tactile_end, predict)
@@ -117,7 +110,7 @@ def squeeze_again(recording: Replay) -> SqueezeAgain:
 
 
 def _recorded_model(recording: Replay) -> ContentModel | None:
-    from deformscope.cli.squeeze import MODEL_INPUT
+    from deformscope.api.squeeze_run import MODEL_INPUT
     from deformscope.files.classifier_file import load_classifier
 
     content: Any = recording.read_inputs().get(MODEL_INPUT)

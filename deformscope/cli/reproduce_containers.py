@@ -67,9 +67,9 @@ def run(config: ContainersConfig) -> None:
     show(*results.values())
     for finding in beside:
         say(f"thesis: {finding.thesis}\n  here: {finding.ours}")
-    told: dict[str, Any] = {name: result.entries() for name, result in results.items()}
-    told |= {"thesis": beside, "discarded": len(left_out), "trials": len(table), "dataset": folder}
-    write_json(told, config.output.json)
+    report: dict[str, Any] = {name: result.entries() for name, result in results.items()}
+    report |= {"thesis": beside, "discarded": len(left_out), "trials": len(table), "dataset": folder}
+    write_json(report, config.output.json)
 
 
 def _squeeze(dataset: SqueezeDataset, jobs: list[SqueezeJob], config: ContainersConfig) -> None:

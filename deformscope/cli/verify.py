@@ -15,6 +15,7 @@ from deformscope.recording.facts import Facts, read_facts, run_rrd
 from deformscope.recording.ledger import check_ledger, read_counts
 from deformscope.recording.lock import is_being_written
 from deformscope.recording.losses import in_words, named
+from deformscope.recording.reader import check_magic
 
 WHOLE = "every byte is as it was recorded"
 UNCHECKED = "not checked, as there is no ledger: a flipped bit would go unnoticed"
@@ -34,6 +35,8 @@ def run(config: VerifyConfig) -> int:
     if is_being_written(path):
         raise InputError("a recording that has ended", "one that a run is writing", "again when it has ended", path)
     differs = _differs(path)
+    if differs is None:
+        check_magic(path)
     structure = run_rrd("verify", path)
     if differs == [] and "footer" in structure:  # finished without one, as where the disk was short
         structure = run_rrd("verify", "--check-footers=false", path)

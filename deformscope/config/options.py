@@ -85,7 +85,7 @@ class ViewOptions(Flags):
     json: flags.JsonFlag = None
     """Write the result as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
     record: flags.FileKept = None
-    """Write a rerun recording (.rrd). Without it nothing is recorded."""
+    """Write a rerun recording (.rrd). Without it nothing is recorded; `record` alone then takes a new name in runs/."""
     viewer: Literal["auto", "native", "page", "none"] = "auto"
     """Show every stage live: in rerun's window (stays when the command has ended), on a web page (ends with it, at a
     terminal with Ctrl-C), or not at all; auto: the window where there is a display. A window or page opens a port on

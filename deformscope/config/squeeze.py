@@ -27,8 +27,9 @@ Trials = Annotated[tuple[str, ...], Positional, arg(metavar="TRIAL...")]
 @dataclass(frozen=True, slots=True)
 class SqueezeConfig(RecordedOptions):
     """Squeeze a container once with the SDH hand, under a low motor current, and take what fingertips and depth camera
-    give at first contact and steady state: one trial of a data set, or, with --model, the name of the content. A real
-    hand closes after a question. lab:containers is a simulated container, squeezed through the real drivers on doubles.
+    give at first contact and steady state: one trial of a data set, or, with --model, the name of the content. A person
+    places the hand where the grasp was drawn, and a real one closes after a question. lab:containers is a simulated
+    container, squeezed through the real drivers on doubles; one stands between the doubles of a rig file too.
     """
 
     rig: Annotated[str, Positional, arg(metavar="RIG|lab:containers"), flags.Reads()]
@@ -44,9 +45,6 @@ class SqueezeConfig(RecordedOptions):
     """What a data set keeps of a trial: its whole recording and its features, or these alone."""
     model: Annotated[Path | None, flags.one_word("MODEL.npz", Path), flags.unset, flags.Reads()] = None
     """Name the content by this classifier (`deformscope classify --save`), with probabilities while it is squeezed."""
-    place: Literal["operator", "jaco"] = "operator"
-    """Who puts the hand on the container: a person, after a prompt; or a Jaco arm, moved by its joystick to where the
-    grasp was drawn, while the distance left is shown."""
     fill: Annotated[float, flags.SHARE] = 0.9
     """How full the container is, as a share of its height."""
     session: NameFlag = ""

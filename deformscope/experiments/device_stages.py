@@ -25,8 +25,8 @@ from deformscope.stages.fit.calibrate import FitOptions, Model, calibrate
 from deformscope.stages.fit.moment import MomentFit
 from deformscope.stages.map.exploration import SurfaceEstimate, TouchEstimate
 from deformscope.stages.map.surface import fit_surface
-from deformscope.stages.map.touches import MapGrid
 from deformscope.stages.poke.contact import ArmCompliance, fit_approach
+from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.arrows import FlowArrows, flow_arrows, region_of
 from deformscope.stages.see.cloud import Box, Intrinsics, perceive
 from deformscope.stages.see.flow import dense_flow

@@ -85,7 +85,7 @@ class Exploration:
 
     touches, maps, failures: results; maps is the newest; region_probability: of each number of regions, with `maps`
     travel_m: over the surface, in straight lines from its corner (0, 0); stop_reason: in a word or two
-    begun: touches that were begun
+    started: touches that were started
     stop, stop_ns: why and when the robot stopped before its plan said so
     compute_s, slowest_s: spent computing, and on the slowest touch [s]
     """
@@ -96,7 +96,7 @@ class Exploration:
     region_probability: dict[str, float] | None = None
     travel_m: float = 0.0
     stop_reason: str = ""
-    begun: int = 0
+    started: int = 0
     stop: ExplorationStop | None = None
     stop_ns: int = 0
     compute_s: float = 0.0
@@ -144,7 +144,7 @@ def explore(
         found.stop, found.stop_ns = error.stop, error.time_ns
         found.stop_reason = f"stopped: {error.stop.kind}"
         results = PhaseStart(found.stop_reason, error.stop.touch), error.stop
-        yield from ask(Wait(AFTER_S), results, Moment(error.time_ns, found.begun))
+        yield from ask(Wait(AFTER_S), results, Moment(error.time_ns, found.started))
 
 
 def _explore(clock: Callable[[], int], stage: Stage, found: Exploration) -> RigExperiment[None]:
@@ -161,7 +161,7 @@ def _explore(clock: Callable[[], int], stage: Stage, found: Exploration) -> RigE
             if any(isinstance(one, PlannedTouch) and one.target_m is None for one in plan.results):
                 return
             raise _given_up(clock, found, plan.given_up)
-        found.begun += 1
+        found.started += 1
         touched = yield from ask(plan.touch)
         given = PhaseStart("plan", count), _input(touched)
         made = yield from _computed(clock, stage("touch", touched), found, given, Moment(clock(), count + 1))

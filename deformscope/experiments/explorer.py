@@ -30,11 +30,11 @@ from deformscope.stages.map.field import BETA_PRIOR, fit_field
 from deformscope.stages.map.map_score import boundary_distance, called_labels, match_regions
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 from deformscope.stages.map.plan import ALLOWED, FieldKernel, PlanOptions, plan_touch
-from deformscope.stages.map.regions import RegionMap, RegionPosterior
 from deformscope.stages.map.surface import HeightMap, HeightProcess, fit_surface
 from deformscope.stages.map.touch_beta import BallContact, fit_touch, thesis_beta
-from deformscope.stages.map.touches import MapGrid, StiffnessSample
 from deformscope.stages.poke.contact import ArmCompliance, ContactFit, fit_approach, layer_modulus
+from deformscope.stages.regions.posterior import RegionMap, RegionPosterior
+from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 from deformscope.stages.see.cloud import tactile_points
 from deformscope_drivers.jaco.kinematics import CHAINS
 

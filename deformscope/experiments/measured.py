@@ -23,8 +23,8 @@ from deformscope.robot.setup import CameraView, Setup
 from deformscope.robot.shape import arm_shape
 from deformscope.robot.touch import TouchPlan, centers_of, forces_at
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
-from deformscope.stages.map.touches import MapGrid
 from deformscope.stages.poke.contact import ArmCompliance
+from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.cloud import Box, Intrinsics, Perceived, perceive
 from deformscope_drivers.jaco.kinematics import CHAINS, Chain
 
@@ -101,28 +101,31 @@ class SetupGeometry:
 
     def as_json(self) -> dict[str, Any]:
         """For a recording's settings."""
-        told = dataclasses.asdict(self) | {"camera": dataclasses.asdict(self.camera)}
-        del told["placement"]
-        told["tool"], told["T_base_surface"] = dataclasses.asdict(self.placement.tool), self.placement.T_base_surface
-        return msgspec.json.decode(msgspec.json.encode(told, enc_hook=lambda array: array.tolist()))  # type: ignore[no-any-return]
+        values = dataclasses.asdict(self) | {"camera": dataclasses.asdict(self.camera)}
+        del values["placement"]
+        values["tool"], values["T_base_surface"] = (
+            dataclasses.asdict(self.placement.tool),
+            self.placement.T_base_surface,
+        )
+        return msgspec.json.decode(msgspec.json.encode(values, enc_hook=lambda array: array.tolist()))  # type: ignore[no-any-return]
 
     @classmethod
-    def from_json(cls, told: Mapping[str, Any]) -> SetupGeometry:
+    def from_json(cls, given: Mapping[str, Any]) -> SetupGeometry:
         """The reverse of `as_json`. Raises InputError where something is missing."""
         try:
             camera: dict[str, Any] = {}
-            for name, value in told["camera"].items():
+            for name, value in given["camera"].items():
                 camera[name] = tuple(value) if isinstance(value, list) else value
             stands = camera.pop("T_surface_camera")
             view = CameraView(**camera, T_surface_camera=None if stands is None else np.array(stands))
-            width, depth = told["size_m"]
+            width, depth = given["size_m"]
             return cls(
                 (float(width), float(depth)),
-                Placement(np.array(told["T_base_surface"]), msgspec.convert(told["tool"], Tool)),
-                msgspec.convert(told["workspace"], Workspace),
+                Placement(np.array(given["T_base_surface"]), msgspec.convert(given["tool"], Tool)),
+                msgspec.convert(given["workspace"], Workspace),
                 view,
-                told["compliance_m_per_n"],
-                told["compliance_sd"],
+                given["compliance_m_per_n"],
+                given["compliance_sd"],
             )
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(

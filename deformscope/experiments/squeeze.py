@@ -79,7 +79,8 @@ def squeeze(
     for when_ns, results in computed.steps():
         yield Step(results, moment=Moment(when_ns))
     if posterior is not None:
-        yield Step((posterior,), moment=Moment(computed.events.steady_ns))
+        # once the last answer by touch alone was given, so that this one stays in view
+        yield Step((posterior,), moment=Moment(frames.open_ns))
 
 
 def posterior_of(computed: TrialFeatures, name: Name) -> ContentPosterior:

@@ -41,6 +41,8 @@ TRACK_HZ = 5.0
 """Of the images between them, so many a second are tracked."""
 LINK_M, PALM_M = 0.012, 0.055
 """Radii of what stands for a finger's links and for the palm. Assumed: the SDH's links are some 22 mm thick."""
+AROUND = 0.6
+"""Room on each side of the container in a picture, as a share of its larger side there."""
 DENT_M = 0.035
 """The wall is no part of a rigid container within this of a fingertip."""
 
@@ -76,24 +78,24 @@ class SqueezeGeometry:
 
     def as_json(self) -> dict[str, Any]:
         """For a recording's settings."""
-        told = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return msgspec.json.decode(msgspec.json.encode(told, enc_hook=lambda array: array.tolist()))  # type: ignore[no-any-return]
+        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return msgspec.json.decode(msgspec.json.encode(values, enc_hook=lambda array: array.tolist()))  # type: ignore[no-any-return]
 
     @classmethod
-    def from_json(cls, told: Mapping[str, Any]) -> SqueezeGeometry:
+    def from_json(cls, given: Mapping[str, Any]) -> SqueezeGeometry:
         """The reverse of `as_json`. Raises InputError where something is missing."""
         try:
             poses: dict[str, Any] = {
                 name: None if value is None else np.array(value)
-                for name, value in told.items()
+                for name, value in given.items()
                 if name.startswith("T_")
             }
             camera: dict[str, Any] = {
-                name: tuple(value) if isinstance(value, list) else value for name, value in told["camera"].items()
+                name: tuple(value) if isinstance(value, list) else value for name, value in given["camera"].items()
             }
             return cls(
-                msgspec.convert(told["hand"], HandSection),
-                msgspec.convert(told["container"], ContainerSection),
+                msgspec.convert(given["hand"], HandSection),
+                msgspec.convert(given["container"], ContainerSection),
                 CameraView(**camera),
                 **poses,
             )
@@ -178,6 +180,23 @@ def _gaps(hands: Sequence[HandFrame], geometry: SqueezeGeometry, when_ns: Sequen
     known = np.array([frame_ns(one) for one in hands], np.float64)
     gaps = np.array([gap_m(np.asarray(one.position_deg, np.float64), geometry.hand.fingers) for one in hands])
     return np.asarray(np.interp(np.array(when_ns, np.float64) - known[0], known - known[0], gaps))
+
+
+def around_px(geometry: SqueezeGeometry) -> tuple[float, float, float, float] | None:
+    """Left, top, right and bottom of what is worth seeing of an image: the container where it is expected, and as much
+    again around it; None where the camera's place or projection is not known before."""
+    camera, pose = geometry.camera, geometry.T_camera_hand
+    if pose is None or camera.focal_px is None or camera.center_px is None:
+        return None
+    signs = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)
+    corners = 0.5 * signs * geometry.container.size_m
+    seen = np.c_[corners, np.ones(8)] @ (pose @ geometry.T_hand_container).T
+    if seen[:, 2].min() <= 0.0:
+        return None
+    pixels = seen[:, :2] / seen[:, 2:3] * camera.focal_px + camera.center_px
+    low, high = pixels.min(axis=0), pixels.max(axis=0)
+    more = AROUND * float((high - low).max())
+    return float(low[0] - more), float(low[1] - more), float(high[0] + more), float(high[1] + more)
 
 
 # Vision --------------------------------------------------------------------------------------------------------------
@@ -285,7 +304,7 @@ def _with_vision(
 
     def keep(image: DepthFrame, pose: PoseEstimate) -> None:
         edges = outline_px(renderer.model, seen.camera, pose.T_camera_container)
-        told = TrackedContainer(
+        shown = TrackedContainer(
             image.index,
             pose.T_camera_container,
             pose.good,
@@ -293,8 +312,9 @@ def _with_vision(
             pose.observed.astype(np.float64),
             pose.agreeing,
             edges,
+            (frame_ns(image) - events.first_ns) / 1e9,
         )
-        tracked.append((frame_ns(image), told))
+        tracked.append((frame_ns(image), found))
         poses.append(pose)
 
     def found(features: SqueezeFeatures) -> TrialFeatures:

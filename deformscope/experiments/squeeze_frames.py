@@ -157,8 +157,8 @@ class SqueezeObserver:
         source = self.frames.tactile_source
         counts = source.counts(frame)
         results: list[object] = [fingertip_pressure(frame, source)]
-        now_ns, air_ns = frame.stamp.host_ns, self.frames.air_ns
-        if not air_ns or now_ns < air_ns:
+        now_ns, air_ns, open_ns = frame.stamp.host_ns, self.frames.air_ns, self.frames.open_ns
+        if not air_ns or now_ns < air_ns or (open_ns and now_ns >= open_ns):
             return tuple(results)
         self._onset.feed(now_ns, np.array([float(pad.sum(dtype=np.int64)) for pad in counts]))
         since_s = (now_ns - self._onset.first_ns) / 1e9

@@ -22,9 +22,9 @@ def feature_settings(setup: SqueezeSetup) -> dict[str, Any]:
 
 def recorded_settings(setup: SqueezeSetup) -> dict[str, Any]:
     """What a recording has to keep so that all can be computed again."""
-    told = {"names": dataclasses.asdict(setup.names), "rule": dataclasses.asdict(rule_of(setup))}
-    told |= {"squeeze": dataclasses.asdict(setup.squeeze), "features": feature_settings(setup)}
-    return {"squeezed": told | {"geometry": SqueezeGeometry.of(setup).as_json()}, "simulated": setup.simulated}
+    recorded = {"names": dataclasses.asdict(setup.names), "rule": dataclasses.asdict(rule_of(setup))}
+    recorded |= {"squeeze": dataclasses.asdict(setup.squeeze), "features": feature_settings(setup)}
+    return {"squeezed": recorded | {"geometry": SqueezeGeometry.of(setup).as_json()}, "simulated": setup.simulated}
 
 
 def entry_of(setup: SqueezeSetup, content: str, container: str, session: str, seed: int) -> TrialEntry:

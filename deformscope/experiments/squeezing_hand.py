@@ -157,7 +157,7 @@ class SqueezingHand:
                 case SqueezeOnce():
                     self._squeeze()
                 case HandWait():
-                    self._robot.look_on(command.seconds)
+                    self._robot.stand_by(command.seconds)
                 case _:
                     raise TypeError(f"no command of this hand: {command!r}")
         except SqueezeStopped as stopped:

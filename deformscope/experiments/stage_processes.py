@@ -23,7 +23,7 @@ from deformscope.experiments.device_stages import (
 from deformscope.experiments.live_stages import Beside
 from deformscope.processes import SPAWN, follow_parent, starting
 from deformscope.stages.map.surface import fit_surface
-from deformscope.stages.map.touches import MapGrid
+from deformscope.stages.regions.touches import MapGrid
 
 
 class StageProcesses:

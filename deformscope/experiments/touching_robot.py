@@ -30,7 +30,7 @@ from deformscope.robot.touch import Phase, PhaseSpan, TouchEnding, TouchPlan, To
 from deformscope.session import Inline, Moment, Step
 from deformscope.stages.map.exploration import ExplorationStop, PhaseStart
 from deformscope.stages.map.measured import LookFrames, TouchFrames
-from deformscope.stages.map.touches import MapGrid
+from deformscope.stages.regions.touches import MapGrid
 from deformscope_drivers.depth_camera.image import DepthImage
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.subscription import Subscription
@@ -148,7 +148,7 @@ class TouchingRobot:
             case CheckFirst():
                 return self.preflight(command.calibrated, command.places_m)
             case Wait():
-                self._robot.look_on(command.seconds)
+                self._robot.stand_by(command.seconds)
                 return None
         raise TypeError(f"no command of this robot: {command!r}")
 
@@ -315,7 +315,7 @@ class TouchingRobot:
 
     @property
     def doing(self) -> str:
-        """What it does now, in words; empty between touches."""
+        """The present action, in words; empty between touches."""
         if self._phase is None:
             return ""
         words = f"touch {self._touches + 1}: {self._phase}"

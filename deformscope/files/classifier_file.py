@@ -42,7 +42,7 @@ KINDS: dict[str, type[Classifier]] = {
 def classifier_arrays(model: ContentModel) -> dict[str, npt.NDArray[Any]]:
     """A model as the arrays of its file."""
     arrays: dict[str, npt.NDArray[Any]] = {"fusion.weight": model.fusion.weight, "fusion.offset": model.fusion.offset}
-    told: dict[str, Any] = {
+    described: dict[str, Any] = {
         "labels": model.labels,
         "modalities": [
             _put(arrays, f"m{index}", name, one) for index, (name, one) in enumerate(model.modalities.items())
@@ -59,25 +59,25 @@ def classifier_arrays(model: ContentModel) -> dict[str, npt.NDArray[Any]]:
         "promised": dict(model.promised),
         "provenance": dict(model.provenance),
     }
-    return {"format": np.array(FORMAT), "told": np.array(json.dumps(told, allow_nan=False)), **arrays}
+    return {"format": np.array(FORMAT), "told": np.array(json.dumps(described, allow_nan=False)), **arrays}
 
 
 def _put(arrays: dict[str, npt.NDArray[Any]], prefix: str, name: str, model: ModalityModel) -> dict[str, Any]:
-    """Adds a modality's arrays; returns what is told of it."""
+    """Adds a modality's arrays; returns what the JSON says of it."""
     own = {"used": model.scaling.used, "mean": model.scaling.mean, "scale": model.scaling.scale}
     own |= {"centre": model.centre, "directions": model.directions}
     own |= {"weight": model.expert.pool.weight, "offset": model.expert.pool.offset}
     arrays.update({f"{prefix}.{key}": value for key, value in own.items()})
     members = []
     for index, one in enumerate(model.expert.members):
-        told: dict[str, Any] = {"name": one.name, "columns": one.columns}
+        described: dict[str, Any] = {"name": one.name, "columns": one.columns}
         for field in fields(one.classifier):
             value = getattr(one.classifier, field.name)
             if isinstance(value, np.ndarray):
                 arrays[f"{prefix}.c{index}.{field.name}"] = value
             else:
-                told[field.name] = value
-        members.append(told)
+                described[field.name] = value
+        members.append(described)
     return {"name": name, "columns": model.columns, "classifiers": members}
 
 
@@ -113,32 +113,32 @@ def load_classifier(path: Path) -> ContentModel:
 
 
 def _model(found: Arrays) -> ContentModel:
-    told = json.loads(str(found["told"]))
-    labels = tuple(told["labels"])
+    described = json.loads(str(found["told"]))
+    labels = tuple(described["labels"])
     if len(labels) < 2 or len(set(labels)) < len(labels) or not all(isinstance(one, str) for one in labels):
         raise ValueError("list of labels")
     classes = len(labels)
-    modalities = {one["name"]: _take(found, f"m{i}", one, classes) for i, one in enumerate(told["modalities"])}
-    if not modalities or len(modalities) < len(told["modalities"]):
+    modalities = {one["name"]: _take(found, f"m{i}", one, classes) for i, one in enumerate(described["modalities"])}
+    if not modalities or len(modalities) < len(described["modalities"]):
         raise ValueError("list of modalities")
     steps = {}
-    for index, one in enumerate(told["steps"]):
+    for index, one in enumerate(described["steps"]):
         if one["modality"] not in modalities or not one["models"]:
             raise ValueError("list of steps")
         models = [_take(found, f"s{index}.{step}", each, classes) for step, each in enumerate(one["models"])]
         steps[one["modality"]] = tuple(models)
     fusion = _pool(found, "fusion", len(modalities), classes)
-    step_s = float(told["step_s"])
+    step_s = float(described["step_s"])
     if not (np.isfinite(step_s) and step_s > 0.0):
         raise ValueError("step_s")
-    about: list[Mapping[str, object]] = [told["settings"], told["promised"], told["provenance"]]
+    about: list[Mapping[str, object]] = [described["settings"], described["promised"], described["provenance"]]
     if not all(isinstance(one, dict) for one in about):
         raise ValueError("settings, promised or provenance")
     return ContentModel(labels, modalities, fusion, steps, step_s, *about)
 
 
-def _take(found: Arrays, prefix: str, told: Mapping[str, Any], classes: int) -> ModalityModel:
-    used = _array(found, f"{prefix}.used", "b", (int(told["columns"]),))
+def _take(found: Arrays, prefix: str, described: Mapping[str, Any], classes: int) -> ModalityModel:
+    used = _array(found, f"{prefix}.used", "b", (int(described["columns"]),))
     width = int(used.sum())
     mean, scale, centre = (_array(found, f"{prefix}.{one}", "f", (width,)) for one in ("mean", "scale", "centre"))
     if not (scale > 0.0).all():
@@ -146,7 +146,7 @@ def _take(found: Arrays, prefix: str, told: Mapping[str, Any], classes: int) -> 
     directions = _array(found, f"{prefix}.directions", "f", (width, None))
     members = tuple(
         _member(found, f"{prefix}.c{index}", one, directions.shape[1], classes)
-        for index, one in enumerate(told["classifiers"])
+        for index, one in enumerate(described["classifiers"])
     )
     if not members:
         raise ValueError(f"{prefix} classifiers")
@@ -154,8 +154,8 @@ def _take(found: Arrays, prefix: str, told: Mapping[str, Any], classes: int) -> 
     return ModalityModel(Scaling(used, mean, scale), centre, directions, Expert(members, pool))
 
 
-def _member(found: Arrays, prefix: str, told: Mapping[str, Any], size: int, classes: int) -> Member:
-    name, columns = told["name"], told["columns"]
+def _member(found: Arrays, prefix: str, described: Mapping[str, Any], size: int, classes: int) -> Member:
+    name, columns = described["name"], described["columns"]
     if name not in NAMES or not (columns is None or (isinstance(columns, int) and columns >= 0)):
         raise ValueError(f"classifier {name!r} of {columns!r} columns")
     size = size if columns is None else min(size, columns)
@@ -170,10 +170,10 @@ def _member(found: Arrays, prefix: str, told: Mapping[str, Any], size: int, clas
         return Member(name, columns, Linear(slope, offset, _array(found, f"{prefix}.present", "b", (classes,))))
     points = _array(found, f"{prefix}.points", "f", (None, size))
     target = _array(found, f"{prefix}.target", "iu", (len(points),))
-    k = told["k"]
+    k = described["k"]
     if not len(points) or target.min() < 0 or target.max() >= classes or not isinstance(k, int) or k < 1:
         raise ValueError(f"{prefix}.target or k")
-    if told["classes"] != classes:
+    if described["classes"] != classes:
         raise ValueError(f"{prefix} classes")
     return Member(name, columns, Neighbours(points, target, k, classes))
 

@@ -28,7 +28,7 @@ ARRAYS = ("rest", "toward", "fixed", "places", "stiffness", "left_out")
 
 def save_model(model: FittedModel, path: Path) -> None:
     """Write a model; a file that stands there is replaced in one go."""
-    told: dict[str, Any] = {
+    described: dict[str, Any] = {
         "body": model.body,
         "law": dataclasses.asdict(model.law),
         "spacing_m": model.spacing,
@@ -48,7 +48,7 @@ def save_model(model: FittedModel, path: Path) -> None:
     if model.shape is not None and model.cell is not None:
         arrays["shape"], arrays["cell"] = np.array(model.shape), model.cell
     with replacing(path) as file:
-        np.savez_compressed(file, format=np.array(FORMAT), told=np.array(json.dumps(told)), **arrays)
+        np.savez_compressed(file, format=np.array(FORMAT), told=np.array(json.dumps(described)), **arrays)
 
 
 def load_model(path: Path) -> FittedModel:
@@ -73,23 +73,23 @@ def load_model(path: Path) -> FittedModel:
 
 
 def _model(found: dict[str, Any]) -> FittedModel:
-    told = json.loads(str(found["told"]))
-    tip = told["tip"]
-    rivals = zip(told["rivals"], found["rival_stiffness"], strict=True)
+    described = json.loads(str(found["told"]))
+    tip = described["tip"]
+    rivals = zip(described["rivals"], found["rival_stiffness"], strict=True)
     shape, cell = lattice(found, found["rest"]) if "shape" in found else (None, None)
     return FittedModel(
-        body=told["body"],
-        law=Law(**told["law"]),
-        spacing=float(told["spacing_m"]),
-        thickness=told["thickness_m"],
+        body=described["body"],
+        law=Law(**described["law"]),
+        spacing=float(described["spacing_m"]),
+        thickness=described["thickness_m"],
         tip=None if tip is None else Tip(tip["shape"], tuple(tip["size"]), bool(tip["slips"])),
-        field_kind=told["field"],
-        surface_error=_or_nan(told["surface_error"]),
-        held_out=_or_nan(told["held_out"]),
-        fitted_depth=_or_nan(told.get("fitted_depth_m")),
-        fitted_strain=_or_nan(told.get("fitted_strain")),
+        field_kind=described["field"],
+        surface_error=_or_nan(described["surface_error"]),
+        held_out=_or_nan(described["held_out"]),
+        fitted_depth=_or_nan(described.get("fitted_depth_m")),
+        fitted_strain=_or_nan(described.get("fitted_strain")),
         rivals=tuple(Rival(Law(**one["law"]), np.asarray(k), float(one["surface_error"])) for one, k in rivals),
-        provenance=told["provenance"],
+        provenance=described["provenance"],
         shape=shape,
         cell=cell,
         **{name: found[name] for name in ARRAYS},

@@ -14,7 +14,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -111,7 +111,7 @@ class SqueezeDataset:
 
     def settings(self) -> dict[str, Any]:
         """What the features were computed with."""
-        found: dict[str, Any] = self._told(self._read(INDEX))["settings"]
+        found: dict[str, Any] = self._metadata(self._read(INDEX))["settings"]
         return found
 
     def rows(self) -> list[TrialRow]:
@@ -221,6 +221,7 @@ class SqueezeDataset:
 
     @contextmanager
     def _changing(self) -> Iterator[list[TrialRow]]:
+        self._read(INDEX)  # refuses what is no data set, a folder that is not there too
         with one_at_a_time(self.folder):
             rows = self.rows()
             yield rows
@@ -271,13 +272,17 @@ class SqueezeDataset:
             raise InputError(f"a data set of squeezes, with its {name}", came, NEW, self.folder) from error
         except (OSError, pa.ArrowException) as error:
             raise InputError("a data set of squeezes", f"a damaged {name}", "a copy of it", path) from error
-        told = self._told(table)
-        if told.get("format") != DATASET_FORMAT:
-            came = f"format {told.get('format')}"
+        metadata = self._metadata(table)
+        if metadata.get("format") != DATASET_FORMAT:
+            came = f"format {metadata.get('format')}"
             raise InputError(f"a data set of format {DATASET_FORMAT}", came, "a newer deformscope", path)
+        there = set(table.column_names)
+        wanted = _index_schema().names if name == INDEX else _feature_columns(there)
+        if missing := [one for one in wanted if one not in there]:
+            raise InputError("a data set of squeezes", f"a {name} without {missing[0]}", "a copy of it", path)
         return table
 
-    def _told(self, table: pa.Table) -> dict[str, Any]:
+    def _metadata(self, table: pa.Table) -> dict[str, Any]:
         try:
             found = json.loads((table.schema.metadata or {})[META])
         except (KeyError, ValueError) as error:
@@ -292,10 +297,16 @@ def _index_schema() -> pa.Schema:
     )
 
 
+def _feature_columns(names: Collection[str], modalities: Sequence[str] = MODALITIES) -> list[str]:
+    """`trial`, and MODALITY.0, MODALITY.1... of as many as these names have."""
+    counts = {one: sum(name.startswith(f"{one}.") for name in names) for one in modalities}
+    return ["trial", *(f"{one}.{at}" for one, count in counts.items() for at in range(count))]
+
+
 def _matrix(table: pa.Table, modality: str) -> FloatArray:
     """(rows, columns) of MODALITY.0, MODALITY.1..."""
-    count = sum(name.startswith(f"{modality}.") for name in table.column_names)
-    columns = [table[f"{modality}.{at}"].to_numpy(zero_copy_only=False) for at in range(count)]
+    names = _feature_columns(table.column_names, [modality])[1:]
+    columns = [table[name].to_numpy(zero_copy_only=False) for name in names]
     return np.stack(columns, axis=1) if columns else np.full((len(table), 0), np.nan)
 
 

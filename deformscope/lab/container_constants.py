@@ -16,7 +16,9 @@ Sources:
   CRAWFORD  Crawford, Plastics Engineering, 3rd ed.: high-density polyethylene
   ROS       package schunk_simulated_tactile_sensors: "measurement range 250 kPa (from the data sheet)", output up to
             about 3500 "by experiment from the real SDH"
-  SCHUNK    SDH-2 catalogue: greatest torques of proximal and distal joints (from memory, not at hand: check)
+  ROBWORK   RobWorkData (University of Southern Denmark; skyellen/robwork-mirror at a05f4ea),
+            devices/hands/SchunkHandV2/SchunkHandTactile6.dwc.xml: a simulated SDH whose force limits are 2.1 Nm in the
+            proximal joints and 1.4 Nm in the distal ones, pads to 250 kPa; Schunk's own catalogue was not at hand
   KHOSH     Khoshelham and Oude Elberink 2012, Sensors 12: depth noise of a first Kinect
 """
 
@@ -174,8 +176,8 @@ PAD_STIFFNESS_PA_M: Final = 4.0e8
 """Pressure over compression of the pad's foam cover: 1 MPa over 2.5 mm; assumed for a closed-cell rubber."""
 
 TORQUE_NM_PER_A: Final = (0.0, 2.1, 1.4, 2.1, 1.4, 2.1, 1.4)
-"""Of each axis at the limit of its current, by axis; SCHUNK's greatest torques over the library's 1 A. The base axis
-carries no load here."""
+"""Of each axis at the limit of its current, by axis; ROBWORK's limits over the 1 A that Schunk's library allows. The
+base axis carries no load here."""
 GEAR_LOSS: Final = 0.15
 """Share of the torque that friction in motor and gear takes, in the mean; assumed."""
 GEAR_LOSS_SD: Final = 0.02

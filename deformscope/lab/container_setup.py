@@ -1,4 +1,5 @@
-"""lab:containers as a setup to squeeze with: what is asked for stands there, the rest is drawn from the seed."""
+"""lab:containers as a setup to squeeze with, and the container that a rig's doubles squeeze: what is asked for stands
+there, the rest is drawn from the seed."""
 
 from __future__ import annotations
 
@@ -7,12 +8,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deformscope.errors import InputError
 from deformscope.lab.container_constants import CONTENTS
+from deformscope.lab.container_shell import SHAPES, ContainerShape
 from deformscope.lab.squeeze_lab import NAMES, SqueezeLab, container_of
 from deformscope.rig.squeeze_sections import ContainerSection, HandSection, SqueezeSection
 from deformscope.robot.setup import CameraView
 from deformscope.robot.squeeze_plan import draw_grasp
-from deformscope.robot.squeeze_setup import SqueezeNames, SqueezeSetup, SqueezeTruth
+from deformscope.robot.squeeze_setup import (
+    SimulatedContainer,
+    SqueezeNames,
+    SqueezeParts,
+    SqueezeSetup,
+    SqueezeTruth,
+)
 
 KINDS = {"box": "cardboard box", "cylinder": "plastic cylinder"}
 """In words, by the form of a container."""
@@ -46,30 +55,21 @@ def container_lab(
 
     camera_hz, alike: as for `SqueezeLab`. Raises InputError for a content or a container that is not known.
     """
-    random = np.random.default_rng([seed, 0xC0])
-    content = content or list(CONTENTS)[int(random.integers(len(CONTENTS)))]
-    container = container or f"box-{int(random.integers(100)):02d}"
+    content, container = _drawn(content, container, "box", seed)
     shape, _ = container_of(container)
-    x, y, z = (2.0 * float(half_m) for half_m in shape.half_m)
-    section = ContainerSection(shape.kind, (x, y, z), shape.wall.thickness_m, KINDS[shape.kind])
+    section = ContainerSection(shape.kind, _size_m(shape), shape.wall.thickness_m, KINDS[shape.kind])
     squeeze = SqueezeSection(open_deg=OPEN_DEG, distal_deg=DISTAL_DEG)
     grasp = draw_grasp(section, squeeze, seed)
-    digits = session.rpartition("-")[2]
-    number = int(digits) if digits.isdecimal() else zlib.crc32(session.encode())
     lab = SqueezeLab(
         content,
         container,
         seed=seed,
-        session=number,
+        session=_session_number(session),
         grasp=grasp.T_hand_container,
         alike=alike,
         camera_hz=camera_hz,
     )
     seen = lab.view.intrinsics
-
-    def truth() -> SqueezeTruth:
-        now = lab.truth()
-        return SqueezeTruth(now.contact_ns or 0, now.steady_ns or 0)
 
     setup = SqueezeSetup(
         names=SqueezeNames(*NAMES),
@@ -83,8 +83,66 @@ def container_lab(
         placed=True,
         simulated=True,
         runs_itself=False,
-        truth=truth,
+        truth=lambda: SqueezeTruth.of(lab.truth()),
         clock=lab.clock,
         wait_until=lab.wait_until,
     )
     return ContainerLab(setup, content, container, lab)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigContainer:
+    """What stands between the doubles of a rig."""
+
+    simulated: SimulatedContainer
+    content: str
+    container: str
+
+
+def rig_container(parts: SqueezeParts, content: str, container: str, session: str, seed: int) -> RigContainer:
+    """The container that the doubles of a rig file squeeze, on the host's clock; as for `container_lab`.
+
+    Raises InputError for a content that is not known, and a container that is not the one of `[container]`.
+    """
+    from deformscope.lab.live_squeeze_lab import PICTURES_HZ, LiveSqueezeLab
+
+    section = parts.rig.container
+    shape = SHAPES.get(section.shape)
+    if shape is None or not np.allclose(section.size_m, _size_m(shape), atol=1e-4):
+        known = " or ".join(f"{kind} of {list(_size_m(one))}" for kind, one in SHAPES.items())
+        came = f"{section.shape} of {list(section.size_m)}"
+        raise InputError(f"[container] shape and size_m that are simulated: {known}", came, where=parts.rig.name)
+    content, container = _drawn(content, container, section.shape, seed)
+    if content not in CONTENTS:
+        raise InputError(f"a content that is simulated: {', '.join(CONTENTS)}", repr(content), where=parts.rig.name)
+    if container_of(container)[0].kind != section.shape:
+        came = f"{container} with [container] shape = {section.shape!r}"
+        raise InputError(f"a container named after its shape, as {section.shape}-07", came, where=parts.rig.name)
+    fps = None if parts.camera is None else parts.camera.config.fps
+    lab = LiveSqueezeLab(
+        content,
+        container,
+        seed=seed,
+        session=_session_number(session),
+        grasp=parts.grasp.T_hand_container,
+        camera_hz=float(fps or PICTURES_HZ),
+    )
+    return RigContainer(lab, content, container)
+
+
+def _drawn(content: str, container: str, kind: str, seed: int) -> tuple[str, str]:
+    """What is asked for, or drawn where it is empty."""
+    random = np.random.default_rng([seed, 0xC0])
+    content = content or list(CONTENTS)[int(random.integers(len(CONTENTS)))]
+    return content, container or f"{kind}-{int(random.integers(100)):02d}"
+
+
+def _session_number(session: str) -> int:
+    """As its name says, or one of its own."""
+    digits = session.rpartition("-")[2]
+    return int(digits) if digits.isdecimal() else zlib.crc32(session.encode())
+
+
+def _size_m(shape: ContainerShape) -> tuple[float, float, float]:
+    x, y, z = (2.0 * float(half_m) for half_m in shape.half_m)
+    return x, y, z

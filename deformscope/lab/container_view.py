@@ -38,6 +38,12 @@ FINER = 3
 """Between two nodes of the shell there are so many facets, flat ones on the true form."""
 
 
+def camera_pose(config: DepthViewConfig = CAMERA) -> FloatArray:
+    """(4, 4) camera to hand [m], where a container in a level hand is seen well; the same in every trial."""
+    looking = looking_at(np.zeros(3), config.distance_m, config.elevation_deg, config.azimuth_deg)
+    return np.asarray(hand_from_container() @ looking)
+
+
 class ContainerView(RayCamera):
     """A camera that looks at a container in the hand.
 
@@ -52,9 +58,8 @@ class ContainerView(RayCamera):
         config: DepthViewConfig = CAMERA,
     ) -> None:
         """nodes_m: along s and z, at which `render` is given displacements; T_hand_container: (4, 4) where the
-        container stands before, on its table; the camera is where it is seen well in a level hand, however it stands"""
-        looking = looking_at(np.zeros(3), config.distance_m, config.elevation_deg, config.azimuth_deg)
-        super().__init__(config, hand_from_container() @ looking)
+        container stands before, on its table; the camera is at its `camera_pose`, however it stands"""
+        super().__init__(config, camera_pose(config))
         self.shape = shape
         around_m = np.append(nodes_m[0], nodes_m[0][0] + shape.perimeter_m)
         fine = [_between(nodes, FINER) for nodes in (around_m, nodes_m[1])]

@@ -194,8 +194,8 @@ class _Balance:
 
 @dataclass(slots=True)
 class _Tangent:
-    """How the balance gives way: the matrix of the last Newton step, its compliance between pressed texels and all its
-    unknowns, which texels are pressed, and their normals along the slide."""
+    """How the balance responds to a small load: the matrix of the last Newton step, its compliance between pressed
+    texels and all its unknowns, which texels are pressed, and their normals along the slide."""
 
     matrix: FloatArray
     compliance: FloatArray

@@ -144,8 +144,8 @@ class LiveLab:
         if entry.driver.name == "optoforce":
             sensitivity = (config.sensitivities or (OMD_20_SE_40N,))[0]
             pipe = stack.enter_context(beside("simulated table", _feel, self._table, self._shared, sensitivity))
-            told = dataclasses.replace(config, port=_first(pipe), bus="", serial="", sensitivity=sensitivity)
-            return entry.driver.make(told)  # type: ignore[no-any-return]
+            on_pipe = dataclasses.replace(config, port=_first(pipe), bus="", serial="", sensitivity=sensitivity)
+            return entry.driver.make(on_pipe)  # type: ignore[no-any-return]
         rate_hz = float(config.fps or PICTURES_HZ)
         pipe = stack.enter_context(beside("simulated table", _look, self._table, self._shared, rate_hz))
         synthetic = SyntheticDepthConfig(
@@ -153,29 +153,19 @@ class LiveLab:
         )
         camera = SyntheticDepthCamera(None, synthetic)
         _first(pipe)
-        stack.enter_context(_thread("simulated pictures", lambda: self._pass_on(pipe, camera)))
+        stack.enter_context(
+            _thread("simulated pictures", lambda: pass_pictures(pipe, camera, lambda: self._shared.over))
+        )
         return camera
 
     def _move(self) -> None:
-        """The table is told where the arm is, and the arm what pushes it."""
+        """The table gets where the arm is, and the arm what pushes it."""
         shared = self._shared
         while not shared.over:
             joints_deg = self.arm.joints_deg
             shared.joints_deg[: len(joints_deg)] = list(joints_deg)
             self.arm.push(list(shared.wrench))
             time.sleep(0.5 * CYCLE_S)
-
-    def _pass_on(self, pipe: Connection, camera: SyntheticDepthCamera) -> None:
-        """Pictures that the table's process has drawn, to the camera."""
-        while not self._shared.over:
-            try:
-                if not pipe.poll(0.1):
-                    continue
-                view: View = pipe.recv()
-            except (EOFError, OSError):
-                return
-            with contextlib.suppress(DeviceError):  # not open yet, or not any more
-                camera.push(view)
 
 
 class _RemoteArm:
@@ -247,6 +237,19 @@ def _first(pipe: Connection) -> str:
     except EOFError:
         pass
     raise InputError("a simulated table that starts", "none", "run it again")
+
+
+def pass_pictures(pipe: Connection, camera: SyntheticDepthCamera, over: Callable[[], bool]) -> None:
+    """Pictures that another process has drawn, to the camera, until it is over."""
+    while not over():
+        try:
+            if not pipe.poll(0.1):
+                continue
+            view: View = pipe.recv()
+        except (EOFError, OSError):
+            return
+        with contextlib.suppress(DeviceError):  # not open yet, or not any more
+            camera.push(view)
 
 
 @contextlib.contextmanager

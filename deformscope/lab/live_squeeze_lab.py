@@ -9,24 +9,27 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
+from typing import Any
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.lab.container_constants import PA_PER_COUNT
-from deformscope.lab.container_view import CAMERA
+from deformscope.lab.container_view import CAMERA, camera_pose
+from deformscope.lab.live_lab import pass_pictures
 from deformscope.lab.ray_camera import DepthViewConfig
 from deformscope.lab.squeeze_lab import ContainerTruth, SqueezedContainer, camera_config, members
+from deformscope.lab.stand_in import reaching
 from deformscope.processes import SPAWN, follow_parent, starting
+from deformscope.rig.rig_file import RigDevice
 from deformscope.rig.source import RigSource
 from deformscope.robot.robot import sleep_until
 from deformscope_drivers.clock import monotonic_ns
-from deformscope_drivers.depth_camera import SyntheticDepthCamera, View
-from deformscope_drivers.depth_camera.image import Intrinsics
+from deformscope_drivers.depth_camera import SyntheticDepthCamera
+from deformscope_drivers.device import Device
 from deformscope_drivers.dsa import Dsa, DsaConfig
-from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.sdh import Sdh, SdhConfig
 from deformscope_drivers.sdh.double import Port
 from deformscope_drivers.wires import PtyWire
@@ -50,20 +53,20 @@ class _Asked:
 
 @dataclass(frozen=True, slots=True)
 class _Standing:
-    """What it answers when it stands: the ports of hand and pads, and the camera."""
+    """What it answers when it stands: the ports of hand and pads."""
 
     hand: str
     pads: str
-    intrinsics: Intrinsics
 
 
 class LiveSqueezeLab:
     """`with LiveSqueezeLab("rice") as lab:` and its devices are there, closed; `lab.source()` opens them.
 
     hand, pads, camera: the real drivers' devices; clock, wait_until: the host's
+    `devices` makes them those of a rig file (`deformscope.robot.squeeze_setup.SimulatedContainer`)
     """
 
-    clock, wait_until = staticmethod(monotonic_ns), staticmethod(sleep_until)
+    runs_itself, opener, clock, wait_until = True, None, staticmethod(monotonic_ns), staticmethod(sleep_until)
 
     def __init__(
         self,
@@ -77,18 +80,27 @@ class LiveSqueezeLab:
         camera: DepthViewConfig = CAMERA,
     ) -> None:
         """As for `SqueezeLab`."""
+        self.intrinsics, self.camera_hz = camera.intrinsics, camera_hz
+        self.T_hand_camera = camera_pose(camera)
         self._asked = _Asked(content, container, seed, session, grasp, camera, camera_hz)
+        self._configs = SdhConfig(), DsaConfig()
         self._over = SPAWN.Event()
 
     def __enter__(self) -> LiveSqueezeLab:
         with contextlib.ExitStack() as stack:
             pictures, self._questions = stack.enter_context(self._process())
             standing = _answer(self._questions)
-            self.hand = Sdh(SdhConfig(port=standing.hand))
-            self.pads = Dsa(DsaConfig(port=standing.pads, calibration=(PA_PER_COUNT,)))
-            config = camera_config(standing.intrinsics, self._asked.camera_hz, self._asked.seed)
+            hand, pads = self._configs
+            self.hand = Sdh(replace(reaching(hand, standing.hand), checksum=None))
+            self.pads = Dsa(replace(reaching(pads, standing.pads), calibration=(PA_PER_COUNT,)))
+            config = camera_config(self.intrinsics, self.camera_hz, self._asked.seed)
             self.camera = SyntheticDepthCamera(None, config)
-            passing = threading.Thread(target=self._pass_on, args=(pictures,), name="simulated pictures", daemon=True)
+            passing = threading.Thread(
+                target=pass_pictures,
+                args=(pictures, self.camera, self._over.is_set),
+                name="simulated pictures",
+                daemon=True,
+            )
             passing.start()
             stack.callback(passing.join)
             stack.callback(self._over.set)
@@ -102,10 +114,23 @@ class LiveSqueezeLab:
         """The devices as a source, named as in `squeeze_lab.NAMES`; entering it opens them."""
         return RigSource(members(self.hand, self.pads, self.camera))
 
+    @contextlib.contextmanager
+    def devices(self, entries: Sequence[RigDevice]) -> Iterator[dict[str, Device[Any]]]:
+        """The devices by the names that a rig file gives them, set as it says, closed; the container stands there until
+        the end of the context."""
+        configs = {entry.driver.name: entry.config for entry in entries}
+        self._configs = configs["sdh"], configs["dsa"]
+        with self:
+            made: dict[str, Device[Any]] = {"sdh": self.hand, "dsa": self.pads, "depth_camera": self.camera}
+            yield {entry.name: made[entry.driver.name] for entry in entries}
+
     def truth(self) -> ContainerTruth:
-        """What is simulated, up to now; times are on the host's clock."""
-        self._questions.send(None)
-        answer = self._questions.recv()
+        """What is simulated, up to now, on the host's clock. Raises InputError where its process has ended."""
+        try:
+            self._questions.send(None)
+            answer = self._questions.recv()
+        except (EOFError, OSError) as error:
+            raise InputError("a simulated container that answers", "its process has ended", "run it again") from error
         assert isinstance(answer, ContainerTruth)
         return answer
 
@@ -130,18 +155,6 @@ class LiveSqueezeLab:
                 process.kill()
             pictures.close()
             questions.close()
-
-    def _pass_on(self, pictures: Connection) -> None:
-        """Pictures that the process has drawn, to the camera."""
-        while not self._over.is_set():
-            try:
-                if not pictures.poll(0.1):
-                    continue
-                view: View = pictures.recv()
-            except (EOFError, OSError):
-                return
-            with contextlib.suppress(DeviceError):  # not open yet, or not any more
-                self.camera.push(view)
 
 
 def _answer(questions: Connection) -> _Standing:
@@ -174,7 +187,7 @@ def _stand(asked: _Asked, over: threading.Event, pictures: Connection, answers: 
         answers.send(error)
         return
     with PtyWire(simulated.hand) as hand, PtyWire(simulated.pads) as pads:
-        answers.send(_Standing(hand.port, pads.port, simulated.view.intrinsics))
+        answers.send(_Standing(hand.port, pads.port))
         due = time.monotonic()
         while not over.is_set():
             with contextlib.suppress(OSError):  # nobody looks any more

@@ -48,6 +48,12 @@ class DepthViewConfig:
     unit_m: float = 0.001
     far_m: float = 3.5
 
+    @property
+    def intrinsics(self) -> Intrinsics:
+        """Its projection."""
+        focal = self.focal_px * self.width / 640.0
+        return Intrinsics(focal, focal, 0.5 * (self.width - 1), 0.5 * (self.height - 1))
+
 
 @dataclass(frozen=True, slots=True)
 class Rendered:
@@ -68,8 +74,8 @@ class RayCamera:
 
     def __init__(self, config: DepthViewConfig, T_world_camera: FloatArray) -> None:
         self.config = config
-        focal = config.focal_px * config.width / 640.0
-        self.intrinsics = Intrinsics(focal, focal, 0.5 * (config.width - 1), 0.5 * (config.height - 1))
+        self.intrinsics = config.intrinsics
+        focal = self.intrinsics.fx_px
         self.T_world_camera = np.asarray(T_world_camera)
         column, row = np.meshgrid(np.arange(config.width), np.arange(config.height))
         across = (column - self.intrinsics.cx_px) / focal, (row - self.intrinsics.cy_px) / focal

@@ -153,7 +153,7 @@ class TouchLab:
 
 
 def _poll(device: Device[Any]) -> None:
-    """One round; a link that is lost tells so by itself."""
+    """One round; a link that is lost reports it by itself."""
     try:
         device.poll(0.0)
     except DeviceError:

@@ -3,9 +3,6 @@ curve with the posterior, the verdict."""
 
 from __future__ import annotations
 
-import json
-from typing import Any, cast
-
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +16,7 @@ from deformscope.pictures.findings import cell_text, table_markdown
 from deformscope.pictures.palette import HELD, OBSERVED, REST, SIMULATED, Rgb, colors, readable, round_up
 from deformscope.pictures.report import Table
 from deformscope.pictures.words import estimate_tables
-from deformscope.plain import plain
+from deformscope.rows import to_components
 from deformscope.stages.fit.estimate import Comparison, Estimate
 from deformscope.stages.see.triangulation import raster, triangulate
 
@@ -231,7 +228,7 @@ def _heights(canvas: Canvas) -> str:
 
 
 def log_estimate(rec: rr.RecordingStream, estimate: Estimate, canvas: Canvas) -> None:
-    """The error curve as a chart and as numbers, the verdict as text, and all of it as JSON.
+    """The error curve as a chart and as numbers, the verdict as text, and every field of it.
 
     An estimate over a sequence belongs to the whole of it, hence to no moment; a pair's stands at the pair's frame.
     """
@@ -244,12 +241,7 @@ def log_estimate(rec: rr.RecordingStream, estimate: Estimate, canvas: Canvas) ->
     points = {estimate.parameter: curve.parameter[known], "aee": curve.aee[known]}
     rec.log("calibration/curve", rr.AnyValues(True, **points), static=whole)
     rec.log("calibration/summary", rr.TextDocument(summary(estimate), media_type=rr.MediaType.MARKDOWN), static=whole)
-    rec.log("calibration/estimate", rr.AnyValues(json=json.dumps(as_json(estimate))), static=whole)
-
-
-def as_json(estimate: Estimate) -> dict[str, Any]:
-    """The estimate's public form, in strict JSON: what is not finite becomes null."""
-    return cast(dict[str, Any], plain(estimate.as_json()))
+    rec.log("calibration/estimate", rr.DynamicArchetype("Estimate", components=to_components(estimate)), static=whole)
 
 
 def summary(estimate: Estimate) -> str:

@@ -9,7 +9,7 @@ from deformscope.arrays import FloatArray
 from deformscope.images import encode_png
 from deformscope.pictures.palette import BACKGROUND
 
-RANGE_M = 0.01
+RANGE_M = 0.003
 """The colours end at a dent and at a bulge of so much: the same for all pictures, so that they compare."""
 ENLARGED = 6
 MISSING: tuple[int, int, int] = (90, 94, 100)
@@ -26,12 +26,12 @@ def depth_change_png(change_m: FloatArray, width_m: float, missing: float) -> by
     width = picture.shape[1]
     bar = np.repeat(_diverging(np.linspace(-1.0, 1.0, width)[None], np.ones((1, width), bool)), 12, axis=0)
     words = np.full((44, width, 3), BACKGROUND, np.uint8)
-    ends = (f"{-1e3 * RANGE_M:g} mm", "0", f"{1e3 * RANGE_M:g} mm")
+    ends = (f"{-1e3 * RANGE_M:g} mm: bulge", "0", f"{1e3 * RANGE_M:g} mm: dent")
     for share_x, text in zip((0.0, 0.5, 1.0), ends, strict=True):
         (length, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.45, 1)
         place = round(share_x * (width - length)), 15
         cv2.putText(words, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.45, INK, 1, cv2.LINE_AA)
-    about = f"{100 * width_m:.1f} cm wide, {100 * missing:.0f} % missing"
+    about = f"{100 * width_m:.1f} cm wide; grey: finger, or not measured ({100 * missing:.0f} %)"
     cv2.putText(words, about, (4, 36), cv2.FONT_HERSHEY_SIMPLEX, 0.45, INK, 1, cv2.LINE_AA)
     gap = np.full((6, width, 3), BACKGROUND, np.uint8)
     return encode_png(np.concatenate([picture, gap, bar, words]))

@@ -23,14 +23,6 @@ def level_words(maps: MapEstimate, region: int) -> str:
     return f"{'> ' * bool(maps.level_rigid[region])}{maps.level_n_per_mm[region]:.3g}"
 
 
-def region_words(maps: MapEstimate, region: int) -> str:
-    """A region's stiffness with its interval."""
-    if maps.level_rigid[region]:
-        return f"{level_words(maps, region)} N/mm"
-    low, high = maps.level_interval_n_per_mm[region]
-    return f"{level_words(maps, region)} N/mm ({low:.3g} to {high:.3g})"
-
-
 def travel_words(travel_m: float) -> str:
     """How far it was over the surface."""
     return f"travel {travel_m:.2f} m over the surface"

@@ -16,13 +16,15 @@ from deformscope.errors import InputError
 from deformscope.frames import HealthReport, Item, StageResult, Stream
 from deformscope.images import decode_image
 from deformscope.recording.reader import Replay
-from deformscope.rows import ENTITIES, FRAMES, IMAGES, OF_DEVICES, from_components, from_json
+from deformscope.rows import ENTITIES, FORMAT, FRAMES, IMAGES, OF_DEVICES, from_components, from_json
+from deformscope.stages.fit.estimate import Estimate
 from deformscope.stages.fit.moment import MomentFit
 from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, TouchEstimate
 from deformscope.stages.see.arrows import FlowArrows
 from deformscope.stages.see.tactile import TactileContact
 
 if TYPE_CHECKING:
+    from pyarrow import RecordBatch
     from rerun.chunk import Chunk
 
 ITEMS: tuple[type, ...] = (*OF_DEVICES, HealthReport)
@@ -66,6 +68,24 @@ def read_results(path: Path, kinds: Sequence[type] = (), *, trust: bool = False)
     """The results of a recorded exploration, or those of some kinds, as they came: equal to the last bit."""
     every = [kind for kind, entity in ENTITIES.items() if entity.startswith("exploration/")]
     return read_rows(Replay(path, trust=trust), kinds or every)
+
+
+def read_estimates(replay: Replay) -> list[Estimate]:
+    """The estimates of a calibration in the order of their frames, equal to what was recorded.
+
+    Raises InputError where they were recorded in format 1.
+    """
+    found: list[tuple[int, Estimate]] = []
+    for chunk in replay.chunks("/calibration/estimate"):
+        batch = chunk.to_record_batch()
+        names = batch.schema.names
+        if "json" in names:
+            hint = "calibrate its images or pairs again, or use the version that made it"
+            raise InputError(f"estimates as format {FORMAT} has them", "those of format 1", hint, replay.path)
+        frames = batch.column("frame").to_pylist() if "frame" in names else [-1] * batch.num_rows
+        objects = zip(frames, _objects(batch, Estimate), strict=True)
+        found += [(frame, from_components(Estimate, cells)) for frame, cells in objects if cells]
+    return [one for _, one in sorted(found, key=lambda row: row[0])]
 
 
 def read_rows(
@@ -156,16 +176,20 @@ def _times(chunk: Chunk) -> list[int]:
 def _rows(chunk: Chunk, kind: type) -> Iterator[tuple[int, bytes, int, int, Cells]]:
     """(time [ns], row id, touch, index, cells) of each row that has parts of an object of this kind."""
     batch = chunk.to_record_batch()
-    columns = {field: _cells(batch.column(name)) for name in batch.schema.names if (field := _field_of(name, kind))}
     names, nothing = batch.schema.names, [0] * batch.num_rows
     touches = batch.column("touch").to_pylist() if "touch" in names else nothing
     own = "index" if "index" in names else "frame"  # in an exploration `frame` is the depth camera's
     indices = batch.column(own).to_pylist() if own in names else nothing
     ids = batch.column("rerun.controls.RowId").to_pylist()
-    for row, (when, row_id, touch, index) in enumerate(zip(_times(chunk), ids, touches, indices, strict=True)):
-        cells = {field: column[row] for field, column in columns.items() if column[row] is not None}
-        if cells:
-            yield when, row_id, touch, index, cells
+    rows = zip(_times(chunk), ids, touches, indices, _objects(batch, kind), strict=True)
+    yield from (row for row in rows if row[-1])
+
+
+def _objects(batch: RecordBatch, kind: type) -> Iterator[Cells]:
+    """What there is of an object of this kind in each row."""
+    columns = {field: _cells(batch.column(name)) for name in batch.schema.names if (field := _field_of(name, kind))}
+    for row in range(batch.num_rows):
+        yield {field: column[row] for field, column in columns.items() if column[row] is not None}
 
 
 def _field_of(component: str, kind: type) -> str:

@@ -18,7 +18,7 @@ from deformscope.errors import InputError
 from deformscope.frames import ColorFrame, DepthFrame, InputFile
 from deformscope.images import decode_image
 from deformscope.recording.ledger import check_ledger
-from deformscope.rows import FORMAT
+from deformscope.rows import FORMAT, READABLE
 
 if TYPE_CHECKING:
     from rerun.chunk import Chunk, RrdReader
@@ -27,13 +27,20 @@ Pace = Literal["fast", "real", "step"]
 RRD_MAGIC = b"RRF"
 APPLICATION_PREFIX = "deformscope"
 """Every layout of ours has an application of its own (`deformscope.recording.recorder.APPLICATIONS`)."""
-ESTIMATE = "/calibration/estimate"
 BLOB = "EncodedImage:blob"
 IMAGE_FIELDS = {BLOB: "image", "EncodedDepthImage:blob": "depth", "DepthFrame:color": "color"}
 """What the images in each component are."""
 SESSION, OUTCOME = "/__properties/session", "/__properties/outcome"
 
 _logger = logging.getLogger(__name__)
+
+
+def check_magic(path: Path) -> None:
+    """Raises InputError for a file that does not begin as rerun's recordings do."""
+    with path.open("rb") as file:
+        magic = file.read(len(RRD_MAGIC))
+    if magic != RRD_MAGIC:
+        raise InputError("a recording (.rrd)", "a file that is none" if magic else "an empty file", where=path)
 
 
 class Replay:
@@ -125,17 +132,6 @@ class Replay:
         prefix = f"{folder}/" if folder else ""
         return {name.removeprefix(prefix): found[name] for name in sorted(found) if name.startswith(prefix)}
 
-    def read_results(self) -> list[dict[str, Any]]:
-        """The recorded estimates, as the JSON objects that they were recorded as, in the order of their frames."""
-        found: list[tuple[int, list[str]]] = []
-        for chunk in self.chunks(ESTIMATE):
-            batch = chunk.to_record_batch()
-            if "json" in batch.schema.names:
-                many = "frame" in batch.schema.names
-                frames = batch.column("frame").to_pylist() if many else [-1] * batch.num_rows
-                found += zip(frames, batch.column("json").to_pylist(), strict=True)
-        return [json.loads(cell[0]) for _, cell in sorted(found) if cell]
-
     def frames(
         self, pace: Pace = "fast", wait: Callable[[ColorFrame], None] | None = None, camera: str | None = None
     ) -> Iterator[ColorFrame]:
@@ -170,11 +166,7 @@ class Replay:
         path = self.path
         if not path.is_file():
             raise InputError("a recording", "a folder" if path.is_dir() else "nothing there", where=path)
-        with path.open("rb") as file:
-            magic = file.read(len(RRD_MAGIC))
-        if magic != RRD_MAGIC:
-            came = "a file that is none" if magic else "an empty file"
-            raise InputError("a recording (.rrd)", came, where=path)
+        check_magic(path)
         if not trust:
             self._check_ledger()
         try:
@@ -190,7 +182,7 @@ class Replay:
         """Refuse what this version would misread."""
         if "format" not in self.properties:
             came, hint = "one without, made by an earlier version", "record it again, or read it with that version"
-        elif (number := self.properties["format"]) != FORMAT:
+        elif (number := self.properties["format"]) not in READABLE:
             came, hint = f"one of format {number}", "the version of deformscope that made it, or a newer one"
         else:
             return

@@ -230,16 +230,25 @@ class Recorder:
             self._put(lambda: self._emit(lambda rec: log_exploration_start(rec, given, base_from_surface), 0), 0)
 
     def start_squeeze(
-        self, streams: Sequence[Stream], start_ns: int, tactile: str, pads: Sequence[int], camera: str
+        self,
+        streams: Sequence[Stream],
+        start_ns: int,
+        tactile: str,
+        pads: Sequence[int],
+        camera: str,
+        *,
+        around_px: tuple[float, float, float, float] | None = None,
+        named: bool = False,
     ) -> None:
         """From here on it is a squeeze that is recorded, and its devices.
 
         tactile, pads: the device and the pads of the fingertips that squeeze; camera: the depth camera, or empty
+        around_px: left, top, right, bottom of what its view shows, None = all; named: a model names the content
         """
         if self.active:
             from deformscope.log.squeeze import fingertips_of, log_squeeze_start, squeeze_blueprint
 
-            self._start(streams, start_ns, squeeze_blueprint(streams, tactile, camera))
+            self._start(streams, start_ns, squeeze_blueprint(streams, tactile, camera, around_px, named=named))
             self._fingertips = fingertips = fingertips_of(streams, tactile, pads)
             self._put(lambda: self._emit(lambda rec: log_squeeze_start(rec, fingertips), 0), 0)
 

@@ -77,6 +77,8 @@ class SqueezeSection:
     hold_s: the current is kept for so long after that, for the relaxation
     over_squeeze_m: the fingertips may come closer by so much after the first contact
     contact_timeout_s, still_timeout_s: to the first contact, and from there to the steady state
+    hand_silent_s, tactile_silent_s: stopped when there is nothing new from them for so long: five periods of the hand's
+    25 Hz, nearly four of pads that give 11 frames a second at worst; longer only where a busy machine loses time
     saturation_counts: a texel that reaches it ends the squeeze
     spread_m, tilt_deg: standard deviation of a random grasp along the container's longest edge, about its middle, and
     of its tilt
@@ -95,6 +97,8 @@ class SqueezeSection:
     over_squeeze_m: float = 0.03
     contact_timeout_s: float = 12.0
     still_timeout_s: float = 8.0
+    hand_silent_s: float = 0.2
+    tactile_silent_s: float = 0.35
     saturation_counts: int = 4095
     spread_m: float = 0.01
     tilt_deg: float = 3.0
@@ -111,6 +115,8 @@ class SqueezeSection:
         check(0.0 < self.still_deg <= 2.0, "still_deg above 0 and up to 2", self.still_deg)
         for name, most in (("still_s", 5.0), ("contact_timeout_s", 60.0), ("still_timeout_s", 60.0)):
             check(0.05 <= getattr(self, name) <= most, f"{name} between 0.05 and {most:g}", getattr(self, name))
+        for name in ("hand_silent_s", "tactile_silent_s"):
+            check(0.05 <= getattr(self, name) <= 1.0, f"{name} between 0.05 and 1", getattr(self, name))
         check(0.0 <= self.hold_s <= 10.0, "hold_s between 0 and 10", self.hold_s)
         check(0.0 < self.over_squeeze_m <= 0.1, "over_squeeze_m above 0 and up to 0.1", self.over_squeeze_m)
         check(1 <= self.saturation_counts <= 4095, "saturation_counts between 1 and 4095", self.saturation_counts)

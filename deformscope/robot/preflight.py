@@ -79,7 +79,7 @@ class Check:
     @property
     def hint(self) -> str:
         """What to do about it; empty where it has passed."""
-        return "" if self.passed else next((told for name, told in HINTS.items() if self.name.startswith(name)), "")
+        return "" if self.passed else next((hint for name, hint in HINTS.items() if self.name.startswith(name)), "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,7 +225,7 @@ def _clocks(robot: Robot, seen: Sequence[RobotObservation]) -> Iterator[Check]:
 
 def _pictures(seen: Sequence[RobotObservation]) -> Iterator[Check]:
     pictures = [picture.pattern for one in seen for picture in one.pictures]
-    if not pictures:  # its rate has told so
+    if not pictures:  # the check of its rate says so
         return
     repeats = sum(a is not None and a == b for a, b in itertools.pairwise(pictures))
     yield Check("camera: alive", repeats == 0, "no two equal pictures in a row", f"{repeats} of {len(pictures)}")

@@ -131,7 +131,7 @@ class Robot:
 
     @property
     def arm_seen(self) -> bool:
-        """Whether the arm has told where it stands."""
+        """Whether the arm has reported where it stands."""
         return self._pose is not None
 
     @property
@@ -180,7 +180,7 @@ class Robot:
         if self._refusal is not None:  # unless a fault was seen that is the reason of it
             fault, reason = self._refusal
             verdict = self.supervisor.refused(reason, self._clock(), fault)
-        self._tell_watch(verdict)
+        self._report_to_watch(verdict)
         verdict = self.supervisor.verdict  # whoever watches may have asked to stop
         if verdict.action is Action.STOP:
             self.halt(f"{verdict.fault}: {verdict.reason}")
@@ -201,14 +201,14 @@ class Robot:
         """A person wants the robot to stop: within this control period, or in the next one."""
         self.supervisor.ask_to_stop(reason, self._clock())
 
-    def look_on(self, duration_s: float) -> None:
+    def stand_by(self, duration_s: float) -> None:
         """Stand still and let time pass, stopped or not: for a recording that shows what came after. The verdict stays
         as it is."""
         end_ns = self._clock() + round(duration_s * 1e9)
         while (now_ns := self._clock()) < end_ns:
             self._wait_until(min(now_ns + PERIOD_NS, end_ns))
             self.seen = self._look()
-            self._tell_watch(self.supervisor.verdict)
+            self._report_to_watch(self.supervisor.verdict)
 
     def halt(self, reason: str) -> bool:
         """Erase what waits in the arm and refuse commands until `arm.acknowledge_stop`; whether the arm was reached:
@@ -256,14 +256,14 @@ class Robot:
 
     def rest(self) -> None:
         """Nobody looks until `start`, while something is computed or a person asked: what comes meanwhile is kept from
-        queues that would overflow, and tell of a loss where there is none."""
+        queues that would overflow, and count a loss where there is none."""
         for queue in (self._forces, self._states, self._pictures):
             if queue is not None:
                 queue.close()
 
     # Within ----------------------------------------------------------------------------------------------------------
 
-    def _tell_watch(self, verdict: SafetyVerdict) -> None:
+    def _report_to_watch(self, verdict: SafetyVerdict) -> None:
         """Nobody goes on whose recording has failed, or who cannot be watched for another reason."""
         if self.watch is None:
             return
@@ -360,9 +360,9 @@ class Robot:
         return True
 
     def _look(self) -> RobotObservation:
-        forces: list[ForceMeasurement] = _taken(self._forces)
-        states: list[JacoState] = _taken(self._states)
-        pictures: list[DepthImage] = _taken(self._pictures) if self._pictures is not None else []
+        forces: list[ForceMeasurement] = taken(self._forces)
+        states: list[JacoState] = taken(self._states)
+        pictures: list[DepthImage] = taken(self._pictures) if self._pictures is not None else []
         arms = tuple(map(ArmSample.of, states))
         if arms:
             self._pose = arms[-1]
@@ -380,7 +380,7 @@ class Robot:
         )
 
     def _listen(self) -> None:
-        """From now on, with empty queues; a device that has ended for good gives none, and its link tells so."""
+        """From now on, with empty queues; a device that has ended for good gives none, and its link says so."""
         self.rest()
         with contextlib.suppress(DeviceError):
             self._forces = self.force.readings()
@@ -390,8 +390,8 @@ class Robot:
             self._pictures = self.camera.readings() if self.camera is not None else None
 
 
-def _taken(queue: Any) -> list[Any]:
-    """What waits; nothing of a device that has failed, whose link tells so."""
+def taken(queue: Any) -> list[Any]:
+    """What waits; nothing of a device that has failed, whose link says so."""
     try:
         return list(queue.take())
     except DeviceError:

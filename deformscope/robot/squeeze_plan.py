@@ -11,7 +11,7 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.rig.squeeze_sections import ContainerSection, SqueezeSection
 from deformscope_drivers.jaco.kinematics import transform
-from deformscope_drivers.sdh.kinematics import BASE_HEIGHT_M, BASE_SIDE_M, DISTAL_LINK_M, PROXIMAL_LINK_M
+from deformscope_drivers.sdh.kinematics import BASE_HEIGHT_M, BASE_SIDE_M, DISTAL_LINK_M, FINGERS, PROXIMAL_LINK_M
 
 BASE_DEG = 90.0
 """The two fingers on the common base face each other there: `deformscope_drivers.sdh.kinematics`."""
@@ -24,19 +24,22 @@ CLOSING_AXES = (1, 5)
 """The proximal axes of fingers 0 and 2 (Schunk's order of axes)."""
 PAD_ALONG_M = 0.6 * DISTAL_LINK_M
 """Where along the distal link the middle of its pad is. Assumed."""
-BESIDE_M = BASE_SIDE_M / 2 * math.tan(math.radians(30.0))
-"""Along the hand's y: fingers 0 and 2 stand so far beside its z axis, and so do their pads when they face each
-other."""
 
 
 @dataclass(frozen=True, slots=True)
 class GripShape:
     """Angles of the axes, (7,) each [deg]. open_deg: before and after; contact_deg: where both fingertips touch a
-    container of the width given; reach_m: from the palm's origin to the middle of the pads there [m]"""
+    container of the width given; reach_m: height of the middle of the pads above the palm's origin there [m]"""
 
     open_deg: tuple[float, ...]
     contact_deg: tuple[float, ...]
     reach_m: float
+
+    @property
+    def middle_m(self) -> tuple[float, float, float]:
+        """Between the middles of the two pads at contact, hand frame: beside the thumb's axis, in the plane in which
+        the two fingers stand and close."""
+        return 0.0, FINGERS[0].base_m[1], self.reach_m
 
     @classmethod
     def of(cls, container: ContainerSection, squeeze: SqueezeSection) -> GripShape:
@@ -88,7 +91,7 @@ def draw_grasp(container: ContainerSection, squeeze: SqueezeSection, seed: int) 
     offset = np.zeros(3)
     offset[edge] = -along_m
     # about the middle between the pads, which stays on the container's axis of closing
-    pads = pads_middle(container, squeeze)
+    pads = np.array(GripShape.of(container, squeeze).middle_m)
     about = transform(np.eye(3), pads) @ transform(turn, np.zeros(3)) @ transform(np.eye(3), -pads)
     return RandomGrasp(along_m, tilt_deg, np.asarray(about @ middle @ transform(np.eye(3), offset)))
 
@@ -99,12 +102,7 @@ def grasp_middle(container: ContainerSection, squeeze: SqueezeSection) -> FloatA
     if container.T_hand_container is not None:
         return np.array(container.T_hand_container, np.float64)
     from_side = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-    return np.asarray(transform(from_side, pads_middle(container, squeeze)))
-
-
-def pads_middle(container: ContainerSection, squeeze: SqueezeSection) -> FloatArray:
-    """(3,) between the middles of both pads when they touch the container, hand frame [m]."""
-    return np.array([0.0, BESIDE_M, GripShape.of(container, squeeze).reach_m])
+    return np.asarray(transform(from_side, GripShape.of(container, squeeze).middle_m))
 
 
 def _contact_deg(half_m: float, distal_deg: float) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.rig.squeeze_sections import HandSection, SqueezeSection
-from deformscope.robot.robot import Waits
+from deformscope.robot.robot import Waits, taken
 from deformscope.robot.squeeze_plan import CLOSING_AXES, GripShape
 from deformscope.robot.squeeze_supervisor import (
     SqueezeFault,
@@ -110,8 +110,8 @@ class SqueezeRobot:
 
     def start(self) -> None:
         """After a pause in which nobody looked: forget what waits, count ages from now on."""
-        self._taken(self._hands)
-        self._taken(self._frames)
+        taken(self._hands)
+        taken(self._frames)
         self._next_ns = self._clock()
         self.supervisor.start(self._clock())
 
@@ -137,7 +137,7 @@ class SqueezeRobot:
             self.halt()
             raise SqueezeStopped(verdict)
 
-    def look_on(self, duration_s: float) -> None:
+    def stand_by(self, duration_s: float) -> None:
         """Let time pass, stopped or not: for a recording that shows what came after."""
         until_ns = self._clock() + round(duration_s * 1e9)
         while (now_ns := self._clock()) < until_ns:
@@ -159,7 +159,7 @@ class SqueezeRobot:
         """Stop the hand; whether it confirmed that, or was never commanded."""
         return not self._commanded or self._insist(self.hand.stop)
 
-    # What it does ----------------------------------------------------------------------------------------------------
+    # Commands --------------------------------------------------------------------------------------------------------
 
     def preshape(self) -> None:
         """Open the fingers, turn them towards each other, park the thumb. Raises SqueezeStopped."""
@@ -239,8 +239,8 @@ class SqueezeRobot:
     # Within ----------------------------------------------------------------------------------------------------------
 
     def _look(self) -> SqueezeObservation:
-        self.hand_readings = tuple(self._taken(self._hands))
-        self.tactile_frames = tuple(self._fingertips(reading) for reading in self._taken(self._frames))
+        self.hand_readings = tuple(taken(self._hands))
+        self.tactile_frames = tuple(self._fingertips(reading) for reading in taken(self._frames))
         temperatures = [one.temperature_c for one in self.hand_readings if one.temperature_c is not None]
         return SqueezeObservation(
             self._clock(),
@@ -263,11 +263,3 @@ class SqueezeRobot:
         pads = [reading.pads[matrix] for matrix in self._matrices]
         sums = np.array([pad.sum(dtype=np.int64) for pad in pads], np.float64)
         return FingertipFrame(reading.stamp.host_ns, sums, max(int(pad.max()) for pad in pads))
-
-    @staticmethod
-    def _taken(queue: Any) -> list[Any]:
-        """What waits; nothing of a device that has failed, whose link says so."""
-        try:
-            return list(queue.take())
-        except DeviceError:
-            return []

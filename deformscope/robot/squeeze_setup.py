@@ -3,9 +3,10 @@ hand; real ones or doubles. A laboratory hands its own in."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from deformscope.robot.robot import Waits, sleep_until
 from deformscope.robot.setup import CAMERA_HZ, CameraView
 from deformscope.robot.squeeze_plan import RandomGrasp, draw_grasp
 from deformscope_drivers.clock import Clock, monotonic_ns
+from deformscope_drivers.depth_camera.image import Intrinsics
+from deformscope_drivers.device import Device
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +40,101 @@ class SqueezeTruth:
 
     first_ns: int
     steady_ns: int
+
+    @classmethod
+    def of(cls, truth: TrueMoments) -> SqueezeTruth:
+        """What a laboratory answers."""
+        return cls(truth.contact_ns or 0, truth.steady_ns or 0)
+
+
+class TrueMoments(Protocol):
+    """What a laboratory knows of a squeeze; None = not yet."""
+
+    @property
+    def contact_ns(self) -> int | None: ...
+
+    @property
+    def steady_ns(self) -> int | None: ...
+
+
+class SimulatedContainer(Protocol):
+    """A container that a rig's doubles squeeze and see (`deformscope.lab.live_squeeze_lab.LiveSqueezeLab`).
+
+    T_hand_camera: (4, 4) camera to hand [m]; intrinsics, camera_hz: of that camera
+    opener: as for `RigSource`; other attributes as in `SqueezeSetup`
+    """
+
+    @property
+    def runs_itself(self) -> bool: ...
+
+    @property
+    def clock(self) -> Clock: ...
+
+    @property
+    def wait_until(self) -> Waits: ...
+
+    @property
+    def opener(self) -> Callable[[], None] | None: ...
+
+    @property
+    def intrinsics(self) -> Intrinsics: ...
+
+    @property
+    def camera_hz(self) -> float: ...
+
+    @property
+    def T_hand_camera(self) -> FloatArray: ...
+
+    def truth(self) -> TrueMoments:
+        """What is simulated, up to now."""
+
+    def devices(self, entries: Sequence[RigDevice]) -> AbstractContextManager[dict[str, Device[Any]]]:
+        """Doubles of these devices, closed, by name."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SqueezeParts:
+    """What plays which part in a rig file; camera, arm: None where there is none.
+
+    grasp: drawn from the seed
+    """
+
+    rig: Rig
+    hand: RigDevice
+    tactile: RigDevice
+    camera: RigDevice | None
+    arm: RigDevice | None
+    grasp: RandomGrasp
+
+    @classmethod
+    def of(cls, rig: Rig, seed: int) -> SqueezeParts:
+        """Raises InputError, which names what is missing, or what does not go together."""
+        cameras = any(entry.driver.name == "depth_camera" for entry in rig.devices)
+        carried = rig.hand.T_arm_hand is not None
+        parts = cls(
+            rig,
+            _one_of(rig, "sdh", ""),
+            _one_of(rig, "dsa", rig.hand.tactile),
+            _one_of(rig, "depth_camera", rig.camera.device) if cameras else None,
+            _one_of(rig, "jaco", "", "for [hand] T_arm_hand") if carried else None,
+            draw_grasp(rig.container, rig.squeeze, seed),
+        )
+        together = [entry for entry in (parts.hand, parts.tactile, parts.camera, parts.arm) if entry is not None]
+        if len({entry.double for entry in together}) > 1:
+            expected = f"{', '.join(entry.name for entry in together)} all real or all doubled"
+            doubled = ", ".join(entry.name for entry in together if entry.double)
+            raise InputError(expected, f"{doubled} doubled", "double = true in each of their sections", rig.name)
+        return parts
+
+    @property
+    def simulated(self) -> bool:
+        """All are doubles."""
+        return self.hand.double
+
+    @property
+    def around(self) -> list[RigDevice]:
+        """What squeezes and sees the container."""
+        return [entry for entry in (self.hand, self.tactile, self.camera) if entry is not None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,48 +169,63 @@ class SqueezeSetup:
 
 
 def squeeze_setup(
-    rig: Rig, double: Callable[[RigDevice], AbstractContextManager[RigMember]], seed: int
+    parts: SqueezeParts,
+    double: Callable[[RigDevice], AbstractContextManager[RigMember]],
+    container: SimulatedContainer | None = None,
 ) -> SqueezeSetup:
-    """All devices of a rig file. double: makes a device of the rig, or its double
+    """All devices of a rig file.
 
-    Raises InputError, which names what is missing.
+    double: makes a device of the rig that no container is simulated around, or its double
+    container: between the doubles; the hand stands at it already, and it brings the pose and projection of its camera
     """
-    hand = _one_of(rig, "sdh", "")
-    tactile = _one_of(rig, "dsa", rig.hand.tactile)
-    cameras = [entry for entry in rig.devices if entry.driver.name == "depth_camera"]
-    camera = _one_of(rig, "depth_camera", rig.camera.device) if cameras else None
-    arms = [entry for entry in rig.devices if entry.driver.name == "jaco"]
-    arm = _one_of(rig, "jaco", "") if arms and rig.hand.T_arm_hand is not None else None
-    if rig.hand.T_arm_hand is not None and arm is None:
-        raise InputError("an arm for [hand] T_arm_hand", "none", '[devices.NAME] driver = "jaco"', rig.name)
-    doubled = [entry.name for entry in rig.devices if entry.double]
-    moving = [entry for entry in (hand, arm) if entry is not None]
-    if len({entry.double for entry in moving}) > 1:
-        raise InputError("hand and arm both real or both doubled", f"{', '.join(doubled)} doubled", where=rig.name)
+    rig = parts.rig
 
     @contextmanager
     def open_source() -> Iterator[RigSource]:
         with ExitStack() as stack:
-            members = [stack.enter_context(double(entry)) for entry in rig.devices]
-            with RigSource(members, raw=rig.record.raw) as source:
+            made = {} if container is None else stack.enter_context(container.devices(parts.around))
+            members = [
+                RigMember(entry.name, entry.driver, made[entry.name], simulated=True)
+                if entry.name in made
+                else stack.enter_context(double(entry))
+                for entry in rig.devices
+            ]
+            opener, clock = (None, monotonic_ns) if container is None else (container.opener, container.clock)
+            with RigSource(members, raw=rig.record.raw, clock=clock, opener=opener) as source:
                 yield source
 
-    seen = rig.camera
+    camera, seen = parts.camera, rig.camera
+    names = SqueezeNames(parts.hand.name, parts.tactile.name, "" if camera is None else camera.name)
+    if container is not None:
+        lens = container.intrinsics
+        return SqueezeSetup(
+            names=names,
+            hand=rig.hand,
+            container=rig.container,
+            squeeze=rig.squeeze,
+            camera=CameraView((lens.fx_px, lens.fy_px), (lens.cx_px, lens.cy_px), rate_hz=container.camera_hz),
+            open_source=open_source,
+            grasp=parts.grasp,
+            T_camera_hand=np.asarray(np.linalg.inv(container.T_hand_camera)),
+            placed=True,
+            simulated=True,
+            runs_itself=container.runs_itself,
+            truth=lambda: SqueezeTruth.of(container.truth()),
+            clock=container.clock,
+            wait_until=container.wait_until,
+        )
     fps = None if camera is None else camera.config.fps
     return SqueezeSetup(
-        names=SqueezeNames(
-            hand.name, tactile.name, "" if camera is None else camera.name, "" if arm is None else arm.name
-        ),
+        names=replace(names, arm="" if parts.arm is None else parts.arm.name),
         hand=rig.hand,
         container=rig.container,
         squeeze=rig.squeeze,
         camera=CameraView(seen.focal_px, seen.center_px, seen.distortion, rate_hz=float(fps or CAMERA_HZ)),
         open_source=open_source,
-        grasp=draw_grasp(rig.container, rig.squeeze, seed),
+        grasp=parts.grasp,
         T_camera_hand=_transform(rig.hand.T_camera_hand),
         T_arm_hand=_transform(rig.hand.T_arm_hand),
         T_arm_camera=_transform(seen.T_arm_camera),
-        simulated=hand.double,
     )
 
 
@@ -120,9 +233,9 @@ def _transform(rows: tuple[tuple[float, ...], ...] | None) -> FloatArray | None:
     return None if rows is None else np.array(rows, np.float64)
 
 
-def _one_of(rig: Rig, driver: str, name: str) -> RigDevice:
+def _one_of(rig: Rig, driver: str, name: str, what_for: str = "to squeeze with") -> RigDevice:
     found = [entry for entry in rig.devices if entry.driver.name == driver and name in ("", entry.name)]
     if len(found) != 1:
         came = "none" if not found else ", ".join(entry.name for entry in found)
-        raise InputError(f'one device with driver = "{driver}", to squeeze with', came, "the rig file", rig.name)
+        raise InputError(f'one device with driver = "{driver}", {what_for}', came, "the rig file", rig.name)
     return found[0]

@@ -16,10 +16,6 @@ from deformscope.rig.squeeze_sections import SqueezeSection
 from deformscope.robot.squeeze_plan import CLOSING_AXES
 from deformscope_drivers.sdh.kinematics import fingertips
 
-HAND_SILENT_S = 0.2
-"""Five periods of the hand's 25 Hz."""
-TACTILE_SILENT_S = 0.35
-"""Of pads that give 11 frames a second at worst (raw frames of all six arrays on RS-232): nearly four periods."""
 LIMIT_DEG = 1.0
 """An axis that comes so near to the end of its range is at it: reported angles are precise to 0.5 deg."""
 TOO_HOT_C = 70.0
@@ -148,7 +144,7 @@ class SqueezeSupervisor:
                     found.append((SqueezeFault.JOINT_RANGE, f"axis {axis} at {angles[axis]:.1f} deg"))
         if seen.hottest_c is not None and seen.hottest_c > TOO_HOT_C:
             found.append((SqueezeFault.TOO_HOT, f"{seen.hottest_c:.0f} degC, limit {TOO_HOT_C:g} degC"))
-        if (age_s := (seen.now_ns - self._hand_ns) / 1e9) > HAND_SILENT_S and not self._excused:
+        if (age_s := (seen.now_ns - self._hand_ns) / 1e9) > self._squeeze.hand_silent_s and not self._excused:
             found.append((SqueezeFault.HAND_SILENT, f"no reading for {1e3 * age_s:.0f} ms"))
         return found
 
@@ -158,7 +154,7 @@ class SqueezeSupervisor:
             self._tactile_ns = when
             if peak >= self._squeeze.saturation_counts:
                 found.append((SqueezeFault.SATURATED, f"a texel at {peak} counts"))
-        if (age_s := (seen.now_ns - self._tactile_ns) / 1e9) > TACTILE_SILENT_S and not self._excused:
+        if (age_s := (seen.now_ns - self._tactile_ns) / 1e9) > self._squeeze.tactile_silent_s and not self._excused:
             found.append((SqueezeFault.TACTILE_SILENT, f"no frame for {1e3 * age_s:.0f} ms"))
         return found
 

@@ -68,7 +68,7 @@ class Limits:
     the tip will be by then
     force_silent_s, arm_silent_s: greatest age of the newest reading; force_frozen_s: greatest time of equal readings
     arm_frozen_m, arm_frozen_s: commanded way, and time at least, during which the joints do not change at all (an arm
-    begins to move, and tells so, some periods after it was told to)
+    begins to move, and reports it, some periods after the command)
     refused, unusable: this many damaged frames, or readings that are not usable, within window_s
     camera_period_s: of the camera's pictures; camera_periods: greatest age in periods; camera_repeats: the same picture
     so many times after its first is a frozen camera (noise makes two real ones differ)

@@ -1,6 +1,6 @@
 """One touch: down along the normal, press to a set force, dwell until still, and back.
 
-A state machine that is stepped once in a control period: it is told forces and the tip's place, and says a velocity.
+A state machine that is stepped once in a control period: forces and the tip's place go in, a velocity comes out.
 Near contact the control is hybrid (Raibert and Craig 1981): force along the normal, position or force across it.
 """
 
@@ -68,7 +68,7 @@ class TouchPlan:
     slow_within_m: nearer to the point than this, the approach is slow; miss_m: so far below the point it is sought
     far_speed_m_s, contact_speed_m_s, travel_speed_m_s: speeds far, near and in contact, and between touches
     contact_force_n: along the normal means contact; dwell_s: still for so long; dwell_at_most_s: dwell no longer
-    tangential: "held" = the tip stays on the normal's line, "free" = it gives way to force across
+    tangential: "held" = the tip stays on the normal's line, "free" = it follows forces across
     """
 
     point_m: FloatArray
@@ -373,9 +373,9 @@ def run_touch(
     """Travel above the place, take the tare, touch, and come back above it.
 
     still_seen: whether what watches the dent (a camera) sees no change; asked while it dwells, when the camera must be
-    alive too. on_phase: told each phase as it begins, and when [ns on the robot's clock]. Never raises for what happens
-    to the robot: `ending`, `fault` and `reason` say it, and the supervisor's verdict holds until somebody acknowledges
-    it. Raises RobotStopped where it holds already, and InputError where no preflight has passed.
+    alive too. on_phase: called with each phase as it begins, and when [ns on the robot's clock]. Never raises for what
+    happens to the robot: `ending`, `fault` and `reason` say it, and the supervisor's verdict holds until somebody
+    acknowledges it. Raises RobotStopped where it holds already, and InputError where no preflight has passed.
     """
     run = _Run(robot, plan, on_phase)
     try:

@@ -184,7 +184,7 @@ def try_object(case: Case) -> Outcome:
         noise[body.held] = 0.0
     stated = sigma * float(rng.choice(condition.stated))
     seen = body.observe(body.deform(truth) + noise, stated, condition.said)
-    begun = time.process_time()
+    started = time.process_time()
     options = FitOptions(Model(cluster_size=body.cluster_size), BOUNDS, candidates=CANDIDATES, level=case.level)
     found = calibrate([seen], options)
     return Outcome(
@@ -197,7 +197,7 @@ def try_object(case: Case) -> Outcome:
         interval=found.estimate.interval,
         rank=found.inferred.posterior.rank(truth),
         verdict=found.estimate.verdict,
-        seconds=time.process_time() - begun,
+        seconds=time.process_time() - started,
     )
 
 

@@ -22,8 +22,8 @@ from deformscope.rig.rig_file import Tool
 from deformscope.robot.setup import Truth
 from deformscope.stages.map.map_score import TrueMap
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
-from deformscope.stages.map.touches import MapGrid
 from deformscope.stages.poke.contact import ArmCompliance
+from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.cloud import Intrinsics, perceive
 
 STICK_M = 0.25

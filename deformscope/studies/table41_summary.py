@@ -14,7 +14,7 @@ from deformscope.arrays import FloatArray
 from deformscope.lab.scenes import built_in
 from deformscope.pictures.figures import COLOURS, figure
 from deformscope.stages.map.map_score import MapScore
-from deformscope.stages.map.touches import MapGrid
+from deformscope.stages.regions.touches import MapGrid
 from deformscope.studies.table41 import TableRun
 
 GOOD_IOU = 0.85

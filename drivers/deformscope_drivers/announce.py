@@ -30,7 +30,7 @@ def announcements() -> Path:
 
 @contextlib.contextmanager
 def announced(driver: str, port: str, name: str) -> Iterator[None]:
-    """Tell other processes that a double runs here, until the end of the context."""
+    """Announce to other processes that a double runs here, until the end of the context."""
     folder = announcements()
     folder.mkdir(mode=0o700, exist_ok=True)
     if not _is_ours(folder):  # made by another user, who could lead what is written here elsewhere

@@ -29,5 +29,5 @@ class Pacer:
         return self._clock() >= then_ns
 
     def wake(self) -> None:
-        """End a wait of another thread's; one that has not begun yet does not begin."""
+        """End a wait of another thread's; one that comes later ends at once."""
         self._woken.set()

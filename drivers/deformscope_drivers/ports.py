@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deformscope_drivers.announce import running_doubles
+from deformscope_drivers.usb import sysfs_text
 
 USB_DEVICES = Path("/sys/bus/usb/devices")
 NETWORK = Path("/sys/class/net")
@@ -58,9 +59,9 @@ def find_usb_arms(devices: Path = USB_DEVICES) -> list[FoundDevice]:
     """Kinova arms on USB."""
     found = []
     for folder in sorted(devices.glob("*")) if devices.is_dir() else []:
-        if _text(folder / "idVendor").lower() == f"{KINOVA_VENDOR:04x}":
-            name = _text(folder / "product") or "Kinova arm"
-            found.append(FoundDevice("jaco", f"usb:{folder.name}", name, _text(folder / "serial")))
+        if sysfs_text(folder / "idVendor").lower() == f"{KINOVA_VENDOR:04x}":
+            name = sysfs_text(folder / "product") or "Kinova arm"
+            found.append(FoundDevice("jaco", f"usb:{folder.name}", name, sysfs_text(folder / "serial")))
     return found
 
 
@@ -68,8 +69,8 @@ def find_can(network: Path = NETWORK) -> list[FoundDevice]:
     """CAN interfaces of the kernel's (socketcan)."""
     found = []
     for folder in sorted(network.glob("*")) if network.is_dir() else []:
-        if _text(folder / "type") == ARPHRD_CAN:
-            state = _text(folder / "operstate")
+        if sysfs_text(folder / "type") == ARPHRD_CAN:
+            state = sysfs_text(folder / "operstate")
             note = "" if state in ("up", "unknown") else f"it is {state}: sudo ip link set {folder.name} up"
             found.append(FoundDevice("", f"socketcan:{folder.name}", "CAN interface", note=note))
     return found
@@ -83,10 +84,3 @@ def _stable_name(device: Path, folders: Iterable[str] = ("/dev/serial/by-id",)) 
             if link.resolve() == device.resolve():
                 return str(link)
     return str(device)
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8", errors="replace").strip()
-    except OSError:
-        return ""

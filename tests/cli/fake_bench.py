@@ -11,8 +11,8 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
+from deformscope.api.setups import Opening
 from deformscope.arrays import FloatArray
-from deformscope.cli.setups import Opening
 from deformscope.experiments.explore import Look
 from deformscope.experiments.explorer import AsMeasured, Touch
 from deformscope.experiments.options import ExploreOptions
@@ -165,7 +165,7 @@ def use_fake_bench(monkeypatch: pytest.MonkeyPatch) -> FakeBench:
         options = dataclasses.replace(options, cell_m=CELL_M, beta_model="none")
         return Opening(bench.setup, options, {"scene": name})
 
-    monkeypatch.setattr("deformscope.cli.explore.setup_of", setup_of)
+    monkeypatch.setattr("deformscope.api.exploration_run.setup_of", setup_of)
     monkeypatch.setattr("deformscope.experiments.touching_robot.touching_robot", bench.robot)
     monkeypatch.setattr("deformscope.experiments.beside.FromFrames", lambda geometry, options: AsMeasured(SIZE_M))
     use_coarse_maps(monkeypatch)

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from deformscope.api.setups import Opening, setup_of
 from deformscope.arrays import FloatArray
-from deformscope.cli.setups import Opening, setup_of
 from deformscope.experiments.options import ExploreOptions
 from deformscope.images import encode_png
 from deformscope.lab.layer_world import LayerWorld
 from deformscope.lab.scenes import Scene
 from deformscope.lab.slab import RigidTip
-from deformscope.stages.map.regions import RegionPosterior
+from deformscope.stages.regions.posterior import RegionPosterior
 
 CELL_M = 0.02
 """Of the maps."""
@@ -40,7 +40,7 @@ def use_quick_scene(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in ("explore", "explorer"):
         monkeypatch.setattr(f"deformscope.experiments.{module}.PLAN_CELL_M", PLAN_CELL_M)
     monkeypatch.setattr("deformscope.lab.scene_lab.SlabWorld", _Layers)
-    monkeypatch.setattr("deformscope.cli.explore.setup_of", _coarse_setup_of)
+    monkeypatch.setattr("deformscope.api.exploration_run.setup_of", _coarse_setup_of)
 
 
 def _coarse_setup_of(name: str, options: ExploreOptions, set_force_n: float | None, *, trusted: bool) -> Opening:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import io
 import json
 import shutil
 import tomllib
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,6 +23,9 @@ pytest.importorskip("tyro")
 from deformscope.cli import main
 from deformscope.config import BetaConfig
 from deformscope.config.images import ImageOptions
+from deformscope.recording.items import read_estimates
+from deformscope.recording.reader import Replay
+from deformscope.stages.fit.estimate import Posterior
 from deformscope.stages.msm import reference
 from tests.stages.bodies import pushed
 
@@ -184,6 +189,31 @@ def test_replay_gives_the_recorded_numbers(
     assert again["value"] == first["value"]
 
 
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda one: {"value": one.value + 0.02 * (one.interval[1] - one.interval[0])}, "expected the recorded"),
+        (lambda one: {"posterior": Posterior(one.posterior.parameter, 2.0 * one.posterior.density)}, "within 0 "),
+        (lambda one: {"settings": one.settings | {"device": "another"}}, "identical to"),
+    ],
+    ids=["value", "posterior", "settings"],
+)
+def test_replay_compares_numbers(
+    change: Callable[[Any], dict[str, Any]],
+    expected: str,
+    pair: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    record = tmp_path / "run.rrd"
+    run_json(["calibrate", "beta", str(pair), *FAST, "--record", str(record)], capsys)
+    (one,) = read_estimates(Replay(record))
+    monkeypatch.setattr("deformscope.cli.replay.read_estimates", lambda _: [dataclasses.replace(one, **change(one))])
+    main(["replay", str(record), "--viewer", "none"])
+    assert expected in capsys.readouterr().err
+
+
 def test_replay_refuses_a_changed_recording(pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     record = tmp_path / "run.rrd"
     run_json(["calibrate", "beta", str(pair), "--record", str(record)], capsys)
@@ -220,11 +250,9 @@ def test_demo_leaves_a_recording_each_time(
     shown = capsys.readouterr().out
     assert "beta" in shown
     assert "runs/demo-" in shown
-    from deformscope.recording.reader import Replay
-
     assert Replay(newest).outcome["complete"]
-    (estimate,) = Replay(newest).read_results()
-    assert estimate["verdict"] in ("identified", "weak", "at-bound", "unidentified")
+    (estimate,) = read_estimates(Replay(newest))
+    assert estimate.verdict in ("identified", "weak", "at-bound", "unidentified")
 
 
 def test_committed_recordings_are_what_their_manifest_says(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -143,6 +144,20 @@ def test_many_classes_of_few_trials_and_a_page_alone(tmp_path: Path, capsys: pyt
     assert {one["splits"] for one in json.loads(out)} == {6}
     assert "fewer than 5 trials of c00" in err
     assert "stratified splits" in page.read_text()
+
+
+def test_a_disk_that_is_full_for_the_classifier_does_not_cost_the_json(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_room(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("deformscope.files.classifier_file.save_classifier", no_room)
+    found = tmp_path / "t.json"
+    files = ["--json", str(found), "--save", str(tmp_path / "m.npz")]
+
+    assert main(["classify", str(write(tmp_path / "t.npz")), *FAST, "--quick", "--splits", "2", *files]) != 0
+    assert json.loads(found.read_text())
 
 
 def test_what_cannot_be_used_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -23,8 +23,8 @@ EXPLORE = ["explore", "lab:two-60-150", "--touches", "4", "--viewer", "none"]
 EXPLORER = "deformscope.experiments.explorer"
 STAGES = {
     "contact": f"{EXPLORER}.fit_approach",
-    "regions": "deformscope.stages.map.regions.RegionPosterior.with_touch",
-    "maps": "deformscope.stages.map.regions.RegionPosterior.region_map",
+    "regions": "deformscope.stages.regions.posterior.RegionPosterior.with_touch",
+    "maps": "deformscope.stages.regions.posterior.RegionPosterior.region_map",
     "surface": "deformscope.stages.map.surface.HeightProcess.at",
     "beta": f"{EXPLORER}.Explorer._beta",
     "beta field": f"{EXPLORER}.Explorer._beta_field",
@@ -162,9 +162,9 @@ def test_failures_without_end_end_it_in_order(
 
 ROBOT = [f"tests.cli.fake_bench.FakeRobot.{name}" for name in ("look", "touch", "let_move", "carry_out", "reports")]
 RECORDER = [f"deformscope.recording.recorder.Recorder.{name}" for name in ("_take_results", "_take_items")]
-WATCH = ["deformscope.cli.exploring.Watch.__call__"]
+WATCH = ["deformscope.api.moving.Watch.__call__"]
 COMMAND = [
-    "deformscope.cli.explore._remarks",
+    "deformscope.api.exploration_run._remarks",
     "deformscope.experiments.explore.Exploration.add",
     f"{EXPLORER}.ExplorationStages.touch",
 ]
@@ -390,7 +390,7 @@ def test_terminal_json_panel_and_map_file_give_the_same_numbers(
 def test_a_gradual_surface_has_no_regions_anywhere(
     bench: FakeBench, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from deformscope.stages.map.regions import RegionPosterior
+    from deformscope.stages.regions.posterior import RegionPosterior
 
     sure = {"1": 0.0, "2": 0.02, "3": 0.03, "gradual": 0.95}
     monkeypatch.setattr(RegionPosterior, "probability", sure)

@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from deformscope.api.setups import setup_of_rig
 from deformscope.cli import main
-from deformscope.cli.setups import setup_of_rig
 from deformscope.recording.items import read_items
 from deformscope.rig.rig_file import parse_rig
 from deformscope.robot.placement import reach
 from deformscope.robot.robot import Robot, RobotStopped
 from deformscope.robot.supervisor import Action, Fault, SafetyVerdict
-from deformscope.stages.map.touches import MapGrid
+from deformscope.stages.regions.touches import MapGrid
 from deformscope_drivers.errors import SettingsRefused
 from deformscope_drivers.jaco.kinematics import J2N6S300
 from deformscope_drivers.optoforce import Optoforce

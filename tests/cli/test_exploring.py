@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from deformscope.cli.exploring import permitted
-from deformscope.cli.rigs import until_interrupted
+from deformscope.api.moving import permitted
+from deformscope.api.rigs import until_interrupted
 from deformscope.errors import InputError
 from deformscope.experiments.options import ExploreOptions
 from deformscope.robot.preflight import Check, Preflight

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from deformscope.api.setups import SqueezeOpening
 from deformscope.cli import main
-from deformscope.cli.setups import SqueezeOpening
 from deformscope.files.classifier_file import save_classifier
 from deformscope.files.squeeze_dataset import SqueezeDataset
 from deformscope.robot.squeeze_plan import draw_grasp
@@ -38,7 +38,7 @@ def toy(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
             setup = dataclasses.replace(setup, grasp=grasp)
         return SqueezeOpening(setup, {"lab": "toy"}, content or "rice", container or "box-01")
 
-    monkeypatch.setattr("deformscope.cli.squeeze.squeeze_setup_of", opening)
+    monkeypatch.setattr("deformscope.api.squeeze_run.squeeze_setup_of", opening)
     return changes
 
 
@@ -64,7 +64,7 @@ def test_a_recorded_squeeze_replays_to_the_last_bit(
     assert found["features"] == {"tactile": 72, "physical": 13, "vision": 3721, "vision_small": 121}
     assert found["vision_reason"] == ""
     low, high = found["events"]["first_interval_s"]
-    assert low <= (found["truth"]["first_ns"] - 1e9) / 1e9 <= high
+    assert low <= found["truth"]["first_s"] <= high
     assert main(["verify", str(file)]) == 0
     assert main(["replay", str(file)]) == 0
     assert "identical to the recorded numbers" in capsys.readouterr().err
@@ -166,6 +166,7 @@ def test_a_model_names_the_content_while_it_is_squeezed(tmp_path: Path) -> None:
         ([], "--content NAME, or --model MODEL"),
         (["--content", "rice", "--dataset", "d"], "--content and --container with --dataset"),
         (["--content", "a/b"], "a name of letters, digits"),
+        (["--content", "rice", "--place", "jaco"], "no --place (a person places the hand, or moves its arm"),
     ],
 )
 def test_what_makes_no_trial_is_refused_in_one_line(

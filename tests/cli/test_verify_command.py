@@ -78,6 +78,17 @@ def test_without_a_ledger_nothing_is_called_checked(whole: Path, capsys: pytest.
     assert "it has no ledger: whether its bytes are as they were recorded is not known" in said
 
 
+@pytest.mark.parametrize(("content", "came"), [(b"of another kind", "a file that is none"), (b"", "an empty file")])
+def test_a_foreign_file_is_refused_without_the_advice_to_recover_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes, came: str
+) -> None:
+    (tmp_path / "r.rrd").write_bytes(content)
+    assert main(["verify", str(tmp_path / "r.rrd")]) == 2
+    said = capsys.readouterr().err
+    assert f"expected a recording (.rrd); got {came}" in said
+    assert "recover" not in said
+
+
 def test_an_unfinished_recording_is_no_damage_and_recover_makes_it_whole(
     killed: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

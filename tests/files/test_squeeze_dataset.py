@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 
 import numpy as np
@@ -122,6 +123,20 @@ def test_a_missing_trial_and_what_is_no_data_set_are_refused_in_one_line(tmp_pat
 
     with pytest.raises(InputError, match=r"with its index\.parquet; got a folder without it"):
         SqueezeDataset(tmp_path).entries()
+    with pytest.raises(InputError, match=r"with its index\.parquet; got no such folder"):
+        SqueezeDataset(tmp_path / "none").change(["s-box-01-00001"], content="rice")
     (tmp_path / "d" / INDEX).write_bytes(b"PAR1 damaged")
     with pytest.raises(InputError, match=r"a damaged index\.parquet"):
         made.entries()
+
+
+@pytest.mark.parametrize(
+    ("name", "column"), [(INDEX, "T_hand_container"), (FEATURES, "trial"), (FEATURES, "tactile.0")]
+)
+def test_a_table_that_lost_a_column_is_refused_in_one_line(tmp_path: Path, name: str, column: str) -> None:
+    made = dataset(tmp_path, trial(1), trial(2))
+    table = pq.read_table(tmp_path / name)
+    pq.write_table(table.drop_columns([column]), tmp_path / name)
+
+    with pytest.raises(InputError, match=f"got a {re.escape(name)} without "):
+        made.rows()

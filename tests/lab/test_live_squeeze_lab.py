@@ -11,6 +11,7 @@ from deformscope.lab.squeeze_lab import CLOSED_DEG, CLOSING_AXES
 from deformscope_drivers.sdh.results import Outcome
 
 
+@pytest.mark.realtime
 def test_a_hand_behind_a_terminal_closes_on_a_container_and_all_devices_report() -> None:
     with LiveSqueezeLab("rice", "box-07", seed=3) as lab, lab.source() as source:
         lab.hand.set_current_limits(0.3)

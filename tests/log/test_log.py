@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,10 +18,14 @@ from deformscope.files.sources import open_source
 from deformscope.frames import InputFile
 from deformscope.log.blueprint import blueprint
 from deformscope.log.canvas import Canvas
-from deformscope.log.estimate import as_json, summary
+from deformscope.log.estimate import summary
 from deformscope.pictures.evidence import evidence_png
 from deformscope.pictures.palette import colors, readable, round_up
+from deformscope.plain import plain
+from deformscope.recording.items import read_estimates
+from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder
+from deformscope.rows import differing
 from deformscope.session import Step, run
 from deformscope.stages.see.triangulation import spacing_of
 from tests.log import synthetic
@@ -100,9 +103,10 @@ def test_estimate(recording: Path) -> None:
     curve = expected.curve
     np.testing.assert_array_equal(values(recording, "/calibration/curve", "beta"), curve.parameter)
     np.testing.assert_array_equal(values(recording, "/calibration/curve", "aee"), curve.aee)
-    found = json.loads(values(recording, "/calibration/estimate", "json")[0])
-    assert found == as_json(expected)
-    assert found["interval"] == [0.56, 0.69]
+    assert values(recording, "/calibration/estimate", "Estimate:interval") == [0.56, 0.69]
+    (found,) = read_estimates(Replay(recording))
+    assert differing(found, expected) is None
+    assert plain(found.as_json()) == plain(expected.as_json())
     png = bytes(values(recording, "/calibration/chart", "EncodedImage:blob")[0])
     chart = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
     assert chart.shape == (728, 1040, 3)
@@ -143,7 +147,7 @@ def test_pairs(tmp_path: Path, dimensions: int) -> None:
     ):
         found = np.array(values(path, f"/particles/{name}", f"{kind}:positions", 0))
         np.testing.assert_allclose(found, expected, atol=1e-7)
-    assert values(path, "/calibration/estimate", "json", 0)
+    assert values(path, "/calibration/estimate", "Estimate:verdict", 0)
     assert len(RrdReader(path).blueprints()) == 1
 
 
@@ -158,7 +162,7 @@ def test_chart_of_every_verdict() -> None:
     gaps = synthetic.estimate()
     gaps.curve.aee[[0, 1, 5]] = np.nan
     assert evidence_png(gaps).startswith(b"\x89PNG")
-    assert as_json(gaps)["curve"]["aee"][0] is None
+    assert plain(gaps.as_json())["curve"]["aee"][0] is None
     gaps.curve.aee[:] = np.nan
     assert evidence_png(gaps).startswith(b"\x89PNG")
 

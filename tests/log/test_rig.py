@@ -323,11 +323,11 @@ def test_the_picture_shows_the_pressures(tmp_path: Path, known: bool) -> None:
     picture = np.frombuffer(bytes(buffer[0]), np.uint8).reshape(hand.rows, hand.columns, 3)
     ticks = cells(tmp_path / "run.rrd", f"{display}/scale", "Points2D:labels")[0]
     end_kpa = 3.2712 if known else 5.0
-    assert ticks == ([f"{0:.3g} kPa", "1.64 kPa", "3.27 kPa"] if known else ["0 kPa", "2.5 kPa", "5 kPa"])
+    assert ticks == ([f"{0:.3g} kPa", "0.818 kPa", "3.27 kPa"] if known else ["0 kPa", "1.25 kPa", "5 kPa"])
     covered = np.zeros((hand.rows, hand.columns), bool)
     for pressure_pa, (top, left) in zip(frame.pressure_pa, hand.corners, strict=True):
         place = slice(top, top + len(pressure_pa)), slice(left, left + 6)
-        expected = colors((pressure_pa / (end_kpa * 1e3)).ravel()).reshape(*pressure_pa.shape, 3)
+        expected = colors(np.sqrt(pressure_pa / (end_kpa * 1e3)).ravel()).reshape(*pressure_pa.shape, 3)
         assert np.abs(picture[place].astype(int) - expected).max() <= 3  # a rounding apart
         covered[place] = True
     assert (picture[~covered] == BACKGROUND).all()

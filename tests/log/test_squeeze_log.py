@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import rerun as rr
+from rerun.chunk import Chunk
 
 from deformscope.frames import Pad, Stream
 from deformscope.log.squeeze import Fingertips, prepare_squeeze_results, squeeze_blueprint
@@ -43,10 +45,10 @@ RESULTS = (
         np.array([1.5, 0.0]),
         np.array([2e-4, 0.0]),
     ),
-    TrackedContainer(7, np.eye(4), False, "too few pixels", np.ones(6), 0.7, np.arange(8.0).reshape(2, 2, 2)),
+    TrackedContainer(7, np.eye(4), False, "too few pixels", np.ones(6), 0.7, np.arange(8.0).reshape(2, 2, 2), 0.3),
     SqueezeFeatures(
         np.arange(72.0),
-        np.array([1.0, np.nan]),
+        np.r_[1.0, np.nan, np.arange(11.0)],
         np.arange(2.0),
         np.zeros((2, 72)),
         CHANGE,
@@ -83,6 +85,38 @@ def test_features_without_vision_are_shown_as_words() -> None:
     batch = prepare_squeeze_results((features,), 0, Fingertips(STREAM, (1, 5)))
 
     assert "display/squeeze/change/words" in [path for path, _ in batch.parts]
+
+
+def test_the_model_before_stays_beside_the_one_after() -> None:
+    rest = dataclasses.replace(RESULTS[3], since_s=-0.1, good=True)  # type: ignore[type-var]
+    paths = [path for path, _ in prepare_squeeze_results((rest, RESULTS[3]), 0, None).parts]
+
+    assert {"display/squeeze/container/before", "display/squeeze/container/after"} <= set(paths)
+
+
+def test_what_was_measured_stands_in_a_table() -> None:
+    batch = prepare_squeeze_results((RESULTS[1], RESULTS[4]), 0, None)
+    (chunk,) = [part for path, part in batch.parts if path == "display/squeeze/measured" and isinstance(part, Chunk)]
+
+    ((text,),) = chunk.to_record_batch()["TextDocument:text"].to_pylist()
+    for words in ("within", "force of a finger | 1 N", "contact area | not measured", "86 % of 11.0 cm"):
+        assert words in text
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_a_plot_of_contents_is_there_where_a_model_names_them(named: bool) -> None:
+    views = squeeze_blueprint([STREAM], "pads", "camera", (0.0, 0.0, 10.0, 10.0), named=named)
+    seen: list[str] = []
+
+    def look(part: Any) -> None:
+        seen.append(str(part.name))
+        for inner in getattr(part, "contents", ()):
+            if not isinstance(inner, str):
+                look(inner)
+
+    look(views.root_container)
+    assert ("probability of each content, by touch" in seen) == named
+    assert any("model before" in name for name in seen)
 
 
 def test_the_views_are_one_window_with_the_devices_behind() -> None:

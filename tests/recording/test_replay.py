@@ -15,10 +15,11 @@ from deformscope.errors import InputError
 from deformscope.files.sources import open_source
 from deformscope.frames import ColorFrame, InputFile
 from deformscope.images import encode_png
-from deformscope.log.estimate import as_json
+from deformscope.recording.items import read_estimates
 from deformscope.recording.ledger import ledger_path, write_ledger
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder
+from deformscope.rows import differing
 from deformscope.session import Step, run
 from deformscope_drivers.clock import Stamp
 from tests.log import synthetic
@@ -100,11 +101,26 @@ def test_results(tmp_path: Path) -> None:
     with Recorder(tmp_path / "run.rrd", "none", {}, layout="pair") as made:
         for index, verdict in enumerate(verdicts):
             made.write(Step((synthetic.pair_in_plane(), synthetic.estimate(verdict, "m")), frame=index))
-    results = Replay(tmp_path / "run.rrd").read_results()
-    assert [result["verdict"] for result in results] == verdicts
-    assert results[0] == as_json(synthetic.estimate("weak", "m"))
-    assert results[0]["settings"]["noise"] is None
-    assert results[0]["curve"]["parameter"][0] == 0.05
+    results = read_estimates(Replay(tmp_path / "run.rrd"))
+    assert [result.verdict for result in results] == verdicts
+    assert differing(results[0], synthetic.estimate("weak", "m")) is None
+    assert np.isnan(results[0].settings["noise"])
+    assert results[0].curve.parameter[0] == 0.05
+
+
+def test_estimates_of_format_1_are_refused_in_a_line(tmp_path: Path) -> None:
+    """Written as it stood in them: one JSON text, without a time."""
+    path = tmp_path / "run.rrd"
+    rec = rr.RecordingStream("deformscope-images", recording_id="old")
+    rec.set_sinks(rr.FileSink(path))
+    rec.send_property("session", rr.AnyValues(True, settings="{}", format=1))
+    rec.log("calibration/estimate", rr.AnyValues(json='{"parameter": "beta"}'), static=True)
+    rec.flush(timeout_sec=10)
+    rec.disconnect()
+    old = Replay(path, trust=True)  # all else in it is read as before
+    with pytest.raises(InputError, match="expected estimates as format 2 has them; got those of format 1") as refused:
+        read_estimates(old)
+    assert "\n" not in str(refused.value)
 
 
 def test_a_recording_is_a_source(tmp_path: Path) -> None:
@@ -211,6 +227,6 @@ def test_another_format_is_refused_in_a_line(tmp_path: Path, format_number: int 
     rec.send_property("session", rr.AnyValues(True, **told))
     rec.flush(timeout_sec=10)
     rec.disconnect()
-    with pytest.raises(InputError, match=f"expected a recording of format 1; got {came}") as refused:
+    with pytest.raises(InputError, match=f"expected a recording of format 2; got {came}") as refused:
         Replay(path, trust=True)
     assert "\n" not in str(refused.value)

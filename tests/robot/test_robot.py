@@ -104,7 +104,7 @@ def test_what_comes_after_a_stop_is_seen_and_moves_nothing() -> None:
     scene.robot.watch = lambda observation, verdict: seen.append((observation, verdict))
     began_ns = scene.lab.clock()
 
-    scene.robot.look_on(0.5)
+    scene.robot.stand_by(0.5)
 
     assert scene.lab.clock() - began_ns == 500_000_000
     assert len(seen) == 50

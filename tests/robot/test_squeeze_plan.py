@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.rig.squeeze_sections import ContainerSection, SqueezeSection
-from deformscope.robot.squeeze_plan import PAD_ALONG_M, PAD_M, GripShape, draw_grasp
+from deformscope.robot.squeeze_plan import PAD_ALONG_M, PAD_M, GripShape, draw_grasp, grasp_middle
 from deformscope_drivers.sdh.kinematics import DISTAL_LINK_M, finger_points, fingertips
 
 SQUEEZE = SqueezeSection()
@@ -46,8 +47,27 @@ def test_a_grasp_is_drawn_from_the_seed_around_the_middle_of_the_longest_edge() 
     along_m = np.array([one.along_m for one in drawn])
     assert np.abs(along_m).max() <= 2 * SQUEEZE.spread_m
     assert along_m.std() == pytest.approx(SQUEEZE.spread_m, rel=0.2)
-    links = [finger_points(GripShape.of(container, SQUEEZE).contact_deg, finger)[1:] for finger in (0, 2)]
-    pads = np.mean([joint + PAD_ALONG_M / DISTAL_LINK_M * (tip - joint) for joint, tip in links], axis=0)
+    pads = pads_at_contact(container)
     for one in drawn[:20]:
-        at = np.linalg.inv(one.T_hand_container) @ [*pads, 1.0]  # between the pads, in the container's frame
-        np.testing.assert_allclose(at[:3], [0.0, 0.0, one.along_m], atol=1e-9)
+        at = (np.linalg.inv(one.T_hand_container) @ pads.T).T[:, :3]  # of the pads, in the container's frame
+        np.testing.assert_allclose(at, [[0.03, 0.0, one.along_m], [-0.03, 0.0, one.along_m]], atol=1e-9)
+
+
+@pytest.mark.parametrize("squeeze", [SQUEEZE, SqueezeSection(distal_deg=10.0)])
+def test_the_middle_grasp_has_the_pads_on_the_middle_of_both_walls(squeeze: SqueezeSection) -> None:
+    container = ContainerSection(size_m=(0.07, 0.05, 0.2))
+    at = (np.linalg.inv(grasp_middle(container, squeeze)) @ pads_at_contact(container, squeeze).T).T
+
+    np.testing.assert_allclose(at[:, 1:3], 0.0, atol=1e-9)
+    # both fingers stand there in another model of the hand: ipa320/schunk_modular_robotics, sdh.urdf.xacro
+    assert GripShape.of(container, squeeze).middle_m[:2] == pytest.approx((0.0, 0.01905), abs=1e-5)
+
+
+def pads_at_contact(container: ContainerSection, squeeze: SqueezeSection = SQUEEZE) -> FloatArray:
+    """(2, 4) the middles of both squeezing pads by the hand's kinematics, hand frame [m], homogeneous."""
+    angles, found = GripShape.of(container, squeeze).contact_deg, []
+    for finger, inwards in ((0, -1.0), (2, 1.0)):
+        _, joint, tip = finger_points(angles, finger)
+        x, y, z = joint + PAD_ALONG_M / DISTAL_LINK_M * (tip - joint)
+        found.append([x + inwards * PAD_M, y, z, 1.0])
+    return np.array(found)

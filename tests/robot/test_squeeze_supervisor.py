@@ -7,7 +7,6 @@ import pytest
 from deformscope.rig.squeeze_sections import ContainerSection, SqueezeSection
 from deformscope.robot.squeeze_plan import GripShape
 from deformscope.robot.squeeze_supervisor import (
-    HAND_SILENT_S,
     SqueezeFault,
     SqueezeObservation,
     SqueezeSupervisor,
@@ -66,7 +65,7 @@ def test_the_way_counts_from_the_first_contact_on(supervisor: SqueezeSupervisor)
 )
 def test_silence_stops_it_in_time_but_not_one_late_look(missing: dict[str, object], fault: SqueezeFault) -> None:
     late = SqueezeSupervisor(SqueezeSection(), (0, 2), 0)
-    assert late.judge(seen(10 * round(1e9 * HAND_SILENT_S), **missing)).fault is SqueezeFault.NONE
+    assert late.judge(seen(10 * round(1e9 * SqueezeSection().hand_silent_s), **missing)).fault is SqueezeFault.NONE
 
     supervisor = SqueezeSupervisor(SqueezeSection(), (0, 2), 0)
     for period in range(1, 50):
@@ -75,6 +74,17 @@ def test_silence_stops_it_in_time_but_not_one_late_look(missing: dict[str, objec
             break
     assert verdict.fault is fault
     assert verdict.time_ns <= 0.4e9
+
+
+@pytest.mark.parametrize(("silent_s", "stopped_s"), [(0.2, 0.22), (0.8, 0.82)])
+def test_the_rig_file_says_how_long_the_hand_may_be_silent(silent_s: float, stopped_s: float) -> None:
+    supervisor = SqueezeSupervisor(SqueezeSection(hand_silent_s=silent_s), (0, 2), 0)
+    period = 0
+    while supervisor.verdict.fault is SqueezeFault.NONE:
+        period += 1
+        supervisor.judge(seen(period * PERIOD_NS, hand_ns=(), position_deg=()))
+
+    assert supervisor.verdict.time_ns == round(1e9 * stopped_s)
 
 
 def test_the_first_fault_stays(supervisor: SqueezeSupervisor) -> None:

@@ -57,7 +57,7 @@ def _robot(streams: Sequence[Stream], size_m: tuple[float, float]) -> rrb.Contai
         for path, title in plotted(stream)
         if "force" in title
     ]
-    lanes = rrb.StateTimelineView(contents=[f"+ /{ENTITIES[PhaseStart]}"], origin="exploration", name="What it does")
+    lanes = rrb.StateTimelineView(contents=[f"+ /{ENTITIES[PhaseStart]}"], origin="exploration", name="Phases")
     close = rrb.Horizontal(*looks) if len(looks) > 1 else looks[0]
     over_time = rrb.Vertical(*plots, lanes, row_shares=[*[1.6] * len(plots), 1.0])
     below = rrb.Horizontal(_picture(SECTION, "The dent in section"), over_time, column_shares=[1.0, 1.05])

@@ -101,17 +101,17 @@ def named(stream: Stream, what: str) -> str:
     return f"{stream.device}: {what}{' (SIMULATED)' if stream.simulated else ''}"
 
 
-def plot_view(origin: str, name: str, *, below: bool = False) -> rrb.View:
-    """below: also what is below the entity"""
+def plot_view(origin: str, name: str, *, below: bool = False, window_s: float = WINDOW_S, **more: Any) -> rrb.View:
+    """below: also what is below the entity; window_s: how far back it shows; more: of the view"""
     now = rrb.TimeRangeBoundary.cursor_relative()
-    window = rrb.TimeRangeBoundary.cursor_relative(seconds=-WINDOW_S)
+    window = rrb.TimeRangeBoundary.cursor_relative(seconds=-window_s)
     return rrb.TimeSeriesView(
         contents=[f"+ /{origin}{'/**' if below else ''}"],
         origin=origin,
         name=name,
-        plot_legend=LEGEND,
         time_ranges=[rrb.VisibleTimeRange("session", start=window, end=now)],
         axis_x=rrb.archetypes.TimeAxis(view_range=rrb.TimeRange(start=window, end=now)),
+        **({"plot_legend": LEGEND} | more),
     )
 
 

@@ -211,13 +211,14 @@ def _log_pictures(
     known = stream is not None and stream.full_scale_pa > 0
     end_kpa = stream.full_scale_pa * 1e-3 if stream is not None and known else round_up(float(peaks_kpa.max()))
     share = np.stack([_texels_pa(frame) for frame in frames]) * (1e-3 / end_kpa)
+    share = np.sqrt(np.clip(share, 0.0, 1.0))  # a gentle touch is a hundredth of what saturates a texel
     picture = np.full((len(frames), hand.rows * hand.columns, 3), BACKGROUND, np.uint8)
     picture[:, hand.places()] = colors(share.ravel()).reshape(*share.shape, 3)
     batch.send_columns(f"{path}/picture", times, rr.Image.columns(buffer=list(picture.reshape(len(picture), -1))))
     _send_labels(batch, f"{path}/peak", times, [[f"{peak:.2f} kPa" for peak in row] for row in peaks_kpa])
     if is_news(shown, device, end_kpa, frames[0].stamp.host_ns):
         since = moments([frames[0].stamp.host_ns], start_ns)
-        _send_labels(batch, f"{path}/scale", since, [[f"{end_kpa * at:.3g} kPa" for at in (0.0, 0.5, 1.0)]])
+        _send_labels(batch, f"{path}/scale", since, [[f"{end_kpa * at**2:.3g} kPa" for at in (0.0, 0.5, 1.0)]])
 
 
 def _send_labels(batch: Batch, path: str, times: Sequence[rr.TimeColumn], labels: Sequence[Sequence[str]]) -> None:

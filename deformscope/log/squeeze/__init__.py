@@ -5,9 +5,9 @@ person looks at.
     squeeze/fingertips|container|content    likewise, at the time of the frame that it is of
     display/tactile/DEVICE/contact          centre of pressure and principal axis, on the picture of the hand (fig. 2.4)
     display/squeeze/force|content           force of each fingertip [N], probability of each content, over time
-    display/squeeze/container               the tracked model's edges over the depth image (fig. 2.8)
+    display/squeeze/container               the tracked model's edges over the depth image, before and after (fig. 2.8)
     display/squeeze/change                  the depth change around the fingertip, data minus model (fig. 2.6)
-    display/squeeze/summary                 what is known, in words
+    display/squeeze/measured|named          what was measured, and what the content is taken for, in words
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from deformscope.log.rig.columns import Batch, log_series
 from deformscope.log.squeeze.blueprint import squeeze_blueprint
 from deformscope.log.squeeze.change import log_change
 from deformscope.log.squeeze.container import log_container
-from deformscope.log.squeeze.content import log_content
+from deformscope.log.squeeze.content import log_content, log_not_named
 from deformscope.log.squeeze.fingertips import FORCE, Fingertips, log_fingertips
 from deformscope.log.squeeze.phases import log_squeeze_phase, log_squeeze_phases, log_squeeze_stop
-from deformscope.log.squeeze.summary import log_events_summary, log_no_squeeze
+from deformscope.log.squeeze.summary import log_measured, log_not_measured
 from deformscope.pictures.palette import JOINTS
 from deformscope.rows import SqueezeResult
 from deformscope.stages.squeeze.events import SqueezeEvents
@@ -48,7 +48,8 @@ def log_squeeze_start(rec: rr.RecordingStream, fingertips: Fingertips | None) ->
         names = [f"{fingertips.stream.pads[place].name} [N]" for place in fingertips.pads]
         log_series(rec, FORCE, names, [JOINTS[at % len(JOINTS)] for at in range(len(names))])
     batch = Batch()
-    log_no_squeeze(ResultBatch(batch, 0))
+    for nothing in (log_not_measured, log_not_named):
+        nothing(ResultBatch(batch, 0))
     batch.send(rec)
 
 
@@ -64,6 +65,7 @@ def prepare_squeeze_results(results: Sequence[object], session_ns: int, fingerti
             raise TypeError(f"no twin in deformscope.log.squeeze shows a {type(result).__name__}")
         now.record(result)
         _twin(now, result, fingertips)()
+    log_measured(now, results)
     return batch
 
 
@@ -83,7 +85,7 @@ def _twin(now: ResultBatch, result: SqueezeResult, fingertips: Fingertips | None
         case ContentPosterior():
             return lambda: log_content(now, result)
         case SqueezeEvents():
-            return lambda: log_events_summary(now, result)
+            return lambda: None  # in the table of `log_measured`
 
 
 def fingertips_of(streams: Sequence[Stream], tactile: str, pads: Sequence[int]) -> Fingertips:

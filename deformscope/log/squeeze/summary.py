@@ -1,24 +1,58 @@
-"""What is known of a squeeze, in words and numbers."""
+"""What was measured of a squeeze, in words and numbers."""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Sequence
 
 import rerun as rr
 
 from deformscope.log.exploration.moment import ResultBatch
 from deformscope.stages.squeeze.events import SqueezeEvents
+from deformscope.stages.squeeze.physical import PHYSICAL
+from deformscope.stages.squeeze.trial import SqueezeFeatures
 
-SQUEEZE_SUMMARY = "display/squeeze/summary"
-EVENTS = "display/squeeze/events"
-
-
-def log_no_squeeze(now: ResultBatch) -> None:
-    text = "# Not squeezed yet"
-    now.show(SQUEEZE_SUMMARY, rr.TextDocument(text, media_type="text/markdown"))
+MEASURED = "display/squeeze/measured"
 
 
-def log_events_summary(now: ResultBatch, events: SqueezeEvents) -> None:
-    """The events with their intervals."""
-    took_s = (events.steady_ns - events.first_ns) / 1e9
-    wide = [(high - low) / 1e6 for low, high in (events.first_interval_ns, events.steady_interval_ns)]
-    text = f"steady {took_s:.2f} s after first contact (known to {wide[0]:.0f} ms and {wide[1]:.0f} ms)"
-    now.show(EVENTS, rr.TextLog(text, level="INFO"))
+def log_not_measured(now: ResultBatch) -> None:
+    text = "*Numbers follow once the fingers stand still.*"
+    now.show(MEASURED, rr.TextDocument(text, media_type="text/markdown"))
+
+
+def log_measured(now: ResultBatch, results: Sequence[object]) -> None:
+    """Events and features as a table; they come together."""
+    rows: list[tuple[str, str]] = []
+    for one in results:
+        if isinstance(one, SqueezeEvents):
+            first_ms, steady_ms = (
+                0.5e-6 * (high - low) for low, high in (one.first_interval_ns, one.steady_interval_ns)
+            )
+            rows.append(("first contact", f"within \u00b1{first_ms:.0f} ms"))
+            took_s = (one.steady_ns - one.first_ns) / 1e9
+            rows.append(("steady state", f"{took_s:.2f} s later, \u00b1{steady_ms:.0f} ms"))
+        if isinstance(one, SqueezeFeatures):
+            rows += _physical(dict(zip(PHYSICAL, one.physical.tolist(), strict=True)))
+            change = f"none: {one.reason or 'no camera'}"
+            if one.vision is not None:
+                change = f"{100 * (1.0 - one.missing):.0f} % of {100 * one.patch_width_m:.1f} cm"
+            rows.append(("depth change", change))
+    if rows:
+        table = "\n".join(["| measured | |", "| --- | --- |", *(f"| {name} | {value} |" for name, value in rows)])
+        now.show(MEASURED, rr.TextDocument(table, media_type="text/markdown"))
+
+
+def _physical(of: dict[str, float]) -> list[tuple[str, str]]:
+    """Those that a person can picture."""
+    named = (
+        ("force of a finger", "force_n", 1.0, "N"),
+        ("contact area", "contact_area_m2", 1e4, "cm\u00b2"),
+        ("highest pressure", "peak_pa", 1e-3, "kPa"),
+        ("indentation", "indentation_m", 1e3, "mm"),
+        ("stiffness of a wall", "stiffness_n_per_m", 1.0, "N/m"),
+        ("force lost in the hold", "relaxation", 100.0, "%"),
+    )
+    return [
+        (words, f"{factor * of[name]:.3g} {unit}" if math.isfinite(of[name]) else "not measured")
+        for words, name, factor, unit in named
+    ]

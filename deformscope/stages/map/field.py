@@ -23,7 +23,7 @@ from threadpoolctl import threadpool_limits
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.map.gaussian_process import Believed, Kernel
-from deformscope.stages.map.touches import MapGrid
+from deformscope.stages.regions.touches import MapGrid
 
 FREEDOM = 3.0
 """Hyper-parameters lie within this many deviations of their priors."""

@@ -9,7 +9,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.optimize import linear_sum_assignment
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
-from deformscope.stages.map.regions import RegionMap
+from deformscope.stages.regions.posterior import RegionMap
 
 Z_90 = 1.6449
 """Of a normal distribution, 90 % lies within so many deviations."""

@@ -19,8 +19,8 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.map.regions import RegionHypotheses, RegionPosterior, ranked_labels
-from deformscope.stages.map.touches import MapGrid
+from deformscope.stages.regions.posterior import RegionHypotheses, RegionPosterior, ranked_labels
+from deformscope.stages.regions.touches import MapGrid
 
 Planner = Literal["regions", "integrated-variance", "max-variance", "random-above"]
 PLANNERS: tuple[Planner, ...] = ("regions", "integrated-variance", "max-variance", "random-above")

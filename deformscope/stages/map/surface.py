@@ -20,7 +20,7 @@ from deformscope.errors import InputError
 from deformscope.stages.map.gaussian_process import Believed, Kernel
 from deformscope.stages.map.marginal_likelihood import Given, Learned, Points, learn
 from deformscope.stages.map.sparse_process import SPACING, SparseProcess
-from deformscope.stages.map.touches import MapGrid
+from deformscope.stages.regions.touches import MapGrid
 
 FEWEST = 3
 

@@ -20,12 +20,12 @@ from deformscope.errors import InputError
 from deformscope.stages.fit.distance import nearest_error
 from deformscope.stages.fit.estimate import Curve, Estimate
 from deformscope.stages.map.surface import HeightProcess
-from deformscope.stages.map.touches import MapGrid
 from deformscope.stages.msm import clusters
 from deformscope.stages.msm.poke import Law, PokeSetup, Tip, hold, settle
 from deformscope.stages.poke.layers import MeasuredSurface
 from deformscope.stages.poke.poke_estimate import conclude
 from deformscope.stages.poke.poke_fit import DOWN, NEAR_SHARE, REACH_SHARE, REACH_TIPS, PokesFit, SeenPoke, fit_pokes
+from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.cloud import contact_radius_m
 
 LEAST_SPACING_SHARE, MOST_SPACING_SHARE = 0.14, 0.25

@@ -24,7 +24,8 @@ from deformscope.stages.msm.poke import Law, Poke, PokeSetup, Pressed, Tip, pres
 from deformscope.stages.msm.solver import Precision
 from deformscope.stages.poke.layers import Layers, MeasuredSurface
 from deformscope.stages.poke.poke_fit import CELLS_ACROSS_TIP, SLIPPED, scene_below
-from deformscope.stages.poke.stiffness_field import FieldKind, StiffnessField
+from deformscope.stages.poke.stiffness_field import StiffnessField
+from deformscope.stages.regions.posterior import SurfaceKind
 
 BodyKind = Literal["layers", "particles"]
 
@@ -82,7 +83,7 @@ class FittedModel:
     fixed: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     places: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     stiffness: FloatArray = field(default_factory=lambda: np.zeros(0))
-    field_kind: FieldKind = "uniform"
+    field_kind: SurfaceKind = "uniform"
     left_out: FloatArray = field(default_factory=lambda: np.zeros(0))
     surface_error: float = float("nan")
     held_out: float = float("nan")

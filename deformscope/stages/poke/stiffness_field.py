@@ -1,15 +1,15 @@
 """Stiffness over a surface, from what a few pokes met: one value, a few materials with borders, or a gradual field.
 
-Which of the three describes the pokes is decided by leaving each poke out and predicting it from the others; the
-simpler one stands unless the next is clearly better, or a poke excludes it: a field that is as wrong at one of its own
-pokes as noise cannot be is no description of them, however well it predicts the others.
+Which of the three it is says the posterior over regions (`deformscope.stages.regions`), as in an exploration. The
+gradual field, which follows all pokes, stands for materials too where these are as wrong at one of the pokes as noise
+cannot be, or where the pokes are too few to say where a border is.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from scipy.spatial.distance import cdist
@@ -17,18 +17,17 @@ from scipy.special import softmax
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
-
-FieldKind = Literal["uniform", "materials", "gradual"]
+from deformscope.stages.regions.posterior import SurfaceKind, surface_kind
 
 MATERIALS_APART = float(np.log(1.22))
 """Materials differ by at least 22 % in stiffness: nearer ones are not separable from noise of 8 % a touch."""
 
-BETTER = 0.8
-"""A richer field must bring the error on pokes left out below this share of the simpler one's."""
-
 EXCLUDED = 0.3
 """A field whose log stiffness differs from that of one of its pokes by more than this is excluded by it: nearly four
 times the noise of 8 % a touch."""
+
+FEWEST_WITH_BORDER = 4
+"""Of fewer pokes none has two others near it, on either side of a border."""
 
 POKE_NOISE = 0.05
 """Scatter of log stiffness from poke to poke that a gradual field need not follow."""
@@ -47,7 +46,7 @@ class StiffnessField:
 
     places: FloatArray
     stiffness: FloatArray
-    kind: FieldKind
+    kind: SurfaceKind
     left_out: FloatArray
 
     def at(self, place: FloatArray) -> FloatArray:
@@ -77,27 +76,18 @@ class StiffnessField:
 
 
 def fit_field(places: FloatArray, stiffness: FloatArray) -> StiffnessField:
-    """The field that predicts each poke from the others best, among those that no poke excludes.
-
-    Raises InputError for stiffness that is not above 0.
-    """
+    """The field of the kind that the pokes say. Raises InputError for stiffness that is not above 0."""
     if not (np.isfinite(stiffness).all() and (stiffness > 0.0).all()):
         raise InputError("stiffness above 0 at every poke", f"{float(np.min(stiffness)):g} N/m")
-    count = len(stiffness)
     value = np.log(stiffness)
-    if count == 1:
+    if len(stiffness) == 1:
         return StiffnessField(places, stiffness, "uniform", np.full(1, np.nan))
-    left: list[FieldKind] = [
-        kind
-        for kind, fit in FITS.items()
-        if count > FEWEST[kind] and np.abs(fit(places, value)(places) - value).max() <= EXCLUDED
-    ]
-    best, *richer = left or ["gradual"]
-    errors = {kind: _left_out(FITS[kind], places, value) for kind in (best, *richer)}
-    for kind in richer:
-        if np.mean(np.abs(errors[kind])) < BETTER * np.mean(np.abs(errors[best])):
-            best = kind
-    return StiffnessField(places, stiffness, best, np.expm1(errors[best]))
+    kind = surface_kind(places, value, POKE_NOISE)
+    if kind == "materials" and len(stiffness) < FEWEST_WITH_BORDER:
+        kind = "gradual"
+    if np.abs(FITS[kind](places, value)(places) - value).max() > EXCLUDED:
+        kind = "gradual"
+    return StiffnessField(places, stiffness, kind, np.expm1(_left_out(FITS[kind], places, value)))
 
 
 Fitted = Callable[[FloatArray], FloatArray]
@@ -159,12 +149,8 @@ def _gradual(places: FloatArray, value: FloatArray) -> Fitted:
     return lambda place: np.asarray(best.predict(place)) + mean
 
 
-FITS: dict[FieldKind, Callable[[FloatArray, FloatArray], Fitted]] = {
+FITS: dict[SurfaceKind, Callable[[FloatArray, FloatArray], Fitted]] = {
     "uniform": _uniform,
     "materials": _materials,
     "gradual": _gradual,
 }
-"""From the simplest to the richest."""
-
-FEWEST: dict[FieldKind, int] = {"uniform": 1, "materials": 3, "gradual": 4}
-"""More pokes than this are needed."""

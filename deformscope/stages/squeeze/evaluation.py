@@ -153,6 +153,8 @@ def evaluate(
     refuse_duplicates(beyond)
     if beyond.classes != table.classes:
         raise InputError(f"the contents {', '.join(table.classes)} for transfers", ", ".join(beyond.classes))
+    if np.bincount(table.target).max() < 2:
+        raise InputError("two trials of a label at least", "one of each", "more trials")
     allowed, notes = allowed_protocols(table)
     protocols = options.protocols or allowed
     strictest = max(protocols, key=PROTOCOLS.index)

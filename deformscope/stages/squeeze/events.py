@@ -101,7 +101,7 @@ class OnsetDetector:
 
 
 class StillDetector:
-    """Feed the closing axes' angles once they have begun to move; `steady_ns` is set once they stood still for long
+    """Feed the closing axes' angles once they move; `steady_ns` is set once they stood still for long
     enough, at the reading from which on they were within `AT_REST` of the tolerance of where they stand."""
 
     def __init__(self, rule: EventRule) -> None:

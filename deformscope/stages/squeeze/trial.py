@@ -40,7 +40,8 @@ class TrackedContainer:
 
     good, reason: whether features may be taken from it, and why not; observed: (6,) which directions of motion the
     image observes; agreeing: share of the compared pixels within the noise
-    edges_px: (n, 2, 2) ends of the model's visible edges in the image
+    edges_px: (n, 2, 2) ends of the model's visible edges in the image; since_s: since the first contact [s], below 0 =
+    before it
     """
 
     index: int
@@ -50,6 +51,7 @@ class TrackedContainer:
     observed: FloatArray
     agreeing: float
     edges_px: FloatArray
+    since_s: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,10 +49,10 @@ class DepthImage:
     intrinsics: Intrinsics | None = None
 
     def depth_m(self) -> NDArray[np.float32]:
-        """(H, W) distances along the view [m], nan where the camera could not tell."""
+        """(H, W) distances along the view [m], nan where the camera saw none."""
         return depth_m(self.depth, self.unit_m)
 
 
 def depth_m(depth: NDArray[np.uint16], unit_m: float) -> NDArray[np.float32]:
-    """(H, W) distances along the view [m], nan where the camera could not tell, of a depth image in units of unit_m."""
+    """(H, W) distances along the view [m], nan where the camera saw none, of a depth image in units of unit_m."""
     return np.where(depth > 0, depth * np.float32(unit_m), np.float32(np.nan)).astype(np.float32)

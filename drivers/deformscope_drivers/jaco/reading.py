@@ -1,7 +1,7 @@
 """Reading the arm's state call by call, in the time that the commands leave.
 
 Over USB the vendor's library opens, claims, transfers and closes for each packet, so one call may take milliseconds.
-A sweep of all calls is therefore spread over as many slots as it needs: a call is only begun where it will likely end
+A sweep of all calls is therefore spread over as many slots as it needs: a call is only made where it will likely end
 before the next slot is due.
 """
 

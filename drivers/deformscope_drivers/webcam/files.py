@@ -174,7 +174,7 @@ class ImageFolder(Playback):
 
 
 class _VideoPictures:
-    """The pictures of an opened `cv2.VideoCapture`; not a generator, which is closed only once it was begun."""
+    """The pictures of an opened `cv2.VideoCapture`; not a generator, which is closed only once it was started."""
 
     def __init__(self, capture: Any) -> None:
         self._capture = capture

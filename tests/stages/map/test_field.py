@@ -10,7 +10,7 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 from deformscope.errors import InputError
 from deformscope.stages.map.field import FieldPrior, fit_field
 from deformscope.stages.map.gaussian_process import Kernel
-from deformscope.stages.map.touches import MapGrid
+from deformscope.stages.regions.touches import MapGrid
 
 SIZE = np.array([0.6, 0.4])
 

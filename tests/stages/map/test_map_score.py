@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from deformscope.stages.map.map_score import TrueMap, boundary_distance, called_labels, match_regions, score_map
-from deformscope.stages.map.regions import RegionMap
-from deformscope.stages.map.touches import MapGrid
+from deformscope.stages.regions.posterior import RegionMap
+from deformscope.stages.regions.touches import MapGrid
 
 GRID = MapGrid((0.10, 0.04), 0.01)
 

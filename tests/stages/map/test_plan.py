@@ -9,7 +9,6 @@ import pytest
 from scipy.stats import norm
 
 from deformscope.errors import InputError
-from deformscope.stages.map.partitions import draw
 from deformscope.stages.map.plan import (
     ALLOWED,
     AT_BORDER,
@@ -25,8 +24,9 @@ from deformscope.stages.map.plan import (
     label_gain,
     plan_touch,
 )
-from deformscope.stages.map.regions import RegionHypotheses, RegionPosterior
-from deformscope.stages.map.touches import MapGrid, StiffnessSample
+from deformscope.stages.regions.partitions import draw
+from deformscope.stages.regions.posterior import RegionHypotheses, RegionPosterior
+from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
 GRID = MapGrid(cell_m=0.01)
 KERNEL = FieldKernel()

@@ -12,7 +12,7 @@ from deformscope.errors import InputError
 from deformscope.stages.map import marginal_likelihood
 from deformscope.stages.map.gaussian_process import Kernel
 from deformscope.stages.map.surface import HeightProcess, fit_surface
-from deformscope.stages.map.touches import MapGrid
+from deformscope.stages.regions.touches import MapGrid
 from tests.cases import slow_but
 
 KERNEL = Kernel.of_length(0.008, 0.06)

@@ -147,9 +147,9 @@ def test_the_thesiss_model_holds_its_lowest_point_and_says_what_its_trend_is(lev
 def test_the_thesiss_model_finds_its_own_beta(level: HeightProcess) -> None:
     """A surface made by that very model, deep enough for a single layer to feel beta."""
     from deformscope.stages.map.gaussian_process import Believed
-    from deformscope.stages.map.touches import MapGrid
     from deformscope.stages.msm import clusters
     from deformscope.stages.msm.solver import Msm
+    from deformscope.stages.regions.touches import MapGrid
 
     grid = MapGrid((0.15, 0.15), 0.01)
     rest = np.column_stack([0.025 + grid.centres_m, np.full(225, THICKNESS)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -43,8 +42,7 @@ def _kernels(kind: str, dim: int, terms: int, scalar: Any, window: int) -> list[
         made = iteration_kernels_for(dim, scalar, GPU_WIDTH)
     else:
         made = reduced_kernels_for(dim, terms)
-    members = [getattr(made, field.name) for field in dataclasses.fields(made)]
-    return [member for member in members if isinstance(member, wp.Kernel)]
+    return [member for member in vars(made).values() if isinstance(member, wp.Kernel)]
 
 
 def _modules(kernels: list[wp.Kernel]) -> dict[Any, list[str]]:

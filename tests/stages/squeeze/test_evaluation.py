@@ -206,6 +206,11 @@ def test_too_few_samples_are_words_not_crashes() -> None:
     assert found.best.confusion[0].sum() == 0
 
 
+def test_one_trial_of_each_label_is_refused() -> None:
+    with pytest.raises(InputError, match="two trials of a label at least"):
+        evaluate(blobs(classes=3, each=1, columns=4, apart=8.0, groups=1), FAST)
+
+
 def test_a_modality_that_never_varies_is_refused() -> None:
     table = two_modalities()
     flat = dataclasses.replace(table, modalities={**table.modalities, "flat": np.ones((64, 3))})

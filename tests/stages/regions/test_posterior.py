@@ -10,10 +10,10 @@ from scipy.stats import multivariate_normal, norm
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.map import regions
-from deformscope.stages.map.partitions import draw
-from deformscope.stages.map.regions import RegionPosterior, RegionPrior
-from deformscope.stages.map.touches import MapGrid, StiffnessSample
+from deformscope.stages.regions import posterior as posterior_module
+from deformscope.stages.regions.partitions import draw
+from deformscope.stages.regions.posterior import RegionPosterior, RegionPrior, surface_kind
+from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 from tests.cases import slow_but
 
 GRID = MapGrid(cell_m=0.01)
@@ -46,8 +46,8 @@ def test_levels_are_integrated_as_a_gaussian_s_marginal(k: int) -> None:
     rng = np.random.default_rng(k)
     shares = rng.dirichlet(np.ones(k), (4, 6))
     prior = RegionPrior(least_contrast=0.0, mixed_share=0.0)
-    readings = regions._readings(touches(rng.standard_normal(6)), prior)
-    found, level, cov = regions._levels(shares, readings, prior)
+    readings = posterior_module._readings(touches(rng.standard_normal(6)), prior)
+    found, level, cov = posterior_module._levels(shares, readings, prior)
 
     for one in range(4):
         joint = shares[one] @ shares[one].T + np.diag(readings.variance)
@@ -63,8 +63,8 @@ def test_least_contrast_cuts_the_prior_where_levels_are_alike() -> None:
     rng = np.random.default_rng(0)
     shares = np.repeat([[1.0, 0.0], [0.0, 1.0]], 2, axis=0)[None]
     prior = RegionPrior(least_contrast=0.4, mixed_share=0.0)
-    readings = regions._readings(touches([0.0, 0.1, 0.3, 0.5], sd=0.2), prior)
-    found, _, _ = regions._levels(shares, readings, prior)
+    readings = posterior_module._readings(touches([0.0, 0.1, 0.3, 0.5], sd=0.2), prior)
+    found, _, _ = posterior_module._levels(shares, readings, prior)
 
     drawn = rng.standard_normal((400_000, 2))
     drawn = drawn[np.abs(drawn[:, 0] - drawn[:, 1]) > 0.4]
@@ -78,9 +78,9 @@ def test_evidence_of_the_particles_is_that_of_the_prior() -> None:
     """Sequential importance sampling with moves, against the plain mean over very many prior maps."""
     seen = halves(0.6)[:5]
     prior = RegionPrior()
-    readings = regions._readings(seen, prior)
+    readings = posterior_module._readings(seen, prior)
     maps = draw(np.random.default_rng(99), 2, GRID.size_m, 20_000)
-    plain, _, _ = regions._levels(maps.shares(readings.xy_m, prior.blur_m), readings, prior)
+    plain, _, _ = posterior_module._levels(maps.shares(readings.xy_m, prior.blur_m), readings, prior)
     expected = np.log(np.mean(np.exp(plain - plain.max()))) + plain.max()
 
     found = [posterior(seen, seed=seed, particle_count=600).particles[0].log_evidence for seed in range(2)]
@@ -191,3 +191,20 @@ def test_what_makes_no_sense_is_refused() -> None:
         RegionPosterior.before_touches(GRID, particle_count=3)
     with pytest.raises(InputError, match="two cells"):
         MapGrid((0.0, 0.4))
+
+
+@pytest.mark.parametrize("size_m", [0.05, 0.6])
+@pytest.mark.parametrize("kind", ["uniform", "materials", "gradual"])
+def test_a_surface_is_of_one_kind_whatever_its_size(kind: str, size_m: float) -> None:
+    """Twelve values of 5 % noise: all alike, two halves of 20 and 50 N/mm, or a slope by a factor of 3.3."""
+    rng = np.random.default_rng(4)
+    places = rng.uniform(0.0, [1.0, 0.6], (12, 2))
+    value = {
+        "uniform": np.full(12, np.log(20.0)),
+        "materials": np.where(places[:, 0] < 0.5, np.log(20.0), np.log(50.0)),
+        "gradual": np.log(20.0) + 1.2 * places[:, 0],
+    }[kind]
+    # a corner anywhere: places of a camera's frame may be below 0
+    found = surface_kind(size_m * places - [0.1, 0.2], value + rng.normal(0.0, 0.05, 12), 0.05)
+
+    assert found == kind

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from deformscope.stages.map.partitions import LATENTS, LEAST_AREA_M2, Family, Partitions, draw, propose
-from deformscope.stages.map.touches import MapGrid
+from deformscope.stages.regions.partitions import LATENTS, LEAST_AREA_M2, Family, Partitions, draw, propose
+from deformscope.stages.regions.touches import MapGrid
 from tests.cases import slow_but
 
 SIZE = (0.6, 0.4)

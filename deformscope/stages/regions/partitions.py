@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
-from deformscope.stages.map.touches import MapGrid
+from deformscope.stages.regions.touches import MapGrid
 
 LATENTS = 24
 """Normal numbers a curve."""

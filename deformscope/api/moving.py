@@ -7,14 +7,14 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Protocol
 
-from deformscope.cli.common import say
 from deformscope.errors import InputError
+from deformscope.terminal import say
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from deformscope.api.rigs import Interruption
     from deformscope.arrays import FloatArray
-    from deformscope.cli.rigs import Interruption
     from deformscope.experiments.options import ExploreOptions
     from deformscope.experiments.touching_robot import TouchingRobot
     from deformscope.robot.setup import Setup
@@ -29,7 +29,7 @@ POLL_S = 0.1
 
 
 class WatchedRobot(Protocol):
-    """What a watch needs of a robot. doing: what it does now, in words"""
+    """What a watch needs of a robot. doing: its present action, in words"""
 
     @property
     def doing(self) -> str: ...
@@ -111,7 +111,7 @@ def permitted(
         if not yes and not sys.stdin.isatty():
             raise InputError("somebody who says yes", "no terminal to ask at", "--yes")
         if not yes:
-            answered = yield from _answer(asked)
+            answered = yield from ask_line("Type yes to begin: ", asked)
             if asked.is_set():
                 robot.ask_to_stop(signal_word(asked.signal_number))
             elif answered != "yes":
@@ -122,13 +122,13 @@ def permitted(
     robot.let_move(preflight)
 
 
-def _answer(asked: Interruption) -> RigExperiment[str]:
+def ask_line(prompt: str, asked: Interruption) -> RigExperiment[str]:
     """What somebody at the terminal says; frames pass meanwhile. Empty once they end it by Ctrl-C, or hang up."""
     import select
 
     from deformscope.session import Step
 
-    print("Type yes to begin: ", end="", file=sys.stderr, flush=True)
+    print(prompt, end="", file=sys.stderr, flush=True)
     while not asked.is_set():
         if select.select([sys.stdin], [], [], POLL_S)[0]:
             return sys.stdin.readline().strip().lower()

@@ -8,10 +8,10 @@ import threading
 from collections.abc import Iterator
 from types import FrameType
 
-from deformscope.cli.common import say
 from deformscope.lab.stand_in import stand_in
 from deformscope.rig.rig_file import Rig, RigDevice
 from deformscope.rig.source import RigMember
+from deformscope.terminal import say
 
 
 @contextlib.contextmanager

@@ -21,10 +21,12 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.map.partitions import Partitions, draw, propose
-from deformscope.stages.map.touches import MapGrid, StiffnessSample
+from deformscope.stages.regions.partitions import Partitions, draw, propose
+from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
 RegionVerdict = Literal["regions", "gradual"]
+SurfaceKind = Literal["uniform", "materials", "gradual"]
+"""The same with one region by a name of its own."""
 
 MOST_REGIONS = 3
 MOVES = 24
@@ -34,6 +36,10 @@ SMOOTH_LENGTHS_M = (0.2, 0.35, 0.6)
 SMOOTH_SDS = (0.25, 0.6)
 SLOPES_PER_M = (1.0, 3.0)
 """Of log stiffness: how smooth fields may vary; each combination has the same prior probability."""
+PRIOR_EXTENT_M, PRIOR_MARGIN_M = 0.5, 0.05
+"""Places on things of any size are taken as if they were so far apart, and so far from the border: the priors on shapes
+are of a surface of about 0.6 m."""
+KIND_PARTICLES, KIND_CELL_M = 300, 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,6 +189,13 @@ class RegionPosterior:
     @property
     def verdict(self) -> RegionVerdict:
         return "gradual" if self.probability["gradual"] > 0.5 else "regions"
+
+    @property
+    def kind(self) -> SurfaceKind:
+        """The verdict, with one region by a name of its own."""
+        if self.verdict == "gradual":
+            return "gradual"
+        return "uniform" if self.region_count == 1 else "materials"
 
     def hypotheses(self, count: int = 300) -> RegionHypotheses:
         """About `count` maps, in proportion to the probability of their number of regions."""
@@ -360,6 +373,18 @@ class SmoothField:
 @lru_cache(maxsize=8)
 def _prior_maps(seed: int, regions: int, size_m: tuple[float, float], count: int) -> Partitions:
     return draw(np.random.default_rng((seed, regions)), regions, size_m, count)
+
+
+def surface_kind(places_m: FloatArray, log_stiffness: FloatArray, log_sd: float) -> SurfaceKind:
+    """What values (p,) of deviation `log_sd` at places (p, 2) [m] say of a thing of whatever size."""
+    size = np.ptp(places_m, axis=0)
+    scale = PRIOR_EXTENT_M / (float(size.max()) or 1.0)
+    width, height = (float(side) for side in np.maximum(scale * size, 2.0 * PRIOR_MARGIN_M) + 2.0 * PRIOR_MARGIN_M)
+    grid = MapGrid((width, height), KIND_CELL_M)
+    posterior = RegionPosterior.before_touches(grid, particle_count=KIND_PARTICLES)
+    for xy_m, value in zip((places_m - places_m.min(axis=0)) * scale + PRIOR_MARGIN_M, log_stiffness, strict=True):
+        posterior = posterior.with_touch(StiffnessSample(xy_m, float(value), log_sd))
+    return posterior.kind
 
 
 def _readings(touches: Sequence[StiffnessSample], prior: RegionPrior) -> _Readings:

@@ -73,7 +73,7 @@ def setup_of(name: str, options: ExploreOptions, set_force_n: float | None, *, t
 
 def setup_of_rig(rig: Rig, seed: int = 0) -> Setup:
     """The setup of a rig file, closed. Raises InputError, which names what it lacks."""
-    from deformscope.cli.rigs import member_of
+    from deformscope.api.rigs import member_of
     from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
     from deformscope.lab.live_lab import LiveLab
     from deformscope.lab.scenes import built_in
@@ -108,7 +108,10 @@ class SqueezeOpening:
 def squeeze_setup_of(
     name: str, content: str, container: str, session: str, seed: int, *, trusted: bool
 ) -> SqueezeOpening:
-    """The setup of lab:containers or of a rig file. content, container: empty = drawn, in the laboratory"""
+    """The setup of lab:containers or of a rig file, whose doubles squeeze a simulated container.
+
+    content, container: empty = drawn, where they are simulated
+    """
     if name == CONTAINERS:
         from deformscope.lab.container_setup import container_lab
 
@@ -116,13 +119,19 @@ def squeeze_setup_of(
         return SqueezeOpening(made.setup, {"lab": CONTAINERS}, made.content, made.container)
     if name.startswith(LAB):
         raise InputError(CONTAINERS + ", or a rig file", repr(name), CONTAINERS)
-    from deformscope.cli.rigs import member_of
+    from deformscope.api.rigs import member_of
+    from deformscope.lab.container_setup import rig_container
     from deformscope.rig.rig_file import load_rig
-    from deformscope.robot.squeeze_setup import squeeze_setup
+    from deformscope.robot.squeeze_setup import SqueezeParts, squeeze_setup
 
     rig = load_rig(name, trusted=trusted)
     settings = {"rig": rig.text, "rig_name": rig.name}
-    return SqueezeOpening(squeeze_setup(rig, member_of, seed), settings, content, container)
+    parts = SqueezeParts.of(rig, seed)
+    if not parts.simulated:
+        return SqueezeOpening(squeeze_setup(parts, member_of), settings, content, container)
+    between = rig_container(parts, content, container, session, seed)
+    setup = squeeze_setup(parts, member_of, between.simulated)
+    return SqueezeOpening(setup, settings, between.content, between.container)
 
 
 def _is_scene(name: str) -> bool:

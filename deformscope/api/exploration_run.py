@@ -1,0 +1,340 @@
+"""An exploration from its options to what it found: devices opened, surface touched, arm stopped, results recorded."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from deformscope import __version__
+from deformscope.api.moving import Watch, leave, permitted
+from deformscope.api.result import open_recorder
+from deformscope.api.rigs import until_interrupted
+from deformscope.api.setups import setup_of
+from deformscope.stages.msm.quiet import quiet_warp
+from deformscope.terminal import say, status_line
+
+if TYPE_CHECKING:
+    from deformscope.api.rigs import Interruption
+    from deformscope.arrays import FloatArray
+    from deformscope.config import ExploreConfig
+    from deformscope.experiments.explore import Exploration
+    from deformscope.experiments.options import ExploreOptions
+    from deformscope.experiments.touching_robot import TouchingRobot
+    from deformscope.lab.faults import FaultsToCome
+    from deformscope.recording.recorder import Recorder
+    from deformscope.robot.setup import Setup
+    from deformscope.session import RigExperiment, Step
+    from deformscope.stages.map.exploration import MapEstimate, TouchEstimate
+
+
+MAP_UNITS = {
+    "cell_m": "m",
+    "stiffness_n_per_mm": "N/mm",
+    "stiffness_log_sd": "natural logarithm",
+    "labels": "region from 0, the softest; -1: no regions",
+    "label_probability": "1",
+    "contacts_m": "m, (x, y)",
+    "beta": "1",
+    "beta_sd": "1",
+    "truth_labels": "region from 0",
+}
+"""Of the arrays in a file of maps."""
+JSON_UNITS = {
+    "apparent_stiffness_n_per_mm": "N/mm",
+    "beta": "1",
+    "depth_m": "m",
+    "log_stiffness": "natural logarithm of N/mm",
+    "max_force_n": "N",
+    "modulus_pa": "Pa",
+    "peak_force_n": "N",
+    "set_force_n": "N",
+    "seconds": "s",
+    "travel_m": "m",
+    "xy_m": "m",
+}
+
+
+@dataclass
+class ExplorationEnd:
+    """Why and when an exploration ended; filled in as it goes on.
+
+    error: that ended it, other than a stop; start_ns: of the session, on the robot's clock
+    arm_stopped: whether the arm could be stopped; began_s: when it could first move, 0 = never [s]
+    session_s: by the robot's clock [s]; gaps_s: (n,) from each look of its supervisor to the next [s]
+    losses: of each device that lost something (`deformscope.recording.losses`)
+    """
+
+    error: BaseException | None = None
+    start_ns: int = 0
+    arm_stopped: bool = True
+    began_s: float = 0.0
+    session_s: float = 0.0
+    gaps_s: FloatArray | None = None
+    losses: dict[str, dict[str, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Explored:
+    """What an exploration found. found: as in the JSON; maps: None where no touch gave one; simulated: the scene"""
+
+    found: dict[str, Any]
+    maps: MapEstimate | None
+    simulated: bool
+
+
+def explore_on(config: ExploreConfig, report: Callable[[Explored], None]) -> Explored | None:
+    """Explore a simulated scene, or with the devices of a rig file; None where it ended before the arm could move.
+
+    Whatever ends it, the arm is halted, and what is known is reported before the recording is closed.
+    """
+    from deformscope.experiments.explore import Exploration
+    from deformscope.experiments.measured import SetupGeometry
+    from deformscope.experiments.options import ExploreOptions
+    from deformscope.lab.faults import FaultAt, FaultsToCome
+
+    quiet_warp()
+    options = ExploreOptions(
+        planner=config.planner,
+        budget=config.touches,
+        threshold=config.threshold,
+        beta_model=config.beta_model,
+        seed=config.output.seed,
+    )
+    faults = [FaultAt.parse(text, options.budget) for text in config.fault]
+    opening = setup_of(config.rig, options, config.set_force, trusted=config.trust_rig)
+    setup, options = opening.setup, opening.options
+    to_come = FaultsToCome(opening.faulty_lab, faults, options.seed) if faults else None
+    settings = {"explore": dataclasses.asdict(options), "seed": options.seed, "simulated": setup.simulated}
+    settings |= {"setup": SetupGeometry.of(setup).as_json(), **opening.settings}
+    found, ending = Exploration(), ExplorationEnd()
+    explored: Explored | None = None
+    with (
+        until_interrupted() as asked,
+        open_recorder(config.output, settings, "exploration", real_time=setup.runs_itself) as recorder,
+    ):
+        try:
+            _run(config, setup, options, found, recorder, asked, to_come, ending)
+        except BaseException as error:
+            ending.error = error
+        if found.stop is not None:
+            recorder.stopped_because(f"{found.stop.kind}: {found.stop.reason}")
+        if ending.began_s > 0.0 or found.stop is not None:
+            as_json = _found(config, setup, options, found, recorder, ending, to_come)
+            explored = Explored(as_json, found.maps, setup.simulated)
+            report(explored)
+        if ending.error is not None:
+            raise ending.error
+    for fault in to_come.waiting if to_come is not None else ():
+        say(f"--fault {fault.injected.word}@{fault.touch} did not strike: there was no such moment")
+    if found.stop is not None or asked.is_set():
+        recording = recorder.summary().path
+        leave(found.stop, len(found.touches), asked.signal_number, recording, arm_stopped=ending.arm_stopped)
+    return explored
+
+
+def _run(
+    config: ExploreConfig,
+    setup: Setup,
+    options: ExploreOptions,
+    found: Exploration,
+    recorder: Recorder,
+    asked: Interruption,
+    to_come: FaultsToCome | None,
+    ending: ExplorationEnd,
+) -> None:
+    """Open the devices, explore, close them; `found` and `ending` hold what is known, also where this raises."""
+    from deformscope.experiments.beside import stages_beside
+    from deformscope.experiments.explore import explore
+    from deformscope.experiments.touching_robot import touching_robot
+    from deformscope.recording.losses import losses_of
+    from deformscope.session import finish, run
+
+    with setup.open_source() as source, status_line() as show:
+        ending.start_ns = source.start_ns
+        truth = setup.truth is not None and setup.truth.labels is not None
+        place = setup.size_m, setup.placement.T_base_surface
+        recorder.start_exploration(source.streams, source.start_ns, *place, truth=truth)
+        watch = Watch(asked, show)
+        with touching_robot(setup, source, options, watch) as robot, stages_beside(setup, options) as (beside, stage):
+            try:
+                with watch.halts(robot):
+                    if to_come is not None:
+                        robot.on_phase = to_come.phase_began
+                    permit = _permitted(robot, setup, options, asked, ending, yes=config.yes)
+                    experiment = _said(explore(setup.clock, stage, found, permit), show)
+                    run(source, experiment, recorder, robot, beside)
+            finally:
+                ending.arm_stopped, ending.gaps_s = watch.arm_stopped, robot.gaps_s
+                ending.session_s = (setup.clock() - source.start_ns) / 1e9
+        ending.losses = losses_of(finish(source, recorder))
+    for name, reason in source.failures.items():
+        say(f"deformscope: device {name} failed: {reason}")
+
+
+def _permitted(
+    robot: TouchingRobot,
+    setup: Setup,
+    options: ExploreOptions,
+    asked: Interruption,
+    ending: ExplorationEnd,
+    *,
+    yes: bool,
+) -> RigExperiment[None]:
+    yield from permitted(robot, setup, options, setup.calibrated, asked, yes=yes)
+    ending.began_s = time.perf_counter()
+
+
+def _said(experiment: RigExperiment[None], show: Callable[[str], None]) -> RigExperiment[None]:
+    """The same experiment; what it finds is printed as it comes."""
+    given: Any = None
+    answer: Callable[[Any], Step] = experiment.send
+    while True:
+        try:
+            step = answer(given)
+        except StopIteration:
+            return
+        if lines := [line for result in step.results for line in _remarks(result)]:
+            show("")
+            for line in lines:
+                say(line)
+        try:
+            given, answer = (yield step), experiment.send
+        except Exception as error:
+            given, answer = error, experiment.throw
+
+
+def _remarks(result: object) -> Iterator[str]:
+    from deformscope.pictures.words import (
+        dent_words,
+        failed_words,
+        interval_words,
+        iou_words,
+        stiffness_words,
+        verdict_words,
+    )
+    from deformscope.stages.map.exploration import MapEstimate, PlannedTouch, StageFailure, TouchEstimate
+
+    if isinstance(result, PlannedTouch):
+        where = "" if result.target_m is None else f"next touch at {_cm(result.target_m)} cm: "
+        yield where + result.reason
+    elif isinstance(result, TouchEstimate):
+        between = interval_words(result)
+        yield (
+            f"touch {result.number + 1} at {_cm(result.xyz_m[:2])} cm: {stiffness_words(result)}"
+            + (f" ({between})" if between else "")
+            + f", dent {dent_words(result)}"
+        )
+    elif isinstance(result, MapEstimate):
+        yield "  map: " + ", ".join(one for one in (verdict_words(result), iou_words(result)) if one)
+    elif isinstance(result, StageFailure):
+        yield f"deformscope: {failed_words(result)}"
+
+
+def _cm(xy_m: Any) -> str:
+    return f"({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f})"
+
+
+def _found(
+    config: ExploreConfig,
+    setup: Setup,
+    options: ExploreOptions,
+    exploration: Exploration,
+    recorder: Recorder,
+    ending: ExplorationEnd,
+    faults: FaultsToCome | None,
+) -> dict[str, Any]:
+    """The JSON of design 5."""
+    exploration.failures += recorder.not_shown
+    if ending.error is not None:
+        exploration.stop_reason = f"error: {' '.join(str(ending.error).split()) or type(ending.error).__name__}"
+    maps = exploration.maps
+    truth = None
+    if setup.truth is not None:  # a gradient has no regions, and none to compare with
+        labels = setup.truth.labels
+        truth = {
+            "region_count": 0 if labels is None else int(labels.max()) + 1,
+            "iou": None if maps is None else maps.iou,
+            "boundary_m": None if maps is None else maps.boundary_m,
+        }
+    return {
+        "scenario": config.rig,
+        "seed": options.seed,
+        "version": __version__,
+        "units": JSON_UNITS,
+        "set_force_n": options.set_force_n,
+        "verdict": None if maps is None else maps.verdict,
+        "verdict_probability": None if maps is None else maps.probability,
+        "touches": [_touch(one, exploration.failed(one.number + 1)) for one in exploration.touches],
+        "region_count": None if maps is None else maps.region_count,
+        "regions": [
+            {
+                "log_stiffness": float(np.log(maps.level_n_per_mm[region])),
+                "interval": np.log(maps.level_interval_n_per_mm[region]),
+                "rigid": bool(maps.level_rigid[region]),
+            }
+            for region in range(0 if maps is None else maps.region_count)
+            if maps is not None
+        ],
+        "probability": exploration.region_probability,
+        "truth": truth,
+        "travel_m": exploration.travel_m,
+        "max_force_n": setup.max_force_n,
+        "seconds": {
+            "compute": exploration.compute_s,
+            "slowest": exploration.slowest_s,
+            "session": ending.session_s,
+            "wall": time.perf_counter() - ending.began_s if ending.began_s else 0.0,
+        },
+        "supervisor_gaps_ms": _gaps_ms(ending.gaps_s),
+        "stop_reason": exploration.stop_reason,
+        "arm_stands": ending.arm_stopped,
+        "failures": [{"stage": one.stage, "touch": one.touch, "reason": one.reason} for one in exploration.failures],
+        "losses": ending.losses,
+        # after an error it keeps the name of an unfinished one
+        "recording": config.output.record if ending.error is None else recorder.summary().path,
+        "fault": _fault(exploration, ending, faults),
+    }
+
+
+def _touch(one: TouchEstimate, failed: list[str]) -> dict[str, Any]:
+    same = ("beta", "beta_interval", "beta_verdict", "rigid", "modulus_pa", "depth_m", "peak_force_n")
+    return {
+        "xy_m": one.xyz_m[:2],
+        "apparent_stiffness_n_per_mm": one.stiffness_n_per_mm,
+        "apparent_stiffness_interval": one.stiffness_interval,
+        **{name: getattr(one, name) for name in same},
+        "failed": failed,
+    }
+
+
+def _fault(exploration: Exploration, ending: ExplorationEnd, faults: FaultsToCome | None) -> dict[str, Any] | None:
+    """Why it was stopped, and how long after the laboratory's fault; None where it was not."""
+    stop = exploration.stop
+    if stop is None:
+        return None
+    struck = faults.struck if faults is not None else ()
+    struck_ns = [struck_ns for _, struck_ns in struck if struck_ns <= exploration.stop_ns]
+    return {
+        "kind": stop.kind,
+        "reason": stop.reason,
+        "time_s": (exploration.stop_ns - ending.start_ns) / 1e9,
+        "noticed_after_s": (exploration.stop_ns - struck_ns[-1]) / 1e9 if struck_ns else None,
+    }
+
+
+def _gaps_ms(gaps_s: FloatArray | None) -> dict[str, float] | None:
+    """From one look of the supervisor to the next, None where the arm never could move [ms]."""
+    if gaps_s is None or not len(gaps_s):
+        return None
+    shares = {"p50": 50.0, "p99": 99.0, "p99_9": 99.9, "max": 100.0}
+    return {"count": len(gaps_s)} | {name: 1e3 * float(np.percentile(gaps_s, share)) for name, share in shares.items()}
+
+
+def map_arrays(maps: MapEstimate) -> dict[str, np.ndarray]:
+    """Those that are known: rows along y, columns along x, cells of cell_m with the surface's corner at (0, 0)."""
+    return {name: np.asarray(value) for name in MAP_UNITS if (value := getattr(maps, name)) is not None}

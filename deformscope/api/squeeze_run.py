@@ -1,0 +1,333 @@
+"""A squeeze from its options to what it found: devices opened, container squeezed, hand stopped, trial kept."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deformscope.api.moving import Watch, ask_line
+from deformscope.api.result import open_recorder
+from deformscope.api.rigs import until_interrupted
+from deformscope.api.setups import LAB, squeeze_setup_of
+from deformscope.errors import InputError
+from deformscope.terminal import say, status_line
+
+if TYPE_CHECKING:
+    from deformscope.api.rigs import Interruption
+    from deformscope.api.setups import SqueezeOpening
+    from deformscope.arrays import FloatArray
+    from deformscope.config import SqueezeConfig
+    from deformscope.experiments.squeeze import Squeezed
+    from deformscope.experiments.squeeze_features import TrialFeatures
+    from deformscope.experiments.squeeze_frames import Predict
+    from deformscope.files.squeeze_dataset import SqueezeDataset, TrialEntry
+    from deformscope.recording.recorder import Recorder
+    from deformscope.robot.squeeze_setup import SqueezeSetup
+    from deformscope.session import RigExperiment
+    from deformscope.stages.squeeze.model import ContentModel
+    from deformscope.stages.squeeze.trial import SqueezeStop
+
+MODEL_INPUT = "model.npz"
+"""The model, as an input in the recording."""
+TACTILE_BYTES, DEPTH_SHARE, TRIAL_S = 4_000, 0.19, 4.6
+"""Of a recorded tactile frame; of a depth image's pixels two bytes each as PNG; of a trial. Estimates, measured on
+recordings of lab:containers."""
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class SqueezeOutcome:
+    """What a squeeze left. found: as in the JSON; features: None where it was stopped; stop: why it was
+
+    signal_number: of who ended it, 0 = nobody
+    """
+
+    found: dict[str, Any]
+    features: TrialFeatures | None
+    stop: SqueezeStop | None
+    signal_number: int
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether that is why it ended."""
+        from deformscope.robot.squeeze_supervisor import SqueezeFault
+
+        return self.signal_number != 0 and self.stop is not None and self.stop.kind == SqueezeFault.ASKED
+
+
+def squeeze_on(config: SqueezeConfig, report: Callable[[dict[str, Any]], None]) -> SqueezeOutcome:
+    """Squeeze, with the laboratory or the devices of a rig file; keep the trial; report what was found."""
+    from deformscope.experiments.squeeze import Squeezed
+    from deformscope.experiments.squeeze_trial import entry_of, feature_settings, recorded_settings, row_of
+    from deformscope.files.squeeze_dataset import SqueezeDataset
+
+    session = config.session or ("lab-0" if config.rig.startswith(LAB) else f"{datetime.date.today():%Y%m%d}")
+    dataset = None if config.dataset is None else SqueezeDataset(config.dataset)
+    seed = config.output.seed + _trials_before(dataset, config.container, session)
+    model = _model(config.model)
+    opening = squeeze_setup_of(config.rig, config.content, config.container, session, seed, trusted=config.trust_rig)
+    if model is not None and model.settings and dict(model.settings) != feature_settings(opening.setup):
+        raise InputError("a model of features with this rig's settings", f"{dict(model.settings)}", where=config.model)
+    entry = entry_of(opening.setup, opening.content, opening.container, session, seed)
+    entry = dataclasses.replace(entry, fill=config.fill, operator=config.operator)
+    file = config.output.record
+    if dataset is not None and config.keep == "trial" and file is None:
+        file = dataset.recording_path(entry.trial)
+        file.parent.mkdir(parents=True, exist_ok=True)
+    if file is not None:
+        say(_size_words(opening.setup))
+    found = Squeezed()
+    settings = {"seed": seed, **opening.settings, "trial": dataclasses.asdict(entry)}
+    with (
+        until_interrupted() as asked,
+        open_recorder(
+            dataclasses.replace(config.output, record=file),
+            settings | recorded_settings(opening.setup),
+            "squeeze",
+            real_time=opening.setup.runs_itself,
+        ) as recorder,
+    ):
+        ended = _run(config, opening, model, found, recorder, asked)
+        if found.stop is not None:
+            recorder.stopped_because(f"{found.stop.kind}: {found.stop.reason}")
+    path = recorder.summary().path
+    entry = _finished(entry, found, ended, dataset, path)
+    if dataset is not None:
+        SqueezeDataset(dataset.folder, feature_settings(opening.setup)).add([row_of(entry, found.features)])
+    result = _found(config, opening, entry, found, ended) | {"dataset": config.dataset, "recording": path}
+    report(result)
+    return SqueezeOutcome(result, found.features, found.stop, asked.signal_number)
+
+
+def _run(
+    config: SqueezeConfig,
+    opening: SqueezeOpening,
+    model: ContentModel | None,
+    found: Squeezed,
+    recorder: Recorder,
+    asked: Interruption,
+) -> dict[str, Any]:
+    """Open the devices, squeeze, close them; what is known beside `found`."""
+    from deformscope.experiments.squeeze import squeeze
+    from deformscope.experiments.squeeze_features import SqueezeGeometry, around_px
+    from deformscope.experiments.squeeze_frames import ObservedRecorder, SqueezeFrames, SqueezeObserver, TactileSource
+    from deformscope.experiments.squeezing_hand import SqueezingHand, computing_beside, rule_of
+    from deformscope.frames import InputFile
+    from deformscope.recording.losses import losses_of
+    from deformscope.session import finish
+    from deformscope.session import run as run_session
+
+    setup = opening.setup
+    ended: dict[str, Any] = {"losses": {}, "start_ns": 0}
+    with setup.open_source() as source, status_line() as show:
+        ended["start_ns"] = source.start_ns
+        names = setup.names
+        tactile = TactileSource.of(source.streams, names.tactile, setup.hand.fingers)
+        frames = SqueezeFrames(tactile, names.hand, names.camera, rule_of(setup))
+        observer = SqueezeObserver(frames, setup.hand.tactile_end, None if model is None else tactile_posterior(model))
+        geometry = SqueezeGeometry.of(setup)
+        recorder.start_squeeze(
+            source.streams,
+            source.start_ns,
+            names.tactile,
+            tactile.pads,
+            names.camera,
+            around_px=around_px(geometry),
+            named=model is not None,
+        )
+        if config.model is not None:
+            recorder.write(InputFile(MODEL_INPUT, config.model.read_bytes()))
+        observed = ObservedRecorder(recorder, observer)
+        watch = Watch(asked, show)
+        hand = SqueezingHand(setup, source, observer, watch)
+        experiment = squeeze(
+            setup.clock,
+            observer,
+            geometry,
+            found,
+            None if model is None else final_posterior(model),
+            _permitted(setup, asked, yes=config.yes),
+            None if setup.placed else _placed(config, setup, asked),
+        )
+        try:
+            with computing_beside(setup, hand) as beside, watch.halts(hand):
+                run_session(source, experiment, observed, hand, beside)
+        finally:
+            ended |= {"hand_stands": hand.stands, "limits_restored": hand.restored}
+        if setup.truth is not None:
+            truth = setup.truth()
+            ended["truth"] = {
+                name: (when_ns - source.start_ns) / 1e9 if when_ns else None
+                for name, when_ns in (("first_s", truth.first_ns), ("steady_s", truth.steady_ns))
+            }
+        ended["losses"] = losses_of(finish(source, observed))
+        observed.rest()
+    for name, reason in source.failures.items():
+        say(f"deformscope: device {name} failed: {reason}")
+    return ended
+
+
+# Who decides --------------------------------------------------------------------------------------------------------
+
+
+def _permitted(setup: SqueezeSetup, asked: Interruption, *, yes: bool) -> RigExperiment[None]:
+    """Within the experiment: ask before a real hand moves. Raises InputError unless somebody says yes."""
+    if setup.simulated:
+        return
+    squeeze = setup.squeeze
+    say(
+        f"The hand will now open, turn its fingers towards each other and, once it is placed, close with "
+        f"{squeeze.current_a:g} A at most.\nThis program is no safety function: keep the hand's switch within reach."
+    )
+    if yes:
+        return
+    if not sys.stdin.isatty():
+        raise InputError("somebody who says yes", "no terminal to ask at", "--yes")
+    answered = yield from ask_line("Type yes to begin: ", asked)
+    if answered != "yes":
+        raise InputError("yes", "something else: nothing has moved")
+
+
+def _placed(config: SqueezeConfig, setup: SqueezeSetup, asked: Interruption) -> RigExperiment[None]:
+    """Within the experiment: have the hand placed where the grasp was drawn."""
+    from deformscope.session import Moment, Step
+    from deformscope.stages.squeeze.trial import SqueezePhase
+
+    grasp = setup.grasp
+    yield Step((SqueezePhase("place"),), moment=Moment(setup.clock()))
+    how = "move the arm by its joystick" if setup.names.arm else "place the hand"
+    side = "above" if grasp.along_m > 0 else "below"
+    say(
+        f"Now {how}, the container between the fingertips: {abs(1e3 * grasp.along_m):.0f} mm {side} the middle of its "
+        f"longest edge, tilted by {grasp.tilt_deg:.0f} deg; nothing may touch the fingertips."
+    )
+    if not config.yes or sys.stdin.isatty():
+        yield from ask_line("Press Enter when it stands still: ", asked)
+
+
+# A model -------------------------------------------------------------------------------------------------------------
+
+
+def _model(path: Path | None) -> ContentModel | None:
+    if path is None:
+        return None
+    from deformscope.files.classifier_file import load_classifier
+
+    return load_classifier(path)
+
+
+def tactile_posterior(model: ContentModel) -> Predict | None:
+    """What the model makes of the tactile feature as the squeeze goes on; None where it has no tactile modality."""
+    if "tactile" not in model.modalities:
+        return None
+
+    def predict(since_s: float, feature: FloatArray) -> tuple[tuple[str, ...], FloatArray]:
+        if "tactile" in model.steps:
+            step = round(since_s / model.step_s)
+            return model.labels, model.predict_step("tactile", step, feature[None])[0]
+        return model.labels, model.predict_proba({"tactile": feature[None]})[0]
+
+    return predict
+
+
+def final_posterior(
+    model: ContentModel,
+) -> Callable[[dict[str, FloatArray]], tuple[str, tuple[str, ...], FloatArray]]:
+    """What the model makes of all features that it knows: (modalities, labels, probabilities)."""
+
+    def predict(features: dict[str, FloatArray]) -> tuple[str, tuple[str, ...], FloatArray]:
+        known = {name: features[name][None] for name in model.modalities if name in features}
+        return " and ".join(known), model.labels, model.predict_proba(known)[0]
+
+    return predict
+
+
+# The trial -----------------------------------------------------------------------------------------------------------
+
+
+def _trials_before(dataset: SqueezeDataset | None, container: str, session: str) -> int:
+    """Each trial of a container has a grasp of its own."""
+    if dataset is None or not dataset.exists:
+        return 0
+    return sum((one.container, one.session) == (container, session) for one in dataset.entries())
+
+
+def _finished(
+    entry: TrialEntry, found: Squeezed, ended: dict[str, Any], dataset: SqueezeDataset | None, path: Path | None
+) -> TrialEntry:
+    """The entry with what came of the squeeze."""
+    recording = ""
+    if path is not None and dataset is not None:
+        inside = path.is_relative_to(dataset.folder)
+        recording = str(path.relative_to(dataset.folder) if inside else path.resolve())
+    start_ns = ended["start_ns"]
+    events = found.features.events if found.features is not None else None
+    return dataclasses.replace(
+        entry,
+        recording=recording,
+        first_s=float("nan") if events is None else (events.first_ns - start_ns) / 1e9,
+        steady_s=float("nan") if events is None else (events.steady_ns - start_ns) / 1e9,
+        discarded=None if found.stop is None else f"{found.stop.kind}: {found.stop.reason}",
+    )
+
+
+def _size_words(setup: SqueezeSetup) -> str:
+    """What a recording will take."""
+    pixels = 640 * 480 if setup.names.camera else 0
+    bytes_s = 30 * TACTILE_BYTES + setup.camera.rate_hz * pixels * 2 * DEPTH_SHARE
+    return f"a recording of some {TRIAL_S:g} s will take about {bytes_s * TRIAL_S / 1e6:.0f} MB"
+
+
+def _found(
+    config: SqueezeConfig, opening: SqueezeOpening, entry: TrialEntry, found: Squeezed, ended: dict[str, Any]
+) -> dict[str, Any]:
+    """What the JSON says of a squeeze."""
+    from deformscope.stages.squeeze.physical import PHYSICAL
+
+    computed, posterior, stop = found.features, found.posterior, found.stop
+    result: dict[str, Any] = {
+        "rig": config.rig,
+        "simulated": opening.setup.simulated,
+        "trial": entry.trial,
+        "content": entry.content,
+        "content_given": bool(config.content),
+        "container": entry.container,
+        "discarded": None if stop is None else dataclasses.asdict(stop),
+    }
+    if computed is not None:
+        events, features, start_ns = computed.events, computed.features, ended["start_ns"]
+        result["events"] = {
+            "first_s": entry.first_s,
+            "first_interval_s": [(when - start_ns) / 1e9 for when in events.first_interval_ns],
+            "steady_s": entry.steady_s,
+            "steady_interval_s": [(when - start_ns) / 1e9 for when in events.steady_interval_ns],
+        }
+        result["features"] = {name: len(values) for name, values in computed.modalities.items()}
+        result["physical"] = dict(zip(PHYSICAL, features.physical.tolist(), strict=True))
+        result |= {"vision_missing": features.missing, "vision_reason": features.reason}
+        result["patch_width_m"] = features.patch_width_m
+    if posterior is not None:
+        result |= {"named": posterior.content, "named_by": posterior.modality}
+        result["posterior"] = dict(zip(posterior.labels, posterior.probability.tolist(), strict=True))
+    result |= {name: ended[name] for name in ("hand_stands", "limits_restored", "losses")}
+    return result | {"truth": ended.get("truth")}
+
+
+def leave(squeezed: SqueezeOutcome) -> None:
+    """Raises InputError with the reason and what to see to, where it was stopped."""
+    stop = squeezed.stop
+    if stop is None:
+        return
+    came = f"{stop.kind} ({stop.reason.split(' | ')[0]}); the hand {hand_words(squeezed.found)}"
+    hint = f"see to {stop.advice}, then squeeze again" if stop.advice else "squeeze again"
+    raise InputError("a squeeze that comes to its steady state", came, hint, squeezed.found["recording"] or "")
+
+
+def hand_words(found: Mapping[str, Any]) -> str:
+    """Whether the hand stands, and may be used again as it was. found: `hand_stands`, `limits_restored`"""
+    if not found["hand_stands"]:
+        return "COULD NOT BE STOPPED: it may still press; switch it off"
+    return "stands" if found["limits_restored"] else "stands; ITS CURRENT LIMITS ARE NOT AS THEY WERE: switch it off"

@@ -1,0 +1,236 @@
+"""Squeezes of containers, from a script: `deformscope.squeeze`, and their data sets: `deformscope.open_dataset`."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import io
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from deformscope.api.result import LibraryResult, Rows, ViewerChoice, python_names
+from deformscope.api.squeeze_run import hand_words, leave, squeeze_on
+from deformscope.arrays import FloatArray
+from deformscope.config import OutputOptions, SqueezeConfig
+from deformscope.files.squeeze_dataset import SqueezeDataset, TrialEntry
+from deformscope.pictures.report import Figure, Table
+from deformscope.stages.squeeze.table import LabelledTable
+
+# One squeeze ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class SqueezeResult(LibraryResult):
+    """What came of one squeeze.
+
+    found: the JSON of `deformscope squeeze`; features: its arrays by modality, as classifiers take them: `tactile`
+    (72,) [counts], `physical` (13,), and where the container could be tracked `vision` (3721,) and `vision_small`
+    (121,) [m]; png: the depth change drawn, empty without one
+    """
+
+    found: Mapping[str, Any]
+    features: Mapping[str, FloatArray]
+    png: bytes = b""
+
+    @property
+    def content(self) -> str:
+        """What was asked for, or, in the laboratory, drawn."""
+        return str(self.found["content"])
+
+    @property
+    def named(self) -> str | None:
+        """What the model takes the content for; None without one."""
+        return self.found.get("named")
+
+    @property
+    def posterior(self) -> Mapping[str, float]:
+        """The probability of each content; empty without a model."""
+        return dict(self.found.get("posterior", {}))
+
+    @property
+    def physical(self) -> Mapping[str, float]:
+        """Force, area, indentation, stiffness..., by name, in SI units; NaN where it could not be measured."""
+        return dict(self.found["physical"])
+
+    def __repr__(self) -> str:
+        answer = "" if self.named is None else f", named {self.named}"
+        return f"<squeeze {self.found['trial']}: {self.physical['force_n']:.1f} N{answer}>"
+
+    def as_json(self) -> dict[str, Any]:
+        return dict(self.found)
+
+    def tables(self) -> tuple[Table, ...]:
+        return (squeeze_table(self.found),)
+
+    def figures(self) -> tuple[Figure, ...]:
+        return (Figure(self.png, f"Depth change of {self.found['trial']}"),) if self.png else ()
+
+
+def squeeze_table(found: Mapping[str, Any]) -> Table:
+    """found: as in the JSON"""
+    rig = found["rig"]
+    return Table(_squeeze_rows(found), caption=f"{rig} (simulated)" if found["simulated"] else str(rig))
+
+
+def _squeeze_rows(found: Mapping[str, Any]) -> Rows:
+    rows = [
+        ("content", found["content"] if found["content_given"] else "not given"),
+        ("container", found["container"] or "not given"),
+    ]
+    if (events := found.get("events")) is not None:
+        (first, steady), physical = (events["first_interval_s"], events["steady_interval_s"]), found["physical"]
+        took_s = events["steady_s"] - events["first_s"]
+        change = f"none: {found['vision_reason']}"
+        if "vision" in found["features"]:
+            change = f"{1e2 * found['patch_width_m']:.1f} cm wide, {100 * found['vision_missing']:.0f} % missing"
+        rows += [
+            ("first contact", f"at {events['first_s']:.2f} s, known to {1e3 * (first[1] - first[0]):.0f} ms"),
+            ("steady state", f"{took_s:.2f} s later, known to {1e3 * (steady[1] - steady[0]):.0f} ms"),
+            ("force of a finger", f"{physical['force_n']:.2f} N, {physical['stiffness_n_per_m']:.0f} N/m"),
+            ("depth change", change),
+        ]
+    if "named" in found:
+        order = sorted(found["posterior"].items(), key=lambda one: -one[1])
+        words = ", ".join(f"{label} {100 * share:.0f} %" for label, share in order)
+        rows.append(("named", f"{found['named']} by {found['named_by']} ({words})"))
+        if found["simulated"] and not found["content_given"]:
+            rows.append(("truth", found["content"]))
+    if (stop := found["discarded"]) is not None:
+        rows.append(("discarded", f"{stop['kind']}: {stop['reason']}"))
+    rows.append(("hand", hand_words(found)))
+    rows += [
+        (words, str(found[name]))
+        for words, name in (("data set", "dataset"), ("recording", "recording"))
+        if found[name]
+    ]
+    return rows
+
+
+def squeeze(
+    rig: str | Path,
+    *,
+    content: str = "",
+    container: str = "",
+    dataset: Path | str | None = None,
+    keep: Literal["trial", "features"] = "trial",
+    model: Path | str | None = None,
+    fill: float = 0.9,
+    session: str = "",
+    operator: str = "",
+    seed: int = 0,
+    record: Path | str | None = None,
+    viewer: ViewerChoice = "none",
+    overwrite: bool = False,
+    yes: bool = False,
+    trust_rig: bool = False,
+) -> SqueezeResult:
+    """Squeeze a container once, and take its features; with `model`, name its content.
+
+    rig: a rig file (.toml), or `lab:containers`; content, container: what is squeezed, in the laboratory drawn where
+    they are empty; dataset: a data set to add the trial to, with its recording unless keep = "features"
+    model: a saved classifier; yes: let a real hand close without asking; with a rig file the question appears
+    Raises InputError for what cannot be used, and where the squeeze did not come to its steady state (a data set keeps
+    it as discarded, with the reason); KeyboardInterrupt where Ctrl-C ended it.
+    """
+    with python_names():
+        config = SqueezeConfig(
+            str(rig),
+            content=content,
+            container=container,
+            dataset=None if dataset is None else Path(dataset),
+            keep=keep,
+            model=None if model is None else Path(model),
+            fill=fill,
+            session=session,
+            operator=operator,
+            yes=yes,
+            trust_rig=trust_rig,
+            output=OutputOptions(None, None if record is None else Path(record), viewer, overwrite, seed),
+        )
+        return _squeezed(config, quiet=str(rig).startswith("lab:"))
+
+
+def _squeezed(config: SqueezeConfig, *, quiet: bool) -> SqueezeResult:
+    from deformscope.pictures.depth_change import depth_change_png
+
+    with contextlib.ExitStack() as silence:
+        if quiet:
+            silence.enter_context(contextlib.redirect_stderr(io.StringIO()))
+        squeezed = squeeze_on(config, lambda result: None)
+        if squeezed.interrupted:
+            raise KeyboardInterrupt
+        leave(squeezed)
+    computed = squeezed.features
+    assert computed is not None  # else it was stopped
+    change = computed.features
+    png = b"" if change.vision is None else depth_change_png(change.vision, change.patch_width_m, change.missing)
+    return SqueezeResult(squeezed.found, computed.modalities, png)
+
+
+# A data set ----------------------------------------------------------------------------------------------------------
+
+
+class OpenDataset(LibraryResult):
+    """A data set of squeezes, read anew by each call. folder: of its index and recordings"""
+
+    def __init__(self, folder: Path) -> None:
+        """Raises InputError where it is none."""
+        self.folder = folder
+        self._dataset = SqueezeDataset(folder)
+        self._dataset.entries()
+
+    @property
+    def trials(self) -> tuple[TrialEntry, ...]:
+        """All of them, discarded ones too: `content`, `container`, `session`, `recording`, `discarded`..."""
+        return tuple(self._dataset.entries())
+
+    def recording(self, trial: str) -> Path:
+        """Where a trial's recording is, for `open_recording`; only where it was kept."""
+        return self._dataset.recording_path(trial)
+
+    def table(self) -> LabelledTable:
+        """Features and labels of the trials that are not discarded: `label (N,)`, `group (N,)` the containers,
+        `modalities` by name (N, p), `series`. `classify` takes it, or part of it."""
+        return self._dataset.table()
+
+    def __len__(self) -> int:
+        return len(self.trials)
+
+    def __repr__(self) -> str:
+        return f"<data set {self.folder}: {len(self)} trials>"
+
+    def as_json(self) -> dict[str, Any]:
+        return {"folder": self.folder, "trials": [dataclasses.asdict(one) for one in self.trials]}
+
+    def tables(self) -> tuple[Table, ...]:
+        return (dataset_table(self.folder, self.trials),)
+
+
+def dataset_table(folder: Path, entries: Sequence[TrialEntry], *, trials: bool = False) -> Table:
+    """Trials by content and container, and those that are left out; trials: name each too"""
+    good = [one for one in entries if one.discarded is None]
+    contents = Counter(one.content for one in good)
+    containers = {content: len({one.container for one in good if one.content == content}) for content in contents}
+    rows = [
+        (content, f"{count} trials, {containers[content]} containers") for content, count in sorted(contents.items())
+    ]
+    reasons = Counter(str(one.discarded).partition(":")[0] for one in entries if one.discarded is not None)
+    rows += [("left out", f"{count} ({reason})") for reason, count in reasons.most_common()]
+    recorded = sum(bool(one.recording) for one in entries)
+    rows.append(("in all", f"{len(entries)} trials, {recorded} with recordings"))
+    if trials:
+        rows += [(one.trial, _words(one)) for one in entries]
+    return Table(rows, caption=str(folder))
+
+
+def _words(entry: TrialEntry) -> str:
+    left_out = "" if entry.discarded is None else f", left out: {entry.discarded}"
+    return f"{entry.content} in {entry.container}, {entry.recorded_at}{left_out}"
+
+
+def open_dataset(folder: Path | str) -> OpenDataset:
+    """Open a data set that `deformscope squeeze --dataset` has made. Raises InputError where it is none."""
+    return OpenDataset(Path(folder))

@@ -1,0 +1,92 @@
+"""`ds.squeeze` and `ds.open_dataset`, on a simulated clock."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import deformscope as ds
+from deformscope.api.setups import SqueezeOpening
+from deformscope.cli import main
+from deformscope.files.classifier_file import save_classifier
+from deformscope.robot.squeeze_plan import draw_grasp
+from tests.experiments.toy_squeeze import ToySqueeze
+
+
+@pytest.fixture(autouse=True)
+def toy(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """What is squeezed is a toy; its content is a stiffness."""
+    changes: dict[str, Any] = {}
+
+    def opening(name: str, content: str, container: str, session: str, seed: int, *, trusted: bool) -> SqueezeOpening:
+        stiffness = (400.0 if content == "rice" else 100.0) + 17.0 * seed
+        lab = ToySqueeze(stiffness_pa_deg=stiffness, gives_deg=2.0 + 0.1 * (seed % 7))
+        grasp = draw_grasp(lab.container, lab.squeeze, seed)
+        setup = dataclasses.replace(lab.setup, grasp=grasp, **changes)
+        return SqueezeOpening(setup, {"lab": "toy"}, content or "rice", container or "box-01")
+
+    monkeypatch.setattr("deformscope.api.squeeze_run.squeeze_setup_of", opening)
+    return changes
+
+
+def test_a_squeeze_gives_the_json_of_the_command_and_its_features(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["squeeze", "lab:containers", "--content", "rice", "--container", "box-07", "--viewer", "none"]
+    assert main([*given, "--json", "-"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    squeezed = ds.squeeze("lab:containers", content="rice", container="box-07")
+
+    assert capsys.readouterr() == ("", "")
+    assert squeezed.to_dict() == told
+    assert squeezed.features["tactile"].shape == (72,)
+    assert {name: len(values) for name, values in squeezed.features.items()} == told["features"]
+    assert squeezed.physical["force_n"] > 0.0
+    assert squeezed.content == "rice"
+    assert squeezed.named is None
+    assert "first contact" in str(squeezed)
+    assert repr(squeezed).startswith("<squeeze lab-0-box-07-00000: ")
+
+
+def test_a_data_set_grows_is_opened_classified_and_names_the_next_one(tmp_path: Path) -> None:
+    folder = tmp_path / "d"
+    for number in range(4):
+        for content in ("rice", "empty"):
+            where = {"dataset": folder, "session": "s", "keep": "features"}
+            ds.squeeze("lab:containers", content=content, container=f"box-{number}", seed=number, **where)  # type: ignore[arg-type]
+    opened = ds.open_dataset(folder)
+
+    assert len(opened) == 8
+    assert {one.content for one in opened.trials} == {"rice", "empty"}
+    assert opened.to_dict()["trials"][0]["container"] == "box-0"
+    assert "4 trials, 4 containers" in str(opened)
+    table = opened.table()
+    assert table.modalities["tactile"].shape == (8, 72)
+    result = ds.classify(table.of(["tactile"]), splits=4, costly_splits=0, curve_splits=0)
+    save_classifier(result.model(), tmp_path / "m.npz")
+    squeezed = ds.squeeze("lab:containers", model=tmp_path / "m.npz", seed=3)
+    assert squeezed.named == "empty"  # as soft as the toy is without a content
+    assert squeezed.posterior["empty"] == pytest.approx(max(squeezed.posterior.values()))
+    assert np.isclose(sum(squeezed.posterior.values()), 1.0)
+
+
+def test_a_squeeze_that_was_stopped_is_an_error_and_a_discarded_trial(tmp_path: Path, toy: dict[str, Any]) -> None:
+    toy["squeeze"] = dataclasses.replace(ToySqueeze().squeeze, saturation_counts=200)
+    with pytest.raises(ds.InputError, match="tactile array saturated"):
+        ds.squeeze("lab:containers", content="rice", container="box-1", dataset=tmp_path / "d")
+
+    (entry,) = ds.open_dataset(tmp_path / "d").trials
+    assert entry.discarded is not None
+    assert ds.open_dataset(tmp_path / "d").recording(entry.trial).is_file()
+
+
+def test_what_cannot_be_used_is_one_error_in_the_words_of_python(tmp_path: Path) -> None:
+    with pytest.raises(ds.InputError, match="a data set of squeezes"):
+        ds.open_dataset(tmp_path)
+    with pytest.raises(ds.InputError, match="content NAME, or model MODEL to name it"):
+        ds.squeeze("lab:containers")
