@@ -314,7 +314,7 @@ def _with_vision(
             edges,
             (frame_ns(image) - events.first_ns) / 1e9,
         )
-        tracked.append((frame_ns(image), found))
+        tracked.append((frame_ns(image), shown))
         poses.append(pose)
 
     def found(features: SqueezeFeatures) -> TrialFeatures:
