@@ -65,7 +65,6 @@ def run(config: ClassifyConfig) -> None:
 
         drawn = classification_pictures(result)
         _write_report(config, config.page, drawn, classification_page(result, model, drawn, settings_of(config)))
-    write_json(result.entries(), config.output.json)
 
 
 def _check(config: ClassifyConfig, path: Path, table: LabelledTable) -> None:
