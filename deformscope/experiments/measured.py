@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from deformscope.arrays import BoolArray, FloatArray
+from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.capsule import Capsule
 from deformscope.errors import InputError
 from deformscope.experiments.options import ABOVE_M, BORDER_M, EDGE_M, LOW_SHARE, VIEW_CELL_M, ExploreOptions
@@ -51,6 +51,33 @@ class FrameData:
     depth_m: Mapping[int, npt.NDArray[np.floating]]
     arm: Mapping[int, ArmSample]
     wrench_n: Mapping[tuple[int, int], npt.NDArray[np.floating]]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # A few arrays to another process: thousands of small ones keep Python's lock, and the robot waiting, for 0.2 s.
+        poses = list(self.arm.values())
+        return _frame_data, (
+            self.depth_m,
+            np.array([(pose.time_ns, pose.fifo_count) for pose in poses], np.int64).reshape(-1, 2),
+            np.array([pose.T_base_ee for pose in poses], float).reshape(-1, 4, 4),
+            [pose.joints_deg for pose in poses],
+            np.array(list(self.wrench_n), np.int64).reshape(-1, 2),
+            np.concatenate([np.zeros(0), *self.wrench_n.values()]).reshape(-1, 3),
+        )
+
+
+def _frame_data(
+    depth_m: Mapping[int, npt.NDArray[np.floating]],
+    numbers: IntArray,
+    poses: FloatArray,
+    joints_deg: Sequence[tuple[float, ...]],
+    readings: IntArray,
+    wrench_n: FloatArray,
+) -> FrameData:
+    arm = {
+        when: ArmSample(when, pose, joints, fifo)
+        for (when, fifo), pose, joints in zip(numbers.tolist(), poses, joints_deg, strict=True)
+    }
+    return FrameData(depth_m, arm, dict(zip(map(tuple, readings.tolist()), wrench_n, strict=True)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

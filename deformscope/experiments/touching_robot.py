@@ -7,8 +7,9 @@ import gc
 import queue
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -134,23 +135,26 @@ class TouchingRobot:
         """
         if self._commands is None:
             self._keep = keep
-            return Inline().submit(self._do, command)
+            return Inline().submit(lambda: self._do(command)())
         future: Future[Any] = Future()
         self._commands.put((command, future))
         return future
 
-    def _do(self, command: object) -> Any:
+    def _do(self, command: object) -> Callable[[], Any]:
+        """Carry it out; what is returned puts the answer together, and may take longer than a control period."""
+        answer: Looked | Preflight | None = None
         match command:
             case Touch(plan=TouchPlan() as plan):
                 return self.touch(plan, command.xy_m)
             case Look():
-                return self.look()
+                answer = self.look()
             case CheckFirst():
-                return self.preflight(command.calibrated, command.places_m)
+                answer = self.preflight(command.calibrated, command.places_m)
             case Wait():
                 self._robot.stand_by(command.seconds)
-                return None
-        raise TypeError(f"no command of this robot: {command!r}")
+            case _:
+                raise TypeError(f"no command of this robot: {command!r}")
+        return lambda: answer
 
     def reports(self) -> list[Step]:
         """The phases that began since the last call."""
@@ -182,18 +186,19 @@ class TouchingRobot:
                     failed = failed or (holding and not self._held())
                     continue
                 try:
-                    future.set_result(self._do(command))
+                    answers.submit(_give, future, self._do(command))
                 except BaseException as error:
                     failed = True
                     future.set_exception(error)
 
         thread = threading.Thread(target=work, name="robot", daemon=True)
-        thread.start()
-        try:
-            yield
-        finally:
-            over.set()
-            thread.join()
+        with ThreadPoolExecutor(1, "answers") as answers:
+            thread.start()
+            try:
+                yield
+            finally:
+                over.set()
+                thread.join()
 
     def _held(self) -> bool:
         """Stand still for a control period; whether that went well."""
@@ -259,8 +264,9 @@ class TouchingRobot:
         used = LookFrames(name, _times_ns(pictures), arm, pose.time_ns, model, focal_px, center_px)
         return Looked(used, FrameData(_depths_m(pictures), {pose.time_ns: pose}, {}))
 
-    def touch(self, plan: TouchPlan, xy_m: FloatArray) -> Touched:
-        """Go there, touch along the normal, keep the pictures of the dent, come back. Raises ExplorationStopped."""
+    def touch(self, plan: TouchPlan, xy_m: FloatArray) -> Callable[[], Touched]:
+        """Go there, touch along the normal, keep the pictures of the dent, come back; what is returned puts together
+        what was measured. Raises ExplorationStopped."""
         robot = self._robot
         robot.start()
         dents: list[tuple[DepthImage, ArmSample]] = []
@@ -279,9 +285,11 @@ class TouchingRobot:
             where = f"at ({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm"
             raise self._stop(record.ending, f"{where}: {record.reason}" if record.reason else where)
         self._touches += 1
-        return self._touched(record, dents, xy_m)
+        return partial(self._touched, record, dents, xy_m, robot.pose)
 
-    def _touched(self, record: TouchRecord, dents: list[tuple[DepthImage, ArmSample]], xy_m: FloatArray) -> Touched:
+    def _touched(
+        self, record: TouchRecord, dents: list[tuple[DepthImage, ArmSample]], xy_m: FloatArray, end: ArmSample
+    ) -> Touched:
         dwells = _dwells(record)
         seen = [
             (picture, pose)
@@ -289,7 +297,6 @@ class TouchingRobot:
             if any(span.start_s <= picture.stamp.host_ns / 1e9 <= span.end_s for span in dwells[-1:])
         ][-DENT_PICTURES:]
         arms = record.arms[: max(record.loading, 10)]
-        end = self._robot.pose
         pictures = [picture for picture, _ in seen]
         arm, wrench, camera = self._setup.names
         used = TouchFrames(
@@ -408,3 +415,10 @@ def _depths_m(pictures: list[DepthImage]) -> dict[int, Any]:
 def _dwells(record: TouchRecord) -> list[PhaseSpan]:
     """When it pressed still: once, or with the set force and then with more."""
     return [span for span in record.phases if span.phase in (Phase.DWELL, Phase.DWELL_MORE)]
+
+
+def _give(future: Future[Any], answer: Callable[[], Any]) -> None:
+    try:
+        future.set_result(answer())
+    except BaseException as error:
+        future.set_exception(error)

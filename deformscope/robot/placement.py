@@ -93,7 +93,7 @@ class Placement:
         return self.tool.radius_m if self.tool.tip == "sphere" else 0.0
 
     def T_surface_center(self, T_base_ee: FloatArray) -> FloatArray:
-        """(4, 4) the tip's centre in the surface frame, for the pose of the arm's end in the base frame."""
+        """(..., 4, 4) the tip's centre in the surface frame; T_base_ee: (..., 4, 4) the arm's end in its base frame."""
         return np.asarray(self.T_surface_base @ T_base_ee @ self.T_ee_center)
 
     def force_on_tip_n(self, force_n: FloatArray, T_base_ee: FloatArray) -> FloatArray:

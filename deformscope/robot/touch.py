@@ -15,6 +15,7 @@ from enum import StrEnum
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from deformscope.arrays import IntArray
 from deformscope.errors import InputError
@@ -502,11 +503,11 @@ class _Run:
         machine = self._machine
         times_s, centers_m = centers_of(self._arms, self._robot.placement)
         stamps = np.array([sample.time_ns for sample, _ in self._forces], dtype=np.int64)
-        forces_n = forces_at([sample.time_ns for sample in self._arms], stamps, self._forces_n)
+        measured_n = np.concatenate([np.zeros((0, 3)).ravel(), *self._forces_n]).reshape(-1, 3)
+        forces_n = forces_at([sample.time_ns for sample in self._arms], stamps, measured_n)
         kept = times_s <= self._end_s
         met = math.isfinite(self._loading_s) and math.isfinite(self._end_s)
         dwelt = kept & (times_s > self._end_s - STILL_S) & met
-        peaks = [float(np.linalg.norm(force)) for force in self._forces_n]
         return TouchRecord(
             plan=self._plan,
             time_s=times_s[kept],
@@ -517,7 +518,7 @@ class _Run:
             depth_m=self._depth_m,
             center_m=centers_m[dwelt].mean(axis=0) if dwelt.any() else None,
             final_force_n=forces_n[dwelt].mean(axis=0) if dwelt.any() else None,
-            peak_force_n=max(peaks, default=0.0),
+            peak_force_n=float(np.linalg.norm(measured_n, axis=1).max(initial=0.0)),
             tare_n=self._robot.tare_n.copy(),
             noise_n=self._noise_n,
             phases=(*self._spans, *(machine.spans if machine is not None else ())),
@@ -536,27 +537,24 @@ class _Run:
 
 def centers_of(arms: Sequence[ArmSample], placement: Placement) -> tuple[FloatArray, FloatArray]:
     """(n,) times [s] of an arm's states, and (n, 3) where the tip's centre was as the joints say [m, surface frame]."""
-    centers = [placement.T_surface_center(sample.T_base_ee)[:3, 3] for sample in arms]
-    return np.array([sample.time_ns for sample in arms], dtype=float) / 1e9, np.array(centers).reshape(-1, 3)
+    poses = np.array([sample.T_base_ee for sample in arms]).reshape(-1, 4, 4)
+    return np.array([sample.time_ns for sample in arms], dtype=float) / 1e9, placement.T_surface_center(poses)[:, :3, 3]
 
 
-def forces_at(states_ns: Sequence[int], stamps: IntArray, forces_n: Sequence[FloatArray]) -> FloatArray:
+def forces_at(states_ns: Sequence[int], stamps: IntArray, forces_n: npt.ArrayLike) -> FloatArray:
     """(n, 3) force at each of the arm's states: mean of the readings around it, between readings where none is.
 
     stamps (m,), forces_n (m, 3): of the readings, in order of time
     """
-    if not len(forces_n):
-        return np.zeros((len(states_ns), 3))
-    measured_n = np.array(forces_n)
+    states = np.array(states_ns, dtype=np.int64)
+    if not len(stamps):
+        return np.zeros((len(states), 3))
+    measured_n = np.asarray(forces_n)
     sums = np.vstack([np.zeros(3), np.cumsum(measured_n, axis=0)])
-    out = np.empty((len(states_ns), 3))
-    for index, state_ns in enumerate(states_ns):
-        first, last = np.searchsorted(stamps, [state_ns - AVERAGED_NS, state_ns + AVERAGED_NS + 1])
-        if last > first:
-            out[index] = (sums[last] - sums[first]) / (last - first)
-        else:
-            out[index] = [np.interp(state_ns, stamps, measured_n[:, axis]) for axis in range(3)]
-    return out
+    first, last = np.searchsorted(stamps, [states - AVERAGED_NS, states + AVERAGED_NS + 1])
+    count = (last - first)[:, None]
+    between = np.column_stack([np.interp(states, stamps, measured_n[:, axis]) for axis in range(3)])
+    return np.where(count > 0, (sums[last] - sums[first]) / np.maximum(count, 1), between)
 
 
 TARE_PERIODS = 30
