@@ -88,30 +88,12 @@ class ClassificationResult(LibraryResult):
     def _entry(self, score: ClassificationScore) -> dict[str, Any]:
         found = self.evaluation
         labels = found.table.classes
-        entry: dict[str, Any] = {
-            "modality": score.modality,
-            "method": score.method,
-            "accuracy": score.accuracy.value,
-            "interval": score.accuracy.interval,
-            "chance": score.chance,
-            "confusion": score.confusion,
-            "labels": labels,
-            "splits": score.splits,
-            "protocol": score.protocol,
-            "fusion": score.fusion,
-            "level": score.level,
-            "balanced_accuracy": score.balanced.value,
-            "balanced_interval": score.balanced.interval,
+        entry = score_entry(score, labels) | {
             "recall": [
                 {"label": label, "value": score.shares[index, index], "interval": score.share_interval(index, index)}
                 for index, label in enumerate(labels)
             ],
             "tested_trials": score.trials,
-            "calibration_error": score.calibration_error,
-            "overconfidence": score.overconfidence.value,
-            "overconfidence_interval": score.overconfidence.interval,
-            "log_loss": score.log_loss,
-            "reliability": score.reliability,
             "components": score.components,
             "split_accuracy": score.split_accuracy,
             "recommended": score is found.best,
@@ -267,6 +249,30 @@ def _row(one: ClassificationScore) -> tuple[str, ...]:
 def cores() -> int:
     """That this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def score_entry(score: ClassificationScore, labels: Sequence[str]) -> dict[str, Any]:
+    """A score in the JSON of an evaluation, or of a saved classifier on new trials. labels: of the confusion matrix"""
+    return {
+        "modality": score.modality,
+        "method": score.method,
+        "accuracy": score.accuracy.value,
+        "interval": score.accuracy.interval,
+        "chance": score.chance,
+        "confusion": score.confusion,
+        "labels": labels,
+        "splits": score.splits,
+        "protocol": score.protocol,
+        "fusion": score.fusion,
+        "level": score.level,
+        "balanced_accuracy": score.balanced.value,
+        "balanced_interval": score.balanced.interval,
+        "calibration_error": score.calibration_error,
+        "overconfidence": score.overconfidence.value,
+        "overconfidence_interval": score.overconfidence.interval,
+        "log_loss": score.log_loss,
+        "reliability": score.reliability,
+    }
 
 
 def classify_table(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from deformscope.api.calibration_report import provenance_sections
+from deformscope.api.classification import score_entry
 from deformscope.api.result import LibraryResult
 from deformscope.pictures import classification as pictures
 from deformscope.pictures.palette import GOOD, WARN, hexadecimal
@@ -67,27 +68,7 @@ class ClassifierCheckResult(LibraryResult):
         return {"classification": self.entries()}
 
     def _entry(self, score: ClassificationScore) -> dict[str, Any]:
-        entry: dict[str, Any] = {
-            "modality": score.modality,
-            "method": score.method,
-            "accuracy": score.accuracy.value,
-            "interval": score.accuracy.interval,
-            "chance": score.chance,
-            "confusion": score.confusion,
-            "labels": self.check.labels,
-            "splits": 1,
-            "protocol": score.protocol,
-            "fusion": score.fusion,
-            "level": score.level,
-            "balanced_accuracy": score.balanced.value,
-            "balanced_interval": score.balanced.interval,
-            "calibration_error": score.calibration_error,
-            "overconfidence": score.overconfidence.value,
-            "overconfidence_interval": score.overconfidence.interval,
-            "log_loss": score.log_loss,
-            "reliability": score.reliability,
-            "recommended": score is self.check.score,
-        }
+        entry = score_entry(score, self.check.labels) | {"recommended": score is self.check.score}
         if score is not self.check.score:
             return entry
         promised = self.check.promised

@@ -5,9 +5,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -126,14 +127,11 @@ class Setup:
         return robot
 
 
-class SimulatedTable(Protocol):
-    """A table that a rig's doubles see and touch (`deformscope.lab.live_lab.LiveLab`).
+class SimulatedDevices(Protocol):
+    """What a rig's doubles see and touch.
 
     opener: as for `RigSource`; other attributes as in `Setup`
     """
-
-    size_m: tuple[float, float]
-    truth: Truth
 
     @property
     def runs_itself(self) -> bool: ...
@@ -147,14 +145,46 @@ class SimulatedTable(Protocol):
     @property
     def opener(self) -> Callable[[], None] | None: ...
 
+    def devices(self, entries: Sequence[RigDevice]) -> AbstractContextManager[dict[str, Device[Any]]]:
+        """Doubles of these devices, closed, by name."""
+
+
+class SimulatedTable(SimulatedDevices, Protocol):
+    """A table (`deformscope.lab.live_lab.LiveLab`); attributes as in `Setup`."""
+
+    size_m: tuple[float, float]
+    truth: Truth
+
     @property
     def T_surface_camera(self) -> FloatArray: ...
 
     @property
     def max_force_n(self) -> float: ...
 
-    def devices(self, entries: list[RigDevice]) -> AbstractContextManager[dict[str, Device[Any]]]:
-        """Doubles of these devices, closed, by name."""
+
+@contextmanager
+def open_rig(
+    rig: Rig,
+    double: Callable[[RigDevice], AbstractContextManager[RigMember]],
+    simulated: SimulatedDevices | None,
+    around: Sequence[RigDevice],
+) -> Iterator[RigSource]:
+    """All devices of a rig file, open.
+
+    double: makes a device of the rig that nothing is simulated around, or its double
+    simulated: what the doubles `around` it see and touch, None = nothing
+    """
+    with ExitStack() as stack:
+        made = {} if simulated is None else stack.enter_context(simulated.devices(around))
+        members = [
+            RigMember(entry.name, entry.driver, made[entry.name], simulated=True)
+            if entry.name in made
+            else stack.enter_context(double(entry))
+            for entry in rig.devices
+        ]
+        opener, clock = (None, monotonic_ns) if simulated is None else (simulated.opener, simulated.clock)
+        with RigSource(members, raw=rig.record.raw, clock=clock, opener=opener) as source:
+            yield source
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,21 +225,6 @@ def rig_setup(
     give: compliance of a simulated arm and its deviation [m/N], where the rig file has none
     """
     rig, simulated = parts.rig, table is not None
-
-    @contextmanager
-    def open_source() -> Iterator[RigSource]:
-        with ExitStack() as stack:
-            over_table = stack.enter_context(table.devices(list(parts.devices))) if table is not None else {}
-            members = [
-                RigMember(entry.name, entry.driver, over_table[entry.name], simulated=True)
-                if entry.name in over_table
-                else stack.enter_context(double(entry))
-                for entry in rig.devices
-            ]
-            opener, clock = (None, monotonic_ns) if table is None else (table.opener, table.clock)
-            with RigSource(members, raw=rig.record.raw, clock=clock, opener=opener) as source:
-                yield source
-
     tool, camera = rig.tool, rig.camera
     known = camera.focal_px is not None and camera.center_px is not None
     compliance = (tool.compliance_m_per_n, tool.compliance_sd)
@@ -228,7 +243,7 @@ def rig_setup(
             camera.doubt_m,
             float(fps or (10.0 if simulated else CAMERA_HZ)),
         ),
-        open_source=open_source,
+        open_source=partial(open_rig, rig, double, table, parts.devices),
         names=(parts.devices[0].name, parts.devices[1].name, parts.devices[2].name),
         compliance_m_per_n=compliance[0] or 0.0,
         compliance_sd=compliance[1],

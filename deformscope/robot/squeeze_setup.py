@@ -3,10 +3,11 @@ hand; real ones or doubles. A laboratory hands its own in."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from functools import partial
+from typing import Protocol
 
 import numpy as np
 
@@ -16,11 +17,10 @@ from deformscope.rig.rig_file import Rig, RigDevice
 from deformscope.rig.source import RigMember, RigSource
 from deformscope.rig.squeeze_sections import ContainerSection, HandSection, SqueezeSection
 from deformscope.robot.robot import Waits, sleep_until
-from deformscope.robot.setup import CAMERA_HZ, CameraView
+from deformscope.robot.setup import CAMERA_HZ, CameraView, SimulatedDevices, open_rig
 from deformscope.robot.squeeze_plan import RandomGrasp, draw_grasp
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.depth_camera.image import Intrinsics
-from deformscope_drivers.device import Device
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,24 +57,11 @@ class TrueMoments(Protocol):
     def steady_ns(self) -> int | None: ...
 
 
-class SimulatedContainer(Protocol):
-    """A container that a rig's doubles squeeze and see (`deformscope.lab.live_squeeze_lab.LiveSqueezeLab`).
+class SimulatedContainer(SimulatedDevices, Protocol):
+    """A container (`deformscope.lab.live_squeeze_lab.LiveSqueezeLab`).
 
     T_hand_camera: (4, 4) camera to hand [m]; intrinsics, camera_hz: of that camera
-    opener: as for `RigSource`; other attributes as in `SqueezeSetup`
     """
-
-    @property
-    def runs_itself(self) -> bool: ...
-
-    @property
-    def clock(self) -> Clock: ...
-
-    @property
-    def wait_until(self) -> Waits: ...
-
-    @property
-    def opener(self) -> Callable[[], None] | None: ...
 
     @property
     def intrinsics(self) -> Intrinsics: ...
@@ -87,9 +74,6 @@ class SimulatedContainer(Protocol):
 
     def truth(self) -> TrueMoments:
         """What is simulated, up to now."""
-
-    def devices(self, entries: Sequence[RigDevice]) -> AbstractContextManager[dict[str, Device[Any]]]:
-        """Doubles of these devices, closed, by name."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,21 +163,7 @@ def squeeze_setup(
     container: between the doubles; the hand stands at it already, and it brings the pose and projection of its camera
     """
     rig = parts.rig
-
-    @contextmanager
-    def open_source() -> Iterator[RigSource]:
-        with ExitStack() as stack:
-            made = {} if container is None else stack.enter_context(container.devices(parts.around))
-            members = [
-                RigMember(entry.name, entry.driver, made[entry.name], simulated=True)
-                if entry.name in made
-                else stack.enter_context(double(entry))
-                for entry in rig.devices
-            ]
-            opener, clock = (None, monotonic_ns) if container is None else (container.opener, container.clock)
-            with RigSource(members, raw=rig.record.raw, clock=clock, opener=opener) as source:
-                yield source
-
+    open_source = partial(open_rig, rig, double, container, parts.around)
     camera, seen = parts.camera, rig.camera
     names = SqueezeNames(parts.hand.name, parts.tactile.name, "" if camera is None else camera.name)
     if container is not None:

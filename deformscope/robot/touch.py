@@ -503,7 +503,7 @@ class _Run:
         machine = self._machine
         times_s, centers_m = centers_of(self._arms, self._robot.placement)
         stamps = np.array([sample.time_ns for sample, _ in self._forces], dtype=np.int64)
-        measured_n = np.concatenate([np.zeros((0, 3)).ravel(), *self._forces_n]).reshape(-1, 3)
+        measured_n = np.concatenate([np.zeros(0), *self._forces_n]).reshape(-1, 3)
         forces_n = forces_at([sample.time_ns for sample in self._arms], stamps, measured_n)
         kept = times_s <= self._end_s
         met = math.isfinite(self._loading_s) and math.isfinite(self._end_s)

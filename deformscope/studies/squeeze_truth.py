@@ -93,26 +93,26 @@ def squeeze_errors(job: SqueezeJob) -> tuple[TrialRow, Numbers]:
 
 def _numbers(trial: SqueezedTrial, simulated: SimulatedSqueeze, seed: int) -> Numbers:
     entry, found = trial.entry, trial.found.features
-    told: Numbers = {"trial": entry.trial, "content": entry.content, "container": entry.container_type}
+    numbers: Numbers = {"trial": entry.trial, "content": entry.content, "container": entry.container_type}
     if found is None:
-        return told | {"stopped": entry.discarded or "no features"}
+        return numbers | {"stopped": entry.discarded or "no features"}
     truth = trial.made.lab.truth()
     true_ns = truth.contact_ns or 0, truth.steady_ns or 0
     periods_s = found.events.tactile_period_s, found.events.hand_period_s
-    told |= event_errors(found.events, true_ns, periods_s, "")
-    told |= event_errors(with_losses(trial.frames, seed).events(), true_ns, periods_s, "_lost")
+    numbers |= event_errors(found.events, true_ns, periods_s, "")
+    numbers |= event_errors(with_losses(trial.frames, seed).events(), true_ns, periods_s, "_lost")
     poses = pose_errors(found, truth.T_hand_camera, simulated)
-    told |= _tracked("", poses)
+    numbers |= _tracked("", poses)
     good = [one for one in poses if one.good]
-    told |= {
+    numbers |= {
         "shift_mm": max((1e3 * one.shift_m for one in good), default=NAN),
         "turn_deg": max((one.turn_deg for one in good), default=NAN),
     }
-    told |= _depth_errors(trial, found, simulated)
+    numbers |= _depth_errors(trial, found, simulated)
     for name, spoil in SPOILED.items():
         spoiled = trial_features(*spoil(trial.frames, trial.geometry))
-        told |= _tracked(f"{name}_", pose_errors(spoiled, truth.T_hand_camera, simulated))
-    return told
+        numbers |= _tracked(f"{name}_", pose_errors(spoiled, truth.T_hand_camera, simulated))
+    return numbers
 
 
 def _tracked(start: str, poses: Sequence[PoseError]) -> Numbers:
@@ -144,15 +144,15 @@ def event_errors(
     found: SqueezeEvents, true_ns: tuple[int, int], periods_s: tuple[float, float], ending: str
 ) -> Numbers:
     """Of first contact and steady state, each with its true time and its device's period; NaN = not found."""
-    told: Numbers = {}
+    numbers: Numbers = {}
     for name, when_ns, interval_ns, at_ns, period_s in (
         ("first", found.first_ns, found.first_interval_ns, true_ns[0], periods_s[0]),
         ("steady", found.steady_ns, found.steady_interval_ns, true_ns[1], periods_s[1]),
     ):
         known = bool(when_ns and at_ns)
-        told[f"{name}{ending}"] = (when_ns - at_ns) / 1e9 / period_s if known else NAN
-        told[f"{name}_held{ending}"] = float(known and interval_ns[0] <= at_ns <= interval_ns[1])
-    return told
+        numbers[f"{name}{ending}"] = (when_ns - at_ns) / 1e9 / period_s if known else NAN
+        numbers[f"{name}_held{ending}"] = float(known and interval_ns[0] <= at_ns <= interval_ns[1])
+    return numbers
 
 
 # Poses ---------------------------------------------------------------------------------------------------------------

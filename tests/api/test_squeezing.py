@@ -39,13 +39,13 @@ def test_a_squeeze_gives_the_json_of_the_command_and_its_features(
 ) -> None:
     given = ["squeeze", "lab:containers", "--content", "rice", "--container", "box-07", "--viewer", "none"]
     assert main([*given, "--json", "-"]) == 0
-    told = json.loads(capsys.readouterr().out)
+    found = json.loads(capsys.readouterr().out)
     squeezed = ds.squeeze("lab:containers", content="rice", container="box-07")
 
     assert capsys.readouterr() == ("", "")
-    assert squeezed.to_dict() == told
+    assert squeezed.to_dict() == found
     assert squeezed.features["tactile"].shape == (72,)
-    assert {name: len(values) for name, values in squeezed.features.items()} == told["features"]
+    assert {name: len(values) for name, values in squeezed.features.items()} == found["features"]
     assert squeezed.physical["force_n"] > 0.0
     assert squeezed.content == "rice"
     assert squeezed.named is None

@@ -40,12 +40,12 @@ def test_a_pose_is_wrong_by_what_it_is_off_in_the_directions_that_are_observed()
 
 def test_events_are_off_in_periods_of_their_device() -> None:
     found = SqueezeEvents(1000 * MS, (930 * MS, 1070 * MS), 0, (0, 0), np.zeros(2, np.int64), 0.035, 0.02, 40.0)
-    told = event_errors(found, (930 * MS, 1500 * MS), (0.035, 0.02), "_lost")
+    errors = event_errors(found, (930 * MS, 1500 * MS), (0.035, 0.02), "_lost")
 
-    assert told["first_lost"] == pytest.approx(2.0)
-    assert told["first_held_lost"] == 1.0
-    assert np.isnan(told["steady_lost"])
-    assert told["steady_held_lost"] == 0.0
+    assert errors["first_lost"] == pytest.approx(2.0)
+    assert errors["first_held_lost"] == 1.0
+    assert np.isnan(errors["steady_lost"])
+    assert errors["steady_held_lost"] == 0.0
 
 
 @pytest.fixture(scope="module")
