@@ -1,0 +1,24 @@
+"""Seeds on which constants of the estimators are chosen, and seeds that are reported: never the same.
+
+Committed before any constant was chosen on the former. A constant that is chosen on simulated scenes names this module
+in its docstring.
+"""
+
+from __future__ import annotations
+
+from deformscope.errors import InputError
+
+REPORTED = range(0, 1000)
+"""Seeds that users' commands draw by default, and that figures in the documentation come from."""
+
+TUNING = range(1000, 2000)
+"""Seeds that constants are chosen on, and that no reported figure uses."""
+
+
+def reported(count: int, first: int = 0) -> range:
+    """`count` reported seeds from `first` on. Raises InputError where they would run into those for tuning."""
+    seeds = range(first, first + count)
+    if count < 1 or first < REPORTED.start or seeds.stop > REPORTED.stop:
+        expected = f"seeds from {REPORTED.start} to {REPORTED.stop - 1}"
+        raise InputError(expected, f"{count} from {first}", "the next ones are kept for choosing constants")
+    return seeds
