@@ -40,6 +40,9 @@ MIRRORED = 0.25
 SWAPPED = 0.5
 """Share of the squared residuals that is left at most with columns swapped, where they are."""
 
+NEGLIGIBLE = 1e-3
+"""Share of a push below which a misfit moves no theta."""
+
 END = 0.01
 """Of the interval's width: a value nearer to its end stands on it."""
 
@@ -229,6 +232,7 @@ def swapped_axes(seen: Sequence[Observation], simulate: Simulate, weight: FloatA
 def setting(seen: Sequence[Observation], model: Model, misfit: float, noise: float) -> Doubt:
     """What a theta holds for; where misfit outweighs noise [unit], another depth or resolution gives another theta."""
     share = max(push_share(one) for one in seen)
+    least = NEGLIGIBLE * share * max(size_of(one.rest) for one in seen)
     many = ", ".join(dict.fromkeys(str(len(one.rest)) for one in seen))
     one_cluster = model.cluster_size is None
     group = f"one {model.basis} cluster" if one_cluster else f"{model.basis} clusters of {model.cluster_size} a side"
@@ -237,7 +241,7 @@ def setting(seen: Sequence[Observation], model: Model, misfit: float, noise: flo
         f"theta holds for this setting: a push of {share:.0%} of the body's size, {many} particles in {group}{fixed}; "
         "another depth or resolution gives another value"
     )
-    return Doubt("setting", text, "weak" if misfit > noise else None)
+    return Doubt("setting", text, "weak" if misfit > max(noise, least) else None)
 
 
 def push_share(seen: Observation) -> float:
