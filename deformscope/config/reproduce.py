@@ -72,7 +72,8 @@ class CoverageConfig(RecordedOptions):
     and unseen pokes of finite element bodies."""
 
     objects: Annotated[int, flags.least(5)] = 1000
-    """Random objects for each kind of noise; a fifth as many with beta = 0, near 1, and of finite elements."""
+    """Random objects for each kind of noise; a fifth as many with beta = 0, near 1, of finite elements, and for each
+    kind of data that are wrong."""
     quick: bool = False
     """15 objects each: what it looks like, in a minute."""
     level: flags.LevelFlag = 0.9

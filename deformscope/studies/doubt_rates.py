@@ -1,5 +1,5 @@
-"""How often a calibration names each reason to doubt it: on data that are what the model takes them for, where that is a
-false alarm, and on data that are wrong in a known way.
+"""How often a calibration names each reason to doubt it: on data that are what the model takes them for, where that is
+a false alarm, and on data that are wrong in a known way.
 
 Bodies, noise and fits are those of `deformscope.studies.coverage`; finite element bodies of one material, which no beta
 is true of, are those of `deformscope.studies.unseen_pokes` with an even modulus.
@@ -32,9 +32,6 @@ Data = Literal[
     "positions mirrored",
     "noise stated 15 times too small",
 ]
-RIGHT: tuple[Data, ...] = get_args(Data)[:5]
-"""Data of one material, in their order, where a reason that lowers the verdict is a false alarm."""
-
 EXPECTED: dict[Data, DoubtCode] = {
     "two betas, halves": "two-materials",
     "two betas, a lump": "two-materials",
@@ -43,7 +40,7 @@ EXPECTED: dict[Data, DoubtCode] = {
     "positions mirrored": "axes-swapped",
     "noise stated 15 times too small": "noise-contradicted",
 }
-"""What is wrong with the others."""
+"""What is wrong with the data, where something is; elsewhere such a reason is a false alarm."""
 
 SOFT, FIRM = 0.8, 0.2
 """The betas of two materials."""

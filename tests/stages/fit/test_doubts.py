@@ -255,9 +255,8 @@ def test_axes_name_what_one_beta_does(kind: str) -> None:
 
 
 def test_yielding_names_what_one_beta_does() -> None:
-    motion = pressed((6, 4), 0.07)
+    motion = pressed((5, 4), 0.07, frames=2)
     options = YieldOptions(beta=BETA)
-    assert fit_yield(motion, options).reasons == ()
     other = dataclasses.replace(motion, position=motion.rest + (motion.position - motion.rest)[:, :, ::-1])
     found = fit_yield(other, options)
     assert "axes-swapped" in codes(found.reasons)
@@ -265,6 +264,12 @@ def test_yielding_names_what_one_beta_does() -> None:
     assert found.as_json()["reasons"][0]["code"] == "axes-swapped"  # type: ignore[index]
 
 
+@pytest.mark.slow
+def test_yielding_names_nothing_on_one_material() -> None:
+    assert fit_yield(pressed((6, 4), 0.07), YieldOptions(beta=BETA)).reasons == ()
+
+
+@pytest.mark.slow
 def test_yielding_names_two_materials() -> None:
     motion = pressed((6, 6), 0.07)
     still = Observation(
