@@ -7,8 +7,8 @@ Which of them lower a verdict, and why:
 - Less than 75 % explained (half of the motion, root mean square, is left), a value on the end of its interval,
   residuals ten times as large as the noise that was stated, theta where a misfit outweighs the noise: the value is a
   compromise that depends on how errors are summed, or on what was done to the body, so at most weak.
-- Other contradictions of a stated noise are allowed for in the interval, which rests on the residuals; a body of an
-  unlikely size has the same beta and theta in any unit. They are named and lower nothing, but for the stiffness.
+- Other contradictions of a stated noise are allowed for in the interval, which rests on the residuals: named alone.
+- A body of an unlikely size has the same beta and theta in any unit: named, and its stiffness is at most weak.
 """
 
 from __future__ import annotations
@@ -74,6 +74,16 @@ def ordered(reasons: Iterable[Doubt]) -> tuple[Doubt, ...]:
     """Those that lower a verdict the most first, and of these what is wrong before what comes of it."""
     rank: dict[Verdict | None, int] = {"unidentified": 0, "weak": 1, None: 2}
     return tuple(sorted(reasons, key=lambda one: (rank[one.allows], one.code not in CAUSES)))
+
+
+OF_STIFFNESS: tuple[DoubtCode, ...] = ("axes-swapped", "two-materials", "not-converged", "little-explained")
+"""What leaves no stiffness either: it is the model's of those very positions."""
+
+
+def of_stiffness(reasons: Iterable[Doubt]) -> list[Doubt]:
+    """The reasons that concern the stiffness too: it is in newtons a metre, so units lower its verdict in any case."""
+    kept = [one for one in reasons if one.code in OF_STIFFNESS]
+    return kept + [Doubt(one.code, one.text, one.allows or "weak") for one in reasons if one.code == "units"]
 
 
 def not_converged(converged: bool) -> Iterator[Doubt]:

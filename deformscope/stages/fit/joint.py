@@ -18,7 +18,7 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.calibrate import TURNED, check_observations, check_range, identifiability, shape_doubts
 from deformscope.stages.fit.distance import distances, nearest_error
-from deformscope.stages.fit.doubts import found_in_numbers, ordered, residual_ratio, setting, swapped_axes
+from deformscope.stages.fit.doubts import found_in_numbers, of_stiffness, ordered, residual_ratio, setting, swapped_axes
 from deformscope.stages.fit.estimate import (
     Comparison,
     Curve,
@@ -319,7 +319,7 @@ class _Joint:
             level=options.level,
             bounds=bounds,
             verdict=verdict(ends, bounds, identified, reasons),
-            stiffness_verdict="unidentified" if k is None else relative_verdict(*k),
+            stiffness_verdict="unidentified" if k is None else relative_verdict(*k, of_stiffness(reasons)),
             aee=aee,
             aee_free=float(free.mean()),
             nearest=float(np.mean([nearest_error(c.simulated[c.seen], c.observed[c.seen]) for c in comparisons])),

@@ -27,8 +27,8 @@ from deformscope.stages.msm.clusters import Clusters
 STEP = 0.2
 """Of -log(1 - beta), by which each side's beta is changed for the derivative."""
 
-ROUNDS = 5
-"""Newton's steps to the likeliest betas."""
+ROUNDS, SMALL_STEP = 5, 0.1
+"""Newton's steps to the likeliest betas at most; one of this share of a standard deviation is the last."""
 
 GAIN = 12.0
 """Twice the log likelihood that a second beta must gain."""
@@ -116,6 +116,8 @@ def _highest(local: Sequence[Local], columns: Sequence[FloatArray]) -> float:
         best = max(best, float(value.max()))
         step = _peak(stencil, value)
         at = at + width * np.clip(step, -5.0, 5.0)
+        if np.abs(step).max() < SMALL_STEP:
+            break
         width *= 0.5 if np.abs(step).max() < 1.0 else 1.0
     return max(best, float(_likelihood(local, (at @ axes)[None])[0]))
 

@@ -17,6 +17,7 @@ from deformscope.stages.fit.doubts import (
     little_explained,
     mirrored,
     noise_contradicted,
+    of_stiffness,
     ordered,
     residual_ratio,
     setting,
@@ -151,6 +152,7 @@ def test_units_are_doubted() -> None:
         )
         assert words in large.text
         assert large.allows is None
+        assert [one.allows for one in of_stiffness([large])] == ["weak"]
     (other,) = implausible_lengths([dataclasses.replace(seen, deformed=0.1 * seen.deformed)])
     assert other.allows == "unidentified"
     assert "two units" in other.text
