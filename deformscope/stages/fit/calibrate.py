@@ -83,20 +83,7 @@ def calibrate(
     if options.candidates < 3:
         raise InputError("at least 3 candidates", str(options.candidates))
     fit = Search(seen, model, bounds) if pace is None else MovingSearch(seen, model, bounds, pace)
-    used: dict[str, object] = {
-        "cluster_size": model.cluster_size,
-        "mode": model.basis,
-        "alpha": model.alpha,
-        "beta": None if model.parameter == "beta" else model.beta,
-        "theta": None if model.parameter == "theta" else model.theta,
-        "volume": model.volume,
-        "method": options.method,
-        "bounds": list(bounds),
-        "seed": options.seed,
-        "precision": model.precision,
-        "device": model.device,
-        "pose_held": all(s.pose_held for s in seen),
-    }
+    used = _settings(seen, options)
     if options.method == "sweep":
         fit.sweep(options.candidates, progress)
         drawn = fit.tried.parameter.copy()
@@ -120,7 +107,8 @@ def calibrate(
         inference = Inference(judged, options.seed)
         inferred = inference.run(progress)
     best = fit.best()
-    ends = inferred.posterior.shortest(options.level, float(fit.tried.parameter[best]))
+    value = float(fit.tried.parameter[best])
+    ends = inferred.posterior.shortest(options.level, value)
     used["noise"] = inferred.noise
     used["noise_source"] = "residuals" if seen[0].noise is None else "given"
     comparisons = tuple(
@@ -134,28 +122,16 @@ def calibrate(
     supported = (fit.tried.parameter >= ends[0]) & (fit.tried.parameter <= ends[1])
     converged = inferred.converged and bool(fit.tried.converged[supported].all())
     identified = identifiability(seen, comparisons, inferred)
-    found_value = float(fit.tried.parameter[best])
-    reasons = ordered(
-        [
-            *found_in_numbers(
-                model.parameter,
-                found_value,
-                ends,
-                bounds,
-                identified,
-                converged=converged,
-                noise_ratio=residual_ratio(seen, [c.simulated for c in comparisons], inference.floor),
-            ),
-            *shape_doubts(seen),
-            *(_in_residuals(judged, inference) if pace is None and converged else ()),
-            *([setting(seen, model, identified.misfit, inferred.noise)] if model.parameter == "theta" else ()),
-        ]
-    )
+    ratio = residual_ratio(seen, [c.simulated for c in comparisons], inference.floor)
+    numbers = found_in_numbers(model.parameter, value, ends, bounds, identified, converged=converged, noise_ratio=ratio)
+    shown = [*shape_doubts(seen), *(_in_residuals(judged, best, inference) if pace is None and converged else ())]
+    here = [setting(seen, model, identified.misfit, inferred.noise)] if model.parameter == "theta" else []
+    reasons = ordered([*numbers, *shown, *here])
     # frames of a motion carry no force
     k = None if one_motion else _stiffness(fit, best, supported, inferred, options.level)
     estimate = Estimate(
         parameter=model.parameter,
-        value=float(fit.tried.parameter[best]),
+        value=value,
         interval=ends,
         level=options.level,
         bounds=bounds,
@@ -175,6 +151,25 @@ def calibrate(
         reasons=reasons,
     )
     return Calibration(estimate, comparisons, inferred)
+
+
+def _settings(seen: Sequence[Observation], options: FitOptions) -> dict[str, object]:
+    """What is recorded of how a fit is made."""
+    model = options.model
+    return {
+        "cluster_size": model.cluster_size,
+        "mode": model.basis,
+        "alpha": model.alpha,
+        "beta": None if model.parameter == "beta" else model.beta,
+        "theta": None if model.parameter == "theta" else model.theta,
+        "volume": model.volume,
+        "method": options.method,
+        "bounds": list(options.bounds),
+        "seed": options.seed,
+        "precision": model.precision,
+        "device": model.device,
+        "pose_held": all(s.pose_held for s in seen),
+    }
 
 
 def check_observations(seen: Sequence[Observation]) -> None:
@@ -212,9 +207,9 @@ def shape_doubts(seen: Sequence[Observation]) -> Iterator[Doubt]:
             return
 
 
-def _in_residuals(search: Search, inference: Inference) -> Iterator[Doubt]:
+def _in_residuals(search: Search, best: int, inference: Inference) -> Iterator[Doubt]:
     """What simulations with other axes, and with two betas, show of the residuals of the best."""
-    best, model = search.best(), search.model
+    model = search.model
     positions = [position[best] for position in search.tried.positions]
     spread = search.shrink(np.linspace(*map(search.stretch, search.bounds), TURNED))
     tried = np.append(spread, search.tried.parameter[best])

@@ -41,14 +41,14 @@ DIFFERENCE = 1e-2
 
 
 @dataclass(frozen=True, slots=True)
-class Split:
+class BodySplit:
     """A way to take a body as two. first: (C,) clusters of the first part; names: where the parts are"""
 
     names: tuple[str, str]
     first: BoolArray
 
 
-def splits(seen: Observation, grouped: Clusters) -> list[Split]:
+def splits(seen: Observation, grouped: Clusters) -> list[BodySplit]:
     """The ways in which one observation's clusters are split, each into halves of about as many."""
     middles = np.array([seen.rest[row].mean(axis=0) for row in grouped])
     found = []
@@ -61,7 +61,7 @@ def splits(seen: Observation, grouped: Clusters) -> list[Split]:
         # clusters in the middle count with the second part
         first = along < np.median(along) - 1e-9 * (1e-300 + np.ptp(along))
         if first.any() and not first.all():
-            made.append(Split(names, first))
+            made.append(BodySplit(names, first))
     return made
 
 
@@ -173,7 +173,7 @@ class FittedBody:
     states: Callable[[FloatArray], FloatArray]
     weight: float = 1.0
 
-    def local(self, stretched: float, ways: Sequence[Split]) -> Local:
+    def local(self, stretched: float, ways: Sequence[BodySplit]) -> Local:
         """About one -log(1 - beta) of all clusters."""
         sides = np.array([np.where(way.first, 0.5, -0.5) for way in ways] + [np.full(self.grouped.count, 0.5)])
         sides = STEP * np.concatenate([sides, -sides])
