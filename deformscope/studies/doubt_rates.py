@@ -78,10 +78,11 @@ def try_doubts(case: DoubtCase) -> Doubted:
     """One random object through the calibration."""
     rng = np.random.default_rng([case.seed, 55, get_args(Data).index(case.data), case.number])
     dim = 3 if case.number % 3 == 2 else 2
+    truths: tuple[float, ...] = ()
     if case.data == "finite elements, one material":
         foam = FoamBody(rng, dim, even=True)
         size = int(rng.integers(2, 5))
-        seen, truths = observe_foam(foam, *foam.poke(rng), rng), ()
+        seen = observe_foam(foam, *foam.poke(rng), rng)
     else:
         body = random_body(rng, dim)
         size = body.cluster_size

@@ -211,7 +211,8 @@ def _in_residuals(search: Search, best: int, inference: Inference) -> Iterator[D
     """What simulations with other axes, and with two betas, show of the residuals of the best."""
     model = search.model
     positions = [position[best] for position in search.tried.positions]
-    spread = search.shrink(np.linspace(*map(search.stretch, search.bounds), TURNED))
+    low, high = map(search.stretch, search.bounds)
+    spread = search.shrink(np.linspace(low, high, TURNED))
     tried = np.append(spread, search.tried.parameter[best])
 
     def simulate(shapes: Sequence[FloatArray]) -> list[FloatArray]:

@@ -243,7 +243,8 @@ class _Joint:
     def _in_residuals(self, beta: float, theta: float, comparisons: Sequence[Comparison]) -> Iterator[Doubt]:
         """What simulations with other axes, and with two betas, show of the residuals of the best."""
         bounds = self.options.beta_bounds
-        tried = np.append(self.shrink(np.linspace(*(-np.log1p(-end) for end in bounds), TURNED)), beta)
+        low, high = (float(-np.log1p(-end)) for end in bounds)
+        tried = np.append(self.shrink(np.linspace(low, high, TURNED)), beta)
 
         def states(row: int, held: FloatArray, betas: FloatArray, start: FloatArray | None = None) -> FloatArray:
             return self.bodies[row].relax(held, betas, theta, volume="project", start=start).settled

@@ -102,7 +102,7 @@ def _highest(local: Sequence[Local], columns: Sequence[FloatArray]) -> float:
     u, size, _ = np.linalg.svd(flat, full_matrices=False)
     keep = size > 1e-8 * max(float(size[0]), 1e-300)
     if not size[0] > 0.0:
-        return _likelihood(local, np.zeros((1, residual.size)))[0]
+        return float(_likelihood(local, np.zeros((1, residual.size)))[0])
     turn = (u[:, keep] / size[keep]).T
     axes = turn @ flat
     unit = float(np.sqrt(np.mean(residual**2))) or 1.0

@@ -365,7 +365,9 @@ class _YieldFit:
     def repeats(self, best: Minimum, rng: np.random.Generator) -> tuple[FloatArray, float]:
         """What more noise of the prescribed positions makes of the best simulation, (r, n), and its size."""
         tried = max(self.least_noise, least_squares.deviation_of(best.residual, len(best.at)))
-        held = [each + tried * rng.standard_normal((HELD_REPEATS, *each.shape)) for each in self.prescribed()]
+        held: list[FloatArray] = [
+            each + tried * rng.standard_normal((HELD_REPEATS, *each.shape)) for each in self.prescribed()
+        ]
         strain, beta, creep = self.numbers(np.repeat(best.at[None], HELD_REPEATS, axis=0))
         moved = self.compared(self.run(strain, beta, creep, held)[0]) - best.simulated
         return moved[np.isfinite(moved).all(axis=1)], tried
@@ -502,8 +504,8 @@ class _YieldFit:
 
         def relax(held: FloatArray, base: FloatArray, tolerance: float) -> Relaxed:
             position = history(np.repeat(beta, len(held)), held)
-            zero, no = np.zeros(len(held)), np.zeros(len(held), dtype=bool)
-            return Relaxed(position, zero, zero, zero.astype(np.int64), np.isfinite(position).all(axis=(1, 2)), no)
+            zero, settled = np.zeros(len(held)), np.isfinite(position[:, 0, 0])
+            return Relaxed(position, zero, zero, zero.astype(np.int64), settled, ~settled)
 
         response = part.response(tuple(best.at), simulated[row], relax)
         part.choose(simulated[row][None], response)
