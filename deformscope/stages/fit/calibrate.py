@@ -18,6 +18,7 @@ from deformscope.stages.fit.distance import distances, explained_share, nearest_
 from deformscope.stages.fit.doubts import (
     found_in_numbers,
     implausible_lengths,
+    known_of,
     mirrored,
     of_stiffness,
     ordered,
@@ -201,8 +202,7 @@ def shape_doubts(seen: Sequence[Observation]) -> Iterator[Doubt]:
     """What the shapes alone show: units and mirrored axes."""
     yield from implausible_lengths(seen)
     for one in seen:
-        known = one.observed | clusters.held_mask(len(one.rest), one.held)
-        if reasons := list(mirrored(one.rest, one.deformed, known)):
+        if reasons := list(mirrored(one.rest, one.deformed, known_of(one))):
             yield reasons[0]
             return
 

@@ -38,7 +38,10 @@ MIRRORED = 0.25
 """Share of a motion beyond a rigid one (squares) that a mirrored rest shape leaves at most, where it is mirrored."""
 
 SWAPPED = 0.5
-"""Share of the squared residuals that is left at most with columns swapped, where they are."""
+"""What is left unexplained (squares) with columns put right is at most this share of what is left without."""
+
+UNDONE = 0.25
+"""Share of the motion that is left at most, where columns are put right: what fits neither way is another thing."""
 
 NEGLIGIBLE = 1e-3
 """Share of a push below which a misfit moves no theta."""
@@ -153,13 +156,19 @@ def implausible_lengths(seen: Sequence[Observation]) -> Iterator[Doubt]:
     for size in [one for one in sizes if not SMALL_M <= one <= LARGE_M][:1]:
         yield Doubt("units", f"positions are taken as metres, so this body is {size:.3g} m large; are they?")
     for one in seen:
-        known = one.observed.copy()
-        known[one.held] = True
+        known = known_of(one)
         factor = rescaled(one.rest[known], one.deformed[known])
         if not 1.0 / RESCALED < factor < RESCALED:
             text = f"the deformed shape is {factor:.3g} times as large as the rest shape: two units?"
             yield Doubt("units", text, "unidentified")
             return
+
+
+def known_of(seen: Observation) -> BoolArray:
+    """(K,) particles whose deformed position is known: seen, or prescribed."""
+    known = seen.observed.copy()
+    known[seen.held] = True
+    return known
 
 
 def rescaled(rest: FloatArray, deformed: FloatArray) -> float:
@@ -215,25 +224,31 @@ def turns(dim: int) -> list[Turn]:
 
 
 def swapped_axes(seen: Sequence[Observation], simulate: Simulate, weight: FloatArray | None = None) -> Iterator[Doubt]:
-    """Whether displacements fit far better with their columns in another order, or of another sign.
+    """Whether displacements fit far better with their columns in another order, or of another sign: by the share of the
+    motion beyond a rigid one that is left, as the one that is turned may turn into a rigid one.
 
     weight: of each observation, default 1
     """
+    each = np.ones(len(seen)) if weight is None else weight
 
     def left(matrix: FloatArray) -> float:
-        total: FloatArray = np.zeros(1)
+        by_model: FloatArray = np.zeros(1)
+        by_rigid = 0.0
         shapes = [one.rest + (one.deformed - one.rest) @ matrix.T for one in seen]
-        for row, (one, shape, states) in enumerate(zip(seen, shapes, simulate(shapes), strict=True)):
-            residual = (states - shape)[:, one.free_observed]
-            total = total + (1.0 if weight is None else weight[row]) * np.sum(residual**2, axis=(1, 2))
-        return float(np.min(total, where=np.isfinite(total), initial=np.inf))
+        for one, shape, states, counts in zip(seen, shapes, simulate(shapes), each, strict=True):
+            judged = one.free_observed
+            rigid = rigid_positions(one.rest, shape, known_of(one))
+            by_model = by_model + counts * np.sum((states - shape)[:, judged] ** 2, axis=(1, 2))
+            by_rigid += counts * float(np.sum((rigid - shape)[judged] ** 2))
+        least = float(np.min(by_model, where=np.isfinite(by_model), initial=np.inf))
+        return least / by_rigid if by_rigid > 0.0 else np.inf
 
     dim = seen[0].rest.shape[1]
     as_is = left(np.eye(dim))
     least, words = min(((left(matrix), words) for words, matrix in turns(dim)), key=lambda one: one[0])
-    if least < SWAPPED * as_is < np.inf:
-        text = f"with {words} in the displacements, {np.sqrt(least / as_is):.0%} of the error is left"
-        yield Doubt("axes-swapped", text, "unidentified")
+    if least < min(SWAPPED * as_is, UNDONE):
+        text = f"with {words} in the displacements {1.0 - least:.0%} of the motion is explained, as it is "
+        yield Doubt("axes-swapped", f"{text}{max(1.0 - as_is, 0.0):.0%}", "unidentified")
 
 
 # What a value holds for ----------------------------------------------------------------------------------------------

@@ -214,13 +214,19 @@ def two_materials(bodies: Sequence[FittedBody], beta: float, top: float) -> Iter
 
     both = np.array([[0.0, highest]] * 2)
     found = least_squares.minimise(simulate, observed * weight, np.full(2, stretched), both, np.full(2, DIFFERENCE))
-    one = np.concatenate([local_.residual.ravel() for local_ in local]) * weight
+    alike = least_squares.minimise(
+        lambda at: simulate(np.repeat(at, 2, axis=1)),
+        observed * weight,
+        np.full(1, stretched),
+        both[:1],
+        np.full(1, DIFFERENCE),
+    )
     low, high = -np.expm1(-found.at)
-    share = float(np.sqrt(found.squares / (one @ one)))
+    share = float(np.sqrt(found.squares / alike.squares))
     if abs(high - low) < APART or not share < LEFT:
         return
     text = (
-        f"residuals show two materials: beta {low:.2g} {names[best][0]} and {high:.2g} {names[best][1]} leave "
-        f"{share:.0%} of the error of one beta, which is true of neither"
+        f"residuals show two materials or thicknesses: beta {low:.2g} {names[best][0]} and {high:.2g} {names[best][1]} "
+        f"leave {share:.0%} of the error of one beta"
     )
     yield Doubt("two-materials", text, "unidentified")

@@ -189,7 +189,7 @@ def test_two_materials_are_named_and_no_beta_is_identified() -> None:
     found = fitted(seen_sheet((0.2, 0.8)))
     assert codes(found.reasons)[0] == "two-materials"
     assert found.verdict == "unidentified"
-    assert found.verdict_text().startswith("unidentified: residuals show two materials: beta 0.2")
+    assert found.verdict_text().startswith("unidentified: residuals show two materials or thicknesses: beta 0.2")
     shown = found.as_json()["reasons"]
     assert shown[0]["code"] == "two-materials"  # type: ignore[index]
     assert shown[0]["allows"] == "unidentified"  # type: ignore[index]
