@@ -42,6 +42,8 @@ EXPECTED: dict[Data, DoubtCode] = {
 }
 """What is wrong with the data, where something is; elsewhere such a reason is a false alarm."""
 
+TWO: tuple[Data, ...] = ("two betas, halves", "two betas, a lump")
+
 SOFT, FIRM = 0.8, 0.2
 """The betas of two materials."""
 
@@ -85,6 +87,8 @@ def try_doubts(case: DoubtCase) -> Doubted:
         seen = observe_foam(foam, *foam.poke(rng), rng)
     else:
         body = random_body(rng, dim)
+        while case.data in TWO and np.ptp(_middles(body), axis=0).max() < 0.5 * SPACING_M:
+            body = random_body(rng, dim)  # one that has two halves
         size = body.cluster_size
         seen, truths = _seen(body, case.data, rng)
     found = calibrate([seen], FitOptions(Model(cluster_size=size), BOUNDS, candidates=CANDIDATES)).estimate
@@ -95,7 +99,7 @@ def try_doubts(case: DoubtCase) -> Doubted:
 def _seen(body: RandomBody, data: Data, rng: np.random.Generator) -> tuple[Observation, tuple[float, ...]]:
     """What is handed to the calibration, and the betas that are true of it."""
     truths: tuple[float, ...] = (float(rng.uniform(*BOUNDS)),)
-    if data in ("two betas, halves", "two betas, a lump"):
+    if data in TWO:
         deformed, truths = _two_betas(body, data, rng)
     else:
         deformed = body.deform(truths[0])
@@ -118,19 +122,24 @@ def _seen(body: RandomBody, data: Data, rng: np.random.Generator) -> tuple[Obser
     return body.observe(deformed, stated), truths
 
 
+def _middles(body: RandomBody) -> FloatArray:
+    """(C, d) where the clusters are [m]."""
+    grouped = Model(cluster_size=body.cluster_size).grouping(body.observe(body.rest))
+    return np.array([body.rest[row].mean(axis=0) for row in grouped])
+
+
 def _two_betas(body: RandomBody, data: Data, rng: np.random.Generator) -> tuple[FloatArray, tuple[float, float]]:
     """The static state of a body of which one half, or a lump, has another beta."""
-    still = body.observe(body.rest)
-    model = Model(cluster_size=body.cluster_size)
-    middles = np.array([body.rest[row].mean(axis=0) for row in model.grouping(still)])
+    middles = _middles(body)
     if data == "two betas, halves":
-        axis = int(np.argmax(np.ptp(middles, axis=0) * rng.uniform(0.5, 1.0, middles.shape[1])))
-        first: BoolArray = middles[:, axis] < np.median(middles[:, axis]) + 1e-9
+        apart = np.flatnonzero(np.ptp(middles, axis=0) > 0.5 * SPACING_M)
+        along = middles[:, rng.choice(apart)]
+        first: BoolArray = along < 0.5 * (along.min() + along.max()) + 1e-9
     else:
         away = np.linalg.norm(middles - middles[rng.integers(len(middles))], axis=1)
         first = away <= np.quantile(away, LUMP)
     beta = np.where(first == (rng.random() < 0.5), SOFT, FIRM)
-    state = model.body(still).relax(body.held_position, beta[None])
+    state = Model(cluster_size=body.cluster_size).body(body.observe(body.rest)).relax(body.held_position, beta[None])
     return np.asarray(state.position[0]), (FIRM, SOFT)
 
 

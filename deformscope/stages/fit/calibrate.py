@@ -124,7 +124,8 @@ def calibrate(
     converged = inferred.converged and bool(fit.tried.converged[supported].all())
     identified = identifiability(seen, comparisons, inferred)
     ratio = residual_ratio(seen, [c.simulated for c in comparisons], inference.floor)
-    numbers = found_in_numbers(model.parameter, value, ends, bounds, identified, converged=converged, noise_ratio=ratio)
+    noise = ratio, inferred.noise
+    numbers = found_in_numbers(model.parameter, value, ends, bounds, identified, converged=converged, noise=noise)
     shown = [*shape_doubts(seen), *(_in_residuals(judged, best, inference) if pace is None and converged else ())]
     here = [setting(seen, model, identified.misfit, inferred.noise)] if model.parameter == "theta" else []
     reasons = ordered([*numbers, *shown, *here])

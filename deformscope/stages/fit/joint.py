@@ -307,7 +307,8 @@ class _Joint:
         identified = identifiability(self.seen, comparisons, inferred)
         simulated = [c.simulated for c in comparisons]
         ratio = residual_ratio(self.seen, simulated, max(part.measured.floor for part in self.parts))
-        numbers = found_in_numbers(name, value, ends, bounds, identified, converged=self.converged, noise_ratio=ratio)
+        noise = ratio, inferred.noise
+        numbers = found_in_numbers(name, value, ends, bounds, identified, converged=self.converged, noise=noise)
         here = [setting(self.seen, options.model, identified.misfit, inferred.noise)] if name == "theta" else []
         reasons = ordered([*numbers, *doubts, *here])
         free = np.concatenate(

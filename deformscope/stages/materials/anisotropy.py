@@ -265,7 +265,7 @@ class _AxisFit:
         found = []
         for at, (low, high), one in zip(best.at, ends, identifiability, strict=True):
             beta, own = float(-np.expm1(-at)), (float(low), float(high))
-            numbers = found_in_numbers("beta", beta, own, limits, one, converged=converged, noise_ratio=ratio)
+            numbers = found_in_numbers("beta", beta, own, limits, one, converged=converged, noise=(ratio, None))
             found.append(ordered([*numbers, *common]))
         return tuple(found)
 

@@ -19,6 +19,7 @@ from deformscope.stages.fit import least_squares
 from deformscope.stages.fit.calibrate import BETA_LIMIT, TURNED, Model, Observation, shape_doubts
 from deformscope.stages.fit.distance import explained_share, unexplained
 from deformscope.stages.fit.doubts import (
+    LIKE_NOISE,
     little_explained,
     noise_contradicted,
     not_converged,
@@ -452,11 +453,12 @@ class _YieldFit:
         high = np.inf if ends[1] is None else ends[1]
         rows = np.flatnonzero(self.judged.any(axis=1))
         frames = [self.frame(row) for row in rows]
+        ratio = residual_ratio(frames, list(simulated[rows]), self.resolved)
         found = [
             *not_converged(converged),
-            *little_explained(explained),
+            *little_explained(explained, left_is_noise=ratio is not None and ratio < LIKE_NOISE),
             *value_at_end("yield strain", value, (ends[0], high), (0.0, np.inf)),
-            *noise_contradicted(residual_ratio(frames, list(simulated[rows]), self.resolved)),
+            *noise_contradicted(ratio),
             *shape_doubts(frames),
         ]
         if converged:

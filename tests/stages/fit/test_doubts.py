@@ -117,6 +117,11 @@ def test_half_of_the_motion_left_is_no_identification(share: float, allows: Verd
     assert [one.allows for one in little_explained(share)] == ([] if allows is None else [allows])
 
 
+def test_what_noise_leaves_is_no_misfit() -> None:
+    assert not list(little_explained(0.6, left_is_noise=True))
+    assert [one.allows for one in little_explained(0.2, left_is_noise=True)] == ["unidentified"]
+
+
 def test_a_value_on_the_end_of_its_interval_says_where_the_likelihood_is() -> None:
     (reason,) = value_at_end("theta", 0.737, (0.546, 0.737), (0.0, 1.0))
     assert reason.allows == "weak"
