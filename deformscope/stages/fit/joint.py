@@ -245,13 +245,12 @@ class _Joint:
         bounds = self.options.beta_bounds
         low, high = (float(-np.log1p(-end)) for end in bounds)
         tried = np.append(self.shrink(np.linspace(low, high, TURNED)), beta)
-
-        def states(row: int, held: FloatArray, betas: FloatArray, start: FloatArray | None = None) -> FloatArray:
-            return self.bodies[row].relax(held, betas, theta, volume="project", start=start).settled
+        # theta of the data as they are may be far from that of the data put right
+        betas, thetas = np.tile(tried, 2), np.repeat([self.options.theta_bounds[0], theta], len(tried))
 
         def simulate(shapes: Sequence[FloatArray]) -> list[FloatArray]:
-            held = [shape[one.held] for one, shape in zip(self.seen, shapes, strict=True)]
-            return [states(row, each, tried) for row, each in enumerate(held)]
+            each = zip(self.seen, self.bodies, shapes, strict=True)
+            return [body.relax(shape[one.held], betas, thetas, volume="project").settled for one, body, shape in each]
 
         yield from swapped_axes(self.seen, simulate)
         here = (beta, theta)
@@ -266,7 +265,9 @@ class _Joint:
             slope = (by_theta[1] - by_theta[0])[part.judged] / np.ptp(beside)
 
             def changed(stretched: FloatArray, row: int = row, held: FloatArray = held) -> FloatArray:
-                return states(row, held, -np.expm1(-stretched), comparisons[row].simulated)
+                start = comparisons[row].simulated
+                found = self.bodies[row].relax(held, -np.expm1(-stretched), theta, volume="project", start=start)
+                return found.settled
 
             response = self._response(part, *here, compared.simulated)
             bodies.append(FittedBody(part, group, compared.simulated, response, slope[None], changed))
