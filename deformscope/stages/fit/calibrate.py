@@ -27,6 +27,7 @@ from deformscope.stages.fit.estimate import (
 from deformscope.stages.fit.force import stiffness_interval
 from deformscope.stages.fit.inference import Inference, Inferred
 from deformscope.stages.fit.model import FitOptions, Model, Observation
+from deformscope.stages.fit.outliers import without_outliers
 from deformscope.stages.fit.search import Progress, Search
 from deformscope.stages.fit.shared_errors import for_posterior, together
 from deformscope.stages.msm import clusters
@@ -89,6 +90,11 @@ def calibrate(
     else:
         used["stopped"] = fit.descend(progress)
         drawn = fit.tried.parameter.copy()
+    if not one_motion:  # what a track does over a motion is for its tracker to judge
+        left_out = without_outliers(fit)
+        seen = fit.seen
+        if any(one.count for one in left_out):
+            used["left_out"] = [one.as_json() for one in left_out]
     judged: Search = fit
     if one_motion:
         found = together(fit, options.seed)
