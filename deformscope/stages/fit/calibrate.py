@@ -27,7 +27,7 @@ from deformscope.stages.fit.estimate import (
 from deformscope.stages.fit.force import stiffness_interval
 from deformscope.stages.fit.inference import Inference, Inferred
 from deformscope.stages.fit.model import FitOptions, Model, Observation
-from deformscope.stages.fit.outliers import without_outliers
+from deformscope.stages.fit.outliers import LeftOut, without_outliers
 from deformscope.stages.fit.search import Progress, Search
 from deformscope.stages.fit.shared_errors import for_posterior, together
 from deformscope.stages.msm import clusters
@@ -40,11 +40,15 @@ BETA_LIMIT = 0.9999
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """An estimate, the simulation at it of every observation that it rests on, and how sure of it one can be."""
+    """An estimate, the simulation at it of every observation that it rests on, and how sure of it one can be.
+
+    left_out: particles of each observation that were taken for no measurement; empty for the frames of a motion
+    """
 
     estimate: Estimate
     comparisons: tuple[Comparison, ...]
     inferred: Inferred
+    left_out: tuple[LeftOut, ...] = ()
 
 
 def calibrate(
@@ -90,7 +94,8 @@ def calibrate(
     else:
         used["stopped"] = fit.descend(progress)
         drawn = fit.tried.parameter.copy()
-    if not one_motion:  # what a track does over a motion is for its tracker to judge
+    left_out: tuple[LeftOut, ...] = ()
+    if not one_motion:  # a motion's frames are the tracker's to judge
         left_out = without_outliers(fit)
         seen = fit.seen
         if any(one.count for one in left_out):
@@ -145,7 +150,7 @@ def calibrate(
         posterior=inferred.posterior,
         identifiability=identified,
     )
-    return Calibration(estimate, comparisons, inferred)
+    return Calibration(estimate, comparisons, inferred, left_out)
 
 
 def check_observations(seen: Sequence[Observation]) -> None:
