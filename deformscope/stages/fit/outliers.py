@@ -36,6 +36,9 @@ PARTICLES_LEAST = 12
 SHARE_MOST = 0.45
 """Where more than this share looks wrong, it is the model that is: none is left out."""
 
+LEAST = 1e-3
+"""Deviation in spacings that residuals are taken to have at least: smaller outliers are not worth leaving out."""
+
 ROUNDS = 5
 
 STOPPED = 0.8
@@ -73,7 +76,7 @@ def without_outliers(search: Search) -> tuple[LeftOut, ...]:
             bad = np.zeros(len(one.rest), dtype=bool)
             position = search.tried.positions[row][best]
             use = np.flatnonzero(one.free_observed)
-            bad[use] = outlying(one.rest[use], (one.deformed - position)[use], noise, 1e-9 * search.bodies[row].extent)
+            bad[use] = outlying(one.rest[use], (one.deformed - position)[use], noise, LEAST * search.bodies[row].scale)
             found.append(bad)
         if all(np.array_equal(a, b) for a, b in zip(off, found, strict=True)):
             break
@@ -93,7 +96,7 @@ def without_outliers(search: Search) -> tuple[LeftOut, ...]:
 def outlying(rest: FloatArray, residual: FloatArray, noise: FloatArray | None, floor: float) -> BoolArray:
     """(n,) which residuals (n, d) of particles at rest (n, d) lie far outside those of their neighbours.
 
-    noise: (n,) stated deviation of a coordinate, None if unknown; floor: deviation that numbers resolve
+    noise: (n,) stated deviation of a coordinate, None if unknown; floor: least deviation
     """
     n, d = rest.shape
     none = np.zeros(n, dtype=bool)
