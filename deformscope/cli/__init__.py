@@ -76,6 +76,10 @@ COMMANDS: dict[str, Command] = {
     "reproduce squeezes": _command(
         "new squeezes beside what was simulated: events, poses, depth", "SqueezesConfig", "reproduce_squeezes"
     ),
+    "coverage beta": _command(
+        "beta where errors are shared, tracks wrong or lost", "DisturbedCoverageConfig", "coverage_disturbed", "beta"
+    ),
+    "coverage theta": _command("theta, as `coverage beta`", "DisturbedCoverageConfig", "coverage_disturbed", "theta"),
     "coverage": _command("how often the intervals hold the truth", "CoverageConfig", "coverage"),
     "explore": _command("map how soft a surface is, by touching it", "ExploreConfig", "explore"),
     "classify": _command(
@@ -181,7 +185,9 @@ def _dispatch(args: list[str]) -> int:
 
 def _find(args: list[str]) -> tuple[str, list[str]]:
     """The command's full name, or a group's where its help is asked for, and the arguments left."""
-    first = args[0]
+    first, both = args[0], " ".join(args[:2])
+    if both in COMMANDS:
+        return both, args[2:]
     if first in COMMANDS:
         return first, args[1:]
     groups = {name.split()[0] for name in COMMANDS if " " in name}

@@ -90,6 +90,22 @@ class CoverageConfig(RecordedOptions):
 
 
 @dataclass(frozen=True, slots=True)
+class DisturbedCoverageConfig(RecordedOptions):
+    """Count how often the intervals hold the truth where data are not as assumed: errors that neighbours share over 1 to
+    6 cells, with and without white noise, outliers, lost tracks, a held particle that is off, whole motions."""
+
+    objects: Annotated[int, flags.least(3)] = 400
+    """Random objects for each kind of error, a third of them in space; each takes some .3 s of a core."""
+    only: Annotated[str, arg(metavar="NAME,NAME...")] = ""
+    """These kinds alone, such as "30 % outliers,30 % lost tracks"; parts of their names do."""
+    level: flags.LevelFlag = 0.9
+    """Confidence level of the intervals."""
+    jobs: flags.ManyFlag = 2
+    """Processes that share the work."""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+
+@dataclass(frozen=True, slots=True)
 class Table41Config(RecordedOptions):
     """Thesis table 4.1 and scenes beyond it: explore simulated tables over seeds, and report how good the maps are
     after how many touches, planner beside planner. A touch takes about a second of a core: 20 seeds of all scenes take
