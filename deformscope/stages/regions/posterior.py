@@ -114,6 +114,25 @@ class RegionHypotheses:
     maps: tuple[tuple[Partitions | None, FloatArray, FloatArray, FloatArray], ...]
     smooth: tuple[tuple[SmoothField, float], ...]
 
+    def predict(self, places_m: FloatArray, blur_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Mean and variance (h, p) of what a contact feels at places (p, 2) under each hypothesis, and its probability
+        (h,)."""
+        means: list[FloatArray] = []
+        variances: list[FloatArray] = []
+        weights: list[FloatArray] = []
+        for maps, level, cov, weight in self.maps:
+            shares = np.ones((1, len(places_m), 1)) if maps is None else maps.shares(places_m, blur_m)
+            means.append((shares @ level[..., None])[..., 0])
+            variances.append(((shares @ cov) * shares).sum(axis=-1))
+            weights.append(weight)
+        for field, share in self.smooth:
+            mean, variance = field.predict(places_m)
+            means.append(mean[None])
+            variances.append(variance[None])
+            weights.append(np.array([share]))
+        weight = np.concatenate(weights)
+        return np.concatenate(means), np.concatenate(variances), weight / weight.sum()
+
 
 @dataclass(frozen=True, slots=True)
 class _Readings:
@@ -214,6 +233,11 @@ class RegionPosterior:
         weights = np.exp([one.log_evidence for one in self._smooth])
         weights *= self.probability["gradual"] / weights.sum()
         return RegionHypotheses(tuple(found), tuple(zip(self._smooth, weights.tolist(), strict=True)))
+
+    @cached_property
+    def touch_variance(self) -> FloatArray:
+        """(t,) of the touches' log stiffness, what lies within one material included."""
+        return _readings(self.touches, self.prior).variance
 
     def region_map(self, count: int = 240) -> RegionMap:
         """The map that this says; `count` maps are drawn for it."""
