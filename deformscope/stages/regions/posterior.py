@@ -467,53 +467,90 @@ def _levels(
     scatter: FloatArray | float = 0.0,
     last_noise: float = 1.0,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of maps that are felt in shares (n, t, k): log likelihood (n,), levels (n, k) over the centre, their covariance.
+    """Of maps that are felt in shares (n, t, k): log likelihood (n,), levels (n, k) over the centre, their covariance
+    (n, k, k). scatter: (n,) of touches, or of all maps; with one axis more, (s, n) or (s, 1), so have the results
 
     The touches are a linear model in the levels, whose prior is Gaussian, and in the error of the arm's compliance,
     where it counts (Bishop 2006, 3.49 and 3.86); what is left of the prior where levels differ enough is counted
     afterwards, pair by pair.
-    scatter: (n,) of touches, or of all maps; last_noise: factor on the variance of the last touch
+    last_noise: factor on the variance of the last touch
     """
     k = shares.shape[-1]
     mixed = 2.0 * (1.0 - (shares**2).sum(axis=-1))  # 1 midway between two regions
-    variance = (
-        readings.variance + np.reshape(scatter, (-1, 1)) ** 2 + (prior.mixed_share * readings.spread * mixed) ** 2
-    )
-    variance[:, -1:] *= last_noise
-    prior_precision = np.full(k, prior.level_sd**-2.0)
+    own = readings.variance + (prior.mixed_share * readings.spread * mixed) ** 2
+    variance = own + (np.asarray(scatter) ** 2)[..., None]
+    variance[..., -1:] *= last_noise
+    columns = [shares[..., i] for i in range(k)]
+    prior_precision = [prior.level_sd**-2.0] * k
     if readings.arm.any():
-        arm = np.broadcast_to(readings.arm[:, None], (*shares.shape[:2], 1))
-        shares, prior_precision = np.concatenate([shares, arm], axis=-1), np.append(prior_precision, 1.0)
-    weighted = shares / variance[..., None]
-    precision = np.swapaxes(weighted, 1, 2) @ shares + np.diag(prior_precision)
-    cov = np.linalg.inv(precision)
-    pull = (weighted * readings.value[:, None]).sum(axis=1)
-    level = (cov @ pull[..., None])[..., 0]
+        columns.append(np.broadcast_to(readings.arm, own.shape))
+        prior_precision.append(1.0)
+    products = [one * other for i, one in enumerate(columns) for other in columns[: i + 1]]
+    products += [one * readings.value for one in columns]
+    sums = _summed(1.0 / variance, np.stack(products, axis=-1))
+    mean, cov, log_det = _solved(sums, prior_precision)
+    pull = sums[..., -len(columns) :]
     log_likelihood = 0.5 * (
-        (pull * level).sum(axis=1)
-        + np.log(np.linalg.det(cov))
+        (pull * mean).sum(axis=-1)
+        + log_det
         - 2.0 * k * np.log(prior.level_sd)
-        - (np.log(2.0 * np.pi * variance) + readings.value**2 / variance).sum(axis=1)
+        - (np.log(2.0 * np.pi * variance) + readings.value**2 / variance).sum(axis=-1)
     )
-    level, cov = level[:, :k], cov[:, :k, :k]
+    level, cov = mean[..., :k], cov[..., :k, :k]
     at_first = 2.0 * ndtr(-prior.least_contrast / (np.sqrt(2.0) * prior.level_sd))
     for i in range(k):
         for j in range(i):
-            apart = level[:, i] - level[:, j]
-            sd = np.sqrt(np.maximum(cov[:, i, i] + cov[:, j, j] - 2.0 * cov[:, i, j], 1e-12))
+            apart = level[..., i] - level[..., j]
+            sd = np.sqrt(np.maximum(cov[..., i, i] + cov[..., j, j] - 2.0 * cov[..., i, j], 1e-12))
             left = ndtr((apart - prior.least_contrast) / sd) + ndtr((-apart - prior.least_contrast) / sd)
             log_likelihood += np.log(np.maximum(left, 1e-300) / at_first)
     return log_likelihood, level, cov
 
 
-def _by_scatter(shares: FloatArray, readings: _Readings, prior: RegionPrior, last_noise: float = 1.0) -> FloatArray:
+def _summed(weight: FloatArray, products: FloatArray) -> FloatArray:
+    """(..., n, p) sums over touches of products (n, t, p) with weights (..., n, t)."""
+    if weight.ndim == 2:
+        return cast(FloatArray, (weight[:, None] @ products)[:, 0])
+    return np.swapaxes(np.swapaxes(weight, 0, 1) @ products, 0, 1)
+
+
+def _solved(sums: FloatArray, prior_precision: Sequence[float]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean (..., c), covariance (..., c, c) and its log determinant (...,), of precisions whose lower triangles (row by
+    row) are the first of `sums` (..., p), with the prior's on the diagonal, and pulls, the last c of them.
+
+    By hand, column by column of a Cholesky factor: thousands of matrices of 1 to 4 rows, of which a library would solve
+    each by itself.
+    """
+    size = len(prior_precision)
+    lower: dict[tuple[int, int], FloatArray] = {}
+    inverse: dict[tuple[int, int], FloatArray] = {}
+    at = iter(range(sums.shape[-1]))
+    for i in range(size):
+        for j in range(i + 1):
+            rest = sums[..., next(at)] - sum((lower[i, m] * lower[j, m] for m in range(j)), np.float64(0.0))
+            lower[i, j] = np.sqrt(rest + prior_precision[i]) if i == j else rest / lower[j, j]
+    for j in range(size):
+        inverse[j, j] = 1.0 / lower[j, j]
+        for i in range(j + 1, size):
+            below = sum((lower[i, m] * inverse[m, j] for m in range(j, i)), np.float64(0.0))
+            inverse[i, j] = -below / lower[i, i]
+    cov = np.empty((*sums.shape[:-1], size, size))
+    for i in range(size):
+        for j in range(i + 1):
+            cov[..., i, j] = cov[..., j, i] = sum(
+                (inverse[m, i] * inverse[m, j] for m in range(i, size)), np.float64(0.0)
+            )
+    mean = (cov * sums[..., None, -size:]).sum(axis=-1)
+    log_det = 2.0 * sum((np.log(inverse[i, i]) for i in range(size)), np.zeros(sums.shape[:-1]))
+    return mean, cov, log_det
+
+
+def _by_scatter(
+    shares: FloatArray, readings: _Readings, prior: RegionPrior, last_noise: float = 1.0
+) -> FloatArray:
     """(s, n) log likelihood of maps under each scatter, with its prior."""
-    return np.stack(
-        [
-            _levels(shares, readings, prior, float(scatter), last_noise)[0] + np.log(share)
-            for scatter, share in zip(*prior.error.scatters(), strict=True)
-        ]
-    )
+    scatter, share = prior.error.scatters()
+    return _levels(shares, readings, prior, scatter[:, None], last_noise)[0] + np.log(share)[:, None]
 
 
 def _log_likelihood(shares: FloatArray, readings: _Readings, prior: RegionPrior, last_noise: float = 1.0) -> FloatArray:
