@@ -68,7 +68,7 @@ class Lumps:
     """
 
     def __init__(self, posterior: RegionPosterior, radius_m: float) -> None:
-        self._radius_m, self._blur_m = radius_m, posterior.prior.blur_m
+        self._radius_m, self._blur_m, self._noise_sd = radius_m, posterior.prior.blur_m, posterior.touch_sd
         size = np.asarray(posterior.grid.size_m)
         centres = MapGrid(posterior.grid.size_m, CENTRE_CELL_M).centres_m
         self._centres = centres[(np.minimum(centres, size - centres) >= radius_m).all(axis=1)]
@@ -76,20 +76,22 @@ class Lumps:
         self.probability = LUMP_PRIOR if len(self._centres) else 0.0
         if not len(self._centres) or not posterior.touches:
             return
-        felt = np.log(LUMP_CONTRAST) * self._shares(np.array([touch.xy_m for touch in posterior.touches]))
-        ratio = np.exp(-0.5 * (felt**2 / posterior.touch_variance[:, None]).sum(axis=0))
+        places = np.array([touch.xy_m for touch in posterior.touches])
+        own = [posterior.prior.rigid_sd if touch.rigid else touch.log_sd for touch in posterior.touches]
+        ratio = np.prod(self._unfelt(places, np.hypot(own, posterior.scatter)[:, None]), axis=0)
         unmet = float(ratio.mean())
         self.weight = ratio / ratio.sum()
         self.probability = LUMP_PRIOR * unmet / (LUMP_PRIOR * unmet + 1.0 - LUMP_PRIOR)
 
-    def gain(self, places_m: FloatArray, noise_sd: float) -> FloatArray:
-        """(p,) probability that a touch of deviation `noise_sd` at places (p, 2) is the first to show a lump."""
-        felt = np.log(LUMP_CONTRAST) / noise_sd * self._shares(places_m)
-        return cast(FloatArray, self.probability * -np.expm1(-0.5 * felt**2) @ self.weight)
+    def gain(self, places_m: FloatArray) -> FloatArray:
+        """(p,) probability that a touch at places (p, 2) is the first to show a lump."""
+        return cast(FloatArray, self.probability * (1.0 - self._unfelt(places_m, self._noise_sd)) @ self.weight)
 
-    def _shares(self, places_m: FloatArray) -> FloatArray:
-        """(p, c) how much of a lump at each centre is felt at places (p, 2)."""
-        return cast(FloatArray, ndtr((self._radius_m - cdist(places_m, self._centres)) / self._blur_m))
+    def _unfelt(self, places_m: FloatArray, sd: FloatArray | float) -> FloatArray:
+        """(p, c) likelihood of touches at places (p, 2) as without a lump at each centre, of what it were without it."""
+        share = ndtr((self._radius_m - cdist(places_m, self._centres)) / self._blur_m)
+        return cast(FloatArray, np.exp(-0.5 * (np.log(LUMP_CONTRAST) * share / sd) ** 2))
+
 
 
 def missed(posterior: RegionPosterior, made_m: FloatArray, radii_m: Iterable[float] = LUMP_RADII_M) -> Missed:
@@ -102,9 +104,4 @@ def missed(posterior: RegionPosterior, made_m: FloatArray, radii_m: Iterable[flo
     lumps = ((radius, Lumps(posterior, radius)) for radius in sorted(set(radii_m)))
     found = tuple(MissedLump(radius, one.probability) for radius, one in lumps if len(one.weight))
     return Missed(float(circle[at]), centres[at], found)
-
-
-def touch_sd(posterior: RegionPosterior) -> float:
-    """Deviation of a touch to come, of log stiffness: as of those so far."""
-    return float(np.sqrt(np.median(posterior.touch_variance)))
 

@@ -8,7 +8,7 @@ the regions' borders run, or a lump that the map does not show (`inclusions`). A
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, cast
 
 import numpy as np
@@ -17,8 +17,9 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.map.inclusions import LUMP_RADII_M, Lumps, Missed, missed, touch_sd
-from deformscope.stages.regions.posterior import RegionHypotheses, RegionPosterior, ranked_labels
+from deformscope.stages.map.inclusions import LUMP_RADII_M, Lumps, Missed, missed
+from deformscope.stages.regions.posterior import RegionHypotheses, RegionPosterior, labels_of
+from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid
 
 Planner = Literal["regions", "integrated-variance", "max-variance", "random-above"]
@@ -55,7 +56,7 @@ class FieldKernel:
 
     sd: float = 0.5
     length_m: float = 0.12
-    noise_sd: float = 0.08
+    noise_sd: float = field(default_factory=lambda: TouchErrorModel().touch_sd)
 
     def covariance(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """(n, m) between places (n, 2) and (m, 2) [m]."""
@@ -188,7 +189,7 @@ def label_gain(
         regions = level.shape[1]
         here = slice(start, start + len(level))
         start += len(level)
-        labels = np.zeros((1, len(cells_m)), dtype=np.int8) if maps is None else ranked_labels(maps, level, cells_m)
+        labels = labels_of(maps, level, cells_m)
         for rank in range(regions):
             is_rank = labels == rank
             credit = is_rank / np.maximum(regions * is_rank.mean(axis=1, keepdims=True), 1e-9)
@@ -297,21 +298,20 @@ def _gain(
         gain[allowed] = _lump_gain(posterior, options.inclusion_m, places[allowed])
         # a search for the boundaries of what nothing speaks for would only stall
         if posterior.probability["1"] <= 0.5:
-            gain[allowed] += _region_gain(posterior, kernel.noise_sd, places[allowed], cost[allowed])
+            gain[allowed] += _region_gain(posterior, places[allowed], cost[allowed])
     return gain, "label", gain / cost
 
 
 def _lump_gain(posterior: RegionPosterior, smallest_m: float, places: FloatArray) -> FloatArray:
     """(p,) what a touch is expected to add to the labels by showing a lump."""
-    noise_sd = touch_sd(posterior)
-    chance = [Lumps(posterior, times * smallest_m).gain(places, noise_sd) for times in LARGER]
+    chance = [Lumps(posterior, times * smallest_m).gain(places) for times in LARGER]
     return cast(FloatArray, LUMP_WORTH * np.mean(chance, axis=0))
 
 
-def _region_gain(posterior: RegionPosterior, noise_sd: float, places: FloatArray, cost: FloatArray) -> FloatArray:
+def _region_gain(posterior: RegionPosterior, places: FloatArray, cost: FloatArray) -> FloatArray:
     """(p,) what a touch is expected to add to the labels, and to levels that are hardly known; for all but the places
     that are most informative, as far as the latter go."""
-    hypotheses, blur = posterior.hypotheses(), posterior.prior.blur_m
+    hypotheses, blur, noise_sd = posterior.hypotheses(), posterior.prior.blur_m, posterior.touch_sd
     gain = LEVEL_WORTH * level_information(hypotheses, places, blur, posterior.prior.rigid_sd)
     learned = LEVEL_WORTH * information(hypotheses, places, blur, noise_sd)
     best = np.argsort(-(gain + learned) / cost, kind="stable")[:CONTENDERS]
@@ -354,5 +354,7 @@ def _why(posterior: RegionPosterior, options: PlanOptions, unit: str, gain: floa
         return f"the least known place: variance {gain:.3g}"
     if unit == "mean variance":
         return f"fills the space: the mean variance drops by {gain:.2g} for {cost_s:.0f} s"
+    if posterior.probability["1"] > 0.5:
+        return f"one material so far: may show lumps, adds {gain:.1%} to the labels for {cost_s:.0f} s"
     shares = ", ".join(f"{name}: {share:.0%}" for name, share in posterior.probability.items() if share >= 0.05)
     return f"adds {gain:.1%} to the labels (at most {most:.1%}) for {cost_s:.0f} s; regions {shares}"
