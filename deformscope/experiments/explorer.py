@@ -258,7 +258,11 @@ class Explorer:
             self.posterior,
             FieldKernel(),
             PlanOptions(
-                planner=options.planner, budget=options.budget, threshold=options.threshold, cell_m=PLAN_CELL_M
+                planner=options.planner,
+                budget=options.budget,
+                threshold=options.threshold,
+                cell_m=PLAN_CELL_M,
+                inclusion_m=options.inclusion_m,
             ),
             tip_m=self.touches[-1].xyz_m[:2] if self.touches else None,
             left_out_m=np.reshape(self._left_out, (-1, 2)),
@@ -268,7 +272,9 @@ class Explorer:
         enough = plan.stop is not None and not (options.go_on and len(self.touches) < options.budget)
         target = None if enough else plan.target_m
         self.stop_reason = plan.stop or ""
-        return PlannedTouch(target, plan.gain, plan.cost_s, plan.excluded != ALLOWED, plan.reason, plan.stop or "")
+        return PlannedTouch(
+            target, plan.gain, plan.cost_s, plan.excluded != ALLOWED, plan.reason, plan.stop or "", plan.missed
+        )
 
     def approach(self, xy_m: FloatArray, geometry: Geometry) -> Touch | None:
         """The touch of a place (2,) [m]; None where it could not be planned."""

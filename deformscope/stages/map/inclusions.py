@@ -9,7 +9,6 @@ region), in deviations of theirs. So a touch inside excludes it, and one at its 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -18,6 +17,7 @@ from scipy.spatial.distance import cdist
 from scipy.special import ndtr
 
 from deformscope.arrays import FloatArray
+from deformscope.stages.map.exploration import Missed
 from deformscope.stages.regions.posterior import RegionPosterior
 from deformscope.stages.regions.touches import MapGrid
 
@@ -31,34 +31,6 @@ LUMP_RADII_M = (0.03, 0.045, 0.06, 0.085, 0.12)
 """Radii for which it is reported what may have been missed."""
 
 CENTRE_CELL_M = 0.02
-
-
-@dataclass(frozen=True, slots=True)
-class MissedLump:
-    """Of a radius [m]: the probability that there is a lump which the map does not show, of `LUMP_PRIOR` at first."""
-
-    radius_m: float
-    probability: float
-
-
-@dataclass(frozen=True, slots=True)
-class Missed:
-    """What the touches may have missed.
-
-    untouched_m, untouched_at_m: radius and centre (2,) of the largest circle on the surface without a touch [m]
-    lumps: of several radii, from the smallest; those that do not fit on the surface are left out
-    contrast, prior: of all of them
-    """
-
-    untouched_m: float
-    untouched_at_m: FloatArray
-    lumps: tuple[MissedLump, ...]
-    contrast: float = LUMP_CONTRAST
-    prior: float = LUMP_PRIOR
-
-    def of(self, radius_m: float) -> float:
-        """Probability of lumps of one of these radii [m]; 0 where they do not fit."""
-        return next((one.probability for one in self.lumps if one.radius_m == radius_m), 0.0)
 
 
 class Lumps:
@@ -101,7 +73,6 @@ def missed(posterior: RegionPosterior, made_m: FloatArray, radii_m: Iterable[flo
     if len(made_m):
         circle = np.minimum(circle, KDTree(made_m).query(centres)[0])
     at = int(circle.argmax())
-    lumps = ((radius, Lumps(posterior, radius)) for radius in sorted(set(radii_m)))
-    found = tuple(MissedLump(radius, one.probability) for radius, one in lumps if len(one.weight))
-    return Missed(float(circle[at]), centres[at], found)
-
+    lumps = [(radius, Lumps(posterior, radius).probability) for radius in sorted(set(radii_m)) if 2.0 * radius < min(size)]
+    radii, probabilities = np.array(lumps).reshape(-1, 2).T
+    return Missed(float(circle[at]), centres[at], radii, probabilities, LUMP_CONTRAST, LUMP_PRIOR)

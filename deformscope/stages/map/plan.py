@@ -17,7 +17,8 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.map.inclusions import LUMP_RADII_M, Lumps, Missed, missed
+from deformscope.stages.map.exploration import Missed
+from deformscope.stages.map.inclusions import LUMP_RADII_M, Lumps, missed
 from deformscope.stages.regions.posterior import RegionHypotheses, RegionPosterior, labels_of
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid
@@ -337,7 +338,7 @@ def _stop(
         return "nowhere to go"
     if len(posterior.touches) < 3 or max(posterior.probability.values()) < options.sure:
         return None
-    if options.planner == "regions" and lumps.of(options.inclusion_m) > options.unmet:
+    if options.planner == "regions" and lumps.probability(options.inclusion_m) > options.unmet:
         return None
     if variance.max() < options.threshold:
         return "nothing above the threshold"

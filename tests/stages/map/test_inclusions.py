@@ -28,7 +28,7 @@ def test_before_any_touch_a_lump_is_as_likely_as_stated() -> None:
     assert Lumps(posterior, 0.06).probability == LUMP_PRIOR
     found = missed(posterior, np.zeros((0, 2)))
     assert found.untouched_m == pytest.approx(0.2, abs=0.01)
-    assert [one.probability for one in found.lumps] == [LUMP_PRIOR] * len(found.lumps)
+    assert found.lump_probability.tolist() == [LUMP_PRIOR] * 5
 
 
 def test_the_largest_untouched_circle() -> None:
@@ -85,5 +85,5 @@ def test_the_gain_is_the_chance_of_the_first_touch_that_shows_one() -> None:
 def test_what_does_not_fit_cannot_be_there() -> None:
     small = RegionPosterior.before_touches(MapGrid((0.25, 0.15), 0.005), particle_count=50)
     found = missed(small, np.zeros((0, 2)))
-    assert [one.radius_m for one in found.lumps] == [0.03, 0.045, 0.06]
-    assert found.of(0.12) == 0.0
+    assert found.lump_radius_m.tolist() == [0.03, 0.045, 0.06]
+    assert found.probability(0.12) == 0.0

@@ -201,11 +201,11 @@ def test_one_material_is_enough_once_lumps_would_have_been_felt() -> None:
         posterior = RegionPosterior.before_touches(GRID, particle_count=200)
         while (plan := plan_touch(posterior, KERNEL, options)).stop is None:
             assert plan.target_m is not None
-            assert plan.missed.of(inclusion_m) > options.unmet or len(posterior.touches) < 8
+            assert plan.missed.probability(inclusion_m) > options.unmet or len(posterior.touches) < 8
             noise = 0.02 * (-1.0) ** len(posterior.touches)
             posterior = posterior.with_touch(StiffnessSample(plan.target_m, noise, 0.03))
         assert plan.stop == "little left to learn"
-        assert plan.missed.of(inclusion_m) <= options.unmet
+        assert plan.missed.probability(inclusion_m) <= options.unmet
         made.append(len(posterior.touches))
     assert made[0] <= 12 < made[1]
 
