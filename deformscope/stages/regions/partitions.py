@@ -28,7 +28,7 @@ LATENTS = 60
 LEAST_AREA_M2 = 0.003
 """What is smaller is no region: a patch about as wide as three contacts."""
 
-COARSE_M = 0.03
+COARSE_M = 0.04
 """Cells in which areas are counted."""
 
 LINE_TILT = np.radians(12.0)
@@ -148,7 +148,7 @@ class Partitions:
             if kind in (Family.SQUARE_LINE, Family.LINE, Family.ZIGZAG):
                 distance[here] = _line(latent[here], kind, xy_m, self.size_m, exact)
             elif kind in (Family.BLOB, Family.RING):
-                distance[here] = _blob(latent[here], kind, xy_m, self.size_m)
+                distance[here] = _blob(latent[here], kind, xy_m, self.size_m, exact)
             else:
                 distance[here] = _level_set(latent[here], kind, xy_m, self.size_m, exact)
         return distance
@@ -232,7 +232,7 @@ def _between(limits: tuple[float, float], latent: FloatArray) -> FloatArray:
     return cast(FloatArray, np.exp(low + (high - low) * ndtr(latent)))
 
 
-def _blob(latent: FloatArray, kind: Family, xy_m: FloatArray, size_m: tuple[float, float]) -> FloatArray:
+def _blob(latent: FloatArray, kind: Family, xy_m: FloatArray, size_m: tuple[float, float], exact: bool) -> FloatArray:
     """(n, p) distance, along the ray from the middle, to discs, ellipses and rectangles with round corners; or to what
     a hole of the same shape leaves of them."""
     centre = ndtr(latent[:, :2]) * np.asarray(size_m)
@@ -245,18 +245,20 @@ def _blob(latent: FloatArray, kind: Family, xy_m: FloatArray, size_m: tuple[floa
     cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
     u = np.abs(cos * from_centre[..., 0] + sin * from_centre[..., 1]) / (radius * stretch)[:, None]
     v = np.abs(-sin * from_centre[..., 0] + cos * from_centre[..., 1]) / (radius / stretch)[:, None]
-    # a place at 1 is on the border; the ray's length in these units turns the rest into metres
-    rho = np.hypot(u, v)
+    low, high = RING_SHARES
+    hole = 1.0 - (low + (high - low) * ndtr(latent[:, 7:8])) if kind == Family.RING else np.zeros((len(latent), 1))
     cornered = power[:, 0] > 2.0
-    rho[cornered] = (u[cornered] ** power[cornered] + v[cornered] ** power[cornered]) ** (1.0 / power[cornered])
+    rho = u**2 + v**2  # to the power, as yet
+    rho[cornered] = u[cornered] ** power[cornered] + v[cornered] ** power[cornered]
+    if not exact:
+        return cast(FloatArray, np.where(rho > hole**power, 1.0 - rho, -1.0))
+    # a place at 1 is on the border; the ray's length in these units turns the rest into metres
+    rho = np.sqrt(rho)
+    rho[cornered] **= 2.0 / power[cornered]
     rho = np.maximum(rho, 1e-9)
     away = np.maximum(np.hypot(from_centre[..., 0], from_centre[..., 1]), 1e-9 * radius[:, None])
-    metre = away / rho
-    if kind == Family.BLOB:
-        return cast(FloatArray, metre * (1.0 - rho))
-    low, high = RING_SHARES
-    half = 0.5 * (low + (high - low) * ndtr(latent[:, 7:8]))
-    return cast(FloatArray, metre * (half - np.abs(1.0 - half - rho)))
+    inside = 1.0 - rho if kind == Family.BLOB else np.minimum(1.0 - rho, rho - hole)
+    return cast(FloatArray, away / rho * inside)
 
 
 def _level_set(
