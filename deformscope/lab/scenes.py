@@ -16,8 +16,8 @@ then 37, 68 and 93 kPa. (The secant modulus, 4.6, 8.5 and 11.6 kPa, would let 3 
 
 `DRAWN` says what each scene draws from its seed, each evenly between two values. Other hardnesses come by name:
 `homogeneous-A`, `two-A-B`, `three-A-B-C`, `disc-A-B` (A around, B the disc), and so on with `soft-spot`, `corner`,
-`strip`, `patches`, `wavy`, `zigzag`, `ring`, `bumpy` and, with a third for the lump, `lump`, where a letter is a number of
-newtons or `rigid`.
+`strip`, `patches`, `wavy`, `zigzag`, `ring`, `bumpy` and, with a third for the lump, `lump`, where a letter is a number
+of newtons or `rigid`.
 """
 
 from __future__ import annotations
@@ -318,9 +318,9 @@ def _layout(kind: str, drawn: dict[str, float]) -> Labels:
     if kind == "ring":
         middle, outer = np.array([drawn["centre x"], drawn["centre y"]]), drawn["radius"]
         half = drawn["width"] / 2
-        return lambda xy: (
-            (np.abs(np.linalg.norm(xy - middle, axis=-1) - outer + half) < half) ^ swapped
-        ).astype(np.int64)
+        return lambda xy: ((np.abs(np.linalg.norm(xy - middle, axis=-1) - outer + half) < half) ^ swapped).astype(
+            np.int64
+        )
     if kind == "corner":
         corner = min(int(drawn["which corner"]), 3)
         far, reach = np.array([corner in (1, 2), corner in (2, 3)]), np.array([drawn["reach x"], drawn["reach y"]])

@@ -60,8 +60,8 @@ def _slab_log_stiffness(
 
 
 def _deeper(at_n: FloatArray | float, force_n: FloatArray, depth_m: FloatArray) -> FloatArray:
-    """(...,) how many times as deep as the last of these depths (n,) a force would sink; 1 up to the last of these forces
-    (n,), beyond by the power law in which they end."""
+    """(...,) how many times as deep as the last of these depths (n,) a force would sink: 1 up to the last of these
+    forces (n,), beyond by the power law in which they end."""
     before_n = 0.8 * force_n[-1]
     power = np.log(depth_m[-1] / np.interp(before_n, force_n, depth_m)) / np.log(force_n[-1] / before_n)
     return np.asarray(np.maximum(np.asarray(at_n) / force_n[-1], 1.0) ** power)

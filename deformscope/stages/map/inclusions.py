@@ -60,10 +60,9 @@ class Lumps:
         return cast(FloatArray, self.probability * (1.0 - self._unfelt(places_m, self._noise_sd)) @ self.weight)
 
     def _unfelt(self, places_m: FloatArray, sd: FloatArray | float) -> FloatArray:
-        """(p, c) likelihood of touches at places (p, 2) as without a lump at each centre, of what it were without it."""
+        """(p, c) how likely touches at places (p, 2) are to read as without a lump at each centre, if it is there."""
         share = ndtr((self._radius_m - cdist(places_m, self._centres)) / self._blur_m)
         return cast(FloatArray, np.exp(-0.5 * (np.log(LUMP_CONTRAST) * share / sd) ** 2))
-
 
 
 def missed(posterior: RegionPosterior, made_m: FloatArray, radii_m: Iterable[float] = LUMP_RADII_M) -> Missed:
@@ -73,6 +72,8 @@ def missed(posterior: RegionPosterior, made_m: FloatArray, radii_m: Iterable[flo
     if len(made_m):
         circle = np.minimum(circle, KDTree(made_m).query(centres)[0])
     at = int(circle.argmax())
-    lumps = [(radius, Lumps(posterior, radius).probability) for radius in sorted(set(radii_m)) if 2.0 * radius < min(size)]
+    lumps = [
+        (radius, Lumps(posterior, radius).probability) for radius in sorted(set(radii_m)) if 2.0 * radius < min(size)
+    ]
     radii, probabilities = np.array(lumps).reshape(-1, 2).T
     return Missed(float(circle[at]), centres[at], radii, probabilities, LUMP_CONTRAST, LUMP_PRIOR)

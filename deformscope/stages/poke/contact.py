@@ -58,9 +58,9 @@ class ContactFit:
     `rigid` place a lower bound, whose interval is open above; log_stiffness, log_sd: its natural log and deviation,
     which is of `own_log_sd`, what this touch alone is off by, and of what all touches of a session share: `arm_log_sd`,
     for one deviation of the arm's compliance, and the gain of the force
-    at_force_n: the set force, also where the approach ended before it: the law says what it had come to, so that all
-    touches compare; depth_m: of the dent at `at_force_n`; contact_m: where contact began, on the axis of the approach, which grows into
-    the surface; exponent, exponent_sd: p; peak_force_n: along the normal, tare taken off
+    at_force_n: the set force, also where the approach ended before it: the law says what it would have come to, so that
+    all touches compare; depth_m: of the dent at `at_force_n`; contact_m: where contact began, on the axis of the
+    approach, which grows into the surface; exponent, exponent_sd: p; peak_force_n: along the normal, tare taken off
     residual_m: scatter of the arm's position about the law; arm_sd_m: what is not known of the depth for the arm's sake
     samples: that were fitted
     """

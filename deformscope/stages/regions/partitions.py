@@ -1,9 +1,9 @@
 """Random partitions of a surface into regions: a prior over maps, as curves that can be moved a little.
 
-A map is made of one or two curves: a line (square to the sample or of any direction, straight, wavy or a zigzag), a blob
-(disc, ellipse, rectangle), a ring of those, or a level set of a random field, smooth or of finer shapes. One curve, or two that bound the same material (two
-patches, a strip), make two regions; two curves, the second within what the first leaves, make three: stripes, a T, a
-patch in a half, two patches.
+A map is made of one or two curves: a line (square to the sample or of any direction, straight, wavy or a zigzag), a
+blob (disc, ellipse, rectangle), a ring of those, or a level set of a random field, smooth or of finer shapes. One
+curve, or two that bound the same material (two patches, a strip), make two regions; two curves, the second within what
+the first leaves, make three: stripes, a T, a patch in a half, two patches.
 
 Every curve is a family and a vector of standard normal numbers. So a small change that leaves the prior as it is costs
 a line (preconditioned Crank-Nicolson, Cotter et al. 2013, 4.2), whatever the shape.

@@ -135,8 +135,8 @@ class RegionHypotheses:
             means.append((shares @ level[..., None])[..., 0])
             variances.append(((shares @ cov) * shares).sum(axis=-1))
             weights.append(weight)
-        for field, share in self.smooth:
-            mean, variance = field.predict(places_m)
+        for smooth, share in self.smooth:
+            mean, variance = smooth.predict(places_m)
             means.append(mean[None])
             variances.append(variance[None])
             weights.append(np.array([share]))

@@ -219,7 +219,8 @@ def test_it_never_stops_while_the_number_of_regions_is_in_doubt(halves: RegionPo
 
 def test_why_it_stops(halves: RegionPosterior, one_material: RegionPosterior) -> None:
     content = {"sure": 0.1, "unmet": 1.0}
-    assert plan_touch(halves, KERNEL, PlanOptions(**content, threshold=0.0, least_gain=1.0)).stop == "little left to learn"
+    plan = plan_touch(halves, KERNEL, PlanOptions(**content, threshold=0.0, least_gain=1.0))
+    assert plan.stop == "little left to learn"
     plan = plan_touch(one_material, FieldKernel(length_m=1.0), PlanOptions(**content))
     assert plan.stop == "nothing above the threshold"
     nowhere = plan_touch(halves, KERNEL, PlanOptions(), reachable=np.zeros(GRID.shape, dtype=bool))
