@@ -104,6 +104,8 @@ class Table41Config(RecordedOptions):
     """Layouts of each scene, from seed 0 on."""
     touches: flags.ManyFlag = 12
     """Touches of each exploration."""
+    closed_form: bool = False
+    """Take what a contact feels in closed form instead of pressing finite elements: no surface, no arm, far faster."""
     resume: bool = False
     """Take what an earlier command left in runs.jsonl, and go on from there; it must have been this version."""
     workers: flags.SomeFlag = None
