@@ -1,7 +1,7 @@
 """Table 4.1 without finite elements, camera and arm: hundreds of explorations in minutes.
 
-A touch is the scene's log stiffness (Hertz: the power 2/3 of its modulus), blurred by the contact, plus what a fit leaves
-unknown; where that is above what the arm resolves, a lower bound. Posterior, planner and stop rule are those of
+A touch is the scene's log stiffness (Hertz: the power 2/3 of its modulus), blurred by the contact, plus what a fit
+leaves unknown; where that is above what the arm resolves, a lower bound. Posterior, planner and stop rule are those of
 `explore`.
 """
 
