@@ -42,7 +42,7 @@ def run(config: Table41Config) -> None:
     make_folder(config.out)
     planners = _planners(config.planners)
     jobs = [
-        TableJob(scene, seed, planner, config.touches, go_on=len(planners) > 1)
+        TableJob(scene, seed, planner, config.touches, go_on=len(planners) > 1, clean=config.clean)
         for seed in range(config.seeds)
         for scene in _scenes(config.scenes)
         for planner in planners

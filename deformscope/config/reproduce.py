@@ -104,6 +104,8 @@ class Table41Config(RecordedOptions):
     """Layouts of each scene, from seed 0 on."""
     touches: flags.ManyFlag = 12
     """Touches of each exploration."""
+    clean: bool = False
+    """Keep nothing from the estimator: the arm is as its calibration says, the force exact, foam without scatter."""
     resume: bool = False
     """Take what an earlier command left in runs.jsonl, and go on from there; it must have been this version."""
     workers: flags.SomeFlag = None

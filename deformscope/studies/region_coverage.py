@@ -26,7 +26,13 @@ from deformscope.lab.session_errors import LabErrors, SessionErrors
 from deformscope.stages.map.map_score import TrueMap, match_regions
 from deformscope.stages.map.plan import FieldKernel, PlanOptions, plan_touch
 from deformscope.stages.regions.partitions import draw
-from deformscope.stages.regions.posterior import SLOPES_PER_M, SMOOTH_LENGTHS_M, SMOOTH_SDS, RegionPosterior, RegionPrior
+from deformscope.stages.regions.posterior import (
+    SLOPES_PER_M,
+    SMOOTH_LENGTHS_M,
+    SMOOTH_SDS,
+    RegionPosterior,
+    RegionPrior,
+)
 from deformscope.stages.regions.touch_error import LAW_SD
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
@@ -215,9 +221,7 @@ def _smooth(
     return TrueMap(None, np.zeros(0), np.zeros(0, dtype=bool), log_stiffness), field(places_m)
 
 
-def _from_scene(
-    name: str, seed: int, grid: MapGrid, places_m: FloatArray, blur_m: float
-) -> tuple[TrueMap, FloatArray]:
+def _from_scene(name: str, seed: int, grid: MapGrid, places_m: FloatArray, blur_m: float) -> tuple[TrueMap, FloatArray]:
     """A layout of the laboratory; what a contact feels is the mean over a Gaussian of `blur_m`."""
     scene = built_in(name, seed)
     node, weight = np.polynomial.hermite_e.hermegauss(7)

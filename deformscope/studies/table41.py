@@ -19,6 +19,7 @@ from deformscope.experiments.explore import AtOnce, Exploration, ExplorationStop
 from deformscope.experiments.explorer import AsMeasured, ExplorationStages, Explorer
 from deformscope.experiments.options import ExploreOptions
 from deformscope.lab.scenes import built_in
+from deformscope.lab.session_errors import LabErrors
 from deformscope.plain import plain
 from deformscope.session import run
 from deformscope.stages.map.exploration import PlannedTouch, TouchEstimate
@@ -29,13 +30,15 @@ from deformscope.studies.surface_robot import LabRobot, true_map
 
 @dataclass(frozen=True, slots=True)
 class TableJob:
-    """One exploration. go_on: to the last touch, also after the plan has said enough, so that planners compare"""
+    """One exploration. go_on: to the last touch, also after the plan has said enough, so that planners compare; clean:
+    the laboratory keeps nothing from the estimator"""
 
     scene: str
     seed: int
     planner: Planner = "regions"
     touches: int = 8
     go_on: bool = False
+    clean: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,9 +97,9 @@ def run_table(job: TableJob) -> TableRun:
             thickness_m=scene.thickness_m,
             go_on=job.go_on,
         )
-        robot = LabRobot(scene, options, sees=False)
+        robot = LabRobot(scene, options, sees=False, errors=LabErrors.none() if job.clean else LabErrors())
         explorer = Explorer(scene.size_m, options, robot.arm, robot.truth)
-        truth = true_map(scene, options)
+        truth = true_map(robot.scene, options)
         found = Exploration()
         scores = _Scores(found, explorer, robot, truth)
         stages = ExplorationStages(explorer, AsMeasured(scene.size_m, robot.reachable))

@@ -545,9 +545,7 @@ def _solved(sums: FloatArray, prior_precision: Sequence[float]) -> tuple[FloatAr
     return mean, cov, log_det
 
 
-def _by_scatter(
-    shares: FloatArray, readings: _Readings, prior: RegionPrior, last_noise: float = 1.0
-) -> FloatArray:
+def _by_scatter(shares: FloatArray, readings: _Readings, prior: RegionPrior, last_noise: float = 1.0) -> FloatArray:
     """(s, n) log likelihood of maps under each scatter, with its prior."""
     scatter, share = prior.error.scatters()
     return _levels(shares, readings, prior, scatter[:, None], last_noise)[0] + np.log(share)[:, None]
