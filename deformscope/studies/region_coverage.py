@@ -71,15 +71,14 @@ class RegionCondition:
     arm_at: float | None = None
 
 
-def _scattered(share: float) -> LabErrors:
-    return LabErrors(scatter=(share, share))
+def scattered(share: float) -> RegionCondition:
+    """The laboratory with all its errors, and foam that scatters by this share."""
+    return RegionCondition(f"scatter {100.0 * share:g} %", "scenes", LabErrors(scatter=(share, share)))
 
 
 REGION_CONDITIONS = (
     RegionCondition("stated prior", "prior", None),
-    RegionCondition("scatter 3 %", "scenes", _scattered(0.03)),
-    RegionCondition("scatter 6 %", "scenes", _scattered(0.06)),
-    RegionCondition("scatter 10 %", "scenes", _scattered(0.10)),
+    *(scattered(share) for share in (0.03, 0.06, 0.10)),
     RegionCondition("gain off by 3 %", "scenes", LabErrors(), gain_at=FIXED),
     RegionCondition("arm off by a deviation", "scenes", LabErrors(), arm_at=FIXED),
     RegionCondition("scatter over 12 cm", "scenes", LabErrors(scatter_length_m=0.12)),
@@ -91,9 +90,9 @@ violate the model on either side: a scatter that neighbours share, and none."""
 
 @dataclass(frozen=True, slots=True)
 class RegionCase:
-    """One exploration: its place in `REGION_CONDITIONS`, the seed, and touches at most."""
+    """One exploration: the condition, the seed, and touches at most."""
 
-    condition: int
+    condition: RegionCondition
     seed: int
     touches: int = TOUCHES
 
@@ -246,7 +245,7 @@ def _true(labels: IntArray, level: FloatArray) -> TrueMap:
 
 def explore_known(case: RegionCase) -> RegionOutcome:
     """One exploration, until the plan says enough."""
-    condition, prior = REGION_CONDITIONS[case.condition], RegionPrior()
+    condition, prior = case.condition, RegionPrior()
     surface = known_surface(condition, case.seed, prior)
     doubt = LabErrors().arm if condition.errors is None else condition.errors.arm or LabErrors().arm
     options = PlanOptions(budget=case.touches)
