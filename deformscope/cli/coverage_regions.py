@@ -118,8 +118,10 @@ def _levels_table(rows: Sequence[RegionRow]) -> Table:
 
 def _bins_table(bins: dict[str, list[ReliabilityBin]]) -> Table:
     lines = [
-        (name, one.cases, f"{one.claimed:.3f}", f"{one.right / one.cases:.3f}")
-        + (f"{one.band[0]:.3f} to {one.band[1]:.3f}", "yes" if one.holds else "no")
+        (
+            *(name, one.cases, f"{one.claimed:.3f}", f"{one.right / one.cases:.3f}"),
+            *(f"{one.band[0]:.3f} to {one.band[1]:.3f}", "yes" if one.holds else "no"),
+        )
         for name, some in bins.items()
         for one in some
     ]

@@ -90,8 +90,9 @@ class CoverageConfig(RecordedOptions):
 
 @dataclass(frozen=True, slots=True)
 class RegionCoverageConfig(RecordedOptions):
-    """Count how often a map's levels lie in their intervals, and its number of regions is right: surfaces of known truth,
-    drawn from the stated prior and from violations of it, touched in closed form and explored as `explore` does."""
+    """Count how often a map's levels lie in their intervals, and its number of regions is right: surfaces of known
+    truth, drawn from the stated prior and from violations of it, touched in closed form and explored as `explore`
+    does."""
 
     objects: Annotated[int, flags.least(5)] = 300
     """Explorations of each condition; each takes some 5 s of a core."""

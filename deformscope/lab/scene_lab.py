@@ -36,8 +36,8 @@ UPRIGHT = np.array([0.0, 0.0, 1.0])
 
 
 class SceneLab:
-    """The laboratory with a scene in it, closed. lab: its devices and faults; setup: to explore it; drawn: what it keeps
-    from the estimator"""
+    """The laboratory with a scene in it, closed. lab: its devices and faults; setup: to explore it; drawn: what it
+    keeps from the estimator"""
 
     def __init__(
         self, scene: Scene, *, tip_radius_m: float, parked_m: float, seed: int = 0, errors: LabErrors | None = None

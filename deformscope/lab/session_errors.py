@@ -82,8 +82,8 @@ class LabErrors:
 class SessionErrors:
     """One session's.
 
-    arm_n_per_m: the arm's true stiffness; gain: force as measured over the true one at first, drift: what is added to it
-    in TOUCHES_S; scatter_sd: of log stiffness within a material; thickness: true over stated; overshoot_m; friction:
+    arm_n_per_m: the arm's true stiffness; gain: force as measured over the true one at first, drift: what is added to
+    it in TOUCHES_S; scatter_sd: of log stiffness within a material; thickness: true over stated; overshoot_m; friction:
     sideways over normal force, towards `friction_rad`; wave_rad_m, phase_rad: (w, 2), (w,) of the scatter's field
     """
 

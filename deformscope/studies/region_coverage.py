@@ -3,9 +3,10 @@
     outcomes = [explore_known(RegionCase(condition, seed)) for seed in reported(300)]
     region_row("stated prior", outcomes), reliability(outcomes)
 
-A touch is log stiffness blurred by its contact plus its errors (`LabErrors`, `touch_error`): no arm, no finite elements,
-so that hundreds of explorations take minutes. Posterior, planner and stop rule are those of `explore`. Truths come from
-the estimator's own prior (simulation-based calibration, Talts et al. 2018), and from scenes and errors that violate it.
+A touch is log stiffness blurred by its contact plus its errors (`LabErrors`, `touch_error`): no arm, no finite
+elements, so that hundreds of explorations take minutes. Posterior, planner and stop rule are those of `explore`. Truths
+come from the estimator's own prior (simulation-based calibration, Talts et al. 2018), and from scenes and errors that
+violate it.
 """
 
 from __future__ import annotations
@@ -84,8 +85,8 @@ REGION_CONDITIONS = (
     RegionCondition("scatter over 12 cm", "scenes", LabErrors(scatter_length_m=0.12)),
     RegionCondition("clean", "scenes", LabErrors.none()),
 )
-"""The first is the stated prior; then the laboratory with all its errors, one of them at a value of its own; the last two
-violate the model on either side: a scatter that neighbours share, and none."""
+"""The first is the stated prior; then the laboratory with all its errors, one of them at a value of its own; the last
+two violate the model on either side: a scatter that neighbours share, and none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,8 +150,8 @@ class KnownSurface:
         return np.random.default_rng([self.seed, 77])
 
     def touch(self, xy_m: FloatArray, arm_doubt: float) -> StiffnessSample:
-        """A touch at the nearest place (2,) [m]. arm_doubt: deviation of the compliance that its calibration states, as a
-        share of it"""
+        """A touch at the nearest place (2,) [m]. arm_doubt: deviation of the compliance that its calibration states, as
+        a share of it"""
         felt = float(self.felt[np.argmin(((self.places_m - xy_m) ** 2).sum(axis=1))])
         own_sd = float(np.hypot(LAW_SD, FIT_SD))
         bent = arm_doubt * 1e3 * np.exp(felt) / ARM_STIFFNESS_N_M  # k dC, for a deviation

@@ -249,8 +249,8 @@ def _predictions(
         means.append((shares @ level[..., None])[..., 0])
         variances.append(((shares @ cov) * shares).sum(axis=-1))
         weights.append(weight)
-    for field, share in hypotheses.smooth:
-        mean, variance = field.predict(places)
+    for smooth, share in hypotheses.smooth:
+        mean, variance = smooth.predict(places)
         means.append(mean[None])
         variances.append(variance[None])
         weights.append(np.array([share]))

@@ -251,8 +251,8 @@ class RegionPosterior:
                 square += (weight * (levels[:, rank] ** 2 + variance[:, rank])) @ here
             if levels.shape[1] == k:
                 probability, level, cov, shared = shares / weight.sum(), levels, covs, weight
-        for field, share in hypotheses.smooth:
-            here, variance = field.predict(centres)
+        for smooth, share in hypotheses.smooth:
+            here, variance = smooth.predict(centres)
             mean += share * here
             square += share * (here**2 + variance)
 
