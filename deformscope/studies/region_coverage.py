@@ -186,7 +186,7 @@ def known_surface(condition: RegionCondition, seed: int, prior: RegionPrior) -> 
 def _from_prior(
     rng: np.random.Generator, prior: RegionPrior, grid: MapGrid, places_m: FloatArray
 ) -> tuple[TrueMap, FloatArray]:
-    """A map of the prior, and what a contact feels at places (p, 2)."""
+    """A map of the prior, and what a contact feels at places (p, 2): off where it feels two regions."""
     count = int(rng.choice(4, p=[prior.one, prior.two, prior.three, prior.gradual])) + 1
     if count == 4:
         return _smooth(rng, prior, grid, places_m)
@@ -198,7 +198,10 @@ def _from_prior(
         return _true(np.zeros(grid.shape, dtype=np.int64), level), np.full(len(places_m), level[0])
     maps = draw(rng, count, grid.size_m, 1)
     labels = maps.labels(grid.centres_m)[0].reshape(grid.shape).astype(np.int64)
-    return _true(labels, level), maps.shares(places_m, prior.blur_m)[0] @ level
+    shares = maps.shares(places_m, prior.blur_m)[0]
+    mixed = 2.0 * (1.0 - (shares**2).sum(axis=-1))
+    off = prior.mixed_share * float(np.ptp(level)) * mixed * rng.standard_normal(len(places_m))
+    return _true(labels, level), shares @ level + off
 
 
 def _smooth(
