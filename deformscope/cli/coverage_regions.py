@@ -112,8 +112,8 @@ def _levels_table(rows: Sequence[RegionRow]) -> Table:
             )
         )
     names = ("truths", "explored", "levels", "held", "95 % band", "width")
-    names = (*names, "number right", "claimed", "wrong share", "claimed share", "touches")
-    return Table(lines, names, "90 % intervals of levels, where the number of regions is right, and that number")
+    numbers = ("number right", "claimed", "wrong share", "claimed share", "touches")
+    return Table(lines, (*names, *numbers), "90 % intervals of levels, where the number of regions is right, and that number")
 
 
 def _bins_table(bins: dict[str, list[ReliabilityBin]]) -> Table:

@@ -53,7 +53,7 @@ class TouchLab:
         tool: Tool | None = None,
         T_base_surface: npt.ArrayLike = T_BASE_SURFACE,
         arm_stiffness_n_m: float = ARM_STIFFNESS_N_M,
-        as_felt: Callable[[FloatArray, float], FloatArray] | None = None,
+        as_felt: Callable[[FloatArray, float], npt.NDArray[np.floating]] | None = None,
         view: Callable[[float], View] | None = None,
         camera_config: SyntheticDepthConfig | None = None,
         arm_model: str = "j2n6s300",
@@ -142,7 +142,7 @@ class TouchLab:
     def _load(self, time_s: float) -> FloatArray:
         """(3,) what the force sensor makes of its load [N]."""
         load = self.contact.load(time_s)
-        return load if self._as_felt is None else self._as_felt(load, time_s)
+        return load if self._as_felt is None else np.asarray(self._as_felt(load, time_s), np.float64)
 
     # Faults ----------------------------------------------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ violate it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -363,20 +363,24 @@ def region_rows(outcomes: Sequence[RegionOutcome]) -> list[RegionRow]:
     rows = []
     for name in dict.fromkeys(one.condition for one in outcomes):
         mine = [one for one in outcomes if one.condition == name]
-        wrong = np.array([[one.wrong, one.wrong_claimed] for one in mine if np.isfinite(one.wrong)]).reshape(-1, 2)
-        widths = [one.width for one in mine if np.isfinite(one.width)]
+        parted = [one for one in mine if np.isfinite(one.wrong)]
         rows.append(
             RegionRow(
-                name,
-                len(mine),
-                sum(one.right for one in mine),
-                float(np.mean([one.claimed for one in mine])),
-                sum(one.levels for one in mine),
-                sum(one.levels_covered for one in mine),
-                float(np.median(widths)) if widths else np.nan,
-                *(wrong.mean(axis=0).tolist() if len(wrong) else (np.nan, np.nan)),
-                float(np.median([one.scatter for one in mine])),
-                float(np.mean([one.touches for one in mine])),
+                condition=name,
+                objects=len(mine),
+                right=sum(one.right for one in mine),
+                claimed=float(np.mean([one.claimed for one in mine])),
+                levels=sum(one.levels for one in mine),
+                covered=sum(one.levels_covered for one in mine),
+                width=_or_nan(np.median, [one.width for one in mine if np.isfinite(one.width)]),
+                wrong=_or_nan(np.mean, [one.wrong for one in parted]),
+                wrong_claimed=_or_nan(np.mean, [one.wrong_claimed for one in parted]),
+                scatter=float(np.median([one.scatter for one in mine])),
+                touches=float(np.mean([one.touches for one in mine])),
             )
         )
     return rows
+
+
+def _or_nan(figure: Callable[[list[float]], np.floating], values: list[float]) -> float:
+    return float(figure(values)) if values else float("nan")
