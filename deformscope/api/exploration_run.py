@@ -111,7 +111,7 @@ def explore_on(config: ExploreConfig, report: Callable[[Explored], None]) -> Exp
         inclusion_m=config.smallest_inclusion or INCLUSION_M,
     )
     faults = [FaultAt.parse(text, options.budget) for text in config.fault]
-    opening = setup_of(config.rig, options, config.set_force, trusted=config.trust_rig)
+    opening = setup_of(config.rig, options, config.set_force, trusted=config.trust_rig, clean=config.clean)
     setup, options = opening.setup, opening.options
     to_come = FaultsToCome(opening.faulty_lab, faults, options.seed) if faults else None
     settings = {"explore": dataclasses.asdict(options), "seed": options.seed, "simulated": setup.simulated}
@@ -130,6 +130,7 @@ def explore_on(config: ExploreConfig, report: Callable[[Explored], None]) -> Exp
             recorder.stopped_because(f"{found.stop.kind}: {found.stop.reason}")
         if ending.began_s > 0.0 or found.stop is not None:
             as_json = _found(config, setup, options, found, recorder, ending, to_come)
+            as_json["laboratory"] = opening.settings.get("laboratory")
             explored = Explored(as_json, found.maps, setup.simulated)
             report(explored)
         if ending.error is not None:

@@ -44,7 +44,15 @@ def run(config: Table41Config) -> None:
     make_folder(config.out)
     planners = _planners(config.planners)
     jobs = [
-        TableJob(scene, seed, planner, config.touches, go_on=len(planners) > 1, closed_form=config.closed_form)
+        TableJob(
+            scene,
+            seed,
+            planner,
+            config.touches,
+            go_on=len(planners) > 1,
+            closed_form=config.closed_form,
+            clean=config.clean,
+        )
         for seed in range(config.seeds)
         for scene in _scenes(config.scenes)
         for planner in planners

@@ -28,6 +28,7 @@ from deformscope.config.reproduce import (
     CubesConfig,
     FoamsConfig,
     PokesConfig,
+    RegionCoverageConfig,
     SqueezesConfig,
     Table41Config,
 )

@@ -200,6 +200,9 @@ class ExploreConfig(RecordedOptions):
     ] = ()
     """Let something go wrong in a simulated touch, counted from 1, such as force-silent@2, at a moment drawn from the
     seed; --list-scenarios names the kinds."""
+    clean: bool = False
+    """Keep nothing from the estimator in a simulated scene: the arm is as its calibration says, the force exact, and
+    foam without scatter. Else these are drawn from the seed, as they would be on a table."""
     picture: flags.PictureFlag = None
     """Draw the maps to a PNG."""
     map: flags.ArraysFlag = None

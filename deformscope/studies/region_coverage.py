@@ -3,14 +3,15 @@
     outcomes = [explore_known(RegionCase(condition, seed)) for seed in reported(300)]
     region_row("stated prior", outcomes), reliability(outcomes)
 
-A touch is log stiffness blurred by its contact plus its errors (`LabErrors`, `touch_error`): no arm, no finite elements,
-so that hundreds of explorations take minutes. Posterior, planner and stop rule are those of `explore`. Truths come from
-the estimator's own prior (simulation-based calibration, Talts et al. 2018), and from scenes and errors that violate it.
+A touch is log stiffness blurred by its contact plus its errors (`LabErrors`, `touch_error`): no arm, no finite
+elements, so that hundreds of explorations take minutes. Posterior, planner and stop rule are those of `explore`. Truths
+come from the estimator's own prior (simulation-based calibration, Talts et al. 2018), and from scenes and errors that
+violate it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -26,7 +27,13 @@ from deformscope.lab.session_errors import LabErrors, SessionErrors
 from deformscope.stages.map.map_score import TrueMap, match_regions
 from deformscope.stages.map.plan import FieldKernel, PlanOptions, plan_touch
 from deformscope.stages.regions.partitions import draw
-from deformscope.stages.regions.posterior import SLOPES_PER_M, SMOOTH_LENGTHS_M, SMOOTH_SDS, RegionPosterior, RegionPrior
+from deformscope.stages.regions.posterior import (
+    SLOPES_PER_M,
+    SMOOTH_LENGTHS_M,
+    SMOOTH_SDS,
+    RegionPosterior,
+    RegionPrior,
+)
 from deformscope.stages.regions.touch_error import LAW_SD
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
@@ -65,29 +72,28 @@ class RegionCondition:
     arm_at: float | None = None
 
 
-def _scattered(share: float) -> LabErrors:
-    return LabErrors(scatter=(share, share))
+def scattered(share: float) -> RegionCondition:
+    """The laboratory with all its errors, and foam that scatters by this share."""
+    return RegionCondition(f"scatter {100.0 * share:g} %", "scenes", LabErrors(scatter=(share, share)))
 
 
 REGION_CONDITIONS = (
     RegionCondition("stated prior", "prior", None),
-    RegionCondition("scatter 3 %", "scenes", _scattered(0.03)),
-    RegionCondition("scatter 6 %", "scenes", _scattered(0.06)),
-    RegionCondition("scatter 10 %", "scenes", _scattered(0.10)),
+    *(scattered(share) for share in (0.03, 0.06, 0.10)),
     RegionCondition("gain off by 3 %", "scenes", LabErrors(), gain_at=FIXED),
     RegionCondition("arm off by a deviation", "scenes", LabErrors(), arm_at=FIXED),
     RegionCondition("scatter over 12 cm", "scenes", LabErrors(scatter_length_m=0.12)),
     RegionCondition("clean", "scenes", LabErrors.none()),
 )
-"""The first is the stated prior; then the laboratory with all its errors, one of them at a value of its own; the last two
-violate the model on either side: a scatter that neighbours share, and none."""
+"""The first is the stated prior; then the laboratory with all its errors, one of them at a value of its own; the last
+two violate the model on either side: a scatter that neighbours share, and none."""
 
 
 @dataclass(frozen=True, slots=True)
 class RegionCase:
-    """One exploration: its place in `REGION_CONDITIONS`, the seed, and touches at most."""
+    """One exploration: the condition, the seed, and touches at most."""
 
-    condition: int
+    condition: RegionCondition
     seed: int
     touches: int = TOUCHES
 
@@ -144,8 +150,8 @@ class KnownSurface:
         return np.random.default_rng([self.seed, 77])
 
     def touch(self, xy_m: FloatArray, arm_doubt: float) -> StiffnessSample:
-        """A touch at the nearest place (2,) [m]. arm_doubt: deviation of the compliance that its calibration states, as a
-        share of it"""
+        """A touch at the nearest place (2,) [m]. arm_doubt: deviation of the compliance that its calibration states, as
+        a share of it"""
         felt = float(self.felt[np.argmin(((self.places_m - xy_m) ** 2).sum(axis=1))])
         own_sd = float(np.hypot(LAW_SD, FIT_SD))
         bent = arm_doubt * 1e3 * np.exp(felt) / ARM_STIFFNESS_N_M  # k dC, for a deviation
@@ -180,7 +186,7 @@ def known_surface(condition: RegionCondition, seed: int, prior: RegionPrior) -> 
 def _from_prior(
     rng: np.random.Generator, prior: RegionPrior, grid: MapGrid, places_m: FloatArray
 ) -> tuple[TrueMap, FloatArray]:
-    """A map of the prior, and what a contact feels at places (p, 2)."""
+    """A map of the prior, and what a contact feels at places (p, 2): off where it feels two regions."""
     count = int(rng.choice(4, p=[prior.one, prior.two, prior.three, prior.gradual])) + 1
     if count == 4:
         return _smooth(rng, prior, grid, places_m)
@@ -192,7 +198,10 @@ def _from_prior(
         return _true(np.zeros(grid.shape, dtype=np.int64), level), np.full(len(places_m), level[0])
     maps = draw(rng, count, grid.size_m, 1)
     labels = maps.labels(grid.centres_m)[0].reshape(grid.shape).astype(np.int64)
-    return _true(labels, level), maps.shares(places_m, prior.blur_m)[0] @ level
+    shares = maps.shares(places_m, prior.blur_m)[0]
+    mixed = 2.0 * (1.0 - (shares**2).sum(axis=-1))
+    off = prior.mixed_share * float(np.ptp(level)) * mixed * rng.standard_normal(len(places_m))
+    return _true(labels, level), shares @ level + off
 
 
 def _smooth(
@@ -215,9 +224,7 @@ def _smooth(
     return TrueMap(None, np.zeros(0), np.zeros(0, dtype=bool), log_stiffness), field(places_m)
 
 
-def _from_scene(
-    name: str, seed: int, grid: MapGrid, places_m: FloatArray, blur_m: float
-) -> tuple[TrueMap, FloatArray]:
+def _from_scene(name: str, seed: int, grid: MapGrid, places_m: FloatArray, blur_m: float) -> tuple[TrueMap, FloatArray]:
     """A layout of the laboratory; what a contact feels is the mean over a Gaussian of `blur_m`."""
     scene = built_in(name, seed)
     node, weight = np.polynomial.hermite_e.hermegauss(7)
@@ -242,7 +249,7 @@ def _true(labels: IntArray, level: FloatArray) -> TrueMap:
 
 def explore_known(case: RegionCase) -> RegionOutcome:
     """One exploration, until the plan says enough."""
-    condition, prior = REGION_CONDITIONS[case.condition], RegionPrior()
+    condition, prior = case.condition, RegionPrior()
     surface = known_surface(condition, case.seed, prior)
     doubt = LabErrors().arm if condition.errors is None else condition.errors.arm or LabErrors().arm
     options = PlanOptions(budget=case.touches)
@@ -356,20 +363,24 @@ def region_rows(outcomes: Sequence[RegionOutcome]) -> list[RegionRow]:
     rows = []
     for name in dict.fromkeys(one.condition for one in outcomes):
         mine = [one for one in outcomes if one.condition == name]
-        wrong = np.array([[one.wrong, one.wrong_claimed] for one in mine if np.isfinite(one.wrong)]).reshape(-1, 2)
-        widths = [one.width for one in mine if np.isfinite(one.width)]
+        parted = [one for one in mine if np.isfinite(one.wrong)]
         rows.append(
             RegionRow(
-                name,
-                len(mine),
-                sum(one.right for one in mine),
-                float(np.mean([one.claimed for one in mine])),
-                sum(one.levels for one in mine),
-                sum(one.levels_covered for one in mine),
-                float(np.median(widths)) if widths else np.nan,
-                *(wrong.mean(axis=0).tolist() if len(wrong) else (np.nan, np.nan)),
-                float(np.median([one.scatter for one in mine])),
-                float(np.mean([one.touches for one in mine])),
+                condition=name,
+                objects=len(mine),
+                right=sum(one.right for one in mine),
+                claimed=float(np.mean([one.claimed for one in mine])),
+                levels=sum(one.levels for one in mine),
+                covered=sum(one.levels_covered for one in mine),
+                width=_or_nan(np.median, [one.width for one in mine if np.isfinite(one.width)]),
+                wrong=_or_nan(np.mean, [one.wrong for one in parted]),
+                wrong_claimed=_or_nan(np.mean, [one.wrong_claimed for one in parted]),
+                scatter=float(np.median([one.scatter for one in mine])),
+                touches=float(np.mean([one.touches for one in mine])),
             )
         )
     return rows
+
+
+def _or_nan(figure: Callable[[list[float]], np.floating], values: list[float]) -> float:
+    return float(figure(values)) if values else float("nan")

@@ -14,6 +14,7 @@ from deformscope.experiments.explore import AtOnce, Exploration, ExplorationStop
 from deformscope.experiments.explorer import AsMeasured, ExplorationStages, Explorer
 from deformscope.experiments.options import ExploreOptions
 from deformscope.lab.scenes import built_in
+from deformscope.lab.session_errors import LabErrors
 from deformscope.session import run
 from deformscope.stages.map.exploration import PlannedTouch, TouchEstimate
 from deformscope.stages.map.map_score import TrueMap, score_map
@@ -35,9 +36,9 @@ def run_table(job: TableJob) -> TableRun:
             thickness_m=scene.thickness_m,
             go_on=job.go_on,
         )
-        robot = LabRobot(scene, options, sees=False)
+        robot = LabRobot(scene, options, sees=False, errors=LabErrors.none() if job.clean else LabErrors())
         explorer = Explorer(scene.size_m, options, robot.arm, robot.truth)
-        truth = true_map(scene, options)
+        truth = true_map(robot.scene, options)
         found = Exploration()
         scores = _Scores(found, explorer, robot, truth)
         stages = ExplorationStages(explorer, AsMeasured(scene.size_m, robot.reachable))

@@ -16,7 +16,8 @@ from deformscope.stages.map.plan import Planner
 @dataclass(frozen=True, slots=True)
 class TableJob:
     """One exploration. go_on: to the last touch, also after the plan has said enough, so that planners compare
-    closed_form: touches are what a contact feels in closed form, instead of finite elements
+    closed_form: touches are what a contact feels in closed form, instead of finite elements; clean: the laboratory
+    keeps nothing from the estimator
     """
 
     scene: str
@@ -25,6 +26,7 @@ class TableJob:
     touches: int = 8
     go_on: bool = False
     closed_form: bool = False
+    clean: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -270,8 +270,8 @@ class RegionPosterior:
                 square += (weight * (levels[:, rank] ** 2 + variance[:, rank])) @ here
             if levels.shape[1] == k:
                 probability, level, cov, shared = shares / weight.sum(), levels, covs, weight
-        for field, share in hypotheses.smooth:
-            here, variance = field.predict(centres)
+        for smooth, share in hypotheses.smooth:
+            here, variance = smooth.predict(centres)
             mean += share * here
             square += share * (here**2 + variance)
 
@@ -564,9 +564,7 @@ def _solved(sums: FloatArray, prior_precision: Sequence[float]) -> tuple[FloatAr
     return mean, cov, log_det
 
 
-def _by_scatter(
-    shares: FloatArray, readings: _Readings, prior: RegionPrior, last_noise: float = 1.0
-) -> FloatArray:
+def _by_scatter(shares: FloatArray, readings: _Readings, prior: RegionPrior, last_noise: float = 1.0) -> FloatArray:
     """(s, n) log likelihood of maps under each scatter, with its prior."""
     scatter, share = prior.error.scatters()
     return _levels(shares, readings, prior, scatter[:, None], last_noise)[0] + np.log(share)[:, None]

@@ -3,14 +3,14 @@
     log k_i = level(place_i) + own_i + scatter_i + gain + arm * arm_i
 
 own: of each touch alone, its deviation known from its fit (`StiffnessSample.log_sd`); scatter: of each touch alone too,
-from place to place within one material and from touch to touch at one place, its deviation *unknown*: it has a prior and
-is learned from the touches, so that few of them leave heavy tails; gain and arm: the same in all touches of a session.
-A gain moves all levels alike and no contrast; an arm that yields more or less than its calibration says moves touches in
-proportion to their stiffness (`StiffnessSample.arm_sd`: by how much for one deviation of the compliance).
+from place to place within one material and from touch to touch at one place, its deviation *unknown*: it has a prior
+and is learned from the touches, so that few of them leave heavy tails; gain and arm: the same in all touches of a
+session. A gain moves all levels alike and no contrast; an arm that yields more or less than its calibration says moves
+touches in proportion to their stiffness (`StiffnessSample.arm_sd`: by how much for one deviation of the compliance).
 
-What is left out, and why: the thickness that is stated does not enter apparent stiffness (the modulus alone); a camera's
-tilt of 2 deg changes the force along the normal by 6e-4; a zero of the force that drifts is taken off in each approach;
-a gain that drifts within a session (1 %) is a part of the scatter.
+What is left out, and why: the thickness that is stated does not enter apparent stiffness (the modulus alone); a
+camera's tilt of 2 deg changes the force along the normal by 6e-4; a zero of the force that drifts is taken off in each
+approach; a gain that drifts within a session (1 %) is a part of the scatter.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ a ball sinks into by its radius say 2 to 3 %. It is part of `own`."""
 
 SCATTER_MEDIAN, SCATTER_SPREAD = 0.04, 0.6
 """Of the scatter: log-normal, so that nine of ten materials lie between 1.5 and 11 %. Foam of one block varies by some
-2 to 10 % in stiffness over its length [assumed: from makers' tolerances of density, which stiffness follows squared]."""
+2 to 10 % in stiffness over its length [assumed: from makers' tolerances of density, which stiffness follows
+squared]."""
 
 SCATTER_VALUES = 6
 SCATTER_SDS = 1.9
@@ -36,13 +37,14 @@ SCATTER_SDS = 1.9
 the one before; ten touches determine it to a factor of 1.3 at best."""
 
 GAIN_SD = 0.025
-"""Of log stiffness, common to a session: a force sensor with its nominal sensitivity is off by some 3 %, which moves the
-stiffness at a set force by 2 % where force grows with depth^1.5, and by 3 % where a touch ended by its depth."""
+"""Of log stiffness, common to a session: a force sensor with its nominal sensitivity is off by some 3 %, which moves
+the stiffness at a set force by 2 % where force grows with depth^1.5, and by 3 % where a touch ended by its depth."""
 
 
 @dataclass(frozen=True, slots=True)
 class TouchErrorModel:
-    """What is taken for granted of touches. scatter_median, scatter_spread: log-normal prior of the scatter's deviation;
+    """What is taken for granted of touches. scatter_median, scatter_spread: log-normal prior of the scatter's
+    deviation;
     gain_sd: common to all touches; all of log stiffness"""
 
     scatter_median: float = SCATTER_MEDIAN
