@@ -22,7 +22,7 @@ def test_a_contact_feels_what_is_around_it() -> None:
 
 
 def test_an_exploration_in_closed_form_is_a_row_as_any() -> None:
-    run = run_closed_form(TableJob("two-60-rigid", 2, touches=4, closed_form=True))
+    run = run_closed_form(TableJob("two-60-rigid", 2, touches=4, closed_form=True, clean=True))
     assert [one.touches for one in run.after] == [1, 2, 3, 4]
     assert any(one.rigid and one.log_stiffness == RIGID_LOG for one in run.after)
     last = run.after[-1]

@@ -180,7 +180,7 @@ class RegionPosterior:
 
     @classmethod
     def before_touches(
-        cls, grid: MapGrid, prior: RegionPrior | None = None, *, particle_count: int = 1200, seed: int = 0
+        cls, grid: MapGrid, prior: RegionPrior | None = None, *, particle_count: int = 2000, seed: int = 0
     ) -> RegionPosterior:
         """What is known at first. particle_count: maps kept for each number of regions; four times as many at first"""
         if particle_count < 50:
