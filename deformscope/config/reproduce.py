@@ -127,6 +127,8 @@ class Table41Config(RecordedOptions):
     """Layouts of each scene, from seed 0 on."""
     touches: flags.ManyFlag = 12
     """Touches of each exploration."""
+    closed_form: bool = False
+    """Take what a contact feels in closed form instead of pressing finite elements: no surface, no arm, far faster."""
     clean: bool = False
     """Keep nothing from the estimator: the arm is as its calibration says, the force exact, foam without scatter."""
     resume: bool = False

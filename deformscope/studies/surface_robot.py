@@ -54,12 +54,20 @@ def true_map(scene: Scene, options: ExploreOptions) -> TrueMap:
 def _slab_log_stiffness(
     modulus_pa: FloatArray, set_force_n: float, max_depth_m: float, radius_m: float, thickness_m: float, poisson: float
 ) -> FloatArray:
-    """(...,) log of force over depth [N/mm] on slabs of one modulus, at the set force or the largest depth."""
+    """(...,) log of force over depth [N/mm] on slabs of one modulus, at the set force."""
     depth_m, force_n = _slab_curve(max_depth_m, radius_m, thickness_m, poisson)
     # linear foam: the force at a depth is in proportion to the modulus
-    at_n = np.minimum(set_force_n, force_n[-1] * modulus_pa / SOFT_PA)
-    sunk_m = PchipInterpolator(force_n, depth_m)(at_n * SOFT_PA / modulus_pa)
-    return np.asarray(np.log(1e-3 * at_n / sunk_m))
+    at_n = set_force_n * SOFT_PA / modulus_pa
+    within_m = PchipInterpolator(force_n, depth_m)(np.minimum(at_n, force_n[-1]))
+    return np.asarray(np.log(1e-3 * set_force_n / (within_m * _deeper(at_n, force_n, depth_m))))
+
+
+def _deeper(at_n: FloatArray | float, force_n: FloatArray, depth_m: FloatArray) -> FloatArray:
+    """(...,) how many times as deep as the last of these depths (n,) a force would sink: 1 up to the last of these
+    forces (n,), beyond by the power law in which they end."""
+    before_n = 0.8 * force_n[-1]
+    power = np.log(depth_m[-1] / np.interp(before_n, force_n, depth_m)) / np.log(force_n[-1] / before_n)
+    return np.asarray(np.maximum(np.asarray(at_n) / force_n[-1], 1.0) ** power)
 
 
 @lru_cache(maxsize=8)
@@ -74,10 +82,11 @@ def _slab_curve(
 
 
 def felt_log_stiffness(made: Approach, set_force_n: float) -> float:
-    """Log of force over depth [N/mm] that a touch would have measured without noise: at the same force."""
-    at_n = min(set_force_n, float(made.true_force_n.max()))
+    """Log of force over depth [N/mm] at the set force that a touch would have measured without noise."""
     loading = slice(0, int(made.true_force_n.argmax()) + 1)
-    return float(np.log(1e-3 * at_n / np.interp(at_n, made.true_force_n[loading], made.true_depth_m[loading])))
+    force_n, depth_m = made.true_force_n[loading], made.true_depth_m[loading]
+    sunk_m = np.interp(set_force_n, force_n, depth_m) * _deeper(set_force_n, force_n, depth_m)
+    return float(np.log(1e-3 * set_force_n / sunk_m))
 
 
 class LabRobot:

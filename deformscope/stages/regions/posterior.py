@@ -124,6 +124,25 @@ class RegionHypotheses:
     maps: tuple[tuple[Partitions | None, FloatArray, FloatArray, FloatArray], ...]
     smooth: tuple[tuple[SmoothField, float], ...]
 
+    def predict(self, places_m: FloatArray, blur_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Mean and variance (h, p) of what a contact feels at places (p, 2) under each hypothesis, and its probability
+        (h,)."""
+        means: list[FloatArray] = []
+        variances: list[FloatArray] = []
+        weights: list[FloatArray] = []
+        for maps, level, cov, weight in self.maps:
+            shares = np.ones((1, len(places_m), 1)) if maps is None else maps.shares(places_m, blur_m)
+            means.append((shares @ level[..., None])[..., 0])
+            variances.append(((shares @ cov) * shares).sum(axis=-1))
+            weights.append(weight)
+        for smooth, share in self.smooth:
+            mean, variance = smooth.predict(places_m)
+            means.append(mean[None])
+            variances.append(variance[None])
+            weights.append(np.array([share]))
+        weight = np.concatenate(weights)
+        return np.concatenate(means), np.concatenate(variances), weight / weight.sum()
+
 
 @dataclass(frozen=True, slots=True)
 class _Readings:
