@@ -100,7 +100,7 @@ class RegionCoverageConfig(RecordedOptions):
     """One more condition: foam whose log stiffness scatters by this, such as 0.08."""
     only: Annotated[str, arg(metavar="NAME,NAME...")] = ""
     """These conditions alone, such as "stated prior,scatter 6 %"."""
-    touches: flags.ManyFlag = 12
+    touches: flags.ManyFlag = 8
     """Touches of each exploration at most."""
     jobs: flags.ManyFlag = 2
     """Processes that share the work."""

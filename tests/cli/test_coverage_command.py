@@ -82,7 +82,7 @@ def test_coverage_of_regions_prints_levels_and_bins(tmp_path: Path, capsys: pyte
     flags = ["--objects", "5", "--touches", "1", "--jobs", "1", "--scatter", "0.08", "--only", "scatter 8 %"]
     assert main(["coverage", "regions", *flags, "--json", str(target)]) == 0
     said = capsys.readouterr().out
-    assert "intervals of levels" in said
+    assert "Levels in 90 % intervals" in said
     assert "holds the claim" in said
     found = json.loads(target.read_text())
     (row,) = found["conditions"]
