@@ -99,7 +99,7 @@ def study(plan: PokeStudyPlan, *, device: str = "cpu", progress: Progress | None
     for index, one in enumerate(every):
         if progress is not None:
             progress(f"finite elements, {plan.name}", index, len(every))
-        seen.append(_observe(plan.slab, one))
+        seen.append(observe(plan.slab, one))
     fitted, unseen = seen[: len(plan.fitted)], seen[len(plan.fitted) :]
     surface = MeasuredSurface(fitted[0].rest, plan.slab.size[2])
     fit = fit_pokes(surface, [seen_poke(one) for one in fitted], device=device, progress=progress)
@@ -107,7 +107,8 @@ def study(plan: PokeStudyPlan, *, device: str = "cpu", progress: Progress | None
     return Studied(plan, found, tuple(compare(found.model, unseen, device=device, progress=progress)))
 
 
-def _observe(slab: Slab, one: Press) -> Observation:
+def observe(slab: Slab, one: Press) -> Observation:
+    """What is seen of the slab's surface under a poke, by its finite elements."""
     points = slab.grid(GRID)
     half = (0.5 * one.sides[0], 0.5 * one.sides[1])
     dent = press(slab, one.at, RigidTip(half), points, force=one.force)

@@ -24,17 +24,21 @@ from deformscope.stages.regions.posterior import (
     PRIOR_MARGIN_M,
     RegionPosterior,
     RegionPrior,
+    SmoothField,
     SmoothKernel,
     SurfaceKind,
 )
+from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
-SCATTERS = {0.02: 0.3, 0.05: 0.45, 0.12: 0.25}
-"""Deviation of log stiffness from poke to poke within a material, and the prior probability of each."""
+OWN_SD = 0.01
+"""Of log stiffness: what lattice and contact are solved to in each poke, beside the scatter that is learned."""
 
 CONTACT = 0.6
 """Deviation of the Gaussian that a poke feels the surface with, as a share of the tip's width: on finite element halves
 a tip of 2 cm feels what lies within 1.1 to 1.2 cm."""
+
+USUAL_TIP_M = 0.02
 
 FEWEST_CONTACTS = 10.0
 """Pokes nearer than this many of these deviations are on a part of a surface; regions are not sought to be smaller."""
@@ -43,15 +47,19 @@ FREE_SHARE, FREE_SD, FREE_LENGTH_M = 0.03, 0.7, 0.08
 """Prior probability of a surface that is no map and nothing smooth: log stiffness wanders by this deviation over this
 length, on a surface of 0.6 m."""
 
-REPEATED = 0.2
-"""Probability that a poke at the very place of an earlier one meets the same, whatever the maps say: above a tenth, so
-that a 90 % interval holds it for certain."""
+REPEATED = 0.25
+"""Probability that a poke at the very place of an earlier one meets the same, whatever the maps say: half of it is more
+than a tenth, so that a 90 % interval holds that poke for certain."""
+
+TAILS = 10
+"""Shares of what an interval leaves out that may lie below it."""
 
 FREEDOM = 5.0
 """Of Student's t: errors have heavier tails than a Gaussian's."""
 
 PARTICLES, MAPS, CELL_M = 300, 300, 0.02
-SINGLE_POKE_SHARES = tuple(SCATTERS.values())
+ERROR = TouchErrorModel(gain_sd=0.0)
+"""All pokes are of one session: what they share, forces predicted for it share too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,14 +90,17 @@ class StiffnessField:
     def interval(
         self, place: FloatArray, level: float = 0.9, *, contact_m: float | None = None, extra: float = 0.0
     ) -> FloatArray:
-        """Ends (n, 2) [N/m] between which a poke at places (n, 2) meets the stiffness with probability `level`.
+        """Ends (n, 2) [N/m] between which a poke at places (n, 2) meets the stiffness with probability `level`: those of
+        the smallest ratio, so that a material which is hardly possible is left out.
 
         contact_m: deviation of what that poke feels, if its tip is another; extra: deviation of log stiffness for other
         reasons
         """
         mixture = self._mixture(np.atleast_2d(place), contact_m)
-        ends = [self._quantile(mixture, 0.5 + 0.5 * sign * level, extra) for sign in (-1, 1)]
-        return np.stack(ends, axis=-1)
+        below = (1.0 - level) * (np.arange(TAILS) + 0.5) / TAILS
+        low, high = (np.array([self._quantile(mixture, one, extra) for one in ends]) for ends in (below, below + level))
+        best = np.argmin(high / low, axis=0)[None]
+        return np.stack([np.take_along_axis(end, best, axis=0)[0] for end in (low, high)], axis=-1)
 
     @cached_property
     def kind(self) -> SurfaceKind:
@@ -101,12 +112,9 @@ class StiffnessField:
         """Of "1", "2", "3" regions, and "gradual": whatever is neither."""
         if len(self.stiffness) == 1:
             return {"1": 1.0, "2": 0.0, "3": 0.0, "gradual": 0.0}
-        found = dict.fromkeys(("1", "2", "3", "gradual"), 0.0)
-        for share, free, posterior, _ in self._posteriors:
-            for name, value in posterior.probability.items():
-                found[name] += share * (1.0 - free) * value
-            found["gradual"] += share * free
-        return found
+        free = sum(share for _, share in self._free)
+        found = {name: (1.0 - free) * share for name, share in self._posterior.probability.items()}
+        return found | {"gradual": found["gradual"] + free}
 
     @cached_property
     def left_out(self) -> FloatArray:
@@ -118,16 +126,17 @@ class StiffnessField:
         if len(self.stiffness) == 1:
             return np.full(1, np.nan)
         value = np.log(self.stiffness)
-        parts = self._hypotheses(self.places, self.contact_m)
+        centre = value.mean()
         means, variances, logs = [], [], []
-        for mean, variance, noise2, weight in parts:
-            own = np.maximum(1.0 / variance - 1.0 / noise2, 1e-9)  # precision without the poke
-            others = (mean / variance - value / noise2) / own
+        for mean, variance, noise2, weight in self._hypotheses(self.places, self.contact_m):
+            own = np.maximum(1.0 / variance - 1.0 / noise2, 1.0)  # precision without the poke; the prior's is 1
+            others = centre + ((mean - centre) / variance - (value - centre) / noise2) / own
+            others = np.clip(others, value.min(), value.max())
             wide = 1.0 / own + noise2
             unexpected = 0.5 * ((value - others) ** 2 / wide + np.log(wide))
             means.append(others)
             variances.append(wide)
-            logs.append(np.log(weight)[:, None] + unexpected)
+            logs.append(np.log(np.maximum(weight, 1e-300))[:, None] + unexpected)
         log_weight = np.concatenate(logs)
         shares = np.exp(log_weight - logsumexp(log_weight, axis=0))
         return self._quantile(_Mixture(np.concatenate(means), np.concatenate(variances), shares), 0.5) / self.stiffness - 1
@@ -143,22 +152,16 @@ class StiffnessField:
     def _mixture(self, place: FloatArray, contact_m: float | None) -> _Mixture:
         value = np.log(self.stiffness)
         if len(value) == 1:
-            scatter, share = (np.array(list(one))[:, None] for one in (SCATTERS.keys(), SCATTERS.values()))
-            ones = np.ones((1, len(place)))
-            return _Mixture(value[0] * np.ones_like(scatter * ones), scatter**2 * ones, share * ones)
-        contact = self.contact_m if contact_m is None else contact_m
-        away = cdist(place, self.places)
-        same = REPEATED * np.exp(-0.5 * (away / self.contact_m) ** 2)
-        repeated = 1.0 - np.prod(1.0 - same, axis=1)
-        means, variances, weights = [], [], []
-        for mean, variance, noise2, weight in self._hypotheses(place, contact):
-            means.append(mean)
-            variances.append(variance + noise2)
-            weights.append(weight[:, None] * (1.0 - repeated))
-        for share, _, _, scatter in self._posteriors:
-            means.append(np.repeat(value[:, None], len(place), axis=1))
-            variances.append(np.full(away.T.shape, scatter**2))
-            weights.append(share * (repeated[:, None] * same / np.maximum(same.sum(axis=1, keepdims=True), 1e-300)).T)
+            flat = np.full((1, len(place)), value[0])
+            return _Mixture(flat, np.full_like(flat, OWN_SD**2 + ERROR.touch_sd**2), np.ones_like(flat))
+        near = REPEATED * np.exp(-0.5 * (cdist(self.places, place) / self.contact_m) ** 2)  # (p, n)
+        repeated = 1.0 - np.prod(1.0 - near, axis=0)
+        parts = self._hypotheses(place, self.contact_m if contact_m is None else contact_m)
+        means = [mean for mean, _, _, _ in parts] + [np.repeat(value[:, None], len(place), axis=1)]
+        variances = [variance + noise2 for _, variance, noise2, _ in parts]
+        variances.append(np.full(near.shape, self._posterior.touch_sd**2))
+        weights = [weight[:, None] * (1.0 - repeated) for _, _, _, weight in parts]
+        weights.append(repeated * near / np.maximum(near.sum(axis=0), 1e-300))
         return _Mixture(np.concatenate(means), np.concatenate(variances), np.concatenate(weights))
 
     def _hypotheses(
@@ -166,48 +169,38 @@ class StiffnessField:
     ) -> list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
         """Of every hypothesis at n places: mean (c, n) and variance (c, n) of log stiffness, variance (c, n) of a poke
         about it, and probability (c,)."""
-        at = self._scaled(place)
+        at, posterior, free = self._scaled(place), self._posterior, sum(share for _, share in self._free)
         spread = float(np.ptp(np.log(self.stiffness)))
-        found = []
-        for share, free, posterior, scatter in self._posteriors:
-            hypotheses = posterior.hypotheses(MAPS)
-            rest = share * (1.0 - free)
-            for maps, level, cov, weight in hypotheses.maps:
-                felt = np.ones((1, len(at), 1)) if maps is None else maps.shares(at, contact_m * self._scale)
-                mixed = 2.0 * (1.0 - (felt**2).sum(axis=-1))
-                mean = np.einsum("cnk,ck->cn", felt, level)
-                variance = np.einsum("cnk,ckl,cnl->cn", felt, cov, felt)
-                noise2 = scatter**2 + (posterior.prior.mixed_share * spread * mixed) ** 2
-                found.append((mean, variance, noise2, rest * weight))
-            fields = [(field, rest * weight) for field, weight in hypotheses.smooth]
-            for field, weight in [*fields, (posterior.smooth_field(self._free), share * free)]:
-                mean, variance = field.predict(at)
-                noise2 = np.full((1, len(at)), scatter**2)
-                found.append((mean[None], np.maximum(variance, 1e-9)[None], noise2, np.array([weight])))
-        return found
+        hypotheses = posterior.hypotheses(MAPS)
+        scatter2, found = posterior.touch_sd**2, []
+        for maps, level, cov, weight in hypotheses.maps:
+            felt = np.ones((len(level), len(at), 1)) if maps is None else maps.shares(at, contact_m * self._scale)
+            mixed = 2.0 * (1.0 - (felt**2).sum(axis=-1))
+            mean = np.einsum("cnk,ck->cn", felt, level)
+            variance = np.einsum("cnk,ckl,cnl->cn", felt, cov, felt)
+            noise2 = scatter2 + (posterior.prior.mixed_share * spread * mixed) ** 2
+            found.append((mean, variance, noise2, (1.0 - free) * weight))
+        for field, share in [*((field, (1.0 - free) * share) for field, share in hypotheses.smooth), *self._free]:
+            mean, variance = field.predict(at)
+            found.append((mean[None], variance[None], np.full((1, len(at)), scatter2), np.array([share])))
+        return [part for part in found if part[3].sum() > 0.0]
 
     @cached_property
-    def _posteriors(self) -> tuple[tuple[float, float, RegionPosterior, float], ...]:
-        """For each scatter: its probability, that of the free surface under it, the posterior of maps, the scatter."""
-        found = []
-        for scatter, prior in SCATTERS.items():
-            posterior = _posterior(self._scaled(self.places), np.log(self.stiffness), scatter, self._prior)
-            maps = np.log1p(-FREE_SHARE) + posterior.log_evidence
-            free = np.log(FREE_SHARE) + posterior.smooth_field(self._free).log_evidence
-            every = float(np.logaddexp(maps, free))
-            found.append((np.log(prior) + every, float(np.exp(free - every)), posterior, scatter))
-        logs = np.array([one[0] for one in found])
-        shares = np.exp(logs - logsumexp(logs))
-        return tuple((float(share), *one[1:]) for share, one in zip(shares, found, strict=True))
+    def _posterior(self) -> RegionPosterior:
+        at = self._scaled(self.places)
+        size = np.maximum(at.max(axis=0) + PRIOR_MARGIN_M, 4.0 * PRIOR_MARGIN_M)
+        grid = MapGrid((float(size[0]), float(size[1])), CELL_M)
+        prior = RegionPrior(blur_m=self.contact_m * self._scale, error=ERROR)
+        posterior = RegionPosterior.before_touches(grid, prior, particle_count=PARTICLES)
+        for xy_m, value in zip(at, np.log(self.stiffness), strict=True):
+            posterior = posterior.with_touch(StiffnessSample(xy_m, float(value), OWN_SD))
+        return posterior
 
-    @property
-    def _prior(self) -> RegionPrior:
-        return RegionPrior(blur_m=self.contact_m * self._scale, within_sd=0.0)
-
-    @property
-    def _free(self) -> SmoothKernel:
-        middle = 0.5 * PRIOR_EXTENT_M * np.ones(2)
-        return SmoothKernel(self._prior.level_sd, middle, 0.0, FREE_SD, FREE_LENGTH_M)
+    @cached_property
+    def _free(self) -> tuple[tuple[SmoothField, float], ...]:
+        middle = 0.5 * np.asarray(self._posterior.grid.size_m)
+        kernel = SmoothKernel(self._posterior.prior.level_sd, middle, 0.0, FREE_SD, FREE_LENGTH_M)
+        return self._posterior.beside(kernel, FREE_SHARE)
 
     @property
     def _scale(self) -> float:
@@ -219,12 +212,14 @@ class StiffnessField:
         return np.asarray((place - self.places.min(axis=0)) * self._scale + PRIOR_MARGIN_M)
 
 
-def fit_field(places: FloatArray, stiffness: FloatArray, tip_width: float) -> StiffnessField:
-    """The field that pokes (p, 2) with a tip of this width [m] say. Raises InputError for stiffness that is not above
-    0."""
+def fit_field(places: FloatArray, stiffness: FloatArray, tip_width: float | None) -> StiffnessField:
+    """The field that pokes (p, 2) with a tip of this width [m], `USUAL_TIP_M` if not known, say.
+
+    Raises InputError for stiffness that is not above 0.
+    """
     if not (np.isfinite(stiffness).all() and (stiffness > 0.0).all()):
         raise InputError("stiffness above 0 at every poke", f"{float(np.min(stiffness)):g} N/m")
-    return StiffnessField(places, stiffness, CONTACT * tip_width)
+    return StiffnessField(places, stiffness, CONTACT * (USUAL_TIP_M if tip_width is None else tip_width))
 
 
 def kind_of(probability: dict[str, float]) -> SurfaceKind:
@@ -233,11 +228,3 @@ def kind_of(probability: dict[str, float]) -> SurfaceKind:
         return "gradual"
     return "uniform" if probability["1"] >= max(probability["2"], probability["3"]) else "materials"
 
-
-def _posterior(at: FloatArray, value: FloatArray, scatter: float, prior: RegionPrior) -> RegionPosterior:
-    size = np.maximum(at.max(axis=0) + PRIOR_MARGIN_M, 4.0 * PRIOR_MARGIN_M)
-    grid = MapGrid((float(size[0]), float(size[1])), CELL_M)
-    posterior = RegionPosterior.before_touches(grid, prior, particle_count=PARTICLES)
-    for xy_m, one in zip(at, value, strict=True):
-        posterior = posterior.with_touch(StiffnessSample(xy_m, float(one), scatter))
-    return posterior
