@@ -303,7 +303,7 @@ class Explorer:
         posterior = None
         if contact is not None:
             fit = contact.fit
-            seen = StiffnessSample(touched.xy_m, fit.log_stiffness, fit.log_sd, fit.rigid)
+            seen = StiffnessSample(touched.xy_m, fit.log_stiffness, fit.own_log_sd, fit.rigid, fit.arm_log_sd)
             posterior = self._stage("regions", lambda: self.posterior.with_touch(seen))
         self._usable = posterior is not None
         if posterior is None:
@@ -385,6 +385,7 @@ class Explorer:
             touched.normal,
             set_force_n=options.set_force_n,
             arm=self._arm,
+            gain_sd=self.posterior.prior.error.gain_sd,
         )
         law = fitted_law(fit, self._arm, _along(touched))
         modulus = None

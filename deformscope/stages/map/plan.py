@@ -9,7 +9,7 @@ these per second.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, cast
 
 import numpy as np
@@ -19,7 +19,8 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.regions.posterior import RegionHypotheses, RegionPosterior, ranked_labels
+from deformscope.stages.regions.posterior import RegionHypotheses, RegionPosterior, labels_of
+from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid
 
 Planner = Literal["regions", "integrated-variance", "max-variance", "random-above"]
@@ -50,7 +51,7 @@ class FieldKernel:
 
     sd: float = 0.5
     length_m: float = 0.12
-    noise_sd: float = 0.08
+    noise_sd: float = field(default_factory=lambda: TouchErrorModel().touch_sd)
 
     def covariance(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """(n, m) between places (n, 2) and (m, 2) [m]."""
@@ -177,7 +178,7 @@ def label_gain(
         regions = level.shape[1]
         here = slice(start, start + len(level))
         start += len(level)
-        labels = np.zeros((1, len(cells_m)), dtype=np.int8) if maps is None else ranked_labels(maps, level, cells_m)
+        labels = labels_of(maps, level, cells_m)
         for rank in range(regions):
             is_rank = labels == rank
             credit = is_rank / np.maximum(regions * is_rank.mean(axis=1, keepdims=True), 1e-9)
@@ -326,14 +327,14 @@ def _gain(
         gain[allowed] = inclusion_gain(places[allowed], touched, places, posterior.grid.size_m, posterior.prior.blur_m)
         return gain, "inclusion", gain / cost
     if allowed.any():
-        gain[allowed] = _region_gain(posterior, kernel.noise_sd, places[allowed], cost[allowed])
+        gain[allowed] = _region_gain(posterior, places[allowed], cost[allowed])
     return gain, "label", gain / cost
 
 
-def _region_gain(posterior: RegionPosterior, noise_sd: float, places: FloatArray, cost: FloatArray) -> FloatArray:
+def _region_gain(posterior: RegionPosterior, places: FloatArray, cost: FloatArray) -> FloatArray:
     """(p,) what a touch is expected to add to the labels, and to levels that are hardly known; for all but the places
     that are most informative, as far as the latter go."""
-    hypotheses, blur = posterior.hypotheses(), posterior.prior.blur_m
+    hypotheses, blur, noise_sd = posterior.hypotheses(), posterior.prior.blur_m, posterior.touch_sd
     gain = LEVEL_WORTH * level_information(hypotheses, places, blur, posterior.prior.rigid_sd)
     learned = LEVEL_WORTH * information(hypotheses, places, blur, noise_sd)
     best = np.argsort(-(gain + learned) / cost, kind="stable")[:CONTENDERS]

@@ -15,6 +15,7 @@ from scipy.optimize import least_squares
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
+from deformscope.stages.regions.touch_error import LAW_SD
 
 TipKind = Literal["sphere", "flat"]
 
@@ -23,10 +24,6 @@ EXPONENT = {"sphere": 1.5, "flat": 1.0}
 
 EXPONENT_SD = 0.08
 """Layers, large strain and foams that are not linear move the exponent by about this."""
-
-LAW_SD = 0.02
-"""Of log stiffness, for the law's sake: on a bonded layer the exponent grows with depth. Finite elements of a foam that
-a ball sinks into by its radius say 2 to 3 %."""
 
 LOADED = 0.05
 """Share of the reference force from which on samples are fitted: below, force noise hides the law."""
@@ -58,7 +55,9 @@ class ContactFit:
     """What an approach measures at the place.
 
     stiffness_n_per_mm: force over depth at `at_force_n` (apparent stiffness), with its 90 % `interval_n_per_mm`; of a
-    `rigid` place a lower bound, whose interval is open above; log_stiffness, log_sd: its natural log and deviation
+    `rigid` place a lower bound, whose interval is open above; log_stiffness, log_sd: its natural log and deviation,
+    which is of `own_log_sd`, what this touch alone is off by, and of what all touches of a session share: `arm_log_sd`,
+    for one deviation of the arm's compliance, and the gain of the force
     depth_m: of the dent at `at_force_n`; contact_m: where contact began, on the axis of the approach, which grows into
     the surface; exponent, exponent_sd: p; peak_force_n: along the normal, tare taken off
     residual_m: scatter of the arm's position about the law; arm_sd_m: what is not known of the depth for the arm's sake
@@ -69,6 +68,8 @@ class ContactFit:
     interval_n_per_mm: tuple[float, float]
     log_stiffness: float
     log_sd: float
+    own_log_sd: float
+    arm_log_sd: float
     rigid: bool
     at_force_n: float
     depth_m: float
@@ -93,6 +94,7 @@ def fit_approach(
     arm: ArmCompliance | None = None,
     force_sd_n: float | None = None,
     exponent_sd: float = EXPONENT_SD,
+    gain_sd: float = 0.0,
 ) -> ContactFit:
     """Fit the law to an approach, from before contact to the peak of the force; what follows is left out.
 
@@ -101,6 +103,7 @@ def fit_approach(
     before, it is taken at the force reached
     arm: how the arm yields, from `calibrate_compliance`; default a stiff arm that scatters by 0.1 mm
     force_sd_n: noise of the force, default as it scatters before contact
+    gain_sd: of log stiffness, for the sake of the force sensor's gain
 
     The position is fitted as a function of the force, since the arm's scatter is what matters:
     z = z0 + d (F / F0)^(1/p) + c F, least squares with a soft loss and a Gaussian prior on p.
@@ -136,20 +139,26 @@ def fit_approach(
     jacobian[:-1] /= inflation
     cov = np.linalg.pinv(jacobian.T @ jacobian)
     # compliance that is off moves the depth by as much as the force times it; it is the same in every touch
-    depth_sd = float(np.hypot(np.sqrt(cov[1, 1]), arm.compliance_sd * at_force))
+    own_depth_sd, bent_m = float(np.sqrt(cov[1, 1])), arm.compliance_sd * at_force
+    depth_sd = float(np.hypot(own_depth_sd, bent_m))
     arm_sd = arm.depth_sd_m(at_force)
 
     if depth < RIGID_SDS * arm_sd:
         bound = 1e-3 * at_force / (RIGID_SDS * arm_sd)
         stiffness, interval, log_sd, rigid = bound, (bound, np.inf), max(depth_sd, arm_sd) / (RIGID_SDS * arm_sd), True
+        own_log_sd, arm_log_sd = log_sd, 0.0
     else:
-        stiffness, log_sd, rigid = 1e-3 * at_force / depth, float(np.hypot(depth_sd / depth, LAW_SD)), False
+        stiffness, rigid = 1e-3 * at_force / depth, False
+        own_log_sd, arm_log_sd = float(np.hypot(own_depth_sd / depth, LAW_SD)), bent_m / depth
+        log_sd = float(np.linalg.norm([own_log_sd, arm_log_sd, gain_sd]))
         interval = (stiffness * float(np.exp(-Z_90 * log_sd)), stiffness * float(np.exp(Z_90 * log_sd)))
     return ContactFit(
         stiffness,
         interval,
         float(np.log(stiffness)),
         log_sd,
+        own_log_sd,
+        arm_log_sd,
         rigid,
         at_force,
         depth,

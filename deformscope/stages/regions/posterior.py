@@ -1,7 +1,8 @@
 """Which regions of equal stiffness a surface has, from a few touches: a posterior over maps (Bayes).
 
 A map divides the surface into one, two or three regions (`partitions`), each with one level of log stiffness. A touch
-feels the levels blurred by its contact, plus noise. Given a map the levels are integrated in closed form; the maps are
+feels the levels blurred by its contact, plus its errors (`touch_error`). Given a map and the scatter of touches the
+levels are integrated in closed form, over the scatter is summed; the maps are
 particles that every touch reweights and, where few are left, that move under the prior (iterated batch importance
 sampling, Chopin 2002), so that their evidence comes out as well: it chooses the number of regions. A surface whose
 stiffness changes smoothly is the rival hypothesis (Gaussian processes); where it wins, the verdict is "gradual".
@@ -10,7 +11,7 @@ stiffness changes smoothly is the rival hypothesis (Gaussian processes); where i
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Literal, cast
 
@@ -22,6 +23,7 @@ from threadpoolctl import threadpool_limits
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.regions.partitions import Partitions, draw, propose
+from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
 RegionVerdict = Literal["regions", "gradual"]
@@ -40,16 +42,22 @@ PRIOR_EXTENT_M, PRIOR_MARGIN_M = 0.5, 0.05
 """Places on things of any size are taken as if they were so far apart, and so far from the border: the priors on shapes
 are of a surface of about 0.6 m."""
 KIND_PARTICLES, KIND_CELL_M = 300, 0.02
+SCATTER_MAPS = 100
+"""Maps of which the scatter is asked."""
+LEVELS_DRAWN = 4000
+"""From which intervals are taken."""
+LEAST_WEIGHT = 1e-3
+"""Of all smooth fields, below which one is left out."""
 
 
 @dataclass(frozen=True, slots=True)
 class RegionPrior:
     """What is taken for granted.
 
-    one, two, three, gradual: prior probabilities; blur_m: deviation of the Gaussian that a contact feels; within_sd:
-    of log stiffness inside one material; mixed_share: touches near a boundary are off by up to this share of all
-    contrast; level_sd: of the regions' log stiffness; least_contrast: between any two of them (0.13: 14 %; a sphere's
-    0.13 is 20 % in modulus); rigid_sd: of touches that are lower bounds
+    one, two, three, gradual: prior probabilities; blur_m: deviation of the Gaussian that a contact feels; error: of a
+    touch; mixed_share: touches near a boundary are off by up to this share of all contrast; level_sd: of the regions'
+    log stiffness; least_contrast: between any two of them (0.13: 14 %; a sphere's 0.13 is 20 % in modulus); rigid_sd:
+    of touches that are lower bounds
     """
 
     one: float = 0.47
@@ -57,7 +65,7 @@ class RegionPrior:
     three: float = 0.14
     gradual: float = 0.06
     blur_m: float = 0.012
-    within_sd: float = 0.03
+    error: TouchErrorModel = field(default_factory=TouchErrorModel)
     mixed_share: float = 0.12
     level_sd: float = 1.0
     least_contrast: float = 0.13
@@ -83,6 +91,7 @@ class RegionMap:
     level, level_sd: (k,) log stiffness of each region; level_interval: (k, 2) of 90 %; rigid: (k,) regions for which
     the level is a lower bound, the highest of their touches', at which the interval begins; it is open above
     field, field_sd: log stiffness at every cell, over all hypotheses
+    scatter: log stiffness of touches within one material scatters by this, its root mean square over all that it may be
     wrong_share: share of the surface that is expected to have a wrong label, given k; nan without regions
     boundary_sd_m: the same as a distance from the boundary; nan without one
     """
@@ -101,6 +110,7 @@ class RegionMap:
     field_sd: FloatArray
     wrong_share: float
     boundary_sd_m: float
+    scatter: float = np.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,11 +127,13 @@ class RegionHypotheses:
 
 @dataclass(frozen=True, slots=True)
 class _Readings:
-    """xy_m: (t, 2); value: (t,) log stiffness over `centre`; variance: (t,); spread: of all values."""
+    """xy_m: (t, 2); value: (t,) log stiffness over `centre`; variance: (t,) of each alone, without the scatter; arm:
+    (t,) shift of each if the arm's compliance is off by a deviation; spread: of all values."""
 
     xy_m: FloatArray
     value: FloatArray
     variance: FloatArray
+    arm: FloatArray
     centre: float
     spread: float
 
@@ -174,7 +186,11 @@ class RegionPosterior:
     @cached_property
     def probability(self) -> dict[str, float]:
         """Of "1", "2", "3" regions and of "gradual"."""
-        evidence = [self._one_region[0], *(one.log_evidence for one in self.particles), self._smooth_log_evidence]
+        evidence = [
+            logsumexp(self._one_region[0]),
+            *(one.log_evidence for one in self.particles),
+            self._smooth_log_evidence,
+        ]
         prior = np.array([self.prior.one, self.prior.two, self.prior.three, self.prior.gradual])
         with np.errstate(divide="ignore"):
             logs = np.log(prior) + np.array(evidence)
@@ -200,9 +216,10 @@ class RegionPosterior:
     def hypotheses(self, count: int = 300) -> RegionHypotheses:
         """About `count` maps, in proportion to the probability of their number of regions."""
         readings = _readings(self.touches, self.prior)
-        _, level, cov = self._one_region
+        one_region, level, cov = self._one_region
+        share = np.exp(one_region - logsumexp(one_region))
         found: list[tuple[Partitions | None, FloatArray, FloatArray, FloatArray]] = [
-            (None, level[None] + readings.centre, cov[None], np.array([self.probability["1"]]))
+            (None, level + readings.centre, cov, self.probability["1"] * share)
         ]
         for one in self.particles:
             share = self.probability[str(one.maps.regions)]
@@ -211,20 +228,20 @@ class RegionPosterior:
                 number = max(number, 20)
                 maps, level, cov = self._draw(one, number, readings)
                 found.append((maps, level, cov, np.full(number, share / number)))
-        weights = np.exp([one.log_evidence for one in self._smooth])
-        weights *= self.probability["gradual"] / weights.sum()
-        return RegionHypotheses(tuple(found), tuple(zip(self._smooth, weights.tolist(), strict=True)))
+        logs = np.array([one.log_evidence for one in self._smooth])
+        weights = np.exp(logs - logs.max())
+        kept = np.flatnonzero(weights > LEAST_WEIGHT * weights.sum())
+        weights *= self.probability["gradual"] / weights[kept].sum()
+        return RegionHypotheses(tuple(found), tuple((self._smooth[i], float(weights[i])) for i in kept))
 
     def region_map(self, count: int = 240) -> RegionMap:
         """The map that this says; `count` maps are drawn for it."""
         centres, k = self.grid.centres_m, self.region_count
         hypotheses = self.hypotheses(count)
         mean, square = np.zeros(len(centres)), np.zeros(len(centres))
-        probability, level, cov = np.ones((1, len(centres))), *(part for part in hypotheses.maps[0][1:3])
+        probability, (_, level, cov, shared) = np.ones((1, len(centres))), hypotheses.maps[0]
         for maps, levels, covs, weight in hypotheses.maps:
-            labels = (
-                np.zeros((1, len(centres)), dtype=np.int8) if maps is None else ranked_labels(maps, levels, centres)
-            )
+            labels = labels_of(maps, levels, centres)
             levels, covs = _sorted(levels, covs)
             variance = np.diagonal(covs, axis1=1, axis2=2)
             shares = np.stack([weight @ (labels == rank) for rank in range(levels.shape[1])])
@@ -233,14 +250,15 @@ class RegionPosterior:
                 mean += (weight * levels[:, rank]) @ here
                 square += (weight * (levels[:, rank] ** 2 + variance[:, rank])) @ here
             if levels.shape[1] == k:
-                probability, level, cov = shares / weight.sum(), levels, covs
+                probability, level, cov, shared = shares / weight.sum(), levels, covs, weight
         for field, share in hypotheses.smooth:
             here, variance = field.predict(centres)
             mean += share * here
             square += share * (here**2 + variance)
 
         log_stiffness = mean.reshape(self.grid.shape)
-        log_stiffness_sd = np.sqrt(np.maximum(square - mean**2, 0.0)).reshape(self.grid.shape)
+        gain_variance = self.prior.error.gain_sd**2  # touches of one session cannot see it
+        log_stiffness_sd = np.sqrt(np.maximum(square - mean**2, 0.0) + gain_variance).reshape(self.grid.shape)
         none = np.zeros(0)
         found = RegionMap(
             grid=self.grid,
@@ -257,19 +275,20 @@ class RegionPosterior:
             field_sd=log_stiffness_sd,
             wrong_share=np.nan,
             boundary_sd_m=np.nan,
+            scatter=self.scatter,
         )
         if self.verdict == "gradual":
             return found
         rng = np.random.default_rng((self.seed, len(self.touches)))
-        sd = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
-        normal = rng.standard_normal((len(level), 4000 // len(level) + 1, k))
-        drawn = (level[:, None] + sd[:, None] * normal).reshape(-1, k)
+        one = _systematic(shared, LEVELS_DRAWN, 0.5)
+        sd = np.sqrt(np.diagonal(cov, axis1=1, axis2=2) + gain_variance)
+        drawn = level[one] + sd[one] * rng.standard_normal((LEVELS_DRAWN, k))
         labels = probability.argmax(axis=0).reshape(self.grid.shape)
         mean_level = drawn.mean(axis=0)
         rigid = self._rigid_regions(labels, mean_level)
         interval = np.quantile(drawn, [0.05, 0.95], axis=0).T
         mean_level[rigid], interval[rigid] = self._rigid_bound, (self._rigid_bound, np.inf)
-        right = probability.max(axis=0)
+        right = np.minimum(probability.max(axis=0), 1.0)  # weights add up to 1 but for rounding
         wrong = float(1.0 - right.mean())
         edge_m = self.grid.cell_m * _edges(labels)
         area = self.grid.size_m[0] * self.grid.size_m[1]
@@ -303,30 +322,68 @@ class RegionPosterior:
         return rigid & (level > self._rigid_bound - 2.0 * self.prior.rigid_sd)
 
     def _draw(self, one: _Particles, count: int, readings: _Readings) -> tuple[Partitions, FloatArray, FloatArray]:
-        """`count` maps in proportion to their weights, their levels and covariances."""
+        """`count` maps in proportion to their weights, their levels and covariances under one scatter each, which is
+        drawn in proportion to its probability given the map."""
         maps = one.maps.take(_systematic(np.exp(one.log_weight), count, 0.5))
-        _, level, cov = _levels(maps.shares(readings.xy_m, self.prior.blur_m), readings, self.prior)
+        shares = maps.shares(readings.xy_m, self.prior.blur_m)
+        logs = _by_scatter(shares, readings, self.prior)
+        up_to = np.cumsum(np.exp(logs - logsumexp(logs, axis=0)), axis=0)
+        # evenly spaced chances in an order that has nothing to do with that of the maps
+        chance = (np.random.default_rng((self.seed, count)).permutation(count) + 0.5) / count
+        scatter = self.prior.error.scatters()[0][np.minimum((up_to < chance).sum(axis=0), len(logs) - 1)]
+        _, level, cov = _levels(shares, readings, self.prior, scatter)
         return maps, level + readings.centre, cov
 
     @cached_property
-    def _one_region(self) -> tuple[float, FloatArray, FloatArray]:
+    def _one_region(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Under each scatter (s,): log evidence with its prior (s,), levels (s, 1), covariances (s, 1, 1)."""
         readings = _readings(self.touches, self.prior)
-        log_likelihood, level, cov = _levels(np.ones((1, len(self.touches), 1)), readings, self.prior)
-        return float(log_likelihood[0]), level[0], cov[0]
+        scatter, prior = self.prior.error.scatters()
+        log_likelihood, level, cov = _levels(
+            np.ones((len(scatter), len(self.touches), 1)), readings, self.prior, scatter
+        )
+        return log_likelihood + np.log(prior), level, cov
+
+    @cached_property
+    def scatter(self) -> float:
+        """Root mean square of what the scatter of touches may be, over all maps of regions and one region."""
+        readings = _readings(self.touches, self.prior)
+        probability = self.probability
+        one_region = self._one_region[0]
+        shares = [probability["1"] * np.exp(one_region - logsumexp(one_region))]
+        for one in self.particles:
+            share = probability[str(one.maps.regions)]
+            if share > LEAST_WEIGHT:
+                maps = one.maps.take(_systematic(np.exp(one.log_weight), SCATTER_MAPS, 0.5))
+                logs = _by_scatter(maps.shares(readings.xy_m, self.prior.blur_m), readings, self.prior)
+                shares.append(share * np.exp(logs - logsumexp(logs, axis=0)).mean(axis=1))
+        weight = np.sum(shares, axis=0)
+        return float(np.sqrt(weight @ self.prior.error.scatters()[0] ** 2 / weight.sum()))
+
+    @property
+    def touch_sd(self) -> float:
+        """What the next touch is expected to be off by, its own noise being that of the touches so far."""
+        known = [touch.log_sd for touch in self.touches if not touch.rigid]
+        return float(np.hypot(self.scatter, np.median(known))) if known else self.prior.error.touch_sd
 
     @cached_property
     def _smooth(self) -> tuple[SmoothField, ...]:
+        """Of each kernel and each scatter; their evidence has the scatter's prior in it."""
         readings = _readings(self.touches, self.prior)
         middle = 0.5 * np.asarray(self.grid.size_m)
         kernels = [(slope, 0.0, 1.0) for slope in SLOPES_PER_M]
         kernels += [(0.0, sd, length) for sd in SMOOTH_SDS for length in SMOOTH_LENGTHS_M]
         level_sd = self.prior.level_sd
-        return tuple(SmoothField(readings, SmoothKernel(level_sd, middle, *kernel)) for kernel in kernels)
+        return tuple(
+            SmoothField(readings, SmoothKernel(level_sd, middle, *kernel), float(scatter), float(np.log(share)))
+            for kernel in kernels
+            for scatter, share in zip(*self.prior.error.scatters(), strict=True)
+        )
 
     @property
     def _smooth_log_evidence(self) -> float:
-        logs = [one.log_evidence for one in self._smooth]
-        return float(logsumexp(logs) - np.log(len(logs)))
+        kernels = len(SLOPES_PER_M) + len(SMOOTH_SDS) * len(SMOOTH_LENGTHS_M)
+        return float(logsumexp([one.log_evidence for one in self._smooth]) - np.log(kernels))
 
 
 @dataclass(frozen=True, slots=True)
@@ -348,16 +405,17 @@ class SmoothKernel:
 
 
 class SmoothField:
-    """A Gaussian process through the touches. log_evidence: of these"""
+    """A Gaussian process through the touches, which scatter. log_evidence: of these, and `log_prior`"""
 
-    def __init__(self, readings: _Readings, kernel: SmoothKernel) -> None:
-        self.kernel, self._readings, self.log_evidence = kernel, readings, 0.0
+    def __init__(self, readings: _Readings, kernel: SmoothKernel, scatter: float, log_prior: float) -> None:
+        self.kernel, self._readings, self.log_evidence = kernel, readings, log_prior
         if count := len(readings.value):
-            own = kernel.covariance(readings.xy_m, readings.xy_m) + np.diag(readings.variance)
+            own = kernel.covariance(readings.xy_m, readings.xy_m) + np.outer(readings.arm, readings.arm)
+            own.flat[:: count + 1] += readings.variance + scatter**2
             self._factor, _ = cho_factor(own, lower=True)
             self._weight = cho_solve((self._factor, True), readings.value)
             square, logs = readings.value @ self._weight, 2.0 * np.log(np.diag(self._factor)).sum()
-            self.log_evidence = float(-0.5 * (square + logs + count * np.log(2.0 * np.pi)))
+            self.log_evidence += float(-0.5 * (square + logs + count * np.log(2.0 * np.pi)))
 
     def predict(self, xy_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean (p,) and variance (p,) of log stiffness at places (p, 2) [m]."""
@@ -391,48 +449,115 @@ def _readings(touches: Sequence[StiffnessSample], prior: RegionPrior) -> _Readin
     """Rigid touches all stand at the highest of their bounds: one material, as stiff as can be measured."""
     value = np.array([touch.log_stiffness for touch in touches])
     sd = np.array([touch.log_sd for touch in touches])
+    arm = np.array([touch.arm_sd for touch in touches])
     rigid = np.array([touch.rigid for touch in touches], dtype=bool)
     if rigid.any():
         value = np.where(rigid, value[rigid].max(), value)
-        sd = np.where(rigid, prior.rigid_sd, sd)
+        sd, arm = np.where(rigid, prior.rigid_sd, sd), np.where(rigid, 0.0, arm)
     centre = float(value.mean()) if len(value) else 0.0
     spread = float(np.ptp(value)) if len(value) else 0.0
     xy_m = np.array([touch.xy_m for touch in touches]).reshape(-1, 2)
-    return _Readings(xy_m, value - centre, sd**2 + prior.within_sd**2, centre, spread)
+    return _Readings(xy_m, value - centre, sd**2, arm, centre, spread)
 
 
 def _levels(
-    shares: FloatArray, readings: _Readings, prior: RegionPrior, last_noise: float = 1.0
+    shares: FloatArray,
+    readings: _Readings,
+    prior: RegionPrior,
+    scatter: FloatArray | float = 0.0,
+    last_noise: float = 1.0,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of maps that are felt in shares (n, t, k): log likelihood (n,), levels (n, k) over the centre, their covariance.
+    """Of maps that are felt in shares (n, t, k): log likelihood (n,), levels (n, k) over the centre, their covariance
+    (n, k, k). scatter: (n,) of touches, or of all maps; with one axis more, (s, n) or (s, 1), so have the results
 
-    The touches are a linear model in the levels, whose prior is Gaussian (Bishop 2006, 3.49 and 3.86); what is left of
-    the prior where levels differ enough is counted afterwards, pair by pair.
+    The touches are a linear model in the levels, whose prior is Gaussian, and in the error of the arm's compliance,
+    where it counts (Bishop 2006, 3.49 and 3.86); what is left of the prior where levels differ enough is counted
+    afterwards, pair by pair.
     last_noise: factor on the variance of the last touch
     """
     k = shares.shape[-1]
     mixed = 2.0 * (1.0 - (shares**2).sum(axis=-1))  # 1 midway between two regions
-    variance = readings.variance + (prior.mixed_share * readings.spread * mixed) ** 2
-    variance[:, -1:] *= last_noise
-    weighted = shares / variance[..., None]
-    precision = np.swapaxes(weighted, 1, 2) @ shares + np.eye(k) / prior.level_sd**2
-    cov = np.linalg.inv(precision)
-    pull = (weighted * readings.value[:, None]).sum(axis=1)
-    level = (cov @ pull[..., None])[..., 0]
+    own = readings.variance + (prior.mixed_share * readings.spread * mixed) ** 2
+    variance = own + (np.asarray(scatter) ** 2)[..., None]
+    variance[..., -1:] *= last_noise
+    columns = [shares[..., i] for i in range(k)]
+    prior_precision = [prior.level_sd**-2.0] * k
+    if readings.arm.any():
+        columns.append(np.broadcast_to(readings.arm, own.shape))
+        prior_precision.append(1.0)
+    products = [one * other for i, one in enumerate(columns) for other in columns[: i + 1]]
+    products += [one * readings.value for one in columns]
+    sums = _summed(1.0 / variance, np.stack(products, axis=-1))
+    mean, cov, log_det = _solved(sums, prior_precision)
+    pull = sums[..., -len(columns) :]
     log_likelihood = 0.5 * (
-        (pull * level).sum(axis=1)
-        + np.log(np.linalg.det(cov))
+        (pull * mean).sum(axis=-1)
+        + log_det
         - 2.0 * k * np.log(prior.level_sd)
-        - (np.log(2.0 * np.pi * variance) + readings.value**2 / variance).sum(axis=1)
+        - (np.log(2.0 * np.pi * variance) + readings.value**2 / variance).sum(axis=-1)
     )
+    level, cov = mean[..., :k], cov[..., :k, :k]
     at_first = 2.0 * ndtr(-prior.least_contrast / (np.sqrt(2.0) * prior.level_sd))
     for i in range(k):
         for j in range(i):
-            apart = level[:, i] - level[:, j]
-            sd = np.sqrt(np.maximum(cov[:, i, i] + cov[:, j, j] - 2.0 * cov[:, i, j], 1e-12))
+            apart = level[..., i] - level[..., j]
+            sd = np.sqrt(np.maximum(cov[..., i, i] + cov[..., j, j] - 2.0 * cov[..., i, j], 1e-12))
             left = ndtr((apart - prior.least_contrast) / sd) + ndtr((-apart - prior.least_contrast) / sd)
             log_likelihood += np.log(np.maximum(left, 1e-300) / at_first)
     return log_likelihood, level, cov
+
+
+def _summed(weight: FloatArray, products: FloatArray) -> FloatArray:
+    """(..., n, p) sums over touches of products (n, t, p) with weights (..., n, t)."""
+    if weight.ndim == 2:
+        return cast(FloatArray, (weight[:, None] @ products)[:, 0])
+    return np.swapaxes(np.swapaxes(weight, 0, 1) @ products, 0, 1)
+
+
+def _solved(sums: FloatArray, prior_precision: Sequence[float]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean (..., c), covariance (..., c, c) and its log determinant (...,), of precisions whose lower triangles (row by
+    row) are the first of `sums` (..., p), with the prior's on the diagonal, and pulls, the last c of them.
+
+    By hand, column by column of a Cholesky factor: thousands of matrices of 1 to 4 rows, of which a library would solve
+    each by itself.
+    """
+    size = len(prior_precision)
+    lower: dict[tuple[int, int], FloatArray] = {}
+    inverse: dict[tuple[int, int], FloatArray] = {}
+    at = iter(range(sums.shape[-1]))
+    for i in range(size):
+        for j in range(i + 1):
+            rest = sums[..., next(at)] - sum((lower[i, m] * lower[j, m] for m in range(j)), np.float64(0.0))
+            lower[i, j] = np.sqrt(rest + prior_precision[i]) if i == j else rest / lower[j, j]
+    for j in range(size):
+        inverse[j, j] = 1.0 / lower[j, j]
+        for i in range(j + 1, size):
+            below = sum((lower[i, m] * inverse[m, j] for m in range(j, i)), np.float64(0.0))
+            inverse[i, j] = -below / lower[i, i]
+    cov = np.empty((*sums.shape[:-1], size, size))
+    for i in range(size):
+        for j in range(i + 1):
+            cov[..., i, j] = cov[..., j, i] = sum(
+                (inverse[m, i] * inverse[m, j] for m in range(i, size)), np.float64(0.0)
+            )
+    mean = (cov * sums[..., None, -size:]).sum(axis=-1)
+    log_det = 2.0 * sum((np.log(inverse[i, i]) for i in range(size)), np.zeros(sums.shape[:-1]))
+    return mean, cov, log_det
+
+
+def _by_scatter(
+    shares: FloatArray, readings: _Readings, prior: RegionPrior, last_noise: float = 1.0
+) -> FloatArray:
+    """(s, n) log likelihood of maps under each scatter, with its prior."""
+    scatter, share = prior.error.scatters()
+    return _levels(shares, readings, prior, scatter[:, None], last_noise)[0] + np.log(share)[:, None]
+
+
+def _log_likelihood(shares: FloatArray, readings: _Readings, prior: RegionPrior, last_noise: float = 1.0) -> FloatArray:
+    """(n,) of maps, whatever the scatter."""
+    logs = _by_scatter(shares, readings, prior, last_noise)
+    most = logs.max(axis=0)
+    return cast(FloatArray, most + np.log(np.exp(logs - most).sum(axis=0)))
 
 
 def _update(
@@ -445,13 +570,13 @@ def _update(
     left = list(TEMPERS)
     while left:
         shares = maps.shares(readings.xy_m, prior.blur_m)
-        likelihoods = ((temper, _levels(shares, readings, prior, temper)[0]) for temper in left)
+        likelihoods = ((temper, _log_likelihood(shares, readings, prior, temper)) for temper in left)
         # the first that leaves enough maps, or else the last
         temper, now = next(
             (one for one in likelihoods if _effective(log_weight + one[1] - before) >= 0.25 * least), (left[-1], None)
         )
         if now is None:
-            now = _levels(shares, readings, prior, temper)[0]
+            now = _log_likelihood(shares, readings, prior, temper)
         left = [smaller for smaller in left if smaller < temper]
         joint = log_weight + now - before
         gained = float(logsumexp(joint))
@@ -480,7 +605,7 @@ def _move(
     """Metropolis steps under the prior (`partitions.propose`), which leave the posterior as it is."""
     for _ in range(MOVES):
         proposed = propose(rng, maps)
-        now, _, _ = _levels(proposed.shares(readings.xy_m, prior.blur_m), readings, prior, last_noise)
+        now = _log_likelihood(proposed.shares(readings.xy_m, prior.blur_m), readings, prior, last_noise)
         taken = np.log(rng.random(len(maps))) < now - log_likelihood
         taken[taken] = proposed.take(taken).admissible()
         maps = maps.instead(taken, proposed)
@@ -496,6 +621,11 @@ def _systematic(weight: FloatArray, count: int, start: float) -> IntArray:
             np.searchsorted(np.cumsum(weight) / weight.sum(), (np.arange(count) + start) / count), len(weight) - 1
         ),
     )
+
+
+def labels_of(maps: Partitions | None, level: FloatArray, xy_m: FloatArray) -> IntArray:
+    """(n, p) labels by level, of one region too, which has no maps."""
+    return np.zeros((len(level), len(xy_m)), dtype=np.int8) if maps is None else ranked_labels(maps, level, xy_m)
 
 
 def ranked_labels(maps: Partitions, level: FloatArray, xy_m: FloatArray) -> IntArray:

@@ -15,13 +15,16 @@ class StiffnessSample:
     """What one touch measured at a place.
 
     xy_m: (2,) in the surface frame [m]; log_stiffness: natural log of the apparent stiffness at the set force [N/mm];
-    log_sd: its standard deviation; rigid: the dent was below what the arm resolves: `log_stiffness` is a lower bound
+    log_sd: its standard deviation, of what is this touch's own; rigid: the dent was below what the arm resolves:
+    `log_stiffness` is a lower bound; arm_sd: by how much it would be higher were the arm stiffer by one deviation of its
+    calibration, which all touches of a session share
     """
 
     xy_m: FloatArray
     log_stiffness: float
     log_sd: float
     rigid: bool = False
+    arm_sd: float = 0.0
 
     def __post_init__(self) -> None:
         if np.shape(self.xy_m) != (2,) or not np.isfinite(self.xy_m).all():
@@ -30,6 +33,8 @@ class StiffnessSample:
             raise InputError("a finite log stiffness", f"{self.log_stiffness}")
         if not (np.isfinite(self.log_sd) and self.log_sd > 0.0):
             raise InputError("a standard deviation of log stiffness above 0", f"{self.log_sd}")
+        if not (np.isfinite(self.arm_sd) and self.arm_sd >= 0.0):
+            raise InputError("a shift of log stiffness for the arm's sake, 0 or more", f"{self.arm_sd}")
 
 
 @dataclass(frozen=True, slots=True)

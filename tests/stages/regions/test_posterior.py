@@ -13,6 +13,7 @@ from deformscope.errors import InputError
 from deformscope.stages.regions import posterior as posterior_module
 from deformscope.stages.regions.partitions import draw
 from deformscope.stages.regions.posterior import RegionPosterior, RegionPrior, surface_kind
+from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 from tests.cases import slow_but
 
@@ -208,3 +209,54 @@ def test_a_surface_is_of_one_kind_whatever_its_size(kind: str, size_m: float) ->
     found = surface_kind(size_m * places - [0.1, 0.2], value + rng.normal(0.0, 0.05, 12), 0.05)
 
     assert found == kind
+
+
+def test_an_arm_that_is_off_moves_all_touches_together() -> None:
+    """The likelihood is that of y ~ N(0, S^2 F F^T + a a^T + R), scatter and the touches' own noise in R."""
+    rng = np.random.default_rng(0)
+    shares, arm = rng.dirichlet(np.ones(2), (1, 6)), rng.uniform(0.0, 0.3, 6)
+    prior = RegionPrior(least_contrast=0.0, mixed_share=0.0)
+    seen = [
+        StiffnessSample(one.xy_m, one.log_stiffness, one.log_sd, arm_sd=float(shift))
+        for one, shift in zip(touches(rng.standard_normal(6)), arm, strict=False)
+    ]
+    readings = posterior_module._readings(seen, prior)
+    found, level, cov = posterior_module._levels(shares, readings, prior, 0.1)
+
+    joint = shares[0] @ shares[0].T + np.outer(arm, arm) + (0.05**2 + 0.1**2) * np.eye(6)
+    assert found[0] == pytest.approx(multivariate_normal(np.zeros(6), joint).logpdf(readings.value), rel=1e-9)
+    gain = shares[0].T @ np.linalg.inv(joint)
+    np.testing.assert_allclose(level[0], gain @ readings.value, atol=1e-9)
+    np.testing.assert_allclose(cov[0], np.eye(2) - gain @ shares[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("scatter", [0.0, 0.1])
+def test_the_scatter_of_touches_is_learned_and_makes_no_regions(scatter: float) -> None:
+    """One material of twelve touches: what scatters by 10 % is one region with wider intervals, not several."""
+    rng = np.random.default_rng(5)
+    places = rng.uniform([0.03, 0.03], [0.57, 0.37], (12, 2))
+    seen = [StiffnessSample(xy, scatter * rng.standard_normal(), 0.02) for xy in places]
+    shown = posterior(seen).region_map()
+    assert shown.region_count == 1
+    assert shown.scatter == pytest.approx(max(scatter, 0.02), rel=0.35)
+    low, high = shown.level_interval[0]
+    expected = 2.0 * 1.645 * np.sqrt(TouchErrorModel().gain_sd ** 2 + (shown.scatter**2 + 0.02**2) / 12)
+    assert high - low == pytest.approx(expected, rel=0.15)
+
+
+def test_a_gain_widens_levels_and_no_contrast() -> None:
+    """Touches cannot see it: the regions, their probability and their contrast are what they are without it."""
+    without, with_gain = (
+        functools.reduce(
+            RegionPosterior.with_touch,
+            halves(0.9)[:6],
+            RegionPosterior.before_touches(
+                GRID, RegionPrior(error=TouchErrorModel(gain_sd=gain_sd)), particle_count=100
+            ),
+        )
+        for gain_sd in (0.0, 0.2)
+    )
+    assert with_gain.probability == without.probability
+    one, other = without.region_map(), with_gain.region_map()
+    np.testing.assert_allclose(other.level_sd, np.hypot(one.level_sd, 0.2), rtol=0.05)
+    np.testing.assert_allclose(np.diff(other.level), np.diff(one.level), atol=0.02)

@@ -1,0 +1,69 @@
+"""How wrong a touch may be: one model, from which regions, fields, planner and predictions take their constants.
+
+    log k_i = level(place_i) + own_i + scatter_i + gain + arm * arm_i
+
+own: of each touch alone, its deviation known from its fit (`StiffnessSample.log_sd`); scatter: of each touch alone too,
+from place to place within one material and from touch to touch at one place, its deviation *unknown*: it has a prior and
+is learned from the touches, so that few of them leave heavy tails; gain and arm: the same in all touches of a session.
+A gain moves all levels alike and no contrast; an arm that yields more or less than its calibration says moves touches in
+proportion to their stiffness (`StiffnessSample.arm_sd`: by how much for one deviation of the compliance).
+
+What is left out, and why: the thickness that is stated does not enter apparent stiffness (the modulus alone); a camera's
+tilt of 2 deg changes the force along the normal by 6e-4; a zero of the force that drifts is taken off in each approach;
+a gain that drifts within a session (1 %) is a part of the scatter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.errors import InputError
+
+LAW_SD = 0.02
+"""Of log stiffness, for the law's sake: on a bonded layer the exponent grows with depth. Finite elements of a foam that
+a ball sinks into by its radius say 2 to 3 %. It is part of `own`."""
+
+SCATTER_MEDIAN, SCATTER_SPREAD = 0.04, 0.6
+"""Of the scatter: log-normal, so that nine of ten materials lie between 1.5 and 11 %. Foam of one block varies by some
+2 to 10 % in stiffness over its length [assumed: from makers' tolerances of density, which stiffness follows squared]."""
+
+SCATTER_VALUES = 6
+SCATTER_SDS = 1.9
+"""Scatters over which is summed, evenly in logarithms, over so many spreads either way: 1.3 to 12.5 %, each 1.6 times
+the one before; ten touches determine it to a factor of 1.3 at best."""
+
+GAIN_SD = 0.025
+"""Of log stiffness, common to a session: a force sensor with its nominal sensitivity is off by some 3 %, which moves the
+stiffness at a set force by 2 % where force grows with depth^1.5, and by 3 % where a touch ended by its depth."""
+
+
+@dataclass(frozen=True, slots=True)
+class TouchErrorModel:
+    """What is taken for granted of touches. scatter_median, scatter_spread: log-normal prior of the scatter's deviation;
+    gain_sd: common to all touches; all of log stiffness"""
+
+    scatter_median: float = SCATTER_MEDIAN
+    scatter_spread: float = SCATTER_SPREAD
+    gain_sd: float = GAIN_SD
+
+    def __post_init__(self) -> None:
+        if not (self.scatter_median > 0.0 and self.scatter_spread >= 0.0 and self.gain_sd >= 0.0):
+            came = f"{self.scatter_median}, {self.scatter_spread}, {self.gain_sd}"
+            raise InputError("a scatter above 0, a spread and a gain's deviation not below it", came)
+
+    def scatters(self) -> tuple[FloatArray, FloatArray]:
+        """Scatters (s,) to sum over and their prior probabilities (s,); one alone where its spread is 0."""
+        if self.scatter_spread == 0.0:
+            return np.array([self.scatter_median]), np.ones(1)
+        sds = np.linspace(-SCATTER_SDS, SCATTER_SDS, SCATTER_VALUES)
+        weight = np.exp(-0.5 * sds**2)
+        return self.scatter_median * np.exp(self.scatter_spread * sds), weight / weight.sum()
+
+    @property
+    def touch_sd(self) -> float:
+        """Deviation of a touch from its material's level before any was made: law and scatter, the gain left out."""
+        scatter, weight = self.scatters()
+        return float(np.sqrt(LAW_SD**2 + weight @ scatter**2))
