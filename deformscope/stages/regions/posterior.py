@@ -186,6 +186,20 @@ class RegionPosterior:
     @cached_property
     def probability(self) -> dict[str, float]:
         """Of "1", "2", "3" regions and of "gradual"."""
+        logs = self._joint_logs
+        shares = np.maximum(np.exp(logs - logsumexp(logs)), 1e-9)  # nothing is certain
+        return dict(zip(("1", "2", "3", "gradual"), shares.tolist(), strict=True))
+
+    def beside(self, kernel: SmoothKernel, share: float) -> tuple[tuple[SmoothField, float], ...]:
+        """One more smooth hypothesis, of this prior probability: its fields, and how probable each is among all."""
+        fields = self._fields(kernel)
+        logs = np.log(share) + np.array([one.log_evidence for one in fields])
+        every = np.logaddexp(logsumexp(logs), np.log1p(-share) + logsumexp(self._joint_logs))
+        return tuple(zip(fields, np.exp(logs - every).tolist(), strict=True))
+
+    @property
+    def _joint_logs(self) -> FloatArray:
+        """(4,) logarithm of prior probability times evidence of 1, 2, 3 regions and a smooth field."""
         evidence = [
             logsumexp(self._one_region[0]),
             *(one.log_evidence for one in self.particles),
@@ -193,9 +207,7 @@ class RegionPosterior:
         ]
         prior = np.array([self.prior.one, self.prior.two, self.prior.three, self.prior.gradual])
         with np.errstate(divide="ignore"):
-            logs = np.log(prior) + np.array(evidence)
-        shares = np.maximum(np.exp(logs - logsumexp(logs)), 1e-9)  # nothing is certain
-        return dict(zip(("1", "2", "3", "gradual"), shares.tolist(), strict=True))
+            return cast(FloatArray, np.log(prior) + np.array(evidence))
 
     @property
     def region_count(self) -> int:
@@ -369,16 +381,16 @@ class RegionPosterior:
     @cached_property
     def _smooth(self) -> tuple[SmoothField, ...]:
         """Of each kernel and each scatter; their evidence has the scatter's prior in it."""
-        readings = _readings(self.touches, self.prior)
         middle = 0.5 * np.asarray(self.grid.size_m)
         kernels = [(slope, 0.0, 1.0) for slope in SLOPES_PER_M]
         kernels += [(0.0, sd, length) for sd in SMOOTH_SDS for length in SMOOTH_LENGTHS_M]
         level_sd = self.prior.level_sd
-        return tuple(
-            SmoothField(readings, SmoothKernel(level_sd, middle, *kernel), float(scatter), float(np.log(share)))
-            for kernel in kernels
-            for scatter, share in zip(*self.prior.error.scatters(), strict=True)
-        )
+        return tuple(field for kernel in kernels for field in self._fields(SmoothKernel(level_sd, middle, *kernel)))
+
+    def _fields(self, kernel: SmoothKernel) -> list[SmoothField]:
+        """Under each scatter."""
+        readings, scatters = _readings(self.touches, self.prior), zip(*self.prior.error.scatters(), strict=True)
+        return [SmoothField(readings, kernel, float(scatter), float(np.log(share))) for scatter, share in scatters]
 
     @property
     def _smooth_log_evidence(self) -> float:
