@@ -76,6 +76,9 @@ COMMANDS: dict[str, Command] = {
     "reproduce squeezes": _command(
         "new squeezes beside what was simulated: events, poses, depth", "SqueezesConfig", "reproduce_squeezes"
     ),
+    "coverage force": _command(
+        "how often the intervals of a predicted force hold it", "ForceCoverageConfig", "coverage_force"
+    ),
     "coverage": _command("how often the intervals hold the truth", "CoverageConfig", "coverage"),
     "explore": _command("map how soft a surface is, by touching it", "ExploreConfig", "explore"),
     "classify": _command(
@@ -182,6 +185,8 @@ def _dispatch(args: list[str]) -> int:
 def _find(args: list[str]) -> tuple[str, list[str]]:
     """The command's full name, or a group's where its help is asked for, and the arguments left."""
     first = args[0]
+    if (both := " ".join(args[:2])) in COMMANDS and len(args) > 1:
+        return both, args[2:]
     if first in COMMANDS:
         return first, args[1:]
     groups = {name.split()[0] for name in COMMANDS if " " in name}

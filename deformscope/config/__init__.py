@@ -25,6 +25,7 @@ from deformscope.config.reproduce import (
     BenchConfig,
     ContainersConfig,
     CoverageConfig,
+    ForceCoverageConfig,
     CubesConfig,
     FoamsConfig,
     PokesConfig,

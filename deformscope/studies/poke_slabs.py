@@ -1,8 +1,8 @@
 """Random slabs, 24 pokes of each: halves, a stiff or a soft disc, a gradual change, or one material.
 
 What a poke meets on a slab of two materials was measured with finite elements (`press`, tips of 1 to 4 cm): Young's
-modulus blurred by a Gaussian of 0.6 tip widths, to within 3 % of the contrast. `apparent` is that; so thousands of slabs
-can be drawn where a true solution of each poke would take seconds.
+modulus blurred by a Gaussian of 0.6 tip widths, to within 5 % of the difference. `apparent` is that; so thousands of
+slabs can be drawn where a true solution of each poke would take seconds.
 """
 
 from __future__ import annotations
@@ -18,11 +18,13 @@ from deformscope.stages.poke.stiffness_field import CONTACT
 
 SlabKind = Literal["one material", "halves", "stiff disc", "soft disc", "gradual"]
 KINDS: tuple[SlabKind, ...] = get_args(SlabKind)
+PokeGroup = Literal["in one material", "near a border", "on the inclusion"]
+POKE_GROUPS: tuple[PokeGroup, ...] = get_args(PokeGroup)
 
 SIZE = (0.4, 0.3, 0.05)
 POISSON = 0.3
 GRID, MARGIN, JITTER = (6, 4), 0.035, 0.012
-"""Pokes along x and y, how far the outermost are from the slab's sides, and by how much each may be off its place [m]."""
+"""Pokes along x and y, how far the outermost are from the slab's sides, and by how much each may be off [m]."""
 
 SOFT, STIFF = 20e3, (70e3, 120e3)
 HALVES = (20e3, 80e3)
@@ -80,15 +82,12 @@ class PokedSlab:
         share = np.outer(weight, weight).ravel() / weight.sum() ** 2
         return np.asarray(self.young(place[:, None] + aside) @ share)
 
-    @property
-    def border(self) -> BoolArray:
-        """(24,) pokes near a border."""
-        return np.zeros(len(self.places), bool) if self.kind == "gradual" else abs(self.inside(self.places)) < BORDER
-
-    @property
-    def inclusion(self) -> BoolArray:
-        """(24,) pokes on a disc, away from its border."""
-        return (self.inside(self.places) >= BORDER) & ("disc" in self.kind)
+    def group(self, place: FloatArray) -> PokeGroup:
+        """What a poke at a place (2,) is for this slab."""
+        inside = float(self.inside(place))
+        if self.kind != "gradual" and abs(inside) < BORDER:
+            return "near a border"
+        return "on the inclusion" if "disc" in self.kind and inside > 0.0 else "in one material"
 
 
 def draw_slab(kind: SlabKind, seed: int) -> PokedSlab:

@@ -1,7 +1,7 @@
 """Random slabs, half of whose 24 pokes are fitted: do the intervals of the force hold at the other half?
 
-Two ways. In full: finite elements press the slab, a shape-matching model is fitted to what the surface did, and predicts
-other places, tips and forces; a minute or more a slab. Fast: what finite elements were found to do with a border
+Two ways. In full: finite elements press the slab, a shape-matching model is fitted to what the surface did, and
+predicts other places, tips and forces; some minutes a slab. Fast: what finite elements were found to do with a border
 (`PokedSlab.apparent`) stands for both, and the field of stiffness alone is tried, by the thousand. Either under scatter
 of the force from poke to poke that is not stated to the model.
 """
@@ -11,7 +11,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import numpy as np
 
@@ -22,17 +21,12 @@ from deformscope.stages.poke.poke_fit import SeenPoke, fit_pokes, seen_poke
 from deformscope.stages.poke.stiffness_field import fit_field
 from deformscope.stages.regions.posterior import SurfaceKind
 from deformscope.studies.coverage import Rate
-from deformscope.studies.poke_slabs import KINDS, PokedSlab, SlabKind, draw_slab
-from deformscope.studies.poke_study import GRID, TIP, Press, observe
+from deformscope.studies.poke_slabs import KINDS, POKE_GROUPS, PokedSlab, PokeGroup, SlabKind, draw_slab
+from deformscope.studies.poke_study import GRID, OTHER_TIPS, TIP, Press, observe, plan_of
 from deformscope.studies.prediction import predict_seen
 
-PokeGroup = Literal["in one material", "near a border", "on the inclusion"]
-POKE_GROUPS: tuple[PokeGroup, ...] = get_args(PokeGroup)
-
-FITTED_FORCE = 3.0
-UNSEEN_TIPS = (TIP, (0.03, 0.03), TIP, (0.015, 0.015))
-UNSEEN_FORCES = (3.0, 4.0, 1.5, 2.0, 5.0)
-"""Of unseen pokes, in turn [m], [N]."""
+TIPS = (TIP, *OTHER_TIPS)
+"""Of unseen pokes, in turn [m]."""
 
 WRONG = 0.2
 """A force that is off by more is counted."""
@@ -51,12 +45,16 @@ class ForceCase:
 
 @dataclass(frozen=True, slots=True)
 class UnseenForce:
-    """An unseen poke. same_tip: as fitted; force: true [N], or of the fast way its ratio to any other; error: of the
-    predicted one, relative; held: its interval holds it; width: of the interval over the predicted force;
-    surface_error: share of the depth, None of the fast way"""
+    """An unseen poke.
+
+    place [m]; inside: its signed distance to the border [m]; same_tip: as fitted; force: true [N], of the fast way up to
+    a factor; error: of the predicted one, relative; held: the interval holds the true one; width: of the interval over
+    the predicted force; surface_error: share of the depth, None of the fast way
+    """
 
     group: PokeGroup
     place: tuple[float, float]
+    inside: float
     same_tip: bool
     force: float
     error: float
@@ -91,9 +89,11 @@ class ForceRow:
     surface_error: float | None
 
 
-def force_cases(kinds: Sequence[SlabKind], seeds: Sequence[int], scatters: Sequence[float], full: bool) -> list[ForceCase]:
+def force_cases(
+    kinds: Sequence[SlabKind], seeds: Sequence[int], scatters: Sequence[float], full: bool, level: float = 0.9
+) -> list[ForceCase]:
     """Every slab under every scatter."""
-    return [ForceCase(kind, seed, scatter, full) for scatter in scatters for kind in kinds for seed in seeds]
+    return [ForceCase(kind, seed, scatter, full, level) for scatter in scatters for kind in kinds for seed in seeds]
 
 
 def try_slab(case: ForceCase) -> TriedSlab:
@@ -116,39 +116,39 @@ def _fast(case: ForceCase, drawn: PokedSlab, factor: FloatArray) -> TriedSlab:
 
 
 def _in_full(case: ForceCase, drawn: PokedSlab, factor: FloatArray) -> TriedSlab:
-    slab = drawn.slab()
+    plan = plan_of(drawn, TIPS)
+    fitted, unseen = np.flatnonzero(drawn.fitted), np.flatnonzero(~drawn.fitted)
 
-    def measured(which: int, sides: tuple[float, float], force: float) -> SeenPoke:
-        x, y = drawn.places[which]
-        poke = seen_poke(observe(slab, Press((float(x), float(y)), sides, force)))
-        return dataclasses.replace(poke, force=force * float(factor[which]))
+    def measured(press: Press, which: int) -> SeenPoke:
+        poke = seen_poke(observe(plan.slab, press))
+        return dataclasses.replace(poke, force=press.force * float(factor[which]))
 
-    known = [measured(int(i), TIP, FITTED_FORCE) for i in np.flatnonzero(drawn.fitted)]
-    fit = fit_pokes(MeasuredSurface(slab.grid(GRID), slab.size[2]), known)
+    known = [measured(press, int(i)) for press, i in zip(plan.fitted, fitted, strict=True)]
+    fit = fit_pokes(MeasuredSurface(plan.slab.grid(GRID), plan.slab.size[2]), known)
     model = conclude(fit, level=case.level, settings={}, provenance={}).model
     pokes = []
-    for row, i in enumerate(np.flatnonzero(~drawn.fitted)):
-        tip = UNSEEN_TIPS[row % len(UNSEEN_TIPS)]
-        poke = measured(int(i), tip, UNSEEN_FORCES[row % len(UNSEEN_FORCES)])
+    for press, i in zip(plan.unseen, unseen, strict=True):
+        poke = measured(press, int(i))
         found, _, score = predict_seen(model, poke)
         assert poke.force is not None and found.force is not None and found.force_interval is not None
         judged = _judged(drawn, int(i), poke.force, found.force, found.force_interval)
-        pokes.append(dataclasses.replace(judged, same_tip=tip == TIP, surface_error=score.surface_error))
+        pokes.append(dataclasses.replace(judged, same_tip=press.sides == TIP, surface_error=score.surface_error))
     return TriedSlab(case, model.field_kind, tuple(pokes))
 
 
-def _judged(
-    drawn: PokedSlab, which: int, force: float, predicted: float, ends: tuple[float, float]
-) -> UnseenForce:
-    group: PokeGroup = "in one material"
-    if drawn.border[which]:
-        group = "near a border"
-    elif drawn.inclusion[which]:
-        group = "on the inclusion"
+def _judged(drawn: PokedSlab, which: int, force: float, predicted: float, ends: tuple[float, float]) -> UnseenForce:
     x, y = (float(value) for value in drawn.places[which])
-    width = (ends[1] - ends[0]) / predicted
-    held = ends[0] <= force <= ends[1]
-    return UnseenForce(group, (x, y), True, force, predicted / force - 1.0, held, width, None)
+    return UnseenForce(
+        group=drawn.group(drawn.places[which]),
+        place=(x, y),
+        inside=float(drawn.inside(drawn.places[which])),
+        same_tip=True,
+        force=force,
+        error=predicted / force - 1.0,
+        held=ends[0] <= force <= ends[1],
+        width=(ends[1] - ends[0]) / predicted,
+        surface_error=None,
+    )
 
 
 def force_rows(tried: Sequence[TriedSlab]) -> list[ForceRow]:

@@ -32,8 +32,8 @@ BodyKind = Literal["layers", "particles"]
 
 TIP_SHARE, DEPTH_SHARE = 0.05, 0.1
 """Deviation of a predicted force's logarithm for each doubling or halving of the tip's width, and for each doubling of
-the largest depth fitted: on finite element slabs, tips of 1 to 4 cm were off by 1 to 6 % after a fit to one of 2 cm; what
-real material does deeper than it was pressed is not known."""
+the largest depth fitted: on finite element slabs, tips of 1 to 4 cm were off by 1 to 6 % after a fit to one of 2 cm;
+what real material does deeper than it was pressed is not known."""
 
 BEYOND = 1.25
 """A depth, or depth over tip width, this many times the largest fitted is extrapolated to."""
@@ -63,8 +63,8 @@ class FittedModel:
     shape, cell: lattice of the particles, if they stand on one; fixed: particles that do not move
     toward: (d,) direction of a poke; spacing: of the lattice to which `stiffness` belongs [m]
     tip: what the model was fitted with, and whether it slips
-    law; places: (p, d) of the pokes whose force was measured; stiffness: (p,) k there [N/m]; field_kind: what these said
-    of the surface between them when the model was fitted
+    law; places: (p, d) of the pokes whose force was measured; stiffness: (p,) k there [N/m]
+    field_kind: what these said of the surface between them when the model was fitted
     left_out: (p,) relative error of each stiffness predicted from the other pokes
     surface_error: root mean square distance from the surface near the pokes, as a share of their depth; held_out: the
     same on pokes left out of the fit, nan with one poke; rivals: other laws that do about as well

@@ -113,4 +113,3 @@ def _variance(
     if not one.shared[h]:
         variance += (one.field[h] * grown) ** 2
     return np.asarray(np.maximum(variance, 1e-300))
-

@@ -90,8 +90,8 @@ class StiffnessField:
     def interval(
         self, place: FloatArray, level: float = 0.9, *, contact_m: float | None = None, extra: float = 0.0
     ) -> FloatArray:
-        """Ends (n, 2) [N/m] between which a poke at places (n, 2) meets the stiffness with probability `level`: those of
-        the smallest ratio, so that a material which is hardly possible is left out.
+        """Ends (n, 2) [N/m] between which a poke at places (n, 2) meets the stiffness with probability `level`: those
+        of the smallest ratio, so that a material which is hardly possible is left out.
 
         contact_m: deviation of what that poke feels, if its tip is another; extra: deviation of log stiffness for other
         reasons
@@ -117,6 +117,14 @@ class StiffnessField:
         return found | {"gradual": found["gradual"] + free}
 
     @cached_property
+    def scatter(self) -> float:
+        """Root mean square deviation of log stiffness from poke to poke about what the surface may be."""
+        fields = [*self._posterior.hypotheses(MAPS).smooth, *self._free]
+        smooth = sum(share for _, share in fields)
+        square = (1.0 - smooth) * self._posterior.scatter**2 + sum(share * field.scatter**2 for field, share in fields)
+        return float(np.sqrt(OWN_SD**2 + square))
+
+    @cached_property
     def left_out(self) -> FloatArray:
         """(p,) relative error of each poke's stiffness predicted from the others; nan with one poke.
 
@@ -139,7 +147,9 @@ class StiffnessField:
             logs.append(np.log(np.maximum(weight, 1e-300))[:, None] + unexpected)
         log_weight = np.concatenate(logs)
         shares = np.exp(log_weight - logsumexp(log_weight, axis=0))
-        return self._quantile(_Mixture(np.concatenate(means), np.concatenate(variances), shares), 0.5) / self.stiffness - 1
+        return (
+            self._quantile(_Mixture(np.concatenate(means), np.concatenate(variances), shares), 0.5) / self.stiffness - 1
+        )
 
     # The mixture -----------------------------------------------------------------------------------------------------
 
@@ -159,7 +169,7 @@ class StiffnessField:
         parts = self._hypotheses(place, self.contact_m if contact_m is None else contact_m)
         means = [mean for mean, _, _, _ in parts] + [np.repeat(value[:, None], len(place), axis=1)]
         variances = [variance + noise2 for _, variance, noise2, _ in parts]
-        variances.append(np.full(near.shape, self._posterior.touch_sd**2))
+        variances.append(np.full(near.shape, self.scatter**2))
         weights = [weight[:, None] * (1.0 - repeated) for _, _, _, weight in parts]
         weights.append(repeated * near / np.maximum(near.sum(axis=0), 1e-300))
         return _Mixture(np.concatenate(means), np.concatenate(variances), np.concatenate(weights))
@@ -172,7 +182,7 @@ class StiffnessField:
         at, posterior, free = self._scaled(place), self._posterior, sum(share for _, share in self._free)
         spread = float(np.ptp(np.log(self.stiffness)))
         hypotheses = posterior.hypotheses(MAPS)
-        scatter2, found = posterior.touch_sd**2, []
+        scatter2, found = OWN_SD**2 + posterior.scatter**2, []
         for maps, level, cov, weight in hypotheses.maps:
             felt = np.ones((len(level), len(at), 1)) if maps is None else maps.shares(at, contact_m * self._scale)
             mixed = 2.0 * (1.0 - (felt**2).sum(axis=-1))
@@ -182,7 +192,9 @@ class StiffnessField:
             found.append((mean, variance, noise2, (1.0 - free) * weight))
         for field, share in [*((field, (1.0 - free) * share) for field, share in hypotheses.smooth), *self._free]:
             mean, variance = field.predict(at)
-            found.append((mean[None], variance[None], np.full((1, len(at)), scatter2), np.array([share])))
+            found.append(
+                (mean[None], variance[None], np.full((1, len(at)), OWN_SD**2 + field.scatter**2), np.array([share]))
+            )
         return [part for part in found if part[3].sum() > 0.0]
 
     @cached_property
@@ -227,4 +239,3 @@ def kind_of(probability: dict[str, float]) -> SurfaceKind:
     if probability["gradual"] > 0.5:
         return "gradual"
     return "uniform" if probability["1"] >= max(probability["2"], probability["3"]) else "materials"
-

@@ -420,7 +420,7 @@ class SmoothField:
     """A Gaussian process through the touches, which scatter. log_evidence: of these, and `log_prior`"""
 
     def __init__(self, readings: _Readings, kernel: SmoothKernel, scatter: float, log_prior: float) -> None:
-        self.kernel, self._readings, self.log_evidence = kernel, readings, log_prior
+        self.kernel, self._readings, self.scatter, self.log_evidence = kernel, readings, scatter, log_prior
         if count := len(readings.value):
             own = kernel.covariance(readings.xy_m, readings.xy_m) + np.outer(readings.arm, readings.arm)
             own.flat[:: count + 1] += readings.variance + scatter**2
@@ -557,9 +557,7 @@ def _solved(sums: FloatArray, prior_precision: Sequence[float]) -> tuple[FloatAr
     return mean, cov, log_det
 
 
-def _by_scatter(
-    shares: FloatArray, readings: _Readings, prior: RegionPrior, last_noise: float = 1.0
-) -> FloatArray:
+def _by_scatter(shares: FloatArray, readings: _Readings, prior: RegionPrior, last_noise: float = 1.0) -> FloatArray:
     """(s, n) log likelihood of maps under each scatter, with its prior."""
     scatter, share = prior.error.scatters()
     return _levels(shares, readings, prior, scatter[:, None], last_noise)[0] + np.log(share)[:, None]
