@@ -48,8 +48,8 @@ class UnseenForce:
     """An unseen poke.
 
     place [m]; inside: its signed distance to the border [m]; same_tip: as fitted; force: true [N], of the fast way up to
-    a factor; error: of the predicted one, relative; held: the interval holds the true one; width: of the interval over
-    the predicted force; surface_error: share of the depth, None of the fast way
+    a factor; error: of the predicted one, relative; low, high: ends of the interval over the true force; held: it holds
+    that; width: of the interval over the predicted force; surface_error: share of the depth, None of the fast way
     """
 
     group: PokeGroup
@@ -58,6 +58,8 @@ class UnseenForce:
     same_tip: bool
     force: float
     error: float
+    low: float
+    high: float
     held: bool
     width: float
     surface_error: float | None
@@ -145,6 +147,8 @@ def _judged(drawn: PokedSlab, which: int, force: float, predicted: float, ends: 
         same_tip=True,
         force=force,
         error=predicted / force - 1.0,
+        low=ends[0] / force,
+        high=ends[1] / force,
         held=ends[0] <= force <= ends[1],
         width=(ends[1] - ends[0]) / predicted,
         surface_error=None,

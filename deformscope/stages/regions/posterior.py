@@ -41,7 +41,6 @@ SLOPES_PER_M = (1.0, 3.0)
 PRIOR_EXTENT_M, PRIOR_MARGIN_M = 0.5, 0.05
 """Places on things of any size are taken as if they were so far apart, and so far from the border: the priors on shapes
 are of a surface of about 0.6 m."""
-KIND_PARTICLES, KIND_CELL_M = 300, 0.02
 SCATTER_MAPS = 100
 """Maps of which the scatter is asked."""
 LEVELS_DRAWN = 4000
@@ -443,18 +442,6 @@ class SmoothField:
 @lru_cache(maxsize=8)
 def _prior_maps(seed: int, regions: int, size_m: tuple[float, float], count: int) -> Partitions:
     return draw(np.random.default_rng((seed, regions)), regions, size_m, count)
-
-
-def surface_kind(places_m: FloatArray, log_stiffness: FloatArray, log_sd: float) -> SurfaceKind:
-    """What values (p,) of deviation `log_sd` at places (p, 2) [m] say of a thing of whatever size."""
-    size = np.ptp(places_m, axis=0)
-    scale = PRIOR_EXTENT_M / (float(size.max()) or 1.0)
-    width, height = (float(side) for side in np.maximum(scale * size, 2.0 * PRIOR_MARGIN_M) + 2.0 * PRIOR_MARGIN_M)
-    grid = MapGrid((width, height), KIND_CELL_M)
-    posterior = RegionPosterior.before_touches(grid, particle_count=KIND_PARTICLES)
-    for xy_m, value in zip((places_m - places_m.min(axis=0)) * scale + PRIOR_MARGIN_M, log_stiffness, strict=True):
-        posterior = posterior.with_touch(StiffnessSample(xy_m, float(value), log_sd))
-    return posterior.kind
 
 
 def _readings(touches: Sequence[StiffnessSample], prior: RegionPrior) -> _Readings:
