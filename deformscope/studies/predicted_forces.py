@@ -106,7 +106,7 @@ def try_slab(case: ForceCase) -> TriedSlab:
 
 
 def _fast(case: ForceCase, drawn: PokedSlab, factor: FloatArray) -> TriedSlab:
-    stiffness = factor * drawn.apparent(drawn.places, TIP[0])
+    stiffness = factor * drawn.apparent(drawn.places)
     field = fit_field(drawn.places[drawn.fitted], stiffness[drawn.fitted], TIP[0])
     unseen = np.flatnonzero(~drawn.fitted)
     value, ends = field.at(drawn.places[unseen]), field.interval(drawn.places[unseen], case.level)
@@ -132,7 +132,9 @@ def _in_full(case: ForceCase, drawn: PokedSlab, factor: FloatArray) -> TriedSlab
     for press, i in zip(plan.unseen, unseen, strict=True):
         poke = measured(press, int(i))
         found, _, score = predict_seen(model, poke)
-        assert poke.force is not None and found.force is not None and found.force_interval is not None
+        assert poke.force is not None
+        assert found.force is not None
+        assert found.force_interval is not None
         judged = _judged(drawn, int(i), poke.force, found.force, found.force_interval)
         pokes.append(dataclasses.replace(judged, same_tip=press.sides == TIP, surface_error=score.surface_error))
     return TriedSlab(case, model.field_kind, tuple(pokes))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from deformscope.lab.slab import RigidTip, press
-from deformscope.studies.poke_slabs import BORDER, KINDS, POISSON, SIZE, draw_slab
+from deformscope.studies.poke_slabs import BORDER, KINDS, SIZE, draw_slab
 from deformscope.studies.poke_study import Press, observe, plan_of
 from deformscope.studies.predicted_forces import ForceCase, TriedSlab, UnseenForce, force_cases, force_rows, try_slab
 
@@ -37,18 +37,20 @@ def test_groups_are_by_the_distance_to_the_border() -> None:
     assert draw_slab("gradual", 1000).group(middle) == "in one material"
 
 
-@pytest.mark.parametrize("aside", [-0.03, -0.01, 0.01, 0.03])
+@pytest.mark.slow
+@pytest.mark.parametrize("aside", [-0.01, 0.02])
 def test_what_a_poke_meets_beside_a_border_is_that_of_finite_elements(aside: float) -> None:
-    """To 5 % of the difference of the two materials; coarse elements, the same for the slab of one material."""
+    """To 3 % of the difference of the two materials; the elements are other ones than the table's."""
     drawn = dataclasses.replace(
         draw_slab("halves", 1000), normal=np.array([1.0, 0.0]), middle=np.array([0.2, 0.15]), modulus=(20e3, 80e3)
     )
     at, tip = (0.2 + aside, 0.15), RigidTip((0.01, 0.01))
     point = np.array([[0.2, 0.15, SIZE[2]]])
-    met = press(drawn.slab(), at, tip, point, depth=1e-3, finest=0.005).force
-    alike = press(dataclasses.replace(drawn.slab(), young=20e3), at, tip, point, depth=1e-3, finest=0.005).force
-    assert drawn.apparent(np.array([at]), 0.02)[0] == pytest.approx(20e3 * met / alike, abs=0.05 * 60e3)
-    assert drawn.slab().poisson == POISSON
+    met = press(drawn.slab(), at, tip, point, depth=1e-3, finest=0.003).force
+    alike = press(dataclasses.replace(drawn.slab(), young=20e3), at, tip, point, depth=1e-3, finest=0.003).force
+    assert drawn.apparent(np.array([at]))[0] == pytest.approx(20e3 * met / alike, abs=0.03 * 60e3)
+    swapped = dataclasses.replace(drawn, modulus=(80e3, 20e3), normal=-drawn.normal)
+    np.testing.assert_allclose(swapped.apparent(np.array([at])), drawn.apparent(np.array([at])))
 
 
 def test_a_fast_slab_is_fitted_and_its_other_half_predicted() -> None:
