@@ -57,6 +57,9 @@ TAILS = 10
 FREEDOM = 5.0
 """Of Student's t: errors have heavier tails than a Gaussian's."""
 
+EXCLUDED = 1e-6
+"""Probability below which a hypothesis is taken as excluded by the pokes together."""
+
 PARTICLES, MAPS, CELL_M = 300, 300, 0.02
 ERROR = TouchErrorModel(gain_sd=0.0)
 """All pokes are of one session: what they share, forces predicted for it share too."""
@@ -137,6 +140,8 @@ class StiffnessField:
         centre = value.mean()
         means, variances, logs = [], [], []
         for mean, variance, noise2, weight in self._hypotheses(self.places, self.contact_m):
+            if weight.sum() < EXCLUDED:
+                continue  # one poke less would not bring it back
             own = np.maximum(1.0 / variance - 1.0 / noise2, 1.0)  # precision without the poke; the prior's is 1
             others = centre + ((mean - centre) / variance - (value - centre) / noise2) / own
             others = np.clip(others, value.min(), value.max())
