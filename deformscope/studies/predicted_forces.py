@@ -48,8 +48,8 @@ class UnseenForce:
     """An unseen poke.
 
     place [m]; inside: its signed distance to the border [m]; same_tip: as fitted; force: true [N], of the fast way up
-    to a factor; error: of the predicted one, relative; low, high: ends of the interval over the true force; held: it holds
-    that; width: of the interval over the predicted force; surface_error: share of the depth, None of the fast way
+    to a factor; error: of the predicted one, relative; low, high: ends of the interval over the true force; held: it
+    holds that; width: of it over the predicted force; surface_error: share of the depth, None of the fast way
     """
 
     group: PokeGroup
