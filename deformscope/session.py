@@ -60,12 +60,14 @@ class Step:
     frame: the index of the frame that the results belong to; None = the frame just sent
     moment: where they stand instead, in a session with a robot
     command: a `Compute`, or something that the robot carries out; an experiment gives one at a time
+    batch_s: how long what devices give is then gathered, without a robot
     """
 
     results: tuple[object, ...] = ()
     frame: int | None = None
     moment: Moment | None = None
     command: object | None = None
+    batch_s: float = BATCH_S
 
 
 Experiment = Generator[Step, ColorFrame | None, SummaryT]
@@ -157,7 +159,7 @@ def run(
     try:
         step = next(experiment)
         if step.command is None and step.moment is None:  # nothing was sent in yet
-            step = experiment.send(keep(0.0 if robot is not None else BATCH_S))
+            step = experiment.send(keep(0.0 if robot is not None else step.batch_s))
         while True:
             write(step)
             if isinstance(step.command, Compute):
@@ -165,7 +167,7 @@ def run(
             elif step.command is not None and robot is not None:
                 waiting = robot.carry_out(step.command, keep)
             if waiting is None:
-                step = experiment.send(keep(BATCH_S if robot is None else 0.0))
+                step = experiment.send(keep(step.batch_s if robot is None else 0.0))
                 continue
             either = [waiting] if robot is None or heeded else [waiting, robot.stopped]
             concurrent.futures.wait(either, BATCH_S, concurrent.futures.FIRST_COMPLETED)

@@ -75,6 +75,7 @@ class ClassifierCheckResult(LibraryResult):
         return entry | {
             "promised": None if promised is None else promised.value,
             "promised_interval": None if promised is None else promised.interval,
+            "expected_interval": self.check.expected,
             "promise_kept": None if promised is None else self.check.kept,
             "bins_inside": self.check.inside[0],
             "bins": self.check.inside[1],
@@ -90,12 +91,12 @@ def _words(score: ClassificationScore) -> str:
 
 def promise_words(check: ModelCheck) -> str:
     """Whether the accuracy is what the model's file promises."""
-    if check.promised is None:
+    if check.promised is None or check.expected is None:
         return "nothing: the file holds no accuracy"
-    low, high = check.promised.interval
-    better = check.score.accuracy.value > high
+    better = check.score.accuracy.value > check.expected[1]
     verdict = "kept" if check.kept else "NOT kept, it does better" if better else "NOT kept"
-    return f"{verdict}: {check.promised.value:.1%} ({low:.1%} to {high:.1%})"
+    promised = "{:.1%} ({:.1%} to {:.1%})".format(check.promised.value, *check.promised.interval)
+    return f"{verdict}: {promised}; {{:.1%}} to {{:.1%}} expected of so many trials".format(*check.expected)
 
 
 def calibration_words(check: ModelCheck) -> str:

@@ -20,7 +20,7 @@ from deformscope.pictures.findings import Findings
 from deformscope.pictures.flow import flow_png
 from deformscope.pictures.report import Table
 from deformscope.session import Step
-from deformscope.stages.see.flow import dense_flow
+from deformscope.stages.see.flow import flow_both_ways
 from deformscope_drivers.clock import Stamp
 
 
@@ -30,9 +30,8 @@ def run(config: FlowConfig) -> None:
     if before.shape[:2] != after.shape[:2]:
         sizes = " and ".join(f"{image.shape[1]} x {image.shape[0]}" for image in (before, after))
         raise InputError("two images of one size", f"{sizes} px", "crop both alike", config.after)
-    forward = dense_flow(before, after, config.method)
-    flow_px = np.asarray(forward.flow_px, dtype=np.float32)
-    backward_px = np.asarray(dense_flow(after, before, config.method).flow_px, dtype=np.float32)
+    forward, backward = flow_both_ways(before, after, config.method)
+    flow_px, backward_px = (np.asarray(one.flow_px, dtype=np.float32) for one in (forward, backward))
 
     arrays = {"flow_px": flow_px} | ({"backward_px": backward_px} if config.backward else {})
     with replacing(config.out) as file:

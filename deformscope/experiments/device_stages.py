@@ -29,7 +29,7 @@ from deformscope.stages.poke.contact import ArmCompliance, fit_approach
 from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.arrows import FlowArrows, flow_arrows, region_of
 from deformscope.stages.see.cloud import Box, Intrinsics, perceive
-from deformscope.stages.see.flow import dense_flow
+from deformscope.stages.see.flow import flow_both_ways
 from deformscope.stages.see.particles import ParticleGrid, Tracked, advance, seed_grid, start
 from deformscope.stages.see.tactile import TactileContact, tactile_contact
 from deformscope_drivers.jaco.kinematics import rotation_from_euler_xyz
@@ -298,9 +298,7 @@ def _particles_at(
     if spacing is None and particles.grid is None:
         spacing = max(height, width) / PARTICLES_ALONG
     grid = seed_grid((height, width), None, particles.grid, spacing)
-    forward = dense_flow(first.image, second.image, particles.flow)
-    backward = dense_flow(second.image, first.image, particles.flow)
-    tracked = advance(start(grid), forward, backward)
+    tracked = advance(start(grid), *flow_both_ways(first.image, second.image, particles.flow))
     scale = first.scale
     whole = ParticleGrid(first.whole(grid.rest_px), grid.shape, grid.cell, grid.spacing_px * scale)
     return whole, Tracked(

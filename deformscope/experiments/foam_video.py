@@ -16,7 +16,7 @@ from deformscope.errors import InputError
 from deformscope.session import Experiment, Step
 from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation, Progress, calibrate
 from deformscope.stages.fit.estimate import Comparison
-from deformscope.stages.see.flow import FlowMethod, dense_flow
+from deformscope.stages.see.flow import FlowMethod, flow_both_ways
 from deformscope.stages.see.particles import ParticleGrid, Rect, Tracked, advance, seed_grid, select_held, start
 
 FRAMES_AT_ONCE = 256
@@ -100,8 +100,7 @@ def track(
         following = yield step
         if following is None:
             return grid, history
-        forward = dense_flow(frame.image, following.image, particles.flow)
-        backward = dense_flow(following.image, frame.image, particles.flow)
+        forward, backward = flow_both_ways(frame.image, following.image, particles.flow)
         history.append(advance(history[-1], forward, backward))
         if times is not None:
             times.append(1e-9 * (following.stamp.host_ns - began.host_ns))

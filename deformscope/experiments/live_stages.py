@@ -27,6 +27,10 @@ if TYPE_CHECKING:
     from deformscope.experiments.device_stages import Stage
 
 
+SOON_S = 0.02
+"""How long what devices give is gathered while stages wait for it: a frame is not kept waiting longer."""
+
+
 class Beside(Protocol):
     """Computes beside the loop."""
 
@@ -75,7 +79,7 @@ def live_stages(
     batch, and says when it is over; lossless: colour images are recorded as they are
     """
     running = [_Running(stage, beside[stage.name], lossless) for stage in stages]
-    given = yield Step()
+    given = yield Step(batch_s=SOON_S)
     over = False
     while not over:
         items = given if isinstance(given, Sequence) else ()
@@ -84,7 +88,7 @@ def live_stages(
             one.go_on(items)
         over = ended(items)
         if results or not over:
-            given = yield Step(results)
+            given = yield Step(results, batch_s=SOON_S)
     return {one.stage.name: one.end() for one in running}
 
 

@@ -350,21 +350,24 @@ def reliability_png(scores: Sequence[ClassificationScore]) -> bytes:
 
 
 def steps_png(found: Evaluation) -> bytes:
-    """What is known while a squeeze goes on."""
-    figure = canvas(7.4, 4.0, layout="constrained")
-    axis = figure.subplots()
+    """What is known while a squeeze goes on; beside it, what comes of stopping as soon as it is sure enough."""
+    figure = canvas(9.4, 4.0, layout="constrained")
+    now, early = figure.subplots(1, 2, sharex=True, sharey=True)
     for index, (name, points) in enumerate(found.steps.items()):
         time = np.array([one.time_s for one in points])
         value = np.array([one.accuracy.value for one in points])
         color = COLOURS[index % len(COLOURS)]
         reach = _reach([one.accuracy for one in points])
-        axis.errorbar(time, value, yerr=reach, fmt="o-", capsize=3, color=color, label=f"{name}: right")
-        stopped = [one.stopped for one in points]
-        axis.plot(time, stopped, "--", color=color, label=f"{name}: sure enough to stop")
-        axis.plot(time, [one.right for one in points], ":", color=color, label=f"{name}: right of those")
-    axis.axhline(found.scores[0].chance, color="tab:gray", linestyle=":", label="no-information rate")
-    axis.set(xlabel="time since the first contact [s]")
-    axis.grid(alpha=0.25)
-    _percent(axis, "share of trials")
-    axis.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.01, 0.5))
+        now.errorbar(time, value, yerr=reach, fmt="o-", capsize=3, color=color, label=name)
+        early.plot(time, [one.stopped for one in points], color=color)
+        early.plot(time, [one.right for one in points], ":", color=color)
+    now.axhline(found.scores[0].chance, color="tab:gray", linestyle="--", label="no-information rate")
+    early.plot([], [], color="0.3", label="sure enough to stop by then")
+    early.plot([], [], ":", color="0.3", label="named rightly, of those")
+    for axis, title in ((now, "named rightly at that moment"), (early, "stopped as soon as it is sure")):
+        axis.set(xlabel="time since the first contact [s]")
+        axis.set_title(title, fontsize=10)
+        axis.grid(alpha=0.25)
+        axis.legend(fontsize=8, loc="lower right")
+    _percent(now, "share of trials")
     return png_of(figure, DPI)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from deformscope.errors import InputError
 
-REPORTED = range(0, 1000)
+REPORTED = range(1000)
 """Seeds that users' commands draw by default, and that figures in the documentation come from."""
 
 TUNING = range(1000, 2000)

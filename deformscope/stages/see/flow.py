@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
@@ -92,6 +93,16 @@ def dense_flow(before: Image, after: Image, method: FlowMethod = "dis") -> FlowF
         )
         return FlowField(np.asarray(flow, dtype=np.float32))
     return _refine(a, b, _coarse(a8, b8))
+
+
+def flow_both_ways(before: Image, after: Image, method: FlowMethod = "dis") -> tuple[FlowField, FlowField]:
+    """`dense_flow` from `before` to `after` and back; at once where OpenCV is held to one thread."""
+    if cv2.getNumThreads() > 1:
+        # two calls would share OpenCV's threads, and DIS's stripes then be other ones from time to time
+        return dense_flow(before, after, method), dense_flow(after, before, method)
+    with ThreadPoolExecutor(1) as beside:
+        backward = beside.submit(dense_flow, after, before, method)
+        return dense_flow(before, after, method), backward.result()
 
 
 def _stretch(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:

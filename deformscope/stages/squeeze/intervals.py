@@ -32,6 +32,20 @@ def wilson(share: float, count: float, level: float) -> Interval:
     return max(0.0, float(middle - half)), min(1.0, float(middle + half))
 
 
+def share_among_new(expected: Estimated, count: float, level: float, expected_level: float) -> Interval:
+    """Within what a share is seen among so many new independent trials, with a chance of `level`: the long-run share is
+    a beta distribution whose mean is the expected one and whose deviation is that of its interval of `expected_level`,
+    what is seen of it a beta-binomial one."""
+    mean = min(max(expected.value, 1e-6), 1.0 - 1e-6)
+    half = 0.5 * (expected.interval[1] - expected.interval[0])
+    deviation = max(half / float(stats.norm.ppf(0.5 + expected_level / 2)), 1e-6)
+    worth = max(mean * (1.0 - mean) / deviation**2 - 1.0, 1e-3)  # trials that the expectation itself is worth
+    whole = max(round(count), 1)
+    seen = stats.betabinom(whole, worth * mean, worth * (1.0 - mean))
+    low, high = (float(seen.ppf(share)) / whole for share in (0.5 - level / 2, 0.5 + level / 2))
+    return min(low, expected.interval[0]), max(high, expected.interval[1])
+
+
 def corrected_deviation(values: FloatArray, ratio: float) -> float:
     """Standard deviation of the mean of (J,) values over splits: splits share trials, so that the variance is that of
     one split times 1 / J + test / train (Nadeau and Bengio 2003, 4). ratio: tested trials over training ones"""

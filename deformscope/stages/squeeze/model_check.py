@@ -10,7 +10,7 @@ from scipy import stats
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.squeeze.intervals import Estimated, wilson
+from deformscope.stages.squeeze.intervals import Estimated, Interval, share_among_new, wilson
 from deformscope.stages.squeeze.model import ContentModel
 from deformscope.stages.squeeze.scores import ClassificationScore, independent, reliability_of
 from deformscope.stages.squeeze.table import LabelledTable
@@ -25,6 +25,7 @@ class ModelCheck:
     """labels: C contents that the model knows; score: of all its modalities; alone: of each by itself
 
     promised: accuracy with its interval that the model carries, None = none
+    expected: within what the accuracy of so many independent trials lies, were the promise right
     inside: of the bins of the reliability diagram that have answers, how many are inside the band, and of how many
     calibrated: share of perfectly calibrated classifiers with the same posteriors that stray as far or farther
     """
@@ -33,16 +34,14 @@ class ModelCheck:
     score: ClassificationScore
     alone: Mapping[str, ClassificationScore]
     promised: Estimated | None
+    expected: Interval | None
     inside: tuple[int, int]
     calibrated: float
 
     @property
     def kept(self) -> bool:
-        """Whether the accuracy lies within what was promised."""
-        if self.promised is None:
-            return False
-        low, high = self.promised.interval
-        return low <= self.score.accuracy.value <= high
+        """Whether the accuracy is one that is expected of so many trials, were the promise right."""
+        return self.expected is not None and self.expected[0] <= self.score.accuracy.value <= self.expected[1]
 
     @property
     def calibration_kept(self) -> bool:
@@ -78,7 +77,13 @@ def check_model(model: ContentModel, table: LabelledTable, *, level: float = 0.9
     filled = found.count > 0
     within = (found.right >= found.band[:, 0]) & (found.right <= found.band[:, 1])
     bins = int((within & filled).sum()), int(filled.sum())
-    return ModelCheck(model.labels, score, alone, _promised(model), bins, _calibrated(posterior, score, seed))
+    promised, expected = _promised(model), None
+    if promised is not None:
+        right = posterior.argmax(axis=1) == [model.labels.index(one) for one in table.label[rows]]
+        units = independent(right.astype(np.float64), None if table.group is None else table.group[rows])
+        stated = model.promised.get("level", level)
+        expected = share_among_new(promised, units, level, float(stated) if isinstance(stated, float) else level)
+    return ModelCheck(model.labels, score, alone, promised, expected, bins, _calibrated(posterior, score, seed))
 
 
 def _promised(model: ContentModel) -> Estimated | None:

@@ -12,7 +12,7 @@ import pytest
 import scipy.io
 
 from deformscope.errors import InputError
-from deformscope.stages.see.flow import SMALLEST_PX, dense_flow, grey
+from deformscope.stages.see.flow import SMALLEST_PX, dense_flow, flow_both_ways, grey
 from tests.cases import slow_but
 
 Array = npt.NDArray[np.float64]
@@ -241,3 +241,17 @@ def test_refuses(before: npt.NDArray[np.uint8], after: npt.NDArray[np.uint8], sa
 def test_refuses_an_unknown_method() -> None:
     with pytest.raises(InputError, match="dis, farneback"):
         dense_flow(np.zeros((40, 40), np.uint8), np.zeros((40, 40), np.uint8), "raft")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_both_ways_at_once_are_bit_equal_to_one_after_the_other(threads: int) -> None:
+    before, after, _ = pair(MOTIONS["waves"][0], side=96)
+    usual = cv2.getNumThreads()
+    cv2.setNumThreads(threads)
+    try:
+        both = flow_both_ways(before, after)
+        apart = dense_flow(before, after), dense_flow(after, before)
+    finally:
+        cv2.setNumThreads(usual)
+    for one, other in zip(both, apart, strict=True):
+        np.testing.assert_array_equal(one.flow_px, other.flow_px)

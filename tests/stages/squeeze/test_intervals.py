@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from deformscope.stages.squeeze.intervals import difference, holm, lilliefors, over_splits, wilson
+from deformscope.stages.squeeze.intervals import (
+    Estimated,
+    difference,
+    holm,
+    lilliefors,
+    over_splits,
+    share_among_new,
+    wilson,
+)
 
 
 def test_wilson_is_as_published() -> None:
@@ -67,3 +75,15 @@ def test_what_is_not_normal_is_recognised() -> None:
     assert lilliefors(rng.exponential(size=100))[1] < 0.001
     assert np.isnan(lilliefors(np.array([1.0, 2.0, 3.0]))[1])
     assert np.isnan(lilliefors(np.ones(10))[1])
+
+
+def test_a_share_seen_among_new_trials_scatters_by_the_expectation_and_by_their_number() -> None:
+    rng = np.random.default_rng(3)
+    expected = Estimated(0.86, (0.83, 0.89))  # a deviation of 0.03 / 1.645
+    truth = rng.normal(0.86, 0.03 / 1.645, 20_000)
+    for count in (60, 300):
+        low, high = share_among_new(expected, count, 0.9, 0.9)
+        seen = rng.binomial(count, truth) / count
+        assert np.mean((seen >= low) & (seen <= high)) == pytest.approx(0.91, abs=0.025)
+        assert high - low > 0.06
+    assert share_among_new(expected, 1e6, 0.9, 0.9) == pytest.approx((0.83, 0.89), abs=2e-3)

@@ -12,7 +12,7 @@ from deformscope.stages.squeeze.model import ContentModel, fit_model
 from deformscope.stages.squeeze.model_check import check_model
 from tests.stages.squeeze.trials import two_modalities
 
-PROMISED = {"accuracy": 0.9, "interval": (0.85, 0.99)}
+PROMISED = {"accuracy": 0.97, "interval": (0.95, 0.99)}
 
 
 @pytest.fixture(scope="module")
