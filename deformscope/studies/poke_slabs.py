@@ -35,8 +35,8 @@ BORDER = 0.02
 
 FELT_M = 0.01 * np.arange(-4.0, 5.0)
 FELT = np.array([0.002, 0.008, 0.022, 0.120, 0.463, 0.768, 0.912, 0.963, 0.989])
-"""By how much of the difference a poke with a tip of 2 x 2 cm meets the stiffer material, at distances from the border on
-its side [m]: finite elements, 20 and 80 kPa, 5 cm thick. Discs of 4 to 8 cm, 20 and 120 kPa, are within 0.06 of it."""
+"""By how much of the difference a poke with a tip of 2 x 2 cm meets the stiffer material, at distances from the border
+on its side [m]: finite elements, 20 and 80 kPa, 5 cm thick. Discs of 4 to 8 cm, 20 and 120 kPa, are within 0.06."""
 
 
 @dataclass(frozen=True, slots=True)
