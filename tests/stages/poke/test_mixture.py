@@ -33,3 +33,15 @@ def test_weights_may_differ_from_value_to_value() -> None:
     mean, deviation = np.array([[0.0, 0.0], [10.0, 10.0]]), np.full((2, 2), 0.1)
     found = quantile(mean, deviation, np.array([[1.0, 0.0], [0.0, 1.0]]), 0.5)
     np.testing.assert_allclose(found, [0.0, 10.0], atol=1e-6)
+
+
+def test_quantiles_of_a_mixture_are_those_of_its_draws() -> None:
+    rng = np.random.default_rng(0)
+    mean, deviation = rng.normal(0.0, 1.0, (3, 2, 2)), rng.uniform(0.2, 1.0, (3, 2, 2))
+    weight = np.array([0.5, 0.3, 0.2])
+    which = rng.choice(3, 40_000, p=weight)
+    draws = mean[which] + deviation[which] * rng.standard_normal((40_000, 2, 2))
+    for share in (0.05, 0.5, 0.9):
+        np.testing.assert_allclose(
+            quantile(mean, deviation, weight, share), np.quantile(draws, share, axis=0), atol=0.04
+        )
