@@ -184,8 +184,8 @@ def _dispatch(args: list[str]) -> int:
 
 def _find(args: list[str]) -> tuple[str, list[str]]:
     """The command's full name, or a group's where its help is asked for, and the arguments left."""
-    first = args[0]
-    if (both := " ".join(args[:2])) in COMMANDS and len(args) > 1:
+    first, both = args[0], " ".join(args[:2])
+    if both in COMMANDS:
         return both, args[2:]
     if first in COMMANDS:
         return first, args[1:]

@@ -24,7 +24,7 @@ def run(config: ForceCoverageConfig) -> None:
     """Try all slabs and print a table for each scatter."""
     quiet_warp()
     seeds = reported(config.slabs, config.output.seed)
-    cases = force_cases(KINDS, seeds, config.scatter, config.full, config.level)
+    cases = force_cases(KINDS, seeds, config.scatter, config.full, config.level, config.split)
     with recorder_of(config) as recorder:
         with fit_progress() as note:
             tried = examined("random slabs", try_slab, cases, config.jobs, note)
@@ -33,7 +33,10 @@ def run(config: ForceCoverageConfig) -> None:
         show(found)
         recorder.write(Step((found,)))
     lines = [{**plain(row), "held": rate_json(row.held)} for row in rows]
-    write_json({"level": config.level, "full": config.full, "rows": lines, "slabs": tried}, config.output.json)
+    write_json(
+        {"level": config.level, "full": config.full, "split": config.split, "rows": lines, "slabs": tried},
+        config.output.json,
+    )
 
 
 def force_table(rows: Sequence[ForceRow], scatter: float, level: float) -> Table:

@@ -99,6 +99,8 @@ class ForceCoverageConfig(RecordedOptions):
     """By how much the force scatters from poke to poke, as a share."""
     full: bool = False
     """Press the slabs with finite elements and fit shape-matching models to what their surfaces do: minutes a slab."""
+    split: Literal["alternate", "random"] = "alternate"
+    """Which half is fitted: every other poke, as on a chess board, or any half."""
     level: flags.LevelFlag = 0.9
     """Confidence level of the intervals."""
     jobs: flags.ManyFlag = 2

@@ -16,6 +16,7 @@ from deformscope.lab.slab import Slab
 
 SlabKind = Literal["one material", "halves", "stiff disc", "soft disc", "gradual"]
 KINDS: tuple[SlabKind, ...] = get_args(SlabKind)
+Split = Literal["alternate", "random"]
 PokeGroup = Literal["in one material", "near a border", "on the inclusion"]
 POKE_GROUPS: tuple[PokeGroup, ...] = get_args(PokeGroup)
 
@@ -92,11 +93,12 @@ class PokedSlab:
         return "on the inclusion" if "disc" in self.kind and inside > 0.0 else "in one material"
 
 
-def draw_slab(kind: SlabKind, seed: int) -> PokedSlab:
-    """The slab of this kind and seed."""
+def draw_slab(kind: SlabKind, seed: int, split: Split = "alternate") -> PokedSlab:
+    """The slab of this kind and seed. split: fitted is every other poke, as on a chess board, or any half of them"""
     rng = np.random.default_rng([seed, KINDS.index(kind), 16])
     axes = [np.linspace(MARGIN, side - MARGIN, count) for side, count in zip(SIZE, GRID, strict=False)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    every_other = (np.add.outer(*(np.arange(count) for count in GRID)).ravel() + seed) % 2 == 0
     while True:
         angle = rng.choice(4) * np.pi / 2.0 + rng.normal(0.0, np.radians(10.0))
         middle = np.asarray(SIZE[:2]) * rng.uniform(0.3, 0.7, 2)
@@ -116,7 +118,7 @@ def draw_slab(kind: SlabKind, seed: int) -> PokedSlab:
             radius=float(rng.uniform(*RADIUS)),
             modulus=modulus,
             places=grid + rng.uniform(-JITTER, JITTER, grid.shape),
-            fitted=np.isin(np.arange(len(grid)), rng.permutation(len(grid))[: len(grid) // 2]),
+            fitted=every_other if split == "alternate" else rng.permutation(every_other),
         )
         inner = found.inside(found.places) > 0.0
         if "disc" not in kind or min((inner & found.fitted).sum(), (inner & ~found.fitted).sum()) >= LEAST_SEEN:

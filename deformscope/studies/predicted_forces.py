@@ -21,7 +21,7 @@ from deformscope.stages.poke.poke_fit import SeenPoke, fit_pokes, seen_poke
 from deformscope.stages.poke.stiffness_field import fit_field
 from deformscope.stages.regions.posterior import SurfaceKind
 from deformscope.studies.coverage import Rate
-from deformscope.studies.poke_slabs import KINDS, POKE_GROUPS, PokedSlab, PokeGroup, SlabKind, draw_slab
+from deformscope.studies.poke_slabs import KINDS, POKE_GROUPS, PokedSlab, PokeGroup, SlabKind, Split, draw_slab
 from deformscope.studies.poke_study import GRID, OTHER_TIPS, TIP, Press, observe, plan_of
 from deformscope.studies.prediction import predict_seen
 
@@ -34,13 +34,15 @@ WRONG = 0.2
 
 @dataclass(frozen=True, slots=True)
 class ForceCase:
-    """A slab to try. scatter: deviation of the force's logarithm from poke to poke; full: with finite elements"""
+    """A slab to try. scatter: deviation of the force's logarithm from poke to poke; full: with finite
+    elements; split: which half is fitted"""
 
     kind: SlabKind
     seed: int
     scatter: float = 0.0
     full: bool = False
     level: float = 0.9
+    split: Split = "alternate"
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,15 +94,22 @@ class ForceRow:
 
 
 def force_cases(
-    kinds: Sequence[SlabKind], seeds: Sequence[int], scatters: Sequence[float], full: bool, level: float = 0.9
+    kinds: Sequence[SlabKind],
+    seeds: Sequence[int],
+    scatters: Sequence[float],
+    full: bool,
+    level: float = 0.9,
+    split: Split = "alternate",
 ) -> list[ForceCase]:
     """Every slab under every scatter."""
-    return [ForceCase(kind, seed, scatter, full, level) for scatter in scatters for kind in kinds for seed in seeds]
+    return [
+        ForceCase(kind, seed, scatter, full, level, split) for scatter in scatters for kind in kinds for seed in seeds
+    ]
 
 
 def try_slab(case: ForceCase) -> TriedSlab:
     """Draw the slab, fit half of its pokes and predict the others."""
-    drawn = draw_slab(case.kind, case.seed)
+    drawn = draw_slab(case.kind, case.seed, case.split)
     factor = np.exp(case.scatter * np.random.default_rng([case.seed, 29]).normal(size=len(drawn.places)))
     return _in_full(case, drawn, factor) if case.full else _fast(case, drawn, factor)
 
