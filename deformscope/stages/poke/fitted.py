@@ -113,7 +113,7 @@ class FittedModel:
             found.append(f"{share:.0%} of the thickness deep, where materials stiffen as the model does not")
         return tuple(found)
 
-    def stiffness_at(self, poke: Poke, spacing: float, extra: float = 0.0) -> Stiffness | None:
+    def stiffness_at(self, poke: Poke, spacing: float, extra: float = 0.0) -> MetStiffness | None:
         """k [N/m] of a lattice of this spacing that a poke meets; None where no force was measured.
 
         A finer lattice of the same material has a k that is smaller in proportion (in the plane: the same).
@@ -124,7 +124,7 @@ class FittedModel:
         place, finer = self._across(poke.at[None]), float(spacing / self.spacing) ** (self.dim - 2)
         contact = CONTACT * poke.tip.width
         low, high = self.between.interval(place, contact_m=contact, extra=extra)[0] * finer
-        return Stiffness(float(self.between.at(place, contact)[0]) * finer, (float(low), float(high)))
+        return MetStiffness(float(self.between.at(place, contact)[0]) * finer, (float(low), float(high)))
 
     @cached_property
     def between(self) -> StiffnessField | None:
@@ -145,7 +145,7 @@ class FittedModel:
 
 
 @dataclass(frozen=True, slots=True)
-class Stiffness:
+class MetStiffness:
     """What a poke meets: median and 90 % interval [N/m]."""
 
     value: float
