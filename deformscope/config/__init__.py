@@ -27,6 +27,7 @@ from deformscope.config.reproduce import (
     CoverageConfig,
     CubesConfig,
     FoamsConfig,
+    ForceCoverageConfig,
     PokesConfig,
     RegionCoverageConfig,
     SqueezesConfig,

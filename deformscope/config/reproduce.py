@@ -112,6 +112,30 @@ class RegionCoverageConfig(RecordedOptions):
 
 
 @dataclass(frozen=True, slots=True)
+class ForceCoverageConfig(RecordedOptions):
+    """Count how often the intervals of a predicted force hold the true one: random slabs of one material, halves, stiff
+    and soft discs and gradual ones, half of whose 24 pokes are fitted, under scatter that the model is not given."""
+
+    slabs: flags.ManyFlag = 20
+    """Slabs of each kind, from seed SEED on. A slab takes some 3 s."""
+    scatter: Annotated[tuple[float, ...], arg(metavar="SHARE...")] = (0.0, 0.03, 0.06, 0.1)
+    """By how much the force scatters from poke to poke, as a share."""
+    full: bool = False
+    """Press the slabs with finite elements and fit shape-matching models to what their surfaces do: minutes a slab."""
+    split: Literal["alternate", "random"] = "alternate"
+    """Which half is fitted: every other poke, as on a chess board, or any half."""
+    level: flags.LevelFlag = 0.9
+    """Confidence level of the intervals."""
+    jobs: flags.ManyFlag = 2
+    """Processes that share the work."""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def check(self) -> None:
+        if not self.scatter or any(not 0.0 <= one < 1.0 for one in self.scatter):
+            raise InputError("shares from 0 to below 1 after --scatter", " ".join(f"{one:g}" for one in self.scatter))
+
+
+@dataclass(frozen=True, slots=True)
 class Table41Config(RecordedOptions):
     """Thesis table 4.1 and scenes beyond it: explore simulated tables over seeds, and report how good the maps are
     after how many touches, planner beside planner. A touch takes about a second of a core: 20 seeds of all scenes take
