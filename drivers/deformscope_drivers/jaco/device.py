@@ -36,7 +36,7 @@ from deformscope_drivers.jaco.pacing import SlotPacer
 from deformscope_drivers.jaco.reading import Sweep
 from deformscope_drivers.jaco.startup import CONFIGURATION_GAP_S, JacoIdentity, bring_up, let_go
 from deformscope_drivers.jaco.state import JacoState
-from deformscope_drivers.jaco.structures import AngularInfo, CartesianInfo, TrajectoryPoint
+from deformscope_drivers.jaco.structures import ACTUATOR_ADDRESSES, AngularInfo, CartesianInfo, TrajectoryPoint
 from deformscope_drivers.memory import SimulatedClock
 from deformscope_drivers.pacing import Pacer
 
@@ -49,7 +49,6 @@ STATE_AGE_S = 0.5
 STILL_DEG_S, STILL_S = 1.0, 0.5
 REACHED_M, REACHED_RAD, REACHED_DEG, REACHED_FINGER = 2e-3, 0.02, 0.5, 70.0
 CANDLE_DEG, CANDLE_WITHIN_DEG = 180.0, 3.0
-FIRST_ACTUATOR_ADDRESS = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -478,7 +477,7 @@ class Jaco(Device[JacoState]):
                 self.name,
             )
         for number in range(1, count + 1) if joint is None else (joint,):
-            self._configure("SetTorqueZero", FIRST_ACTUATOR_ADDRESS + number - 1)
+            self._configure("SetTorqueZero", ACTUATOR_ADDRESSES[number - 1])
 
     def _pair(
         self,

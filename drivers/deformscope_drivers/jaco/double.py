@@ -324,10 +324,10 @@ class JacoDouble:
         self._arm.admittance.active = False
 
     def SetTorqueZero(self, address: int) -> int:
-        """Addresses 16 and up are the joints: what their sensors show now, beside gravity, is zero from here on."""
-        joint = address - 16
-        if not 0 <= joint < self.chain.joint_count:
+        """What a joint's sensor shows now, beside gravity, is zero from here on."""
+        if address not in structures.ACTUATOR_ADDRESSES[: self.chain.joint_count]:
             return _INVALID
+        joint = structures.ACTUATOR_ADDRESSES.index(address)
         self._arm.torque_bias_nm[joint] -= self._arm.external_torque_nm()[joint]
         return OK
 

@@ -16,6 +16,8 @@ STRING_LENGTH = 20
 DEVICE_COUNT_MAX = 20
 FINGER_COUNT = 3
 FINGER_CLOSED = 6800.0
+ACTUATOR_ADDRESSES = (16, 17, 18, 19, 20, 21, 25)
+"""Of the joints on the arm's own bus; 22 to 24 are the fingers (kinova-ros `kinova_comm.cpp`, setZeroTorque)."""
 
 
 class PositionType(IntEnum):

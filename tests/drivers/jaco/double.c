@@ -815,7 +815,8 @@ int VENDOR(SetAngularInertiaDamping)(AngularInfo inertia, AngularInfo damping) {
 
 int VENDOR(SetTorqueZero)(int address) {
     ENTER(SetTorqueZero);
-    return address >= 16 && address < 16 + arm.joints ? OK : INVALID;
+    /* 22 to 24 are the fingers: a seventh joint is behind them */
+    return (address >= 16 && address <= 21) || (address == 25 && arm.joints == 7) ? OK : INVALID;
 }
 
 int VENDOR(SetTorqueSafetyFactor)(float factor) {

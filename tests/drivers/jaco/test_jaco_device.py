@@ -965,6 +965,16 @@ def test_force_ranges_that_make_no_sense_are_refused(
     assert lab.recorded.times("SetCartesianForceMinMax") == []
 
 
+def test_the_seventh_joint_s_torque_is_zeroed_behind_the_fingers_addresses() -> None:
+    lab = Simulated(JacoConfig(), model="j2s7s300", start_deg=[180.0] * 7)
+    with lab.arm.open(own_thread=False):
+        lab.double.bias([0.5, 0.4, -0.3, 0.2, 0.1, -0.1, 0.3])
+        lab.arm.set_torque_zero()
+        zeroed = [argument for _, name, argument in lab.recorded.calls if name == "SetTorqueZero"]
+        assert zeroed == [16, 17, 18, 19, 20, 21, 25]
+        np.testing.assert_allclose(lab.arm.next(1.0).torques_nm, 0.0, atol=1e-6)
+
+
 def test_torques_are_zeroed_in_the_candle_pose_alone() -> None:
     lab = Simulated(start_deg=[180.0] * 6)
     with lab.arm.open(own_thread=False):
