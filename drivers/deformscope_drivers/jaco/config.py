@@ -63,7 +63,7 @@ class JacoConfig:
     library: the vendor's library, or its folder; None = the system's loader finds it
     connection: "usb" or "ethernet", the latter with `ethernet` addresses
     serial: of the arm that is meant; None = the only one there is
-    model: "j2n6s300" or "j2s7s300"; None = what the arm says of itself
+    model: "j2n6s300", "j2s6s300" or "j2s7s300"; None = what the arm says of itself
     linear_limit_m_s, angular_limit_rad_s: greatest speed of the end effector that a command may ask for
     joint_limit_deg_s: greatest speed of any joint that a command may ask for; a joint's own limit holds besides
     workspace: box that commands must keep the end effector in; None = no box

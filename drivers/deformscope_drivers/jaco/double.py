@@ -27,7 +27,11 @@ Floats = ctypes.Array[ctypes.c_float]
 _NO_DEVICE, _TIMEOUT, _INVALID, _NOT_INITIALIZED, _NACK = 1015, 1022, 2100, 2101, 9999
 _WITHOUT_INIT = frozenset({"GetAPIVersion", "InitAPI", "InitEthernetAPI", "CloseAPI"})
 _FINDS_DEVICES = frozenset({"InitAPI", "InitEthernetAPI", "RefresDevicesList", "GetDevices"})
-_DEVICE_TYPES = {"j2n6s300": structures.DeviceType.JACO2_6DOF, "j2s7s300": structures.DeviceType.SPHERICAL_7DOF}
+_DEVICE_TYPES = {
+    "j2n6s300": structures.DeviceType.JACO2_6DOF,
+    "j2s6s300": structures.DeviceType.SPHERICAL_6DOF,
+    "j2s7s300": structures.DeviceType.SPHERICAL_7DOF,
+}
 
 _JOINT_READINGS: dict[str, Callable[[SimulatedArm], FloatArray]] = {
     "GetAngularVelocity": lambda arm: arm.rates_deg_s,

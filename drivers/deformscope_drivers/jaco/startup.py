@@ -30,6 +30,7 @@ GRAVITY_MANUAL = 0
 _MODELS = {
     DeviceType.JACO2_6DOF: "j2n6s300",
     DeviceType.JACO2_6DOF_ASSISTIVE: "j2n6s300",
+    DeviceType.SPHERICAL_6DOF: "j2s6s300",
     DeviceType.SPHERICAL_7DOF: "j2s7s300",
 }
 

@@ -22,6 +22,8 @@ from deformscope_drivers.memory import SimulatedClock
 from tests.patience import PATIENCE_S
 
 SOURCE = Path(__file__).with_name("double.c")
+DEVICE_TYPES = {"j2n6s300": 3, "j2s6s300": 7, "j2s7s300": 8}
+"""Typed from KinovaTypes.h."""
 
 
 class VendorBench(Protocol):
@@ -100,7 +102,7 @@ class CBench:
         self.functions: Functions = Library(self.path, connection)
         self.prefix = PREFIXES[connection]
         self.own = ctypes.CDLL(str(self.path))
-        self.own.double_reset(self.chain.joint_count, int(cold))
+        self.own.double_reset(DEVICE_TYPES[model], int(cold))
 
     def advance(self, seconds: float) -> None:
         self.own.double_advance(ctypes.c_double(seconds))

@@ -91,6 +91,14 @@ static const Joint SIX[6] = {
     {{0, -.03703, -.06414}, {1. / 3, 0, 1}, 0, 0, 48},
     {{0, -.03703, -.06414}, {1. / 3, 0, 1}, 0, 0, 48},
 };
+static const Joint SPHERICAL_SIX[6] = {
+    {{0, 0, .15675}, {0, 1, 0}, 0, 0, 36},
+    {{0, .0016, -.11875}, {-.5, 0, 1}, 47, 313, 36},
+    {{0, -.410, 0}, {0, 1, 0}, 19, 341, 36},
+    {{0, .2073, -.0114}, {-.5, 0, 1}, 0, 0, 48},
+    {{0, 0, -.10375}, {.5, 0, 1}, 30, 330, 48},
+    {{0, .10375, 0}, {-.5, 0, 1}, 0, 0, 48},
+};
 static const Joint SEVEN[7] = {
     {{0, 0, .15675}, {0, 1, 0}, 0, 0, 36},
     {{0, .0016, -.11875}, {-.5, 0, 1}, 47, 313, 36},
@@ -102,12 +110,20 @@ static const Joint SEVEN[7] = {
 };
 static const Joint HAND = {{0, 0, -.16}, {1, 0, .5}, 0, 0, 0};
 static const double HOME_SIX[7] = {275, 167.4, 57.4, 240, 82.7, 75.5, 0};
+static const double HOME_SPHERICAL_SIX[7] = {283, 162, 43, 265, 257, 288, 0};
 static const double HOME_SEVEN[7] = {283, 162, 0, 43, 265, 257, 288};
+
+static const struct { int type, joints; const char *name; const Joint *chain; const double *home; } MODELS[3] = {
+    {3, 6, "j2n6s300", SIX, HOME_SIX},
+    {7, 6, "j2s6s300", SPHERICAL_SIX, HOME_SPHERICAL_SIX},
+    {8, 7, "j2s7s300", SEVEN, HOME_SEVEN},
+};
 
 /* The arm --------------------------------------------------------------------------------------------------------- */
 
 static struct {
-    int joints;
+    int joints, type;
+    const char *name;
     const Joint *chain;
     const double *home;
     double q[7], rates[7], fingers[3], wrench[6];
@@ -378,12 +394,17 @@ static int enter(const char *name, int needs_init) {
 
 /* For the tests --------------------------------------------------------------------------------------------------- */
 
-void double_reset(int joints, int cold) {
+void double_reset(int type, int cold) {
     memset(&arm, 0, sizeof arm);
     memset(injected, 0, sizeof injected);
-    arm.joints = joints;
-    arm.chain = joints == 6 ? SIX : SEVEN;
-    arm.home = joints == 6 ? HOME_SIX : HOME_SEVEN;
+    for (unsigned i = 0; i < sizeof MODELS / sizeof *MODELS; i++)
+        if (MODELS[i].type == type) {
+            arm.type = type;
+            arm.joints = MODELS[i].joints;
+            arm.name = MODELS[i].name;
+            arm.chain = MODELS[i].chain;
+            arm.home = MODELS[i].home;
+        }
     arm.cold = cold;
     memcpy(arm.q, arm.home, sizeof arm.q);
     real_time = 0;
@@ -483,9 +504,9 @@ int VENDOR(GetDevices)(KinovaDevice devices[20], int *status) {
     if (code != OK) return 0;
     memset(&devices[0], 0, sizeof devices[0]);
     strcpy(devices[0].SerialNumber, "DOUBLE-1");
-    strcpy(devices[0].Model, arm.joints == 6 ? "j2n6s300" : "j2s7s300");
+    strcpy(devices[0].Model, arm.name);
     devices[0].VersionMajor = 6, devices[0].VersionMinor = 2, devices[0].VersionRelease = 5;
-    devices[0].DeviceType = arm.joints == 6 ? 3 : 8;
+    devices[0].DeviceType = arm.type;
     return 1;
 }
 

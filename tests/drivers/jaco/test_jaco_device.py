@@ -41,7 +41,7 @@ from deformscope_drivers.jaco import (
 )
 from deformscope_drivers.jaco import errors as vendor_errors
 from deformscope_drivers.jaco.commands import Velocity
-from deformscope_drivers.jaco.kinematics import J2N6S300, FloatArray
+from deformscope_drivers.jaco.kinematics import CHAINS, J2N6S300, FloatArray
 from deformscope_drivers.jaco.library import Functions, Library, read
 from deformscope_drivers.jaco.pacing import SlotPacer
 from deformscope_drivers.jaco.structures import (
@@ -345,6 +345,14 @@ def test_another_arm_than_the_one_meant_is_not_taken(serial: str | None, reporte
     lab = Simulated(JacoConfig(serial=serial), serials=("A", "B"))
     with pytest.raises(NotConnected, match=reported):
         lab.arm.open(own_thread=False)
+
+
+@pytest.mark.parametrize("model", sorted(CHAINS))
+def test_each_model_is_known_by_the_type_that_the_arm_reports(model: str) -> None:
+    lab = Simulated(model=model)
+    with lab.arm.open(own_thread=False):
+        assert lab.arm.identity().model == model
+        assert len(lab.arm.next(1.0).joints_deg) == len(CHAINS[model].joints)
 
 
 def test_an_arm_of_another_model_is_refused() -> None:

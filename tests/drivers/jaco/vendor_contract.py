@@ -33,7 +33,7 @@ from deformscope_drivers.jaco.structures import (
     cartesian_values,
     finger_values,
 )
-from tests.drivers.jaco.benches import VendorBench
+from tests.drivers.jaco.benches import DEVICE_TYPES, VendorBench
 
 CYCLE_S = 0.01
 SINGLE = 1e-4  # what single precision leaves of angles in degrees, over some hundred cycles
@@ -78,7 +78,7 @@ class VendorContract:
         (device,) = devices(bench.functions)
 
         assert device.SerialNumber == b"DOUBLE-1"
-        assert device.DeviceType == {6: 3, 7: 8}[bench.chain.joint_count]
+        assert device.DeviceType == DEVICE_TYPES[bench.chain.name]
         call(bench.functions, "SetActiveDevice", device)
         with pytest.raises(errors.NoDeviceFound):
             call(bench.functions, "SetActiveDevice", KinovaDevice(b"ANOTHER"))
