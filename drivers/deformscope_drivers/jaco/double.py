@@ -34,7 +34,7 @@ _DEVICE_TYPES = {
 }
 
 _JOINT_READINGS: dict[str, Callable[[SimulatedArm], FloatArray]] = {
-    "GetAngularVelocity": lambda arm: arm.rates_deg_s,
+    "GetAngularVelocity": SimulatedArm.shown_rates_deg_s,
     "GetAngularForce": SimulatedArm.torque_nm,
     "GetAngularForceGravityFree": SimulatedArm.external_torque_nm,
     "GetAngularCurrent": SimulatedArm.currents_a,
@@ -193,6 +193,7 @@ class JacoDouble:
         """Live through the cycles that have passed."""
         due = (self._clock() - self._then_ns) // CYCLE_NS
         self._then_ns += max(0, due) * CYCLE_NS
+        self._arm.cycles += max(0, due)
         while due > 0 and not self._arm.at_rest:
             self._arm.cycle()
             due -= 1

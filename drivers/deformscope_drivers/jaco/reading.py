@@ -28,13 +28,14 @@ from deformscope_drivers.jaco.structures import (
 SENSORS_EVERY_NS = 1_000_000_000
 SLACK_NS = 1_000_000
 SMOOTHING = 0.2
+RATES_OVER_NS = 40_000_000
+"""Angles this far apart give the joints' rates. Over one slot, angles off by 0.01 deg would be rates off by 1 deg/s."""
 
 # what moves fastest comes last, so that it is as fresh as the stamp
 _CALLS: tuple[tuple[str, type[ctypes.Structure]], ...] = (
     ("GetGlobalTrajectoryInfo", TrajectoryFIFO),
     ("GetAngularCurrent", AngularPosition),
     ("GetAngularForceGravityFree", AngularPosition),
-    ("GetAngularVelocity", AngularPosition),
     ("GetCartesianForce", CartesianPosition),
     ("GetCartesianPosition", CartesianPosition),
     ("GetAngularPosition", AngularPosition),
@@ -55,6 +56,7 @@ class Sweep:
         self._read: dict[str, ctypes.Structure] = {}
         self._began_ns = 0
         self._call_ns = 0.0
+        self._track: deque[tuple[int, tuple[float, ...]]] = deque()
 
     def whole(self) -> JacoState:
         """A whole sweep now, however long it takes."""
@@ -105,11 +107,12 @@ class Sweep:
         x, y, z, *thetas = cartesian_values(pose.Coordinates)
         fifo = cast(TrajectoryFIFO, self._read["GetGlobalTrajectoryInfo"])
         sensors = cast(SensorsInfo, self._read["GetSensorsInfo"])
+        joints_deg = actuator_values(joints.Actuators, self._joint_count)
         return JacoState(
             stamp=stamp,
             sweep_s=(stamp.host_ns - self._began_ns) / 1e9,
-            joints_deg=actuator_values(joints.Actuators, self._joint_count),
-            rates_deg_s=self._joints("GetAngularVelocity"),
+            joints_deg=joints_deg,
+            rates_deg_s=self._rates_deg_s(stamp.host_ns, joints_deg),
             torques_nm=self._joints("GetAngularForceGravityFree"),
             currents_a=self._joints("GetAngularCurrent"),
             position_m=(x, y, z),
@@ -121,6 +124,19 @@ class Sweep:
             supply_a=sensors.Current,
             temperatures_deg_c=sensor_temperatures(sensors, self._joint_count),
         )
+
+    def _rates_deg_s(self, time_ns: int, joints_deg: tuple[float, ...]) -> tuple[float, ...]:
+        """(n,) from the difference of angles: the firmware's own rates are half of the true ones, wrapped, and not near
+        zero at rest (`simulation.SimulatedArm.shown_rates_deg_s`)."""
+        track = self._track
+        track.append((time_ns, joints_deg))
+        while len(track) > 2 and time_ns - track[1][0] >= RATES_OVER_NS:
+            track.popleft()
+        before_ns, before_deg = track[0]
+        if time_ns == before_ns:
+            return (0.0,) * len(joints_deg)
+        span_s = (time_ns - before_ns) / 1e9
+        return tuple((now - before) / span_s for now, before in zip(joints_deg, before_deg, strict=True))
 
     def _joints(self, name: str) -> tuple[float, ...]:
         return actuator_values(cast(AngularPosition, self._read[name]).Actuators, self._joint_count)

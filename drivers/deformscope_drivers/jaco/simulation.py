@@ -29,7 +29,8 @@ class SimulatedArm:
     """The arm's state, and `cycle` that carries it 10 ms on.
 
     wrench: (6,) what pushes the end effector [N, Nm] in the base frame; torque_bias_nm: (n,) what the joints' torque
-    sensors show too much; grip: (3,) where each finger meets what it holds. All may be set between cycles.
+    sensors show too much; grip: (3,) where each finger meets what it holds; cycles: that have passed. All may be set
+    between cycles.
     """
 
     def __init__(self, chain: Chain, start_deg: npt.ArrayLike | None, cold_boot: bool) -> None:
@@ -51,6 +52,7 @@ class SimulatedArm:
         self._delay_left_s: float | None = None
         self._homing = False
         self._opening = False
+        self.cycles = 0
 
     # Commands ------------------------------------------------------------------------------------------------------
 
@@ -239,6 +241,12 @@ class SimulatedArm:
             return self.wrench
         ghost: FloatArray = np.linalg.pinv(kinematics.jacobian_of(self.links).T, rcond=1e-2) @ self.torque_bias_nm
         return self.wrench + ghost
+
+    def shown_rates_deg_s(self) -> FloatArray:
+        """What the firmware makes of the joints' rates (n,) [deg/s]: half of them, 181 to 360 for what is negative
+        (kinova-ros `kinova_comm.cpp`, getJointVelocities; `kinova_arm.cpp`), and not near zero at rest (issue 366)."""
+        noise = 1.5 * np.sin(7.3 * np.arange(self.chain.joint_count) + 0.41 * self.cycles)
+        return np.asarray((0.5 * self.rates_deg_s + noise) % 360.0)
 
     def currents_a(self) -> FloatArray:
         """About 0.1 A a joint at rest and 1 A for each 20 Nm, (n,) [A]: plausible, not measured."""

@@ -932,6 +932,16 @@ def test_it_goes_home(lab: Simulated) -> None:
     np.testing.assert_allclose(state.joints_deg, J2N6S300.home_deg, atol=0.1)
 
 
+def test_the_rates_reported_are_those_of_the_joints_and_zero_at_rest(simulated: Jaco) -> None:
+    at_rest = [simulated.next(1.0) for _ in range(20)]
+    assert max(abs(rate) for state in at_rest for rate in state.rates_deg_s) < 0.05
+    simulated.set_velocity(JointVelocity((20.0, -15.0, 0.0, 10.0, -5.0, 0.0)), valid_for_s=2.0)
+    until_ns = simulated._clock() + 500_000_000
+    while simulated._clock() < until_ns:
+        state = simulated.next(1.0)
+    np.testing.assert_allclose(state.rates_deg_s, (20.0, -15.0, 0.0, 10.0, -5.0, 0.0), atol=0.1)
+
+
 # Force ----------------------------------------------------------------------------------------------------------------
 
 

@@ -184,7 +184,20 @@ class VendorContract:
         call(started.functions, "GetCommandVelocity", cartesian, angular)
 
         np.testing.assert_allclose(list(cartesian), (0.03, 0.0, -0.02, 0, 0, 0), atol=1e-3)
-        np.testing.assert_allclose(list(angular)[: started.chain.joint_count], rates_deg_s(started), atol=1e-4)
+        made = started.chain.jacobian(joints(started)) @ np.radians(list(angular)[: started.chain.joint_count])
+        np.testing.assert_allclose(made, list(cartesian), atol=1e-4)
+
+    def test_the_firmware_s_joint_velocities_are_halved_wrapped_and_not_zero_at_rest(
+        self, started: VendorBench
+    ) -> None:
+        """As kinova-ros makes up for (kinova_comm.cpp, kinova_arm.cpp) and users see (issue 366)."""
+        at_rest = shown_rates_deg_s(started)
+        assert np.all((at_rest >= 0.0) & (at_rest < 360.0))
+        assert np.abs((at_rest + 180.0) % 360.0 - 180.0).max() > 1.0
+        stream(started, JointVelocity((20.0, -20.0, 20.0, -20.0, 20.0, -20.0, 20.0)[: started.chain.joint_count]), 0.2)
+        shown = shown_rates_deg_s(started)
+        np.testing.assert_allclose(shown[[0, 2, 4]], 10.0, atol=2.0)
+        np.testing.assert_allclose(shown[[1, 3, 5]], 350.0, atol=2.0)
 
     def test_points_sent_at_half_the_rate_move_half_as_far(self, started: VendorBench) -> None:
         before = joints(started)
@@ -434,6 +447,13 @@ def joints(bench: VendorBench) -> FloatArray:
 
 
 def rates_deg_s(bench: VendorBench) -> FloatArray:
+    """The rates (n,) that the arm was commanded: it holds them within the cycle."""
+    cartesian, angular = CartesianRates(), AngularRates()
+    call(bench.functions, "GetCommandVelocity", cartesian, angular)
+    return np.array(list(angular)[: bench.chain.joint_count])
+
+
+def shown_rates_deg_s(bench: VendorBench) -> FloatArray:
     rates = read(bench.functions, "GetAngularVelocity", AngularPosition).Actuators
     return np.array(actuator_values(rates, bench.chain.joint_count))
 
