@@ -69,7 +69,7 @@ class JacoConfig:
     workspace: box that commands must keep the end effector in; None = no box
     command_deadline_s: how long a velocity command holds when its sender does not say so, and how late the driver's
     own cycle may be before it stops the arm
-    state_hz: how often the state is read; less when the arm's link is too slow for it
+    state_hz: how often the joint angles are read; less when the arm's link is too slow for it
     initialize_fingers: let the fingers open fully when the arm is opened (they move), so that their positions are known
     open_attempts: how often an arm that is not found (1015) is sought before opening fails
     """

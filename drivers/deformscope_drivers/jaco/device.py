@@ -33,7 +33,7 @@ from deformscope_drivers.jaco.errors import MotionStopped, NotReached, NotStoppe
 from deformscope_drivers.jaco.kinematics import Chain
 from deformscope_drivers.jaco.library import Functions, Library, call
 from deformscope_drivers.jaco.pacing import SlotPacer
-from deformscope_drivers.jaco.reading import Sweep
+from deformscope_drivers.jaco.reading import StateReader
 from deformscope_drivers.jaco.startup import CONFIGURATION_GAP_S, JacoIdentity, bring_up, let_go
 from deformscope_drivers.jaco.state import JacoState
 from deformscope_drivers.jaco.structures import ACTUATOR_ADDRESSES, AngularInfo, CartesianInfo, TrajectoryPoint
@@ -88,7 +88,7 @@ class Jaco(Device[JacoState]):
         self._erase_due = False
         self._stopped = ""
         self._pacer = SlotPacer(PERIOD_NS)
-        self._sweep: Sweep | None = None
+        self._reader: StateReader | None = None
         self._state: JacoState | None = None
         self._crowded = False
         self._configured_ns = 0
@@ -138,8 +138,8 @@ class Jaco(Device[JacoState]):
     def _connect(self) -> None:
         self._arm = bring_up(self._functions, self.config, self._pause)
         self._not_erased = None  # bringing it up has erased what was left
-        self._sweep = Sweep(self._functions, self.chain.joint_count, self.config.state_hz, self._clock)
-        self._state = self._sweep.whole()
+        self._reader = StateReader(self._functions, self.chain, self.config.state_hz, self._clock)
+        self._state = self._reader.whole()
         self._expect(self.config.state_hz)
         self._pacer.start(self._clock() + PERIOD_NS)  # the zero point of bringing it up had this slot
         self._refused_in_a_row = 0
@@ -170,6 +170,7 @@ class Jaco(Device[JacoState]):
             "late_ms_median": median_ms,
             "late_ms_p99": high_ms,
             "late_ms_max": greatest_ms,
+            "call_ms": 0.0 if self._reader is None else self._reader.call_ms,
         }
 
     # The cycle: run by the device's own thread -----------------------------------------------------------------------
@@ -180,12 +181,11 @@ class Jaco(Device[JacoState]):
             return ()
         now_ns = self._clock()
         late_ns = self._pacer.enter(now_ns)
-        assert self._sweep is not None
+        assert self._reader is not None
         try:
             self._command(now_ns, late_ns)
-            state = self._sweep.go_on(self._pacer.due_ns)
+            state = self._reader.go_on(self._pacer.due_ns)
         except VendorError as error:
-            self._sweep.begin_anew()
             self._judge(error)
             return ()
         if state is None:
