@@ -31,12 +31,19 @@ from deformscope_drivers.jaco.commands import JointTarget, Target, Velocity
 from deformscope_drivers.jaco.config import JacoConfig
 from deformscope_drivers.jaco.errors import MotionStopped, NotReached, NotStopped, VendorError
 from deformscope_drivers.jaco.kinematics import Chain
-from deformscope_drivers.jaco.library import Functions, Library, call
+from deformscope_drivers.jaco.library import Functions, Library, call, read
 from deformscope_drivers.jaco.pacing import SlotPacer
 from deformscope_drivers.jaco.reading import StateReader
 from deformscope_drivers.jaco.startup import CONFIGURATION_GAP_S, JacoIdentity, bring_up, let_go
 from deformscope_drivers.jaco.state import JacoState
-from deformscope_drivers.jaco.structures import ACTUATOR_ADDRESSES, AngularInfo, CartesianInfo, TrajectoryPoint
+from deformscope_drivers.jaco.structures import (
+    ACTUATOR_ADDRESSES,
+    AngularInfo,
+    AngularPosition,
+    CartesianInfo,
+    TrajectoryPoint,
+    actuator_values,
+)
 from deformscope_drivers.memory import SimulatedClock
 from deformscope_drivers.pacing import Pacer
 
@@ -347,11 +354,12 @@ class Jaco(Device[JacoState]):
     def move_fingers(self, fingers: Sequence[float], timeout_s: float = 5.0) -> JacoState:
         """Move the fingers to positions (3,) from 0 (open) to 6800 (closed), and wait until they are still.
 
-        The joints stay. Fingers that hold something stop before their target: no error, the state has their positions.
+        The joints hold what they are commanded to hold: at the angles that are measured the arm would sink by what it
+        sags, in each call. Fingers that hold something stop before their target: no error, the state has their
+        positions.
         """
         self._require_moves()
         values = commands.check_fingers(fingers, self.name)
-        start = self._fresh()
         history: list[JacoState] = []
 
         def there(state: JacoState) -> bool:
@@ -362,7 +370,9 @@ class Jaco(Device[JacoState]):
             spread = max(max(old.fingers[i] for old in since) - min(old.fingers[i] for old in since) for i in range(3))
             return len(history) > len(since) and spread < 10.0
 
-        point = commands.fingers_point(values, start.joints_deg, self.config)
+        held = self._do(lambda: read(self._functions, "GetAngularCommand", AngularPosition), COMMAND_TIMEOUT_S)
+        held_deg = actuator_values(held.Actuators, self.chain.joint_count)
+        point = commands.fingers_point(values, held_deg, self.config)
         return self._travel(point, None, there, timeout_s, f"fingers at {values}")
 
     def home(self, timeout_s: float = 60.0) -> JacoState:

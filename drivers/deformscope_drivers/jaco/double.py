@@ -144,6 +144,12 @@ class JacoDouble:
             self._live()
             self._arm.grip = np.array(at, dtype=float)
 
+    def sag(self, sag_deg: npt.ArrayLike) -> None:
+        """Let the joints stand beyond the angles that they are commanded to hold, (n,) [deg], as weight has them do."""
+        with self._lock:
+            self._live()
+            self._arm.sag_deg = np.array(sag_deg, dtype=float)
+
     def bias(self, torque_nm: npt.ArrayLike) -> None:
         """Let the joints' torque sensors show this much too much, (n,) [Nm]: real ones drift."""
         with self._lock:
@@ -284,6 +290,11 @@ class JacoDouble:
 
     def GetAngularPosition(self, response: structures.AngularPosition) -> None:
         _write_joints(response, self._arm.joints_deg)
+        self._write_fingers(response)
+
+    def GetAngularCommand(self, response: structures.AngularPosition) -> None:
+        """What the joints are commanded to hold: less than what they are measured at by what they sag."""
+        _write_joints(response, self._arm.joints_deg - self._arm.sag_deg)
         self._write_fingers(response)
 
     def GetCartesianPosition(self, response: structures.CartesianPosition) -> None:

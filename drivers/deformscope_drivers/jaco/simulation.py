@@ -29,7 +29,8 @@ class SimulatedArm:
     """The arm's state, and `cycle` that carries it 10 ms on.
 
     wrench: (6,) what pushes the end effector [N, Nm] in the base frame; torque_bias_nm: (n,) what the joints' torque
-    sensors show too much; grip: (3,) where each finger meets what it holds; cycles: that have passed. All may be set
+    sensors show too much; sag_deg: (n,) how far weight turns the joints beyond the angles that they are commanded to hold;
+    grip: (3,) where each finger meets what it holds; cycles: that have passed. All may be set
     between cycles.
     """
 
@@ -45,6 +46,7 @@ class SimulatedArm:
         self.fifo: deque[structures.TrajectoryPoint] = deque()
         self.wrench: FloatArray = np.zeros(6)
         self.torque_bias_nm: FloatArray = np.zeros(chain.joint_count)
+        self.sag_deg: FloatArray = np.zeros(chain.joint_count)
         self.angular_control = False
         self.admittance = Admittance(chain.joint_count)
         self.control = False
@@ -135,7 +137,8 @@ class SimulatedArm:
             twist[3:] = self.links[-1, :3, :3] @ twist[3:]  # a point's rotation is in the end effector's frame
             rates = self._rates_of(twist)
         elif kind == structures.PositionType.ANGULAR_POSITION:
-            target = self.chain.clip(structures.actuator_values(position.Actuators, self.chain.joint_count))
+            held = np.array(structures.actuator_values(position.Actuators, self.chain.joint_count))
+            target = self.chain.clip(held + self.sag_deg)
             rates = self._towards(target, self._joint_speeds(point))
             done = not np.any(rates)
         elif kind == structures.PositionType.CARTESIAN_POSITION:

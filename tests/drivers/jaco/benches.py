@@ -44,6 +44,9 @@ class VendorBench(Protocol):
     def push(self, wrench: Sequence[float]) -> None:
         """Push the end effector."""
 
+    def sag(self, sag_deg: Sequence[float]) -> None:
+        """Let weight turn the joints beyond the angles that they are commanded to hold."""
+
     def last_pair(self, count: int) -> FloatArray:
         """The pair of structures that was set last by value: (2, count)."""
 
@@ -63,6 +66,9 @@ class PythonBench:
 
     def push(self, wrench: Sequence[float]) -> None:
         self.double.push(wrench)
+
+    def sag(self, sag_deg: Sequence[float]) -> None:
+        self.double.sag(sag_deg)
 
     def last_pair(self, count: int) -> FloatArray:
         admittance = self.double._arm.admittance
@@ -115,6 +121,9 @@ class CBench:
 
     def push(self, wrench: Sequence[float]) -> None:
         self.own.double_push((ctypes.c_double * 6)(*wrench))
+
+    def sag(self, sag_deg: Sequence[float]) -> None:
+        self.own.double_sag((ctypes.c_double * 7)(*sag_deg))
 
     def last_pair(self, count: int) -> FloatArray:
         values = (ctypes.c_float * 14)()

@@ -126,7 +126,7 @@ static struct {
     const char *name;
     const Joint *chain;
     const double *home;
-    double q[7], rates[7], fingers[3], wrench[6];
+    double q[7], rates[7], fingers[3], wrench[6], sag[7];
     double frames[8][16];
     TrajectoryPoint fifo[FIFO_SIZE];
     int first, count, delaying;
@@ -306,7 +306,8 @@ static void follow(double *rates) {
     const UserPosition *to = &point->Position;
     double target[7], fingers[3];
     int done = 1, velocity = to->Type == 7 || to->Type == 8;
-    for (int i = 0; i < 7; i++) target[i] = to->Actuators.Actuator[i];
+    /* what is commanded to hold an angle stands beyond it by what weight turns it */
+    for (int i = 0; i < 7; i++) target[i] = to->Actuators.Actuator[i] + (velocity ? 0 : arm.sag[i]);
     for (int i = 0; i < 3; i++) fingers[i] = to->Fingers.Finger[i];
     if (to->Type == 8)
         for (int i = 0; i < arm.joints; i++) rates[i] = clamp(target[i], -arm.chain[i].speed, arm.chain[i].speed);
@@ -433,6 +434,8 @@ void double_inject(const char *name, int code, int times) {
 }
 
 void double_push(const double *wrench) { memcpy(arm.wrench, wrench, sizeof arm.wrench); }
+
+void double_sag(const double *sag) { memcpy(arm.sag, sag, sizeof arm.sag); }
 
 void double_last_pair(float *out) { memcpy(out, arm.pair, sizeof arm.pair); }
 
@@ -682,8 +685,10 @@ int VENDOR(GetAngularPosition)(AngularPosition *out) {
 }
 
 int VENDOR(GetAngularCommand)(AngularPosition *out) {
+    double held[7];
     ENTER(GetAngularCommand);
-    write_joints(out, arm.q);
+    for (int i = 0; i < arm.joints; i++) held[i] = arm.q[i] - arm.sag[i];
+    write_joints(out, held);
     write_fingers(&out->Fingers);
     return OK;
 }

@@ -956,6 +956,15 @@ def test_fingers_close_and_hold_what_is_between_them(lab: Simulated) -> None:
     assert lab.double.fifo_count == 0
 
 
+def test_the_arm_does_not_sink_however_often_its_fingers_move(lab: Simulated) -> None:
+    """Holding the measured angles lets it sink by its sag each time: kinova-ros `kinova_comm.cpp`, issue 67."""
+    lab.double.sag([0.0, 0.5, -0.3, 0.0, 0.0, 0.0])
+    before = lab.double.joints_deg
+    for finger in (1000.0, 2000.0, 500.0):
+        lab.arm.move_fingers((finger,) * 3)
+    np.testing.assert_allclose(lab.double.joints_deg, before, atol=1e-3)
+
+
 def test_it_goes_home(lab: Simulated) -> None:
     hold(lab.arm, JointVelocity((20.0, 10.0, 0.0, 0.0, -20.0, 0.0)), 1.0)
     state = lab.arm.home()

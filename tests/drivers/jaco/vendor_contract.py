@@ -315,6 +315,21 @@ class VendorContract:
         started.advance(1.0)
         np.testing.assert_allclose(joints(started), started.chain.home_deg, atol=SINGLE)
 
+    def test_holding_measured_angles_lets_it_sink_and_holding_commanded_ones_does_not(
+        self, started: VendorBench
+    ) -> None:
+        """kinova-ros: `kinova_comm.cpp`, setFingerPositions ("getAngularPosition will cause arm drop"); issue 67."""
+        sag_deg = np.array([0.0, 0.5, -0.3, 0.0, 0.0, 0.0, 0.0])[: started.chain.joint_count]
+        before = joints(started)
+        started.sag(sag_deg.tolist())
+        for name, sunk in (("GetAngularCommand", 0.0), ("GetAngularPosition", 1.0), ("GetAngularPosition", 2.0)):
+            angles = read(started.functions, name, AngularPosition).Actuators
+            held = actuator_values(angles, started.chain.joint_count)
+            point = position_point(PositionType.ANGULAR_POSITION, list(held), limits=(10.0, 10.0))
+            call(started.functions, "SendAdvanceTrajectory", point)
+            started.advance(0.5)
+            np.testing.assert_allclose(joints(started), before + sunk * sag_deg, atol=SINGLE)
+
     # Fingers ---------------------------------------------------------------------------------------------------------
 
     def test_fingers_go_to_a_position_within_their_range(self, started: VendorBench) -> None:
