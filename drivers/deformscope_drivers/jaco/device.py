@@ -34,7 +34,7 @@ from deformscope_drivers.jaco.kinematics import Chain
 from deformscope_drivers.jaco.library import Functions, Library, call, read
 from deformscope_drivers.jaco.pacing import SlotPacer
 from deformscope_drivers.jaco.reading import StateReader
-from deformscope_drivers.jaco.startup import CONFIGURATION_GAP_S, JacoIdentity, bring_up, let_go
+from deformscope_drivers.jaco.startup import CONFIGURATION_GAP_S, JacoIdentity, bring_up, check_pose, let_go
 from deformscope_drivers.jaco.state import JacoState
 from deformscope_drivers.jaco.structures import (
     ACTUATOR_ADDRESSES,
@@ -145,6 +145,7 @@ class Jaco(Device[JacoState]):
     def _connect(self) -> None:
         self._arm = bring_up(self._functions, self.config, self._pause)
         self._not_erased = None  # bringing it up has erased what was left
+        check_pose(self._functions, self.chain)
         self._reader = StateReader(self._functions, self.chain, self.config.state_hz, self._clock)
         self._state = self._reader.whole()
         self._expect(self.config.state_hz)

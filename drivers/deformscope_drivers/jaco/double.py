@@ -75,6 +75,7 @@ class JacoDouble:
         self._serials = tuple(serials)
         self._lock = threading.RLock()
         self._codes: dict[str, deque[int]] = {}
+        self._tool_m: FloatArray = np.zeros(3)
         self._initialized = False
         self._unplugged = False
 
@@ -149,6 +150,12 @@ class JacoDouble:
         with self._lock:
             self._live()
             self._arm.sag_deg = np.array(sag_deg, dtype=float)
+
+    def store_tool_offset(self, offset_m: npt.ArrayLike) -> None:
+        """Let the arm report the pose of a tool, (3,) [m] from its end effector, as SetEndEffectorOffset has it do: for
+        good, whatever program runs next."""
+        with self._lock:
+            self._tool_m = np.array(offset_m, dtype=float)
 
     def bias(self, torque_nm: npt.ArrayLike) -> None:
         """Let the joints' torque sensors show this much too much, (n,) [Nm]: real ones drift."""
@@ -299,7 +306,8 @@ class JacoDouble:
 
     def GetCartesianPosition(self, response: structures.CartesianPosition) -> None:
         pose = self._arm.links[-1]
-        response.Coordinates = structures.CartesianInfo(*pose[:3, 3], *kinematics.euler_xyz_from_rotation(pose[:3, :3]))
+        place_m = pose[:3, 3] + pose[:3, :3] @ self._tool_m
+        response.Coordinates = structures.CartesianInfo(*place_m, *kinematics.euler_xyz_from_rotation(pose[:3, :3]))
         self._write_fingers(response)
 
     def GetCartesianForce(self, response: structures.CartesianPosition) -> None:

@@ -29,8 +29,7 @@ class SimulatedArm:
     """The arm's state, and `cycle` that carries it 10 ms on.
 
     wrench: (6,) what pushes the end effector [N, Nm] in the base frame; torque_bias_nm: (n,) what the joints' torque
-    sensors show too much; sag_deg: (n,) how far weight turns the joints beyond the angles that they are commanded to hold;
-    grip: (3,) where each finger meets what it holds; cycles: that have passed. All may be set
+    sensors show too much; sag_deg: (n,) how far weight turns the joints beyond the angles that they are to hold; grip: (3,) where each finger meets what it holds; cycles: that have passed. All may be set
     between cycles.
     """
 

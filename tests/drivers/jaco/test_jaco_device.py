@@ -40,10 +40,11 @@ from deformscope_drivers.jaco import (
     Workspace,
 )
 from deformscope_drivers.jaco import errors as vendor_errors
-from deformscope_drivers.jaco.commands import Velocity
+from deformscope_drivers.jaco.commands import Velocity, velocity_point
 from deformscope_drivers.jaco.kinematics import CHAINS, J2N6S300, FloatArray
-from deformscope_drivers.jaco.library import Functions, Library, read
+from deformscope_drivers.jaco.library import Functions, Library, call, read
 from deformscope_drivers.jaco.pacing import SlotPacer
+from deformscope_drivers.jaco.startup import check_pose
 from deformscope_drivers.jaco.structures import (
     AngularPosition,
     PositionType,
@@ -345,6 +346,52 @@ def test_another_arm_than_the_one_meant_is_not_taken(serial: str | None, reporte
     lab = Simulated(JacoConfig(serial=serial), serials=("A", "B"))
     with pytest.raises(NotConnected, match=reported):
         lab.arm.open(own_thread=False)
+
+
+class Mistaken(JacoDouble):
+    """An arm with the spherical wrist that says it is one with the curved wrist."""
+
+    def GetDevices(self, devices: Any, status: Any) -> int:
+        count = super().GetDevices(devices, status)
+        devices[0].DeviceType = 3
+        return count
+
+
+def test_an_arm_of_another_geometry_than_it_says_is_refused_and_let_go() -> None:
+    clock = SimulatedClock(1_000_000_000)
+    recorded = Recorded(Mistaken("j2s6s300", clock), clock)
+    with pytest.raises(SettingsRefused, match=r"j2n6s300.*mm and .* deg away") as caught:
+        Jaco(JacoConfig(), recorded, clock=clock).open(own_thread=False)
+    assert "model" in str(caught.value)
+    assert recorded.names[-1] == "CloseAPI"
+
+
+@pytest.mark.parametrize(("offset_m", "refused"), [((0.0, 0.0, 0.05), True), ((0.0, 0.0, 0.001), False)])
+def test_a_tool_offset_that_is_stored_in_the_arm_is_found_at_the_start(
+    offset_m: tuple[float, float, float], refused: bool
+) -> None:
+    lab = Simulated()
+    lab.double.store_tool_offset(offset_m)
+    with pytest.raises(SettingsRefused, match="50.0 mm") if refused else contextlib.nullcontext() as caught:
+        lab.arm.open(own_thread=False)
+    lab.arm.close()
+    if refused:
+        assert "SetEndEffectorOffset" in str(caught.value)
+
+
+def test_an_arm_that_is_led_by_its_joystick_meanwhile_is_no_other_model() -> None:
+    lab = Simulated()
+    lab.recorded.takes_s = 0.004
+    for _ in range(100):
+        lab.double._arm.fifo.append(velocity_point(JointVelocity((36.0, 36.0, 0.0, 0.0, 0.0, 0.0))))
+    lab.double._arm.control = True
+    check_pose(_initialised(lab), J2N6S300)
+    assert lab.double.joints_deg[0] > J2N6S300.home_deg[0] + 0.2
+
+
+def _initialised(lab: Simulated) -> Recorded:
+    call(lab.double, "InitAPI")
+    return lab.recorded
 
 
 @pytest.mark.parametrize("model", sorted(CHAINS))
