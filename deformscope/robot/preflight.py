@@ -47,6 +47,7 @@ FRESH_S = {"arm": 0.05, "force sensor": 0.02, "camera": 0.1}
 HINTS = {
     "arm: fresh": "the arm's cable and supply; state_hz in the rig file",
     "arm: rate": "the arm's cable, and how busy this computer is; or a lower state_hz in the rig file",
+    "arm: homed": "after switching it on, hold the home button of the arm's joystick until the arm stands still",
     "arm: link": "the arm's cable into a port of the computer itself: no hub, no virtual machine; less load on it",
     "arm: still": "wait until the arm stands, and let go of its joystick",
     "arm: FIFO": "end the other program that commands the arm",
@@ -207,6 +208,8 @@ def _arm(robot: Robot, seen: Sequence[RobotObservation]) -> Iterator[Check]:
     joint = int(np.argmin(left_deg))
     came = f"joint {joint + 1} {left_deg[joint]:.1f} deg"
     yield Check("arm: joints", left_deg[joint] > margin_deg, f"{margin_deg:g} deg or more inside their ranges", came)
+    homed = robot.arm.homed
+    yield Check("arm: homed", homed, "since it was switched on", "it was" if homed else "it was not, so it says")
     call_ms = robot.arm.health().extra["call_ms"]
     yield Check("arm: link", call_ms < CALL_MS, f"a call in less than {CALL_MS:g} ms", f"{call_ms:.1f} ms")
     waiting = max(state.fifo_count for state in states)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from deformscope.lab.springy_foam import SpringyFoam
 from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig.rig_file import Tool
-from deformscope.robot.motion import CommandedRotation, off_course, rates_for_twist, within_limits
+from deformscope.robot.motion import CommandedRotation, rates_for_twist, within_limits
 from deformscope.robot.placement import best_joints
 from deformscope.robot.preflight import Check, Preflight
 from deformscope.robot.readings import RobotObservation
@@ -20,7 +20,15 @@ from deformscope.robot.supervisor import Fault, Limits, SafetyVerdict
 from deformscope.robot.touch import Phase, run_touch
 from deformscope.robot.travel import move_joints, move_tip
 from deformscope.studies.fault_study import make_scene
-from deformscope_drivers.jaco.kinematics import CHAINS, J2N6S300, J2S7S300, Chain, FloatArray, least_singular
+from deformscope_drivers.jaco.kinematics import (
+    CHAINS,
+    J2N6S300,
+    J2S7S300,
+    Chain,
+    FloatArray,
+    least_singular,
+    off_course,
+)
 from deformscope_drivers.jaco.structures import PositionType
 
 FREE_BOX = Limits(low_m=(-1.0, -1.0, -0.5), high_m=(1.0, 1.0, 1.5))

@@ -71,6 +71,7 @@ class JacoConfig:
     own cycle may be before it stops the arm
     state_hz: how often the joint angles are read; less when the arm's link is too slow for it
     initialize_fingers: let the fingers open fully when the arm is opened (they move), so that their positions are known
+    require_home: move it only if it says that it was homed since it was switched on (`Jaco.home`, or its joystick)
     open_attempts: how often an arm that is not found (1015) is sought before opening fails
     """
 
@@ -86,6 +87,7 @@ class JacoConfig:
     command_deadline_s: float = 0.1
     state_hz: float = 50.0
     initialize_fingers: bool = False
+    require_home: bool = True
     open_attempts: int = 3
 
     def __post_init__(self) -> None:

@@ -27,9 +27,9 @@ from deformscope_drivers.device import RECONNECT, Device, Reconnect
 from deformscope_drivers.errors import DeviceError, LinkLost, NotConnected, OutOfLimits, Stale
 from deformscope_drivers.health import Identity, Link
 from deformscope_drivers.jaco import commands
-from deformscope_drivers.jaco.commands import JointTarget, Target, Velocity
+from deformscope_drivers.jaco.commands import JointTarget, JointVelocity, Target, Velocity
 from deformscope_drivers.jaco.config import JacoConfig
-from deformscope_drivers.jaco.errors import MotionStopped, NotReached, NotStopped, VendorError
+from deformscope_drivers.jaco.errors import MotionStopped, NotHomed, NotReached, NotStopped, VendorError
 from deformscope_drivers.jaco.kinematics import Chain
 from deformscope_drivers.jaco.library import Functions, Library, call, read
 from deformscope_drivers.jaco.pacing import SlotPacer
@@ -64,7 +64,6 @@ class _Streamed:
     velocity or one that it replaced"""
 
     velocity: Velocity
-    point: TrajectoryPoint
     expires_ns: int
     since_ns: int
 
@@ -222,17 +221,23 @@ class Jaco(Device[JacoState]):
                     self._streamed = None
             self._expired += 1
             self._erase_due = True
-            self._send(commands.zero_point(streamed.velocity))
+            self._send(JointVelocity((0.0,) * self.chain.joint_count))
         elif reason := self._forbids(streamed.velocity, now_ns):
             self._halt(reason)
         elif self._crowded:
             self._crowded = False
             self._left_out += 1
+        elif isinstance(sent := self._by_joints(streamed.velocity), str):
+            self._halt(sent)
         else:
-            self._send(streamed.point)
+            self._send(sent)
 
-    def _send(self, point: TrajectoryPoint) -> None:
-        call(self._functions, "SendBasicTrajectory", point)
+    def _by_joints(self, velocity: Velocity) -> JointVelocity | str:
+        assert self._state is not None
+        return commands.by_joints(velocity, self.chain, self.config, self._state.joints_deg)
+
+    def _send(self, velocity: JointVelocity) -> None:
+        call(self._functions, "SendBasicTrajectory", commands.velocity_point(velocity))
         self._sent += 1
 
     def _erase(self) -> None:
@@ -299,24 +304,25 @@ class Jaco(Device[JacoState]):
     def set_velocity(self, velocity: Velocity, valid_for_s: float | None = None) -> None:
         """Move at a velocity from the next slot on, for as long as this call vouches for it. Returns at once.
 
-        velocity: CartesianVelocity, translation in the base frame and rotation in the end effector's, or JointVelocity
-        [deg/s]; valid_for_s: after this it ends by itself unless it is set again (default: the configured deadline).
-        Raises OutOfLimits (nothing is sent, what was set before still holds) and MotionStopped where the driver has
-        stopped the arm.
+        velocity: CartesianVelocity, translation in the base frame and rotation in the end effector's, sent as joint
+        rates for where the joints are in each slot; or JointVelocity [deg/s]
+        valid_for_s: after this it ends by itself unless it is set again (default: the configured deadline)
+        Raises OutOfLimits (nothing is sent, what was set before still holds), MotionStopped where the driver has
+        stopped the arm, and NotHomed.
         """
         self._require_open()
         commands.check_velocity(velocity, self.chain, self.config, self.name)
         valid_s = self.config.command_deadline_s if valid_for_s is None else valid_for_s
         if not 0.0 < valid_s <= 60.0:
             raise OutOfLimits("valid_for_s above 0 and up to 60", f"{valid_s!r}", "refresh it instead", self.name)
-        point = commands.velocity_point(velocity)
         with self._commanded:
             self._require_moves()
+            self._require_homed()
             if self._position_until_ns is not None:
                 raise OutOfLimits("an arm that is not moving to a target", "one that is", "stop() first", self.name)
             now_ns = self._clock()
             since_ns = now_ns if self._streamed is None else self._streamed.since_ns
-            self._streamed = _Streamed(velocity, point, now_ns + round(valid_s * 1e9), since_ns)
+            self._streamed = _Streamed(velocity, now_ns + round(valid_s * 1e9), since_ns)
 
     def stop(self) -> None:
         """Stop at once: forget the velocity, erase what waits in the arm. Raises where that did not reach the arm.
@@ -339,6 +345,7 @@ class Jaco(Device[JacoState]):
         sent, NotReached after timeout_s; on any exception, Ctrl-C too, the arm is stopped.
         """
         self._require_moves()
+        self._require_homed()
         commands.check_target(target, self.chain, self.config, self._fresh().joints_deg, self.name)
         control = "SetAngularControl" if isinstance(target, JointTarget) else "SetCartesianControl"
 
@@ -360,6 +367,7 @@ class Jaco(Device[JacoState]):
         positions.
         """
         self._require_moves()
+        self._require_homed()
         values = commands.check_fingers(fingers, self.name)
         history: list[JacoState] = []
 
@@ -377,7 +385,9 @@ class Jaco(Device[JacoState]):
         return self._travel(point, None, there, timeout_s, f"fingers at {values}")
 
     def home(self, timeout_s: float = 60.0) -> JacoState:
-        """Send the arm to its own home pose, on its own path and at its own speed; wait until it is still."""
+        """Send the arm to its own home pose, on its own path and at its own speed; wait until it is still, and says
+        that it is at home. To be done once after each time it was switched on, by this or its joystick's home button.
+        """
         self._require_moves()
         moving_ns = self._clock()
 
@@ -385,7 +395,7 @@ class Jaco(Device[JacoState]):
             nonlocal moving_ns
             if not _still(state):
                 moving_ns = state.stamp.host_ns
-            return state.stamp.host_ns - moving_ns >= STILL_S * 1e9
+            return state.homed and state.stamp.host_ns - moving_ns >= STILL_S * 1e9
 
         return self._travel(None, None, there, timeout_s, "home")
 
@@ -535,6 +545,20 @@ class Jaco(Device[JacoState]):
             return self.latest(STATE_AGE_S)
         except Stale:
             return self.next(2.0)
+
+    @property
+    def homed(self) -> bool:
+        """Whether the arm says that it was at home since it was switched on; read once a second."""
+        return self._state is not None and self._state.homed
+
+    def _require_homed(self) -> None:
+        if self.config.require_home and not self.homed:
+            raise NotHomed(
+                "an arm that was homed since it was switched on",
+                "one that was not",
+                "hold its joystick's home button until it stands still; or arm.home()",
+                self.name,
+            )
 
     def _require_moves(self) -> None:
         self._require_open()

@@ -64,8 +64,8 @@ class JacoDouble:
     ) -> None:
         """clock: [ns], never going back; start_deg: (n,) where the arm stands (default: home)
 
-        serials: of the arms that are plugged in (they share one body); cold_boot: the arm was just switched on and
-        ignores the first StartControlAPI
+        serials: of the arms that are plugged in (they share one body); cold_boot: the arm was just switched on: it
+        ignores the first StartControlAPI, and was not homed
         """
         self.chain = CHAINS[model]
         self.where = f"simulated {model}"
@@ -338,6 +338,7 @@ class JacoDouble:
         response.ControlEnableStatus = int(not self._arm.control)
         response.ForceControlStatus = int(not self._arm.admittance.active)
         response.TorqueSensorsStatus = 1
+        response.RetractType = self._arm.retract
 
     # Force -----------------------------------------------------------------------------------------------------------
 

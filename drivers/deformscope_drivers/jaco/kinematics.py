@@ -13,6 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
+LEVER_M = 0.2
+"""So far from the end effector a rotation counts as much as a velocity there: hand, stick and tip."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,6 +294,17 @@ def damped_joint_rates(
         free = right[..., values.shape[-1] :, :]
         rates = rates + (free.swapaxes(-1, -2) @ (free @ wish_rad_s)[..., None])[..., 0]
     return rates
+
+
+def off_course(jacobian: FloatArray, rates_rad_s: FloatArray, twist: FloatArray) -> FloatArray:
+    """Which share of a twist (..., 6) is not made by joint rates (..., n), 0 to 1: what the damping has taken."""
+    made = (jacobian @ rates_rad_s[..., None])[..., 0]
+    return np.asarray(twist_size(made - twist) / np.maximum(twist_size(twist), 1e-12))
+
+
+def twist_size(twist: FloatArray) -> FloatArray:
+    """(...,) size of twists (..., 6), the rotation taken LEVER_M from the end effector [m/s]."""
+    return np.asarray(np.hypot(np.sqrt(squared(twist[..., :3])), LEVER_M * np.sqrt(squared(twist[..., 3:]))))
 
 
 def least_singular(jacobian: FloatArray) -> FloatArray:

@@ -17,8 +17,10 @@ from deformscope_drivers.jaco.kinematics import Chain, euler_xyz_from_rotation
 from deformscope_drivers.jaco.library import Functions, read
 from deformscope_drivers.jaco.state import JacoState
 from deformscope_drivers.jaco.structures import (
+    HOMED,
     AngularPosition,
     CartesianPosition,
+    QuickStatus,
     SensorsInfo,
     TrajectoryFIFO,
     actuator_values,
@@ -42,7 +44,7 @@ _IN_TURN: dict[str, type[ctypes.Structure]] = {
     "GetCartesianForce": CartesianPosition,
     "GetAngularCurrent": AngularPosition,
 }
-_SELDOM: dict[str, type[ctypes.Structure]] = {"GetSensorsInfo": SensorsInfo}
+_SELDOM: dict[str, type[ctypes.Structure]] = {"GetSensorsInfo": SensorsInfo, "GetQuickStatus": QuickStatus}
 _KINDS = {_ANGLES: AngularPosition, **_IN_TURN, **_SELDOM}
 
 
@@ -138,6 +140,7 @@ class StateReader:
             supply_v=sensors.Voltage,
             supply_a=sensors.Current,
             temperatures_deg_c=sensor_temperatures(sensors, self._chain.joint_count),
+            homed=cast(QuickStatus, self._read["GetQuickStatus"]).RetractType in HOMED,
         )
 
     def _rates_deg_s(self, time_ns: int, joints_deg: tuple[float, ...]) -> tuple[float, ...]:

@@ -1,10 +1,12 @@
 """A simulated arm that lives in cycles of 10 ms: what its controller does with the points that it was sent.
 
 What it models, as in the protocol reference: a FIFO of 2000 trajectory points; one velocity point taken in each
-cycle, so that points sent faster pile up and the arm runs on after the sender stopped; position points followed at a
-limited speed; joint ranges and speeds; fingers from 0 to 6800; control that must be started, and whose first start
-after a cold boot may be ignored; admittance to a push from outside. Where the real arm's behaviour is not public the
-simplest thing is done, and said beside it. Joints follow at once: there is no inertia but that of the admittance.
+cycle, so that points sent faster pile up and the arm runs on after the sender stopped; Cartesian velocities ignored
+without a word after motion by joints, and all Cartesian motion until the arm was homed (kinova-ros issues 62, 148,
+269); position points followed at a limited speed; joint ranges and speeds; fingers from 0 to 6800; control that must
+be started, and whose first start after a cold boot may be ignored; admittance to a push from outside. Where the real
+arm's behaviour is not public the simplest thing is done, and said beside it. Joints follow at once: there is no inertia
+but that of the admittance.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ FIFO_SIZE = 2000
 FINGER_SPEED = 5000.0  # units/s; not published
 POSITION_SPEED_M_S, POSITION_SPEED_RAD_S = 0.15, 0.6  # of position points without limitations; not published
 HOME_SPEED_DEG_S = 20.0
+AT_HOME_DEG = 0.5
 REACHED_M, REACHED_RAD = 1e-5, 1e-4
 
 
@@ -29,8 +32,9 @@ class SimulatedArm:
     """The arm's state, and `cycle` that carries it 10 ms on.
 
     wrench: (6,) what pushes the end effector [N, Nm] in the base frame; torque_bias_nm: (n,) what the joints' torque
-    sensors show too much; sag_deg: (n,) how far weight turns the joints beyond the angles that they are to hold; grip: (3,) where each finger meets what it holds; cycles: that have passed. All may be set
-    between cycles.
+    sensors show too much; sag_deg: (n,) how far weight turns the joints beyond the angles that they are to hold
+    grip: (3,) where each finger meets what it holds; cycles: that have passed. All may be set between cycles.
+    homed: it went home since it was switched on; cartesian: it takes Cartesian velocities
     """
 
     def __init__(self, chain: Chain, start_deg: npt.ArrayLike | None, cold_boot: bool) -> None:
@@ -49,6 +53,7 @@ class SimulatedArm:
         self.angular_control = False
         self.admittance = Admittance(chain.joint_count)
         self.control = False
+        self.homed = self.cartesian = not cold_boot
         self._cold = cold_boot
         self._delay_left_s: float | None = None
         self._homing = False
@@ -95,8 +100,18 @@ class SimulatedArm:
     def power_up(self, cold_boot: bool) -> None:
         """Start as after switching on: nothing is left to do, control is off, the joints stay where they are."""
         self.erase()
-        self.control = self.admittance.active = self.fingers_ready = False
+        self.control = self.admittance.active = self.fingers_ready = self.homed = self.cartesian = False
         self._cold = cold_boot
+
+    @property
+    def retract(self) -> structures.RetractType:
+        """What it says of being at home."""
+        if self._homing:
+            return structures.RetractType.NORMAL_TO_READY
+        if not self.homed:
+            return structures.RetractType.NOT_INITIALIZED
+        at_home = bool(np.abs(self.joints_deg - self.chain.home_deg).max() < AT_HOME_DEG)
+        return structures.RetractType.READY_STANDBY if at_home else structures.RetractType.NORMAL_STANDBY
 
     # The cycle -------------------------------------------------------------------------------------------------------
 
@@ -113,6 +128,8 @@ class SimulatedArm:
             if self._homing:
                 rates = self._towards(self.chain.home_deg, np.full(self.chain.joint_count, HOME_SPEED_DEG_S))
                 self._homing = bool(np.any(rates))
+                if not self._homing:
+                    self.homed = self.cartesian = True
             elif self.fifo:
                 rates = self._follow(self.fifo[0])
             if self._opening:
@@ -128,10 +145,12 @@ class SimulatedArm:
         position, done = point.Position, True
         rates = np.zeros(self.chain.joint_count)
         kind = position.Type
+        if kind in (structures.PositionType.ANGULAR_VELOCITY, structures.PositionType.ANGULAR_POSITION):
+            self.cartesian = False  # until it goes home: kinova-ros issue 269
         if kind == structures.PositionType.ANGULAR_VELOCITY:
             asked = np.array(structures.actuator_values(position.Actuators, self.chain.joint_count))
             rates = np.clip(asked, -self.chain.velocity_deg_s, self.chain.velocity_deg_s)
-        elif kind == structures.PositionType.CARTESIAN_VELOCITY:
+        elif kind == structures.PositionType.CARTESIAN_VELOCITY and self.cartesian:  # else ignored, without a word
             twist = np.array(structures.cartesian_values(position.CartesianPosition))
             twist[3:] = self.links[-1, :3, :3] @ twist[3:]  # a point's rotation is in the end effector's frame
             rates = self._rates_of(twist)
@@ -140,7 +159,7 @@ class SimulatedArm:
             target = self.chain.clip(held + self.sag_deg)
             rates = self._towards(target, self._joint_speeds(point))
             done = not np.any(rates)
-        elif kind == structures.PositionType.CARTESIAN_POSITION:
+        elif kind == structures.PositionType.CARTESIAN_POSITION and self.homed:
             rates, done = self._towards_pose(point)
         elif kind == structures.PositionType.DELAY:
             self._delay_left_s = (position.Delay if self._delay_left_s is None else self._delay_left_s) - CYCLE_S

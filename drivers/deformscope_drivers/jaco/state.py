@@ -22,7 +22,8 @@ class JacoState:
     wrench: (6,) force [N] and torque [Nm] at the end effector, in the base frame: the joints' torque sensors drift, so
     that some newtons are shown where nothing touches; its direction was never verified on an arm
     fingers: (3,) from 0 open to 6800 closed; fifo_count: trajectory points that wait in the arm
-    supply_v, supply_a: its main supply; temperatures_deg_c: (n,) of the joints; these are read once a second
+    supply_v, supply_a: its main supply; temperatures_deg_c: (n,) of the joints; homed: whether it was at home since it
+    was switched on; these are read once a second
     """
 
     stamp: Stamp
@@ -39,6 +40,7 @@ class JacoState:
     supply_v: float
     supply_a: float
     temperatures_deg_c: tuple[float, ...]
+    homed: bool
 
     @property
     def T_base_end_effector(self) -> FloatArray:

@@ -44,6 +44,22 @@ class HandMode(IntEnum):
     VELOCITY = 2
 
 
+class RetractType(IntEnum):
+    """What the arm says of being at home ("ready"), in `QuickStatus`."""
+
+    NORMAL_TO_READY = 0
+    READY_STANDBY = 1
+    READY_TO_RETRACT = 2
+    RETRACT_STANDBY = 3
+    RETRACT_TO_READY = 4
+    NORMAL_STANDBY = 5
+    NOT_INITIALIZED = 6
+
+
+HOMED = (RetractType.READY_STANDBY, RetractType.NORMAL_STANDBY)
+"""At rest at home, or elsewhere after it was there since it was switched on."""
+
+
 class DeviceType(IntEnum):
     """Which arm it is."""
 

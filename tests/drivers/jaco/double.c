@@ -132,6 +132,7 @@ static struct {
     int first, count, delaying;
     double delay_left;
     int initialized, control, cold, angular, force_control, homing, opening, fingers_ready;
+    int homed, cartesian; /* it went home since it was switched on; it takes Cartesian velocities */
     float pair[14];
     KinovaDevice active;
     EthernetCommConfig ethernet;
@@ -309,9 +310,10 @@ static void follow(double *rates) {
     /* what is commanded to hold an angle stands beyond it by what weight turns it */
     for (int i = 0; i < 7; i++) target[i] = to->Actuators.Actuator[i] + (velocity ? 0 : arm.sag[i]);
     for (int i = 0; i < 3; i++) fingers[i] = to->Fingers.Finger[i];
+    if (to->Type == 2 || to->Type == 8) arm.cartesian = 0; /* until it goes home: kinova-ros issue 269 */
     if (to->Type == 8)
         for (int i = 0; i < arm.joints; i++) rates[i] = clamp(target[i], -arm.chain[i].speed, arm.chain[i].speed);
-    else if (to->Type == 7) {
+    else if (to->Type == 7 && arm.cartesian) { /* else ignored, without a word */
         double twist[6] = {to->CartesianPosition.X,      to->CartesianPosition.Y,      to->CartesianPosition.Z,
                            0, 0, 0};
         const double *hand = arm.frames[arm.joints]; /* a point's rotation is in the end effector's frame */
@@ -323,7 +325,7 @@ static void follow(double *rates) {
         double first = point->LimitationsActive ? point->Limitations.speed[0] : 1e9;
         double others = point->LimitationsActive ? point->Limitations.speed[1] : 1e9;
         done = !towards_joints(target, first, others, rates);
-    } else if (to->Type == 1)
+    } else if (to->Type == 1 && arm.homed)
         done = !towards_pose(point, rates);
     else if (to->Type == 12) {
         arm.delay_left = (arm.delaying ? arm.delay_left : to->Delay) - CYCLE;
@@ -343,9 +345,10 @@ static void follow(double *rates) {
 static void cycle(void) {
     double rates[7] = {0}, open[3] = {0};
     if (arm.control) {
-        if (arm.homing)
+        if (arm.homing) {
             arm.homing = towards_joints(arm.home, 20, 20, rates);
-        else if (arm.count)
+            if (!arm.homing) arm.homed = arm.cartesian = 1;
+        } else if (arm.count)
             follow(rates);
         if (arm.opening) {
             arm.opening = !move_fingers(open);
@@ -407,6 +410,7 @@ void double_reset(int type, int cold) {
             arm.home = MODELS[i].home;
         }
     arm.cold = cold;
+    arm.homed = arm.cartesian = !cold;
     memcpy(arm.q, arm.home, sizeof arm.q);
     real_time = 0;
     lived_s = manual_s = 0;
@@ -796,6 +800,9 @@ int VENDOR(GetQuickStatus)(QuickStatus *out) {
     out->ControlEnableStatus = !arm.control;
     out->ForceControlStatus = !arm.force_control;
     out->TorqueSensorsStatus = 1;
+    int away = 0;
+    for (int i = 0; i < arm.joints; i++) away |= fabs(arm.q[i] - arm.home[i]) >= .5;
+    out->RetractType = arm.homing ? 0 : !arm.homed ? 6 : away ? 5 : 1;
     return OK;
 }
 

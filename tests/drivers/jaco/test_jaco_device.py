@@ -35,6 +35,7 @@ from deformscope_drivers.jaco import (
     JointVelocity,
     MotionStopped,
     NoDeviceFound,
+    NotHomed,
     NotReached,
     NotStopped,
     Workspace,
@@ -290,9 +291,91 @@ def test_it_comes_up_in_the_order_of_the_vendors_driver_and_lets_go_erasing_firs
     assert lab.recorded.names[count:] == ["EraseAllTrajectories", "StopForceControl", "StopControlAPI", "CloseAPI"]
 
 
-def test_a_cold_arm_obeys_after_it_was_brought_up() -> None:
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda arm: arm.set_velocity(TURN),
+        lambda arm: arm.set_velocity(CartesianVelocity((0.0, 0.0, 0.02))),
+        lambda arm: arm.move_to(JointTarget(tuple(J2N6S300.home_deg + 5.0))),
+        lambda arm: arm.move_fingers((1000.0,) * 3),
+    ],
+)
+def test_an_arm_that_was_not_homed_since_it_was_switched_on_says_so_before_it_moves(
+    ask: Callable[[Jaco], object],
+) -> None:
     lab = Simulated(cold_boot=True)
     with lab.arm.open(own_thread=False):
+        assert not lab.arm.homed
+        with pytest.raises(NotHomed, match=r"home button.*arm\.home\(\)"):
+            ask(lab.arm)
+        lab.run(0.1)
+        assert lab.recorded.points() == []
+        assert lab.recorded.times("SendAdvanceTrajectory") == []
+
+
+def test_an_arm_that_is_homed_by_its_joystick_may_move_then() -> None:
+    lab = Simulated(cold_boot=True)
+    with lab.arm.open(own_thread=False):
+        call(lab.double, "MoveHome")
+        lab.run(1.5)
+        assert lab.arm.homed
+        lab.arm.set_velocity(TURN)
+
+
+def test_who_knows_better_may_move_it_all_the_same() -> None:
+    lab = Simulated(JacoConfig(require_home=False), cold_boot=True)
+    with lab.arm.open(own_thread=False):
+        before = lab.double.joints_deg
+        hold(lab.arm, TURN, 0.5)
+        assert lab.double.joints_deg[0] - before[0] == pytest.approx(5.0, abs=0.11)
+
+
+def test_a_cartesian_velocity_moves_the_arm_after_angular_motion_too(simulated: Jaco) -> None:
+    """The arm's own Cartesian velocities would silently fail then: kinova-ros issue 269."""
+    simulated.move_to(JointTarget(tuple(J2N6S300.home_deg + 5.0)))
+    before = simulated.next(1.0).T_base_end_effector
+    hold(simulated, CartesianVelocity((0.02, -0.01, 0.03), (0.0, 0.05, 0.1)), 1.0)
+    after = simulated.next(1.0).T_base_end_effector
+    assert after[:3, 3] - before[:3, 3] == pytest.approx([0.02, -0.01, 0.03], abs=1e-3)
+    turned = Rotation.from_matrix(before[:3, :3].T @ after[:3, :3]).as_rotvec()
+    assert turned == pytest.approx([0.0, 0.05, 0.1], abs=2e-3)
+
+
+def test_a_cartesian_velocity_stops_before_a_joint_s_limit_and_says_so() -> None:
+    start_deg = J2N6S300.home_deg.copy()
+    start_deg[2] = J2N6S300.lower_deg[2] + 12.0
+    lab = Simulated(start_deg=start_deg)
+    towards = J2N6S300.jacobian(start_deg) @ np.radians([0.0, 0.0, -6.0, 0.0, 0.0, 0.0])
+    with lab.arm.open(own_thread=False):
+        pose = lab.arm.next(1.0).T_base_end_effector
+        lab.arm.set_velocity(CartesianVelocity.in_base(towards[:3], towards[3:], pose), valid_for_s=10.0)
+        lab.run(4.0)
+        assert "joint 3" in lab.arm.stopped_because
+        assert J2N6S300.to_limits_deg(lab.double.joints_deg)[2] > 4.5
+
+
+def test_a_cartesian_velocity_that_a_singularity_would_turn_away_stops_the_arm_and_says_so() -> None:
+    lab = Simulated(JacoConfig(joint_limit_deg_s=36.0))
+    with lab.arm.open(own_thread=False):
+        lab.arm.next(1.0)
+        start_m = lab.double.T_base_end_effector[:3, 3]
+        out = tuple(0.05 * start_m / np.linalg.norm(start_m))  # until the arm is stretched out
+        worst = 0.0
+        for _ in range(1200):
+            if lab.arm.stopped_because:
+                break
+            lab.arm.set_velocity(CartesianVelocity(out), valid_for_s=0.5)
+            lab.run(0.02)
+            gone = lab.double.T_base_end_effector[:3, 3] - start_m
+            worst = max(worst, float(np.linalg.norm(gone - (gone @ out) / 0.0025 * np.array(out))))
+        assert "singularity" in lab.arm.stopped_because
+        assert worst < 0.01
+
+
+def test_a_cold_arm_obeys_after_it_was_brought_up_and_homed() -> None:
+    lab = Simulated(cold_boot=True)
+    with lab.arm.open(own_thread=False):
+        lab.arm.home()
         before = lab.double.joints_deg
         hold(lab.arm, TURN, 0.5)
         assert lab.double.joints_deg[0] - before[0] == pytest.approx(5.0, abs=0.11)

@@ -26,6 +26,7 @@ from deformscope_drivers.jaco.structures import (
     KinovaDevice,
     PositionType,
     QuickStatus,
+    RetractType,
     SensorsInfo,
     TrajectoryFIFO,
     TrajectoryPoint,
@@ -330,6 +331,40 @@ class VendorContract:
             started.advance(0.5)
             np.testing.assert_allclose(joints(started), before + sunk * sag_deg, atol=SINGLE)
 
+    @pytest.mark.parametrize("restored", ["SetCartesianControl", "MoveHome"])
+    def test_after_angular_motion_cartesian_velocities_silently_fail_until_it_goes_home(
+        self, started: VendorBench, restored: str
+    ) -> None:
+        """kinova-ros issue 269: no error, no motion; SetCartesianControl does not help."""
+        stream(started, JointVelocity((10.0,) + (0.0,) * (started.chain.joint_count - 1)), seconds=0.1)
+        call(started.functions, restored)
+        started.advance(1.0)
+        before = pose(started)[:3, 3]
+        stream(started, CartesianVelocity((0.0, 0.0, 0.03)), seconds=1.0)
+        moved_m = 0.03 if restored == "MoveHome" else 0.0
+        np.testing.assert_allclose(pose(started)[:3, 3] - before, (0.0, 0.0, moved_m), atol=1e-3)
+
+    def test_after_power_up_it_must_go_home_before_it_moves_in_cartesian_space(self, cold: VendorBench) -> None:
+        """kinova-ros issues 62 and 148; QuickStatus says so."""
+        call(cold.functions, "InitAPI")
+        for _ in range(2):  # a cold arm ignores the first
+            call(cold.functions, "StartControlAPI")
+        assert retract(cold) == RetractType.NOT_INITIALIZED
+        before = pose(cold)
+        point = position_point(PositionType.CARTESIAN_POSITION, [0.2, -0.3, 0.4, 1.6, 1.1, 0.1], limits=(0.1, 0.5))
+        call(cold.functions, "SendAdvanceTrajectory", point)
+        stream(cold, CartesianVelocity((0.0, 0.0, 0.03)), seconds=0.5)
+        np.testing.assert_array_equal(pose(cold), before)
+        stream(cold, JointVelocity((-20.0,) * cold.chain.joint_count), seconds=0.2)
+        call(cold.functions, "MoveHome")
+        cold.advance(0.1)
+        assert retract(cold) == RetractType.NORMAL_TO_READY
+        cold.advance(1.0)
+        assert retract(cold) == RetractType.READY_STANDBY
+        stream(cold, CartesianVelocity((0.0, 0.0, 0.03)), seconds=1.0)
+        assert pose(cold)[2, 3] - before[2, 3] == pytest.approx(0.03, abs=1e-3)
+        assert retract(cold) == RetractType.NORMAL_STANDBY
+
     # Fingers ---------------------------------------------------------------------------------------------------------
 
     def test_fingers_go_to_a_position_within_their_range(self, started: VendorBench) -> None:
@@ -481,6 +516,10 @@ def pose(bench: VendorBench) -> FloatArray:
 
 def fingers(bench: VendorBench) -> tuple[float, float, float]:
     return finger_values(read(bench.functions, "GetAngularPosition", AngularPosition).Fingers)
+
+
+def retract(bench: VendorBench) -> int:
+    return read(bench.functions, "GetQuickStatus", QuickStatus).RetractType
 
 
 def fifo(bench: VendorBench) -> TrajectoryFIFO:
