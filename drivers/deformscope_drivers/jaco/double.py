@@ -151,6 +151,13 @@ class JacoDouble:
             self._live()
             self._arm.sag_deg = np.array(sag_deg, dtype=float)
 
+    def late(self, seconds: float) -> None:
+        """Let the arm follow its commands so late, as its inertia and its own control have it do."""
+        with self._lock:
+            self._live()
+            cycles = round(seconds * 1e9) // CYCLE_NS
+            self._arm.lag = deque(np.zeros(self.chain.joint_count) for _ in range(cycles))
+
     def store_tool_offset(self, offset_m: npt.ArrayLike) -> None:
         """Let the arm report the pose of a tool, (3,) [m] from its end effector, as SetEndEffectorOffset has it do: for
         good, whatever program runs next."""

@@ -34,6 +34,7 @@ class SimulatedArm:
     wrench: (6,) what pushes the end effector [N, Nm] in the base frame; torque_bias_nm: (n,) what the joints' torque
     sensors show too much; sag_deg: (n,) how far weight turns the joints beyond the angles that they are to hold
     grip: (3,) where each finger meets what it holds; cycles: that have passed. All may be set between cycles.
+    lag: rates that it will turn at, one a cycle: it follows its commands so late
     homed: it went home since it was switched on; cartesian: it takes Cartesian velocities
     """
 
@@ -53,6 +54,7 @@ class SimulatedArm:
         self.angular_control = False
         self.admittance = Admittance(chain.joint_count)
         self.control = False
+        self.lag: deque[FloatArray] = deque()
         self.homed = self.cartesian = not cold_boot
         self._cold = cold_boot
         self._delay_left_s: float | None = None
@@ -119,7 +121,7 @@ class SimulatedArm:
     def at_rest(self) -> bool:
         """Whether the next cycle would change nothing."""
         busy = self.control and (self.fifo or self._homing or self._opening or self.admittance.active)
-        return not busy and not np.any(self.rates_deg_s)
+        return not busy and not np.any(self.rates_deg_s) and not any(map(np.any, self.lag))
 
     def cycle(self) -> None:
         """10 ms of the arm's own loop."""
@@ -138,6 +140,9 @@ class SimulatedArm:
                 self.fingers_ready = not self._opening
             if self.admittance.active:
                 rates = rates + self._give_way()
+        if self.lag:
+            self.lag.append(rates)
+            rates = self.lag.popleft()
         self._turn(rates)
 
     def _follow(self, point: structures.TrajectoryPoint) -> FloatArray:
