@@ -28,6 +28,11 @@ def moving() -> FaultScene:
     return scene
 
 
+def upwards(scene: FaultScene, count: int) -> None:
+    for _ in range(count):
+        scene.robot.cycle(UP)
+
+
 def cycles(scene: FaultScene, count: int) -> None:
     for _ in range(count):
         scene.robot.cycle()
@@ -147,8 +152,7 @@ def test_an_arm_that_follows_100_ms_late_has_its_own_key() -> None:
     scene = make_scene(3, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
     scene.lab.arm_double.late(0.1)
     with pytest.raises(RobotStopped, match="arm frozen") as caught:
-        for _ in range(30):
-            scene.robot.cycle(UP)
+        upwards(scene, 30)
     assert advice(caught.value.verdict.fault).startswith("whether the arm was homed")
 
     scene.lab.wait_until(scene.lab.clock() + 300_000_000)  # until it stands
@@ -160,8 +164,7 @@ def test_an_arm_that_follows_100_ms_late_has_its_own_key() -> None:
     assert limits.arm_silent_s == scene.robot.supervisor.limits.arm_silent_s
     scene.robot.let_move(check(scene.robot, [scene.plan], calibrated={}))
     before_m = scene.robot.center_m
-    for _ in range(50):
-        scene.robot.cycle(UP)
+    upwards(scene, 50)
     cycles(scene, 20)
     assert scene.robot.center_m[2] - before_m[2] == pytest.approx(0.01, abs=5e-4)
     scene.lab.close()

@@ -163,9 +163,7 @@ def velocity_point(velocity: Velocity) -> TrajectoryPoint:
     return point
 
 
-def by_joints(
-    velocity: Velocity, chain: Chain, config: JacoConfig, joints_deg: Sequence[float]
-) -> JointVelocity | str:
+def by_joints(velocity: Velocity, chain: Chain, config: JacoConfig, joints_deg: Sequence[float]) -> JointVelocity | str:
     """The joint rates that make a velocity at these joint angles (n,) [deg], or why there are none.
 
     After motion by joints the arm ignores Cartesian velocities of its own without a word (kinova-ros issue 269), so

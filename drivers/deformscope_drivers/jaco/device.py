@@ -440,7 +440,7 @@ class Jaco(Device[JacoState]):
                 self._require_moves()
                 if there(state):
                     return state
-            raise NotReached(where_to, f"the arm still moving after {timeout_s:g} s", "a longer timeout_s", self.name)
+            raise NotReached(where_to, f"an arm that is not there after {timeout_s:g} s", "a longer timeout_s", self.name)
         finally:
             with self._commanded:
                 given_up = True

@@ -154,7 +154,11 @@ class StateReader:
         if time_ns == before_ns:
             return (0.0,) * len(joints_deg)
         span_s = (time_ns - before_ns) / 1e9
-        return tuple((now - before) / span_s for now, before in zip(joints_deg, before_deg, strict=True))
+        # the short way round, should the arm begin to count anew after a whole turn
+        return tuple(
+            ((now - before + 180.0) % 360.0 - 180.0) / span_s
+            for now, before in zip(joints_deg, before_deg, strict=True)
+        )
 
     def _joints(self, name: str) -> tuple[float, ...]:
         return actuator_values(cast(AngularPosition, self._read[name]).Actuators, self._chain.joint_count)

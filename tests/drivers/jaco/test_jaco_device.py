@@ -455,7 +455,7 @@ def test_a_tool_offset_that_is_stored_in_the_arm_is_found_at_the_start(
 ) -> None:
     lab = Simulated()
     lab.double.store_tool_offset(offset_m)
-    with pytest.raises(SettingsRefused, match="50.0 mm") if refused else contextlib.nullcontext() as caught:
+    with pytest.raises(SettingsRefused, match=r"50\.0 mm") if refused else contextlib.nullcontext() as caught:
         lab.arm.open(own_thread=False)
     lab.arm.close()
     if refused:
