@@ -719,7 +719,7 @@ def test_a_slow_link_costs_neither_points_nor_states(call_ms: float, state_hz: f
         np.testing.assert_allclose(np.diff(times_s), PERIOD_S, atol=1e-6)
         assert len(taken) >= 0.8 * state_hz * 2.0
         assert np.diff([state.stamp.host_ns for state in taken]).max() <= 30e6
-        assert max(state.sweep_s for state in taken) < 0.3
+        assert max(state.sweep_s for state in taken) < 0.4
         assert lab.arm.health().extra["call_ms"] == pytest.approx(call_ms, rel=0.05)
         assert lab.double.fifo_count <= 1
 
