@@ -200,7 +200,8 @@ def calibrate_compliance(
 def _huber(design: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     """Coefficients (k,) of z (n,) over a design (n, k), their deviations (k,), and the scatter: Huber's weights, as far
     as they settle."""
-    weight, found, scale = np.ones_like(z), np.zeros(design.shape[1]), 1e-9
+    found: FloatArray = np.zeros(design.shape[1])
+    weight, scale = np.ones_like(z), 1e-9
     for _ in range(10):
         root = np.sqrt(weight)
         found = np.linalg.lstsq(design * root[:, None], z * root, rcond=None)[0]

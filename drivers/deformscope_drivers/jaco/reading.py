@@ -45,7 +45,7 @@ _IN_TURN: dict[str, type[ctypes.Structure]] = {
     "GetAngularCurrent": AngularPosition,
 }
 _SELDOM: dict[str, type[ctypes.Structure]] = {"GetSensorsInfo": SensorsInfo, "GetQuickStatus": QuickStatus}
-_KINDS = {_ANGLES: AngularPosition, **_IN_TURN, **_SELDOM}
+_KINDS: dict[str, type[ctypes.Structure]] = {_ANGLES: AngularPosition, **_IN_TURN, **_SELDOM}
 
 
 class StateReader:
