@@ -40,6 +40,7 @@ from deformscope.stages.fit.estimate import (
 from deformscope.stages.fit.force import stiffness_interval
 from deformscope.stages.fit.inference import Inference, Inferred
 from deformscope.stages.fit.model import FitOptions, Model, Observation
+from deformscope.stages.fit.outliers import LeftOut, without_outliers
 from deformscope.stages.fit.search import Progress, Search
 from deformscope.stages.fit.shared_errors import for_posterior, together
 from deformscope.stages.fit.two_materials import FittedBody, two_materials
@@ -56,11 +57,15 @@ TURNED = 5
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """An estimate, the simulation at it of every observation that it rests on, and how sure of it one can be."""
+    """An estimate, the simulation at it of every observation that it rests on, and how sure of it one can be.
+
+    left_out: particles of each observation that were taken for no measurement; empty for the frames of a motion
+    """
 
     estimate: Estimate
     comparisons: tuple[Comparison, ...]
     inferred: Inferred
+    left_out: tuple[LeftOut, ...] = ()
 
 
 def calibrate(
@@ -93,6 +98,12 @@ def calibrate(
     else:
         used["stopped"] = fit.descend(progress)
         drawn = fit.tried.parameter.copy()
+    left_out: tuple[LeftOut, ...] = ()
+    if not one_motion:  # a motion's frames are the tracker's to judge
+        left_out = without_outliers(fit)
+        seen = fit.seen
+        if any(one.count for one in left_out):
+            used["left_out"] = [one.as_json() for one in left_out]
     judged: Search = fit
     if one_motion:
         found = together(fit, options.seed)
@@ -152,7 +163,7 @@ def calibrate(
         identifiability=identified,
         reasons=reasons,
     )
-    return Calibration(estimate, comparisons, inferred)
+    return Calibration(estimate, comparisons, inferred, left_out)
 
 
 def _settings(seen: Sequence[Observation], options: FitOptions) -> dict[str, object]:

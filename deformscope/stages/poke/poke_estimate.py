@@ -350,7 +350,7 @@ def _comparison(one: PosedPoke, law: Law) -> Comparison:
 def _model(fit: PokesFit, provenance: Mapping[str, object]) -> FittedModel:
     measured, k = fit.stiffness(fit.best)
     places = np.array([fit.pokes[i].at for i in measured]).reshape(-1, 3)
-    field = fit_field(places[:, :2], k) if measured.size else None
+    field = fit_field(places[:, :2], k, fit.pokes[0].tip.width) if measured.size else None
     rivals = [
         Rival(one.law, fit.stiffness(one)[1], one.score)
         for one in fit.tried[1:]
