@@ -91,8 +91,8 @@ class CoverageConfig(RecordedOptions):
 
 @dataclass(frozen=True, slots=True)
 class DisturbedCoverageConfig(RecordedOptions):
-    """Count how often the intervals hold the truth where data are not as assumed: errors that neighbours share over 1 to
-    6 cells, with and without white noise, outliers, lost tracks, a held particle that is off, whole motions."""
+    """Count how often the intervals hold the truth where data are not as assumed: errors that neighbours share over 1
+    to 6 cells, with and without white noise, outliers, lost tracks, a held particle that is off, whole motions."""
 
     objects: Annotated[int, flags.least(3)] = 400
     """Random objects for each kind of error, a third of them in space; each takes some .3 s of a core."""
