@@ -81,7 +81,7 @@ def test_evidence_of_the_particles_is_that_of_the_prior() -> None:
     prior = RegionPrior()
     readings = posterior_module._readings(seen, prior)
     maps = draw(np.random.default_rng(99), 2, GRID.size_m, 20_000)
-    plain, _, _ = posterior_module._levels(maps.shares(readings.xy_m, prior.blur_m), readings, prior)
+    plain = posterior_module._log_likelihood(maps.shares(readings.xy_m, prior.blur_m), readings, prior)
     expected = np.log(np.mean(np.exp(plain - plain.max()))) + plain.max()
 
     found = [posterior(seen, seed=seed, particle_count=600).particles[0].log_evidence for seed in range(2)]
