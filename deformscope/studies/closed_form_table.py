@@ -1,8 +1,8 @@
 """Table 4.1 without finite elements, camera and arm: hundreds of explorations in minutes.
 
 A touch is the scene's log stiffness (Hertz: the power 2/3 of its modulus), blurred by the contact, plus what a fit
-leaves unknown; where that is above what the arm resolves, a lower bound. Posterior, planner and stop rule are those of
-`explore`.
+leaves unknown and what the laboratory keeps from the estimator (`LabErrors`: scatter, gain and arm); where that is
+above what the arm resolves, a lower bound. Posterior, planner and stop rule are those of `explore`.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 from deformscope.arrays import FloatArray
 from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
 from deformscope.lab.scenes import Scene, built_in, initial_modulus_pa
+from deformscope.lab.session_errors import LabErrors, SessionErrors
 from deformscope.stages.map.map_score import Z_90, TrueMap, score_map
 from deformscope.stages.map.plan import FieldKernel, PlanOptions, TouchChoice, plan_touch
 from deformscope.stages.poke.contact import RIGID_SDS, ArmCompliance
@@ -45,6 +46,7 @@ def run_closed_form(job: TableJob) -> TableRun:
     began = time.perf_counter()
     scene, options = built_in(job.scene, job.seed), PlanOptions(planner=job.planner, budget=job.touches)
     truth, random = _truth(scene), np.random.default_rng([job.seed, 0xC10])
+    errors = (LabErrors.none() if job.clean else LabErrors()).draw([job.seed, 0xC11])
     posterior = RegionPosterior.before_touches(MapGrid(scene.size_m), seed=job.seed)
     after: list[MapAfter] = []
     stop_after, travel_m = None, 0.0
@@ -61,9 +63,9 @@ def run_closed_form(job: TableJob) -> TableRun:
             if enough or choice.target_m is None:
                 break
             travel_m += float(np.hypot(*(choice.target_m - (posterior.touches[-1].xy_m if after else np.zeros(2)))))
-            felt = _felt(scene, choice.target_m, posterior.prior)
+            felt = _felt(scene, choice.target_m, posterior.prior) + float(errors.scatter(choice.target_m))
             start = time.perf_counter()
-            posterior = posterior.with_touch(_touch(choice.target_m, felt, random))
+            posterior = posterior.with_touch(_touch(choice.target_m, felt, errors, random))
             shown = posterior.region_map()
             touch = posterior.touches[-1]
             after.append(
@@ -107,9 +109,10 @@ def _felt(scene: Scene, xy_m: FloatArray, prior: RegionPrior) -> float:
     return float((np.outer(weight, weight) * log_stiffness).sum() / weight.sum() ** 2)
 
 
-def _touch(xy_m: FloatArray, felt: float, random: np.random.Generator) -> StiffnessSample:
-    sd = float(np.hypot(LAW_SD, FIT_SD))
-    value = felt + sd * float(random.standard_normal())
+def _touch(xy_m: FloatArray, felt: float, errors: SessionErrors, random: np.random.Generator) -> StiffnessSample:
+    sd, stiffness_n_m = float(np.hypot(LAW_SD, FIT_SD)), 1e3 * float(np.exp(felt))
+    bent = stiffness_n_m * (1.0 / errors.arm_n_per_m - 1.0 / ARM_STIFFNESS_N_M)  # what is taken for a dent, over it
+    value = felt + float(np.log(errors.gain)) - bent + sd * float(random.standard_normal())
     if value > RIGID_LOG:
         return StiffnessSample(xy_m, RIGID_LOG, RegionPrior().rigid_sd, rigid=True)
-    return StiffnessSample(xy_m, value, sd)
+    return StiffnessSample(xy_m, value, sd, arm_sd=ARM_DOUBT * stiffness_n_m / ARM_STIFFNESS_N_M)

@@ -22,14 +22,16 @@ def test_a_contact_feels_what_is_around_it() -> None:
 
 
 def test_an_exploration_in_closed_form_is_a_row_as_any() -> None:
-    run = run_closed_form(TableJob("two-60-rigid", 2, touches=4, closed_form=True))
+    run = run_closed_form(TableJob("two-60-rigid", 2, touches=4, closed_form=True, clean=True))
     assert [one.touches for one in run.after] == [1, 2, 3, 4]
     assert any(one.rigid and one.log_stiffness == RIGID_LOG for one in run.after)
     last = run.after[-1]
     assert last.score.right
     assert last.score.rigid_found
-    assert last.score.iou is not None and last.score.wrong is not None
+    assert last.score.iou is not None
+    assert last.score.wrong is not None
     # two regions: what is not in the union's intersection is wrong
     assert 0.5 * (1.0 - last.score.iou) < last.score.wrong < 1.0 - last.score.iou
-    assert last.unseen is not None and 0.2 < last.unseen < 0.5
+    assert last.unseen is not None
+    assert 0.2 < last.unseen < 0.5
     assert run.stop_after is None

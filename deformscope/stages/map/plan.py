@@ -85,7 +85,7 @@ class PlanOptions:
     speed_m_s: float = 0.1
     threshold: float = 0.06
     least_gain: float = 0.005
-    sure: float = 0.8
+    sure: float = 0.75
     budget: int = 12
     inclusion_m: float = INCLUSION_M
     unmet: float = 0.05

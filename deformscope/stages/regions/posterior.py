@@ -41,7 +41,6 @@ SLOPES_PER_M = (1.0, 3.0)
 PRIOR_EXTENT_M, PRIOR_MARGIN_M = 0.5, 0.05
 """Places on things of any size are taken as if they were so far apart, and so far from the border: the priors on shapes
 are of a surface of about 0.6 m."""
-KIND_PARTICLES, KIND_CELL_M = 300, 0.02
 SCATTER_MAPS = 100
 """Maps of which the scatter is asked."""
 LEVELS_DRAWN = 4000
@@ -182,7 +181,7 @@ class RegionPosterior:
 
     @classmethod
     def before_touches(
-        cls, grid: MapGrid, prior: RegionPrior | None = None, *, particle_count: int = 1200, seed: int = 0
+        cls, grid: MapGrid, prior: RegionPrior | None = None, *, particle_count: int = 2000, seed: int = 0
     ) -> RegionPosterior:
         """What is known at first. particle_count: maps kept for each number of regions; four times as many at first"""
         if particle_count < 50:
@@ -207,6 +206,20 @@ class RegionPosterior:
     @cached_property
     def probability(self) -> dict[str, float]:
         """Of "1", "2", "3" regions and of "gradual"."""
+        logs = self._joint_logs
+        shares = np.maximum(np.exp(logs - logsumexp(logs)), 1e-9)  # nothing is certain
+        return dict(zip(("1", "2", "3", "gradual"), shares.tolist(), strict=True))
+
+    def beside(self, kernel: SmoothKernel, share: float) -> tuple[tuple[SmoothField, float], ...]:
+        """One more smooth hypothesis, of this prior probability: its fields, and how probable each is among all."""
+        fields = self._fields(kernel)
+        logs = np.log(share) + np.array([one.log_evidence for one in fields])
+        every = np.logaddexp(logsumexp(logs), np.log1p(-share) + logsumexp(self._joint_logs))
+        return tuple(zip(fields, np.exp(logs - every).tolist(), strict=True))
+
+    @property
+    def _joint_logs(self) -> FloatArray:
+        """(4,) logarithm of prior probability times evidence of 1, 2, 3 regions and a smooth field."""
         evidence = [
             logsumexp(self._one_region[0]),
             *(one.log_evidence for one in self.particles),
@@ -214,9 +227,7 @@ class RegionPosterior:
         ]
         prior = np.array([self.prior.one, self.prior.two, self.prior.three, self.prior.gradual])
         with np.errstate(divide="ignore"):
-            logs = np.log(prior) + np.array(evidence)
-        shares = np.maximum(np.exp(logs - logsumexp(logs)), 1e-9)  # nothing is certain
-        return dict(zip(("1", "2", "3", "gradual"), shares.tolist(), strict=True))
+            return cast(FloatArray, np.log(prior) + np.array(evidence))
 
     @property
     def region_count(self) -> int:
@@ -390,16 +401,16 @@ class RegionPosterior:
     @cached_property
     def _smooth(self) -> tuple[SmoothField, ...]:
         """Of each kernel and each scatter; their evidence has the scatter's prior in it."""
-        readings = _readings(self.touches, self.prior)
         middle = 0.5 * np.asarray(self.grid.size_m)
         kernels = [(slope, 0.0, 1.0) for slope in SLOPES_PER_M]
         kernels += [(0.0, sd, length) for sd in SMOOTH_SDS for length in SMOOTH_LENGTHS_M]
         level_sd = self.prior.level_sd
-        return tuple(
-            SmoothField(readings, SmoothKernel(level_sd, middle, *kernel), float(scatter), float(np.log(share)))
-            for kernel in kernels
-            for scatter, share in zip(*self.prior.error.scatters(), strict=True)
-        )
+        return tuple(field for kernel in kernels for field in self._fields(SmoothKernel(level_sd, middle, *kernel)))
+
+    def _fields(self, kernel: SmoothKernel) -> list[SmoothField]:
+        """Under each scatter."""
+        readings, scatters = _readings(self.touches, self.prior), zip(*self.prior.error.scatters(), strict=True)
+        return [SmoothField(readings, kernel, float(scatter), float(np.log(share))) for scatter, share in scatters]
 
     @property
     def _smooth_log_evidence(self) -> float:
@@ -429,7 +440,7 @@ class SmoothField:
     """A Gaussian process through the touches, which scatter. log_evidence: of these, and `log_prior`"""
 
     def __init__(self, readings: _Readings, kernel: SmoothKernel, scatter: float, log_prior: float) -> None:
-        self.kernel, self._readings, self.log_evidence = kernel, readings, log_prior
+        self.kernel, self._readings, self.scatter, self.log_evidence = kernel, readings, scatter, log_prior
         if count := len(readings.value):
             own = kernel.covariance(readings.xy_m, readings.xy_m) + np.outer(readings.arm, readings.arm)
             own += scatter**2 * readings.related + np.diag(readings.variance)
@@ -452,18 +463,6 @@ class SmoothField:
 @lru_cache(maxsize=8)
 def _prior_maps(seed: int, regions: int, size_m: tuple[float, float], count: int) -> Partitions:
     return draw(np.random.default_rng((seed, regions)), regions, size_m, count)
-
-
-def surface_kind(places_m: FloatArray, log_stiffness: FloatArray, log_sd: float) -> SurfaceKind:
-    """What values (p,) of deviation `log_sd` at places (p, 2) [m] say of a thing of whatever size."""
-    size = np.ptp(places_m, axis=0)
-    scale = PRIOR_EXTENT_M / (float(size.max()) or 1.0)
-    width, height = (float(side) for side in np.maximum(scale * size, 2.0 * PRIOR_MARGIN_M) + 2.0 * PRIOR_MARGIN_M)
-    grid = MapGrid((width, height), KIND_CELL_M)
-    posterior = RegionPosterior.before_touches(grid, particle_count=KIND_PARTICLES)
-    for xy_m, value in zip((places_m - places_m.min(axis=0)) * scale + PRIOR_MARGIN_M, log_stiffness, strict=True):
-        posterior = posterior.with_touch(StiffnessSample(xy_m, float(value), log_sd))
-    return posterior.kind
 
 
 def _readings(touches: Sequence[StiffnessSample], prior: RegionPrior) -> _Readings:

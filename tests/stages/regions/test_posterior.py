@@ -12,7 +12,7 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.regions import posterior as posterior_module
 from deformscope.stages.regions.partitions import draw
-from deformscope.stages.regions.posterior import RegionPosterior, RegionPrior, surface_kind
+from deformscope.stages.regions.posterior import RegionPosterior, RegionPrior
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 from tests.cases import slow_but
@@ -192,23 +192,6 @@ def test_what_makes_no_sense_is_refused() -> None:
         RegionPosterior.before_touches(GRID, particle_count=3)
     with pytest.raises(InputError, match="two cells"):
         MapGrid((0.0, 0.4))
-
-
-@pytest.mark.parametrize("size_m", [0.05, 0.6])
-@pytest.mark.parametrize("kind", ["uniform", "materials", "gradual"])
-def test_a_surface_is_of_one_kind_whatever_its_size(kind: str, size_m: float) -> None:
-    """Twelve values of 5 % noise: all alike, two halves of 20 and 50 N/mm, or a slope by a factor of 3.3."""
-    rng = np.random.default_rng(4)
-    places = rng.uniform(0.0, [1.0, 0.6], (12, 2))
-    value = {
-        "uniform": np.full(12, np.log(20.0)),
-        "materials": np.where(places[:, 0] < 0.5, np.log(20.0), np.log(50.0)),
-        "gradual": np.log(20.0) + 1.2 * places[:, 0],
-    }[kind]
-    # a corner anywhere: places of a camera's frame may be below 0
-    found = surface_kind(size_m * places - [0.1, 0.2], value + rng.normal(0.0, 0.05, 12), 0.05)
-
-    assert found == kind
 
 
 def test_an_arm_that_is_off_moves_all_touches_together() -> None:
