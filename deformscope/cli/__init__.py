@@ -76,6 +76,13 @@ COMMANDS: dict[str, Command] = {
     "reproduce squeezes": _command(
         "new squeezes beside what was simulated: events, poses, depth", "SqueezesConfig", "reproduce_squeezes"
     ),
+    "coverage beta": _command(
+        "beta where errors are shared, tracks wrong or lost", "DisturbedCoverageConfig", "coverage_disturbed", "beta"
+    ),
+    "coverage theta": _command("theta, as `coverage beta`", "DisturbedCoverageConfig", "coverage_disturbed", "theta"),
+    "coverage force": _command(
+        "how often the intervals of a predicted force hold it", "ForceCoverageConfig", "coverage_force"
+    ),
     "coverage": _command("how often the intervals hold the truth", "CoverageConfig", "coverage"),
     "coverage regions": _command(
         "how often a map's levels and number of regions are right", "RegionCoverageConfig", "coverage_regions"

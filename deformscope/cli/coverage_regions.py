@@ -113,7 +113,7 @@ def _levels_table(rows: Sequence[RegionRow]) -> Table:
         )
     names = ("truths", "explored", "levels", "held", "95 % band", "width")
     numbers = ("number right", "claimed", "wrong share", "claimed share", "touches")
-    return Table(lines, (*names, *numbers), "90 % intervals of levels, where the number of regions is right, and that number")
+    return Table(lines, (*names, *numbers), "Levels in 90 % intervals where the number is right, and that number")
 
 
 def _bins_table(bins: dict[str, list[ReliabilityBin]]) -> Table:

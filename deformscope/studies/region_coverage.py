@@ -11,6 +11,7 @@ violate it.
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -34,7 +35,7 @@ from deformscope.stages.regions.posterior import (
     RegionPosterior,
     RegionPrior,
 )
-from deformscope.stages.regions.touch_error import LAW_SD
+from deformscope.stages.regions.touch_error import LAW_SD, SCATTER_LENGTH_M, SCATTER_SHARED
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
 SCENES = (
@@ -43,7 +44,8 @@ SCENES = (
 )
 """Layouts of the laboratory, each as often; homogeneous ones as often as two regions, roughly."""
 
-TOUCHES = 12
+TOUCHES = 8
+"""As `explore` makes by default."""
 CELL_M = 0.01
 FIT_SD = 0.012
 """Of log stiffness, what a fit to 3 N leaves unknown of the depth (sd .2 to 2.2 % of a sphere)."""
@@ -104,6 +106,7 @@ class RegionOutcome:
 
     true_count: of regions, 0 where stiffness is gradual; count: as reported; claimed: probability of that
     levels, levels_covered: of the true regions, where their number is right, and those in their 90 % intervals;
+    level_z: (levels,) what is reported less the truth, in reported deviations;
     width: mean of the intervals of log stiffness; wrong_claimed, wrong: share of the surface with a wrong label, where
     the number is right and above 1; scatter: as learned; touches: made
     """
@@ -116,6 +119,7 @@ class RegionOutcome:
     probability: dict[str, float]
     levels: int
     levels_covered: int
+    level_z: tuple[float, ...]
     width: float
     wrong_claimed: float
     wrong: float
@@ -161,12 +165,13 @@ class KnownSurface:
 
 def known_surface(condition: RegionCondition, seed: int, prior: RegionPrior) -> KnownSurface:
     """What is explored: the same for each seed."""
-    rng = np.random.default_rng([seed, 0xC0, 1])
+    stream = zlib.crc32(condition.name.encode())  # sessions of two conditions have nothing in common
+    rng = np.random.default_rng([seed, stream])
     grid, places_m = MapGrid(cell_m=CELL_M), MapGrid(cell_m=PlanOptions().cell_m).centres_m
     error = prior.error
     if condition.errors is None:
         scatter_sd = error.scatter_median * float(np.exp(error.scatter_spread * rng.standard_normal()))
-        errors = replace(LabErrors(), scatter=(scatter_sd, scatter_sd))
+        errors = replace(LabErrors(), scatter=(scatter_sd, scatter_sd), scatter_length_m=SCATTER_LENGTH_M)
         gain, arm = error.gain_sd * float(rng.standard_normal()), float(rng.standard_normal())
     else:
         errors = condition.errors
@@ -174,12 +179,16 @@ def known_surface(condition: RegionCondition, seed: int, prior: RegionPrior) -> 
         gain = errors.gain * (float(rng.standard_normal()) if condition.gain_at is None else sign * condition.gain_at)
         arm = float(rng.standard_normal()) if condition.arm_at is None else sign * condition.arm_at
         arm = arm if errors.arm > 0.0 else 0.0
-    session = errors.draw([seed, 0xC1])
+    session = errors.draw([seed, stream])
     if condition.truth == "prior":
         true, felt = _from_prior(rng, prior, grid, places_m)
     else:
         true, felt = _from_scene(SCENES[seed % len(SCENES)], seed, grid, places_m, float(rng.uniform(*BLUR_M)))
-    felt = felt + session.scatter(places_m)
+    field = session.scatter(places_m)
+    if condition.errors is None:  # as `touch_error` has it: neighbours share a part
+        own = session.scatter_sd * rng.standard_normal(len(places_m))
+        field = np.sqrt(SCATTER_SHARED) * field + np.sqrt(1.0 - SCATTER_SHARED) * own
+    felt = felt + field
     return KnownSurface(true, places_m, felt, gain, arm, session.scatter_sd, seed)
 
 
@@ -265,12 +274,14 @@ def explore_known(case: RegionCase) -> RegionOutcome:
     right = shown.region_count == truth.region_count
     levels = covered = 0
     width = wrong = np.nan
+    z: tuple[float, ...] = ()
     if right and truth.labels is not None:
         _, pairs = match_regions(shown.labels, truth.labels)
         inside = [
             shown.level_interval[one, 0] <= truth.level[true] <= shown.level_interval[one, 1] for one, true in pairs
         ]
         levels, covered = truth.region_count, int(np.sum(inside))
+        z = tuple(float((shown.level[one] - truth.level[true]) / shown.level_sd[one]) for one, true in pairs)
         width = float(np.mean(np.diff(shown.level_interval, axis=1)))
         as_true = np.full(truth.region_count, -1)
         for one, true in pairs:
@@ -285,6 +296,7 @@ def explore_known(case: RegionCase) -> RegionOutcome:
         probability=dict(shown.probability),
         levels=levels,
         levels_covered=covered,
+        level_z=z,
         width=width,
         wrong_claimed=shown.wrong_share if np.isfinite(wrong) else np.nan,
         wrong=wrong,

@@ -23,7 +23,7 @@ from deformscope.studies.region_coverage import (
     scattered,
 )
 
-NOTHING = RegionOutcome("one", 0, 1, 1, 0.5, {}, 1, 1, 0.1, np.nan, np.nan, 0.05, 0.05, 12)
+NOTHING = RegionOutcome("one", 0, 1, 1, 0.5, {}, 1, 1, (0.0,), 0.1, np.nan, np.nan, 0.05, 0.05, 12)
 
 
 def test_bins_hold_as_many_each_and_their_band_is_the_binomial_s() -> None:
