@@ -29,6 +29,7 @@ from deformscope.config.reproduce import (
     FoamsConfig,
     ForceCoverageConfig,
     PokesConfig,
+    RegionCoverageConfig,
     SqueezesConfig,
     Table41Config,
 )

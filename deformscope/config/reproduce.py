@@ -89,6 +89,29 @@ class CoverageConfig(RecordedOptions):
 
 
 @dataclass(frozen=True, slots=True)
+class RegionCoverageConfig(RecordedOptions):
+    """Count how often a map's levels lie in their intervals, and its number of regions is right: surfaces of known
+    truth, drawn from the stated prior and from violations of it, touched in closed form and explored as `explore`
+    does."""
+
+    objects: Annotated[int, flags.least(5)] = 300
+    """Explorations of each condition; each takes some 5 s of a core."""
+    scatter: Annotated[float | None, arg(metavar="SHARE")] = None
+    """One more condition: foam whose log stiffness scatters by this, such as 0.08."""
+    only: Annotated[str, arg(metavar="NAME,NAME...")] = ""
+    """These conditions alone, such as "stated prior,scatter 6 %"."""
+    touches: flags.ManyFlag = 8
+    """Touches of each exploration at most."""
+    jobs: flags.ManyFlag = 2
+    """Processes that share the work."""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def check(self) -> None:
+        if self.scatter is not None and not 0.0 < self.scatter < 1.0:
+            raise InputError("a share above 0 and below 1 after --scatter", f"{self.scatter:g}", "0.08")
+
+
+@dataclass(frozen=True, slots=True)
 class ForceCoverageConfig(RecordedOptions):
     """Count how often the intervals of a predicted force hold the true one: random slabs of one material, halves, stiff
     and soft discs and gradual ones, half of whose 24 pokes are fitted, under scatter that the model is not given."""
@@ -128,6 +151,10 @@ class Table41Config(RecordedOptions):
     """Layouts of each scene, from seed 0 on."""
     touches: flags.ManyFlag = 12
     """Touches of each exploration."""
+    closed_form: bool = False
+    """Take what a contact feels in closed form instead of pressing finite elements: no surface, no arm, far faster."""
+    clean: bool = False
+    """Keep nothing from the estimator: the arm is as its calibration says, the force exact, foam without scatter."""
     resume: bool = False
     """Take what an earlier command left in runs.jsonl, and go on from there; it must have been this version."""
     workers: flags.SomeFlag = None

@@ -53,6 +53,7 @@ class TouchLab:
         tool: Tool | None = None,
         T_base_surface: npt.ArrayLike = T_BASE_SURFACE,
         arm_stiffness_n_m: float = ARM_STIFFNESS_N_M,
+        as_felt: Callable[[FloatArray, float], npt.NDArray[np.floating]] | None = None,
         view: Callable[[float], View] | None = None,
         camera_config: SyntheticDepthConfig | None = None,
         arm_model: str = "j2n6s300",
@@ -62,6 +63,8 @@ class TouchLab:
         seed: int = 0,
     ) -> None:
         """arm_stiffness_n_m: of the arm against a push, which its joints' sensors do not see (inf = rigid)
+
+        as_felt: what the force sensor makes of a force on it (3,) [N] at a time [s]; default the same
 
         start_deg: (n,) where the arm stands; default: the six-joint arm ready above the middle of the table
 
@@ -78,7 +81,8 @@ class TouchLab:
             world, self.arm_double, self.placement, self.clock, arm_stiffness_n_m=arm_stiffness_n_m
         )
         self.functions = Spoiled(self.arm_double, self.placement.T_ee_center)
-        sensors = Sensors(scene=self.contact.load, sensitivity=OMD_20_SE_40N, seed=seed)
+        self._as_felt = as_felt
+        sensors = Sensors(scene=self._load, sensitivity=OMD_20_SE_40N, seed=seed)
         self.sensor_double = OptoforceDouble(sensors)
         self.wire = SpoiledWire(self.sensor_double, self.clock, seed)
         config = arm_config if arm_config is not None else JacoConfig(state_hz=100.0)
@@ -134,6 +138,11 @@ class TouchLab:
             for device in (self.force, self.camera):
                 if device is not None and device.is_open:
                     _poll(device)
+
+    def _load(self, time_s: float) -> FloatArray:
+        """(3,) what the force sensor makes of its load [N]."""
+        load = self.contact.load(time_s)
+        return load if self._as_felt is None else np.asarray(self._as_felt(load, time_s), np.float64)
 
     # Faults ----------------------------------------------------------------------------------------------------------
 

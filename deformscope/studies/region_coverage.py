@@ -3,14 +3,16 @@
     outcomes = [explore_known(RegionCase(condition, seed)) for seed in reported(300)]
     region_row("stated prior", outcomes), reliability(outcomes)
 
-A touch is log stiffness blurred by its contact plus its errors (`LabErrors`, `touch_error`): no arm, no finite elements,
-so that hundreds of explorations take minutes. Posterior, planner and stop rule are those of `explore`. Truths come from
-the estimator's own prior (simulation-based calibration, Talts et al. 2018), and from scenes and errors that violate it.
+A touch is log stiffness blurred by its contact plus its errors (`LabErrors`, `touch_error`): no arm, no finite
+elements, so that hundreds of explorations take minutes. Posterior, planner and stop rule are those of `explore`. Truths
+come from the estimator's own prior (simulation-based calibration, Talts et al. 2018), and from scenes and errors that
+violate it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import zlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -26,8 +28,14 @@ from deformscope.lab.session_errors import LabErrors, SessionErrors
 from deformscope.stages.map.map_score import TrueMap, match_regions
 from deformscope.stages.map.plan import FieldKernel, PlanOptions, plan_touch
 from deformscope.stages.regions.partitions import draw
-from deformscope.stages.regions.posterior import SLOPES_PER_M, SMOOTH_LENGTHS_M, SMOOTH_SDS, RegionPosterior, RegionPrior
-from deformscope.stages.regions.touch_error import LAW_SD
+from deformscope.stages.regions.posterior import (
+    SLOPES_PER_M,
+    SMOOTH_LENGTHS_M,
+    SMOOTH_SDS,
+    RegionPosterior,
+    RegionPrior,
+)
+from deformscope.stages.regions.touch_error import LAW_SD, SCATTER_LENGTH_M, SCATTER_SHARED
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
 SCENES = (
@@ -36,7 +44,8 @@ SCENES = (
 )
 """Layouts of the laboratory, each as often; homogeneous ones as often as two regions, roughly."""
 
-TOUCHES = 12
+TOUCHES = 8
+"""As `explore` makes by default."""
 CELL_M = 0.01
 FIT_SD = 0.012
 """Of log stiffness, what a fit to 3 N leaves unknown of the depth (sd .2 to 2.2 % of a sphere)."""
@@ -65,29 +74,28 @@ class RegionCondition:
     arm_at: float | None = None
 
 
-def _scattered(share: float) -> LabErrors:
-    return LabErrors(scatter=(share, share))
+def scattered(share: float) -> RegionCondition:
+    """The laboratory with all its errors, and foam that scatters by this share."""
+    return RegionCondition(f"scatter {100.0 * share:g} %", "scenes", LabErrors(scatter=(share, share)))
 
 
 REGION_CONDITIONS = (
     RegionCondition("stated prior", "prior", None),
-    RegionCondition("scatter 3 %", "scenes", _scattered(0.03)),
-    RegionCondition("scatter 6 %", "scenes", _scattered(0.06)),
-    RegionCondition("scatter 10 %", "scenes", _scattered(0.10)),
+    *(scattered(share) for share in (0.03, 0.06, 0.10)),
     RegionCondition("gain off by 3 %", "scenes", LabErrors(), gain_at=FIXED),
     RegionCondition("arm off by a deviation", "scenes", LabErrors(), arm_at=FIXED),
     RegionCondition("scatter over 12 cm", "scenes", LabErrors(scatter_length_m=0.12)),
     RegionCondition("clean", "scenes", LabErrors.none()),
 )
-"""The first is the stated prior; then the laboratory with all its errors, one of them at a value of its own; the last two
-violate the model on either side: a scatter that neighbours share, and none."""
+"""The first is the stated prior; then the laboratory with all its errors, one of them at a value of its own; the last
+two violate the model on either side: a scatter that neighbours share, and none."""
 
 
 @dataclass(frozen=True, slots=True)
 class RegionCase:
-    """One exploration: its place in `REGION_CONDITIONS`, the seed, and touches at most."""
+    """One exploration: the condition, the seed, and touches at most."""
 
-    condition: int
+    condition: RegionCondition
     seed: int
     touches: int = TOUCHES
 
@@ -98,6 +106,7 @@ class RegionOutcome:
 
     true_count: of regions, 0 where stiffness is gradual; count: as reported; claimed: probability of that
     levels, levels_covered: of the true regions, where their number is right, and those in their 90 % intervals;
+    level_z: (levels,) what is reported less the truth, in reported deviations;
     width: mean of the intervals of log stiffness; wrong_claimed, wrong: share of the surface with a wrong label, where
     the number is right and above 1; scatter: as learned; touches: made
     """
@@ -110,6 +119,7 @@ class RegionOutcome:
     probability: dict[str, float]
     levels: int
     levels_covered: int
+    level_z: tuple[float, ...]
     width: float
     wrong_claimed: float
     wrong: float
@@ -144,8 +154,8 @@ class KnownSurface:
         return np.random.default_rng([self.seed, 77])
 
     def touch(self, xy_m: FloatArray, arm_doubt: float) -> StiffnessSample:
-        """A touch at the nearest place (2,) [m]. arm_doubt: deviation of the compliance that its calibration states, as a
-        share of it"""
+        """A touch at the nearest place (2,) [m]. arm_doubt: deviation of the compliance that its calibration states, as
+        a share of it"""
         felt = float(self.felt[np.argmin(((self.places_m - xy_m) ** 2).sum(axis=1))])
         own_sd = float(np.hypot(LAW_SD, FIT_SD))
         bent = arm_doubt * 1e3 * np.exp(felt) / ARM_STIFFNESS_N_M  # k dC, for a deviation
@@ -155,12 +165,13 @@ class KnownSurface:
 
 def known_surface(condition: RegionCondition, seed: int, prior: RegionPrior) -> KnownSurface:
     """What is explored: the same for each seed."""
-    rng = np.random.default_rng([seed, 0xC0, 1])
+    stream = zlib.crc32(condition.name.encode())  # sessions of two conditions have nothing in common
+    rng = np.random.default_rng([seed, stream])
     grid, places_m = MapGrid(cell_m=CELL_M), MapGrid(cell_m=PlanOptions().cell_m).centres_m
     error = prior.error
     if condition.errors is None:
         scatter_sd = error.scatter_median * float(np.exp(error.scatter_spread * rng.standard_normal()))
-        errors = replace(LabErrors(), scatter=(scatter_sd, scatter_sd))
+        errors = replace(LabErrors(), scatter=(scatter_sd, scatter_sd), scatter_length_m=SCATTER_LENGTH_M)
         gain, arm = error.gain_sd * float(rng.standard_normal()), float(rng.standard_normal())
     else:
         errors = condition.errors
@@ -168,19 +179,23 @@ def known_surface(condition: RegionCondition, seed: int, prior: RegionPrior) -> 
         gain = errors.gain * (float(rng.standard_normal()) if condition.gain_at is None else sign * condition.gain_at)
         arm = float(rng.standard_normal()) if condition.arm_at is None else sign * condition.arm_at
         arm = arm if errors.arm > 0.0 else 0.0
-    session = errors.draw([seed, 0xC1])
+    session = errors.draw([seed, stream])
     if condition.truth == "prior":
         true, felt = _from_prior(rng, prior, grid, places_m)
     else:
         true, felt = _from_scene(SCENES[seed % len(SCENES)], seed, grid, places_m, float(rng.uniform(*BLUR_M)))
-    felt = felt + session.scatter(places_m)
+    field = session.scatter(places_m)
+    if condition.errors is None:  # as `touch_error` has it: neighbours share a part
+        own = session.scatter_sd * rng.standard_normal(len(places_m))
+        field = np.sqrt(SCATTER_SHARED) * field + np.sqrt(1.0 - SCATTER_SHARED) * own
+    felt = felt + field
     return KnownSurface(true, places_m, felt, gain, arm, session.scatter_sd, seed)
 
 
 def _from_prior(
     rng: np.random.Generator, prior: RegionPrior, grid: MapGrid, places_m: FloatArray
 ) -> tuple[TrueMap, FloatArray]:
-    """A map of the prior, and what a contact feels at places (p, 2)."""
+    """A map of the prior, and what a contact feels at places (p, 2): off where it feels two regions."""
     count = int(rng.choice(4, p=[prior.one, prior.two, prior.three, prior.gradual])) + 1
     if count == 4:
         return _smooth(rng, prior, grid, places_m)
@@ -192,7 +207,10 @@ def _from_prior(
         return _true(np.zeros(grid.shape, dtype=np.int64), level), np.full(len(places_m), level[0])
     maps = draw(rng, count, grid.size_m, 1)
     labels = maps.labels(grid.centres_m)[0].reshape(grid.shape).astype(np.int64)
-    return _true(labels, level), maps.shares(places_m, prior.blur_m)[0] @ level
+    shares = maps.shares(places_m, prior.blur_m)[0]
+    mixed = 2.0 * (1.0 - (shares**2).sum(axis=-1))
+    off = prior.mixed_share * float(np.ptp(level)) * mixed * rng.standard_normal(len(places_m))
+    return _true(labels, level), shares @ level + off
 
 
 def _smooth(
@@ -215,9 +233,7 @@ def _smooth(
     return TrueMap(None, np.zeros(0), np.zeros(0, dtype=bool), log_stiffness), field(places_m)
 
 
-def _from_scene(
-    name: str, seed: int, grid: MapGrid, places_m: FloatArray, blur_m: float
-) -> tuple[TrueMap, FloatArray]:
+def _from_scene(name: str, seed: int, grid: MapGrid, places_m: FloatArray, blur_m: float) -> tuple[TrueMap, FloatArray]:
     """A layout of the laboratory; what a contact feels is the mean over a Gaussian of `blur_m`."""
     scene = built_in(name, seed)
     node, weight = np.polynomial.hermite_e.hermegauss(7)
@@ -242,7 +258,7 @@ def _true(labels: IntArray, level: FloatArray) -> TrueMap:
 
 def explore_known(case: RegionCase) -> RegionOutcome:
     """One exploration, until the plan says enough."""
-    condition, prior = REGION_CONDITIONS[case.condition], RegionPrior()
+    condition, prior = case.condition, RegionPrior()
     surface = known_surface(condition, case.seed, prior)
     doubt = LabErrors().arm if condition.errors is None else condition.errors.arm or LabErrors().arm
     options = PlanOptions(budget=case.touches)
@@ -258,12 +274,14 @@ def explore_known(case: RegionCase) -> RegionOutcome:
     right = shown.region_count == truth.region_count
     levels = covered = 0
     width = wrong = np.nan
+    z: tuple[float, ...] = ()
     if right and truth.labels is not None:
         _, pairs = match_regions(shown.labels, truth.labels)
         inside = [
             shown.level_interval[one, 0] <= truth.level[true] <= shown.level_interval[one, 1] for one, true in pairs
         ]
         levels, covered = truth.region_count, int(np.sum(inside))
+        z = tuple(float((shown.level[one] - truth.level[true]) / shown.level_sd[one]) for one, true in pairs)
         width = float(np.mean(np.diff(shown.level_interval, axis=1)))
         as_true = np.full(truth.region_count, -1)
         for one, true in pairs:
@@ -278,6 +296,7 @@ def explore_known(case: RegionCase) -> RegionOutcome:
         probability=dict(shown.probability),
         levels=levels,
         levels_covered=covered,
+        level_z=z,
         width=width,
         wrong_claimed=shown.wrong_share if np.isfinite(wrong) else np.nan,
         wrong=wrong,
@@ -356,20 +375,24 @@ def region_rows(outcomes: Sequence[RegionOutcome]) -> list[RegionRow]:
     rows = []
     for name in dict.fromkeys(one.condition for one in outcomes):
         mine = [one for one in outcomes if one.condition == name]
-        wrong = np.array([[one.wrong, one.wrong_claimed] for one in mine if np.isfinite(one.wrong)]).reshape(-1, 2)
-        widths = [one.width for one in mine if np.isfinite(one.width)]
+        parted = [one for one in mine if np.isfinite(one.wrong)]
         rows.append(
             RegionRow(
-                name,
-                len(mine),
-                sum(one.right for one in mine),
-                float(np.mean([one.claimed for one in mine])),
-                sum(one.levels for one in mine),
-                sum(one.levels_covered for one in mine),
-                float(np.median(widths)) if widths else np.nan,
-                *(wrong.mean(axis=0).tolist() if len(wrong) else (np.nan, np.nan)),
-                float(np.median([one.scatter for one in mine])),
-                float(np.mean([one.touches for one in mine])),
+                condition=name,
+                objects=len(mine),
+                right=sum(one.right for one in mine),
+                claimed=float(np.mean([one.claimed for one in mine])),
+                levels=sum(one.levels for one in mine),
+                covered=sum(one.levels_covered for one in mine),
+                width=_or_nan(np.median, [one.width for one in mine if np.isfinite(one.width)]),
+                wrong=_or_nan(np.mean, [one.wrong for one in parted]),
+                wrong_claimed=_or_nan(np.mean, [one.wrong_claimed for one in parted]),
+                scatter=float(np.median([one.scatter for one in mine])),
+                touches=float(np.mean([one.touches for one in mine])),
             )
         )
     return rows
+
+
+def _or_nan(figure: Callable[[list[float]], np.floating], values: list[float]) -> float:
+    return float(figure(values)) if values else float("nan")

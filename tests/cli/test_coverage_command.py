@@ -104,3 +104,23 @@ def test_both_tells_a_joint_posterior(tmp_path: Path, capsys: pytest.CaptureFixt
 def test_both_takes_pair_files_alone(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["calibrate", "both", "video.mp4"]) == 2
     assert "pair files" in capsys.readouterr().err
+
+
+def test_coverage_of_regions_prints_levels_and_bins(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    target = tmp_path / "found.json"
+    flags = ["--objects", "5", "--touches", "1", "--jobs", "1", "--scatter", "0.08", "--only", "scatter 8 %"]
+    assert main(["coverage", "regions", *flags, "--json", str(target)]) == 0
+    said = capsys.readouterr().out
+    assert "Levels in 90 % intervals" in said
+    assert "holds the claim" in said
+    found = json.loads(target.read_text())
+    (row,) = found["conditions"]
+    assert (row["condition"], row["objects"], len(found["explorations"])) == ("scatter 8 %", 5, 5)
+    assert sum(one["cases"] for one in row["reliability"]) == 5
+    assert row["levels"]["cases"] == sum(one["levels"] for one in found["explorations"])
+
+
+@pytest.mark.parametrize("flags", [["--scatter", "0"], ["--only", "halves"], ["--seed", "990", "--objects", "20"]])
+def test_coverage_of_regions_refuses_what_cannot_be(flags: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["coverage", "regions", *flags]) == 2
+    assert "expected" in capsys.readouterr().err

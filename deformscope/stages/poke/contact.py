@@ -58,8 +58,9 @@ class ContactFit:
     `rigid` place a lower bound, whose interval is open above; log_stiffness, log_sd: its natural log and deviation,
     which is of `own_log_sd`, what this touch alone is off by, and of what all touches of a session share: `arm_log_sd`,
     for one deviation of the arm's compliance, and the gain of the force
-    depth_m: of the dent at `at_force_n`; contact_m: where contact began, on the axis of the approach, which grows into
-    the surface; exponent, exponent_sd: p; peak_force_n: along the normal, tare taken off
+    at_force_n: the set force, also where the approach ended before it: the law says what it would have come to, so that
+    all touches compare; depth_m: of the dent at `at_force_n`; contact_m: where contact began, on the axis of the
+    approach, which grows into the surface; exponent, exponent_sd: p; peak_force_n: along the normal, tare taken off
     residual_m: scatter of the arm's position about the law; arm_sd_m: what is not known of the depth for the arm's sake
     samples: that were fitted
     """
@@ -82,6 +83,10 @@ class ContactFit:
     arm_sd_m: float
     samples: int
 
+    def dent_m(self, force_n: float) -> float:
+        """Depth of the dent at a force, by the law [m]."""
+        return float(self.depth_m * (force_n / self.at_force_n) ** (1.0 / self.exponent))
+
 
 def fit_approach(
     time_s: FloatArray,
@@ -100,7 +105,7 @@ def fit_approach(
 
     time_s: (n,) rising [s]; position_m: (n, 3) of the tip as the arm says [m]; force_n: (n, 3) on the tip [N], all in
     one frame; normal: (3,) out of the surface; set_force_n: at which the stiffness is taken; where the approach ended
-    before, it is taken at the force reached
+    before, as by its depth, the fitted law goes on to it, and is less certain there
     arm: how the arm yields, from `calibrate_compliance`; default a stiff arm that scatters by 0.1 mm
     force_sd_n: noise of the force, default as it scatters before contact
     gain_sd: of log stiffness, for the sake of the force sensor's gain
@@ -113,7 +118,7 @@ def fit_approach(
     if set_force_n <= 0.0:
         raise InputError("a set force above 0 N", f"{set_force_n}")
     force, noise, peak, loaded = _loaded(force, set_force_n, force_sd_n)
-    at_force = min(set_force_n, peak)
+    at_force = set_force_n
     z = depth_along[loaded] - arm.compliance_m_per_n * force[loaded]
     share = np.maximum(force[loaded], 0.0) / at_force
 
@@ -149,7 +154,8 @@ def fit_approach(
         own_log_sd, arm_log_sd = log_sd, 0.0
     else:
         stiffness, rigid = 1e-3 * at_force / depth, False
-        own_log_sd, arm_log_sd = float(np.hypot(own_depth_sd / depth, LAW_SD)), bent_m / depth
+        beyond = exponent_sd * float(np.log(max(at_force / peak, 1.0))) / p**2  # the exponent there may be another
+        own_log_sd, arm_log_sd = float(np.linalg.norm([own_depth_sd / depth, LAW_SD, beyond])), bent_m / depth
         log_sd = float(np.linalg.norm([own_log_sd, arm_log_sd, gain_sd]))
         interval = (stiffness * float(np.exp(-Z_90 * log_sd)), stiffness * float(np.exp(Z_90 * log_sd)))
     return ContactFit(

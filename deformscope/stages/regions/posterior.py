@@ -123,16 +123,37 @@ class RegionHypotheses:
     maps: tuple[tuple[Partitions | None, FloatArray, FloatArray, FloatArray], ...]
     smooth: tuple[tuple[SmoothField, float], ...]
 
+    def predict(self, places_m: FloatArray, blur_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Mean and variance (h, p) of what a contact feels at places (p, 2) under each hypothesis, and its probability
+        (h,)."""
+        means: list[FloatArray] = []
+        variances: list[FloatArray] = []
+        weights: list[FloatArray] = []
+        for maps, level, cov, weight in self.maps:
+            shares = np.ones((1, len(places_m), 1)) if maps is None else maps.shares(places_m, blur_m)
+            means.append((shares @ level[..., None])[..., 0])
+            variances.append(((shares @ cov) * shares).sum(axis=-1))
+            weights.append(weight)
+        for smooth, share in self.smooth:
+            mean, variance = smooth.predict(places_m)
+            means.append(mean[None])
+            variances.append(variance[None])
+            weights.append(np.array([share]))
+        weight = np.concatenate(weights)
+        return np.concatenate(means), np.concatenate(variances), weight / weight.sum()
+
 
 @dataclass(frozen=True, slots=True)
 class _Readings:
     """xy_m: (t, 2); value: (t,) log stiffness over `centre`; variance: (t,) of each alone, without the scatter; arm:
-    (t,) shift of each if the arm's compliance is off by a deviation; spread: of all values."""
+    (t,) shift of each if the arm's compliance is off by a deviation; related: (t, t) correlation of their scatter;
+    spread: of all values."""
 
     xy_m: FloatArray
     value: FloatArray
     variance: FloatArray
     arm: FloatArray
+    related: FloatArray
     centre: float
     spread: float
 
@@ -160,7 +181,7 @@ class RegionPosterior:
 
     @classmethod
     def before_touches(
-        cls, grid: MapGrid, prior: RegionPrior | None = None, *, particle_count: int = 1200, seed: int = 0
+        cls, grid: MapGrid, prior: RegionPrior | None = None, *, particle_count: int = 2000, seed: int = 0
     ) -> RegionPosterior:
         """What is known at first. particle_count: maps kept for each number of regions; four times as many at first"""
         if particle_count < 50:
@@ -262,8 +283,8 @@ class RegionPosterior:
                 square += (weight * (levels[:, rank] ** 2 + variance[:, rank])) @ here
             if levels.shape[1] == k:
                 probability, level, cov, shared = shares / weight.sum(), levels, covs, weight
-        for field, share in hypotheses.smooth:
-            here, variance = field.predict(centres)
+        for smooth, share in hypotheses.smooth:
+            here, variance = smooth.predict(centres)
             mean += share * here
             square += share * (here**2 + variance)
 
@@ -422,7 +443,7 @@ class SmoothField:
         self.kernel, self._readings, self.scatter, self.log_evidence = kernel, readings, scatter, log_prior
         if count := len(readings.value):
             own = kernel.covariance(readings.xy_m, readings.xy_m) + np.outer(readings.arm, readings.arm)
-            own.flat[:: count + 1] += readings.variance + scatter**2
+            own += scatter**2 * readings.related + np.diag(readings.variance)
             self._factor, _ = cho_factor(own, lower=True)
             self._weight = cho_solve((self._factor, True), readings.value)
             square, logs = readings.value @ self._weight, 2.0 * np.log(np.diag(self._factor)).sum()
@@ -456,7 +477,7 @@ def _readings(touches: Sequence[StiffnessSample], prior: RegionPrior) -> _Readin
     centre = float(value.mean()) if len(value) else 0.0
     spread = float(np.ptp(value)) if len(value) else 0.0
     xy_m = np.array([touch.xy_m for touch in touches]).reshape(-1, 2)
-    return _Readings(xy_m, value - centre, sd**2, arm, centre, spread)
+    return _Readings(xy_m, value - centre, sd**2, arm, prior.error.related(xy_m), centre, spread)
 
 
 def _levels(
@@ -469,33 +490,41 @@ def _levels(
     """Of maps that are felt in shares (n, t, k): log likelihood (n,), levels (n, k) over the centre, their covariance
     (n, k, k). scatter: (n,) of touches, or of all maps; with one axis more, (s, n) or (s, 1), so have the results
 
-    The touches are a linear model in the levels, whose prior is Gaussian, and in the error of the arm's compliance,
-    where it counts (Bishop 2006, 3.49 and 3.86); what is left of the prior where levels differ enough is counted
-    afterwards, pair by pair.
+    The touches are a linear model in the levels, whose prior is Gaussian (Bishop 2006, 3.49 and 3.86), their errors
+    correlated by scatter that neighbours share and by the arm; what is left of the prior where levels differ enough is
+    counted afterwards, pair by pair.
     last_noise: factor on the variance of the last touch
     """
-    k = shares.shape[-1]
+    count, touches, k = shares.shape
     mixed = 2.0 * (1.0 - (shares**2).sum(axis=-1))  # 1 midway between two regions
-    own = readings.variance + (prior.mixed_share * readings.spread * mixed) ** 2
-    variance = own + (np.asarray(scatter) ** 2)[..., None]
-    variance[..., -1:] *= last_noise
-    columns = [shares[..., i] for i in range(k)]
-    prior_precision = [prior.level_sd**-2.0] * k
-    if readings.arm.any():
-        columns.append(np.broadcast_to(readings.arm, own.shape))
-        prior_precision.append(1.0)
-    products = [one * other for i, one in enumerate(columns) for other in columns[: i + 1]]
-    products += [one * readings.value for one in columns]
-    sums = _summed(1.0 / variance, np.stack(products, axis=-1))
-    mean, cov, log_det = _solved(sums, prior_precision)
-    pull = sums[..., -len(columns) :]
+    own = (readings.variance + (prior.mixed_share * readings.spread * mixed) ** 2).T
+    square = np.broadcast_to(np.asarray(scatter) ** 2, np.broadcast_shapes(np.shape(scatter), (count,)))
+    # the touches' errors made white, column by column of the Cholesky factor of their covariance; by hand, since a
+    # library would solve each of thousands of small matrices by itself
+    lower = np.empty((touches, touches, *square.shape))
+    white = np.empty((touches, k + 1, *square.shape))
+    white[:, :k] = np.expand_dims(np.moveaxis(shares, 0, -1), tuple(range(2, square.ndim + 1)))
+    white[:, k] = np.expand_dims(readings.value, tuple(range(1, square.ndim + 1)))
+    log_det = np.zeros(square.shape)
+    for j in range(touches):
+        shared = np.expand_dims(readings.related[j:, j], tuple(range(1, square.ndim + 1))) * square
+        shared += np.expand_dims(readings.arm[j:] * readings.arm[j], tuple(range(1, square.ndim + 1)))
+        shared[0] = (shared[0] + own[j]) * (last_noise if j == touches - 1 else 1.0)
+        left = shared - (lower[j:, :j] * lower[j, :j]).sum(axis=1)
+        lower[j:, j] = left / np.sqrt(left[0])
+        log_det += np.log(left[0])
+        white[j] = (white[j] - (lower[j, :j, None] * white[:j]).sum(axis=0)) / lower[j, j]
+    products = [(white[:, i] * white[:, j]).sum(axis=0) for i in range(k) for j in range(i + 1)]
+    pull = [(white[:, i] * white[:, k]).sum(axis=0) for i in range(k)]
+    level, cov, log_det_cov = _solved(products, pull, prior.level_sd**-2.0)
     log_likelihood = 0.5 * (
-        (pull * mean).sum(axis=-1)
-        + log_det
+        (np.stack(pull, axis=-1) * level).sum(axis=-1)
+        + log_det_cov
         - 2.0 * k * np.log(prior.level_sd)
-        - (np.log(2.0 * np.pi * variance) + readings.value**2 / variance).sum(axis=-1)
+        - log_det
+        - touches * np.log(2.0 * np.pi)
+        - (white[:, k] ** 2).sum(axis=0)
     )
-    level, cov = mean[..., :k], cov[..., :k, :k]
     at_first = 2.0 * ndtr(-prior.least_contrast / (np.sqrt(2.0) * prior.level_sd))
     for i in range(k):
         for j in range(i):
@@ -506,42 +535,32 @@ def _levels(
     return log_likelihood, level, cov
 
 
-def _summed(weight: FloatArray, products: FloatArray) -> FloatArray:
-    """(..., n, p) sums over touches of products (n, t, p) with weights (..., n, t)."""
-    if weight.ndim == 2:
-        return cast(FloatArray, (weight[:, None] @ products)[:, 0])
-    return np.swapaxes(np.swapaxes(weight, 0, 1) @ products, 0, 1)
+def _solved(
+    products: Sequence[FloatArray], pull: Sequence[FloatArray], prior_precision: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean (..., c), covariance (..., c, c) and its log determinant (...,) of c levels.
 
-
-def _solved(sums: FloatArray, prior_precision: Sequence[float]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mean (..., c), covariance (..., c, c) and its log determinant (...,), of precisions whose lower triangles (row by
-    row) are the first of `sums` (..., p), with the prior's on the diagonal, and pulls, the last c of them.
-
-    By hand, column by column of a Cholesky factor: thousands of matrices of 1 to 4 rows, of which a library would solve
-    each by itself.
+    products: lower triangle of their precision, row by row; prior_precision: added to its diagonal; pull: (c) of them
     """
-    size = len(prior_precision)
+    size = len(pull)
     lower: dict[tuple[int, int], FloatArray] = {}
     inverse: dict[tuple[int, int], FloatArray] = {}
-    at = iter(range(sums.shape[-1]))
+    entry, nothing = iter(products), np.zeros(pull[0].shape)
     for i in range(size):
         for j in range(i + 1):
-            rest = sums[..., next(at)] - sum((lower[i, m] * lower[j, m] for m in range(j)), np.float64(0.0))
-            lower[i, j] = np.sqrt(rest + prior_precision[i]) if i == j else rest / lower[j, j]
+            rest = next(entry) - sum((lower[i, m] * lower[j, m] for m in range(j)), nothing)
+            lower[i, j] = np.sqrt(rest + prior_precision) if i == j else rest / lower[j, j]
     for j in range(size):
         inverse[j, j] = 1.0 / lower[j, j]
         for i in range(j + 1, size):
-            below = sum((lower[i, m] * inverse[m, j] for m in range(j, i)), np.float64(0.0))
-            inverse[i, j] = -below / lower[i, i]
-    cov = np.empty((*sums.shape[:-1], size, size))
+            inverse[i, j] = -sum((lower[i, m] * inverse[m, j] for m in range(j, i)), nothing) / lower[i, i]
+    cov = np.empty((*nothing.shape, size, size))
     for i in range(size):
         for j in range(i + 1):
-            cov[..., i, j] = cov[..., j, i] = sum(
-                (inverse[m, i] * inverse[m, j] for m in range(i, size)), np.float64(0.0)
-            )
-    mean = (cov * sums[..., None, -size:]).sum(axis=-1)
-    log_det = 2.0 * sum((np.log(inverse[i, i]) for i in range(size)), np.zeros(sums.shape[:-1]))
-    return mean, cov, log_det
+            both = sum((inverse[m, i] * inverse[m, j] for m in range(i, size)), nothing)
+            cov[..., i, j] = cov[..., j, i] = both
+    mean = (cov * np.stack(pull, axis=-1)[..., None, :]).sum(axis=-1)
+    return mean, cov, 2.0 * sum((np.log(inverse[i, i]) for i in range(size)), nothing)
 
 
 def _by_scatter(shares: FloatArray, readings: _Readings, prior: RegionPrior, last_noise: float = 1.0) -> FloatArray:
