@@ -32,7 +32,7 @@ def run(config: ForceCoverageConfig) -> None:
         found = Findings(tuple(force_table(rows, scatter, config.level) for scatter in config.scatter))
         show(found)
         recorder.write(Step((found,)))
-    lines = [dataclasses.asdict(row) | {"held": rate_json(row.held)} for row in rows]
+    lines = [{**dataclasses.asdict(row), "held": rate_json(row.held)} for row in rows]
     write_json(
         {"level": config.level, "full": config.full, "split": config.split, "rows": lines, "slabs": tried},
         config.output.json,
