@@ -76,6 +76,10 @@ COMMANDS: dict[str, Command] = {
     "reproduce squeezes": _command(
         "new squeezes beside what was simulated: events, poses, depth", "SqueezesConfig", "reproduce_squeezes"
     ),
+    "coverage beta": _command(
+        "beta where errors are shared, tracks wrong or lost", "DisturbedCoverageConfig", "coverage_disturbed", "beta"
+    ),
+    "coverage theta": _command("theta, as `coverage beta`", "DisturbedCoverageConfig", "coverage_disturbed", "theta"),
     "coverage force": _command(
         "how often the intervals of a predicted force hold it", "ForceCoverageConfig", "coverage_force"
     ),

@@ -26,6 +26,7 @@ from deformscope.config.reproduce import (
     ContainersConfig,
     CoverageConfig,
     CubesConfig,
+    DisturbedCoverageConfig,
     FoamsConfig,
     ForceCoverageConfig,
     PokesConfig,

@@ -72,7 +72,8 @@ class CoverageConfig(RecordedOptions):
     and unseen pokes of finite element bodies."""
 
     objects: Annotated[int, flags.least(5)] = 1000
-    """Random objects for each kind of noise; a fifth as many with beta = 0, near 1, and of finite elements."""
+    """Random objects for each kind of noise; a fifth as many with beta = 0, near 1, of finite elements, and for each
+    kind of data that are wrong."""
     quick: bool = False
     """15 objects each: what it looks like, in a minute."""
     level: flags.LevelFlag = 0.9
@@ -86,6 +87,22 @@ class CoverageConfig(RecordedOptions):
     def check(self) -> None:
         if self.out is not None and self.out.exists() and not self.out.is_dir():
             raise InputError("a folder after --out", "a file", where=self.out)
+
+
+@dataclass(frozen=True, slots=True)
+class DisturbedCoverageConfig(RecordedOptions):
+    """Count how often the intervals hold the truth where data are not as assumed: errors that neighbours share over 1
+    to 6 cells, with and without white noise, outliers, lost tracks, a held particle that is off, whole motions."""
+
+    objects: Annotated[int, flags.least(3)] = 400
+    """Random objects for each kind of error, a third of them in space; each takes some .3 s of a core."""
+    only: Annotated[str, arg(metavar="NAME,NAME...")] = ""
+    """These kinds alone, such as "30 % outliers,30 % lost tracks"; parts of their names do."""
+    level: flags.LevelFlag = 0.9
+    """Confidence level of the intervals."""
+    jobs: flags.ManyFlag = 2
+    """Processes that share the work."""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
 
 @dataclass(frozen=True, slots=True)

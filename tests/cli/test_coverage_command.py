@@ -28,11 +28,14 @@ def test_coverage_tells_three_tables(
     flags += ["--record", str(tmp_path / "r.rrd")]
     assert main(["coverage", *flags]) == 0
     said = capsys.readouterr().out
-    for words in ("hold the truth", "without information", "unseen poke", "wrong noise level", "shuffled labels"):
+    tables = ("hold the truth", "without information", "unseen poke", "Reasons to doubt")
+    for words in (*tables, "wrong noise level", "shuffled labels"):
         assert words in said
     found = json.loads(target.read_text())
     assert {row["group"] for row in found["coverage"]} >= {"all", "2D", "beta = 0", "beta > 0.97"}
     assert all(row["cases"] == 2 for row in found["no_information"])
+    assert {row["data"]: row["expected"] for row in found["reasons"]}["two betas, halves"] == "two-materials"
+    assert all(row["identified"]["cases"] == 1 for row in found["reasons"])
     assert found["unseen_pokes"][0]["pokes"] == 1
     assert (tmp_path / "new" / "coverage.png").is_file()
     assert_shows(tmp_path / "r.rrd", pictures=1, says="intervals for beta")

@@ -162,7 +162,9 @@ def plan(touches: int) -> PlannedTouch:
     excluded = (X < 0.02) | (X > 0.58) | (Y < 0.02) | (Y > 0.38) | (np.hypot(X - 0.6, Y - 0.4) < 0.12)
     cost_s = 6.0 + np.hypot(X - x, Y - y) / 0.1
     if touches == 0:
-        return PlannedTouch(CONTACTS_M[0].copy(), None, None, excluded, "first touches spread over the surface", missed=MISSED)
+        return PlannedTouch(
+            CONTACTS_M[0].copy(), None, None, excluded, "first touches spread over the surface", missed=MISSED
+        )
     gain = (0.05 + 0.6 * np.exp(-(((X - EDGE_M) / 0.06) ** 2))) * (1 - np.exp(-((_nearest_m(touches) / 0.06) ** 2)))
     if touches == len(CONTACTS_M):
         stop = "the regions are sure: no cell is expected to tell 0.02 or more"

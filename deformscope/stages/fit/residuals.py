@@ -30,6 +30,12 @@ DROP = 14.0
 WEIGHT_LEAST, WEIGHT_LEAST_OF_SOME = 1e-3, 2e-2
 """Hypotheses of less weight than this are left out once the data have been seen."""
 
+TEMPER = 0.3
+"""Power of the likelihood by which explanations are weighed, and share of the coordinates that count as independent
+where their size is uncertain. No explanation on the list is the true one, and the finest detail of the residuals, which
+decides between them at full power, says little of the long waves that a parameter is mistaken for (a coarsened
+posterior: Miller and Dunson 2019). Chosen on tuning seeds (`deformscope.studies.seeds`)."""
+
 SUMMARIES, SUMMARY_LEAST = 3, 0.02
 """Directions that stand for what the parameter does to the particles: as many at most, and down to this share."""
 
@@ -113,7 +119,7 @@ class Residuals:
         weight = np.exp(value[:, good] - total[good]).max(axis=1)
         # what is unlikely for some of the particles is more so for all
         least = WEIGHT_LEAST if self._some is None else WEIGHT_LEAST_OF_SOME
-        self.chosen = np.flatnonzero(weight >= least)
+        self.chosen = np.flatnonzero(weight >= least ** (1.0 / TEMPER))
 
     def response(self, parameter: Hashable, base: FloatArray, relax: Relax) -> FloatArray:
         """How a unit step along each direction of the held positions moves the particles that count, (n, d, m).
@@ -134,6 +140,8 @@ class Residuals:
 
     def weigh(self, log_likelihood: FloatArray, log_scale: FloatArray, over: FloatArray) -> Explanation:
         """Weights and scales of the hypotheses, from log likelihoods (h, f) averaged over a posterior (f,)."""
+        log_prior = self.errors.hypotheses.log_prior[self.chosen, None]
+        log_likelihood = log_prior + TEMPER * (log_likelihood - log_prior)
         total = logsumexp(log_likelihood, axis=0)
         share = np.exp(log_likelihood - np.where(np.isfinite(total), total, 0.0)) * over
         weight = share.sum(axis=1)
@@ -172,7 +180,7 @@ class Residuals:
         as the noise's scale is uncertain."""
         one = self.explanation
         z = np.tensordot(residual, onto, 2)
-        freedom, q = float(residual.shape[1] * residual.shape[2]), onto.shape[2]
+        freedom, q = TEMPER * residual.shape[1] * residual.shape[2], onto.shape[2]
         covariance = self.errors.projected(onto, response, self.kept) * one.white[:, None, None] ** 2
         chi2 = np.einsum("fi,hij,fj->hf", z, np.linalg.inv(covariance), z)
         log_det = np.linalg.slogdet(covariance)[1][:, None]

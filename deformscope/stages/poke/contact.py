@@ -31,6 +31,7 @@ LOADED = 0.05
 LEAST_SAMPLES = 6
 Z_90 = 1.6449
 RIGID_SDS = 3.0
+DOME_SDS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,12 +39,14 @@ class ArmCompliance:
     """How the arm yields along the normal.
 
     compliance_m_per_n: tip behind where the arm says it is, for each newton; compliance_sd: its deviation [m/N];
-    position_sd_m: scatter of the arm's position about it [m]
+    position_sd_m: scatter of the arm's position about it [m]; dome: of the tip itself, its dent under a rigid block at
+    1 N, which grows with the power 2/3 of the force [m/N^(2/3)]: reported, and taken off no other dent
     """
 
     compliance_m_per_n: float = 0.0
     compliance_sd: float = 0.0
     position_sd_m: float = 1e-4
+    dome: float = 0.0
 
     def depth_sd_m(self, force_n: float) -> float:
         """What is not known of a depth under a force [m]."""
@@ -182,18 +185,37 @@ def fit_approach(
 def calibrate_compliance(
     time_s: FloatArray, position_m: FloatArray, force_n: FloatArray, normal: FloatArray, *, set_force_n: float = 3.0
 ) -> ArmCompliance:
-    """How the arm yields, from an approach to a rigid block: z = z0 + c F (arguments as in `fit_approach`)."""
+    """How the arm yields, from an approach to a rigid block (arguments as in `fit_approach`).
+
+    z = z0 + c F + d F^(2/3): what a force sensor's rubber dome yields itself (Hertz 1882) is not the arm's, where it
+    is DOME_SDS of its deviations or more.
+    """
     depth_along, force = _along(time_s, position_m, force_n, normal)
     force, _, _, loaded = _loaded(force, set_force_n, None)
     z, f = depth_along[loaded], force[loaded]
-    weight, slope, scale = np.ones_like(z), 0.0, 1e-9
-    for _ in range(10):  # Huber's weights, as far as they settle
-        z0, slope = _straight(f, z, weight)
-        off = np.abs(z - z0 - slope * f)
+    line = np.column_stack([np.ones_like(f), f])
+    (_, slope), (_, slope_sd), scale = _huber(line, z)
+    (_, bent, dome), (_, bent_sd, dome_sd), dome_scale = _huber(
+        np.column_stack([line, np.maximum(f, 0.0) ** (1.0 / EXPONENT["sphere"])]), z
+    )
+    if dome > DOME_SDS * dome_sd and bent > -DOME_SDS * bent_sd:
+        return ArmCompliance(max(bent, 0.0), bent_sd, dome_scale, dome)
+    return ArmCompliance(slope, slope_sd, scale)
+
+
+def _huber(design: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Coefficients (k,) of z (n,) over a design (n, k), their deviations (k,), and the scatter: Huber's weights, as far
+    as they settle."""
+    found: FloatArray = np.zeros(design.shape[1])
+    weight, scale = np.ones_like(z), 1e-9
+    for _ in range(10):
+        root = np.sqrt(weight)
+        found = np.linalg.lstsq(design * root[:, None], z * root, rcond=None)[0]
+        off = np.abs(z - design @ found)
         scale = max(float(np.median(off)) / 0.6745, 1e-9)
         weight = np.minimum(1.0, 1.5 * scale / np.maximum(off, 1e-12))
-    spread = np.sqrt((weight * (f - np.average(f, weights=weight)) ** 2).sum())
-    return ArmCompliance(slope, float(scale / spread), scale)
+    cov = np.linalg.pinv(design.T @ (weight[:, None] * design))
+    return found, scale * np.sqrt(np.diag(cov)), scale
 
 
 def layer_modulus(
