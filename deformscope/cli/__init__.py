@@ -80,7 +80,13 @@ COMMANDS: dict[str, Command] = {
         "beta where errors are shared, tracks wrong or lost", "DisturbedCoverageConfig", "coverage_disturbed", "beta"
     ),
     "coverage theta": _command("theta, as `coverage beta`", "DisturbedCoverageConfig", "coverage_disturbed", "theta"),
+    "coverage force": _command(
+        "how often the intervals of a predicted force hold it", "ForceCoverageConfig", "coverage_force"
+    ),
     "coverage": _command("how often the intervals hold the truth", "CoverageConfig", "coverage"),
+    "coverage regions": _command(
+        "how often a map's levels and number of regions are right", "RegionCoverageConfig", "coverage_regions"
+    ),
     "explore": _command("map how soft a surface is, by touching it", "ExploreConfig", "explore"),
     "classify": _command(
         "what is in a container, from squeezing it: how well it is known", "ClassifyConfig", "classify"

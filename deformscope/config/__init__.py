@@ -28,7 +28,9 @@ from deformscope.config.reproduce import (
     CubesConfig,
     DisturbedCoverageConfig,
     FoamsConfig,
+    ForceCoverageConfig,
     PokesConfig,
+    RegionCoverageConfig,
     SqueezesConfig,
     Table41Config,
 )
