@@ -96,7 +96,7 @@ def disturbed_table(title: str, rows: Sequence[DisturbedRow]) -> Table:
         )
         for row in rows
     ]
-    names = ("errors", "cases", "held", "95 % band", "2D", "3D", "width", "identified", "unidentified")
+    names: tuple[str, ...] = ("errors", "cases", "held", "95 % band", "2D", "3D", "width", "identified", "unidentified")
     names += ("identified without the truth", "wrong tracks left out", "right ones left out")
     return Table(lines, names, title)
 

@@ -6,6 +6,7 @@ deformscope coverage force --full --slabs 8 --jobs 16 --json force.json
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 from deformscope.cli.common import examined, fit_progress, quiet_warp, recorder_of, show, write_json
@@ -13,7 +14,6 @@ from deformscope.cli.coverage import rate_json
 from deformscope.config import ForceCoverageConfig
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Table
-from deformscope.plain import plain
 from deformscope.session import Step
 from deformscope.studies.poke_slabs import KINDS
 from deformscope.studies.predicted_forces import ForceRow, force_cases, force_rows, try_slab
@@ -32,7 +32,7 @@ def run(config: ForceCoverageConfig) -> None:
         found = Findings(tuple(force_table(rows, scatter, config.level) for scatter in config.scatter))
         show(found)
         recorder.write(Step((found,)))
-    lines = [{**plain(row), "held": rate_json(row.held)} for row in rows]
+    lines = [{**dataclasses.asdict(row), "held": rate_json(row.held)} for row in rows]
     write_json(
         {"level": config.level, "full": config.full, "split": config.split, "rows": lines, "slabs": tried},
         config.output.json,

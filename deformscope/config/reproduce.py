@@ -91,8 +91,8 @@ class CoverageConfig(RecordedOptions):
 
 @dataclass(frozen=True, slots=True)
 class DisturbedCoverageConfig(RecordedOptions):
-    """Count how often the intervals hold the truth where data are not as assumed: errors that neighbours share over 1 to
-    6 cells, with and without white noise, outliers, lost tracks, a held particle that is off, whole motions."""
+    """Count how often the intervals hold the truth where data are not as assumed: errors that neighbours share over 1
+    to 6 cells, with and without white noise, outliers, lost tracks, a held particle that is off, whole motions."""
 
     objects: Annotated[int, flags.least(3)] = 400
     """Random objects for each kind of error, a third of them in space; each takes some .3 s of a core."""
@@ -138,7 +138,8 @@ class ForceCoverageConfig(RecordedOptions):
     scatter: Annotated[tuple[float, ...], arg(metavar="SHARE...")] = (0.0, 0.03, 0.06, 0.1)
     """By how much the force scatters from poke to poke, as a share."""
     full: bool = False
-    """Press the slabs with finite elements and fit shape-matching models to what their surfaces do: minutes a slab."""
+    """Press the slabs with finite elements and fit shape-matching models to what their surfaces do: a quarter of an
+    hour a slab."""
     split: Literal["alternate", "random"] = "alternate"
     """Which half is fitted: every other poke, as on a chess board, or any half."""
     level: flags.LevelFlag = 0.9

@@ -131,8 +131,8 @@ def try_disturbed(case: DisturbedCase) -> DisturbedOutcome:
         verdict=found.estimate.verdict,
         seconds=time.process_time() - started,
     )
-    count = np.count_nonzero
-    return DisturbedOutcome(outcome, count(errors.bad), count(left_out), count(errors.bad & left_out))
+    counts = (int(np.count_nonzero(one)) for one in (errors.bad, left_out, errors.bad & left_out))
+    return DisturbedOutcome(outcome, *counts)
 
 
 def _model(parameter: Parameter, body: RandomBody) -> Model:
@@ -166,7 +166,7 @@ class _Errors:
             noise += np.sqrt(1.0 - what.white) * random_noise(rng, rest / what.cells, correlated=True)
         if not what.held_noise:
             noise[self.body.held] = 0.0
-        return self.sigma * noise
+        return np.asarray(self.sigma * noise)
 
     def observe(self, model: Model, truth: float, share: float) -> Observation:
         """What is seen when a share of the motion is done."""

@@ -1,9 +1,11 @@
 """Random slabs, half of whose 24 pokes are fitted: do the intervals of the force hold at the other half?
 
 Two ways. In full: finite elements press the slab, a shape-matching model is fitted to what the surface did, and
-predicts other places, tips and forces; some minutes a slab. Fast: what finite elements were found to do with a border
-(`PokedSlab.apparent`) stands for both, and the field of stiffness alone is tried, by the thousand. Either under scatter
-of the force from poke to poke that is not stated to the model.
+predicts other places, tips and forces; a quarter of an hour a slab. Fast: what finite elements were found to do with a
+border (`PokedSlab.apparent`) stands for both, and the field of stiffness alone is tried, by the thousand.
+
+Either under scatter of the force from poke to poke that the model is not given; a seed has one pattern of it on slabs
+of all kinds.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ LUMP_PRIOR = 0.5
 """Probability before any touch that there is a lump: as likely as not."""
 
 LUMP_CONTRAST = 2.0
-"""How many times as stiff, or as soft, as what is around it."""
+"""How many times the apparent stiffness of what is around it, or how many times less."""
 
 LUMP_RADII_M = (0.03, 0.045, 0.06, 0.085, 0.12)
 """Radii for which it is reported what may have been missed."""
@@ -52,7 +52,7 @@ class Lumps:
         own = [posterior.prior.rigid_sd if touch.rigid else touch.log_sd for touch in posterior.touches]
         ratio = np.prod(self._unfelt(places, np.hypot(own, posterior.scatter)[:, None]), axis=0)
         unmet = float(ratio.mean())
-        self.weight = ratio / ratio.sum()
+        self.weight = ratio / max(float(ratio.sum()), 1e-300)  # so many touches may leave nothing at all
         self.probability = LUMP_PRIOR * unmet / (LUMP_PRIOR * unmet + 1.0 - LUMP_PRIOR)
 
     def gain(self, places_m: FloatArray) -> FloatArray:
@@ -72,8 +72,7 @@ def missed(posterior: RegionPosterior, made_m: FloatArray, radii_m: Iterable[flo
     if len(made_m):
         circle = np.minimum(circle, KDTree(made_m).query(centres)[0])
     at = int(circle.argmax())
-    lumps = [
-        (radius, Lumps(posterior, radius).probability) for radius in sorted(set(radii_m)) if 2.0 * radius < min(size)
-    ]
-    radii, probabilities = np.array(lumps).reshape(-1, 2).T
+    lumps = [(radius, Lumps(posterior, radius)) for radius in sorted(set(radii_m))]
+    fitting = [(radius, one.probability) for radius, one in lumps if len(one.weight)]
+    radii, probabilities = np.array(fitting).reshape(-1, 2).T
     return Missed(float(circle[at]), centres[at], radii, probabilities, LUMP_CONTRAST, LUMP_PRIOR)

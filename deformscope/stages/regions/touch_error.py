@@ -27,10 +27,10 @@ LAW_SD = 0.02
 a ball sinks into by its radius say 2 to 3 %. It is part of `own`."""
 
 SCATTER_MEDIAN, SCATTER_SPREAD = 0.05, 0.6
-"""Of the scatter: log-normal, so that nine of ten materials lie between 2 and 13 %. Foam of one block varies by some 2 to
-10 % in stiffness over its length [assumed: from makers' tolerances of density, which stiffness follows squared]. Of
-medians of 4 to 6 % and spreads of 0.5 and 0.6 the one under which intervals held 0.88 to 0.92 of levels at 3, 6 and 10 %
-(eight touches of regions that are known, simulated with seeds of `studies.seeds.TUNING`)."""
+"""Of the scatter: log-normal, so that nine of ten materials lie between 2 and 13 %. Foam of one block varies by some
+2 to 10 % in stiffness over its length [assumed: from makers' tolerances of density, which stiffness follows squared].
+Of medians of 4 to 6 % and spreads of 0.5 and 0.6 the one under which intervals held 0.88 to 0.92 of levels at 3, 6 and
+10 % (eight touches of regions that are known, simulated with seeds of `studies.seeds.TUNING`)."""
 
 SCATTER_SHARED, SCATTER_LENGTH_M = 0.7, 0.06
 """Share of the scatter's variance that neighbours share, with a squared exponential of this length: a foam's density
@@ -43,8 +43,9 @@ SCATTER_SDS = 1.9
 one before; ten touches determine it to a factor of 1.3 at best."""
 
 GAIN_SD = 0.03
-"""Of log stiffness, common to a session: a force sensor with its nominal sensitivity is off by some 3 %, which moves the
-stiffness of a touch that ends by its depth, or of a flat tip, by as much, and that at a set force under a ball by 2 %."""
+"""Of log stiffness, common to a session: a force sensor with its nominal sensitivity is off by some 3 %, which moves
+the stiffness of a touch that ends by its depth, or of a flat tip, by as much, and that at a set force under a ball by
+2 %."""
 
 
 @dataclass(frozen=True, slots=True)

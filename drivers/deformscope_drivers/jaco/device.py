@@ -440,7 +440,8 @@ class Jaco(Device[JacoState]):
                 self._require_moves()
                 if there(state):
                     return state
-            raise NotReached(where_to, f"an arm that is not there after {timeout_s:g} s", "a longer timeout_s", self.name)
+            came = f"an arm that is not there after {timeout_s:g} s"
+            raise NotReached(where_to, came, "a longer timeout_s", self.name)
         finally:
             with self._commanded:
                 given_up = True

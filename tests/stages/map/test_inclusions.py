@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Sequence
 
@@ -87,3 +88,11 @@ def test_what_does_not_fit_cannot_be_there() -> None:
     found = missed(small, np.zeros((0, 2)))
     assert found.lump_radius_m.tolist() == [0.03, 0.045, 0.06]
     assert found.probability(0.12) == 0.0
+
+
+def test_touches_everywhere_leave_no_lump() -> None:
+    places = [(x, y) for x in np.arange(0.03, 0.6, 0.03) for y in np.arange(0.03, 0.4, 0.03)]
+    touches = tuple(StiffnessSample(np.array(at), 0.0, SD) for at in places)
+    lumps = Lumps(dataclasses.replace(touched([]), touches=touches), 0.06)
+    assert lumps.probability < 1e-9
+    assert np.isfinite(lumps.gain(GRID.centres_m)).all()
