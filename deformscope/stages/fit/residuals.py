@@ -50,12 +50,15 @@ MOST_HELD, SKETCHED = 200, 100
 class Explanation:
     """What the errors of one observation were like, each with its weight, (h,).
 
+    weight: by the tempered likelihood, as the parameter is inferred; likely: by the likelihood itself, as what is
+    predicted of errors is weighed
     white: deviation of the white noise, as a multiple of the stated one (or in the unit of the rest shape)
     field: deviation of the smooth field [unit]; length: its correlation length [spacings]; shared: by prescribed
     particles, hence measurement and not misfit; held: the prescribed positions were noisy
     """
 
     weight: FloatArray
+    likely: FloatArray
     white: FloatArray
     field: FloatArray
     length: FloatArray
@@ -141,9 +144,8 @@ class Residuals:
     def weigh(self, log_likelihood: FloatArray, log_scale: FloatArray, over: FloatArray) -> Explanation:
         """Weights and scales of the hypotheses, from log likelihoods (h, f) averaged over a posterior (f,)."""
         log_prior = self.errors.hypotheses.log_prior[self.chosen, None]
-        log_likelihood = log_prior + TEMPER * (log_likelihood - log_prior)
-        total = logsumexp(log_likelihood, axis=0)
-        share = np.exp(log_likelihood - np.where(np.isfinite(total), total, 0.0)) * over
+        likely = _shares(log_likelihood, over).sum(axis=1)
+        share = _shares(log_prior + TEMPER * (log_likelihood - log_prior), over)
         weight = share.sum(axis=1)
         keep = weight > WEIGHT_LEAST * weight.max()
         white2 = (share * np.exp(2.0 * log_scale)).sum(axis=1)[keep] / weight[keep]
@@ -152,6 +154,7 @@ class Residuals:
         unit = float(np.sqrt(np.mean(self.errors.noise**2)))
         self.explanation = Explanation(
             weight=weight[keep] / weight[keep].sum(),
+            likely=likely[keep] / likely[keep].sum(),
             white=np.sqrt(white2),
             field=np.sqrt(white2 * every.size[self.kept]) * unit,
             length=every.length[self.kept],
@@ -186,3 +189,9 @@ class Residuals:
         log_det = np.linalg.slogdet(covariance)[1][:, None]
         each = -0.5 * log_det - 0.5 * (freedom + q) * np.log1p(chi2 / freedom)
         return np.asarray(logsumexp(each + np.log(one.weight)[:, None], axis=0))
+
+
+def _shares(log_likelihood: FloatArray, over: FloatArray) -> FloatArray:
+    """(h, f) probability of each hypothesis at each value of the parameter, times the posterior (f,) there."""
+    total = logsumexp(log_likelihood, axis=0)
+    return np.asarray(np.exp(log_likelihood - np.where(np.isfinite(total), total, 0.0)) * over)

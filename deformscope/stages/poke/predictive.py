@@ -66,12 +66,12 @@ def predict(
     for one, fitted in zip(found.inferred.explanations, seen, strict=True):
         white = np.full(len(poke.rest), 1.0 if fitted.noise is None else float(np.sqrt(np.mean(fitted.noise**2))))
         grown = motion / max(_motion(fitted.deformed, fitted.rest, fitted.free_observed), 1e-300)
-        for h in np.flatnonzero(one.weight >= LEAST_WEIGHT):
+        for h in np.flatnonzero(one.likely >= LEAST_WEIGHT):
             variance = _variance(one, h, white, grown, by_held, measured=measured)
             for row in range(VALUES):
                 mean.append(simulated[row])
                 deviation.append(np.sqrt(variance))
-                weight.append(one.weight[h] / VALUES / len(seen))
+                weight.append(one.likely[h] / VALUES / len(seen))
     share = np.array(weight) / np.sum(weight)
     tails = 0.5 * (1.0 - level), 0.5, 0.5 * (1.0 + level)
     ends = [quantile(np.array(mean), np.array(deviation), share, q) for q in tails]
