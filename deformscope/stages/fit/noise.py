@@ -49,8 +49,7 @@ MISFIT_MOST = 1e5
 
 SHARED_MOST = 1e8
 """Largest that an error of measurement which neighbours share may have. The smoother a field, the less of it is seen as
-a difference between neighbours: with 100, errors over six cells that follow a Gaussian were taken for one a tenth as
-large, and most intervals missed the truth."""
+a difference between neighbours, and there may be next to no white noise beside it."""
 
 MISFIT_MOST_UNKNOWN = 100.0
 """As `FIELD_SIZES`, where no noise was stated: beyond, white noise would be read off the smallest of residuals."""
