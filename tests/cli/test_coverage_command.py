@@ -11,6 +11,7 @@ import pytest
 pytest.importorskip("warp")
 pytest.importorskip("tyro")
 
+from deformscope.cli import coverage as command
 from deformscope.cli import coverage_force, main
 from deformscope.stages.fit.calibrate import Model, Observation
 from deformscope.studies import coverage
@@ -23,6 +24,10 @@ def test_coverage_tells_three_tables(
 ) -> None:
     monkeypatch.setattr(coverage, "CONDITIONS", coverage.CONDITIONS[-1:])
     monkeypatch.setattr(coverage, "NOTHING_CASES", 2)
+    every = command.doubt_plan
+    monkeypatch.setattr(
+        command, "doubt_plan", lambda count, seed: [one for one in every(count, seed) if "two" in one.data]
+    )
     target = tmp_path / "found.json"
     flags = ["--objects", "5", "--jobs", "1", "--json", str(target), "--out", str(tmp_path / "new")]
     flags += ["--record", str(tmp_path / "r.rrd")]
