@@ -65,6 +65,9 @@ PRIOR_HELD_EXACT = 0.15
 SCALE_SPREAD = 1.0
 """Log-normal deviation of the true noise about the stated one: a factor of 2.7 up or down is one deviation."""
 
+SCALE_SETTLED = 1e-9
+"""A step of the scale's logarithm shorter than this is the last."""
+
 SCALE_LEAST = 0.05
 """Residuals this far below the stated noise are no sample of it (made-up or smoothed data): the statement stands."""
 
@@ -328,7 +331,10 @@ class ErrorModel:
         for _ in range(12 if pull else 0):
             up = c * np.exp(-2.0 * t)
             away = t - np.clip(t, level, 0.0)
-            t = t + np.clip((up - count - pull * away) / (2.0 * up + pull), -1.0, 1.0)
+            step = np.clip((up - count - pull * away) / (2.0 * up + pull), -1.0, 1.0)
+            t = t + step
+            if np.abs(step).max(initial=0.0) < SCALE_SETTLED:
+                break
         up = c * np.exp(-2.0 * t)
         away = t - np.clip(t, level, 0.0)
         bend = 2.0 * up + pull * (away != 0.0)
