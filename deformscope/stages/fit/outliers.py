@@ -76,7 +76,8 @@ def without_outliers(search: Search) -> tuple[LeftOut, ...]:
             bad = np.zeros(len(one.rest), dtype=bool)
             position = search.tried.positions[row][best]
             use = np.flatnonzero(one.free_observed)
-            bad[use] = outlying(one.rest[use], (one.deformed - position)[use], noise, LEAST * search.bodies[row].scale)
+            left = (one.deformed - position)[use]
+            bad[use] = outlying(one.rest[use], left, noise, LEAST * search.bodies[row].scale, off[row][use])
             found.append(bad)
         if all(np.array_equal(a, b) for a, b in zip(off, found, strict=True)):
             break
@@ -93,26 +94,37 @@ def without_outliers(search: Search) -> tuple[LeftOut, ...]:
     )
 
 
-def outlying(rest: FloatArray, residual: FloatArray, noise: FloatArray | None, floor: float) -> BoolArray:
+def outlying(
+    rest: FloatArray, residual: FloatArray, noise: FloatArray | None, floor: float, known: BoolArray | None = None
+) -> BoolArray:
     """(n,) which residuals (n, d) of particles at rest (n, d) lie far outside those of their neighbours.
 
-    noise: (n,) stated deviation of a coordinate, None if unknown; floor: least deviation
+    noise: (n,) stated deviation of a coordinate, None if unknown; floor: least deviation; known: (n,) outliers that are
+    known already, with which no other particle is compared
     """
     n, d = rest.shape
     none = np.zeros(n, dtype=bool)
-    if n < PARTICLES_LEAST:
+    good = np.arange(n) if known is None else np.flatnonzero(~known)
+    if n < PARTICLES_LEAST or len(good) <= NEIGHBOURS[d]:
         return none
-    _, near = cKDTree(rest).query(rest, k=min(NEIGHBOURS[d], n - 1) + 1)
-    around = residual[near[:, 1:]]
+    _, near = cKDTree(rest[good]).query(rest, k=NEIGHBOURS[d] + 1)
+    itself = good[near] == np.arange(n)[:, None]
+    itself[~itself.any(axis=1), -1] = True  # of one that is no good neighbour, the farthest is one too many
+    around = residual[good[near[~itself].reshape(n, -1)]]
     middle = np.median(around, axis=1)
     apart = np.linalg.norm(residual - middle, axis=1)
     typical = float(chi.median(d))
     here = np.median(np.linalg.norm(around - middle[:, None], axis=2), axis=1) / typical
-    scale = np.maximum(np.maximum(here, np.median(apart) / typical), floor)
+    scale = np.maximum(np.maximum(here, np.median(apart[good]) / typical), floor)
     if noise is not None:
         scale = np.maximum(scale, noise)
-    found = apart > SCALE_MARGIN * float(chi.isf(FALSE_ALARMS / n, d)) * scale
-    return none if found.mean() > SHARE_MOST else np.asarray(found)
+    # the more there are, the nearer are the next ones looked for (Benjamini and Hochberg 1995)
+    chance = chi.sf(apart / (SCALE_MARGIN * scale), d)
+    order = np.argsort(chance)
+    under = np.flatnonzero(chance[order] <= FALSE_ALARMS * np.arange(1, n + 1) / n)
+    found = none.copy()
+    found[order[: under[-1] + 1 if under.size else 0]] = True
+    return none if found.mean() > SHARE_MOST else found
 
 
 def _named(rest: FloatArray, deformed: FloatArray, expected: FloatArray, off: BoolArray) -> LeftOut:
