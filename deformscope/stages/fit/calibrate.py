@@ -6,7 +6,7 @@ The sweep is the thesis's Algorithm 3; `method="gradient"` serves Algorithm 2's 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -39,6 +39,7 @@ from deformscope.stages.fit.estimate import (
 )
 from deformscope.stages.fit.force import stiffness_interval
 from deformscope.stages.fit.inference import Inference, Inferred
+from deformscope.stages.fit.misheld import correct_held, held_off
 from deformscope.stages.fit.model import FitOptions, Model, Observation
 from deformscope.stages.fit.outliers import LeftOut, without_outliers
 from deformscope.stages.fit.search import Progress, Search
@@ -99,9 +100,14 @@ def calibrate(
         used["stopped"] = fit.descend(progress)
         drawn = fit.tried.parameter.copy()
     left_out: tuple[LeftOut, ...] = ()
+    stated = seen
     if not one_motion:  # a motion's frames are the tracker's to judge
         left_out = without_outliers(fit)
-        seen = fit.seen
+        if pace is None:
+            with threadpool_limits(1):
+                off = correct_held(fit, options.candidates, options.seed)
+            left_out = tuple(replace(one, held=which) for one, which in zip(left_out, off, strict=True))
+        stated, seen = seen, fit.seen
         if any(one.count for one in left_out):
             used["left_out"] = [one.as_json() for one in left_out]
     judged: Search = fit
@@ -139,7 +145,7 @@ def calibrate(
     numbers = found_in_numbers(model.parameter, value, ends, bounds, identified, converged=converged, noise=noise)
     shown = [*shape_doubts(seen), *(_in_residuals(judged, best, inference) if pace is None and converged else ())]
     here = [setting(seen, model, identified.misfit, inferred.noise)] if model.parameter == "theta" else []
-    reasons = ordered([*numbers, *shown, *here])
+    reasons = ordered([*numbers, *shown, *here, *held_off(seen, stated)])
     # frames of a motion carry no force
     k = None if one_motion else _stiffness(fit, best, supported, inferred, options.level)
     estimate = Estimate(

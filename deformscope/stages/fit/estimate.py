@@ -36,6 +36,7 @@ DoubtCode = Literal[
     "units",
     "axes-swapped",
     "two-materials",
+    "held-off",
     "setting",
 ]
 

@@ -157,14 +157,15 @@ class Inference:
         each = [part.log_summary(residual, onto, response) for response in responses]
         return np.asarray(np.sum(share * np.stack(each), axis=0))
 
-    def response(self, row: int, place: int) -> FloatArray:
-        """What the held positions of one observation do at one of the candidates tried."""
+    def response(self, row: int, place: int, *, exact: bool = True) -> FloatArray:
+        """What the held positions of one observation do at one of the candidates tried; see `Residuals.response`."""
         search, part = self.search, self.parts[row]
         parameter = float(search.tried.parameter[place])
         return part.response(
             parameter,
             search.tried.positions[row][place],
             lambda held, base, tolerance: search.relax(part.body, held, parameter, base, tolerance=tolerance),
+            exact=exact,
         )
 
 

@@ -40,6 +40,7 @@ class Observation:
     deviation [N], None if unknown
     held_measured: whether the held positions were measured, with the noise of the others, or are exact; None = unknown
     tip: what pressed the particles of `contact`, if it is known
+    loose: held particles whose position is no measurement but estimated, None = none
     """
 
     rest: FloatArray
@@ -56,6 +57,7 @@ class Observation:
     held_measured: bool | None = None
     tip: Tip | None = None
     force_noise_n: float | None = None
+    loose: IntArray | None = None
 
     def __post_init__(self) -> None:
         count, d = self.rest.shape

@@ -62,6 +62,12 @@ PRIOR_NO_FIELD = 0.5
 PRIOR_HELD_EXACT = 0.15
 """Prior weight of exact prescribed positions where it is not stated whether they were measured."""
 
+EXACT = 1e-3
+"""Noise of prescribed positions that are as good as exact, as a share of the others'."""
+
+LOOSE, LOOSE_UNKNOWN = 0.5, 100.0
+"""Deviation of a prescribed position that is no measurement [spacings]; in units of the noise where that is unknown."""
+
 SCALE_SPREAD = 1.0
 """Log-normal deviation of the true noise about the stated one: a factor of 2.7 up or down is one deviation."""
 
@@ -89,6 +95,7 @@ class Measured:
     of a response; None where m random combinations, noise included, stand for too many of them
     noise, held_noise: (n,), (k,) deviation of a coordinate, None if unknown; held_measured: whether the prescribed
     positions carry noise, None = not known; spacing: of the particles; floor: smallest deviation that numbers resolve
+    loose: (k,) prescribed ones that may be anywhere near, None = none
     """
 
     rest: FloatArray
@@ -98,6 +105,7 @@ class Measured:
     held_measured: bool | None
     spacing: float
     floor: float
+    loose: BoolArray | None = None
 
     def some(self, pick: IntArray) -> Measured:
         """With some of the free particles alone."""
@@ -172,21 +180,26 @@ class ErrorModel:
         elif measured.held_noise is None or unknown:
             held_noise = np.ones(len(measured.held_rest))
         else:
-            held_noise = np.maximum(measured.held_noise, 1e-3 * noise.mean())
+            held_noise = np.maximum(measured.held_noise, EXACT * noise.mean())
+        if measured.loose is not None:
+            if measured.held_measured is False:
+                held_noise = np.full(len(held_noise), EXACT * noise.mean())
+            held_noise = np.where(measured.loose, LOOSE_UNKNOWN if unknown else LOOSE * measured.spacing, held_noise)
         self.noise, self.held_noise = noise, held_noise
         self.log_noise = float(d * np.log(noise).sum())
         self.hypotheses = self._enumerate(unknown)
         self._bases: dict[Field, _Basis] = {}
 
     def _enumerate(self, unknown: bool) -> NoiseHypotheses:
-        stated = self.measured.held_measured
+        stated = self.measured.held_measured if self.measured.loose is None else True
         either = {False: PRIOR_HELD_EXACT, True: 1.0 - PRIOR_HELD_EXACT}
         choices = {True: {True: 1.0}, False: {False: 1.0}, None: either}
         fields = [(CORRELATIONS.index(rough), length) for rough, lengths in FIELDS for length in lengths]
         rows: list[tuple[float, ...]] = []
         for held, prior in choices[stated].items():
             rows.append((held, False, 0, 1.0, 0.0, np.log(prior * PRIOR_NO_FIELD)))
-            kinds = (False, True) if held and self.measured.held_rest is not None else (False,)
+            exact = self.measured.held_rest is None or self.measured.held_measured is False
+            kinds = (False, True) if held and not exact else (False,)
             for shared, (field, length) in product(kinds, fields):
                 most = MISFIT_MOST_UNKNOWN if unknown else SHARED_MOST if shared else MISFIT_MOST
                 some = [size for size in FIELD_SIZES if size <= most]

@@ -11,7 +11,7 @@ smaller stay in, where they count as noise.
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -50,17 +50,20 @@ Kind = Literal["lost", "wrong"]
 @dataclass(frozen=True, slots=True)
 class LeftOut:
     """Particles of one observation that were left out. lost: stayed behind on the way that the model expects; wrong:
-    anywhere else. (m,) indices of the observation's particles"""
+    anywhere else; held: prescribed ones that are not where they are said to be (`misheld`). (m,) indices of the
+    observation's particles"""
 
     lost: IntArray
     wrong: IntArray
+    held: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @property
     def count(self) -> int:
-        return len(self.lost) + len(self.wrong)
+        return len(self.lost) + len(self.wrong) + len(self.held)
 
     def as_json(self) -> dict[str, list[int]]:
-        return {"lost": self.lost.tolist(), "wrong": self.wrong.tolist()}
+        held = {"held": self.held.tolist()} if len(self.held) else {}
+        return {"lost": self.lost.tolist(), "wrong": self.wrong.tolist(), **held}
 
 
 def without_outliers(search: Search) -> tuple[LeftOut, ...]:

@@ -98,6 +98,7 @@ class Residuals:
             held_measured=seen.held_measured,
             spacing=body.scale,
             floor=floor,
+            loose=None if seen.loose is None or sketched else np.isin(seen.held, seen.loose),
         )
         self.errors = ErrorModel(self.measured)
         self.chosen: IntArray = np.arange(len(self.errors.hypotheses.size))
@@ -125,12 +126,13 @@ class Residuals:
         least = WEIGHT_LEAST if self._some is None else WEIGHT_LEAST_OF_SOME
         self.chosen = np.flatnonzero(weight >= least ** (1.0 / TEMPER))
 
-    def response(self, parameter: Hashable, base: FloatArray, relax: Relax) -> FloatArray:
+    def response(self, parameter: Hashable, base: FloatArray, relax: Relax, *, exact: bool = True) -> FloatArray:
         """How a unit step along each direction of the held positions moves the particles that count, (n, d, m).
 
         base: (K, d) static state at `parameter`, by which responses are kept; relax: states for held positions
+        exact: none is found where the held positions were stated to be exact
         """
-        if self.measured.held_measured is False:
+        if exact and self.measured.held_measured is False and self.measured.loose is None:
             return np.zeros((len(self.judged), self.observed.shape[1], 0))
         if parameter not in self._responses:
             small = STEP * self.body.scale / (float(np.abs(self.steps).max()) or 1.0)

@@ -162,6 +162,12 @@ class Search:
         """Algorithm 3: all candidates of the range in one run."""
         self.simulate(np.linspace(*self.bounds, count), progress, "sweeping")
 
+    def again(self, count: int) -> None:
+        """Sweep and refine anew, as held positions have changed."""
+        self.tried = Tried(positions=[np.empty((0, *s.rest.shape)) for s in self.seen])
+        self.sweep(count, None)
+        self.refine()
+
     def refine(self, tolerance: float = 1e-4, rounds: int = 6) -> None:
         """Narrow the bracket around the lowest error, eight candidates at a time, spaced evenly in `stretch`."""
         for _ in range(rounds):

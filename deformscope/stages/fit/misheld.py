@@ -1,0 +1,149 @@
+"""Prescribed particles that are not where they are said to be.
+
+A simulation follows its held particles, so one that is off cannot be seen by its own residual, as a free one can; it
+pulls the free ones around it along. So each held particle gets a displacement, its part in the residuals beside that of
+the parameter and of all that they may be explained by otherwise (`deformscope.stages.fit.noise`). Where twice the
+logarithm of the likelihood gains far more by that than noise makes it, the particle counts as off: its position is
+estimated, and what is left of its error is a part of the interval, as the noise of the other held ones is.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from scipy.special import logsumexp
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.stages.fit.estimate import Doubt
+from deformscope.stages.fit.inference import Inference
+from deformscope.stages.fit.model import Observation
+from deformscope.stages.fit.noise import CORRELATIONS, NoiseHypotheses
+from deformscope.stages.fit.residuals import Residuals
+from deformscope.stages.fit.search import Search
+
+GAIN = 30.0
+"""Twice the log likelihood that a held particle's displacement must gain."""
+
+LEAST = 0.05
+"""Displacement below which a held particle counts as right [spacings]."""
+
+SHARE_MOST = 0.34
+"""At most this share of the held particles counts as off: beyond, it is not they."""
+
+ROUNDS = 4
+
+SETTLED = 0.02
+"""A last change of the estimated positions below this ends the rounds [spacings]."""
+
+LENGTHS, SIZES = (1.0, 3.0, 8.0), 3
+"""Of the smooth fields, those of one roughness and these lengths, and every so manieth size, stand for all."""
+
+EFFECT = 0.02
+"""Share of the (stretched) range by which the parameter is changed for a derivative."""
+
+
+def correct_held(search: Search, candidates: int, seed: int) -> tuple[IntArray, ...]:
+    """Find the held particles that are off, put them where the free ones show them to be, and search again.
+
+    Gives the particles of each observation; their positions in `search.seen` are the estimated ones, not observed.
+    """
+    off = [np.zeros(len(one.held), dtype=bool) for one in search.seen]
+    for _ in range(ROUNDS):
+        inference = Inference(search, seed)
+        best = search.best()
+        ends = _beside(search, best)
+        steps: dict[int, FloatArray] = {}
+        for row, part in enumerate(inference.parts):
+            if part.measured.held_rest is None or not len(part.judged):
+                continue
+            before, after = (search.tried.positions[row][end] for end in ends)
+            residual = part.left(search.tried.positions[row][best])
+            response = inference.response(row, best, exact=False)
+            step = _steps(part, residual, (after - before)[part.judged], response, off[row])
+            if step is not None:
+                steps[row] = step
+        if not any(np.abs(step).max() > SETTLED * search.bodies[row].scale for row, step in steps.items()):
+            break
+        for row, step in steps.items():
+            one = search.seen[row]
+            deformed, observed = one.deformed.copy(), one.observed.copy()
+            deformed[one.held] += step
+            observed[one.held[off[row]]] = False
+            search.seen[row] = dataclasses.replace(one, deformed=deformed, observed=observed, loose=one.held[off[row]])
+        search.again(candidates)
+    return tuple(one.held[bad] for one, bad in zip(search.seen, off, strict=True))
+
+
+def _beside(search: Search, best: int) -> IntArray:
+    """Candidates below and above the best one."""
+    low, high = (search.stretch(bound) for bound in search.bounds)
+    step = EFFECT * (high - low)
+    place = min(max(search.stretch(float(search.tried.parameter[best])), low + step), high - step)
+    return search.rows_of(search.shrink(np.array([place - step, place + step])))
+
+
+def _steps(
+    part: Residuals, residual: FloatArray, effect: FloatArray, response: FloatArray, off: BoolArray
+) -> FloatArray | None:
+    """By how much held particles are off, (k, d); None where none is. Those found are marked in off (k,), one a call.
+
+    residual, effect of the parameter: (n, d); response: (n, d, m)
+    """
+    k, d = len(off), residual.shape[1]
+    columns = np.concatenate([effect[None], np.moveaxis(response, -1, 0)])
+    size = np.maximum(np.linalg.norm(columns, axis=(1, 2)), 1e-300)
+    base = np.concatenate([residual[None], columns / size[:, None, None]])
+    found = part.errors.products(base, response, _few_hypotheses(part.errors.hypotheses))
+
+    def fitted(which: Sequence[int]) -> tuple[float, FloatArray]:
+        """The log likelihood where these columns are fitted, and their multiples."""
+        rows = np.asarray(which)
+        square = found.product[:, rows[:, None], rows]
+        square = square + 1e-10 * np.trace(square, axis1=1, axis2=2)[:, None, None] * np.eye(len(rows))
+        along = found.product[:, rows, 0]
+        multiple = np.linalg.solve(square, along[:, :, None])[:, :, 0]
+        left = np.maximum(found.product[:, 0, 0] - np.sum(along * multiple, axis=1), 0.0)
+        some = dataclasses.replace(found, product=left[:, None, None], white=found.white[:1, :1])
+        value = part.errors.judged(some, np.ones((1, 1))).log_likelihood[:, 0]
+        total = float(logsumexp(value))
+        return total, np.exp(value - total) @ multiple / size[rows - 1]
+
+    def of(which: Sequence[int]) -> list[int]:
+        return [1] + [2 + d * one + axis for one in which for axis in range(d)]
+
+    known = list(np.flatnonzero(off))
+    before, multiple = fitted(of(known))
+    if len(known) + 1 <= max(1, SHARE_MOST * k):
+        others = np.flatnonzero(~off)
+        each = [fitted(of([*known, one])) for one in others]
+        first = int(np.argmax([value for value, _ in each]))
+        value, moved = each[first]
+        if 2.0 * (value - before) > GAIN and np.linalg.norm(moved[-d:]) > LEAST * part.body.scale:
+            off[others[first]] = True
+            known, multiple = [*known, int(others[first])], moved
+    if not known:
+        return None
+    step = np.zeros((k, d))
+    step[known] = multiple[1:].reshape(-1, d)
+    return step
+
+
+def _few_hypotheses(every: NoiseHypotheses) -> IntArray:
+    """Rows of those that stand for all."""
+    sizes = np.unique(every.size)[1::SIZES]
+    some = (every.field == CORRELATIONS.index("matern")) & np.isin(every.length, LENGTHS) & np.isin(every.size, sizes)
+    return np.flatnonzero(some | (every.size == 0.0))
+
+
+def held_off(seen: Sequence[Observation], stated: Sequence[Observation]) -> Iterator[Doubt]:
+    """Names the held particles that were found to be off, by what was stated of each observation."""
+    for one, given in zip(seen, stated, strict=True):
+        for particle in () if one.loose is None else one.loose:
+            far = float(np.linalg.norm(one.deformed[particle] - given.deformed[particle]))
+            text = (
+                f"held particle {particle} seems to be {far:.2g} {one.unit} from where it is stated to be; its place "
+                "is estimated from the free ones"
+            )
+            yield Doubt("held-off", text)
