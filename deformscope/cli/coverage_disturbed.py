@@ -2,6 +2,7 @@
 
 deformscope coverage beta --jobs 8 --json coverage-beta.json
 deformscope coverage beta --only "outliers,lost tracks" --objects 100
+deformscope coverage theta --only "another" --objects 100
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from deformscope.session import Step
 from deformscope.stages.fit.estimate import Parameter
 from deformscope.studies.coverage import Rate
 from deformscope.studies.disturbed import DISTURBED, DisturbedCase, DisturbedRow, disturbed_rows, try_disturbed
+from deformscope.studies.theta_settings import SETTINGS, try_setting
 
 
 def beta(config: DisturbedCoverageConfig) -> None:
@@ -35,12 +37,18 @@ def theta(config: DisturbedCoverageConfig) -> None:
 def _run(config: DisturbedCoverageConfig, parameter: Parameter) -> None:
     quiet_warp()
     started, seed, level = time.monotonic(), config.output.seed, config.level
-    names = names_of(config.only)
+    settings = SETTINGS if parameter == "theta" else ()
+    names = names_of(config.only, (*DISTURBED, *settings))
     cases = [DisturbedCase(name, number, seed, parameter, level) for name in names for number in range(config.objects)]
+    disturbed, at_settings = ([one for one in cases if (one.name in settings) is kind] for kind in (False, True))
     with recorder_of(config) as recorder:
         with fit_progress() as note:
-            rows = disturbed_rows(examined("random objects", try_disturbed, cases, config.jobs, note))
-        found = Findings((disturbed_table(f"{level:.0%} intervals for {parameter}", rows),))
+            rows = disturbed_rows(examined("random objects", try_disturbed, disturbed, config.jobs, note))
+            others = disturbed_rows(examined("cubes at two settings", try_setting, at_settings, config.jobs, note))
+        tables = [disturbed_table(f"{level:.0%} intervals for {parameter}", rows)] if rows else []
+        if others:
+            tables.append(settings_table(f"{level:.0%} intervals that hold the theta found at another setting", others))
+        found = Findings(tuple(tables))
         show(found)
         recorder.write(Step((found,)))
     write_json(
@@ -48,19 +56,20 @@ def _run(config: DisturbedCoverageConfig, parameter: Parameter) -> None:
             "parameter": parameter,
             "level": level,
             "seed": seed,
-            "disturbances": [row_json(row) for row in rows],
+            "disturbances": [row_json(row) | {"errors": dataclasses.asdict(DISTURBED[row.name])} for row in rows],
+            **({"settings": [row_json(row) for row in others]} if settings else {}),
             "seconds": time.monotonic() - started,
         },
         config.output.json,
     )
 
 
-def names_of(only: str) -> list[str]:
-    """The disturbances whose names contain one of some parts, parted by commas; all for none."""
+def names_of(only: str, every: Sequence[str]) -> list[str]:
+    """Those whose names contain one of some parts, parted by commas; all for none."""
     parts = [part.strip() for part in only.split(",") if part.strip()]
-    names = [name for name in DISTURBED if not parts or any(part in name for part in parts)]
+    names = [name for name in every if not parts or any(part in name for part in parts)]
     if not names:
-        raise InputError(f"parts of {'; '.join(DISTURBED)}", only)
+        raise InputError(f"parts of {'; '.join(every)}", only)
     return names
 
 
@@ -74,8 +83,9 @@ def row_json(row: DisturbedRow) -> dict[str, object]:
         "width": row.width,
         "rms": row.rms,
         "verdicts": row.verdicts,
+        "reasons": {code: rate_json(rate) for code, rate in row.reasons.items()},
         "fit_seconds": row.seconds,
-    } | {"errors": dataclasses.asdict(DISTURBED[row.name])}
+    }
 
 
 def disturbed_table(title: str, rows: Sequence[DisturbedRow]) -> Table:
@@ -93,12 +103,38 @@ def disturbed_table(title: str, rows: Sequence[DisturbedRow]) -> Table:
             row.wrong.hits,
             _rate(row.caught),
             f"{row.alarms.rate:.4f}",
+            reasons_text(row),
         )
         for row in rows
     ]
     names: tuple[str, ...] = ("errors", "cases", "held", "95 % band", "2D", "3D", "width", "identified", "unidentified")
-    names += ("identified without the truth", "wrong tracks left out", "right ones left out")
+    names += ("identified without the truth", "wrong ones left out", "right ones left out", "reasons")
     return Table(lines, names, title)
+
+
+def settings_table(title: str, rows: Sequence[DisturbedRow]) -> Table:
+    """A line for each way in which two fits of a cube differ."""
+    lines = [
+        (
+            row.name,
+            row.covered.cases,
+            f"{row.covered.rate:.3f}",
+            "{:.3f} to {:.3f}".format(*row.covered.band),
+            f"{row.width:.3f}",
+            f"{row.rms:.3f}",
+            _rate(row.identified),
+            row.wrong.hits,
+            reasons_text(row),
+        )
+        for row in rows
+    ]
+    names = ("the other fit has", "cases", "held", "95 % band", "width", "rms difference", "identified")
+    return Table(lines, (*names, "identified without the other", "reasons"), title)
+
+
+def reasons_text(row: DisturbedRow) -> str:
+    """How often each reason was named."""
+    return ", ".join(f"{code} {rate.rate:.2f}" for code, rate in row.reasons.items())
 
 
 def _rate(rate: Rate) -> str:

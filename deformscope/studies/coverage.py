@@ -20,7 +20,7 @@ from scipy.stats import binom
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.pictures.figures import canvas, png_of
 from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation, calibrate
-from deformscope.stages.fit.estimate import Estimate, Verdict
+from deformscope.stages.fit.estimate import DoubtCode, Estimate, Verdict
 from deformscope.stages.msm.clusters import held_mask
 
 BOUNDS = (0.0, 0.99)
@@ -80,7 +80,7 @@ class Case:
 @dataclass(frozen=True, slots=True)
 class Outcome:
     """What came of one object. beta: its truth (of theta, where that is fitted); rank: mass of the posterior below it
-    seconds: processor time of the fit"""
+    seconds: processor time of the fit; codes: of the reasons to doubt it"""
 
     condition: str
     dim: int
@@ -92,6 +92,7 @@ class Outcome:
     rank: float
     verdict: Verdict
     seconds: float
+    codes: tuple[DoubtCode, ...] = ()
 
     @property
     def covered(self) -> bool:
@@ -219,6 +220,7 @@ def fitted(
         rank=found.inferred.posterior.rank(truth),
         verdict=estimate.verdict,
         seconds=time.process_time() - started,
+        codes=tuple(dict.fromkeys(one.code for one in estimate.reasons)),
     )
     return outcome, found
 

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import get_args
 
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation
-from deformscope.stages.fit.estimate import Parameter
+from deformscope.stages.fit.estimate import DoubtCode, Parameter
 from deformscope.studies.coverage import (
     BOUNDS,
     CANDIDATES,
@@ -77,6 +78,7 @@ DISTURBED: dict[str, Disturbance] = {
     "a held particle off by .3 cell": Disturbance(off=0.3),
     "motion, errors of each frame's own": Disturbance(frames=FRAMES),
     "motion, errors that frames share, over 2 cells": Disturbance(cells=2.0, frames=FRAMES, frames_share=True),
+    "motion, 10 % outliers": Disturbance(wrong=0.1, frames=FRAMES),
 }
 """By name."""
 
@@ -94,8 +96,8 @@ class DisturbedCase:
 
 @dataclass(frozen=True, slots=True)
 class DisturbedOutcome:
-    """What came of one object. disturbed, found: free particles whose track was made wrong or lost, and those that were
-    left out; both: how many are in both"""
+    """What came of one object. disturbed, found: particles whose track was made wrong or lost or whose held position
+    is off, and those that were left out; both: how many are in both"""
 
     outcome: Outcome
     disturbed: int = 0
@@ -118,7 +120,7 @@ def try_disturbed(case: DisturbedCase) -> DisturbedOutcome:
     outcome, found = fitted(case.name, truth, seen, options, one_motion=what.frames is not None)
     left_out = np.zeros(len(body.rest), dtype=bool)
     for one in found.left_out:
-        left_out[np.concatenate([one.lost, one.wrong])] = True
+        left_out[np.concatenate([one.lost, one.wrong, one.held])] = True
     counts = (int(np.count_nonzero(one)) for one in (errors.bad, left_out, errors.bad & left_out))
     return DisturbedOutcome(outcome, *counts)
 
@@ -130,7 +132,8 @@ def _model(parameter: Parameter, body: RandomBody) -> Model:
 
 
 class _Errors:
-    """The errors of one object, drawn once. bad: (K,) particles whose track is wrong or lost"""
+    """The errors of one object, drawn once. bad: (K,) particles whose track is wrong or lost, or whose held
+    position is off"""
 
     def __init__(self, what: Disturbance, body: RandomBody, sigma: float, rng: np.random.Generator) -> None:
         self.what, self.body, self.sigma, self.rng = what, body, sigma, rng
@@ -145,7 +148,9 @@ class _Errors:
         self.jump = SPACING_M * rng.uniform(*OUTLIERS, (count, 1)) * _directions(rng, count, d)
         self.until = rng.uniform(*LOST, (count, 1))
         self.off = np.zeros((count, d))
-        self.off[rng.choice(body.held)] = SPACING_M * what.off * _directions(rng, 1, d)[0]
+        misheld = rng.choice(body.held)
+        self.off[misheld] = SPACING_M * what.off * _directions(rng, 1, d)[0]
+        self.bad[misheld] = what.off > 0.0
 
     def _noise(self) -> FloatArray:
         what, rng, rest = self.what, self.rng, self.body.rest
@@ -183,6 +188,7 @@ class DisturbedRow:
     covered: truths within their intervals; by_dim: the same in the plane and in space; width: median of the intervals;
     rms: error of the value; identified, unidentified: verdicts; wrong: truths outside intervals that were called
     identified; caught: of disturbed particles, those left out; alarms: of the others, those left out; seconds: median
+    reasons: how often each reason to doubt the value was named
     """
 
     name: str
@@ -197,6 +203,7 @@ class DisturbedRow:
     alarms: Rate
     seconds: float
     verdicts: dict[str, int] = field(default_factory=dict)
+    reasons: dict[DoubtCode, Rate] = field(default_factory=dict)
 
 
 def disturbed_rows(outcomes: Sequence[DisturbedOutcome]) -> list[DisturbedRow]:
@@ -223,6 +230,11 @@ def disturbed_rows(outcomes: Sequence[DisturbedOutcome]) -> list[DisturbedRow]:
                 alarms=Rate(others, sum(one.found for one in mine) - both),
                 seconds=float(np.median([one.seconds for one in every])),
                 verdicts={verdict: called.count(verdict) for verdict in sorted(set(called))},
+                reasons={
+                    code: Rate(len(every), sum(code in one.codes for one in every))
+                    for code in get_args(DoubtCode)
+                    if any(code in one.codes for one in every)
+                },
             )
         )
     return rows

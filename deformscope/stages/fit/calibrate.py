@@ -41,7 +41,7 @@ from deformscope.stages.fit.force import stiffness_interval
 from deformscope.stages.fit.inference import Inference, Inferred
 from deformscope.stages.fit.misheld import correct_held, held_off
 from deformscope.stages.fit.model import FitOptions, Model, Observation
-from deformscope.stages.fit.outliers import LeftOut, without_outliers
+from deformscope.stages.fit.outliers import LeftOut, left_out_json, without_outliers
 from deformscope.stages.fit.search import Progress, Search
 from deformscope.stages.fit.shared_errors import for_posterior, together
 from deformscope.stages.fit.two_materials import FittedBody, two_materials
@@ -60,13 +60,13 @@ TURNED = 5
 class Calibration:
     """An estimate, the simulation at it of every observation that it rests on, and how sure of it one can be.
 
-    left_out: particles of each observation that were taken for no measurement; empty for the frames of a motion
+    left_out: particles of each observation that were taken for no measurement
     """
 
     estimate: Estimate
     comparisons: tuple[Comparison, ...]
     inferred: Inferred
-    left_out: tuple[LeftOut, ...] = ()
+    left_out: tuple[LeftOut, ...]
 
 
 def calibrate(
@@ -99,17 +99,14 @@ def calibrate(
     else:
         used["stopped"] = fit.descend(progress)
         drawn = fit.tried.parameter.copy()
-    left_out: tuple[LeftOut, ...] = ()
     stated = seen
-    if not one_motion:  # a motion's frames are the tracker's to judge
-        left_out = without_outliers(fit)
-        if pace is None:
-            with threadpool_limits(1):
-                off = correct_held(fit, options.candidates, options.seed)
-            left_out = tuple(replace(one, held=which) for one, which in zip(left_out, off, strict=True))
-        stated, seen = seen, fit.seen
-        if any(one.count for one in left_out):
-            used["left_out"] = [one.as_json() for one in left_out]
+    fit.seen, left_out = without_outliers(stated, [body.scale for body in fit.bodies], fit.fitted)
+    if not one_motion and pace is None:
+        with threadpool_limits(1):
+            off = correct_held(fit, options.candidates, options.seed)
+        left_out = tuple(replace(one, held=which) for one, which in zip(left_out, off, strict=True))
+    seen = fit.seen
+    used |= left_out_json(left_out)
     judged: Search = fit
     if one_motion:
         found = together(fit, options.seed)

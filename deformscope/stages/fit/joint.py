@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -33,6 +34,7 @@ from deformscope.stages.fit.force import stiffness_interval
 from deformscope.stages.fit.inference import Inferred, white_noise
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.noise import few
+from deformscope.stages.fit.outliers import LeftOut, left_out_json, without_outliers
 from deformscope.stages.fit.residuals import DROP, Explanation, Residuals
 from deformscope.stages.fit.search import Progress, beta_of
 from deformscope.stages.fit.two_materials import FittedBody, two_materials
@@ -112,14 +114,25 @@ def calibrate_both(
     if options.model.volume != "project":
         raise InputError("volume conserved by projection for beta and theta together", options.model.volume)
     with threadpool_limits(1):
-        return _Joint(seen, options).run(progress)
+        spacing = [options.model.body(one).scale for one in seen]
+        seen, left_out = without_outliers(seen, spacing, partial(_fitted, options))
+        return _Joint(seen, options, left_out).run(progress)
+
+
+def _fitted(options: JointOptions, seen: Sequence[Observation]) -> list[FloatArray]:
+    """Positions (K, d) of each observation at the lowest error of all."""
+    joint = _Joint(seen, options)
+    grid = np.meshgrid(joint.shrink(np.linspace(*joint.ends, KNOTS[0])), np.linspace(*options.theta_bounds, KNOTS[1]))
+    joint.simulate(grid[0].ravel(), grid[1].ravel())
+    beta, theta, _ = joint.best()
+    return [state[0] for state in joint.simulate(np.array([beta]), np.array([theta]))]
 
 
 class _Joint:
     """The grid over both, and every error that was met."""
 
-    def __init__(self, seen: Sequence[Observation], options: JointOptions) -> None:
-        self.seen, self.options = list(seen), options
+    def __init__(self, seen: Sequence[Observation], options: JointOptions, left_out: Sequence[LeftOut] = ()) -> None:
+        self.seen, self.options, self.left_out = list(seen), options, left_out
         self.bodies = [options.model.body(one) for one in seen]
         rng = np.random.default_rng(options.seed)
         self.parts = [Residuals(one, body, rng) for one, body in zip(self.seen, self.bodies, strict=True)]
@@ -177,8 +190,7 @@ class _Joint:
     ) -> tuple[FloatArray, FloatArray, FloatArray, list[float]]:
         """The grid that resolves the posterior, its logarithm, and for each parameter by how many standard deviations
         it separates the likeliest value of the whole range from the least likely."""
-        low, high = (float(-np.log1p(-bound)) for bound in self.options.beta_bounds)
-        b, t, total = self.over((low, high), self.options.theta_bounds, explain=explain)
+        b, t, total = self.over(self.ends, self.options.theta_bounds, explain=explain)
         rise = [float(np.sqrt(2.0 * np.ptp(total.max(axis=axis)))) for axis in (1, 0)]
         for zoom in range(ZOOMS):
             if progress is not None:
@@ -274,6 +286,12 @@ class _Joint:
             bodies.append(FittedBody(part, group, compared.simulated, response, slope[None], changed))
         yield from two_materials(bodies, beta, bounds[1])
 
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Of -log(1 - beta)."""
+        low, high = self.options.beta_bounds
+        return float(-np.log1p(-low)), float(-np.log1p(-high))
+
     def shrink(self, stretched: FloatArray) -> FloatArray:
         return beta_of(stretched, self.options.beta_bounds)
 
@@ -336,6 +354,7 @@ class _Joint:
                 "volume": options.model.volume,
                 "noise": inferred.noise,
                 "seed": options.seed,
+                **left_out_json(self.left_out),
             },
             stiffness=k,
             metres_per_unit=self.seen[0].metres_per_unit,

@@ -162,6 +162,13 @@ class Search:
         """Algorithm 3: all candidates of the range in one run."""
         self.simulate(np.linspace(*self.bounds, count), progress, "sweeping")
 
+    def fitted(self, seen: Sequence[Observation]) -> list[FloatArray]:
+        """Positions (K, d) at the lowest error of these observations, of the same shapes and held positions."""
+        self.seen = list(seen)
+        self.refine()
+        best = self.best()
+        return [position[best] for position in self.tried.positions]
+
     def again(self, count: int) -> None:
         """Sweep and refine anew, as held positions have changed."""
         self.tried = Tried(positions=[np.empty((0, *s.rest.shape)) for s in self.seen])
