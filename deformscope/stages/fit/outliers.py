@@ -4,8 +4,8 @@ The value of the lowest average error is little moved by them (a mean of distanc
 of Gaussian errors is. So each particle is compared with its neighbours at that value: what a fit leaves there, noise
 apart, is smooth, whether it be a model's misfit, a shared error or a beta that is still off. A particle whose residual
 lies far outside theirs is left out as if it had not been seen, the fit closes in anew, and so on until none changes.
-The more there are, the nearer are those that are looked for, by the share of right ones among them; of clean Gaussian data
-hardly an observation loses a particle. What outliers are smaller stay in, where they count as noise.
+The more there are, the nearer are those that are looked for, by the share of right ones among them; of clean Gaussian
+data hardly an observation loses a particle. What outliers are smaller stay in, where they count as noise.
 """
 
 from __future__ import annotations

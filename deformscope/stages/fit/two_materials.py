@@ -1,6 +1,7 @@
 """Whether the residuals of a fit show that the parameter differs between two parts of the body.
 
-The body is split in several ways: across each of its axes, and into what is near to the push and what is far from it.
+The body is split in several ways: across each of its axes, into what is near to the push and what is far from it, and
+into a lump, at one of several places, and all else.
 For each split the residuals get one more term, a beta that is larger on one side and smaller on the other, beside the
 parameters that were fitted, and everything that they were explained by before (noise, its reach, misfit, prescribed
 positions that are off: `deformscope.stages.fit.noise`). Twice the logarithm of the likelihood that this gains is the
@@ -30,6 +31,9 @@ STEP = 0.2
 ROUNDS, SMALL_STEP = 5, 0.1
 """Newton's steps to the likeliest betas at most; one of this share of a standard deviation is the last."""
 
+LUMPS, LUMP = 8, 0.3
+"""Places of lumps that are tried, and the share of the clusters that each holds."""
+
 GAIN = 8.0
 """Twice the log likelihood that a second beta must gain."""
 
@@ -53,7 +57,7 @@ class BodySplit:
 
 
 def splits(seen: Observation, grouped: Clusters) -> list[BodySplit]:
-    """The ways in which one observation's clusters are split, each into halves of about as many."""
+    """The ways in which one observation's clusters are split: into halves of about as many, or a lump and the rest."""
     middles = np.array([seen.rest[row].mean(axis=0) for row in grouped])
     found = []
     for axis, name in enumerate("xyz"[: seen.rest.shape[1]]):
@@ -66,7 +70,23 @@ def splits(seen: Observation, grouped: Clusters) -> list[BodySplit]:
         first = along < np.median(along) - 1e-9 * (1e-300 + np.ptp(along))
         if first.any() and not first.all():
             made.append(BodySplit(names, first))
-    return made
+    return made + _lumps(middles, made, seen.unit)
+
+
+def _lumps(middles: FloatArray, others: Sequence[BodySplit], unit: str) -> list[BodySplit]:
+    """A share of the clusters, those nearest to one of some places that are far from each other."""
+    found: list[BodySplit] = []
+    away = np.linalg.norm(middles - middles.mean(axis=0), axis=1)
+    for _ in range(LUMPS):
+        centre = middles[int(away.argmax())]
+        apart = np.linalg.norm(middles - centre, axis=1)
+        away = np.minimum(away, apart)
+        first: BoolArray = apart <= np.quantile(apart, LUMP)
+        known = [one.first for one in (*others, *found)]
+        if not first.all() and not any(np.array_equal(first, one) or np.array_equal(~first, one) for one in known):
+            place = ", ".join(f"{value:.3g}" for value in centre)
+            found.append(BodySplit((f"around ({place}) {unit}", "elsewhere"), first))
+    return found
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from deformscope.arrays import BoolArray, FloatArray
-from deformscope.stages.fit.noise import MISFIT_ROUGH, SCALE_SPREAD, ErrorModel, Evidence, Measured, correlation
+from deformscope.stages.fit.noise import MISFIT_ROUGH, SCALE_SPREAD, ErrorModel, Evidence, Measured, correlation, few
 from tests.stages.bodies import lattice
 
 SPACING = 0.01
@@ -168,3 +168,19 @@ def test_a_field_that_all_share_tells_nothing_of_what_follows_the_held_ones() ->
     long = (every.length == 5.0) & (every.size > 50.0) & (every.size < 200.0)
     shared, alone = (found.log_likelihood[long & kind, 0].max() for kind in (every.shared, ~every.shared))
     assert shared > alone + 1.0
+
+
+@pytest.mark.parametrize("held", [None, False])
+def test_sums_of_residuals_are_judged_as_residuals(held: bool | None) -> None:
+    """And so are the fewer that they are made of."""
+    rng = np.random.default_rng(10)
+    model, act = ErrorModel(measured((3, 3), held=held)), response(9)
+    mix = rng.normal(0.0, 1.0, (6, 5))
+    residual = 1e-4 * np.tensordot(rng.normal(0.0, 1.0, (5, 3)), rng.normal(0.0, 1.0, (3, 9, 2)), 1)
+    expected = model.evidence(np.tensordot(mix, residual, 1), act)
+    fewer, shares = few(residual, mix)
+    assert len(fewer) == 3
+    for some, by in ((residual, mix), (fewer, shares)):
+        found = model.evidence(some, act, mix=by)
+        np.testing.assert_allclose(found.log_likelihood, expected.log_likelihood, rtol=1e-8, atol=1e-6)
+        np.testing.assert_allclose(found.log_scale, expected.log_scale, atol=1e-8)

@@ -1,0 +1,56 @@
+"""Held particles that are off are found by what they do to the free ones, and put where these show them to be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("warp")
+
+from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation, calibrate
+from tests.stages.bodies import SPACING_M, pushed
+
+NOISE = 1e-4
+BETA = 0.6
+
+
+def fit(off: float, *, noise: float | None = NOISE, held_measured: bool | None = None) -> tuple[Calibration, int]:
+    """A body one of whose held particles is so many spacings from where it is said to be, and which."""
+    rng = np.random.default_rng(4)
+    body = pushed((6, 7), rng)
+    count = len(body.rest)
+    lattice_of = {"shape": body.shape, "cell": np.arange(count), "held_measured": held_measured}
+    every = np.ones(count, dtype=bool)
+    still = Observation(body.rest, body.rest, body.held, every, **lattice_of)  # type: ignore[arg-type]
+    model = Model(cluster_size=3)
+    deformed = model.body(still).relax(body.held_position, BETA).position[0] + rng.normal(0.0, NOISE, body.rest.shape)
+    misheld = int(body.held[2])
+    deformed[misheld] += off * SPACING_M * np.array([0.6, -0.8])
+    stated = None if noise is None else np.full(count, noise)
+    seen = Observation(body.rest, deformed, body.held, every, noise=stated, **lattice_of)  # type: ignore[arg-type]
+    return calibrate([seen], FitOptions(model, candidates=30)), misheld
+
+
+@pytest.mark.parametrize(("noise", "held_measured"), [(NOISE, None), (None, None), (NOISE, False)])
+def test_a_held_particle_that_is_off_is_named_and_put_right(noise: float | None, held_measured: bool | None) -> None:
+    found, misheld = fit(0.3, noise=noise, held_measured=held_measured)
+    assert found.left_out[0].held.tolist() == [misheld]
+    low, high = found.estimate.interval
+    assert low <= BETA <= high
+    assert high - low < 0.5
+    moved = found.comparisons[0].observed[misheld] - found.comparisons[0].rest[misheld]
+    np.testing.assert_allclose(moved, 0.0, atol=0.1 * SPACING_M)
+    assert not found.comparisons[0].seen[misheld]
+    (reason,) = [one for one in found.estimate.reasons if one.code == "held-off"]
+    assert f"held particle {misheld} seems to be 0.003 m" in reason.text
+    assert reason.allows is None
+    assert found.estimate.as_json()["settings"]["left_out"] == [  # type: ignore[index]
+        {"lost": [], "wrong": [], "held": [misheld]}
+    ]
+
+
+def test_right_held_particles_stay() -> None:
+    found, _ = fit(0.0)
+    assert not found.left_out[0].count
+    assert found.estimate.reasons == ()
+    assert "left_out" not in found.estimate.settings
