@@ -36,7 +36,7 @@ from deformscope.stages.poke.contact import ArmCompliance, ContactFit, fit_appro
 from deformscope.stages.regions.posterior import RegionMap, RegionPosterior
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 from deformscope.stages.see.cloud import tactile_points
-from deformscope_drivers.jaco.kinematics import CHAINS
+from deformscope_drivers.jaco.chains import CHAINS
 
 StageResult = TypeVar("StageResult")
 Result = SurfaceEstimate | TouchEstimate | MapEstimate | PlannedTouch | StageFailure

@@ -26,7 +26,8 @@ from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, Touc
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.cloud import Box, Intrinsics, Perceived, perceive
-from deformscope_drivers.jaco.kinematics import CHAINS, Chain
+from deformscope_drivers.arm.kinematics import Chain
+from deformscope_drivers.jaco.chains import CHAINS
 
 LINK_MARGIN_M, STICK_MARGIN_M = 0.012, 0.005
 """What is taken away around the arm's links, whose shape is rough, and around stick and ball: there four deviations of

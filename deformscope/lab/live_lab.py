@@ -30,13 +30,14 @@ from deformscope.robot.placement import Placement, best_joints
 from deformscope.robot.robot import sleep_until
 from deformscope.robot.setup import Truth
 from deformscope.robot.shape import arm_shape
+from deformscope_drivers.arm.kinematics import Chain, FloatArray
 from deformscope_drivers.clock import monotonic_ns
 from deformscope_drivers.depth_camera import SyntheticDepthCamera, View
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.jaco import Jaco, JacoDouble
-from deformscope_drivers.jaco.kinematics import CHAINS, Chain, FloatArray
+from deformscope_drivers.jaco.chains import CHAINS
 from deformscope_drivers.optoforce.double import OMD_20_SE_40N, OptoforceDouble, Sensors
 from deformscope_drivers.optoforce.sensitivity import Sensitivity
 from deformscope_drivers.wires import PtyWire

@@ -24,7 +24,7 @@ from deformscope.robot.shape import arm_shape
 from deformscope_drivers.depth_camera import View
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
 from deformscope_drivers.device import Device
-from deformscope_drivers.jaco.kinematics import J2N6S300
+from deformscope_drivers.jaco.chains import J2N6S300
 from deformscope_drivers.memory import SimulatedClock
 
 CAMERA_HZ = 10.0

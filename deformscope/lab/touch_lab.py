@@ -20,12 +20,13 @@ from deformscope.lab.arm_contact import ARM_CYCLE_NS, ARM_STIFFNESS_N_M, ArmCont
 from deformscope.rig.rig_file import Tool
 from deformscope.robot.placement import Placement
 from deformscope.robot.setup import T_BASE_SURFACE
+from deformscope_drivers.arm.kinematics import FloatArray, damped_joint_rates, jacobian_of
 from deformscope_drivers.depth_camera import SyntheticDepthCamera
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig, View
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.jaco import Jaco, JacoConfig, JacoDouble
-from deformscope_drivers.jaco.kinematics import CHAINS, FloatArray, damped_joint_rates, jacobian_of
+from deformscope_drivers.jaco.chains import CHAINS
 from deformscope_drivers.jaco.structures import AngularInfo, PositionType, actuator_values
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.optoforce import Optoforce, OptoforceConfig

@@ -12,9 +12,9 @@ import numpy.typing as npt
 
 from deformscope.robot.placement import TURNED_RAD, best_joints, follow, towards
 from deformscope.robot.readings import ForceSample, RobotObservation
+from deformscope_drivers.arm.kinematics import FloatArray, pose_error
 from deformscope_drivers.device import Device
 from deformscope_drivers.health import Link
-from deformscope_drivers.jaco.kinematics import FloatArray, pose_error
 
 if TYPE_CHECKING:
     from deformscope.robot.robot import Robot

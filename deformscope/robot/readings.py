@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deformscope_drivers.jaco.kinematics import FloatArray
+from deformscope_drivers.arm.kinematics import FloatArray
 from deformscope_drivers.jaco.state import JacoState
 
 if TYPE_CHECKING:

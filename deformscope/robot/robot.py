@@ -21,6 +21,7 @@ from deformscope.robot.placement import Placement
 from deformscope.robot.preflight import Preflight
 from deformscope.robot.readings import PERIOD_NS, ArmSample, CameraSample, ForceSample, RobotObservation
 from deformscope.robot.supervisor import Action, Fault, Limits, SafetyVerdict, Supervisor
+from deformscope_drivers.arm.kinematics import FloatArray, cross
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.depth_camera.image import DepthImage
 from deformscope_drivers.device import Device
@@ -29,7 +30,6 @@ from deformscope_drivers.health import Link
 from deformscope_drivers.images import fingerprint
 from deformscope_drivers.jaco import Jaco, JacoState, JointVelocity
 from deformscope_drivers.jaco.commands import joint_limits_deg_s
-from deformscope_drivers.jaco.kinematics import FloatArray, cross
 from deformscope_drivers.optoforce import Optoforce
 from deformscope_drivers.optoforce.measurement import ForceMeasurement
 

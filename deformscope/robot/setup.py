@@ -22,10 +22,10 @@ from deformscope.robot.advice import advice
 from deformscope.robot.placement import Placement
 from deformscope.robot.robot import Robot, RobotStopped, Waits, Watch, sleep_until
 from deformscope.robot.supervisor import Limits
+from deformscope_drivers.arm.kinematics import FloatArray, transform
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
-from deformscope_drivers.jaco.kinematics import FloatArray, transform
 
 ROLES = ("jaco", "optoforce", "depth_camera")
 """Drivers of the arm, of the force sensor at its end, and of the camera."""

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from deformscope.capsule import Capsule
 from deformscope.robot.placement import Placement
-from deformscope_drivers.jaco.kinematics import Chain, FloatArray
+from deformscope_drivers.arm.kinematics import Chain, FloatArray
 
 LINK_RADIUS_M = 0.045
 """Radius of the capsules that stand for the arm's links [m]. Chosen."""

@@ -16,7 +16,7 @@ import numpy as np
 from deformscope.errors import InputError
 from deformscope.rig.rig_file import Workspace
 from deformscope.robot.readings import ArmSample, CameraSample, ForceSample, RobotObservation
-from deformscope_drivers.jaco.kinematics import Chain, FloatArray, rotation_vector
+from deformscope_drivers.arm.kinematics import Chain, FloatArray, rotation_vector
 
 
 class Action(StrEnum):

@@ -25,7 +25,7 @@ from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
 from deformscope.robot.robot import Robot, RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Action, Fault
 from deformscope.robot.travel import NotThere, to_above
-from deformscope_drivers.jaco.kinematics import FloatArray
+from deformscope_drivers.arm.kinematics import FloatArray
 
 PERIOD_S = 0.01
 """A control period: the Jaco takes one velocity in each (Kinova's library, `readings.PERIOD_NS`)."""

@@ -25,7 +25,7 @@ from deformscope.robot.shape import arm_shape
 from deformscope_drivers.depth_camera import View
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
 from deformscope_drivers.device import Device
-from deformscope_drivers.jaco.kinematics import CHAINS
+from deformscope_drivers.jaco.chains import CHAINS
 from deformscope_drivers.memory import SimulatedClock
 from deformscope_drivers.optoforce.double import OMD_20_SE_40N
 

@@ -18,7 +18,7 @@ from deformscope.rig.rig_file import Workspace
 from deformscope.robot.setup import CameraView, Setup
 from deformscope.robot.shape import arm_shape
 from deformscope.studies.fault_study import FaultScene, make_scene
-from deformscope_drivers.jaco.kinematics import J2N6S300
+from deformscope_drivers.jaco.chains import J2N6S300
 
 UP = np.array([0.0, 0.0, 1.0])
 

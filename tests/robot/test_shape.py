@@ -10,7 +10,8 @@ import pytest
 from deformscope.rig.rig_file import Tool
 from deformscope.robot.placement import Placement
 from deformscope.robot.shape import LINK_RADIUS_M, arm_shape
-from deformscope_drivers.jaco.kinematics import J2N6S300, rotation_from_rpy, transform
+from deformscope_drivers.arm.kinematics import rotation_from_rpy, transform
+from deformscope_drivers.jaco.chains import J2N6S300
 
 T_BASE_SURFACE = transform(rotation_from_rpy(0.1, -0.2, 2.0), (0.3, -0.5, 0.04))
 PLACEMENT = Placement(T_BASE_SURFACE, Tool(radius_m=0.012, stick_radius_m=0.009))
