@@ -32,6 +32,7 @@ from deformscope.session import Inline, Moment, Step
 from deformscope.stages.map.exploration import ExplorationStop, PhaseStart
 from deformscope.stages.map.measured import LookFrames, TouchFrames
 from deformscope.stages.regions.touches import MapGrid
+from deformscope_drivers.arms import PLACED
 from deformscope_drivers.depth_camera.image import DepthImage
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.subscription import Subscription
@@ -231,7 +232,7 @@ class TouchingRobot:
         """The outermost places that can be reached."""
         grid = MapGrid(self._setup.size_m, PREFLIGHT_CELL_M)
         robot = self._robot
-        allowed = self.geometry.reachable(grid, self._options, robot.arm.chain, robot.pose.joints_deg)
+        allowed = self.geometry.reachable(grid, self._options, robot.chain, robot.pose.joints_deg)
         places = grid.centres_m[allowed.ravel()]
         if not len(places):
             raise InputError("a surface that the arm reaches", "none of it", "move the arm, or the surface")
@@ -264,7 +265,8 @@ class TouchingRobot:
             focal_px, center_px = (reported.fx_px, reported.fy_px), (reported.cx_px, reported.cy_px)
         check_center(center_px, pictures[-1].depth.shape)
         arm, _, name = self._setup.names
-        model = self._robot.arm.chain.name
+        chain = self._robot.chain
+        model = PLACED if chain is None else chain.name
         used = LookFrames(name, _times_ns(pictures), arm, pose.time_ns, model, focal_px, center_px)
         return Looked(used, FrameData(_depths_m(pictures), {pose.time_ns: pose}, {}))
 

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from deformscope.arrays import IntArray
 from deformscope.errors import InputError
+from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import Rig, RigDevice, Workspace
 from deformscope.rig.source import RigMember, RigSource
 from deformscope.robot.advice import advice
@@ -27,8 +28,8 @@ from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
 
-ROLES = ("jaco", "optoforce", "depth_camera")
-"""Drivers of the arm, of the force sensor at its end, and of the camera."""
+ROLES = ("arm", "wrench", "depth")
+"""Kinds of the arm, of the force sensor at its end, and of the camera."""
 CAMERA_HZ = 30.0
 """What depth cameras do (OpenNI2, RealSense), where the rig file asks for no other rate."""
 FEWEST_PERIODS = 1.5
@@ -198,7 +199,7 @@ class RigParts:
 
     @classmethod
     def of(cls, rig: Rig) -> RigParts:
-        devices = tuple(_only(rig, driver) for driver in ROLES)
+        devices = tuple(_only(rig, kind) for kind in ROLES)
         force = devices[1]
         if not force.double and not force.config.sensitivities:
             raise InputError("its sensitivity, for forces in newtons", "none", "the sensor's report", force.name)
@@ -276,14 +277,15 @@ def _check_rates(rig: Rig, devices: tuple[RigDevice, ...]) -> None:
             raise InputError(least, f"{hz:g}", "a higher rate, or a longer ..._silent_s in [workspace]", rig.name)
 
 
-def _only(rig: Rig, driver: str) -> RigDevice:
+def _only(rig: Rig, kind: str) -> RigDevice:
     """The device of a rig that plays a part."""
-    found = [entry for entry in rig.devices if entry.driver.name == driver]
-    if driver == "depth_camera" and rig.camera.device:
+    found = [entry for entry in rig.devices if entry.driver.kind == kind]
+    if kind == "depth" and rig.camera.device:
         found = [entry for entry in found if entry.name == rig.camera.device]
     if len(found) != 1:
         came = "none" if not found else ", ".join(entry.name for entry in found)
-        raise InputError(f'one device with driver = "{driver}", to explore with', came, "the rig file", rig.name)
+        drivers = " or ".join(f'"{name}"' for name, driver in DRIVERS.items() if driver.kind == kind)
+        raise InputError(f"one device with driver = {drivers}, to explore with", came, "the rig file", rig.name)
     return found[0]
 
 

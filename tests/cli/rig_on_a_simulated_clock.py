@@ -95,8 +95,8 @@ class SimulatedTable:
 
     def _see(self, time_s: float) -> View:
         moved = self._world.displaced_m(self.view.places_m) if self._world.pressed[2] > 0.0 else None
-        arm, center = self.lab.arm_double, self.lab.contact.center_m
-        exact = self.view.render(moved, arm_shape(self._placement, arm.chain, arm.joints_deg, center))
+        links, center = self.lab.arm_double.T_base_links, self.lab.contact.center_m
+        exact = self.view.render(moved, arm_shape(self._placement, links, center))
         return View(exact.depth_m, exact.color)
 
 

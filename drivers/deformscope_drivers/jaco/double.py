@@ -180,6 +180,13 @@ class JacoDouble:
             return self._arm.joints_deg.copy()
 
     @property
+    def T_base_links(self) -> FloatArray:
+        """Where every joint's link and, last, the end effector are now, (n + 1, 4, 4) [m]."""
+        with self._lock:
+            self._live()
+            return np.array(self._arm.links)
+
+    @property
     def T_base_end_effector(self) -> FloatArray:
         """Where the end effector is now, (4, 4) [m]."""
         with self._lock:
