@@ -22,6 +22,7 @@ from deformscope.experiments.measured import UPRIGHT, FrameData, Looked, SetupGe
 from deformscope.experiments.options import ExploreOptions
 from deformscope.rig.source import RigSource
 from deformscope.robot.advice import advice
+from deformscope.robot.by_hand import touch_by_hand
 from deformscope.robot.preflight import Preflight, check
 from deformscope.robot.readings import ArmSample
 from deformscope.robot.robot import Robot, RobotStopped, Watch
@@ -32,9 +33,9 @@ from deformscope.session import Inline, Moment, Step
 from deformscope.stages.map.exploration import ExplorationStop, PhaseStart
 from deformscope.stages.map.measured import LookFrames, TouchFrames
 from deformscope.stages.regions.touches import MapGrid
-from deformscope_drivers.arms import PLACED
 from deformscope_drivers.depth_camera.image import DepthImage
 from deformscope_drivers.errors import DeviceError
+from deformscope_drivers.placed.config import PLACED
 from deformscope_drivers.subscription import Subscription
 
 DENT_PICTURES = 10
@@ -282,7 +283,12 @@ class TouchingRobot:
             return True
 
         with self._stopping(), contextlib.ExitStack() as self._dwelling:
-            record = run_touch(robot, plan, still, self._begin)
+            person = self._setup.person
+            record = (
+                run_touch(robot, plan, still, self._begin)
+                if person is None
+                else touch_by_hand(robot, plan, person, still, self._begin)
+            )
         self._phase = None
         verdict = robot.supervisor.verdict
         if verdict.action is not Action.GO_ON:

@@ -119,6 +119,6 @@ class SceneLab:
         moved = None
         if self._contact is not None and len(self._contact.node):
             moved = self._world.displaced_m(self._contact, self.view.places_m)
-        links = self.lab.arm_double.T_base_links
+        links = self.lab.body.T_base_links
         exact = self.view.render(moved, arm_shape(self.placement, links, self.lab.contact.center_m))
         return View(exact.depth_m, exact.color)  # the camera adds its own noise

@@ -20,6 +20,7 @@ from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import Rig, RigDevice, Workspace
 from deformscope.rig.source import RigMember, RigSource
 from deformscope.robot.advice import advice
+from deformscope.robot.by_hand import Person
 from deformscope.robot.placement import Placement
 from deformscope.robot.robot import Robot, RobotStopped, Waits, Watch, sleep_until
 from deformscope.robot.supervisor import Limits
@@ -73,6 +74,7 @@ class Setup:
     runs_itself: the devices have threads of their own and the host's clock, whatever is computed meanwhile
     zeroed: the force sensor's zero is taken as the devices open
     true_force_n: the largest true contact force so far [N], None where only the sensor can say
+    person: who places the arm, None = it moves by itself
     """
 
     size_m: tuple[float, float]
@@ -89,6 +91,7 @@ class Setup:
     runs_itself: bool = True
     zeroed: bool = False
     true_force_n: Callable[[], float] | None = None
+    person: Person | None = None
     clock: Clock = monotonic_ns
     wait_until: Waits = sleep_until
 
@@ -162,6 +165,9 @@ class SimulatedTable(SimulatedDevices, Protocol):
     @property
     def max_force_n(self) -> float: ...
 
+    @property
+    def person(self) -> Person | None: ...
+
 
 @contextmanager
 def open_rig(
@@ -218,11 +224,13 @@ def rig_setup(
     double: Callable[[RigDevice], AbstractContextManager[RigMember]],
     table: SimulatedTable | None = None,
     give: tuple[float, float] = (0.0, 0.0),
+    person: Person | None = None,
 ) -> Setup:
     """All devices of a rig file.
 
     double: makes a device of the rig that nothing is simulated around, or its double
     table: of a `[surface] scene`, over which arm, force sensor and camera are doubles
+    person: who places a real arm that does not move by itself
     give: compliance of a simulated arm and its deviation [m/N], where the rig file has none
     """
     rig, simulated = parts.rig, table is not None
@@ -257,6 +265,7 @@ def rig_setup(
         truth=None if table is None else table.truth,
         runs_itself=table is None or table.runs_itself,
         true_force_n=None if table is None else lambda: table.max_force_n,
+        person=person if table is None else table.person,
         clock=monotonic_ns if table is None else table.clock,
         wait_until=sleep_until if table is None else table.wait_until,
     )

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from deformscope_drivers.arm.kinematics import Chain
 from deformscope_drivers.jaco.chains import CHAINS as JACO
+from deformscope_drivers.placed.config import PLACED
 
-PLACED = "placed"
-"""Model of an arm that a person places: it has no joints that are known."""
 CHAINS: dict[str, Chain] = {**JACO}
 
 
