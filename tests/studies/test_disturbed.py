@@ -8,6 +8,7 @@ pytest.importorskip("warp")
 
 from deformscope.studies.coverage import Outcome
 from deformscope.studies.disturbed import DisturbedCase, DisturbedOutcome, disturbed_rows, try_disturbed
+from deformscope.studies.theta_settings import SIDES, try_setting
 
 
 def test_wrong_tracks_are_counted_against_those_left_out() -> None:
@@ -19,12 +20,29 @@ def test_wrong_tracks_are_counted_against_those_left_out() -> None:
     assert sum(one.disturbed for one in found) == row.caught.cases
 
 
+def test_a_held_particle_that_is_off_is_counted() -> None:
+    found = try_disturbed(DisturbedCase("a held particle off by .3 cell", 0, seed=1000))
+    assert (found.disturbed, found.found, found.both) == (1, 1, 1)
+    assert found.outcome.codes == ("held-off",)
+
+
+@pytest.mark.slow
+def test_theta_at_another_depth_is_compared_with_the_one_found_there() -> None:
+    found = try_setting(DisturbedCase("another depth", 1, 1000, "theta")).outcome
+    assert found.particles in [side**3 for side in SIDES]
+    assert abs(found.beta - found.value) < 0.1
+    assert "setting" in found.codes
+
+
 def test_rows_count_truths_and_verdicts() -> None:
     def outcome(low: float, high: float, dim: int) -> DisturbedOutcome:
-        return DisturbedOutcome(Outcome("a", dim, 3, 20, 0.5, low, (low, high), 0.5, "identified", 0.1), 2, 3, 1)
+        return DisturbedOutcome(
+            Outcome("a", dim, 3, 20, 0.5, low, (low, high), 0.5, "identified", 0.1, ("setting",)), 2, 3, 1
+        )
 
     (row,) = disturbed_rows([outcome(0.4, 0.6, 2), outcome(0.6, 0.7, 3)])
     assert (row.covered.hits, row.by_dim[2].hits, row.by_dim[3].hits) == (1, 1, 0)
     assert (row.wrong.cases, row.wrong.hits) == (2, 1)
     assert (row.caught.cases, row.caught.hits) == (4, 2)
+    assert (row.reasons["setting"].cases, row.reasons["setting"].hits) == (2, 2)
     assert (row.alarms.cases, row.alarms.hits) == (36, 4)

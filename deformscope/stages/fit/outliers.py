@@ -13,10 +13,10 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.special import logsumexp
 from scipy.stats import chi
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
@@ -47,7 +47,8 @@ ROUNDS = 5
 STOPPED = 0.8
 """A track counts as lost, not wrong, if its end lies on the way that the model expects, short of this share of it."""
 
-Kind = Literal["lost", "wrong"]
+BEHIND_GAIN, BEHIND_ROUNDS = 10.0, 50
+"""Twice the log likelihood that lost tracks must gain together where none of them stands out; rounds to their share."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +94,8 @@ def without_outliers(
             use = np.flatnonzero(one.free_observed)
             noise = None if one.noise is None else one.noise[use]
             now = np.zeros(len(one.rest), dtype=bool)
-            now[use] = outlying(one.rest[use], (one.deformed - position)[use], noise, LEAST * scale, bad[use])
+            way = (position - one.rest)[use]
+            now[use] = outlying(one.rest[use], (one.deformed - position)[use], noise, LEAST * scale, bad[use], way)
             found.append(now)
         if all(np.array_equal(a, b) for a, b in zip(off, found, strict=True)):
             break
@@ -109,12 +111,18 @@ def without_outliers(
 
 
 def outlying(
-    rest: FloatArray, residual: FloatArray, noise: FloatArray | None, floor: float, known: BoolArray | None = None
+    rest: FloatArray,
+    residual: FloatArray,
+    noise: FloatArray | None,
+    floor: float,
+    known: BoolArray | None = None,
+    way: FloatArray | None = None,
 ) -> BoolArray:
     """(n,) which residuals (n, d) of particles at rest (n, d) lie far outside those of their neighbours.
 
     noise: (n,) stated deviation of a coordinate, None if unknown; floor: least deviation; known: (n,) outliers that are
-    known already, with which no other particle is compared
+    known already, with which no other particle is compared; way: (n, d) that the model expects, on which lost tracks
+    stay behind
     """
     n, d = rest.shape
     none = np.zeros(n, dtype=bool)
@@ -138,7 +146,27 @@ def outlying(
     under = np.flatnonzero(chance[order] <= FALSE_ALARMS * np.arange(1, n + 1) / n)
     found = none.copy()
     found[order[: under[-1] + 1 if under.size else 0]] = True
+    if way is not None:
+        found[~found] = _behind((residual - middle)[~found], way[~found], SCALE_MARGIN * scale[~found])
     return none if found.mean() > SHARE_MOST else found
+
+
+def _behind(residual: FloatArray, way: FloatArray, scale: FloatArray) -> BoolArray:
+    """(n,) which residuals (n, d) are those of tracks that stay behind on their ways (n, d), too little by themselves.
+
+    A mixture: an unknown share of tracks does, from `STOPPED` of the way on down; scale: (n,) deviation of a coordinate
+    """
+    missing = np.linspace(1.0 - STOPPED, 1.0, 9)[:, None]
+    along, length = -np.sum(residual * way, axis=1), np.sum(way**2, axis=1)
+    log_ratio = logsumexp((missing * along - 0.5 * missing**2 * length) / scale**2, axis=0) - np.log(len(missing))
+    ratio = np.exp(np.minimum(log_ratio, 50.0))
+    share = 0.1
+    weight = np.zeros(len(residual))
+    for _ in range(BEHIND_ROUNDS):
+        weight = share * ratio / (1.0 - share + share * ratio)
+        share = float(np.mean(weight)) if len(weight) else 0.0
+    gain = 2.0 * float(np.sum(np.log1p(share * (ratio - 1.0))))
+    return np.asarray(weight > 0.5) if gain > BEHIND_GAIN else np.zeros(len(residual), dtype=bool)
 
 
 def _named(rest: FloatArray, deformed: FloatArray, expected: FloatArray, off: BoolArray) -> LeftOut:

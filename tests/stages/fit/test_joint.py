@@ -65,6 +65,19 @@ def test_noisy_data_give_sets_that_hold_both_and_a_density_of_mass_one() -> None
     assert np.shape(shown["posterior"]["density"]) == (len(beta), len(theta))  # type: ignore[index, call-overload]
 
 
+@pytest.mark.slow
+def test_a_wrong_track_is_left_out_and_named() -> None:
+    body = pushed((5, 5), np.random.default_rng(2))
+    deformed = truth(body, 0.7, 0.4)
+    free = np.setdiff1d(np.arange(25), body.held)
+    deformed[free[6]] += 0.004
+    found, _ = calibrate_both([observation(body, deformed)], JointOptions())
+    for one in (found.beta, found.theta):
+        assert one.settings["left_out"] == [{"lost": [], "wrong": [int(free[6])]}]
+    assert found.beta.value == pytest.approx(0.7, abs=2e-3)
+    assert found.theta.value == pytest.approx(0.4, abs=5e-3)
+
+
 def test_a_body_at_rest_tells_neither() -> None:
     rest = lattice((4, 5))
     body = Pushed(rest, (4, 5), np.arange(5), rest[:5])

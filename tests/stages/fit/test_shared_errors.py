@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import typing
 
 import numpy as np
@@ -138,6 +139,18 @@ def test_known_beta_without_noise() -> None:
     found = calibrate(one.seen, FIT, one_motion=True).estimate
     assert found.value == pytest.approx(0.62, abs=1e-3)
     assert len(found.settings["frame_values"]) == 3  # type: ignore[arg-type]
+
+
+def test_a_wrong_track_is_left_out_of_the_frames_that_it_is_in() -> None:
+    one = pulled(np.random.default_rng(7), "own", sigma=0.0, beta=0.62, frames=2)
+    seen = list(one.seen)
+    wrong = int(np.flatnonzero(seen[1].free_observed)[7])
+    deformed = seen[1].deformed.copy()
+    deformed[wrong] += 0.006
+    seen[1] = dataclasses.replace(seen[1], deformed=deformed)
+    found = calibrate(seen, FIT, one_motion=True)
+    assert [one.wrong.tolist() for one in found.left_out] == [[], [wrong]]
+    assert found.estimate.value == pytest.approx(0.62, abs=1e-3)
 
 
 @pytest.mark.slow
