@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from deformscope.arrays import BoolArray, FloatArray
+from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.distance import distances, explained_share, nearest_error, unexplained
 from deformscope.stages.fit.doubts import (
@@ -39,7 +39,7 @@ from deformscope.stages.fit.estimate import (
 )
 from deformscope.stages.fit.force import stiffness_interval
 from deformscope.stages.fit.inference import Inference, Inferred
-from deformscope.stages.fit.misheld import correct_held, held_off
+from deformscope.stages.fit.misheld import HELD_GAIN, correct_held, held_off
 from deformscope.stages.fit.model import FitOptions, Model, Observation
 from deformscope.stages.fit.outliers import LeftOut, left_out_json, without_outliers
 from deformscope.stages.fit.search import Progress, Search
@@ -99,11 +99,11 @@ def calibrate(
     else:
         used["stopped"] = fit.descend(progress)
         drawn = fit.tried.parameter.copy()
-    stated = seen
+    stated, either = seen, list[Doubt]()
     fit.seen, left_out = without_outliers(stated, [body.scale for body in fit.bodies], fit.fitted)
     if not one_motion and pace is None:
         with threadpool_limits(1):
-            off = correct_held(fit, options.candidates, options.seed)
+            fit, off, either = _put_held_right(fit, options)
         left_out = tuple(replace(one, held=which) for one, which in zip(left_out, off, strict=True))
     seen = fit.seen
     used |= left_out_json(left_out)
@@ -141,6 +141,7 @@ def calibrate(
     noise = ratio, inferred.noise
     numbers = found_in_numbers(model.parameter, value, ends, bounds, identified, converged=converged, noise=noise)
     shown = [*shape_doubts(seen), *(_in_residuals(judged, best, inference) if pace is None and converged else ())]
+    shown += either if "two-materials" not in (one.code for one in shown) else []
     here = [setting(seen, model, identified.misfit, inferred.noise)] if model.parameter == "theta" else []
     reasons = ordered([*numbers, *shown, *here, *held_off(seen, stated)])
     # frames of a motion carry no force
@@ -167,6 +168,25 @@ def calibrate(
         reasons=reasons,
     )
     return Calibration(estimate, comparisons, inferred, left_out)
+
+
+def _put_held_right(fit: Search, options: FitOptions) -> tuple[Search, tuple[IntArray, ...], list[Doubt]]:
+    """A search with the held particles that are off put right, which they are, and the doubt where two materials do as
+    well; the search as it was where two materials, or axes put right, explain the residuals better."""
+    as_stated = fit.only(np.arange(len(fit.seen)), fit.weight)
+    off = correct_held(fit, options.candidates, options.seed)
+    if not any(len(one) for one in off):
+        return fit, off, []
+    inference, best, right = Inference(as_stated, options.seed), as_stated.best(), fit.best()
+    left, count = 0.0, 0
+    for row, part in enumerate(inference.parts):
+        part.choose(as_stated.tried.positions[row][best][None], inference.response(row, best))
+        part.kept = part.chosen
+        left += float(fit.weight[row] * np.sum(part.left(fit.tried.positions[row][right]) ** 2))
+        count += part.observed.size
+    if list(_in_residuals(as_stated, best, inference, left)):
+        return as_stated, tuple(one[:0] for one in off), []
+    return fit, off, list(_two_betas(as_stated, best, inference, left * float(np.exp(HELD_GAIN / count))))
 
 
 def _settings(seen: Sequence[Observation], options: FitOptions) -> dict[str, object]:
@@ -222,10 +242,8 @@ def shape_doubts(seen: Sequence[Observation]) -> Iterator[Doubt]:
             return
 
 
-def _in_residuals(search: Search, best: int, inference: Inference) -> Iterator[Doubt]:
-    """What simulations with other axes, and with two betas, show of the residuals of the best."""
-    model = search.model
-    positions = [position[best] for position in search.tried.positions]
+def _in_residuals(search: Search, best: int, inference: Inference, rival: float = np.inf) -> Iterator[Doubt]:
+    """What simulations with other axes, and with two betas, show of the residuals of the best; see `two_materials`."""
     low, high = map(search.stretch, search.bounds)
     spread = search.shrink(np.linspace(low, high, TURNED))
     tried = np.append(spread, search.tried.parameter[best])
@@ -235,6 +253,13 @@ def _in_residuals(search: Search, best: int, inference: Inference) -> Iterator[D
         return [search.relax(body, shape[one.held], tried, None).settled for one, body, shape in each]
 
     yield from swapped_axes(search.seen, simulate, search.weight)
+    yield from _two_betas(search, best, inference, rival)
+
+
+def _two_betas(search: Search, best: int, inference: Inference, rival: float = np.inf) -> Iterator[Doubt]:
+    """What simulations with two betas show of them."""
+    model = search.model
+    positions = [position[best] for position in search.tried.positions]
     beta, _ = search.values(float(search.tried.parameter[best]))
     grouped = [model.grouping(one) for one in search.seen]
     if any(one.count < 2 for one in grouped):
@@ -253,7 +278,8 @@ def _in_residuals(search: Search, best: int, inference: Inference) -> Iterator[D
             zip(inference.parts, grouped, positions, search.weight, strict=True)
         )
     ]
-    yield from two_materials(bodies, float(beta), search.bounds[1] if model.parameter == "beta" else BETA_LIMIT)
+    top = search.bounds[1] if model.parameter == "beta" else BETA_LIMIT
+    yield from two_materials(bodies, float(beta), top, rival)
 
 
 def _states(search: Search, row: int, best: int, stretched: FloatArray) -> FloatArray:

@@ -23,7 +23,7 @@ from deformscope.stages.fit.noise import CORRELATIONS, NoiseHypotheses
 from deformscope.stages.fit.residuals import Residuals
 from deformscope.stages.fit.search import Search
 
-GAIN = 20.0
+HELD_GAIN = 20.0
 """Twice the log likelihood that a held particle's displacement must gain. Compared with 15 and 30 on tuning seeds
 (`deformscope.studies.seeds`), 240 bodies a kind of error: intervals held 0.92, 0.90 and 0.87 at 15, 20 and 30 where one
 of them was off by 0.3 spacings (0.84 without), and none was moved for noise, white or shared over 2 or 6 spacings."""
@@ -116,16 +116,16 @@ def _steps(
     def of(which: Sequence[int]) -> list[int]:
         return [1] + [2 + d * one + axis for one in which for axis in range(d)]
 
-    known = list(np.flatnonzero(off))
+    known = np.flatnonzero(off).tolist()
     before, multiple = fitted(of(known))
     if len(known) + 1 <= max(1, SHARE_MOST * k):
-        others = np.flatnonzero(~off)
+        others = np.flatnonzero(~off).tolist()
         each = [fitted(of([*known, one])) for one in others]
         first = int(np.argmax([value for value, _ in each]))
         value, moved = each[first]
-        if 2.0 * (value - before) > GAIN and np.linalg.norm(moved[-d:]) > LEAST * part.body.scale:
+        if 2.0 * (value - before) > HELD_GAIN and np.linalg.norm(moved[-d:]) > LEAST * part.body.scale:
             off[others[first]] = True
-            known, multiple = [*known, int(others[first])], moved
+            known, multiple = [*known, others[first]], moved
     if not known:
         return None
     step = np.zeros((k, d))

@@ -48,7 +48,9 @@ STOPPED = 0.8
 """A track counts as lost, not wrong, if its end lies on the way that the model expects, short of this share of it."""
 
 BEHIND_GAIN, BEHIND_ROUNDS = 10.0, 50
-"""Twice the log likelihood that lost tracks must gain together where none of them stands out; rounds to their share."""
+"""Twice the log likelihood that lost tracks must gain together where none of them stands out; rounds to their share.
+Compared with 5 and without on tuning seeds, 150 bodies: of lost tracks 68, 69 and 65 % were found, of wrong tracks and
+of white or shared noise as many as without."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,10 +87,8 @@ def without_outliers(
     """The observations without their outliers, and those by name. spacing: of each one's particles [unit]"""
     off = [np.zeros(len(one.rest), dtype=bool) for one in every]
     seen = list(every)
-    for last in range(ROUNDS, -1, -1):
-        positions = fitted(seen)
-        if not last:
-            break
+    positions = fitted(seen)
+    for _ in range(ROUNDS):
         found = []
         for one, position, bad, scale in zip(every, positions, off, spacing, strict=True):
             use = np.flatnonzero(one.free_observed)
@@ -104,6 +104,7 @@ def without_outliers(
             dataclasses.replace(one, observed=one.observed & ~bad) if bad.any() else one
             for one, bad in zip(every, off, strict=True)
         ]
+        positions = fitted(seen)
     named = (
         _named(one.rest, one.deformed, position, bad) for one, position, bad in zip(every, positions, off, strict=True)
     )

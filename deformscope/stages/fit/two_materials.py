@@ -34,15 +34,16 @@ ROUNDS, SMALL_STEP = 5, 0.1
 LUMPS, LUMP = 8, 0.3
 """Places of lumps that are tried, and the share of the clusters that each holds."""
 
-GAIN = 8.0
+GAIN = 6.0
 """Twice the log likelihood that a second beta must gain."""
 
 APART, LEFT = 0.05, 0.8
 """By how much the two betas must differ at least, and what share of the error (root mean square) they leave at most.
 
-These and `GAIN` were chosen on tuning seeds (`deformscope.studies.seeds`), 150 bodies a kind: together they are met by
-no body of one beta with noise that is independent or shared over a cell, by 1 % with noise shared over three, by 3 % of
-finite element bodies of one modulus, and by most bodies whose halves have betas of 0.2 and 0.8."""
+These and `GAIN`, the least of 6 to 18 that few bodies of one material meet, were chosen on tuning seeds
+(`deformscope.studies.seeds`), 100 bodies a kind: together they are met by no body of one beta with noise that is
+independent or shared over a cell, by 2 % with noise shared over three, by 3 % of finite element bodies of one modulus,
+by 71 % of bodies whose halves have betas of 0.2 and 0.8, and by 60 % of those with a lump."""
 
 DIFFERENCE = 1e-2
 """Of -log(1 - beta), for derivatives of the full fit."""
@@ -208,10 +209,11 @@ class FittedBody:
         return Local(self.part, self.part.left(self.position), self.response, fitted, each[:-1], self.weight)
 
 
-def two_materials(bodies: Sequence[FittedBody], beta: float, top: float) -> Iterator[Doubt]:
+def two_materials(bodies: Sequence[FittedBody], beta: float, top: float, rival: float = np.inf) -> Iterator[Doubt]:
     """Whether two betas explain what one, fitted to all bodies, does not.
 
-    beta: the one; top: the highest that is searched
+    beta: the one; top: the highest that is searched; rival: squared error [unit^2] of another explanation, which two
+    betas have to leave less than
     """
     every = [{way.names: way for way in splits(body.part.seen, body.grouped)} for body in bodies]
     names = [name for name in every[0] if all(name in one for one in every)]
@@ -248,7 +250,7 @@ def two_materials(bodies: Sequence[FittedBody], beta: float, top: float) -> Iter
     )
     low, high = -np.expm1(-found.at)
     share = float(np.sqrt(found.squares / alike.squares))
-    if abs(high - low) < APART or not share < LEFT:
+    if abs(high - low) < APART or not share < LEFT or found.squares >= rival:
         return
     text = (
         f"residuals show two materials or thicknesses: beta {low:.2g} {names[best][0]} and {high:.2g} {names[best][1]} "

@@ -26,7 +26,7 @@ from deformscope.stages.fit.doubts import (
 )
 from deformscope.stages.fit.estimate import Doubt, Estimate, Verdict, limited
 from deformscope.stages.fit.joint import JointOptions, calibrate_both
-from deformscope.stages.fit.two_materials import splits
+from deformscope.stages.fit.two_materials import LUMPS, splits
 from deformscope.stages.materials.anisotropy import fit_axes
 from deformscope.stages.materials.plasticity import YieldOptions, fit_yield
 from deformscope.stages.msm.materials import Plasticity
@@ -300,12 +300,15 @@ def test_yielding_names_two_materials() -> None:
     assert found.verdict == "unidentified"
 
 
-def test_splits_take_a_body_as_two_halves() -> None:
+def test_splits_take_a_body_as_two_halves_or_a_lump_and_the_rest() -> None:
     seen = seen_sheet(0.6)
     grouped = Model().grouping(seen)
     for way in splits(seen, grouped):
         assert 0.25 <= way.first.mean() <= 0.5
-    assert [way.names[0] for way in splits(seen, grouped)] == ["at low x", "at low y", "near the push"]
+    names = [way.names[0] for way in splits(seen, grouped)]
+    assert names[:3] == ["at low x", "at low y", "near the push"]
+    assert len(names) == 3 + LUMPS
+    assert all(name.startswith("around (0.0") for name in names[3:])
     assert all(a != b for a, b in pairwise(way.first.tobytes() for way in splits(seen, grouped)))
 
 
