@@ -252,7 +252,7 @@ def _in_residuals(search: Search, best: int, inference: Inference, rival: float 
         each = zip(search.seen, search.bodies, shapes, strict=True)
         return [search.relax(body, shape[one.held], tried, None).settled for one, body, shape in each]
 
-    yield from swapped_axes(search.seen, simulate, search.weight)
+    yield from swapped_axes(search.seen, simulate, search.weight, rival)
     yield from _two_betas(search, best, inference, rival)
 
 

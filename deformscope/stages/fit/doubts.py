@@ -234,11 +234,14 @@ def turns(dim: int) -> list[Turn]:
     return found[1:] if dim == 2 else found  # in the plane one sign is the other one turned, and all
 
 
-def swapped_axes(seen: Sequence[Observation], simulate: Simulate, weight: FloatArray | None = None) -> Iterator[Doubt]:
+def swapped_axes(
+    seen: Sequence[Observation], simulate: Simulate, weight: FloatArray | None = None, rival: float = np.inf
+) -> Iterator[Doubt]:
     """Whether displacements fit far better with their columns in another order, or of another sign; also as a share of
     the motion beyond a rigid one, since what is turned may be less than it was.
 
-    weight: of each observation, default 1
+    weight: of each observation, default 1; rival: squared error [unit^2] of another explanation, which other axes have
+    to leave less than
     """
     each = np.ones(len(seen)) if weight is None else weight
 
@@ -257,7 +260,7 @@ def swapped_axes(seen: Sequence[Observation], simulate: Simulate, weight: FloatA
     dim = seen[0].rest.shape[1]
     as_is, as_is_share = left(np.eye(dim))
     (least, share), words = min(((left(matrix), words) for words, matrix in turns(dim)), key=lambda one: one[0])
-    if least < SWAPPED * as_is and share < SWAPPED_SHARE * as_is_share:
+    if least < min(SWAPPED * as_is, rival) and share < SWAPPED_SHARE * as_is_share:
         explained = (
             f"{max(1.0 - share, 0.0):.0%} of the motion is explained, as it is {max(1.0 - as_is_share, 0.0):.0%}"
         )
