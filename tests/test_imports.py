@@ -45,7 +45,8 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "lab": ("arrays", "capsule", "errors", "processes", "rig", "robot"),
     "session": ("frames",),
     "rows": ("arrays", "frames", "images", "stages.map", "stages.squeeze"),
-    "recording": ("arrays", "errors", "frames", "images", "log", "rows", "session", *STAGES),
+    "page": ("errors",),
+    "recording": ("arrays", "errors", "frames", "images", "log", "page", "rows", "session", *STAGES),
     "files": ("arrays", "errors", "file_io", "frames", "images", "recording", *STAGES),
     "experiments": (
         *("arrays", "capsule", "errors", "files", "frames", "images", "processes", "recording", "rig", "robot"),
@@ -74,6 +75,7 @@ FORBIDDEN = {
     "deformscope.frames": ("rerun", "tyro", "rich"),
     "deformscope.pictures": ("rerun",),
     "deformscope.session": ("rerun",),
+    "deformscope.page": ("rerun", "tyro", "rich", "numpy"),
     "deformscope.experiments": ("rerun", "tyro"),
     "deformscope.robot": ("rerun", "tyro", "rich"),
     "deformscope.config": ("numpy", "rich", "rerun", "warp"),

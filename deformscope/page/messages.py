@@ -1,0 +1,156 @@
+"""What goes between the page's script and its server: JSON objects with a `kind`, all of one version.
+
+A page says `Hello` first. From then on it gets a `PageState` with every change, and a `CommandReply` to each command.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+
+VERSION = 1
+"""Of these messages. A page of another version is refused: it is to be loaded again."""
+LONGEST_MESSAGE = 16 << 10
+"""Bytes of a message from a page."""
+
+Phase = Literal["idle", "live", "recording", "exploring", "paused", "stopped"]
+Outcome = Literal["done", "begun", "refused"]
+Words = Annotated[str, msgspec.Meta(min_length=1, max_length=1000)]
+Name = Annotated[str, msgspec.Meta(min_length=1, max_length=100)]
+Number = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
+
+
+class FromPage(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
+    """id: which the reply will carry"""
+
+    id: Number
+
+
+class Hello(FromPage, frozen=True, tag="hello"):
+    """The first message. version: of the page's script; page: a name of its own, kept when it connects again"""
+
+    version: int
+    page: Name
+
+
+class TakeControls(FromPage, frozen=True, tag="take-controls"):
+    """From now on this page steers, and no other."""
+
+
+class StartRecording(FromPage, frozen=True, tag="start-recording"):
+    """Into a new file."""
+
+
+class StopRecording(FromPage, frozen=True, tag="stop-recording"):
+    """The file gets its name; the devices stay open."""
+
+
+class WriteNote(FromPage, frozen=True, tag="write-note"):
+    """Into the recording, at the time it came."""
+
+    text: Words
+
+
+class BeginEpisode(FromPage, frozen=True, tag="begin-episode"):
+    label: Words
+
+
+class EndEpisode(FromPage, frozen=True, tag="end-episode"): ...
+
+
+class TareDevice(FromPage, frozen=True, tag="tare"):
+    """Take the present load for zero."""
+
+    device: Name
+
+
+class StopRun(FromPage, frozen=True, tag="stop"):
+    """End what goes on. From any page, whoever has the controls."""
+
+
+PageCommand = (
+    TakeControls | StartRecording | StopRecording | WriteNote | BeginEpisode | EndEpisode | TareDevice | StopRun
+)
+
+
+class ToPage(msgspec.Struct, frozen=True, tag_field="kind"):
+    """What a page gets."""
+
+
+class CommandReply(ToPage, frozen=True, tag="reply"):
+    """To the command of this id. begun: what comes of it will be in the remarks of a later state; words: for people"""
+
+    id: int
+    outcome: Outcome
+    words: str = ""
+
+
+class DeviceState(msgspec.Struct, frozen=True):
+    """One device, as its health says. state: in a word; rate_hz: readings a second [1/s]; age_s: of the newest [s]"""
+
+    name: str
+    state: str
+    simulated: bool = False
+    rate_hz: float = 0.0
+    age_s: float | None = None
+    received: int = 0
+    lost: int = 0
+    dropped: int = 0
+    refused: int = 0
+    bad_bytes: int = 0
+    reconnects: int = 0
+    reason: str = ""
+
+
+class Remark(msgspec.Struct, frozen=True):
+    """Something that happened. number: from 1; at_s: since the page's server began [s]"""
+
+    number: int
+    at_s: float
+    words: str
+    bad: bool = False
+
+
+class PageState(ToPage, frozen=True, tag="state"):
+    """All that a page shows beside the viewer.
+
+    now_s: since the server began [s]; title: what is watched; reason: why it stopped
+    recording: the file; recorded_since_s: when it was begun, as now_s; free_minutes: until its disk is full at the
+    present pace; episode: label of the one that goes on
+    commands: what can be asked for at present, by kind; tares: devices that can be tared
+    controls: the page that steers; pages: how many there are
+    """
+
+    version: int = VERSION
+    now_s: float = 0.0
+    title: str = ""
+    phase: Phase = "idle"
+    reason: str = ""
+    devices: tuple[DeviceState, ...] = ()
+    recording: str = ""
+    recorded_since_s: float = 0.0
+    recorded_bytes: int = 0
+    free_minutes: float | None = None
+    episode: str = ""
+    commands: tuple[str, ...] = ()
+    tares: tuple[str, ...] = ()
+    remarks: tuple[Remark, ...] = ()
+    controls: str = ""
+    pages: int = 0
+
+
+class Drawn(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """From the page, over the way of the viewer's data: all up to this batch was drawn."""
+
+    batch: Number
+
+
+class PieceBatch(msgspec.Struct, frozen=True):
+    """To the page, after the pieces of a batch. behind_s: age of what was drawn when this was sent; skipped: pieces so
+    far that were too old to be sent"""
+
+    batch: int
+    last: int
+    behind_s: float | None
+    skipped: int

@@ -1,0 +1,110 @@
+"""All pages see one state; one of them steers; every command is answered at once, whatever it does."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from deformscope.page.desk import NEXT, Desk
+from deformscope.page.messages import Outcome, PageCommand, TareDevice, WriteNote
+from deformscope.page.server import PageServer
+from tests.page.pages import at_desk
+
+
+class Notebook:
+    """What goes on: notes and tares."""
+
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+
+    def obey(self, command: PageCommand) -> tuple[Outcome, str]:
+        match command:
+            case WriteNote():
+                self.notes.append(command.text)
+                return "done", "noted"
+            case TareDevice():
+                raise RuntimeError("the sensor\nmoves")
+            case _:
+                return "done", "stopped"
+
+
+@pytest.fixture
+def page() -> Iterator[PageServer]:
+    with PageServer("bench") as server:
+        server.desk.enter("live", commands=("write-note", "tare", "stop"))
+        yield server
+
+
+def test_two_pages_see_the_same_and_one_steers(page: PageServer) -> None:
+    notebook = Notebook()
+    page.desk.attend(notebook)
+    with at_desk(page, "a") as first, at_desk(page, "b") as second:
+        for one in (first, second):
+            state = one.until(lambda state: state["pages"] == 2)
+            assert (state["title"], state["phase"], state["controls"]) == ("bench", "live", "a")
+        assert first.command("write-note", text="touched") == ("done", "noted")
+        assert second.command("write-note", text="no") == (
+            "refused",
+            "another page has the controls: take them over first",
+        )
+        assert second.command("take-controls")[0] == "done"
+        assert first.until(lambda state: state["controls"] == "b")
+        assert first.command("write-note", text="no")[0] == "refused"
+        assert second.command("write-note", text="again") == ("done", "noted")
+        assert first.command("stop") == ("done", "stopped")  # from any page
+        assert notebook.notes == ["touched", "again"]
+    with at_desk(page, "c") as third:  # both are gone: whoever comes steers
+        assert third.until(lambda state: state["controls"] == "c")["pages"] == 1
+
+
+def test_what_a_command_cannot_do_is_said(page: PageServer) -> None:
+    with at_desk(page, "a") as one:
+        assert one.command("write-note", text="x")[0] == "refused"  # nothing attends yet
+        page.desk.attend(Notebook())
+        assert one.command("tare", device="tip") == ("refused", "the sensor moves")
+        assert one.command("start-recording") == (
+            "refused",
+            "no start-recording while it is live; possible: write-note, tare, stop",
+        )
+        page.desk.enter("stopped", "by Ctrl-C")
+        assert one.until(lambda state: state["phase"] == "stopped")["commands"] == []
+        assert one.command("write-note", text="x") == ("refused", "it has stopped: by Ctrl-C")
+
+
+def test_answers_come_at_once(page: PageServer) -> None:
+    """Also while the state changes all the time; the median of many, as others have the machine too."""
+    page.desk.attend(Notebook())
+    with at_desk(page, "a") as one:
+        took = []
+        for number in range(50):
+            page.desk.remark(f"number {number}")
+            began = time.monotonic()
+            one.command("write-note", text="x")
+            took.append(time.monotonic() - began)
+    assert sorted(took)[len(took) // 2] < 0.1
+
+
+def test_no_phase_follows_that_may_not() -> None:
+    for phase, following in NEXT.items():
+        for other in NEXT:
+            desk = Desk()
+            way = {"idle": [], "paused": ["exploring", "paused"]}.get(phase, [phase])
+            for step in way:
+                desk.enter(step)  # type: ignore[arg-type]
+            if other in following or other == phase:
+                desk.enter(other)
+                assert desk.state.phase == other
+            else:
+                with pytest.raises(ValueError, match="does not follow"):
+                    desk.enter(other)
+
+
+def test_remarks_are_the_newest() -> None:
+    desk = Desk()
+    for number in range(1000):
+        desk.remark(f"number {number}", bad=number == 999)
+    remarks = desk.state.remarks
+    assert len(remarks) == 50
+    assert (remarks[-1].number, remarks[-1].words, remarks[-1].bad) == (1000, "number 999", True)
