@@ -34,6 +34,7 @@ from deformscope.frames import (
     InputFile,
     LinkChange,
     RawBytes,
+    SessionNote,
     TactileFrame,
     WrenchFrame,
 )
@@ -100,6 +101,7 @@ ENTITIES: dict[type, str] = {
     TrackedContainer: "squeeze/container",
     ContentPosterior: "squeeze/content",
     HealthReport: "health",
+    SessionNote: "note",
     InputFile: "input",
 }
 """Where each kind stands in a recording."""

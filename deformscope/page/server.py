@@ -15,6 +15,7 @@ import logging
 import secrets
 import socket
 import threading
+import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from contextlib import asynccontextmanager, contextmanager, suppress
 from importlib import resources
@@ -109,6 +110,8 @@ class PageServer:
     def close(self) -> None:
         """Serve no longer."""
         if self._server is not None and self._thread is not None:
+            if self._desks:
+                time.sleep(2 * STATE_EVERY_S)  # they get the last state: why it stopped
             self._server.should_exit = True
             self._thread.join(STOP_S)
             self._server = None

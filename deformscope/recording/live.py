@@ -126,7 +126,7 @@ def page_stream(
     from deformscope.log.live_stream import LiveStream
 
     streams = [rr.RecordingStream(application, recording_id=recording_id) for _ in range(2)]
-    encoded = [stream.binary_stream() for stream in streams]
+    encoded = [rr.binary_stream(stream) for stream in streams]
 
     def cut(timeout_s: float) -> None:
         for stream, lasting in zip(encoded, (True, False), strict=True):
