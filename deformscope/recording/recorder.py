@@ -202,7 +202,8 @@ class Recorder:
         from deformscope.log.rig import rig_blueprint
 
         if not stages:
-            self._start(streams, start_ns, rig_blueprint(streams))
+            beside = self._viewer_kind == "page" and self._target is None
+            self._start(streams, start_ns, rig_blueprint(streams, health=not beside))
             return
         from deformscope.log.stages import log_stage_streams, stage_blueprint
 

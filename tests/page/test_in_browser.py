@@ -1,0 +1,134 @@
+"""The page in a real browser: rerun's viewer draws what is sent, keys and buttons are commands, nothing is loaded from
+elsewhere."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rerun as rr
+
+from deformscope.page.messages import BeginEpisode, DeviceState, Outcome, PageCommand, StopRun, TareDevice, WriteNote
+from deformscope.page.server import PageServer
+from deformscope.recording.live import page_stream
+from tests.page.pages import at_desk
+from tests.patience import PATIENCE_S
+
+CHROMIUM = Path(os.environ.get("CHROMIUM", "/usr/bin/chromium"))
+FLAGS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
+DEVICES = (
+    DeviceState("tip", "ok", simulated=True, rate_hz=1000.0, age_s=0.001, lost=3),
+    DeviceState("<b>pads</b>", "LOST", reason="unplugged"),
+)
+
+
+class Obeyed:
+    """What pages asked for."""
+
+    def __init__(self) -> None:
+        self.commands: list[PageCommand] = []
+
+    def obey(self, command: PageCommand) -> tuple[Outcome, str]:
+        self.commands.append(command)
+        return "done", ""
+
+
+def until(page: Any, happened: Callable[[], object]) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not happened():
+        assert time.monotonic() < deadline, "it never happened"
+        page.wait_for_timeout(20)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    sync_api = pytest.importorskip("playwright.sync_api")
+    if not CHROMIUM.exists():
+        pytest.skip(f"no browser at {CHROMIUM}; apt-get install chromium")
+    with sync_api.sync_playwright() as playwright:
+        started = playwright.chromium.launch(executable_path=str(CHROMIUM), args=list(FLAGS))
+        yield started
+        started.close()
+
+
+@pytest.fixture
+def page() -> Iterator[PageServer]:
+    with PageServer("bench") as server:
+        server.desk.enter(
+            "live", commands=("stop", "write-note", "begin-episode", "tare"), tares=("tip",), devices=DEVICES
+        )
+        yield server
+
+
+def test_the_viewer_draws_and_keys_are_commands(page: PageServer, browser: Any) -> None:
+    run = Obeyed()
+    page.desk.attend(run)
+    stream = page_stream("deformscope-test", "test", page.pieces, {}, threading.Event())
+    stream.rec.log("views", rr.TextDocument("static"), static=True)
+    stream.flush(timeout_sec=PATIENCE_S)
+    shown = browser.new_page(viewport={"width": 1280, "height": 800}, color_scheme="dark")
+    wrong, asked = list[str](), set[str]()
+    shown.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
+    shown.on("pageerror", lambda error: wrong.append(str(error)))
+    shown.on("request", lambda request: asked.add(request.url))
+    shown.add_init_script(
+        "window.seen = []; document.addEventListener('viewer', (event) => window.seen.push(event.detail.type))"
+    )
+    shown.goto(page.address)
+    until(shown, lambda: shown.inner_text("#phase") == "live")
+    words = shown.inner_text("#devices").split()
+    assert words[:4] == ["tip", "ok", "simulated", "rate"]
+    assert words[4:6] == ["1000", "/s"]
+    assert "<b>pads</b>" in shown.inner_text("#devices")  # a device's name is no HTML
+    assert shown.is_hidden("[data-kind=start-recording]")  # it cannot be asked for
+
+    # keys: in a field they are text, elsewhere commands, also while a dialog is open
+    shown.keyboard.press("n")
+    shown.keyboard.type("soft here")
+    assert run.commands == []
+    shown.keyboard.press("Enter")
+    until(shown, lambda: run.commands)
+    shown.keyboard.press("t")
+    shown.keyboard.press("e")
+    shown.keyboard.type("left")
+    shown.keyboard.press("Enter")
+    until(shown, lambda: len(run.commands) == 3)
+    shown.keyboard.press("?")
+    assert shown.is_visible("#help")
+    shown.keyboard.press(" ")
+    until(shown, lambda: len(run.commands) == 4)
+    match run.commands:
+        case [WriteNote(text="soft here"), TareDevice(device="tip"), BeginEpisode(label="left"), StopRun()]:
+            pass
+        case other:
+            pytest.fail(str(other))
+    until(shown, lambda: "write-note: done" in shown.inner_text("#remarks"))
+    shown.keyboard.press("Escape")
+
+    # another page takes the controls over
+    with at_desk(page, "other") as other_page:
+        assert other_page.command("take-controls")[0] == "done"
+        until(shown, lambda: "another page has the controls" in shown.inner_text("#holder"))
+        assert shown.is_disabled("[data-kind=write-note]")
+        assert shown.is_enabled("#stop")
+
+    # the viewer got its data, and acknowledges what it draws
+    until(shown, lambda: "recording_open" in shown.evaluate("window.seen"))
+    stream.rec.set_time("session", duration=1.0)
+    for value in np.arange(3.0):
+        stream.rec.log("plot", rr.Scalars(value))
+        stream.flush(timeout_sec=PATIENCE_S)
+    until(shown, lambda: shown.inner_text("#lag").startswith("viewer"))
+    shown.mouse.click(640, 400)  # the viewer has the keys now
+    shown.keyboard.press(" ")
+    until(shown, lambda: len(run.commands) == 5)
+    stream.disconnect()
+    assert wrong == []
+    assert {url.split("/")[2] for url in asked if "://" in url} == {page.address.split("/")[2]}
+    shown.close()
