@@ -10,7 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 RECENT_S, RECENT_BYTES = 30.0, 16 << 20
 """What a page that comes gets of the data that pass."""
@@ -36,18 +36,22 @@ class ViewerPiece:
 
 @dataclass(slots=True)
 class PageReader:
-    """How far a page is. last: the newest piece it was sent; skipped: pieces that it was not
+    """How far a page is.
 
-    sent_s, drawn_s: when the newest batch was sent; when the one before it, of this age then, was drawn
+    last: the newest piece it was sent; skipped: pieces that were too old for it
+    sent_s, newest_s: when its last batch was sent, and when the newest piece of that was made; drawing: it is not drawn
+    shown_s: when the newest piece was made of the batch before, which it shows until then
+    needs_s: how long it took to draw the last that it has drawn; behind_s: age of what it showed until then
     """
 
     last: int = 0
     skipped: int = 0
     sent_s: float = 0.0
     newest_s: float | None = None
-    drawn_newest_s: float | None = None
+    drawing: bool = False
+    shown_s: float | None = None
+    needs_s: float | None = None
     behind_s: float | None = None
-    needs_s: float | None = field(default=None)
 
 
 class Pieces:
@@ -121,24 +125,27 @@ class Pieces:
             ]
             if not joins:
                 reader.skipped += self._count - reader.last - len(shown)
-            reader.last, reader.sent_s = self._count, now_s
-            reader.drawn_newest_s, reader.newest_s = reader.newest_s, new[-1].made_s
+            reader.last, reader.sent_s, reader.drawing = self._count, now_s, True
+            reader.shown_s, reader.newest_s = reader.newest_s, new[-1].made_s
             return shown
 
     def drawn(self, reader: PageReader) -> None:
         """The page has drawn what it took last."""
         with self._lock:
             now_s = self._clock()
-            reader.needs_s = now_s - reader.sent_s
-            # until this moment it showed what it drew before
-            shown_s = reader.newest_s if reader.drawn_newest_s is None else reader.drawn_newest_s
-            reader.behind_s = None if shown_s is None else now_s - shown_s
+            reader.needs_s, reader.drawing = now_s - reader.sent_s, False
+            reader.behind_s = None if reader.shown_s is None else now_s - reader.shown_s
 
     @property
     def period_s(self) -> float:
         """How often pieces are worth making: as often as the fastest page draws them."""
         with self._lock:
-            needs = [reader.needs_s for reader in self._readers if reader.needs_s is not None]
+            now_s = self._clock()
+            needs = [
+                max(reader.needs_s, now_s - reader.sent_s if reader.drawing else 0.0)  # it may be hidden by now
+                for reader in self._readers
+                if reader.needs_s is not None
+            ]
             return min(max(SLACK * min(needs, default=SLOWEST_S), FASTEST_S), SLOWEST_S)
 
     def _forget(self) -> None:

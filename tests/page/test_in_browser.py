@@ -3,6 +3,7 @@ elsewhere."""
 
 from __future__ import annotations
 
+import itertools
 import os
 import threading
 import time
@@ -10,7 +11,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import rerun as rr
 
@@ -120,11 +120,15 @@ def test_the_viewer_draws_and_keys_are_commands(page: PageServer, browser: Any) 
 
     # the viewer got its data, and acknowledges what it draws
     until(shown, lambda: "recording_open" in shown.evaluate("window.seen"))
-    stream.rec.set_time("session", duration=1.0)
-    for value in np.arange(3.0):
-        stream.rec.log("plot", rr.Scalars(value))
+    steps = itertools.count()
+
+    def goes_on() -> bool:
+        stream.rec.set_time("session", duration=float(next(steps)))
+        stream.rec.log("plot", rr.Scalars(1.0))
         stream.flush(timeout_sec=PATIENCE_S)
-    until(shown, lambda: shown.inner_text("#lag").startswith("viewer"))
+        return bool(shown.inner_text("#lag").startswith("viewer"))
+
+    until(shown, goes_on)
     shown.mouse.click(640, 400)  # the viewer has the keys now
     shown.keyboard.press(" ")
     until(shown, lambda: len(run.commands) == 5)

@@ -107,6 +107,10 @@ def test_the_pace_is_that_of_the_fastest_page(pieces: Pieces, clock: FakeClock) 
     pieces.take(reader)
     pieces.drawn(reader)
     assert pieces.period_s == FASTEST_S
+    pieces.add(b"x", lasting=False)
+    pieces.take(reader)
+    clock.now_s += 60.0  # and is hidden: nothing needs to be made for it
+    assert pieces.period_s == SLOWEST_S
 
 
 @pytest.fixture
