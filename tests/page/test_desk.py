@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import socket
+import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 
 import pytest
+from websockets.sync.client import connect
 
 from deformscope.page.desk import NEXT, Desk
 from deformscope.page.messages import Outcome, PageCommand, TareDevice, WriteNote
 from deformscope.page.server import PageServer
-from tests.page.pages import at_desk
+from tests.page.pages import AtDesk, at_desk, netloc, root
 
 
 class Notebook:
@@ -57,6 +61,34 @@ def test_two_pages_see_the_same_and_one_steers(page: PageServer) -> None:
         assert notebook.notes == ["touched", "again"]
     with at_desk(page, "c") as third:  # both are gone: whoever comes steers
         assert third.until(lambda state: state["controls"] == "c")["pages"] == 1
+
+
+def test_through_a_forwarded_port(page: PageServer) -> None:
+    """As by ssh -L: the browser's Host and Origin have another port than the server."""
+    page.desk.attend(Notebook())
+    with socket.create_server(("127.0.0.1", 0)) as near:
+        threading.Thread(target=forward, args=(near, int(netloc(page).split(":")[1])), daemon=True).start()
+        other = f"127.0.0.1:{near.getsockname()[1]}"
+        address = f"ws://{other}{root(page)}desk"
+        with connect(address, origin=f"http://{other}", proxy=None) as websocket:  # type: ignore[arg-type]
+            assert AtDesk(websocket, "far").command("write-note", text="from afar") == ("done", "noted")
+
+
+def forward(near: socket.socket, port: int) -> None:
+    """One connection to a port, on to another."""
+
+    def pump(source: socket.socket, sink: socket.socket) -> None:
+        with suppress(OSError):
+            while data := source.recv(1 << 16):
+                sink.sendall(data)
+        with suppress(OSError):
+            sink.shutdown(socket.SHUT_WR)
+
+    with near.accept()[0] as came, socket.create_connection(("127.0.0.1", port)) as far:
+        back = threading.Thread(target=pump, args=(far, came), daemon=True)
+        back.start()
+        pump(came, far)
+        back.join()
 
 
 def test_what_a_command_cannot_do_is_said(page: PageServer) -> None:
