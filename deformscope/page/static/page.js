@@ -207,11 +207,9 @@ const KEYS = {
 window.addEventListener(
   "keydown",
   (event) => {
-    const field = event.target.closest?.("#desk input");
-    if (field) {
-      event.stopPropagation();
+    if (event.target.matches?.("input, textarea")) { // ours, or the viewer's own for text
       if (event.key === "Escape") {
-        field.blur();
+        event.target.blur();
       }
       return;
     }
@@ -229,3 +227,5 @@ window.addEventListener(
   },
   { capture: true },
 );
+// a button that has the focus is not pressed by the space that stops
+window.addEventListener("keyup", (event) => event.key === " " && event.target.matches?.("button") && event.preventDefault());
