@@ -4,8 +4,7 @@ import { Desk } from "./desk.js";
 import { startViewer } from "./viewer.js";
 
 const at = (id) => document.getElementById(id);
-const GOOD = new Set(["ok"]);
-const BAD = new Set(["LOST", "FAILED"]);
+const LEVELS = { ok: "good", waiting: "idle", closed: "idle", LOST: "bad", FAILED: "bad" };
 let state = null;
 let clockSkew_s = 0;
 const rows = new Map();
@@ -61,7 +60,7 @@ function showDevices(devices) {
       at("devices").append(row);
       rows.set(device.name, row);
     }
-    row.dataset.level = GOOD.has(device.state) ? "good" : BAD.has(device.state) ? "bad" : "warn";
+    row.dataset.level = LEVELS[device.state] ?? "warn";
     row.querySelector("b").textContent = device.name;
     row.querySelector(".state").textContent = device.state;
     row.querySelector("small").textContent = device.simulated ? "simulated" : "";
