@@ -42,6 +42,9 @@ PREFLIGHT_CELL_M = 0.02
 """The outermost places that can be reached are sought on a grid of this."""
 LOOKS = 3
 """Pictures of the surface that are taken together before any touch."""
+OFF_MIDDLE = 0.15
+"""Share of an image's width and height by which the principal point may be off its middle: real lenses are off by less,
+values of another resolution by more."""
 LOOK_PERIODS = 1000
 """Control periods in which they come, or the camera is silent."""
 KEEP_EVERY = 50
@@ -259,6 +262,7 @@ class TouchingRobot:
             if reported is None:
                 raise InputError("[camera] focal_px and center_px", "none, and a camera that reports none")
             focal_px, center_px = (reported.fx_px, reported.fy_px), (reported.cx_px, reported.cy_px)
+        check_center(center_px, pictures[-1].depth.shape)
         arm, _, name = self._setup.names
         model = self._robot.arm.chain.name
         used = LookFrames(name, _times_ns(pictures), arm, pose.time_ns, model, focal_px, center_px)
@@ -402,6 +406,17 @@ class TouchingRobot:
             if len(taken) >= count:
                 return taken[-count:]
         raise self._stop(Fault.CAMERA_SILENT, f"{len(taken)} depth images in {LOOK_PERIODS / 100:g} s")
+
+
+def check_center(center_px: tuple[float, ...], shape: tuple[int, ...]) -> None:
+    """Raises InputError for a principal point (x, y) [px] that is not near the middle of images (rows, columns): of
+    another resolution, by which everything would be seen elsewhere than it is."""
+    rows, columns = shape[:2]
+    off = np.abs(np.asarray(center_px) - (0.5 * columns, 0.5 * rows)) / (columns, rows)
+    if (off > OFF_MIDDLE).any():
+        came = f"({center_px[0]:g}, {center_px[1]:g}) in images of {columns} x {rows} px"
+        try_this = "focal_px and center_px for this resolution, or neither: then the camera's own are used"
+        raise InputError("[camera] center_px near the middle of its images", came, try_this)
 
 
 def _times_ns(pictures: list[DepthImage]) -> IntArray:

@@ -10,7 +10,7 @@ import pytest
 from deformscope.errors import InputError
 from deformscope.experiments.measured import SetupGeometry, highest_m
 from deformscope.experiments.options import ExploreOptions
-from deformscope.experiments.touching_robot import TouchingRobot
+from deformscope.experiments.touching_robot import TouchingRobot, check_center
 from deformscope.lab.ray_camera import FOAM
 from deformscope.lab.scene_lab import SceneLab
 from deformscope.lab.scenes import built_in
@@ -95,3 +95,13 @@ def test_a_geometry_survives_its_settings() -> None:
     assert (back.placement.tool, back.workspace, back.arm) == (made.placement.tool, made.workspace, made.arm)
     with pytest.raises(InputError, match="a recording with its setup"):
         SetupGeometry.from_json({})
+
+
+@pytest.mark.parametrize(("center_px", "shape"), [((160.0, 120.0), (240, 320)), ((331.0, 221.0), (480, 640))])
+def test_a_principal_point_near_the_middle_is_taken(center_px: tuple[float, float], shape: tuple[int, int]) -> None:
+    check_center(center_px, shape)
+
+
+def test_the_principal_point_of_another_resolution_is_refused() -> None:
+    with pytest.raises(InputError, match=r"\(319.5, 239.5\) in images of 320 x 240 px.*neither"):
+        check_center((319.5, 239.5), (240, 320))
