@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 import rerun as rr
 
-from deformscope.frames import Item, StageResult, Stream
+from deformscope.frames import Item, StageResult, Stream, host_ns
 from deformscope.log.rig import Batch, Place, Shown, prepare_items
 from deformscope.log.rig.numbers import visible_in
 from deformscope.log.rig.thinned import thinned
@@ -32,6 +32,8 @@ class LiveStream:
         self._places: dict[int, Place | None] = {}
         self._shown: Shown = {}
         self._start_ns, self._streams = 0, tuple[Stream, ...]()
+        self.newest_ns = 0
+        """Session time of the newest item that was sent [ns]; 0 before any."""
         self._results: list[StageResult] = []
         self._latest: dict[str, StageResult] = {}
 
@@ -57,6 +59,7 @@ class LiveStream:
         for touch, items in sorted(self._items.items()):
             place = self._places[touch]
             few = thinned(items)
+            self.newest_ns = max(self.newest_ns, *(host_ns(item) - self._start_ns for item in few), 0)
             self.send(prepare_items(few, self._start_ns, self._streams, (), place, self._shown, changes_only=True))
         self._items.clear()
         if self._results:

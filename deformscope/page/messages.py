@@ -148,9 +148,10 @@ class Drawn(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 class PieceBatch(msgspec.Struct, frozen=True):
     """To the page, after the pieces of a batch. behind_s: age of what was drawn when this was sent; skipped: pieces so
-    far that were too old to be sent"""
+    far that were too old to be sent; until_ns: session time of the newest in it [ns], 0 = not known"""
 
     batch: int
     last: int
+    until_ns: int
     behind_s: float | None
     skipped: int

@@ -26,12 +26,16 @@ SLACK = 1.25
 
 @dataclass(frozen=True, slots=True)
 class ViewerPiece:
-    """One whole stream of rerun data. number: from 1; lasting: what comes later rests on it; made_s: when [s]"""
+    """One whole stream of rerun data. number: from 1; lasting: what comes later rests on it; made_s: when [s]
+
+    until_ns: session time of the newest that it or an earlier one holds [ns], 0 = not known
+    """
 
     number: int
     data: bytes
     lasting: bool
     made_s: float
+    until_ns: int = 0
 
 
 @dataclass(slots=True)
@@ -68,11 +72,11 @@ class Pieces:
         self._watchers: list[Callable[[], None]] = []
         self._lock = threading.Lock()
 
-    def add(self, data: bytes, *, lasting: bool) -> None:
+    def add(self, data: bytes, *, lasting: bool, until_ns: int = 0) -> None:
         """Returns at once."""
         with self._lock:
             self._count += 1
-            piece = ViewerPiece(self._count, data, lasting, self._clock())
+            piece = ViewerPiece(self._count, data, lasting, self._clock(), until_ns)
             if lasting and self._bytes["first"] + len(data) <= FIRST_BYTES:
                 self._first.append(piece)
                 self._bytes["first"] += len(data)

@@ -203,7 +203,7 @@ class PageServer:
                     changed.clear()
                 for piece in batch:
                     await websocket.send_bytes(piece.data)
-                mark = PieceBatch(count, reader.last, reader.behind_s, reader.skipped)
+                mark = PieceBatch(count, reader.last, batch[-1].until_ns, reader.behind_s, reader.skipped)
                 await websocket.send_text(msgspec.json.encode(mark).decode())
                 while await drawn.get() != count:
                     pass

@@ -131,10 +131,11 @@ def page_stream(
     def cut(timeout_s: float) -> None:
         for stream, lasting in zip(encoded, (True, False), strict=True):
             if data := stream.read(flush_timeout_sec=timeout_s):
-                pieces.add(data, lasting=lasting)
+                pieces.add(data, lasting=lasting, until_ns=live.newest_ns)
 
     streams[0].send_property("session", rr.AnyValues(True, **properties))
-    return LiveStream(streams[0], cut, streams[1])
+    live = LiveStream(streams[0], cut, streams[1])
+    return live
 
 
 def wait_for_viewer(viewer: Viewer, give_up: threading.Event) -> None:

@@ -66,6 +66,7 @@ def page() -> Iterator[PageServer]:
         yield server
 
 
+@pytest.mark.slow
 def test_the_viewer_draws_and_keys_are_commands(page: PageServer, browser: Any) -> None:
     run = Obeyed()
     page.desk.attend(run)
@@ -87,6 +88,8 @@ def test_the_viewer_draws_and_keys_are_commands(page: PageServer, browser: Any) 
     assert words[4:6] == ["1000", "/s"]
     assert "<b>pads</b>" in shown.inner_text("#devices")  # a device's name is no HTML
     assert shown.is_hidden("[data-kind=start-recording]")  # it cannot be asked for
+
+    until(shown, lambda: "recording_open" in shown.evaluate("window.seen"))  # a viewer that starts takes the focus
 
     # keys: in a field they are text, elsewhere commands, also while a dialog is open
     shown.keyboard.press("n")
@@ -119,7 +122,6 @@ def test_the_viewer_draws_and_keys_are_commands(page: PageServer, browser: Any) 
         assert shown.is_enabled("#stop")
 
     # the viewer got its data, and acknowledges what it draws
-    until(shown, lambda: "recording_open" in shown.evaluate("window.seen"))
     steps = itertools.count()
 
     def goes_on() -> bool:

@@ -120,10 +120,16 @@ def page() -> Iterator[PageServer]:
 
 
 def test_a_batch_comes_once_the_one_before_was_drawn(page: PageServer) -> None:
-    page.pieces.add(b"first", lasting=True)
+    page.pieces.add(b"first", lasting=True, until_ns=5)
     with socket_to(page, "data") as websocket:
         assert websocket.recv(PATIENCE_S) == b"first"
-        assert json.loads(websocket.recv(PATIENCE_S)) == {"batch": 1, "last": 1, "behind_s": None, "skipped": 0}
+        assert json.loads(websocket.recv(PATIENCE_S)) == {
+            "batch": 1,
+            "last": 1,
+            "until_ns": 5,
+            "behind_s": None,
+            "skipped": 0,
+        }
         page.pieces.add(b"second", lasting=False)
         page.pieces.add(b"third", lasting=False)
         with pytest.raises(TimeoutError):

@@ -5,6 +5,9 @@ import { address } from "./desk.js";
 
 const CHANNEL = "recording";
 const AGAIN_MS = 1000;
+const SLACK_NS = 0.5e9; // it need not show the very newest before it gets more
+const LONGEST_MS = 10_000;
+const time = { at_ns: 0, following: true }; // of the viewer; it follows until somebody stops it
 
 // onWords: what to say in the viewer's place, empty once it runs; onBatch: after each batch that was drawn
 export async function startViewer(canvas, onWords, onBatch, onEvent = () => {}) {
@@ -17,7 +20,16 @@ export async function startViewer(canvas, onWords, onBatch, onEvent = () => {}) 
     notebook: false,
     persist: false,
     theme: matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark",
-    on_viewer_event: (event) => onEvent(JSON.parse(event)),
+    on_viewer_event: (text) => {
+      const event = JSON.parse(text);
+      if (event.type === "time_update") {
+        time.at_ns = event.time;
+        time.following = true;
+      } else if (event.type === "pause" || event.type === "timeline_change") {
+        time.following = false;
+      }
+      onEvent(event);
+    },
   });
   await handle.start(canvas);
   handle.override_panel_state("top", "hidden");
@@ -43,9 +55,14 @@ function connect(handle, onBatch, after) {
     }
     const batch = JSON.parse(data);
     last = batch.last;
-    // The viewer's own callback comes first in each frame: by then it has taken in and drawn what was sent. A hidden page
-    // has no frames, and so asks for nothing more.
-    await new Promise(requestAnimationFrame);
+    // A hidden page has no frames, and so asks for nothing more. A viewer that draws slowly takes in a part of what it was
+    // given in each frame: while it follows the newest data, its time says how far it is.
+    const sent_ms = performance.now();
+    do {
+      await new Promise(requestAnimationFrame);
+    } while (
+      time.following && batch.until_ns > time.at_ns + SLACK_NS && performance.now() - sent_ms < LONGEST_MS
+    );
     if (socket.readyState === WebSocket.OPEN) {
       socket.send(JSON.stringify({ batch: batch.batch }));
       onBatch(batch);
